@@ -1,0 +1,182 @@
+"""Every failure has a type of its own and a message that a person can act on.
+
+::
+
+    CmbotError
+      InputError (ValueError)          what was handed in is wrong
+        ModelError                     a URDF, SRDF or joint-limits file
+        SceneError                     a scene file
+        ArchiveError                   a plan directory
+      PlanningError (RuntimeError)     the input is fine, but there is no plan
+        PathNotFound                   how far the path came, and why not further
+        OptimisationFailed             the constraint that could not be met
+        LimitViolation                 joint, time, value, bound
+      MissingExtra (ImportError)       the pip command to run
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+__all__ = [
+    "ArchiveError",
+    "CmbotError",
+    "InputError",
+    "LimitViolation",
+    "MissingExtra",
+    "ModelError",
+    "OptimisationFailed",
+    "PathNotFound",
+    "PlanningError",
+    "SceneError",
+]
+
+
+class CmbotError(Exception):
+    """Root of every error that cmbot raises on purpose."""
+
+
+class InputError(CmbotError, ValueError):
+    """Something handed in is wrong; reads ``FILE: KEY: got X, expected Y``.
+
+    Parameters
+    ----------
+    source : str
+        The file, or the name of the argument, that holds the value.
+    key : str
+        Where in it: a key's path such as ``tool_path.legs[1].seconds``; empty for the whole.
+    got : object
+        What stands there.
+    expected : str
+        What should stand there, or what to do.
+    choices : sequence of str, optional
+        The valid values, when they can be listed.
+    """
+
+    def __init__(
+        self, source: str, key: str, got: object, expected: str, choices: Sequence[str] = ()
+    ) -> None:
+        self.source = source
+        self.key = key
+        self.got = got
+        self.expected = expected
+        self.choices = tuple(choices)
+        where = f"{source}: {key}" if key else source
+        listed = f" (one of: {', '.join(self.choices)})" if self.choices else ""
+        super().__init__(f"{where}: got {got}, expected {expected}{listed}")
+
+
+class ModelError(InputError):
+    """A robot description (URDF, SRDF, joint limits) is missing, unreadable or physically impossible."""
+
+
+class SceneError(InputError):
+    """A scene file is missing, unreadable or asks for something that cannot be."""
+
+
+class ArchiveError(InputError):
+    """A plan directory is missing, incomplete, of another version, or in the way."""
+
+
+class PlanningError(CmbotError, RuntimeError):
+    """The input is fine, but no valid plan came out of it."""
+
+
+class PathNotFound(PlanningError):
+    """The joint path could not be carried to the end of the tool path.
+
+    Parameters
+    ----------
+    reason : str
+        What stopped it, in a sentence.
+    time : float
+        Time on the tool path at which it stopped, s.
+    progress : float
+        Share of the tool path's length that was covered, 0 to 1.
+    smallest_singular_value : float
+        Of the task Jacobian where the path stopped, Chang 2021, Eqs. (18)-(19).
+    pair : tuple of str, optional
+        The link and the obstacle (or second link) that came too close.
+    """
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        time: float,
+        progress: float,
+        smallest_singular_value: float,
+        pair: tuple[str, str] | None = None,
+    ) -> None:
+        self.reason = reason
+        self.time = time
+        self.progress = progress
+        self.smallest_singular_value = smallest_singular_value
+        self.pair = pair
+        super().__init__(
+            f"no path beyond t = {time:.2f} s ({progress:.0%} of the tool path): {reason}; "
+            f"smallest singular value there {smallest_singular_value:.3g}"
+        )
+
+
+class OptimisationFailed(PlanningError):
+    """The trajectory optimisation ended without a point that meets its constraints.
+
+    Parameters
+    ----------
+    reason : str
+        What happened, in a sentence.
+    constraint : str
+        The constraint that is furthest from being met.
+    violation : float
+        By how much, as a share of its bound.
+    """
+
+    def __init__(self, reason: str, *, constraint: str, violation: float) -> None:
+        self.reason = reason
+        self.constraint = constraint
+        self.violation = violation
+        super().__init__(f"{reason}; worst constraint: {constraint}, {violation:.2%} beyond its bound")
+
+
+class LimitViolation(PlanningError):
+    """A finished trajectory breaks a limit, so it is not a plan.
+
+    Parameters
+    ----------
+    quantity : str
+        What is limited, such as ``velocity of joint_3``.
+    time : float
+        When, s.
+    value, bound : float
+        What it is there and what is allowed, both in `unit`.
+    unit : str
+        SI unit of both.
+    """
+
+    def __init__(self, quantity: str, *, time: float, value: float, bound: float, unit: str) -> None:
+        self.quantity = quantity
+        self.time = time
+        self.value = value
+        self.bound = bound
+        self.unit = unit
+        super().__init__(
+            f"{quantity} is {value:.6g} {unit} at t = {time:.3f} s, the bound is {bound:.6g} {unit}"
+        )
+
+
+class MissingExtra(CmbotError, ImportError):
+    """An optional package is not installed.
+
+    Parameters
+    ----------
+    package : str
+        What could not be imported.
+    extra : str
+        The extra of cmbot that brings it.
+    """
+
+    def __init__(self, package: str, extra: str) -> None:
+        self.package = package
+        self.extra = extra
+        super().__init__(f'{package} is not installed; run: pip install "cmbot[{extra}]"')

@@ -1,0 +1,25 @@
+"""Where the shipped models and scenes lie: beside the package in a checkout, inside it in a wheel."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+__all__ = ["data_folder", "model_folder", "scene_folder"]
+
+_PACKAGE = Path(__file__).resolve().parent
+
+
+def data_folder() -> Path:
+    """Return the folder that holds ``models/`` and ``scenes/``."""
+    inside_wheel = _PACKAGE / "_data"
+    return inside_wheel if inside_wheel.is_dir() else _PACKAGE.parent
+
+
+def model_folder() -> Path:
+    """Return the folder with ``urdf/`` and ``meshes/``."""
+    return data_folder() / "models"
+
+
+def scene_folder() -> Path:
+    """Return the folder with the shipped scene files."""
+    return data_folder() / "scenes"
