@@ -1,0 +1,84 @@
+"""Options of the planner: the same names in a scene file's ``planner:`` block and in Python."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import ConfigDict, Field
+
+__all__ = ["PlannerOptions"]
+
+PositiveFloat = Annotated[float, Field(gt=0)]
+NonNegativeFloat = Annotated[float, Field(ge=0)]
+PositiveInt = Annotated[int, Field(ge=1)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlannerOptions:
+    """How a motion is planned; every option has a default.
+
+    The bounds in the annotations are checked where a scene file is read and again by `cmbot.plan`.
+
+    Attributes
+    ----------
+    knots : str
+        ``fixed``: the via-points stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
+    avoidance : str
+        ``smooth``: the clearance gradient is multiplied by ``1 - d_min/d_s``, so it fades in.
+        ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump where it switches.
+    avoidance_distance_m : float
+        d_s of Eq. (17), m.
+    avoidance_gain : float
+        beta of Eqs. (16) and (22), rad/s.
+    centre_of_gravity_weight : float
+        Weight of the second term of H, which pulls the arm's centre of mass towards the foot; 0 is the
+        paper's "without" case.
+    damping_max : float
+        lambda_0 of Eq. (21).
+    damping_threshold : float
+        s_h of Eq. (21): damping sets in when the smallest singular value falls below it.
+    drift_gain : float
+        Feedback from the tool's pose error to its commanded velocity along the path, 1/s.
+    path_step_s : float
+        Step at which Eq. (22) is integrated, s.
+    safety_margin_m : float
+        Smallest clearance that a plan may have, m.
+    max_tool_deviation_m : float
+        How far the tool point may leave the legs between via-points, m.
+    solver : str
+        ``slsqp``: SciPy's sequential quadratic programming.
+    samples_per_segment : int
+        Samples per spline segment at which nonlinear constraints are looked for violations.
+    smoothing_weight : float
+        Weight rho of the mean squared jerk (in units of its bounds) beside the peak torque (in units of its
+        value at the start): breaks ties between trajectories of equal peak.
+    constraint_tolerance : float
+        Relative violation below which a constraint counts as met by the optimiser.
+    max_passes : int
+        Exchange passes before the optimisation is given up.
+    max_iterations : int
+        SLSQP iterations per pass (the paper's bound).
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
+        extra="forbid", strict=True, allow_inf_nan=False
+    )
+
+    knots: Literal["fixed"] = "fixed"
+    avoidance: Literal["smooth", "switch"] = "smooth"
+    avoidance_distance_m: PositiveFloat = 0.15
+    avoidance_gain: NonNegativeFloat = 2.0
+    centre_of_gravity_weight: NonNegativeFloat = 0.0
+    damping_max: NonNegativeFloat = 0.5
+    damping_threshold: NonNegativeFloat = 0.1
+    drift_gain: NonNegativeFloat = 10.0
+    path_step_s: Annotated[float, Field(gt=0, le=0.1)] = 0.01
+    safety_margin_m: NonNegativeFloat = 0.02
+    max_tool_deviation_m: PositiveFloat = 0.001
+    solver: Literal["slsqp"] = "slsqp"
+    samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
+    smoothing_weight: NonNegativeFloat = 1e-4
+    constraint_tolerance: Annotated[float, Field(gt=0, le=1e-3)] = 1e-7
+    max_passes: PositiveInt = 40
+    max_iterations: PositiveInt = 1000
