@@ -1,0 +1,68 @@
+"""Polynomials on the unit interval: all their real roots, all their extrema, many at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import polynomial
+from numpy.typing import NDArray
+
+__all__ = ["derivative", "roots_in_unit_interval"]
+
+FloatArray = NDArray[np.float64]
+
+# Halving [0, 1] this often leaves an interval below the spacing of doubles near 1.
+_BISECTIONS = 54
+
+
+def derivative(c: FloatArray, order: int = 1) -> FloatArray:
+    """Differentiate polynomials `order` times.
+
+    Parameters
+    ----------
+    c : (..., k + 1)
+        Coefficients, lowest power first.
+
+    Returns
+    -------
+    (..., k + 1 - order)
+    """
+    return np.asarray(polynomial.polyder(c, order, axis=-1))
+
+
+def roots_in_unit_interval(c: FloatArray) -> FloatArray:
+    """Find the real roots in [0, 1] of many polynomials of one degree.
+
+    Between neighbouring roots of its derivative a polynomial is monotone, so bisection there finds every
+    root that changes sign. No leading coefficient is divided by: degenerate polynomials are harmless.
+
+    Parameters
+    ----------
+    c : (..., k + 1)
+        Coefficients, lowest power first, k >= 1.
+
+    Returns
+    -------
+    (..., k)
+        Sorted roots. Where a polynomial has fewer than k, the missing ones repeat an end of the interval
+        or a stationary point, which is what a search for extrema can bear.
+    """
+    degree = c.shape[-1] - 1
+    ends = (np.zeros((*c.shape[:-1], 1)), np.ones((*c.shape[:-1], 1)))
+    stationary = [roots_in_unit_interval(derivative(c))] if degree > 1 else []
+    edges = np.concatenate([ends[0], *stationary, ends[1]], axis=-1)
+    low, high = edges[..., :-1].copy(), edges[..., 1:].copy()
+    sign_low = np.sign(_values(c, low))
+    crosses = sign_low * np.sign(_values(c, high)) < 0
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        left = np.sign(_values(c, middle)) == sign_low
+        low, high = np.where(left, middle, low), np.where(left, high, middle)
+    return np.where(crosses, 0.5 * (low + high), edges[..., :-1])
+
+
+def _values(c: FloatArray, u: FloatArray) -> FloatArray:
+    """Evaluate each polynomial c (..., k + 1) at its own points u (..., m)."""
+    value = np.broadcast_to(c[..., -1:], u.shape)
+    for power in range(c.shape[-1] - 2, -1, -1):
+        value = value * u + c[..., power : power + 1]
+    return value

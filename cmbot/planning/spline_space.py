@@ -1,0 +1,177 @@
+"""All quintic splines through given via-points that are C3 and start and end at rest.
+
+A joint's spline is the vector z of its knots' position, velocity and acceleration,
+``z = (q_1, v_1, a_1, ..., q_n, v_n, a_n)``. Those that are C3 and at rest at both ends form an affine space
+of n - 4 dimensions: 2 (n - 2) knot velocities and accelerations (the paper's variables, Chang 2021,
+Eq. (30)) less n jerk conditions, Eqs. (34) and (37). `SplineSpace` holds a basis of it, so that no equality
+is left for a solver::
+
+    z = P q + B x          P q is the least-jerk spline through the via-points q
+
+Each column of B is a spline that vanishes at every knot and lives on four neighbouring segments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import linalg, sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from cmbot.errors import InputError
+from cmbot.planning.polynomials import derivative
+from cmbot.planning.trajectory import QuinticTrajectory, hermite_coefficients
+
+__all__ = ["SplineSpace"]
+
+FloatArray = NDArray[np.float64]
+
+# A basis spline lives on this many segments: the fewest on which a C3 quintic spline that vanishes at the
+# knots between them, and joins zero with C3 on both sides, exists; it is then unique up to its scale.
+_SUPPORT = 4
+
+
+@dataclass(frozen=True)
+class SplineSpace:
+    """C3 quintic splines on fixed knot times, at rest at both ends (Chang 2021, Eqs. (34)-(37)).
+
+    Attributes
+    ----------
+    t : (n,), s
+        Knot times, n >= 5.
+
+    Raises
+    ------
+    InputError
+        When there are fewer than five knots or times do not increase.
+    """
+
+    t: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.t.ndim != 1 or len(self.t) <= _SUPPORT or not np.all(np.diff(self.t) > 0):
+            raise InputError(
+                "SplineSpace", "t", f"shape {self.t.shape}", f"{_SUPPORT + 1} or more increasing times"
+            )
+
+    @property
+    def dimension(self) -> int:
+        """Free numbers a joint: n - 4."""
+        return len(self.t) - _SUPPORT
+
+    @cached_property
+    def basis(self) -> sparse.csr_array:
+        """B: the basis splines' knot vectors, (3n, n - 4), banded, largest entry of each column 1.
+
+        Entries of velocity rows are in 1/s, of acceleration rows in 1/s2, up to a common factor a column.
+        """
+        columns = []
+        C = (self._jerk_jumps @ sparse.diags_array(1 / self._unit)).tocsc()
+        for k in range(self.dimension):
+            free = _velocity_and_acceleration(np.arange(k + 1, k + _SUPPORT))
+            conditions = C[:, free].toarray()[k : k + _SUPPORT + 1]
+            y = linalg.null_space(conditions / np.abs(conditions).max())[:, 0] / self._unit[free]
+            columns.append((y / y[np.argmax(np.abs(y))], free))
+        rows = np.concatenate([free for _, free in columns])
+        values = np.concatenate([y for y, _ in columns])
+        where = np.repeat(np.arange(self.dimension), 2 * (_SUPPORT - 1))
+        return sparse.csr_array((values, (rows, where)), shape=(3 * len(self.t), self.dimension))
+
+    @cached_property
+    def jerk_gram(self) -> sparse.csr_array:
+        """Gram matrix of the basis under the time mean of the product of jerks, (n - 4, n - 4), banded."""
+        return sparse.csr_array(self.basis.T @ self._jerk_energy @ self.basis)
+
+    def least_jerk(self, q: FloatArray) -> FloatArray:
+        """Knot vectors P q of the splines through `q` with the least mean squared jerk.
+
+        Parameters
+        ----------
+        q : (n, d), rad
+            Via-points of d joints.
+
+        Returns
+        -------
+        (3n, d)
+        """
+        n = len(self.t)
+        z = np.zeros((3 * n, q.shape[1]))
+        z[0::3] = q
+        free = _velocity_and_acceleration(np.arange(1, n - 1))
+        rhs = -np.vstack([(self._jerk_energy @ z)[free] * (1 / self._unit[free, None]), self._jerk_jumps @ z])
+        z[free] = self._least_jerk_system.solve(rhs)[: len(free)] / self._unit[free, None]
+        return z
+
+    def trajectory(self, z: FloatArray) -> QuinticTrajectory:
+        """Return the trajectory with knot vectors `z` (3n, d)."""
+        return QuinticTrajectory(t=self.t, q=z[0::3], v=z[1::3], a=z[2::3])
+
+    def design(self, times: ArrayLike, order: int) -> sparse.csr_array:
+        """Matrix (N, 3n) that takes knot vectors to derivative `order` at `times` (N,)."""
+        times = np.asarray(times, dtype=float)
+        segment = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        h = np.diff(self.t)[segment]
+        u = (times - self.t[segment]) / h
+        c = derivative(self._hermite, order)[segment]
+        powers = u[:, None] ** np.arange(c.shape[-1])
+        weights = np.einsum("smk,sk->sm", c, powers) / h[:, None] ** order
+        columns = 3 * segment[:, None] + np.arange(6)
+        return sparse.csr_array(
+            (weights.ravel(), (np.repeat(np.arange(len(times)), 6), columns.ravel())),
+            shape=(len(times), 3 * len(self.t)),
+        )
+
+    @cached_property
+    def _hermite(self) -> FloatArray:
+        """Coefficients of the six Hermite quintics of each segment, (m, 6, 6): function, power."""
+        m = len(self.t) - 1
+        ends = np.broadcast_to(np.eye(6), (m, 6, 6))
+        start, end = ends[:, :3].transpose(1, 0, 2), ends[:, 3:].transpose(1, 0, 2)
+        return hermite_coefficients(np.diff(self.t), tuple(start), tuple(end))
+
+    @cached_property
+    def _unit(self) -> FloatArray:
+        """Factors (3n,) that bring position, velocity and acceleration to one size: 1, T/m, (T/m)^2."""
+        step = (self.t[-1] - self.t[0]) / (len(self.t) - 1)
+        return np.tile([1.0, step, step**2], len(self.t))
+
+    @cached_property
+    def _jerk_jumps(self) -> sparse.csr_array:
+        """Matrix (n, 3n): jerk after less jerk before each knot; zero is taken to lie outside the ends."""
+        n, h = len(self.t), np.diff(self.t)
+        c = derivative(self._hermite, 3) / h[:, None, None] ** 3
+        segment = np.arange(n - 1)
+        columns = (3 * segment[:, None] + np.arange(6)).ravel()
+        after = (c[..., 0].ravel(), (np.repeat(segment, 6), columns))
+        before = (-c.sum(axis=-1).ravel(), (np.repeat(segment + 1, 6), columns))
+        shape = (n, 3 * n)
+        return sparse.csr_array(sparse.csr_array(after, shape=shape) + sparse.csr_array(before, shape=shape))
+
+    @cached_property
+    def _jerk_energy(self) -> sparse.csr_array:
+        """Matrix (3n, 3n) of the time mean of squared jerk as a quadratic form of the knot vector."""
+        n, h = len(self.t), np.diff(self.t)
+        c = derivative(self._hermite, 3)
+        powers = np.arange(c.shape[-1])
+        moments = 1.0 / (powers[:, None] + powers + 1)
+        local = np.einsum("mai,ij,mbj->mab", c, moments, c) / (h[:, None, None] ** 5 * (self.t[-1] - self.t[0]))
+        index = 3 * np.arange(n - 1)[:, None] + np.arange(6)
+        rows, columns = np.repeat(index, 6, axis=1).ravel(), np.tile(index, 6).ravel()
+        return sparse.csr_array((local.ravel(), (rows, columns)), shape=(3 * n, 3 * n))
+
+    @cached_property
+    def _least_jerk_system(self) -> SuperLU:
+        """Factorised optimality conditions of the least-jerk spline, in unit-free variables."""
+        free = _velocity_and_acceleration(np.arange(1, len(self.t) - 1))
+        scale = sparse.diags_array(1 / self._unit[free])
+        G = scale @ self._jerk_energy[free][:, free] @ scale
+        C = self._jerk_jumps[:, free] @ scale
+        return splu(sparse.block_array([[G, C.T], [C, None]], format="csc"))
+
+
+def _velocity_and_acceleration(knots: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Indices of the velocities and accelerations of `knots` in a knot vector, ascending."""
+    return (3 * knots[:, None] + np.array([1, 2])).ravel()

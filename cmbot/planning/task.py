@@ -1,0 +1,83 @@
+"""What of the tool's pose is prescribed: all of it, its point and axis, or its point alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from cmbot.errors import InputError
+from cmbot.scene.tool_path import ToolPath
+
+__all__ = ["ToolTask"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class ToolTask:
+    """The part of a tool path that the arm has to follow, as m task coordinates.
+
+    The first three are the tool point in W, m; then, for ``pose``, a rotation vector in W; for ``axis``, the
+    two components of that vector along the tool's own x and y axes, rad.
+
+    Attributes
+    ----------
+    path : ToolPath
+    keep : str
+        ``pose`` (m = 6), ``axis`` (m = 5) or ``position`` (m = 3).
+    """
+
+    path: ToolPath
+    keep: Literal["pose", "axis", "position"] = "pose"
+
+    def __post_init__(self) -> None:
+        if self.keep not in ("pose", "axis", "position"):
+            raise InputError("ToolTask", "keep", self.keep, "a kind", ("pose", "axis", "position"))
+
+    def jacobian(self, X_WT: Any, J: FloatArray) -> FloatArray:
+        """Task rows (m, n) of the tool's Jacobian `J` (6, n) at the tool pose `X_WT`."""
+        if self.keep == "pose":
+            return J
+        if self.keep == "axis":
+            return np.vstack([J[:3], X_WT.rotation[:, :2].T @ J[3:]])
+        return J[:3]
+
+    def error(self, X_WT: Any, point: FloatArray) -> FloatArray:
+        """Task coordinates (m,) of the way from `X_WT` to the path's orientation at `point` (3,)."""
+        translation = point - X_WT.translation
+        if self.keep == "position":
+            return translation
+        R, R_goal = X_WT.rotation, self.path.orientation
+        if self.keep == "pose":
+            return np.concatenate([translation, pin.log3(R_goal @ R.T)])
+        return np.concatenate([translation, R[:, :2].T @ _between(R[:, 2], R_goal[:, 2])])
+
+    def rotation(self, R_WT: FloatArray) -> FloatArray:
+        """Angles (N,), rad, by which orientations `R_WT` (N, 3, 3) miss what is prescribed."""
+        R_goal = self.path.orientation
+        if self.keep == "position":
+            return np.zeros(len(R_WT))
+        if self.keep == "axis":
+            z, z_goal = R_WT[:, :, 2], R_goal[:, 2]
+            return np.arctan2(np.linalg.norm(np.cross(z, z_goal), axis=1), z @ z_goal)
+        # |R_goal - R| = 2 sqrt(2) sin(angle/2), exact for small angles where the trace is not.
+        chord = np.linalg.norm(R_WT - R_goal, axis=(1, 2)) / (2 * np.sqrt(2))
+        return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
+
+
+def _between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
+    """Shortest rotation vector (3,) that turns the unit vector `z` to `z_goal`."""
+    cross = np.cross(z, z_goal)
+    sine = float(np.linalg.norm(cross))
+    if sine < 1e-12:
+        # Parallel: nothing to do. Opposite: half a turn about any axis across z.
+        if z @ z_goal > 0:
+            return cross
+        across = np.eye(3)[np.abs(z).argmin()]
+        cross = np.cross(z, across)
+        return np.asarray(np.pi * cross / np.linalg.norm(cross))
+    return np.asarray(cross * (np.arctan2(sine, float(z @ z_goal)) / sine))

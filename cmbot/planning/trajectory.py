@@ -1,0 +1,176 @@
+"""The trajectory: piecewise quintic polynomials in every joint (Chang 2021, Eqs. (24)-(29))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmbot.errors import InputError
+from cmbot.planning.polynomials import derivative, roots_in_unit_interval
+
+__all__ = ["Extrema", "QuinticTrajectory", "hermite_coefficients"]
+
+FloatArray = NDArray[np.float64]
+POSITION, VELOCITY, ACCELERATION, JERK = range(4)
+
+
+def hermite_coefficients(
+    h: FloatArray, start: tuple[FloatArray, ...], end: tuple[FloatArray, ...]
+) -> FloatArray:
+    """Coefficients of quintics from position, velocity and acceleration at both ends.
+
+    Chang 2021, Eqs. (28)-(29), with time counted in units of the segment: ``q(t) = sum_k c_k (t/h)^k``.
+
+    Parameters
+    ----------
+    h : (m,), s
+        Durations.
+    start, end : three arrays (m, n)
+        Position, velocity and acceleration at either end.
+
+    Returns
+    -------
+    (m, n, 6)
+    """
+    h = h[:, None]
+    q_0, v_0, a_0 = start[0], start[1] * h, start[2] * h**2
+    q_1, v_1, a_1 = end[0], end[1] * h, end[2] * h**2
+    D = q_1 - q_0
+    return np.stack(
+        [
+            q_0,
+            v_0,
+            a_0 / 2,
+            (20 * D - (8 * v_1 + 12 * v_0) - (3 * a_0 - a_1)) / 2,
+            (-30 * D + (14 * v_1 + 16 * v_0) + (3 * a_0 - 2 * a_1)) / 2,
+            (12 * D - 6 * (v_1 + v_0) - (a_0 - a_1)) / 2,
+        ],
+        axis=-1,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extrema:
+    """The exact extremes of one derivative on every segment of a trajectory.
+
+    Attributes
+    ----------
+    time : (m, n, k), s
+        Ends and stationary points of each segment and joint.
+    value : (m, n, k)
+        The derivative there; its largest magnitude bounds it at *all* times of the segment.
+    """
+
+    time: FloatArray
+    value: FloatArray
+
+    def largest(self) -> tuple[FloatArray, FloatArray]:
+        """Return magnitude and time of the largest magnitude of each joint, both (n,)."""
+        magnitude = np.abs(self.value).transpose(1, 0, 2).reshape(self.value.shape[1], -1)
+        time = self.time.transpose(1, 0, 2).reshape(self.value.shape[1], -1)
+        worst = magnitude.argmax(axis=1)
+        joint = np.arange(len(worst))
+        return magnitude[joint, worst], time[joint, worst]
+
+
+@dataclass(frozen=True, kw_only=True)
+class QuinticTrajectory:
+    """Piecewise quintics through knots with given position, velocity and acceleration.
+
+    Position, velocity and acceleration are continuous whatever the knots' values are; jerk is continuous
+    only if they are chosen so, as `SplineSpace` does.
+
+    Attributes
+    ----------
+    t : (m + 1,), s
+        Strictly increasing times of the knots.
+    q, v, a : (m + 1, n), rad, rad/s, rad/s2
+        Position, velocity and acceleration at the knots.
+
+    Raises
+    ------
+    InputError
+        When shapes differ, a number is not finite, or times do not increase.
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("t", "q", "v", "a"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        if self.t.ndim != 1 or len(self.t) < 2 or not np.all(np.diff(self.t) > 0):
+            raise InputError("QuinticTrajectory", "t", f"shape {self.t.shape}", "two or more increasing times")
+        for name in ("q", "v", "a"):
+            array = getattr(self, name)
+            if array.ndim != 2 or array.shape != (len(self.t), self.q.shape[-1]):
+                expected = f"one row per knot, ({len(self.t)}, n), the same for q, v and a"
+                raise InputError("QuinticTrajectory", name, f"shape {array.shape}", expected)
+            if not np.isfinite(array).all():
+                raise InputError("QuinticTrajectory", name, "a number that is not finite", "finite numbers")
+
+    @property
+    def duration(self) -> float:
+        """Time from the first knot to the last, s."""
+        return float(self.t[-1] - self.t[0])
+
+    @cached_property
+    def coefficients(self) -> FloatArray:
+        """Coefficients of ``q(t) = sum_k c_k ((t - t_j)/h_j)^k``, (m, n, 6), rad."""
+        knots = (self.q, self.v, self.a)
+        return hermite_coefficients(
+            np.diff(self.t), tuple(x[:-1] for x in knots), tuple(x[1:] for x in knots)
+        )
+
+    def evaluate(self, times: ArrayLike, order: int = 0) -> FloatArray:
+        """Evaluate the trajectory or one of its derivatives.
+
+        Parameters
+        ----------
+        times : (N,), s
+            Times outside the trajectory count as its nearer end.
+        order : int
+            0 position, 1 velocity, 2 acceleration, 3 jerk, up to 5. At an inner knot a discontinuous
+            derivative has the value of the later segment.
+
+        Returns
+        -------
+        (N, n)
+        """
+        times = np.clip(np.asarray(times, dtype=float), self.t[0], self.t[-1])
+        segment = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        h = np.diff(self.t)[segment]
+        u = ((times - self.t[segment]) / h)[:, None]
+        c = derivative(self.coefficients, order)[segment]
+        value = c[..., -1]
+        for power in range(c.shape[-1] - 2, -1, -1):
+            value = value * u + c[..., power]
+        return np.asarray(value / h[:, None] ** order)
+
+    def states(self, times: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position, velocity and acceleration at `times` (N,), each (N, n)."""
+        return self.evaluate(times), self.evaluate(times, VELOCITY), self.evaluate(times, ACCELERATION)
+
+    def extrema(self, order: int) -> Extrema:
+        """Return the exact extremes of derivative `order` (0 to 4) on every segment and joint."""
+        h = np.diff(self.t)[:, None, None]
+        c = derivative(self.coefficients, order)
+        u = roots_in_unit_interval(derivative(c))
+        u = np.concatenate([np.zeros_like(u[..., :1]), u, np.ones_like(u[..., :1])], axis=-1)
+        value = np.broadcast_to(c[..., -1:], u.shape)
+        for power in range(c.shape[-1] - 2, -1, -1):
+            value = value * u + c[..., power : power + 1]
+        return Extrema(time=self.t[:-1, None, None] + u * h, value=value / h**order)
+
+    def jumps(self, order: int) -> FloatArray:
+        """Return how far derivative `order` jumps at each inner knot, (m - 1, n)."""
+        h = np.diff(self.t)[:, None]
+        c = derivative(self.coefficients, order)
+        return np.asarray(c[1:, :, 0] / h[1:] ** order - c[:-1].sum(axis=-1) / h[:-1] ** order)

@@ -1,0 +1,63 @@
+"""Where the tool is and how it moves with the joints (Chang 2021, Eqs. (1)-(3) and (15))."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from cmbot.robot.robot import Robot
+
+__all__ = ["Kinematics"]
+
+FloatArray = NDArray[np.float64]
+
+
+class Kinematics:
+    """Forward kinematics and Jacobians of a robot's tool and centre of mass, in W.
+
+    It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
+
+    Parameters
+    ----------
+    robot : Robot
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        self.robot = robot
+        self._data = robot.model.createData()
+        self._tool = robot.tool_frame_id
+
+    def tool_pose(self, q: FloatArray) -> Any:
+        """Pose X_WT of the tool frame, a `pinocchio.SE3`, at posture `q` (n,)."""
+        pin.forwardKinematics(self.robot.model, self._data, q)
+        return pin.updateFramePlacement(self.robot.model, self._data, self._tool).copy()
+
+    def tool_poses(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Tool points p_WT (N, 3), m, and orientations R_WT (N, 3, 3) at postures `q` (N, n)."""
+        p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
+        model, data = self.robot.model, self._data
+        for k, q_k in enumerate(q):
+            pin.forwardKinematics(model, data, q_k)
+            X_WT = pin.updateFramePlacement(model, data, self._tool)
+            p[k], R[k] = X_WT.translation, X_WT.rotation
+        return p, R
+
+    def tool_jacobian(self, q: FloatArray) -> tuple[Any, FloatArray]:
+        """Pose X_WT and Jacobian (6, n) of the tool at `q` (n,).
+
+        The Jacobian's rows are the velocity of the tool point, m/rad, then the angular velocity, both in W
+        (Chang 2021, Eq. (15)).
+        """
+        model, data = self.robot.model, self._data
+        J = pin.computeFrameJacobian(model, data, q, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
+        return pin.updateFramePlacement(model, data, self._tool).copy(), J
+
+    def centre_of_mass(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Centre of mass (3,) of the moving arm, m, in W, and its Jacobian (3, n) at `q` (n,)."""
+        model, data = self.robot.model, self._data
+        # The universe's inertia does not enter pinocchio's centre of mass: it is the arm's alone.
+        J = pin.jacobianCenterOfMass(model, data, q)
+        return data.com[0].copy(), J.copy()

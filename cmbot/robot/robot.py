@@ -1,0 +1,127 @@
+"""The robot: a URDF with everything but the working arm locked, placed in the world of the foot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmbot.errors import InputError
+from cmbot.robot.limits import JointLimits
+
+__all__ = ["Robot"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """An arm on its base, ready for planning. The pinocchio models in it are not to be changed.
+
+    World frame W = O0: at the foot's contact with the guardrail; x along the guardrail, y outward, z up.
+
+    Attributes
+    ----------
+    name : str
+        From the URDF.
+    urdf : pathlib.Path
+        The file it was read from.
+    model : pinocchio.Model
+        The arm, fixed base, universe = W. ``model.inertias[0]`` is what does not move.
+    floating_model : pinocchio.Model
+        The same arm below a massless free-flyer at W: held still, the first six rows of its inverse dynamics
+        are the wrench that the base exerts on the arm, and their derivatives are exact.
+    collision_model : pinocchio.GeometryModel
+        Collision shapes and the pairs of them that may touch.
+    visual_model : pinocchio.GeometryModel
+        Shapes to look at.
+    limits : JointLimits
+        Of the n joints of the arm.
+    base_frame, tool_frame : str
+        Names of the arm's first and last frame; the tool point is the origin of `tool_frame`, the tool's
+        axis its z axis.
+    payload : float
+        Point mass at the tool, kg.
+    content_hash : str
+        SHA-256 of URDF, SRDF and joint-limits file.
+    """
+
+    name: str
+    urdf: Path
+    model: Any
+    floating_model: Any
+    collision_model: Any
+    visual_model: Any
+    limits: JointLimits
+    base_frame: str
+    tool_frame: str
+    payload: float
+    content_hash: str
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the arm's joints, base to tool."""
+        return tuple(self.model.names)[1:]
+
+    @property
+    def dof(self) -> int:
+        """Number n of the arm's joints."""
+        return int(self.model.nv)
+
+    @property
+    def tool_frame_id(self) -> int:
+        """Index of the tool frame in `model`."""
+        return int(self.model.getFrameId(self.tool_frame))
+
+    @property
+    def arm_mass(self) -> float:
+        """Mass of everything that the joints move, payload included, kg."""
+        return float(sum(inertia.mass for inertia in self.model.inertias[1:]))
+
+    @property
+    def carrier_mass(self) -> float:
+        """Mass of everything that does not move, kg: it loads the guardrail with a constant share."""
+        return float(self.model.inertias[0].mass)
+
+    @property
+    def mass(self) -> float:
+        """Mass of the whole robot, kg."""
+        return self.arm_mass + self.carrier_mass
+
+    @property
+    def carrier_torque(self) -> FloatArray:
+        """Constant torque (3,) about O0 on the guardrail from the weight of what does not move, Nm."""
+        inertia = self.model.inertias[0]
+        return np.cross(inertia.lever, inertia.mass * self.model.gravity.linear)
+
+    def posture(self, q: ArrayLike, source: str = "Robot.posture", key: str = "q") -> FloatArray:
+        """Check one posture: n finite numbers within the joint ranges.
+
+        Parameters
+        ----------
+        q : (n,), rad
+        source, key : str
+            Named in the error.
+
+        Raises
+        ------
+        InputError
+            When it has another length, is not finite or leaves a joint's range.
+        """
+        q = np.asarray(q, dtype=float)
+        if q.shape != (self.dof,) or not np.isfinite(q).all():
+            raise InputError(source, key, np.rad2deg(q).tolist(), f"{self.dof} finite joint angles")
+        outside = np.flatnonzero((q < self.limits.lower) | (q > self.limits.upper))
+        if len(outside):
+            i = outside[0]
+            low, high = np.rad2deg([self.limits.lower[i], self.limits.upper[i]])
+            raise InputError(
+                source,
+                f"{key}[{i}]",
+                f"{np.rad2deg(q[i]):g} deg",
+                f"{self.joints[i]} within its range {low:g} to {high:g} deg",
+            )
+        return q

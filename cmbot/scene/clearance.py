@@ -1,0 +1,229 @@
+"""The smallest distances between the arm, the obstacles and the arm itself, by coal's GJK."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from cmbot.robot import Robot
+from cmbot.scene.scene import Obstacle
+from cmbot.scene.shapes import coal_shapes
+
+__all__ = ["Clearances", "Nearest", "ShapePair", "Smallest"]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+# So many neighbouring postures share one look at all pairs.
+_BLOCK = 16
+# GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured.
+_GJK_TOLERANCE = 1e-10
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapePair:
+    """Two shapes whose distance counts.
+
+    Attributes
+    ----------
+    link : str
+        Link of the arm.
+    other : str
+        Obstacle, or second link of the robot.
+    of_arm : bool
+        Both belong to the robot.
+    at_work : bool
+        The tool and a workpiece: expected to be near each other.
+    """
+
+    link: str
+    other: str
+    of_arm: bool
+    at_work: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Smallest:
+    """The smallest distance in each of N postures.
+
+    Attributes
+    ----------
+    distance : (N,), m
+        Negative where shapes overlap.
+    pair : (N,)
+        Index into `Clearances.pairs`; -1 where no pair counts (the distance is then infinite).
+    """
+
+    distance: FloatArray
+    pair: IntArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class Nearest:
+    """The nearest points of one pair in one posture.
+
+    Attributes
+    ----------
+    distance : float, m
+    point, other_point : (3,), m
+        On the arm (C of Chang 2021, Eq. (17)) and on the other shape, in W.
+    direction : (3,)
+        u of Eq. (17): from the other shape to the arm, unit length, also where shapes touch or overlap.
+    jacobian : (3, n), m/rad
+        J_C of the point on the arm, less that of the other point where it moves with the arm.
+    """
+
+    distance: float
+    point: FloatArray
+    other_point: FloatArray
+    direction: FloatArray
+    jacobian: FloatArray
+
+    @property
+    def gradient(self) -> FloatArray:
+        """Derivative of the distance with respect to the joints, (n,), m/rad."""
+        return np.asarray(self.direction @ self.jacobian)
+
+
+class Clearances:
+    """Distances of a robot's moving shapes to obstacles and to its own other shapes.
+
+    It owns working memory, so it is not to be shared between threads.
+
+    Parameters
+    ----------
+    robot : Robot
+    obstacles : sequence of Obstacle
+        Placed in W. A mesh counts as the convex hulls of its connected parts: its clearance is never
+        overestimated.
+    """
+
+    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
+        self._model = robot.model
+        self._geometry = pin.GeometryModel(robot.collision_model)
+        self._data = robot.model.createData()
+        own_pairs = [(pair.first, pair.second) for pair in self._geometry.collisionPairs]
+        moving = [
+            i for i, shape in enumerate(self._geometry.geometryObjects) if shape.parentJoint > 0
+        ]
+        self._geometry.removeAllCollisionPairs()
+        self.pairs: tuple[ShapePair, ...] = ()
+        self._shapes: list[tuple[int, int]] = []
+        for i, j in own_pairs:
+            # The link further out is the one that moves.
+            first, second = sorted((i, j), key=self._joint_of, reverse=True)
+            if self._joint_of(first) != self._joint_of(second):
+                self._add_pair(first, second, self._link_of(second), of_arm=True, at_work=False)
+        tool = robot.tool_frame
+        tool_link = self._model.frames[self._model.frames[robot.tool_frame_id].parentFrame].name
+        for obstacle in obstacles:
+            for k, (shape, X_OS) in enumerate(coal_shapes(obstacle.shape, obstacle.name)):
+                j = self._geometry.addGeometryObject(
+                    pin.GeometryObject(f"obstacle {obstacle.name} {k}", 0, pin.SE3(obstacle.X_WO) * X_OS, shape)
+                )
+                for i in moving:
+                    at_work = obstacle.workpiece and self._link_of(i) in (tool, tool_link)
+                    self._add_pair(i, j, obstacle.name, of_arm=False, at_work=at_work)
+        self._geometry_data = pin.GeometryData(self._geometry)
+        for request in self._geometry_data.distanceRequests:
+            request.gjk_tolerance = request.epa_tolerance = _GJK_TOLERANCE
+        self.reach = self._reach(moving)
+        self._avoidable = np.array([not (pair.of_arm or pair.at_work) for pair in self.pairs], dtype=bool)
+
+    def smallest(self, q: FloatArray, *, avoidable_only: bool = False) -> Smallest:
+        """Return the smallest distance in each of the postures `q` (N, n).
+
+        Neighbouring postures should be near each other: then most pairs are seen to be far once for many.
+
+        Parameters
+        ----------
+        q : (N, n), rad
+        avoidable_only : bool
+            Leave out the arm with itself and the tool with a workpiece, as H of Eq. (17) does.
+        """
+        distance, pair = np.full(len(q), np.inf), np.full(len(q), -1)
+        counted = self._avoidable if avoidable_only else np.ones(len(self.pairs), dtype=bool)
+        if counted.any():
+            for start in range(0, len(q), _BLOCK):
+                block = slice(start, start + _BLOCK)
+                for k, near in zip(range(len(q))[block], self._near(q[block], counted), strict=False):
+                    distance[k], pair[k] = self._smallest(q[k], near)
+        return Smallest(distance=distance, pair=pair)
+
+    def nearest(self, q: FloatArray, pair: int) -> Nearest:
+        """Return the nearest points of pair number `pair` at posture `q` (n,)."""
+        pin.computeJointJacobians(self._model, self._data, q)
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
+        result = pin.computeDistance(self._geometry, self._geometry_data, pair)
+        first, second = self._shapes[pair]
+        point, other_point = result.getNearestPoint1(), result.getNearestPoint2()
+        jacobian = self._point_jacobian(self._joint_of(first), point)
+        if self.pairs[pair].of_arm:
+            jacobian = jacobian - self._point_jacobian(self._joint_of(second), other_point)
+        return Nearest(
+            distance=result.min_distance,
+            point=np.array(point),
+            other_point=np.array(other_point),
+            direction=-np.array(result.normal),
+            jacobian=jacobian,
+        )
+
+    def _add_pair(self, i: int, j: int, other: str, *, of_arm: bool, at_work: bool) -> None:
+        self._geometry.addCollisionPair(pin.CollisionPair(i, j))
+        self._shapes.append((i, j))
+        pair = ShapePair(link=self._link_of(i), other=other, of_arm=of_arm, at_work=at_work)
+        self.pairs = (*self.pairs, pair)
+
+    def _joint_of(self, shape: int) -> int:
+        return int(self._geometry.geometryObjects[shape].parentJoint)
+
+    def _link_of(self, shape: int) -> str:
+        return str(self._model.frames[self._geometry.geometryObjects[shape].parentFrame].name)
+
+    def _point_jacobian(self, joint: int, point: FloatArray) -> FloatArray:
+        """Jacobian (3, n) of a point of W that is fixed to `joint`."""
+        J = pin.getJointJacobian(self._model, self._data, joint, pin.ReferenceFrame.WORLD)
+        return np.asarray(J[:3] + np.cross(J[3:], point, axis=0))
+
+    def _smallest(self, q: FloatArray, pairs: IntArray) -> tuple[float, int]:
+        """Smallest distance among `pairs` at `q`."""
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, q)
+        distances = [
+            pin.computeDistance(self._geometry, self._geometry_data, int(pair)).min_distance for pair in pairs
+        ]
+        best = int(np.argmin(distances))
+        return distances[best], int(pairs[best])
+
+    def _near(self, q: FloatArray, counted: NDArray[np.bool_]) -> Iterator[IntArray]:
+        """Pairs that may be the nearest in each of the postures `q`, by one look at all pairs."""
+        middle = q[len(q) // 2]
+        pairs = np.flatnonzero(counted)
+        pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, middle)
+        results = self._geometry_data.distanceResults
+        distances = np.array([results[int(pair)].min_distance for pair in pairs])
+        # No point of the arm moves further than this between the two postures, so no distance changes by more
+        # than once (obstacles) or twice (the arm itself) that.
+        for moved in np.abs(q - middle) @ self.reach:
+            yield pairs[distances <= distances.min() + 4 * moved + 1e-9]
+
+    def _reach(self, moving: Sequence[int]) -> FloatArray:
+        """Largest distance (n,) that any point of the arm can have from each joint's origin, m."""
+        model = self._model
+        radius = np.zeros(model.njoints)
+        for i in moving:
+            shape = self._geometry.geometryObjects[i]
+            shape.geometry.computeLocalAABB()
+            centre = shape.placement.act(shape.geometry.aabb_center)
+            extent = float(np.linalg.norm(centre)) + float(shape.geometry.aabb_radius)
+            radius[shape.parentJoint] = max(radius[shape.parentJoint], extent)
+        for joint in range(model.njoints - 1, 1, -1):
+            offset = float(np.linalg.norm(model.jointPlacements[joint].translation))
+            parent = model.parents[joint]
+            radius[parent] = max(radius[parent], offset + radius[joint])
+        return radius[1:]
+
+

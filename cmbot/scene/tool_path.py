@@ -1,0 +1,120 @@
+"""The timed path of the tool: straight legs from the initial tool pose, the tool's orientation kept."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cmbot.errors import InputError
+from cmbot.scene.speed_profile import SpeedProfile
+
+__all__ = ["ToolPath", "share_out_segments"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolPath:
+    """Straight legs, each from rest to rest, with one speed profile.
+
+    Attributes
+    ----------
+    corners : (L + 1, 3), m
+        The tool point's start and the ends of the L legs, in W.
+    orientation : (3, 3)
+        R_WT, kept all along.
+    seconds : (L,), s
+        Durations of the legs.
+    profile : SpeedProfile
+    """
+
+    corners: FloatArray
+    orientation: FloatArray
+    seconds: FloatArray
+    profile: SpeedProfile
+
+    @cached_property
+    def leg_times(self) -> FloatArray:
+        """Times (L + 1,) at which the tool rests at the corners, s."""
+        return np.concatenate([[0.0], np.cumsum(self.seconds)])
+
+    @property
+    def duration(self) -> float:
+        """Total time T_C (Chang 2021, Eq. (33)), s."""
+        return float(self.leg_times[-1])
+
+    @cached_property
+    def lengths(self) -> FloatArray:
+        """Lengths (L,) of the legs, m."""
+        return np.asarray(np.linalg.norm(np.diff(self.corners, axis=0), axis=1))
+
+    def position(self, times: ArrayLike) -> FloatArray:
+        """Return the tool point p_WT (N, 3), m, at `times` (N,)."""
+        leg, u = self._locate(times)
+        return self.corners[leg] + self.profile.share(u)[:, None] * np.diff(self.corners, axis=0)[leg]
+
+    def velocity(self, times: ArrayLike) -> FloatArray:
+        """Return the tool point's velocity (N, 3), m/s, at `times` (N,)."""
+        leg, u = self._locate(times)
+        rate = self.profile.rate(u) / self.seconds[leg]
+        return rate[:, None] * np.diff(self.corners, axis=0)[leg]
+
+    def progress(self, time: float) -> float:
+        """Share of the path's length that is covered at `time`."""
+        leg, u = self._locate([time])
+        covered = self.lengths[: leg[0]].sum() + self.profile.share(u)[0] * self.lengths[leg[0]]
+        return float(covered / self.lengths.sum())
+
+    def offset(self, p: FloatArray) -> FloatArray:
+        """Return the vector from the nearest point of the legs to each of `p` (N, 3), (N, 3), m."""
+        edges = np.diff(self.corners, axis=0)
+        along = np.einsum("nld,ld->nl", p[:, None] - self.corners[:-1], edges) / self.lengths**2
+        nearest = self.corners[:-1] + np.clip(along, 0.0, 1.0)[..., None] * edges
+        offsets = p[:, None] - nearest
+        leg = np.einsum("nld,nld->nl", offsets, offsets).argmin(axis=1)
+        return np.asarray(offsets[np.arange(len(p)), leg])
+
+    def via_times(self, count: int) -> FloatArray:
+        """Times t_j (count,) of the via-points: leg ends, and equal steps within each leg (Eq. (23)).
+
+        Raises
+        ------
+        InputError
+            When `count` cannot give every leg a segment.
+        """
+        segments = share_out_segments(self.seconds, count - 1)
+        pieces = [
+            np.linspace(start, end, m, endpoint=False)
+            for start, end, m in zip(self.leg_times[:-1], self.leg_times[1:], segments, strict=True)
+        ]
+        return np.concatenate([*pieces, self.leg_times[-1:]])
+
+    def _locate(self, times: ArrayLike) -> tuple[NDArray[np.intp], FloatArray]:
+        """Leg (N,) and share of its duration (N,) at `times`; outside the path, its nearer end."""
+        times = np.clip(np.asarray(times, dtype=float), 0.0, self.duration)
+        leg = np.clip(np.searchsorted(self.leg_times, times, side="right") - 1, 0, len(self.seconds) - 1)
+        return leg, np.clip((times - self.leg_times[leg]) / self.seconds[leg], 0.0, 1.0)
+
+
+def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> list[int]:
+    """Share out spline segments over legs by their durations.
+
+    Every leg has one; each further segment goes to the leg whose segments would then still be longest
+    (D'Hondt's method), the earlier leg first.
+
+    Raises
+    ------
+    InputError
+        When there are fewer segments than legs.
+    """
+    if segments < len(seconds):
+        raise InputError("via_points", "", segments + 1, f"at least {len(seconds) + 1}, one per leg end")
+    shares = [1] * len(seconds)
+    for _ in range(segments - len(seconds)):
+        longest = max(range(len(seconds)), key=lambda leg: float(seconds[leg]) / (shares[leg] + 1))
+        shares[longest] += 1
+    return shares
