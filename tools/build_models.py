@@ -1,4 +1,4 @@
-"""Write the robot description from the tables of the paper and of the model page.
+"""Write the robot description from the tables of the paper.
 
 Writes ``urdf/cmbot.urdf``, ``urdf/cmbot.srdf``, ``urdf/joint_limits.yaml`` and ``meshes/*.stl``. The output is the
 same to the byte on every run, so the files that are checked in can be compared with it.
@@ -14,239 +14,206 @@ import math
 import sys
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
-import numpy as np
+import cmbot_tables as tables
 from cmbot_meshes import MATERIALS, VISUALS, build_meshes, stl_bytes
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
+GENERATED = " Written by tools/build_models.py: change the tables in tools/, not this file. "
+SOURCES = """
+  Arm: Chang 2021, Tables 1 to 3 (modified Denavit-Hartenberg; joint frame i is the paper's frame i).
+  Assumptions of ours: centres of mass, joint ranges, tool length, collision radii, the inertias of link_3 and link_4
+  (Table 2's are no possible rigid bodies; these are the nearest ones), and everything about the climbing mechanism but
+  its five joints and its 30.38 kg. Its velocity and effort limits (0.2 rad/s, 200 Nm) and ranges are assumptions too:
+  it is locked while the arm works. In the working stance (cmbot.srdf) it has its centre of mass at (0, 0.25, 0) in
+  foot_1 and 0.6 kg m2 about each axis through it.
+  foot_1 is the world frame: origin at the contact of guardrail and magnet foot, x along the guardrail, y outward, z up.
+  A cylinder named in collision_checking is a capsule; its length is the distance between the centres of its caps.
+"""
+AXIS_RPY = {"x": (0, 90, 0), "y": (-90, 0, 0), "z": (0, 0, 0)}  # turns z onto the axis
 
-GENERATED = "Written by tools/build_models.py: change the tables there, not this file."
-
-# --- The arm: Chang 2021, Tables 1 to 3 -------------------------------------------------------------------------
-# alpha_{i-1} (deg), a_{i-1} (m), d_i (m); modified (Craig) convention.
-DH = [(0, 0, 0), (-90, 0.83, 0), (0, 1.0, 0), (0, 0.78, 0), (90, 0, 0.87), (-90, 0, 0), (90, 0, 0)]
-ARM_MASS = [7.8, 7.4, 7.7, 4.9, 3.7, 2.5, 3.62]
-# Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass. Links 3 and 4 of Table 2 are no possible rigid bodies; these
-# are the nearest ones that are (Frobenius norm). The others are Table 2 to the letter.
-ARM_INERTIA = [
-    (0.02, 0.32, 0.32, 0, -0.01, 0),
-    (0.04, 0.46, 0.45, -0.01, 0.06, 0),
-    (0.06668, 0.56731, 0.58335, 0.01087, 0.11697, -0.00060),
-    (0.04910, 0.03122, 0.03122, -0.00910, 0.00910, 0.00033),
-    (0.25, 0.25, 0.01, 0, 0.01, 0.01),
-    (0.01, 0.01, 0.003, 0, 0, 0.001),
-    (0.03, 0.09, 0.07, -0.01, 0.01, 0),
-]
-VELOCITY_DEG = [20, 20, 20, 30, 30, 30, 30]
-ACCELERATION_DEG = [60, 60, 60, 90, 90, 90, 90]
-JERK_DEG = [160, 160, 160, 240, 240, 240, 240]
-TORQUE = [240, 240, 240, 160, 160, 160, 160]
-
-# --- The arm: what the paper leaves open ------------------------------------------------------------------------
-ARM_COM: list[Vector] = [
-    (0.415, 0, 0), (0.5, 0, 0), (0.39, 0, 0), (0, -0.10, 0), (0, 0, -0.435), (0, 0, 0), (0, 0, 0.10),
+ADJACENT = "Adjacent"
+LOCKED = "Never: both belong to the climbing mechanism, which is locked while the arm works"
+SWEEP = "Never: link_1 sweeps |z| under 0.07 m and this body stays above 0.12 m in the working stance"
+# link_4 has no shape of its own: link_3 and link_5 meet at the axis of joint_4.
+ADJACENT_PAIRS = [
+    ("arm_base", "link_1"), ("link_1", "link_2"), ("link_2", "link_3"), ("link_3", "link_5"), ("link_5", "tool"),
 ]  # fmt: skip
-RANGE_DEG = [170, 170, 150, 170, 170, 130, 170]
-TOOL_LENGTH = 0.30
-
-# --- The climbing mechanism: geometry and masses are ours -------------------------------------------------------
-CLIMBER_MASS = 30.38  # 68 kg less the 37.62 kg of Table 2
-CLIMBER_COM = (0.0, 0.25, 0.0)  # in the world frame, in the working stance
-CLIMBER_INERTIA = 0.6  # about each axis through the centre of mass, kg m2
-ANKLE_RISE = 0.16  # the ankle's pitch axis lies beside the axis of the foot, so that the legs pass above link_1
-FOOT_HEIGHT, ANKLE_HEIGHT = 0.075, 0.055
-LEG, LEG_OFFSET = 0.43, 0.15  # the legs lie side by side, so that the knee folds flat
-STANCE_DEG = {"climb_1": -90, "climb_2": 0, "climb_3": 180, "climb_4": -45, "climb_5": 0}
-CLIMB_VELOCITY, CLIMB_EFFORT = 0.2, 200
 
 
-@dataclass(frozen=True, kw_only=True)
-class Body:
-    """Mass (kg), centre of mass (m) and inertia about it (kg m2: xx, yy, zz, xy, xz, yz) in the link's frame."""
-
-    mass: float
-    com: Vector
-    inertia: tuple[float, ...]
+def text(values: Sequence[float]) -> str:
+    """Return numbers with every digit they need, and no more."""
+    return " ".join(repr(float(value) + 0.0) for value in values)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Joint:
-    """One joint at its zero; a fixed one has no axis. Angles in degrees."""
-
-    name: str
-    parent: str
-    child: str
-    xyz: Vector = (0, 0, 0)
-    rpy_deg: Vector = (0, 0, 0)
-    axis: Vector | None = None
-    range_deg: float = 0
-    velocity: float = 0
-    effort: float = 0
-    note: str = ""
+def radians(degrees: Sequence[float]) -> str:
+    """Return angles of degrees as text in radians."""
+    return text([math.radians(value) for value in degrees])
 
 
-@dataclass(frozen=True, kw_only=True)
-class Shape:
-    """A primitive: box (three sides), or cylinder or capsule (radius, length) along `axis`.
-
-    A capsule's length is the distance between the centres of its caps.
-    """
-
-    name: str
-    kind: str
-    size: tuple[float, ...]
-    xyz: Vector
-    axis: str = "z"
+def add_origin(parent: ET.Element, xyz: Sequence[float], rpy_deg: Sequence[float] = (0, 0, 0)) -> None:
+    """Append an origin."""
+    ET.SubElement(parent, "origin", xyz=text(xyz), rpy=radians(rpy_deg))
 
 
-def solid_box(mass: float, com: Vector, sides: Vector) -> Body:
-    """Return a homogeneous box."""
-    x2, y2, z2 = (side**2 for side in sides)
-    diagonal = (mass * (y2 + z2) / 12, mass * (x2 + z2) / 12, mass * (x2 + y2) / 12)
-    return Body(mass=mass, com=com, inertia=(*(round(value, 6) for value in diagonal), 0, 0, 0))
+def add_body(link: ET.Element, body: tables.Body) -> None:
+    """Append the inertial element."""
+    inertial = ET.SubElement(link, "inertial")
+    add_origin(inertial, body.com)
+    ET.SubElement(inertial, "mass", value=text([body.mass]))
+    keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+    ET.SubElement(inertial, "inertia", {key: text([value]) for key, value in zip(keys, body.inertia, strict=True)})
 
 
-# Bodies of the climber in their link frames; ankle_1, which carries the battery and the cabinet, is solved for.
-FOOT = solid_box(2.2, (0, 0.065, 0), (0.13, 0.05, 0.15))
-CLIMBER_BODIES = {
-    "foot_1": FOOT,
-    "leg_1": solid_box(2.2, (0, 0.215, -0.02), (0.07, 0.43, 0.07)),
-    "arm_base": solid_box(1.2, (0, 0, -0.15), (0.13, 0.13, 0.14)),
-    "leg_2": solid_box(1.8, (0, 0.215, 0), (0.07, 0.43, 0.07)),
-    "ankle_2": solid_box(1.4, (0.08, 0.03, 0), (0.22, 0.08, 0.09)),
-    "foot_2": FOOT,
-}
-
-COLLISIONS = {
-    "foot_1": [Shape(name="foot_1_box", kind="box", size=(0.13, 0.05, 0.15), xyz=(0, 0.065, 0))],
-    "ankle_1": [
-        Shape(name="ankle_1_neck", kind="capsule", size=(0.045, ANKLE_RISE), xyz=(0.08, 0.055, 0), axis="x"),
-        Shape(name="ankle_1_cabinet", kind="box", size=(0.11, 0.17, 0.25), xyz=(-0.105, 0.125, 0.075)),
-        Shape(name="ankle_1_battery", kind="box", size=(0.08, 0.24, 0.40), xyz=(-0.22, 0.165, 0)),
-    ],
-    "leg_1": [
-        Shape(name="leg_1_capsule", kind="capsule", size=(0.035, LEG), xyz=(0, LEG / 2, 0), axis="y"),
-        Shape(name="leg_1_knee", kind="cylinder", size=(0.04, 0.23), xyz=(0, LEG, -0.075)),
-    ],
-    "arm_base": [Shape(name="arm_base_cylinder", kind="cylinder", size=(0.07, 0.14), xyz=(0, 0, -0.15))],
-    "leg_2": [Shape(name="leg_2_capsule", kind="capsule", size=(0.035, LEG), xyz=(0, LEG / 2, 0), axis="y")],
-    "ankle_2": [
-        Shape(name="ankle_2_neck", kind="capsule", size=(0.045, ANKLE_RISE), xyz=(0.08, 0, 0), axis="x")
-    ],
-    "foot_2": [Shape(name="foot_2_box", kind="box", size=(0.13, 0.05, 0.15), xyz=(0, 0.065, 0))],
-    "link_1": [Shape(name="link_1_capsule", kind="capsule", size=(0.07, 0.83), xyz=(0.415, 0, 0), axis="x")],
-    "link_2": [Shape(name="link_2_capsule", kind="capsule", size=(0.06, 1.0), xyz=(0.5, 0, 0), axis="x")],
-    "link_3": [Shape(name="link_3_capsule", kind="capsule", size=(0.055, 0.78), xyz=(0.39, 0, 0), axis="x")],
-    "link_5": [Shape(name="link_5_capsule", kind="capsule", size=(0.05, 0.87), xyz=(0, 0, -0.435))],
-    "tool": [Shape(name="tool_capsule", kind="capsule", size=(0.04, 0.26), xyz=(0, 0, 0.13))],
-}
+def add_shape(link: ET.Element, shape: tables.Shape) -> None:
+    """Append a collision element."""
+    collision = ET.SubElement(link, "collision", name=shape.name)
+    add_origin(collision, shape.xyz, AXIS_RPY[shape.axis])
+    geometry = ET.SubElement(collision, "geometry")
+    if shape.kind == "box":
+        ET.SubElement(geometry, "box", size=text(shape.size))
+    else:
+        radius, length = shape.size
+        ET.SubElement(geometry, "cylinder", radius=text([radius]), length=text([length]))
 
 
-def climb(number: int, parent: str, child: str, xyz: Vector, axis: Vector, range_deg: float, note: str) -> Joint:
-    """Return a climbing joint."""
-    return Joint(
-        name=f"climb_{number}", parent=parent, child=child, xyz=xyz, axis=axis, range_deg=range_deg,
-        rpy_deg=(0, 0, 180) if number == 5 else (0, 0, 0), velocity=CLIMB_VELOCITY, effort=CLIMB_EFFORT, note=note,
+def add_link(robot: ET.Element, name: str, body: tables.Body | None) -> None:
+    """Append a link with its inertia, its looks and its collision shapes."""
+    link = ET.SubElement(robot, "link", name=name)
+    if body is not None:
+        add_body(link, body)
+    for visual in VISUALS.get(name, []):
+        element = ET.SubElement(link, "visual", name=f"{name}_{visual.mesh}")
+        add_origin(element, visual.xyz, visual.rpy_deg)
+        # Relative to the URDF: pinocchio, yourdfpy and MuJoCo (by its meshdir) all find it in a checkout and a wheel.
+        ET.SubElement(ET.SubElement(element, "geometry"), "mesh", filename=f"../meshes/{visual.mesh}.stl")
+        ET.SubElement(element, "material", name=visual.material)
+    shapes = tables.COLLISIONS.get(name, [])
+    for shape in shapes:
+        add_shape(link, shape)
+    capsules = [shape.name for shape in shapes if shape.kind == "capsule"]
+    if capsules:
+        checking = ET.SubElement(link, "collision_checking")
+        for capsule in capsules:
+            ET.SubElement(checking, "capsule", name=capsule)
+
+
+def add_joint(robot: ET.Element, joint: tables.Joint) -> None:
+    """Append a joint."""
+    if joint.note:
+        robot.append(ET.Comment(f" {joint.name}: {joint.note} "))
+    element = ET.SubElement(robot, "joint", name=joint.name, type="fixed" if joint.axis is None else "revolute")
+    add_origin(element, joint.xyz, joint.rpy_deg)
+    ET.SubElement(element, "parent", link=joint.parent)
+    ET.SubElement(element, "child", link=joint.child)
+    if joint.axis is not None:
+        ET.SubElement(element, "axis", xyz=text(joint.axis))
+        ET.SubElement(
+            element, "limit", lower=radians([-joint.range_deg]), upper=radians([joint.range_deg]),
+            velocity=text([joint.velocity]), effort=text([joint.effort]),
+        )  # fmt: skip
+
+
+def urdf() -> str:
+    """Return the URDF."""
+    robot = ET.Element("robot", name="cmbot")
+    robot.append(ET.Comment(GENERATED))
+    robot.append(ET.Comment(SOURCES))
+    # For MuJoCo alone: keep every link and its looks, and take the inertias as they are.
+    ET.SubElement(
+        ET.SubElement(robot, "mujoco"), "compiler", meshdir="../meshes", strippath="true", discardvisual="false",
+        fusestatic="false", balanceinertia="false", inertiafromgeom="false",
     )  # fmt: skip
+    for name, rgba in MATERIALS.items():
+        ET.SubElement(ET.SubElement(robot, "material", name=name), "color", rgba=text(rgba))
+    bodies = tables.bodies()
+    for name in tables.LINKS:
+        add_link(robot, name, bodies.get(name))
+    for joint in tables.JOINTS:
+        add_joint(robot, joint)
+    return document(robot)
 
 
-def arm_joint(number: int) -> Joint:
-    """Return joint `number` of the arm: Rx(alpha) Tx(a) Tz(d), then the turn about z."""
-    alpha, a, d = DH[number - 1]
-    sine, cosine = {0: (0, 1), 90: (1, 0), -90: (-1, 0)}[alpha]
-    return Joint(
-        name=f"joint_{number}", parent="arm_base" if number == 1 else f"link_{number - 1}", child=f"link_{number}",
-        xyz=(a, -sine * d, cosine * d), rpy_deg=(alpha, 0, 0), axis=(0, 0, 1), range_deg=RANGE_DEG[number - 1],
-        velocity=math.radians(VELOCITY_DEG[number - 1]), effort=TORQUE[number - 1],
-    )  # fmt: skip
+def document(root: ET.Element) -> str:
+    """Return the XML file's text."""
+    ET.indent(root)
+    return '<?xml version="1.0"?>\n' + ET.tostring(root, encoding="unicode") + "\n"
 
 
-Y, Z = (0, 1, 0), (0, 0, 1)
-JOINTS = [
-    climb(1, "foot_1", "ankle_1", (0, FOOT_HEIGHT, 0), Y, 120, "foot turn about the contact normal"),
-    climb(2, "ankle_1", "leg_1", (ANKLE_RISE, ANKLE_HEIGHT, 0), Z, 120, "ankle pitch"),
-    climb(3, "leg_1", "leg_2", (0, LEG, -LEG_OFFSET), Z, 190, "knee pitch; the legs fold flat, side by side"),
-    climb(4, "leg_2", "ankle_2", (0, LEG, 0), Z, 120, "ankle pitch"),
-    climb(5, "ankle_2", "foot_2", (ANKLE_RISE, FOOT_HEIGHT + ANKLE_HEIGHT, 0), Y, 120, "foot turn"),
-    Joint(
-        name="arm_base_joint", parent="leg_1", child="arm_base", xyz=(-ANKLE_RISE, 0.37, 0), rpy_deg=(180, 90, 0),
-        note="In the working stance frame arm_base is at (0, 0.5, 0) in foot_1, turned by Rx(180 deg).",
-    ),
-    *(arm_joint(number) for number in range(1, 8)),
-    Joint(name="tool_joint", parent="link_7", child="tool", note="massless: its mass is counted in link_7"),
-    Joint(name="tool_tip_joint", parent="tool", child="tool0", xyz=(0, 0, TOOL_LENGTH), note="l_h, ours"),
-]  # fmt: skip
-LINKS = ["foot_1", *(joint.child for joint in JOINTS)]
-CLIMBER = ["foot_1", "ankle_1", "leg_1", "arm_base", "leg_2", "ankle_2", "foot_2"]
+def disabled_pairs() -> list[tuple[str, str, str]]:
+    """Return the pairs of links that need no collision check, each with the reason."""
+    locked = [(one, other, LOCKED) for one, other in combinations(tables.CLIMBER, 2)]
+    adjacent = [(one, other, ADJACENT) for one, other in ADJACENT_PAIRS]
+    return [*adjacent, *((leg, "link_1", SWEEP) for leg in ("leg_1", "leg_2")), *locked]
 
 
-def rotation(axis: Sequence[float], angle_deg: float) -> Array:
-    """Return the rotation about a coordinate axis, exact for quarter turns."""
-    cosine, sine = (round(f(math.radians(angle_deg)), 15) for f in (math.cos, math.sin))
-    x, y, z = axis
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=float)
-    return np.eye(3) + sine * cross + (1 - cosine) * cross @ cross
+def srdf() -> str:
+    """Return the SRDF: groups, the working stance, and the pairs that need no collision check."""
+    robot = ET.Element("robot", name="cmbot")
+    robot.append(ET.Comment(GENERATED))
+    arm = ET.SubElement(robot, "group", name="arm")
+    ET.SubElement(arm, "chain", base_link="arm_base", tip_link="tool0")
+    climber = ET.SubElement(robot, "group", name="climber")
+    stance = ET.SubElement(robot, "group_state", name="working_stance", group="climber")
+    for name, angle in tables.STANCE_DEG.items():
+        ET.SubElement(climber, "joint", name=name)
+        ET.SubElement(stance, "joint", name=name, value=radians([angle]))
+    for one, other, reason in disabled_pairs():
+        ET.SubElement(robot, "disable_collisions", link1=one, link2=other, reason=reason)
+    return document(robot)
 
 
-def stance_poses() -> dict[str, tuple[Array, Array]]:
-    """Return rotation and origin, in the world frame, of every climber link in the working stance."""
-    poses = {"foot_1": (np.eye(3), np.zeros(3))}
-    for joint in (joint for joint in JOINTS if joint.child in CLIMBER):
-        R_WP, p_WP = poses[joint.parent]
-        roll, pitch, yaw = joint.rpy_deg
-        R_PC = rotation(Z, yaw) @ rotation(Y, pitch) @ rotation((1, 0, 0), roll)
-        if joint.axis is not None:
-            R_PC = R_PC @ rotation(joint.axis, STANCE_DEG[joint.name])
-        poses[joint.child] = (R_WP @ R_PC, p_WP + R_WP @ np.array(joint.xyz))
-    return poses
+def joint_limits() -> str:
+    """Return the limits that URDF has no words for, as YAML."""
+    lines = [
+        f"# {GENERATED.strip()}",
+        "# Chang 2021, Table 3, in degrees/s2 and degrees/s3. Position, velocity and effort limits are in the URDF.",
+        "format: cmbot-joint-limits/1",
+        "joints:",
+    ]
+    limits = zip(tables.ACCELERATION_DEG, tables.JERK_DEG, strict=True)
+    for number, (acceleration, jerk) in enumerate(limits, start=1):
+        lines.append(f"  joint_{number}: {{acceleration_deg: {acceleration}, jerk_deg: {jerk}}}")
+    return "\n".join(lines) + "\n"
 
 
-def tensor(inertia: Sequence[float]) -> Array:
-    """Return the 3 x 3 matrix of xx, yy, zz, xy, xz, yz."""
-    xx, yy, zz, xy, xz, yz = inertia
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], dtype=float)
+def files() -> dict[str, bytes]:
+    """Return every generated file: path inside the models folder, and content."""
+    meshes = {f"meshes/{name}.stl": stl_bytes(mesh) for name, mesh in sorted(build_meshes().items())}
+    described = {"cmbot.urdf": urdf(), "cmbot.srdf": srdf(), "joint_limits.yaml": joint_limits()}
+    return {**{f"urdf/{name}": content.encode() for name, content in described.items()}, **meshes}
 
 
-def about(point: Array, mass: float, com: Array, inertia: Array) -> Array:
-    """Return the inertia about `point` (parallel axes)."""
-    arm = com - point
-    return inertia + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+def differences(folder: Path, wanted: dict[str, bytes]) -> list[str]:
+    """Return what is missing, different or left over in `folder`."""
+    found = {path.relative_to(folder).as_posix() for kind in ("urdf", "meshes") for path in folder.glob(f"{kind}/*")}
+    changed = {name for name, content in wanted.items() if name not in found or (folder / name).read_bytes() != content}
+    return sorted(changed | (found - wanted.keys()))
 
 
-def solve_ankle() -> Body:
-    """Return the ankle_1 that gives the climber its mass, centre of mass and inertia in the working stance."""
-    poses = stance_poses()
-    centre = np.array(CLIMBER_COM)
-    mass, first, second = CLIMBER_MASS, np.zeros(3), CLIMBER_INERTIA * np.eye(3)
-    for name, body in CLIMBER_BODIES.items():
-        R_WB, p_WB = poses[name]
-        p_WC = p_WB + R_WB @ np.array(body.com)
-        mass -= body.mass
-        first -= body.mass * (p_WC - centre)
-        second -= about(centre, body.mass, p_WC, R_WB @ tensor(body.inertia) @ R_WB.T)
-    mass = round(mass, 9)
-    offset = first / mass
-    R_WA, p_WA = poses["ankle_1"]
-    central = R_WA.T @ (second - mass * (offset @ offset * np.eye(3) - np.outer(offset, offset))) @ R_WA
-    com = R_WA.T @ (centre + offset - p_WA)
-    six = central[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-    # Rounded below any meaning, so that the last bits of a machine's arithmetic do not reach the file.
-    x, y, z = (round(float(value), 12) + 0.0 for value in com)
-    return Body(mass=mass, com=(x, y, z), inertia=tuple(round(float(value), 12) + 0.0 for value in six))
+def main() -> int:
+    """Write the files, or compare them."""
+    parser = argparse.ArgumentParser(description="Write the robot description from the tables of the paper.")
+    parser.add_argument("--check", action="store_true", help="compare, write nothing; exit status 1 on a difference")
+    default = Path(__file__).resolve().parents[1] / "models"
+    parser.add_argument("--output", type=Path, default=default, help="the folder to write (default: models/)")
+    arguments = parser.parse_args()
+    wanted = files()
+    if arguments.check:
+        differing = differences(arguments.output, wanted)
+        for name in differing:
+            print(f"out of date: {name}", file=sys.stderr)
+        return 1 if differing else 0
+    for name, content in wanted.items():
+        path = arguments.output / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(content)
+    for name in differences(arguments.output, wanted):
+        print(f"left over, not ours any more: {name}", file=sys.stderr)
+    print(f"wrote {len(wanted)} files, {sum(map(len, wanted.values()))} bytes, to {arguments.output}")
+    return 0
 
 
-def bodies() -> dict[str, Body]:
-    """Return every body with mass; refuse one that cannot exist."""
-    arm = {
-        f"link_{i + 1}": Body(mass=ARM_MASS[i], com=ARM_COM[i], inertia=ARM_INERTIA[i]) for i in range(7)
-    }
-    everything = {**CLIMBER_BODIES, "ankle_1": solve_ankle(), **arm}
-    for name, body in everything.items():
-        least, middle, most = np.linalg.eigvalsh(tensor(body.inertia))
-        if body.mass <= 0 or least <= 0 or most > least + middle:
-            sys.exit(f"{name}: mass {body.mass}, principal moments {least}, {middle}, {most}: no possible rigid body")
-    return everything
+if __name__ == "__main__":
+    sys.exit(main())

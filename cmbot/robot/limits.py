@@ -15,10 +15,10 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from cmbot.errors import InputError, ModelError
-from cmbot.validation import validate_file
+from cmbot.validation import FileModel, validated
 from cmbot.yaml_reader import read_yaml
 
 __all__ = ["JointLimits", "read_joint_limits"]
@@ -59,16 +59,12 @@ class JointLimits:
             object.__setattr__(self, field.name, array)
 
 
-class _JointEntry(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
+class _JointEntry(FileModel):
     acceleration_deg: Positive
     jerk_deg: Positive
 
 
-class _JointLimitsFile(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
-
+class _JointLimitsFile(FileModel):
     format: Literal["cmbot-joint-limits/1"]
     joints: dict[str, _JointEntry]
 
@@ -92,7 +88,7 @@ def read_joint_limits(path: Path, joints: tuple[str, ...]) -> tuple[FloatArray, 
     ModelError
         When the file cannot be read or misses a joint.
     """
-    data = validate_file(_JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError)
+    data = validated(_JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError)
     missing = [name for name in joints if name not in data.joints]
     if missing:
         raise ModelError(str(path), f"joints.{missing[0]}", "nothing", "acceleration_deg and jerk_deg")

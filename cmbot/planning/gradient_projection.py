@@ -1,0 +1,187 @@
+"""The joint path: gradient projection with a singularity-robust inverse (Chang 2021, Eqs. (15)-(22))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.errors import PathNotFound
+from cmbot.planning.task import ToolTask
+from cmbot.robot import Kinematics, Robot
+from cmbot.scene.clearance import Clearances
+from cmbot.scene.options import PlannerOptions
+
+__all__ = ["JointPath", "follow_path", "place_on_task", "robust_inverse"]
+
+FloatArray = NDArray[np.float64]
+
+# The tool is lost, not merely drifting, when it lags this far behind its path.
+_LOST = 0.01
+# Corrections of a via-point end when the task error is below this (m and rad); more steps than this many
+# mean that it cannot be reached.
+_ON_TASK = 1e-12
+_MOST_CORRECTIONS = 50
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointPath:
+    """A path in joint space that follows the tool path: the paper's motion without optimisation.
+
+    Attributes
+    ----------
+    t : (N,), s
+        Equal steps.
+    q, v : (N, n), rad and rad/s
+        Postures, and the rates of Eq. (22) by which each was left.
+    clearance : (N,), m
+        Smallest distance to obstacles and of the arm to itself.
+    singular_value : (N,)
+        Smallest singular value of the task Jacobian, Eq. (19).
+    drift : (N,), m
+        Distance of the tool point from where it should be at that time.
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    clearance: FloatArray
+    singular_value: FloatArray
+    drift: FloatArray
+
+
+def follow_path(
+    robot: Robot, task: ToolTask, posture: FloatArray, clearances: Clearances, options: PlannerOptions
+) -> JointPath:
+    """Follow a tool path from a posture, away from obstacles.
+
+    Integrates Eq. (22). The commanded velocity leads from where the tool should be now to where it should be
+    one step later, plus feedback of the pose error, so that neither the step nor the damping lets it drift.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+    posture : (n,), rad
+        Where the arm starts; its tool pose is the start of the tool path.
+    clearances : Clearances
+    options : PlannerOptions
+
+    Raises
+    ------
+    PathNotFound
+        When a joint leaves its range, a shape comes within the safety margin, or the tool cannot follow.
+    """
+    kinematics = Kinematics(robot)
+    steps = max(round(task.path.duration / options.path_step_s), 1)
+    t = np.linspace(0.0, task.path.duration, steps + 1)
+    points = task.path.position(t)
+    dt = t[1]
+    q, v = np.empty((steps + 1, robot.dof)), np.empty((steps + 1, robot.dof))
+    clearance, singular_value, drift = (np.empty(steps + 1) for _ in range(3))
+    q[0] = posture
+    for k in range(steps + 1):
+        X_WT, J = kinematics.tool_jacobian(q[k])
+        J = task.jacobian(X_WT, J)
+        s = np.linalg.svd(J, compute_uv=False)
+        error = task.error(X_WT, points[k])
+        smallest = clearances.smallest(q[k : k + 1])
+        clearance[k], singular_value[k] = smallest.distance[0], s[-1]
+        drift[k] = np.linalg.norm(X_WT.translation - points[k])
+        obstacle = _obstacle(robot, clearances, smallest.pair[0], q[k], clearance[k], error, options)
+        if obstacle is not None:
+            reason, pair = obstacle
+            raise PathNotFound(
+                reason,
+                time=float(t[k]),
+                progress=task.path.progress(float(t[k])),
+                smallest_singular_value=float(s[-1]),
+                pair=pair,
+            )
+        ahead = points[min(k + 1, steps)] - points[k]
+        command = np.zeros(len(error))
+        command[:3] = ahead / dt
+        command += options.drift_gain * error
+        v[k] = robust_inverse(J, options) @ command + options.avoidance_gain * _null_space_part(
+            J, _gradient(kinematics, clearances, q[k], options)
+        )
+        if k < steps:
+            q[k + 1] = q[k] + dt * v[k]
+    return JointPath(t=t, q=q, v=v, clearance=clearance, singular_value=singular_value, drift=drift)
+
+
+def robust_inverse(J: FloatArray, options: PlannerOptions) -> FloatArray:
+    """Singularity-robust inverse J* (n, m) of `J` (m, n), Chang 2021, Eqs. (18)-(21)."""
+    s_h = options.damping_threshold
+    U, s, Vt = np.linalg.svd(J, full_matrices=False)
+    damping = options.damping_max * (1 - s[-1] / s_h) if s[-1] < s_h else 0.0
+    return np.asarray((Vt.T * (s / (s**2 + damping**2))) @ U.T)
+
+
+def place_on_task(
+    kinematics: Kinematics, task: ToolTask, q: FloatArray, point: FloatArray
+) -> FloatArray | None:
+    """Move posture `q` (n,) the least way onto the tool task at `point` (3,); None if it cannot be reached."""
+    for _ in range(_MOST_CORRECTIONS):
+        X_WT, J = kinematics.tool_jacobian(q)
+        error = task.error(X_WT, point)
+        if np.abs(error).max() < _ON_TASK:
+            return q
+        q = q + np.linalg.lstsq(task.jacobian(X_WT, J), error, rcond=1e-6)[0]
+    X_WT = kinematics.tool_pose(q)
+    return q if np.abs(task.error(X_WT, point)).max() < 1e3 * _ON_TASK else None
+
+
+def _null_space_part(J: FloatArray, gradient: FloatArray) -> FloatArray:
+    """(I - J+ J) gradient, Eq. (16): the part of `gradient` (n,) that leaves the task alone."""
+    if not gradient.any():
+        return gradient
+    _, _, Vt = np.linalg.svd(J, full_matrices=False)
+    return np.asarray(gradient - Vt.T @ (Vt @ gradient))
+
+
+def _gradient(
+    kinematics: Kinematics, clearances: Clearances, q: FloatArray, options: PlannerOptions
+) -> FloatArray:
+    """Gradient of H, (n,): away from the nearest obstacle (Eq. (17)), and the centre of mass to the foot."""
+    gradient = np.zeros(len(q))
+    smallest = clearances.smallest(q[None], avoidable_only=True)
+    distance, d_s = smallest.distance[0], options.avoidance_distance_m
+    if distance <= d_s:
+        nearest = clearances.nearest(q, int(smallest.pair[0]))
+        fade = 1.0 if options.avoidance == "switch" else 1.0 - max(distance, 0.0) / d_s
+        gradient += fade * (np.linalg.pinv(nearest.jacobian, rcond=1e-6) @ nearest.direction)
+    if options.centre_of_gravity_weight > 0:
+        centre, J_c = kinematics.centre_of_mass(q)
+        # Only the horizontal lever makes a torque about the foot.
+        gradient -= options.centre_of_gravity_weight * (J_c[:2].T @ centre[:2])
+    return gradient
+
+
+def _obstacle(
+    robot: Robot,
+    clearances: Clearances,
+    pair: Any,
+    q: FloatArray,
+    clearance: float,
+    error: FloatArray,
+    options: PlannerOptions,
+) -> tuple[str, tuple[str, str] | None] | None:
+    """What keeps the arm from being in posture `q`: a reason and the pair of shapes, or nothing."""
+    if not clearance >= options.safety_margin_m:
+        shapes = clearances.pairs[pair]
+        margin = f"the safety margin is {options.safety_margin_m:g} m"
+        return (
+            f"{shapes.link} comes within {clearance:.4f} m of {shapes.other}, {margin}",
+            (shapes.link, shapes.other),
+        )
+    outside = np.flatnonzero((q < robot.limits.lower) | (q > robot.limits.upper))
+    if len(outside):
+        i = outside[0]
+        low, high = np.rad2deg([robot.limits.lower[i], robot.limits.upper[i]])
+        return f"{robot.joints[i]} leaves its range {low:g} to {high:g} deg ({np.rad2deg(q[i]):.1f} deg)", None
+    if np.linalg.norm(error[:3]) > _LOST:
+        return f"the tool is {np.linalg.norm(error[:3]):.3f} m behind its path: out of reach", None
+    return None

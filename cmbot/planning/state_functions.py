@@ -1,0 +1,173 @@
+"""Functions of the arm's state that a trajectory has to keep at or below zero, with exact derivatives.
+
+Each has components; `values` looks at all of them on a fine grid, `linearise` at chosen ones where the
+optimiser works.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.planning.task import ToolTask
+from cmbot.robot import Dynamics, Kinematics
+from cmbot.scene.clearance import Clearances
+
+__all__ = [
+    "ClearanceMargin",
+    "GuardrailTorque",
+    "JointTorque",
+    "Linearisation",
+    "StateFunction",
+    "States",
+    "ToolDeviation",
+]
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.intp]
+
+# A norm has no derivative at zero; below this share of its bound it is taken as flat.
+_FLAT = 1e-12
+
+
+@dataclass(frozen=True)
+class States:
+    """Positions, velocities and accelerations (N, n) of the joints at N times."""
+
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+
+    def __getitem__(self, index: IntArray | slice) -> States:
+        return States(self.q[index], self.v[index], self.a[index])
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Values (N,) and their derivatives (N, n) with respect to position, velocity and acceleration."""
+
+    value: FloatArray
+    d_q: FloatArray
+    d_v: FloatArray
+    d_a: FloatArray
+
+
+class StateFunction(Protocol):
+    """A constraint ``f(q, v, a) <= 0`` with one or more components."""
+
+    @property
+    def name(self) -> str:
+        """What is constrained, for messages."""
+
+    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+        """Return values (N, c) and what tells their components apart (N, c), at N states."""
+
+    def linearise(self, states: States, component: IntArray) -> Linearisation:
+        """Linearise component number ``component[k]`` at state k."""
+
+
+@dataclass(frozen=True)
+class GuardrailTorque:
+    """Norm of the torque on the guardrail, in units of `scale`; the bound is not subtracted.
+
+    Chang 2021, Eqs. (12) and (30).
+    """
+
+    dynamics: Dynamics
+    scale: float
+    name: str = "guardrail torque"
+
+    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+        """Return the norms (N, 1)."""
+        torque = self.dynamics.efforts(states.q, states.v, states.a).guardrail_torque
+        value = np.linalg.norm(torque, axis=1, keepdims=True) / self.scale
+        return value, np.zeros(value.shape, dtype=np.intp)
+
+    def linearise(self, states: States, component: IntArray) -> Linearisation:
+        """Linearise the norm."""
+        del component
+        rows = self.dynamics.derivatives(states.q, states.v, states.a)
+        torque = rows.value[:, :3] / self.scale
+        norm = np.linalg.norm(torque, axis=1)
+        unit = torque / np.maximum(norm, _FLAT)[:, None] / self.scale
+        d_q, d_v, d_a = (np.einsum("ki,kij->kj", unit, d[:, :3]) for d in (rows.d_q, rows.d_v, rows.d_a))
+        return Linearisation(norm, d_q, d_v, d_a)
+
+
+@dataclass(frozen=True)
+class JointTorque:
+    """Joint torques within their bounds (Chang 2021, Eq. (32)); components: +1..+n, then -1..-n."""
+
+    dynamics: Dynamics
+    bound: FloatArray
+    name: str = "joint torque"
+
+    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+        """Return tau/tau_C - 1 and -tau/tau_C - 1, (N, 2n)."""
+        share = self.dynamics.efforts(states.q, states.v, states.a).joint_torque / self.bound
+        value = np.hstack([share - 1, -share - 1])
+        return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
+
+    def linearise(self, states: States, component: IntArray) -> Linearisation:
+        """Linearise one signed joint torque at each state."""
+        n = len(self.bound)
+        rows = self.dynamics.derivatives(states.q, states.v, states.a)
+        joint, k = component % n, np.arange(len(component))
+        factor = np.where(component < n, 1.0, -1.0) / self.bound[joint]
+        d_q, d_v, d_a = (factor[:, None] * d[k, 3 + joint] for d in (rows.d_q, rows.d_v, rows.d_a))
+        return Linearisation(factor * rows.value[k, 3 + joint] - 1, d_q, d_v, d_a)
+
+
+@dataclass(frozen=True)
+class ToolDeviation:
+    """Squared distance of the tool point from the legs within the square of its bound."""
+
+    kinematics: Kinematics
+    task: ToolTask
+    bound: float
+    name: str = "tool deviation"
+
+    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+        """Return (distance/bound)^2 - 1, (N, 1)."""
+        offset = self.task.path.offset(self.kinematics.tool_poses(states.q)[0]) / self.bound
+        value = np.einsum("ki,ki->k", offset, offset)[:, None] - 1
+        return value, np.zeros(value.shape, dtype=np.intp)
+
+    def linearise(self, states: States, component: IntArray) -> Linearisation:
+        """Linearise the squared distance."""
+        del component
+        value, d_q = np.empty(len(states.q)), np.empty(states.q.shape)
+        for k, q in enumerate(states.q):
+            X_WT, J = self.kinematics.tool_jacobian(q)
+            offset = self.task.path.offset(X_WT.translation[None])[0] / self.bound
+            value[k], d_q[k] = offset @ offset - 1, 2 / self.bound * (offset @ J[:3])
+        return Linearisation(value, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
+
+
+@dataclass(frozen=True)
+class ClearanceMargin:
+    """Distances stay above the margin, in units of `scale`; the component is the pair that is nearest."""
+
+    clearances: Clearances
+    margin: float
+    scale: float = 0.1
+    name: str = "clearance"
+
+    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+        """Return (margin - distance)/scale of the nearest pair, (N, 1), and the pair."""
+        smallest = self.clearances.smallest(states.q)
+        return ((self.margin - smallest.distance) / self.scale)[:, None], smallest.pair[:, None]
+
+    def linearise(self, states: States, component: IntArray) -> Linearisation:
+        """Linearise the distance of the given pair at each state."""
+        nearest = [
+            self.clearances.nearest(q, int(pair)) for q, pair in zip(states.q, component, strict=True)
+        ]
+        value = np.array([(self.margin - near.distance) / self.scale for near in nearest])
+        d_q = np.array([-near.gradient / self.scale for near in nearest]).reshape(states.q.shape)
+        return Linearisation(value, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
+
+

@@ -1,0 +1,159 @@
+"""The constraints that the optimiser works with: few times, chosen where they are or may be violated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.state_functions import StateFunction, States
+from cmbot.planning.trajectory import QuinticTrajectory
+
+__all__ = ["Violation", "WorkingSet"]
+
+FloatArray = NDArray[np.float64]
+
+# Two sites of one component nearer than this share of a grid step are the same.
+_SAME_SITE = 1e-3
+
+
+@dataclass(frozen=True)
+class Violation:
+    """The constraint that is violated most, as a share of its bound."""
+
+    name: str
+    value: float
+
+
+@dataclass
+class _Sites:
+    """Times at which one constraint is looked at, which component of it, and the splines' rows there."""
+
+    times: FloatArray = field(default_factory=lambda: np.empty(0))
+    component: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    rows: FloatArray = field(default_factory=lambda: np.empty((4, 0, 0)))
+
+    def add(self, times: FloatArray, component: NDArray[np.intp], problem: TorqueProblem) -> int:
+        """Add the sites that are not there yet; return how many."""
+        step = _SAME_SITE * (problem.grid[1] - problem.grid[0])
+        known = (np.abs(self.times - times[:, None]) < step) & (self.component == component[:, None])
+        new = ~known.any(axis=1)
+        if new.any():
+            rows = problem.rows(times[new])
+            self.rows = rows if len(self.times) == 0 else np.concatenate([self.rows, rows], axis=1)
+            self.times = np.append(self.times, times[new])
+            self.component = np.append(self.component, component[new])
+        return int(new.sum())
+
+
+class WorkingSet:
+    """Constraints at chosen times, as one vector ``c(y) <= 0`` with its Jacobian.
+
+    The guardrail torque comes first; what it is compared with (`TorqueProblem`) is left to the caller.
+
+    Parameters
+    ----------
+    problem : TorqueProblem
+    """
+
+    def __init__(self, problem: TorqueProblem) -> None:
+        self._problem = problem
+        self._functions: tuple[StateFunction, ...] = (problem.torque, *problem.functions)
+        self._state_sites = [_Sites() for _ in self._functions]
+        self._bound_sites = [_Sites() for _ in problem.bounds]
+
+    def __len__(self) -> int:
+        return sum(len(sites.times) for sites in (*self._state_sites, *self._bound_sites))
+
+    def values(self, y: FloatArray) -> tuple[FloatArray, FloatArray, int]:
+        """Return values (K,), Jacobian (K, dimension), and how many leading rows are guardrail torques."""
+        problem = self._problem
+        values, jacobians = [], []
+        trajectory = problem.trajectory(y)
+        for function, sites in zip(self._functions, self._state_sites, strict=True):
+            if len(sites.times):
+                at = function.linearise(States(*trajectory.states(sites.times)), sites.component)
+                values.append(at.value)
+                jacobians.append(problem.chain(sites.rows, at.d_q, at.d_v, at.d_a))
+        for bound, sites in zip(problem.bounds, self._bound_sites, strict=True):
+            if len(sites.times):
+                joint, upper = sites.component // 2, sites.component % 2 == 0
+                derivative = trajectory.evaluate(sites.times, bound.order)[np.arange(len(joint)), joint]
+                sign = np.where(upper, 1.0, -1.0)
+                limit = np.where(upper, bound.high[joint], bound.low[joint])
+                values.append(sign * (derivative - limit) / bound.scale[joint])
+                jacobians.append(
+                    problem.chain_one(sites.rows[bound.order], joint, sign / bound.scale[joint])
+                )
+        if not values:
+            return np.empty(0), np.empty((0, problem.dimension)), 0
+        return np.concatenate(values), np.vstack(jacobians), len(self._state_sites[0].times)
+
+    def add_torque_times(self, times: FloatArray) -> None:
+        """Add times at which the guardrail torque is compared with its bound."""
+        self._state_sites[0].add(times, np.zeros(len(times), dtype=np.intp), self._problem)
+
+    def add_violated(
+        self, trajectory: QuinticTrajectory, torque_bound: float, tolerance: float, stride: int, most: int
+    ) -> tuple[int, Violation, float]:
+        """Add the local maxima of every constraint that `trajectory` violates.
+
+        Parameters
+        ----------
+        trajectory : QuinticTrajectory
+        torque_bound : float
+            What the scaled guardrail torque is compared with.
+        tolerance : float
+            Violations up to this count as met.
+        stride : int
+            Every which grid time is looked at; polynomials are always looked at in full.
+        most : int
+            At most so many sites of each constraint are added.
+
+        Returns
+        -------
+        added : int
+        worst : Violation
+            Of all constraints but the guardrail torque's bound.
+        peak : float
+            Largest scaled guardrail torque seen.
+        """
+        times = self._problem.grid[::stride]
+        states = States(*trajectory.states(times))
+        added, worst, peak = 0, Violation("none", -np.inf), 0.0
+        for k, (function, sites) in enumerate(zip(self._functions, self._state_sites, strict=True)):
+            value, component = function.values(states)
+            if k == 0:
+                peak = float(value.max())
+                value = value - torque_bound
+            elif value.max() > worst.value:
+                worst = Violation(function.name, float(value.max()))
+            row, column = np.nonzero(_local_maxima(value) & (value > tolerance))
+            order = np.argsort(-value[row, column])[:most]
+            row, column = row[order], column[order]
+            added += sites.add(times[row], component[row, column], self._problem)
+        for bound, sites in zip(self._problem.bounds, self._bound_sites, strict=True):
+            extrema = trajectory.extrema(bound.order)
+            over = (extrema.value - bound.high[:, None]) / bound.scale[:, None]
+            under = (bound.low[:, None] - extrema.value) / bound.scale[:, None]
+            value = np.stack([over, under], axis=2)
+            if value.max() > worst.value:
+                joint = int(np.unravel_index(value.argmax(), value.shape)[1])
+                worst = Violation(f"{bound.name} of {self._problem.robot.joints[joint]}", float(value.max()))
+            # The worst time of each segment, joint and side.
+            segment, joint, side = np.nonzero(value.max(axis=3) > tolerance)
+            if len(segment) == 0:
+                continue
+            at = value[segment, joint, side].argmax(axis=1)
+            order = np.argsort(-value[segment, joint, side, at])[:most]
+            when = extrema.time[segment, joint, at][order]
+            added += sites.add(when, (2 * joint + side)[order], self._problem)
+        return added, worst, peak
+
+
+def _local_maxima(value: FloatArray) -> NDArray[np.bool_]:
+    """Where each column of `value` (N, c) is not exceeded by its neighbours."""
+    padded = np.pad(value, ((1, 1), (0, 0)), constant_values=-np.inf)
+    return np.asarray((value >= padded[:-2]) & (value >= padded[2:]))

@@ -1,0 +1,49 @@
+"""Kinds of value that several parts of the scene file share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Annotated, Any
+
+from pydantic import AfterValidator, BaseModel, Field, WithJsonSchema
+
+from cmbot.validation import refusal, shown
+
+__all__ = ["Angle", "Coordinate", "Length", "Slug", "Vector", "exactly_one", "one_of_schema"]
+
+_SLUG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")
+
+
+def _slug(text: str) -> str:
+    if not _SLUG.fullmatch(text):
+        expected = "1 to 100 letters, digits, - and _, beginning with a letter or digit"
+        raise refusal(expected, got=shown(text))
+    return text
+
+
+# The bound of 10 km catches millimetres given for metres, and keeps every square finite.
+Length = Annotated[float, Field(gt=0, le=1e4)]
+Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
+Vector = tuple[Coordinate, Coordinate, Coordinate]
+Angle = Annotated[float, Field(ge=-360, le=360)]
+Slug = Annotated[
+    str, AfterValidator(_slug), WithJsonSchema({"type": "string", "pattern": f"^{_SLUG.pattern}$"})
+]
+
+
+def exactly_one(model: BaseModel, names: Sequence[str]) -> str:
+    """Return the one of `names` that `model` gives; refuse none and several."""
+    given = [name for name in names if getattr(model, name) is not None]
+    if len(given) != 1:
+        raise refusal("exactly one of these keys", got=" and ".join(given) or "none", choices=names)
+    return given[0]
+
+
+def one_of_schema(names: Sequence[str]) -> dict[str, Any]:
+    """Return `exactly_one` as JSON Schema; a null counts as not given."""
+    return {
+        "oneOf": [{"required": [name], "properties": {name: {"not": {"type": "null"}}}} for name in names]
+    }
+
+

@@ -1,0 +1,129 @@
+"""Shapes, and where they stand in W."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+__all__ = ["Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "Shape", "Sphere", "pose"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Box:
+    """A cuboid about its centre.
+
+    Attributes
+    ----------
+    size : tuple of float
+        (3,), edge lengths along x, y, z, m.
+    """
+
+    size: tuple[float, float, float]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cylinder:
+    """A cylinder along z, about its centre.
+
+    Attributes
+    ----------
+    radius, length : float
+        m.
+    """
+
+    radius: float
+    length: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Capsule:
+    """A capsule along z, about its centre.
+
+    Attributes
+    ----------
+    radius : float
+        m.
+    length : float
+        Between the centres of its two half spheres, m; over all it is ``length + 2 radius`` long.
+    """
+
+    radius: float
+    length: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sphere:
+    """A ball about its centre.
+
+    Attributes
+    ----------
+    radius : float
+        m.
+    """
+
+    radius: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mesh:
+    """A triangle mesh in a file.
+
+    Attributes
+    ----------
+    path : Path
+        Of the file, absolute; its coordinates are metres.
+    """
+
+    path: Path
+
+
+Shape = Box | Cylinder | Capsule | Sphere | Mesh
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Obstacle:
+    """Something that must not be hit.
+
+    Attributes
+    ----------
+    name : str
+        Unique in its scene.
+    shape : Box, Cylinder, Capsule, Sphere or Mesh
+    X_WO : array
+        (4, 4), pose of the shape in W, m; read-only.
+    workpiece : bool
+        The tool works on it: it stays in every clearance that is reported or constrained, but does not push
+        the tool away.
+    """
+
+    name: str
+    shape: Shape
+    X_WO: NDArray[np.float64]
+    workpiece: bool = False
+
+
+def pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+    """Return a pose from URDF's position and angles.
+
+    Parameters
+    ----------
+    xyz : sequence of float
+        (3,), m.
+    rpy : sequence of float
+        (3,), roll, pitch, yaw, rad: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+
+    Returns
+    -------
+    array
+        (4, 4), homogeneous, read-only.
+    """
+    X = np.eye(4)
+    X[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()
+    X[:3, 3] = xyz
+    X.setflags(write=False)
+    return X

@@ -1,0 +1,175 @@
+"""The scene file as pydantic models: what may stand in it, in the file's own units."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from cmbot.scene.fields import Angle, Coordinate, Length, Slug, Vector, exactly_one, one_of_schema
+from cmbot.scene.guardrail_schema import GuardrailFile
+from cmbot.scene.options import PlannerOptions
+from cmbot.validation import FileModel, refusal, shown
+
+__all__ = [
+    "FORMAT",
+    "LegFile",
+    "MountFile",
+    "ObstacleFile",
+    "RobotFile",
+    "SceneFile",
+    "SpeedProfileFile",
+    "ToolPathFile",
+]
+
+FORMAT = "cmbot-scene/1"
+SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
+
+_SHORTEST_LEG = 1e-6
+
+Angles = tuple[Angle, Angle, Angle]
+Path = Annotated[str, Field(min_length=1)]
+
+
+class MountFile(FileModel):
+    """Pose of the robot's base frame in W."""
+
+    xyz: Vector
+    """m."""
+    rpy_deg: Angles
+    """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+
+class RobotFile(FileModel):
+    """Which robot: the shipped ``cmbot``, or any URDF with its frames, limits and mount."""
+
+    model: Path = "cmbot"
+    """``cmbot``, or a URDF's path relative to the scene file."""
+    base_frame: Path | None = None
+    """Of another URDF: the frame that is mounted."""
+    tool_frame: Path | None = None
+    """Of another URDF: the frame that follows the tool path."""
+    limits: Path | None = None
+    """Of another URDF: path of its joint-limits file."""
+    srdf: Path | None = None
+    """Of another URDF: path of its SRDF, if there is one."""
+    mount: MountFile | None = None
+    """Of another URDF: where its base frame is held."""
+    tool_length_m: Length | None = None
+    """Length of the tool, m; left out: as in the model."""
+    payload_kg: Annotated[float, Field(ge=0, le=1e4)] = 0.0
+    """Point mass at the tool, kg."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name in ("base_frame", "tool_frame", "limits", "mount", "srdf"):
+            given = getattr(self, name) is not None
+            if self.model == "cmbot" and given:
+                raise refusal("no such key beside model: cmbot", got="a value", key=(name,))
+            if self.model != "cmbot" and not given and name != "srdf":
+                raise refusal(f"a value, as model is {shown(self.model)}", got="nothing", key=(name,))
+        return self
+
+
+class LegFile(FileModel):
+    """A straight leg of the tool's path."""
+
+    by: Vector
+    """Displacement in W, m."""
+    seconds: Annotated[float, Field(gt=0, le=1e6)]
+    """Duration, s."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if max(abs(component) for component in self.by) < _SHORTEST_LEG:
+            raise refusal("a leg longer than a micrometre", got=self.by, key=("by",))
+        return self
+
+
+class SpeedProfileFile(FileModel):
+    """How the tool speeds up and slows down along each leg."""
+
+    kind: Literal["trapezoidal", "jerk_limited"] = "trapezoidal"
+    ramp: Annotated[float, Field(gt=0, le=0.5)] = 0.2
+    """Share of a leg's duration spent speeding up, and again slowing down."""
+
+
+class ToolPathFile(FileModel):
+    """What the tool has to do, from the pose that the posture gives it."""
+
+    keep: Literal["pose", "axis", "position"] = "pose"
+    """What of the tool is prescribed."""
+    legs: Annotated[tuple[LegFile, ...], Field(min_length=1, max_length=200)]
+    speed_profile: SpeedProfileFile = SpeedProfileFile()
+    via_points: Annotated[int, Field(ge=5, le=2000)] = 50
+    """Via-points in all; the ends of the legs are among them."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.via_points <= len(self.legs):
+            expected = f"more than the {len(self.legs)} legs"
+            raise refusal(expected, got=self.via_points, key=("via_points",))
+        return self
+
+
+class ObstacleFile(FileModel):
+    """Something that must not be hit: exactly one shape, placed in W."""
+
+    model_config = ConfigDict(json_schema_extra=one_of_schema(SHAPES))
+
+    name: Slug
+    box: tuple[Length, Length, Length] | None = None
+    """Edge lengths along its x, y, z, m."""
+    cylinder: tuple[Length, Length] | None = None
+    """[radius, length along z], m."""
+    capsule: tuple[Length, Length] | None = None
+    """[radius, length along z between the centres of its two half spheres], m."""
+    sphere: Length | None = None
+    """Radius, m."""
+    mesh: Path | None = None
+    """Path of a mesh file in metres, relative to the scene file."""
+    xyz: Vector
+    """Centre (of a mesh: its origin) in W, m."""
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    workpiece: bool = False
+    """The tool works on it, so it may come close."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        exactly_one(self, SHAPES)
+        return self
+
+
+class SceneFile(FileModel):
+    """A scene: the robot, its posture, the tool's path and what is around. Lengths in m, angles in degrees."""
+
+    format: Literal["cmbot-scene/1"]
+    name: Slug
+    """Also the name of the folder that a plan is written to."""
+    robot: RobotFile = RobotFile()
+    posture_deg: Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
+    """Joint angles at the start, from the base to the tool."""
+    tool_path: ToolPathFile
+    obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
+    guardrail: GuardrailFile = GuardrailFile()
+    planner: PlannerOptions = PlannerOptions()
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        taken = set(self.guardrail.member_names)
+        for index, obstacle in enumerate(self.obstacles):
+            if obstacle.name in taken:
+                expected = "a name that no other obstacle or guardrail member has"
+                raise refusal(expected, got=shown(obstacle.name), key=("obstacles", index, "name"))
+            taken.add(obstacle.name)
+        return self
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the file's content, every default filled in, as `cmbot.load_scene` takes it back."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def canonical_json(self) -> str:
+        """Return the content as the one JSON text that equal scenes share."""
+        return json.dumps(self.as_data(), sort_keys=True, separators=(",", ":"), allow_nan=False)
