@@ -38,7 +38,7 @@ _PHRASES = {
     "greater_than_equal": "at least {ge:g}",
     "less_than": "less than {lt:g}",
     "less_than_equal": "at most {le:g}",
-    "too_short": "a list of at least {min_length} items",
+    "too_short": "a list of {min_length} or more items",
     "too_long": "a list of at most {max_length} items",
     "string_too_short": "text of at least {min_length} characters",
     "string_too_long": "text of at most {max_length} characters",
@@ -78,16 +78,14 @@ def validated(model: type[T], data: object, source: str, error_type: type[InputE
         text = json.dumps(data)
     except (TypeError, ValueError, RecursionError) as error:
         expected = "plain text, numbers, lists and mappings, not nested too deeply"
-        raise error_type(source, "", shown(str(error)), expected) from error
+        raise error_type(source, "", f"something else ({error})", expected) from error
     try:
         return TypeAdapter(model).validate_json(text)
     except ValidationError as error:
         raise input_error(source, error, error_type, model) from error
 
 
-def input_error(
-    source: str, error: ValidationError, error_type: type[InputError], model: Any
-) -> InputError:
+def input_error(source: str, error: ValidationError, error_type: type[InputError], model: Any) -> InputError:
     """Return the one error to raise for a pydantic `ValidationError`.
 
     Parameters
@@ -120,8 +118,10 @@ def input_error(
     count = _fixed_length(_schema_at(schema, loc)) if kind in {"missing", "too_long", "too_short"} else None
     if count is not None:
         expected = f"a list of {count} items"
+    elif kind in _PHRASES:
+        expected = _PHRASES[kind].format(**context)
     else:
-        expected = _PHRASES.get(kind, detail["msg"]).format(**context)
+        expected = f"something else ({detail['msg']})"
     return error_type(source, key_path(loc), _got(kind, detail["input"]), expected)
 
 

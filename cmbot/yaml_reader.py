@@ -10,8 +10,9 @@ from typing import Any
 from ruamel.yaml import YAML
 from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import AliasEvent, StreamEndEvent
+from ruamel.yaml.events import AliasEvent, ScalarEvent, StreamEndEvent
 from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.reader import ReaderError
 
 from cmbot.errors import InputError
 from cmbot.validation import key_path, shown
@@ -66,6 +67,9 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
         raise error_type(source, error.key, error.got, error.expected) from error
     except MarkedYAMLError as error:
         raise error_type(source, "", _syntax_problem(error), "valid YAML 1.2") from error
+    except ReaderError as error:
+        got = f"a control character (U+{error.character:04X}, at position {error.position + 1})"
+        raise error_type(source, "", got, "printable text") from error
     except (YAMLError, ValueError) as error:
         raise error_type(source, "", shown(str(error)), "valid YAML 1.2") from error
     if data is None:
@@ -126,13 +130,13 @@ class _StrictComposer(Composer):
         nested = isinstance(step, str | int)  # neither the root nor a key
         if nested:
             self._steps.append(step)
-        self._check(self.parser.peek_event())
+        self._check(self.parser.peek_event(), is_key=parent is not None and not nested)
         node = super().compose_node(parent, index)
         if nested:
             self._steps.pop()
         return node
 
-    def _check(self, event: Any) -> None:
+    def _check(self, event: Any, *, is_key: bool) -> None:
         key = tuple(self._steps)
         if len(key) > _DEEPEST:
             raise _RefusedError(key[:3], "nesting too deep", f"at most {_DEEPEST} levels", event.start_mark)
@@ -142,6 +146,8 @@ class _StrictComposer(Composer):
             raise _RefusedError(key, f"the anchor &{event.anchor}", "no anchor", event.start_mark)
         if event.tag is not None:
             raise _RefusedError(key, f"the tag {event.tag}", "no tag", event.start_mark)
+        if is_key and not isinstance(event, ScalarEvent):
+            raise _RefusedError(key, "a list or mapping as key", "a key that is text", event.start_mark)
 
 
 def _data(yaml: YAML, node: Node, path: _Path) -> Any:
@@ -155,8 +161,8 @@ def _data(yaml: YAML, node: Node, path: _Path) -> Any:
 def _mapping(yaml: YAML, node: MappingNode, path: _Path) -> dict[str, Any]:
     mapping: dict[str, Any] = {}
     for key, value in node.value:
-        if not isinstance(key, ScalarNode) or str(key.tag) != _TEXT:
-            got = f"the key {shown(key.value)}" if isinstance(key, ScalarNode) else "a list or mapping as key"
+        if str(key.tag) != _TEXT:
+            got = f"the key {shown(key.value)}"
             raise _RefusedError(path, got, "a key that is text", key.start_mark)
         inner = (*path, key.value)
         if key.value in mapping:

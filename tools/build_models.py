@@ -1,10 +1,10 @@
 """Write the robot description from the tables of the paper.
 
-Writes ``urdf/cmbot.urdf``, ``urdf/cmbot.srdf``, ``urdf/joint_limits.yaml`` and ``meshes/*.stl``. The output is the
-same to the byte on every run, so the files that are checked in can be compared with it.
+Writes ``urdf/cmbot.urdf``, ``urdf/cmbot.srdf``, ``urdf/joint_limits.yaml`` and ``meshes/*.stl``. The output
+is the same to the byte on every run, so the files that are checked in can be compared with it.
 
     python tools/build_models.py            write models/
-    python tools/build_models.py --check    compare models/ with what would be written; exit status 1 if they differ
+    python tools/build_models.py --check    compare models/ with it; exit status 1 on a difference
 """
 
 from __future__ import annotations
@@ -18,18 +18,20 @@ from itertools import combinations
 from pathlib import Path
 
 import cmbot_tables as tables
-from cmbot_meshes import MATERIALS, VISUALS, build_meshes, stl_bytes
+from cmbot_meshes import MATERIALS, VISUALS, build_meshes
+from cmbot_parts import stl_bytes
 
 GENERATED = " Written by tools/build_models.py: change the tables in tools/, not this file. "
 SOURCES = """
   Arm: Chang 2021, Tables 1 to 3 (modified Denavit-Hartenberg; joint frame i is the paper's frame i).
-  Assumptions of ours: centres of mass, joint ranges, tool length, collision radii, the inertias of link_3 and link_4
-  (Table 2's are no possible rigid bodies; these are the nearest ones), and everything about the climbing mechanism but
-  its five joints and its 30.38 kg. Its velocity and effort limits (0.2 rad/s, 200 Nm) and ranges are assumptions too:
-  it is locked while the arm works. In the working stance (cmbot.srdf) it has its centre of mass at (0, 0.25, 0) in
-  foot_1 and 0.6 kg m2 about each axis through it.
-  foot_1 is the world frame: origin at the contact of guardrail and magnet foot, x along the guardrail, y outward, z up.
-  A cylinder named in collision_checking is a capsule; its length is the distance between the centres of its caps.
+  Assumptions of ours: centres of mass, joint ranges, tool length, collision radii, the inertias of link_3 and
+  link_4 (Table 2's are no possible rigid bodies; these are the nearest ones), and all of the climbing
+  mechanism but its five joints and its 30.38 kg. Its ranges and its limits of velocity and effort (0.2 rad/s,
+  200 Nm) are assumptions too: it is locked while the arm works. In the working stance (cmbot.srdf) it has its
+  centre of mass at (0, 0.25, 0) in foot_1 and 0.6 kg m2 about each axis through it.
+  foot_1 is the world frame: origin at the contact of guardrail and magnet foot, x along the guardrail,
+  y outward, z up. O0 lies on the centre line of the post; the foot's plate begins at its face, y = 0.0375.
+  A cylinder named in collision_checking is a capsule; its length is the distance between its caps' centres.
 """
 AXIS_RPY = {"x": (0, 90, 0), "y": (-90, 0, 0), "z": (0, 0, 0)}  # turns z onto the axis
 
@@ -38,8 +40,12 @@ LOCKED = "Never: both belong to the climbing mechanism, which is locked while th
 SWEEP = "Never: link_1 sweeps |z| under 0.07 m and this body stays above 0.12 m in the working stance"
 # link_4 has no shape of its own: link_3 and link_5 meet at the axis of joint_4.
 ADJACENT_PAIRS = [
-    ("arm_base", "link_1"), ("link_1", "link_2"), ("link_2", "link_3"), ("link_3", "link_5"), ("link_5", "tool"),
-]  # fmt: skip
+    ("arm_base", "link_1"),
+    ("link_1", "link_2"),
+    ("link_2", "link_3"),
+    ("link_3", "link_5"),
+    ("link_5", "tool"),
+]
 
 
 def text(values: Sequence[float]) -> str:
@@ -62,8 +68,8 @@ def add_body(link: ET.Element, body: tables.Body) -> None:
     inertial = ET.SubElement(link, "inertial")
     add_origin(inertial, body.com)
     ET.SubElement(inertial, "mass", value=text([body.mass]))
-    keys = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-    ET.SubElement(inertial, "inertia", {key: text([value]) for key, value in zip(keys, body.inertia, strict=True)})
+    moments = zip(("ixx", "iyy", "izz", "ixy", "ixz", "iyz"), body.inertia, strict=True)
+    ET.SubElement(inertial, "inertia", {key: text([value]) for key, value in moments})
 
 
 def add_shape(link: ET.Element, shape: tables.Shape) -> None:
@@ -86,7 +92,7 @@ def add_link(robot: ET.Element, name: str, body: tables.Body | None) -> None:
     for visual in VISUALS.get(name, []):
         element = ET.SubElement(link, "visual", name=f"{name}_{visual.mesh}")
         add_origin(element, visual.xyz, visual.rpy_deg)
-        # Relative to the URDF: pinocchio, yourdfpy and MuJoCo (by its meshdir) all find it in a checkout and a wheel.
+        # Relative: yourdfpy finds it, MuJoCo by its meshdir, pinocchio with the URDF's folder as package.
         ET.SubElement(ET.SubElement(element, "geometry"), "mesh", filename=f"../meshes/{visual.mesh}.stl")
         ET.SubElement(element, "material", name=visual.material)
     shapes = tables.COLLISIONS.get(name, [])
@@ -103,7 +109,8 @@ def add_joint(robot: ET.Element, joint: tables.Joint) -> None:
     """Append a joint."""
     if joint.note:
         robot.append(ET.Comment(f" {joint.name}: {joint.note} "))
-    element = ET.SubElement(robot, "joint", name=joint.name, type="fixed" if joint.axis is None else "revolute")
+    kind = "fixed" if joint.axis is None else "revolute"
+    element = ET.SubElement(robot, "joint", name=joint.name, type=kind)
     add_origin(element, joint.xyz, joint.rpy_deg)
     ET.SubElement(element, "parent", link=joint.parent)
     ET.SubElement(element, "child", link=joint.child)
@@ -121,10 +128,9 @@ def urdf() -> str:
     robot.append(ET.Comment(GENERATED))
     robot.append(ET.Comment(SOURCES))
     # For MuJoCo alone: keep every link and its looks, and take the inertias as they are.
-    ET.SubElement(
-        ET.SubElement(robot, "mujoco"), "compiler", meshdir="../meshes", strippath="true", discardvisual="false",
-        fusestatic="false", balanceinertia="false", inertiafromgeom="false",
-    )  # fmt: skip
+    compiler = {"meshdir": "../meshes", "strippath": "true"}
+    compiler |= dict.fromkeys(("discardvisual", "fusestatic", "balanceinertia", "inertiafromgeom"), "false")
+    ET.SubElement(ET.SubElement(robot, "mujoco"), "compiler", compiler)
     for name, rgba in MATERIALS.items():
         ET.SubElement(ET.SubElement(robot, "material", name=name), "color", rgba=text(rgba))
     bodies = tables.bodies()
@@ -168,7 +174,7 @@ def joint_limits() -> str:
     """Return the limits that URDF has no words for, as YAML."""
     lines = [
         f"# {GENERATED.strip()}",
-        "# Chang 2021, Table 3, in degrees/s2 and degrees/s3. Position, velocity and effort limits are in the URDF.",
+        "# Chang 2021, Table 3, in degrees/s2 and degrees/s3. Position, velocity, effort: see the URDF.",
         "format: cmbot-joint-limits/1",
         "joints:",
     ]
@@ -187,15 +193,15 @@ def files() -> dict[str, bytes]:
 
 def differences(folder: Path, wanted: dict[str, bytes]) -> list[str]:
     """Return what is missing, different or left over in `folder`."""
-    found = {path.relative_to(folder).as_posix() for kind in ("urdf", "meshes") for path in folder.glob(f"{kind}/*")}
-    changed = {name for name, content in wanted.items() if name not in found or (folder / name).read_bytes() != content}
-    return sorted(changed | (found - wanted.keys()))
+    paths = [*folder.glob("urdf/*"), *folder.glob("meshes/*")]
+    found = {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths if path.is_file()}
+    return sorted(name for name in found.keys() | wanted.keys() if found.get(name) != wanted.get(name))
 
 
 def main() -> int:
     """Write the files, or compare them."""
     parser = argparse.ArgumentParser(description="Write the robot description from the tables of the paper.")
-    parser.add_argument("--check", action="store_true", help="compare, write nothing; exit status 1 on a difference")
+    parser.add_argument("--check", action="store_true", help="compare only; exit status 1 on a difference")
     default = Path(__file__).resolve().parents[1] / "models"
     parser.add_argument("--output", type=Path, default=default, help="the folder to write (default: models/)")
     arguments = parser.parse_args()

@@ -1,10 +1,9 @@
 """The numbers of the robot: the paper's tables, and the choices that settle what the paper leaves open.
 
-The arm is Chang 2021, Tables 1 to 3. The climbing mechanism is known from the paper only by its joints and its mass;
-its geometry here is a design of ours, and the mass properties of one body (ankle_1) are solved for, so that the whole
-has the mass, the centre of mass and the inertia that are wanted in the working stance.
+The arm is Chang 2021, Tables 1 to 3. The climbing mechanism is known from the paper only by its joints and
+its mass; its geometry here is a design of ours, and the mass properties of one body (ankle_1) are solved for,
+so that the whole has the mass, the centre of mass and the inertia that are wanted in the working stance.
 """
-
 
 from __future__ import annotations
 
@@ -19,12 +18,12 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Vector = tuple[float, float, float]
 
-# --- The arm: Chang 2021, Tables 1 to 3 -------------------------------------------------------------------------
+# --- The arm: Chang 2021, Tables 1 to 3 ---
 # alpha_{i-1} (deg), a_{i-1} (m), d_i (m); modified (Craig) convention.
 DH = [(0, 0, 0), (-90, 0.83, 0), (0, 1.0, 0), (0, 0.78, 0), (90, 0, 0.87), (-90, 0, 0), (90, 0, 0)]
 ARM_MASS = [7.8, 7.4, 7.7, 4.9, 3.7, 2.5, 3.62]
-# Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass. Links 3 and 4 of Table 2 are no possible rigid bodies; these
-# are the nearest ones that are (Frobenius norm). The others are Table 2 to the letter.
+# Ixx, Iyy, Izz, Ixy, Ixz, Iyz about the centre of mass. Links 3 and 4 of Table 2 are no possible rigid
+# bodies; these are the nearest ones that are (Frobenius norm). The others are Table 2 to the letter.
 ARM_INERTIA = [
     (0.02, 0.32, 0.32, 0, -0.01, 0),
     (0.04, 0.46, 0.45, -0.01, 0.06, 0),
@@ -39,28 +38,30 @@ ACCELERATION_DEG = [60, 60, 60, 90, 90, 90, 90]
 JERK_DEG = [160, 160, 160, 240, 240, 240, 240]
 TORQUE = [240, 240, 240, 160, 160, 160, 160]
 
-# --- The arm: what the paper leaves open ------------------------------------------------------------------------
+# --- The arm: what the paper leaves open ---
 ARM_COM: list[Vector] = [
     (0.415, 0, 0), (0.5, 0, 0), (0.39, 0, 0), (0, -0.10, 0), (0, 0, -0.435), (0, 0, 0), (0, 0, 0.10),
 ]  # fmt: skip
 RANGE_DEG = [170, 170, 150, 170, 170, 130, 170]
 TOOL_LENGTH = 0.30
 
-# --- The climbing mechanism: geometry and masses are ours -------------------------------------------------------
+# --- The climbing mechanism: geometry and masses are ours ---
 CLIMBER_MASS = 30.38  # 68 kg less the 37.62 kg of Table 2
 CLIMBER_COM = (0.0, 0.25, 0.0)  # in the world frame, in the working stance
 CLIMBER_INERTIA = 0.6  # about each axis through the centre of mass, kg m2
-ANKLE_RISE = 0.16  # the ankle's pitch axis lies beside the axis of the foot, so that the legs pass above link_1
+# The ankle's pitch axis lies this far beside the axis of the foot, so that the legs pass above link_1.
+ANKLE_RISE = 0.16
 FOOT_HEIGHT, ANKLE_HEIGHT = 0.075, 0.055
 LEG, LEG_OFFSET = 0.43, 0.19  # the legs lie side by side, so that the knee folds flat
-ANKLE_SIDE, FOOT_SIDE = 0.075, 0.045  # leg_1 and leg_2 lie beside the planes of their feet; arm_base hangs between
+# The legs lie beside the planes of their feet: arm_base hangs between them.
+ANKLE_SIDE, FOOT_SIDE = 0.075, 0.045
 STANCE_DEG = {"climb_1": -90, "climb_2": 0, "climb_3": 180, "climb_4": -45, "climb_5": 0}
 CLIMB_VELOCITY, CLIMB_EFFORT = 0.2, 200
 
 
 @dataclass(frozen=True, kw_only=True)
 class Body:
-    """Mass (kg), centre of mass (m) and inertia about it (kg m2: xx, yy, zz, xy, xz, yz) in the link's frame."""
+    """Mass (kg), centre of mass (m), inertia about it (kg m2: xx, yy, zz, xy, xz, yz) in the link's frame."""
 
     mass: float
     com: Vector
@@ -104,7 +105,7 @@ def solid_box(mass: float, com: Vector, sides: Vector) -> Body:
     return Body(mass=mass, com=com, inertia=(*(round(value, 6) for value in diagonal), 0, 0, 0))
 
 
-# Bodies of the climber in their link frames; ankle_1, which carries the battery and the cabinet, is solved for.
+# Bodies of the climber in their link frames; ankle_1, with the battery and the cabinet, is solved for.
 FOOT = solid_box(1.8, (0, 0.065, 0), (0.13, 0.05, 0.15))
 CLIMBER_BODIES = {
     "foot_1": FOOT,
@@ -118,7 +119,9 @@ CLIMBER_BODIES = {
 COLLISIONS = {
     "foot_1": [Shape(name="foot_1_box", kind="box", size=(0.13, 0.05, 0.15), xyz=(0, 0.065, 0))],
     "ankle_1": [
-        Shape(name="ankle_1_neck", kind="capsule", size=(0.045, ANKLE_RISE), xyz=(0.08, 0.055, 0.075), axis="x"),
+        Shape(
+            name="ankle_1_neck", kind="capsule", size=(0.045, ANKLE_RISE), xyz=(0.08, 0.055, 0.075), axis="x"
+        ),
         Shape(name="ankle_1_turn", kind="cylinder", size=(0.045, 0.07), xyz=(0, 0.035, 0), axis="y"),
         Shape(name="ankle_1_cabinet", kind="box", size=(0.11, 0.17, 0.25), xyz=(-0.105, 0.125, 0.075)),
         Shape(name="ankle_1_battery", kind="box", size=(0.08, 0.24, 0.40), xyz=(-0.22, 0.165, 0)),
@@ -142,11 +145,14 @@ COLLISIONS = {
 }
 
 
-def climb(number: int, parent: str, child: str, xyz: Vector, axis: Vector, range_deg: float, note: str) -> Joint:
+def climb(
+    number: int, parent: str, child: str, xyz: Vector, axis: Vector, range_deg: float, note: str
+) -> Joint:
     """Return a climbing joint."""
     return Joint(
         name=f"climb_{number}", parent=parent, child=child, xyz=xyz, axis=axis, range_deg=range_deg,
-        rpy_deg=(0, 0, 180) if number == 5 else (0, 0, 0), velocity=CLIMB_VELOCITY, effort=CLIMB_EFFORT, note=note,
+        rpy_deg=(0, 0, 180) if number == 5 else (0, 0, 0), velocity=CLIMB_VELOCITY, effort=CLIMB_EFFORT,
+        note=note,
     )  # fmt: skip
 
 
@@ -155,8 +161,9 @@ def arm_joint(number: int) -> Joint:
     alpha, a, d = DH[number - 1]
     sine, cosine = {0: (0, 1), 90: (1, 0), -90: (-1, 0)}[alpha]
     return Joint(
-        name=f"joint_{number}", parent="arm_base" if number == 1 else f"link_{number - 1}", child=f"link_{number}",
-        xyz=(a, -sine * d, cosine * d), rpy_deg=(alpha, 0, 0), axis=(0, 0, 1), range_deg=RANGE_DEG[number - 1],
+        name=f"joint_{number}", parent="arm_base" if number == 1 else f"link_{number - 1}",
+        child=f"link_{number}", xyz=(a, -sine * d, cosine * d), rpy_deg=(alpha, 0, 0), axis=(0, 0, 1),
+        range_deg=RANGE_DEG[number - 1],
         velocity=math.radians(VELOCITY_DEG[number - 1]), effort=TORQUE[number - 1],
     )  # fmt: skip
 
@@ -169,7 +176,8 @@ JOINTS = [
     climb(4, "leg_2", "ankle_2", (0, LEG, 0), Z, 120, "ankle pitch"),
     climb(5, "ankle_2", "foot_2", (ANKLE_RISE, FOOT_HEIGHT + ANKLE_HEIGHT, -FOOT_SIDE), Y, 120, "foot turn"),
     Joint(
-        name="arm_base_joint", parent="leg_1", child="arm_base", xyz=(-ANKLE_RISE, 0.37, -ANKLE_SIDE), rpy_deg=(180, 90, 0),
+        name="arm_base_joint", parent="leg_1", child="arm_base", xyz=(-ANKLE_RISE, 0.37, -ANKLE_SIDE),
+        rpy_deg=(180, 90, 0),
         note="In the working stance frame arm_base is at (0, 0.5, 0) in foot_1, turned by Rx(180 deg).",
     ),
     *(arm_joint(number) for number in range(1, 8)),
@@ -185,7 +193,8 @@ def rotation(axis: Sequence[float], angle_deg: float) -> Array:
     cosine, sine = (round(f(math.radians(angle_deg)), 15) for f in (math.cos, math.sin))
     x, y, z = axis
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]], dtype=float)
-    return np.eye(3) + sine * cross + (1 - cosine) * cross @ cross
+    turned: Array = np.eye(3) + sine * cross + (1 - cosine) * cross @ cross
+    return turned
 
 
 def stance_poses() -> dict[str, tuple[Array, Array]]:
@@ -210,11 +219,12 @@ def tensor(inertia: Sequence[float]) -> Array:
 def about(point: Array, mass: float, com: Array, inertia: Array) -> Array:
     """Return the inertia about `point` (parallel axes)."""
     arm = com - point
-    return inertia + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    moved: Array = inertia + mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
+    return moved
 
 
 def solve_ankle() -> Body:
-    """Return the ankle_1 that gives the climber its mass, centre of mass and inertia in the working stance."""
+    """Return the ankle_1 that gives the climber its mass, centre of mass and inertia in the stance."""
     poses = stance_poses()
     centre = np.array(CLIMBER_COM)
     mass, first, second = CLIMBER_MASS, np.zeros(3), CLIMBER_INERTIA * np.eye(3)
@@ -237,12 +247,11 @@ def solve_ankle() -> Body:
 
 def bodies() -> dict[str, Body]:
     """Return every body with mass; refuse one that cannot exist."""
-    arm = {
-        f"link_{i + 1}": Body(mass=ARM_MASS[i], com=ARM_COM[i], inertia=ARM_INERTIA[i]) for i in range(7)
-    }
+    arm = {f"link_{i + 1}": Body(mass=ARM_MASS[i], com=ARM_COM[i], inertia=ARM_INERTIA[i]) for i in range(7)}
     everything = {**CLIMBER_BODIES, "ankle_1": solve_ankle(), **arm}
     for name, body in everything.items():
         least, middle, most = np.linalg.eigvalsh(tensor(body.inertia))
         if body.mass <= 0 or least <= 0 or most > least + middle:
-            sys.exit(f"{name}: mass {body.mass}, principal moments {least}, {middle}, {most}: no possible rigid body")
+            moments = f"mass {body.mass}, principal moments {least:.6g}, {middle:.6g}, {most:.6g}"
+            sys.exit(f"{name}: {moments}: no possible rigid body")
     return everything

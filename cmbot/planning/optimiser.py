@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import linalg
 
 from cmbot.errors import OptimisationFailed
 from cmbot.planning.feasibility import check_feasible
@@ -111,6 +112,9 @@ class _Run:
         """Run one stage from `y`; return its end and its scaled peak torque."""
         options = self._problem.options
         stride = _COARSE_STRIDE
+        self._working.add_violated(
+            self._problem.trajectory(y), bound, options.constraint_tolerance, stride, _COARSE_MOST
+        )
         while True:
             if len(self.reports) >= options.max_passes:
                 raise self._failure(f"no solution in {options.max_passes} passes", self.reports[-1].worst)
@@ -118,7 +122,9 @@ class _Run:
                 x, iterations = solve_slsqp(self._peak_subproblem(y, bound), options.max_iterations)
                 y, bound = x[:-1], float(x[-1])
             else:
-                y, iterations = solve_slsqp(self._mean_subproblem(y, bound), options.max_iterations)
+                subproblem, C = self._mean_subproblem(y, bound)
+                u, iterations = solve_slsqp(subproblem, options.max_iterations)
+                y = C @ u
             most = _COARSE_MOST if stride > 1 else len(self._problem.grid)
             added, worst, peak = self._working.add_violated(
                 self._problem.trajectory(y), bound, options.constraint_tolerance, stride, most
@@ -149,20 +155,26 @@ class _Run:
 
         return Subproblem(start=np.append(y, bound), objective=objective, constraints=constraints)
 
-    def _mean_subproblem(self, y: FloatArray, bound: float) -> Subproblem:
-        """Mean square of the torque, its norm below `bound`."""
+    def _mean_subproblem(self, y: FloatArray, bound: float) -> tuple[Subproblem, FloatArray]:
+        """Mean square of the torque, its norm below `bound`; unknowns u with ``y = C u``.
 
-        def objective(y: FloatArray) -> tuple[float, FloatArray]:
+        C whitens the objective's Gauss-Newton Hessian, so that SLSQP starts with nearly the right curvature.
+        """
+        L = np.linalg.cholesky(self._problem.mean_square_curvature(y))
+        C = linalg.solve_triangular(L, np.eye(len(L)), lower=True).T
+
+        def objective(u: FloatArray) -> tuple[float, FloatArray]:
+            y = C @ u
             value, gradient = self._problem.mean_square(y)
             smooth = self._problem.smoothing
-            return value + 0.5 * smooth * float(y @ y), gradient + smooth * y
+            return value + 0.5 * smooth * float(y @ y), C.T @ (gradient + smooth * y)
 
-        def constraints(y: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value, jacobian, torques = self._working.values(y)
+        def constraints(u: FloatArray) -> tuple[FloatArray, FloatArray]:
+            value, jacobian, torques = self._working.values(C @ u)
             value[:torques] -= bound
-            return -value, -jacobian
+            return -value, -(jacobian @ C)
 
-        return Subproblem(start=y, objective=objective, constraints=constraints)
+        return Subproblem(start=L.T @ y, objective=objective, constraints=constraints), C
 
     def _report(self, stage: str, iterations: int, peak: float, worst: Violation) -> None:
         report = PassReport(

@@ -33,7 +33,8 @@ def roots_in_unit_interval(c: FloatArray) -> FloatArray:
     """Find the real roots in [0, 1] of many polynomials of one degree.
 
     Between neighbouring roots of its derivative a polynomial is monotone, so bisection there finds every
-    root that changes sign. No leading coefficient is divided by: degenerate polynomials are harmless.
+    root, whether it changes sign there or only touches zero. No leading coefficient is divided by:
+    degenerate polynomials are harmless.
 
     Parameters
     ----------
@@ -52,7 +53,7 @@ def roots_in_unit_interval(c: FloatArray) -> FloatArray:
     edges = np.concatenate([ends[0], *stationary, ends[1]], axis=-1)
     low, high = edges[..., :-1].copy(), edges[..., 1:].copy()
     sign_low = np.sign(_values(c, low))
-    crosses = sign_low * np.sign(_values(c, high)) < 0
+    crosses = sign_low * np.sign(_values(c, high)) <= 0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
         left = np.sign(_values(c, middle)) == sign_low

@@ -154,6 +154,19 @@ class TorqueProblem:
         value = 0.5 * float(self._mean_weights @ np.einsum("ki,ki->k", torque, torque))
         return value, np.asarray(gradient).ravel()
 
+    def mean_square_curvature(self, y: FloatArray) -> FloatArray:
+        """Gauss-Newton Hessian (dimension, dimension) of `mean_square` with the smoothing term, at `y`."""
+        states = self.states(y, self._mean_times)
+        at = self.dynamics.derivatives(states.q, states.v, states.a)
+        weight = np.sqrt(self._mean_weights)[:, None] / self.scale
+        J = np.vstack(
+            [
+                self.chain(self._mean_rows, *(weight * x[:, axis] for x in (at.d_q, at.d_v, at.d_a)))
+                for axis in range(3)
+            ]
+        )
+        return np.asarray(J.T @ J + self.smoothing * np.eye(self.dimension))
+
     def _knots(self, y: FloatArray) -> FloatArray:
         x = y.reshape(self.robot.dof, -1) * self.joint_scale[:, None]
         return self._origin + self.whitened_basis @ x.T

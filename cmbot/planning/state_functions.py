@@ -123,7 +123,7 @@ class JointTorque:
 
 @dataclass(frozen=True)
 class ToolDeviation:
-    """Squared distance of the tool point from the legs within the square of its bound."""
+    """Distance of the tool point from the legs within its bound."""
 
     kinematics: Kinematics
     task: ToolTask
@@ -131,19 +131,21 @@ class ToolDeviation:
     name: str = "tool deviation"
 
     def values(self, states: States) -> tuple[FloatArray, IntArray]:
-        """Return (distance/bound)^2 - 1, (N, 1)."""
-        offset = self.task.path.offset(self.kinematics.tool_poses(states.q)[0]) / self.bound
-        value = np.einsum("ki,ki->k", offset, offset)[:, None] - 1
+        """Return distance/bound - 1, (N, 1)."""
+        offset = self.task.path.offset(self.kinematics.tool_poses(states.q)[0])
+        value = np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 
     def linearise(self, states: States, component: IntArray) -> Linearisation:
-        """Linearise the squared distance."""
+        """Linearise the distance."""
         del component
         value, d_q = np.empty(len(states.q)), np.empty(states.q.shape)
         for k, q in enumerate(states.q):
             X_WT, J = self.kinematics.tool_jacobian(q)
             offset = self.task.path.offset(X_WT.translation[None])[0] / self.bound
-            value[k], d_q[k] = offset @ offset - 1, 2 / self.bound * (offset @ J[:3])
+            distance = float(np.linalg.norm(offset))
+            value[k] = distance - 1
+            d_q[k] = offset @ J[:3] / max(distance, _FLAT) / self.bound
         return Linearisation(value, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
 
 

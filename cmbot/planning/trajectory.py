@@ -106,8 +106,11 @@ class QuinticTrajectory:
             array = np.array(getattr(self, name), dtype=float)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
-        if self.t.ndim != 1 or len(self.t) < 2 or not np.all(np.diff(self.t) > 0):
-            raise InputError("QuinticTrajectory", "t", f"shape {self.t.shape}", "two or more increasing times")
+        increases = self.t.ndim == 1 and len(self.t) >= 2 and np.all(np.diff(self.t) > 0)
+        if not increases or not np.isfinite(self.t).all():
+            raise InputError(
+                "QuinticTrajectory", "t", self.t.tolist(), "two or more finite, increasing times"
+            )
         for name in ("q", "v", "a"):
             array = getattr(self, name)
             if array.ndim != 2 or array.shape != (len(self.t), self.q.shape[-1]):

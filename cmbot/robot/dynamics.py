@@ -24,8 +24,8 @@ class Efforts:
     joint_torque : (N, n), Nm
         Chang 2021, Eq. (13).
     guardrail_force, guardrail_torque : (N, 3), N and Nm
-        Wrench that the moving arm exerts on the guardrail, at O0, in W: at rest the force is the arm's weight.
-        The torque is minus n_0 of Eq. (12); the constant share of what does not move is not in it
+        Wrench that the moving arm exerts on the guardrail, at O0, in W: at rest the force is the arm's
+        weight. The torque is minus n_0 of Eq. (12); the constant share of what does not move is not in it
         (`Robot.carrier_torque`).
     """
 

@@ -1,12 +1,14 @@
 """What a URDF must hold before it is used: readers of URDF accept far more than can be right.
 
-pinocchio loads a NaN mass, a zero axis, a lower limit above the upper one; yourdfpy accepts cycles and
-missing links. `inspect_urdf` looks at the file itself and lists everything it finds.
+pinocchio loads a NaN mass, a zero axis, a lower limit above the upper one, and drops a shape or a mass that
+it cannot read; yourdfpy accepts cycles and missing links. `inspect_urdf` looks at the file itself and lists
+everything it finds.
 """
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +19,41 @@ import numpy as np
 
 from cmbot.errors import ModelError
 
-__all__ = ["Finding", "inspect_urdf", "parse_urdf"]
+__all__ = ["Finding", "inspect_urdf", "parse_robot_xml", "parse_urdf"]
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+_SHAPES = ("box", "cylinder", "sphere", "mesh")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
+# How many numbers each attribute holds, by element.
+_COUNTS = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(_INERTIA, 1),
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+    "mesh": {"scale": 3},
+    "color": {"rgba": 4},
+    "axis": {"xyz": 3},
+    "limit": dict.fromkeys(("lower", "upper", "velocity", "effort"), 1),
+    "mimic": {"multiplier": 1, "offset": 1},
+}
+# Without these the URDF reader drops the element or refuses the file.
+_REQUIRED = {
+    "mass": ("value",),
+    "inertia": _INERTIA,
+    "box": ("size",),
+    "cylinder": ("radius", "length"),
+    "sphere": ("radius",),
+    "mesh": ("filename",),
+    "color": ("rgba",),
+    "limit": ("velocity", "effort"),
+    "mimic": ("joint",),
+    "material": ("name",),
+    "texture": ("filename",),
+}
+# Narrower than Python's: the URDF reader knows no 1_000 and no other script's digits.
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
 # Tables are rounded: an inertia this close to the boundary of the possible counts as possible.
 _ROUNDING = 1e-6
 
@@ -51,14 +84,25 @@ def parse_urdf(path: Path) -> ElementTree.Element:
     ModelError
         When the file is missing, unreadable, no XML or no URDF.
     """
+    return parse_robot_xml(path, "a URDF")
+
+
+def parse_robot_xml(path: Path, kind: str) -> ElementTree.Element:
+    """Parse an XML file whose root element is ``<robot>``: a URDF or an SRDF, as `kind` says.
+
+    Raises
+    ------
+    ModelError
+        When the file is missing, unreadable, no XML or something else.
+    """
     try:
         root = ElementTree.fromstring(path.read_bytes())
     except OSError as error:
-        raise ModelError(str(path), "", error.strerror or error, "a readable URDF file") from error
-    except ElementTree.ParseError as error:
-        raise ModelError(str(path), "", f"no XML ({error})", "a URDF file") from error
+        raise ModelError(str(path), "", error.strerror or error, f"{kind} file that can be read") from error
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
+        raise ModelError(str(path), "", f"no XML ({error})", f"{kind} file") from error
     if root.tag != "robot":
-        raise ModelError(str(path), "", f"<{root.tag}>", "a URDF, whose root element is <robot>")
+        raise ModelError(str(path), "", f"<{root.tag}>", f"{kind}, whose root element is <robot>")
     return root
 
 
@@ -70,9 +114,10 @@ def inspect_urdf(root: ElementTree.Element) -> list[Finding]:
     root : xml.etree.ElementTree.Element
         From `parse_urdf`.
     """
-    findings = [*_numbers(root), *_tree(root)]
+    findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root)]
     for link in root.findall("link"):
         findings += _inertial(link)
+        findings += _shapes(link)
     for joint in root.findall("joint"):
         findings += _joint(joint)
     return sorted(findings, key=lambda finding: finding.severity)
@@ -87,34 +132,54 @@ def _name(element: ElementTree.Element) -> str:
 
 
 def _float(element: ElementTree.Element, attribute: str, default: float) -> float:
-    """Value of an attribute; NaN where it is no number (`_numbers` reports those)."""
+    """Value of an attribute; NaN where it is no number (`_attributes` reports those)."""
     try:
         return float(element.get(attribute, default))
     except ValueError:
         return math.nan
 
 
-def _numbers(root: ElementTree.Element) -> Iterator[Finding]:
-    """Every attribute that holds numbers holds finite ones, and as many as it should."""
-    counts = {"xyz": 3, "rpy": 3, "size": 3, "scale": 3, "rgba": 4, "value": 1, "mass": 1}
-    counts |= dict.fromkeys((*_INERTIA, "lower", "upper", "velocity", "effort", "radius", "length"), 1)
-    for parent in [*root.findall("link"), *root.findall("joint")]:
+def _header(root: ElementTree.Element) -> Iterator[Finding]:
+    """Name and version: the robot has both, the version one that the URDF reader knows."""
+    if not root.get("name"):
+        yield _error("robot.name", "nothing", "a name")
+    version = root.get("version", "1.0")
+    if version not in ("1.0", "1.1", "1.2"):
+        yield _error("robot.version", repr(version), "1.0, 1.1 or 1.2")
+
+
+def _attributes(root: ElementTree.Element) -> Iterator[Finding]:
+    """Every element has the attributes it needs; those that hold numbers hold finite ones, enough of them."""
+    for parent in (child for tag in ("material", "link", "joint") for child in root.findall(tag)):
         for element in parent.iter():
-            for attribute in counts.keys() & element.keys():
-                text = element.get(attribute, "")
-                key = f"{_name(parent)}.{element.tag}.{attribute}"
-                try:
-                    values = [float(word) for word in text.split()]
-                except ValueError:
-                    yield _error(key, repr(text), f"{counts[attribute]} number(s)")
-                    continue
-                if len(values) != counts[attribute] or not all(map(math.isfinite, values)):
-                    yield _error(key, repr(text), f"{counts[attribute]} finite number(s)")
+            key = f"{_name(parent)}.{element.tag}"
+            for attribute in _REQUIRED.get(element.tag, ()):
+                if not element.get(attribute):
+                    yield _error(f"{key}.{attribute}", repr(element.get(attribute)), "a value")
+            for attribute, count in _COUNTS.get(element.tag, {}).items():
+                if element.get(attribute) is not None:
+                    yield from _numbers(f"{key}.{attribute}", element.get(attribute, ""), count)
+
+
+def _numbers(key: str, text: str, count: int) -> Iterator[Finding]:
+    words = [word for word in text.split(" ") if word]
+    well_formed = len(words) == count and all(map(_NUMBER.fullmatch, words))
+    if not well_formed or not all(math.isfinite(float(word)) for word in words):
+        yield _error(key, repr(text), f"{count} finite number(s)")
+    elif key.endswith("rgba") and not all(0 <= float(word) <= 1 for word in words):
+        yield _error(key, repr(text), "4 numbers from 0 to 1")
+
+
+def _materials(root: ElementTree.Element) -> Iterator[Finding]:
+    """Every material that links share has a look."""
+    for material in root.findall("material"):
+        if material.find("color") is None and material.find("texture") is None:
+            yield _error(_name(material), "neither colour nor texture", "<color> or <texture>")
 
 
 def _tree(root: ElementTree.Element) -> Iterator[Finding]:
     """Links and joints form one tree with unique names."""
-    for tag in ("link", "joint"):
+    for tag in ("link", "joint", "material"):
         names = [element.get("name", "") for element in root.findall(tag)]
         for name in sorted({name for name in names if names.count(name) > 1 or not name}):
             yield _error(f"{tag}[{name}]", f"{names.count(name)} of that name", "a unique name for each")
@@ -124,6 +189,8 @@ def _tree(root: ElementTree.Element) -> Iterator[Finding]:
         return
     parents: dict[str, str] = {}
     for joint in root.findall("joint"):
+        if joint.get("type") != "fixed" and joint.get("name") in links:
+            yield _error(_name(joint), "the name of a link", "a name that no link has")
         ends = {}
         for end in ("parent", "child"):
             element = joint.find(end)
@@ -159,10 +226,10 @@ def _inertial(link: ElementTree.Element) -> Iterator[Finding]:
     if m < 0:
         yield _error(f"{_name(link)}.inertial.mass", m, "a mass that is not negative")
     xx, yy, zz, xy, xz, yz = (_float(tensor, name, 0.0) for name in _INERTIA)
-    I = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    if not np.isfinite(I).all():
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    if not np.isfinite(inertia).all():
         return
-    moments = np.linalg.eigvalsh(I)
+    moments = np.linalg.eigvalsh(inertia)
     shown = "principal moments " + ", ".join(f"{moment:.4g}" for moment in moments)
     if moments[0] < -_ROUNDING * max(moments[2], 0.0) or moments[2] < 0:
         yield _error(f"{_name(link)}.inertial.inertia", shown, "none negative")
@@ -175,6 +242,21 @@ def _inertial(link: ElementTree.Element) -> Iterator[Finding]:
         )
 
 
+def _shapes(link: ElementTree.Element) -> Iterator[Finding]:
+    """Every collision and visual element holds one shape of a known kind and no negative size."""
+    for element in (*link.findall("collision"), *link.findall("visual")):
+        key = f"{_name(link)}.{element.tag}.geometry"
+        shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
+        if len(shapes) != 1 or shapes[0].tag not in _SHAPES:
+            shown = ", ".join(f"<{shape.tag}>" for shape in shapes) or "nothing"
+            yield _error(key, shown, "one of " + ", ".join(_SHAPES))
+            continue
+        for attribute in ("size", "radius", "length"):
+            text = shapes[0].get(attribute, "")
+            if any(word.startswith("-") for word in text.split()):
+                yield _error(f"{key}.{shapes[0].tag}.{attribute}", repr(text), "no negative size")
+
+
 def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
     """Types are known, axes have a direction, limits are in order."""
     kind = joint.get("type", "")
@@ -185,11 +267,7 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
     axis = joint.find("axis")
     if axis is not None:
         words = axis.get("xyz", "1 0 0").split()
-        try:
-            length = math.hypot(*map(float, words))
-        except ValueError:
-            return
-        if length < 1e-9:
+        if all(map(_NUMBER.fullmatch, words)) and math.hypot(*map(float, words)) < 1e-9:
             yield _error(f"{_name(joint)}.axis", repr(axis.get("xyz")), "a direction, not zero")
     limit = joint.find("limit")
     if limit is None:

@@ -8,15 +8,17 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike, NDArray
 
 from cmbot.errors import ModelError
 from cmbot.resources import model_folder
-from cmbot.robot.inspection import inspect_urdf, parse_urdf
+from cmbot.robot.inspection import inspect_urdf, parse_robot_xml, parse_urdf
 from cmbot.robot.limits import JointLimits, read_joint_limits
 from cmbot.robot.robot import Robot
+from cmbot.robot.semantics import enable_pairs, stance
 from cmbot.robot.tool import attach_payload, set_tool_length
 
 __all__ = ["load_robot"]
@@ -38,7 +40,8 @@ def load_robot(
     """Load a robot from its URDF.
 
     The joints between `base_frame` and `tool_frame` move; every other joint is locked, where the SRDF has a
-    ``group_state`` for it at that state, else at zero.
+    ``group_state`` for it at that state, else at zero. A collision mesh is replaced by its convex hull: a
+    clearance with it is never overestimated.
 
     Parameters
     ----------
@@ -60,7 +63,7 @@ def load_robot(
     Raises
     ------
     ModelError
-        When a file is missing or unusable, or a frame does not exist.
+        When a file is missing or unusable, a frame does not exist, or a joint of the arm does not turn.
     """
     if str(model) == "cmbot":
         urdf = model_folder() / "urdf" / "cmbot.urdf"
@@ -74,17 +77,19 @@ def load_robot(
         if finding.severity == "error":
             raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
     srdf_path = Path(srdf) if srdf is not None else urdf.with_suffix(".srdf")
-    srdf_text = _read_text(srdf_path) if srdf is not None or srdf_path.exists() else None
+    semantics = parse_robot_xml(srdf_path, "an SRDF") if srdf is not None or srdf_path.exists() else None
     limits_path = Path(limits) if limits is not None else urdf.with_name("joint_limits.yaml")
 
     full, shapes = _build(urdf, root)
     arm_joints = _chain(full, str(urdf), base_frame, tool_frame)
-    stance = _stance(full, srdf_text, str(srdf_path))
+    _require_turning(root, str(urdf), [full.names[i] for i in arm_joints])
     locked = [i for i in range(1, full.njoints) if i not in arm_joints]
-    reduced, (collision, visual) = pin.buildReducedModel(full, shapes, locked, stance)
+    reduced, (collision, visual) = pin.buildReducedModel(
+        full, shapes, locked, stance(full, semantics, srdf_path)
+    )
     if mount is not None:
         _move_root(reduced, (collision, visual), base_frame, mount)
-    _enable_pairs(reduced, collision, srdf_text)
+    enable_pairs(reduced, collision, semantics, srdf_path)
     if tool_length is not None:
         set_tool_length(reduced, (collision, visual), tool_frame, tool_length, source=str(urdf))
     attach_payload(reduced, tool_frame, payload)
@@ -96,30 +101,23 @@ def load_robot(
         floating_model=_on_free_flyer(reduced),
         collision_model=collision,
         visual_model=visual,
-        limits=_limits(reduced, root, str(urdf), acceleration, jerk),
+        limits=_limits(reduced, str(urdf), acceleration, jerk),
         base_frame=base_frame,
         tool_frame=tool_frame,
         payload=payload,
-        content_hash=_hash([urdf.read_text(), srdf_text or "", limits_path.read_text()]),
+        content_hash=_hash([urdf, *([] if semantics is None else [srdf_path]), limits_path]),
     )
 
 
-def _read_text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ModelError(str(path), "", error, "a readable text file") from error
-
-
-def _hash(texts: Sequence[str]) -> str:
-    return hashlib.sha256("\0".join(texts).encode()).hexdigest()
+def _hash(files: Sequence[Path]) -> str:
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
 
 
 def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
     """Build the full model with its collision and visual geometry.
 
-    A continuous joint has two coordinates in pinocchio; read as a revolute one without limits it has one, as
-    the splines need.
+    Collision meshes become their convex hulls. A continuous joint has two coordinates in pinocchio; read as a
+    revolute one without limits it has one, as the splines need.
     """
     for joint in root.findall("joint"):
         if joint.get("type") == "continuous":
@@ -129,6 +127,10 @@ def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
                 limit = ElementTree.SubElement(joint, "limit", effort="0", velocity="0")
             limit.set("lower", "-1e9")
             limit.set("upper", "1e9")
+        # Never used here, and the reader refuses a file for a slip in them.
+        for tag in ("dynamics", "calibration", "safety_controller"):
+            for element in joint.findall(tag):
+                joint.remove(element)
     folder = urdf.resolve().parent
     for mesh in root.iter("mesh"):
         # Mesh paths count from the URDF, package:// from a folder above it.
@@ -143,16 +145,35 @@ def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
         shapes = [pin.buildGeomFromUrdfString(model, xml, kind, package_dirs=packages) for kind in kinds]
     except (ValueError, RuntimeError, IndexError) as error:
         text = " ".join(str(error).split())
-        raise ModelError(str(urdf), "", f"a file that pinocchio refuses ({text})", "a loadable URDF") from error
+        raise ModelError(
+            str(urdf), "", f"a file that pinocchio refuses ({text})", "a loadable URDF"
+        ) from error
+    for shape in shapes[0].geometryObjects:
+        if isinstance(shape.geometry, coal.BVHModelBase):
+            shape.geometry = _convex_hull(shape, str(urdf))
     return model, shapes
 
 
+def _convex_hull(shape: Any, source: str) -> Any:
+    mesh = shape.geometry
+    vertices = mesh.vertices()
+    extents = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
+    # On a flat mesh, even on a nearly flat one (3e-8), coal's hull crashes the process.
+    if len(vertices) < 4 or not extents[2] > 1e-5 * extents[0]:
+        expected = "a mesh that encloses a volume"
+        raise ModelError(source, shape.name, f"the mesh {shape.meshPath}", expected)
+    mesh.buildConvexHull(False, "Qt")
+    return mesh.convex
+
+
 def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[int]:
-    """Indices of the joints from `base_frame` to `tool_frame`."""
+    """Return the indices of the joints from `base_frame` to `tool_frame`."""
     for key, name in (("base_frame", base_frame), ("tool_frame", tool_frame)):
-        if not model.existFrame(name):
+        if not model.existFrame(name, pin.FrameType.BODY):
             choices = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
             raise ModelError(source, key, repr(name), "a link of the URDF", choices)
+        if [frame.name for frame in model.frames].count(name) > 1:
+            raise ModelError(source, key, repr(name), "a link that shares its name with no joint")
     base = model.frames[model.getFrameId(base_frame)].parentJoint
     joint = model.frames[model.getFrameId(tool_frame)].parentJoint
     chain: list[int] = []
@@ -160,34 +181,29 @@ def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[in
         chain.insert(0, joint)
         joint = model.parents[joint]
     if joint != base or not chain:
-        raise ModelError(source, "tool_frame", repr(tool_frame), f"a link that joints move below {base_frame!r}")
+        raise ModelError(
+            source, "tool_frame", repr(tool_frame), f"a link that joints move below {base_frame!r}"
+        )
     return chain
 
 
-def _stance(model: Any, srdf_text: str | None, source: str) -> FloatArray:
-    """Configuration of the full model: the SRDF's group states, zero elsewhere."""
-    q: FloatArray = pin.neutral(model)
-    if srdf_text is None:
-        return q
-    try:
-        states = ElementTree.fromstring(srdf_text).findall("group_state")
-    except ElementTree.ParseError as error:
-        raise ModelError(source, "", f"no XML ({error})", "an SRDF file") from error
-    for entry in (joint for state in states for joint in state.findall("joint")):
-        name = entry.get("name", "")
-        if not model.existJointName(name):
-            raise ModelError(source, "group_state", repr(name), "the name of a joint of the URDF")
-        try:
-            q[model.joints[model.getJointId(name)].idx_q] = float(entry.get("value", ""))
-        except ValueError as error:
-            raise ModelError(source, f"group_state.{name}", entry.get("value"), "an angle, rad") from error
-    return q
+def _require_turning(root: ElementTree.Element, source: str, names: Sequence[str]) -> None:
+    """Refuse an arm with a joint that slides, or that follows another one."""
+    for joint in (joint for joint in root.findall("joint") if joint.get("name") in names):
+        key = f"joint[{joint.get('name')}]"
+        if joint.get("type") != "revolute":  # what `_build` made of a continuous one
+            raise ModelError(
+                source, f"{key}.type", joint.get("type"), "an arm of revolute or continuous joints"
+            )
+        if joint.find("mimic") is not None:
+            raise ModelError(
+                source, f"{key}.mimic", "a joint that follows another", "an arm of independent joints"
+            )
 
 
 def _move_root(model: Any, shapes: Sequence[Any], base_frame: str, mount: ArrayLike) -> None:
     """Place `base_frame` at `mount` in W by moving everything that hangs on the universe."""
-    X_WB = pin.SE3(np.asarray(mount, dtype=float))
-    X_WU = X_WB * model.frames[model.getFrameId(base_frame)].placement.inverse()
+    X_WU = _pose(mount) * model.frames[model.getFrameId(base_frame)].placement.inverse()
     for i in range(1, model.njoints):
         if model.parents[i] == 0:
             model.jointPlacements[i] = X_WU * model.jointPlacements[i]
@@ -200,17 +216,18 @@ def _move_root(model: Any, shapes: Sequence[Any], base_frame: str, mount: ArrayL
             shape.placement = X_WU * shape.placement
 
 
-def _enable_pairs(model: Any, collision: Any, srdf_text: str | None) -> None:
-    """Let all pairs of shapes collide but those of neighbouring joints and those the SRDF disables."""
-    collision.removeAllCollisionPairs()
-    collision.addAllCollisionPairs()
-    if srdf_text is not None:
-        pin.removeCollisionPairsFromXML(model, collision, srdf_text)
-        return
-    for pair in list(collision.collisionPairs):
-        joints = [collision.geometryObjects[i].parentJoint for i in (pair.first, pair.second)]
-        if model.parents[max(joints)] == min(joints):
-            collision.removeCollisionPair(pair)
+def _pose(mount: ArrayLike) -> Any:
+    expected = "a pose: a 4 x 4 matrix of a rotation, a position and the last row 0 0 0 1"
+    try:
+        X = np.array(mount, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise ModelError("load_robot", "mount", repr(mount), expected) from error
+    if X.shape != (4, 4) or not np.isfinite(X).all() or (X[3] != [0, 0, 0, 1]).any():
+        raise ModelError("load_robot", "mount", X.tolist(), expected)
+    R = X[:3, :3]
+    if np.abs(R @ R.T - np.eye(3)).max() > 1e-9 or np.linalg.det(R) < 0:
+        raise ModelError("load_robot", "mount", X.tolist(), expected)
+    return pin.SE3(X)
 
 
 def _on_free_flyer(model: Any) -> Any:
@@ -224,9 +241,7 @@ def _on_free_flyer(model: Any) -> Any:
     return floating
 
 
-def _limits(
-    model: Any, root: ElementTree.Element, source: str, acceleration: FloatArray, jerk: FloatArray
-) -> JointLimits:
+def _limits(model: Any, source: str, acceleration: FloatArray, jerk: FloatArray) -> JointLimits:
     for name, velocity, torque in zip(
         list(model.names)[1:], model.upperVelocityLimit, model.upperEffortLimit, strict=True
     ):

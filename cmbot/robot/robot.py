@@ -97,14 +97,21 @@ class Robot:
         inertia = self.model.inertias[0]
         return np.cross(inertia.lever, inertia.mass * self.model.gravity.linear)
 
-    def posture(self, q: ArrayLike, source: str = "Robot.posture", key: str = "q") -> FloatArray:
+    def posture(
+        self,
+        q: ArrayLike,
+        *,
+        source: str = "Robot.posture",
+        key: str = "q",
+        error_type: type[InputError] = InputError,
+    ) -> FloatArray:
         """Check one posture: n finite numbers within the joint ranges.
 
         Parameters
         ----------
         q : (n,), rad
-        source, key : str
-            Named in the error.
+        source, key, error_type
+            Named in the error, and its type.
 
         Raises
         ------
@@ -113,12 +120,12 @@ class Robot:
         """
         q = np.asarray(q, dtype=float)
         if q.shape != (self.dof,) or not np.isfinite(q).all():
-            raise InputError(source, key, np.rad2deg(q).tolist(), f"{self.dof} finite joint angles")
+            raise error_type(source, key, np.rad2deg(q).tolist(), f"{self.dof} finite joint angles")
         outside = np.flatnonzero((q < self.limits.lower) | (q > self.limits.upper))
         if len(outside):
             i = outside[0]
             low, high = np.rad2deg([self.limits.lower[i], self.limits.upper[i]])
-            raise InputError(
+            raise error_type(
                 source,
                 f"{key}[{i}]",
                 f"{np.rad2deg(q[i]):g} deg",

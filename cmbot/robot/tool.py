@@ -38,7 +38,7 @@ def set_tool_length(
     Raises
     ------
     ModelError
-        When the tool point does not lie ahead of its flange.
+        When the tool point does not lie ahead of its flange, or a shape of the tool cannot be stretched.
     """
     frame = model.frames[model.getFrameId(tool_frame)]
     flange = _flange(model, frame)
@@ -55,7 +55,7 @@ def set_tool_length(
     frame.placement = flange.placement * X_FT
     for shape in (shape for geometry in shapes for shape in geometry.geometryObjects):
         if model.frames[shape.parentFrame].name == flange.name:
-            _stretch(shape, flange.placement, ratio)
+            _stretch(shape, flange.placement, ratio, source)
 
 
 def attach_payload(model: Any, tool_frame: str, mass: float) -> None:
@@ -83,10 +83,20 @@ def _flange(model: Any, frame: Any) -> Any:
     return flange
 
 
-def _stretch(shape: Any, X_JF: Any, ratio: float) -> None:
+def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
     """Scale a shape along the flange's z axis; the cap of a capsule keeps its radius and its far end."""
     X_FS = X_JF.inverse() * shape.placement
     geometry = shape.geometry
+    if isinstance(geometry, coal.ConvexBase):
+        shape.geometry = _stretched_hull(geometry, X_FS, ratio)
+        return
+    axis = int(np.argmax(np.abs(X_FS.rotation[2])))
+    long = isinstance(geometry, coal.Capsule | coal.Cylinder)
+    known = long or isinstance(geometry, coal.Box | coal.BVHModelBase)
+    if not known or abs(X_FS.rotation[2, axis]) < 1 - 1e-9 or (long and axis != 2):
+        kind = type(geometry).__name__.lower()
+        expected = "a tool of capsules, cylinders, boxes and meshes, whose axes are its flange's"
+        raise ModelError(source, f"tool_length, {shape.name}", f"a {kind} that cannot be stretched", expected)
     if isinstance(geometry, coal.Capsule):
         # The far end of the cap scales with the tool, not its centre.
         near = X_FS.translation[2] - geometry.halfLength
@@ -96,7 +106,20 @@ def _stretch(shape: Any, X_JF: Any, ratio: float) -> None:
         X_FS.translation = np.array([*X_FS.translation[:2], 0.5 * (near + far)])
     else:
         scale = np.ones(3)
-        scale[2] = ratio
-        shape.meshScale = shape.meshScale * scale
-        X_FS.translation = X_FS.translation * scale
+        scale[axis] = ratio
+        if isinstance(geometry, coal.Box):
+            geometry.halfSide = geometry.halfSide * scale
+        elif isinstance(geometry, coal.Cylinder):
+            geometry.halfLength *= ratio
+        else:
+            shape.meshScale = shape.meshScale * scale  # what viewers draw
+        X_FS.translation = X_FS.translation * [1.0, 1.0, ratio]
     shape.placement = X_JF * X_FS
+
+
+def _stretched_hull(hull: Any, X_FS: Any, ratio: float) -> Any:
+    points = coal.StdVec_Vec3s()
+    for i in range(hull.num_points):
+        p_F = X_FS.act(hull.point(i))
+        points.append(X_FS.actInv(p_F * [1.0, 1.0, ratio]))
+    return coal.Convex.convexHull(points, False, "Qt")

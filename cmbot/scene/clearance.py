@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from cmbot.robot import Robot
-from cmbot.scene.scene import Obstacle
+from cmbot.scene.obstacles import Obstacle
 from cmbot.scene.shapes import coal_shapes
 
 __all__ = ["Clearances", "Nearest", "ShapePair", "Smallest"]
@@ -18,8 +18,8 @@ __all__ = ["Clearances", "Nearest", "ShapePair", "Smallest"]
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.intp]
 
-# So many neighbouring postures share one look at all pairs.
-_BLOCK = 16
+# When some point of the arm may have moved further than this, m, all pairs are looked at again.
+_LOOK_AGAIN = 0.05
 # GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured.
 _GJK_TOLERANCE = 1e-10
 
@@ -37,7 +37,7 @@ class ShapePair:
     of_arm : bool
         Both belong to the robot.
     at_work : bool
-        The tool and a workpiece: expected to be near each other.
+        The tool, which is all that the last joint carries, and a workpiece: expected to be near each other.
     """
 
     link: str
@@ -118,40 +118,41 @@ class Clearances:
             first, second = sorted((i, j), key=self._joint_of, reverse=True)
             if self._joint_of(first) != self._joint_of(second):
                 self._add_pair(first, second, self._link_of(second), of_arm=True, at_work=False)
-        tool = robot.tool_frame
-        tool_link = self._model.frames[self._model.frames[robot.tool_frame_id].parentFrame].name
+        tool_joint = self._model.frames[robot.tool_frame_id].parentJoint
         for obstacle in obstacles:
             for k, (shape, X_OS) in enumerate(coal_shapes(obstacle.shape, obstacle.name)):
+                X_WS = pin.SE3(np.array(obstacle.X_WO)) * X_OS
                 j = self._geometry.addGeometryObject(
-                    pin.GeometryObject(f"obstacle {obstacle.name} {k}", 0, pin.SE3(obstacle.X_WO) * X_OS, shape)
+                    pin.GeometryObject(f"obstacle {obstacle.name} {k}", 0, X_WS, shape)
                 )
                 for i in moving:
-                    at_work = obstacle.workpiece and self._link_of(i) in (tool, tool_link)
+                    at_work = obstacle.workpiece and self._joint_of(i) == tool_joint
                     self._add_pair(i, j, obstacle.name, of_arm=False, at_work=at_work)
         self._geometry_data = pin.GeometryData(self._geometry)
         for request in self._geometry_data.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = _GJK_TOLERANCE
         self.reach = self._reach(moving)
+        self._all = np.ones(len(self.pairs), dtype=bool)
         self._avoidable = np.array([not (pair.of_arm or pair.at_work) for pair in self.pairs], dtype=bool)
+        # Where all pairs were last looked at, and their distances there: nowhere yet.
+        self._seen_at, self._seen = np.full(robot.dof, np.inf), np.empty(0)
 
     def smallest(self, q: FloatArray, *, avoidable_only: bool = False) -> Smallest:
         """Return the smallest distance in each of the postures `q` (N, n).
 
-        Neighbouring postures should be near each other: then most pairs are seen to be far once for many.
+        Quick where neighbouring postures are near each other: most pairs are then known to be too far.
 
         Parameters
         ----------
         q : (N, n), rad
         avoidable_only : bool
-            Leave out the arm with itself and the tool with a workpiece, as H of Eq. (17) does.
+            Leave out the arm with itself and the tool with a workpiece, as H of Eq. (17) does here.
         """
+        counted = self._avoidable if avoidable_only else self._all
         distance, pair = np.full(len(q), np.inf), np.full(len(q), -1)
-        counted = self._avoidable if avoidable_only else np.ones(len(self.pairs), dtype=bool)
         if counted.any():
-            for start in range(0, len(q), _BLOCK):
-                block = slice(start, start + _BLOCK)
-                for k, near in zip(range(len(q))[block], self._near(q[block], counted), strict=False):
-                    distance[k], pair[k] = self._smallest(q[k], near)
+            for k, q_k in enumerate(q):
+                distance[k], pair[k] = self._smallest(q_k, counted)
         return Smallest(distance=distance, pair=pair)
 
     def nearest(self, q: FloatArray, pair: int) -> Nearest:
@@ -189,26 +190,29 @@ class Clearances:
         J = pin.getJointJacobian(self._model, self._data, joint, pin.ReferenceFrame.WORLD)
         return np.asarray(J[:3] + np.cross(J[3:], point, axis=0))
 
-    def _smallest(self, q: FloatArray, pairs: IntArray) -> tuple[float, int]:
-        """Smallest distance among `pairs` at `q`."""
+    def _smallest(self, q: FloatArray, counted: NDArray[np.bool_]) -> tuple[float, int]:
+        """Smallest distance among the `counted` pairs at `q`, and its pair."""
+        moved = float(np.abs(q - self._seen_at) @ self.reach)
+        if not moved <= _LOOK_AGAIN:
+            self._look_at_all(q)
+            moved = 0.0
+        # No point of the arm has moved further than this since all pairs were looked at, and two shapes of the
+        # arm move against each other only by the joints between them: so no distance has changed by more.
+        nearest = self._seen[counted].min()
+        candidates = np.flatnonzero(counted & (self._seen <= nearest + 2 * moved + 1e-9))
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, q)
         distances = [
-            pin.computeDistance(self._geometry, self._geometry_data, int(pair)).min_distance for pair in pairs
+            pin.computeDistance(self._geometry, self._geometry_data, int(pair)).min_distance
+            for pair in candidates
         ]
         best = int(np.argmin(distances))
-        return distances[best], int(pairs[best])
+        return distances[best], int(candidates[best])
 
-    def _near(self, q: FloatArray, counted: NDArray[np.bool_]) -> Iterator[IntArray]:
-        """Pairs that may be the nearest in each of the postures `q`, by one look at all pairs."""
-        middle = q[len(q) // 2]
-        pairs = np.flatnonzero(counted)
-        pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, middle)
-        results = self._geometry_data.distanceResults
-        distances = np.array([results[int(pair)].min_distance for pair in pairs])
-        # No point of the arm moves further than this between the two postures, so no distance changes by more
-        # than once (obstacles) or twice (the arm itself) that.
-        for moved in np.abs(q - middle) @ self.reach:
-            yield pairs[distances <= distances.min() + 4 * moved + 1e-9]
+    def _look_at_all(self, q: FloatArray) -> None:
+        """Compute the distance of every pair at `q` and remember them."""
+        pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
+        self._seen_at = q.copy()
+        self._seen = np.array([result.min_distance for result in self._geometry_data.distanceResults])
 
     def _reach(self, moving: Sequence[int]) -> FloatArray:
         """Largest distance (n,) that any point of the arm can have from each joint's origin, m."""

@@ -45,5 +45,3 @@ def one_of_schema(names: Sequence[str]) -> dict[str, Any]:
     return {
         "oneOf": [{"required": [name], "properties": {name: {"not": {"type": "null"}}}} for name in names]
     }
-
-

@@ -88,11 +88,11 @@ class FootFile(FileModel):
 class MaterialFile(FileModel):
     """What all members are made of; steel by default."""
 
-    young_pa: Annotated[float, Field(gt=0)] = 206e9
+    young_pa: Annotated[float, Field(gt=0, le=1e13)] = 206e9
     """Young's modulus, Pa."""
-    shear_pa: Annotated[float, Field(gt=0)] = 79e9
+    shear_pa: Annotated[float, Field(gt=0, le=1e13)] = 79e9
     """Shear modulus, Pa."""
-    density_kg_m3: Annotated[float, Field(ge=0)] = 7850.0
+    density_kg_m3: Annotated[float, Field(ge=0, le=1e5)] = 7850.0
     """Density, kg/m3."""
 
 
@@ -125,7 +125,7 @@ class GuardrailFile(FileModel):
     foot: FootFile = FootFile()
     material: MaterialFile = MaterialFile()
     stiffness: Matrix6 | None = None
-    """6 x 6 stiffness at the origin of W, in W, linear then angular (N/m, N/rad, Nm/rad); in place of the frame's own."""
+    """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad); left out: the frame's."""
     mass: Matrix6 | None = None
     """6 x 6 mass that moves with the foot, beside `stiffness`; left out: none."""
 

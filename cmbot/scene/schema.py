@@ -29,7 +29,7 @@ SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 _SHORTEST_LEG = 1e-6
 
 Angles = tuple[Angle, Angle, Angle]
-Path = Annotated[str, Field(min_length=1)]
+Text = Annotated[str, Field(min_length=1)]
 
 
 class MountFile(FileModel):
@@ -44,15 +44,15 @@ class MountFile(FileModel):
 class RobotFile(FileModel):
     """Which robot: the shipped ``cmbot``, or any URDF with its frames, limits and mount."""
 
-    model: Path = "cmbot"
+    model: Text = "cmbot"
     """``cmbot``, or a URDF's path relative to the scene file."""
-    base_frame: Path | None = None
+    base_frame: Text | None = None
     """Of another URDF: the frame that is mounted."""
-    tool_frame: Path | None = None
+    tool_frame: Text | None = None
     """Of another URDF: the frame that follows the tool path."""
-    limits: Path | None = None
+    limits: Text | None = None
     """Of another URDF: path of its joint-limits file."""
-    srdf: Path | None = None
+    srdf: Text | None = None
     """Of another URDF: path of its SRDF, if there is one."""
     mount: MountFile | None = None
     """Of another URDF: where its base frame is held."""
@@ -127,7 +127,7 @@ class ObstacleFile(FileModel):
     """[radius, length along z between the centres of its two half spheres], m."""
     sphere: Length | None = None
     """Radius, m."""
-    mesh: Path | None = None
+    mesh: Text | None = None
     """Path of a mesh file in metres, relative to the scene file."""
     xyz: Vector
     """Centre (of a mesh: its origin) in W, m."""
@@ -143,7 +143,7 @@ class ObstacleFile(FileModel):
 
 
 class SceneFile(FileModel):
-    """A scene: the robot, its posture, the tool's path and what is around. Lengths in m, angles in degrees."""
+    """The robot, its posture, the tool's path and what is around; in m, s, kg and degrees."""
 
     format: Literal["cmbot-scene/1"]
     name: Slug

@@ -11,7 +11,7 @@ import pinocchio as pin
 import trimesh
 
 from cmbot.errors import SceneError
-from cmbot.scene.scene import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 
 __all__ = ["coal_shapes", "load_mesh"]
 

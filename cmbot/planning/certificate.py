@@ -1,0 +1,246 @@
+"""The certificate: everything that a plan promises, computed again apart from the optimiser.
+
+It reads the finished trajectory alone. Position, velocity, acceleration and jerk are judged at the exact
+extrema of their polynomials, which is for all times; torques, clearance and the tool's deviation on a grid ten
+times finer than the optimiser's. For the clearance it also states a bound that holds between the samples.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.errors import LimitViolation
+from cmbot.planning.figures import MotionFigures, figures, measure
+from cmbot.planning.task import ToolTask
+from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.robot import Robot
+from cmbot.scene.clearance import Clearances
+from cmbot.scene.options import PlannerOptions
+
+__all__ = ["Certificate", "Check", "certify"]
+
+FloatArray = NDArray[np.float64]
+
+# Grid of the certificate: this many times finer than the optimiser's.
+_FINER = 10
+# What "continuous", "at rest" and "through the via-points" mean in floating point: jumps relative to the
+# joint's bound, and via-point errors in rad.
+_JUMP = 1e-9
+_VIA_POINT = 1e-10
+_DERIVATIVES = (("velocity", "rad/s"), ("acceleration", "rad/s2"), ("jerk", "rad/s3"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One promise of a plan: the worst value found against its bound.
+
+    Attributes
+    ----------
+    quantity : str
+    time : float, s
+        Where the worst value is.
+    value, bound : float
+    unit : str
+    at_least : bool
+        The bound is a lower one.
+    """
+
+    quantity: str
+    time: float
+    value: float
+    bound: float
+    unit: str
+    at_least: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value keeps its bound; never true of a value that is not a number."""
+        return self.value >= self.bound if self.at_least else self.value <= self.bound
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What a trajectory was found to do.
+
+    Attributes
+    ----------
+    checks : tuple of Check
+        All promises; the plan is valid when every one holds.
+    figures : MotionFigures
+        Velocity, acceleration and jerk at their exact extrema, the rest at the samples.
+    clearance_bound : float, m
+        No distance is smaller than this at *any* time: samples, less how far the arm can move in between.
+    """
+
+    checks: tuple[Check, ...]
+    figures: MotionFigures
+    clearance_bound: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether every promise is kept."""
+        return all(check.holds for check in self.checks)
+
+    def require(self) -> None:
+        """Refuse a trajectory that breaks a promise.
+
+        Raises
+        ------
+        LimitViolation
+            For the first check that does not hold.
+        """
+        for check in self.checks:
+            if not check.holds:
+                raise LimitViolation(
+                    check.quantity, time=check.time, value=check.value, bound=check.bound, unit=check.unit
+                )
+
+
+def certify(
+    robot: Robot,
+    task: ToolTask,
+    trajectory: QuinticTrajectory,
+    via_points: FloatArray,
+    clearances: Clearances,
+    options: PlannerOptions,
+) -> Certificate:
+    """Look at a finished trajectory with fresh eyes.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+    trajectory : QuinticTrajectory
+    via_points : (m + 1, n), rad
+        What the trajectory was to pass through at its knot times.
+    clearances : Clearances
+    options : PlannerOptions
+        Margin and tool deviation that were promised, and the optimiser's grid.
+    """
+    t = trajectory.t
+    per_segment = _FINER * options.samples_per_segment
+    grid = np.append(np.linspace(t[:-1], t[1:], per_segment, endpoint=False, axis=1).ravel(), t[-1])
+    samples = measure(robot, task, clearances, grid, tuple(trajectory.evaluate(grid, k) for k in range(4)))
+    rates = _rate_checks(robot, trajectory)
+    checks = (
+        _range_check(robot, trajectory),
+        *rates,
+        _torque_check(robot, grid, samples.joint_torque),
+        _continuity_check(robot, trajectory),
+        _via_point_check(trajectory, via_points),
+        _grid_check("clearance", grid, samples.clearance, options.safety_margin_m, "m", at_least=True),
+        _grid_check("tool deviation", grid, samples.tool_deviation, options.max_tool_deviation_m, "m"),
+    )
+    velocity, acceleration, jerk = (check.value / check.bound for check in rates)
+    return Certificate(
+        checks=checks,
+        figures=figures(robot, samples, (velocity, acceleration, jerk)),
+        clearance_bound=_clearance_bound(trajectory, grid, samples.clearance, clearances.reach),
+    )
+
+
+def _range_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
+    """Position of the joint that comes nearest to an end of its range, at its exact extrema."""
+    limits, position = robot.limits, trajectory.extrema(0)
+    finite = np.isfinite(limits.lower)
+    middle = np.where(finite, 0.5 * (limits.lower + limits.upper), 0.0)
+    half = np.where(finite, 0.5 * (limits.upper - limits.lower), np.inf)
+    share = np.abs(position.value - middle[:, None]) / half[:, None]
+    segment, joint, k = np.unravel_index(share.argmax(), share.shape)
+    return Check(
+        quantity=f"distance of {robot.joints[joint]} from the middle of its range",
+        time=float(position.time[segment, joint, k]),
+        value=float(abs(position.value[segment, joint, k] - middle[joint])),
+        bound=float(half[joint]),
+        unit="rad",
+    )
+
+
+def _rate_checks(robot: Robot, trajectory: QuinticTrajectory) -> list[Check]:
+    """Velocity, acceleration and jerk of the joint that uses most of its bound, at the exact extrema."""
+    checks = []
+    for order, (name, unit) in enumerate(_DERIVATIVES, start=1):
+        bound = getattr(robot.limits, name)
+        largest, time = trajectory.extrema(order).largest()
+        joint = int((largest / bound).argmax())
+        checks.append(
+            Check(
+                quantity=f"{name} of {robot.joints[joint]}",
+                time=float(time[joint]),
+                value=float(largest[joint]),
+                bound=float(bound[joint]),
+                unit=unit,
+            )
+        )
+    return checks
+
+
+def _torque_check(robot: Robot, grid: FloatArray, torque: FloatArray) -> Check:
+    share = np.abs(torque) / robot.limits.torque
+    k, joint = np.unravel_index(share.argmax(), share.shape)
+    return Check(
+        quantity=f"torque of {robot.joints[joint]}",
+        time=float(grid[k]),
+        value=float(abs(torque[k, joint])),
+        bound=float(robot.limits.torque[joint]),
+        unit="Nm",
+    )
+
+
+def _continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
+    """Largest jump at an inner knot, or rate left at an end, as a share of its bound (Eqs. (34)-(37))."""
+    limits, t = robot.limits, trajectory.t
+    worst, where = 0.0, float(t[0])
+    for order, bound in enumerate((np.pi, limits.velocity, limits.acceleration, limits.jerk)):
+        jumps = [(t[1:-1], trajectory.jumps(order))]
+        if order > 0:
+            jumps.append((t[[0, -1]], trajectory.evaluate(t[[0, -1]], order)))
+        for times, jump in jumps:
+            if len(times):
+                share = np.abs(jump / bound).max(axis=1)
+                if not share.max() <= worst:
+                    worst, where = float(share.max()), float(times[share.argmax()])
+    return Check(
+        quantity="jump of a joint's position, velocity, acceleration or jerk",
+        time=where,
+        value=worst,
+        bound=_JUMP,
+        unit="of its bound",
+    )
+
+
+def _via_point_check(trajectory: QuinticTrajectory, via_points: FloatArray) -> Check:
+    error = np.abs(trajectory.evaluate(trajectory.t) - via_points).max(axis=1)
+    return _grid_check("distance from a via-point", trajectory.t, error, _VIA_POINT, "rad")
+
+
+def _grid_check(
+    quantity: str, grid: FloatArray, value: FloatArray, bound: float, unit: str, *, at_least: bool = False
+) -> Check:
+    worst = int(value.argmin() if at_least else value.argmax())
+    return Check(
+        quantity=quantity,
+        time=float(grid[worst]),
+        value=float(value[worst]),
+        bound=bound,
+        unit=unit,
+        at_least=at_least,
+    )
+
+
+def _clearance_bound(
+    trajectory: QuinticTrajectory, grid: FloatArray, distance: FloatArray, reach: FloatArray
+) -> float:
+    """Smallest distance that is possible between the samples.
+
+    A joint that turns at rate w moves no point beyond it faster than w times its reach. Two shapes of the arm
+    are moved against each other only by the joints between them, so the same rate bounds every distance: it
+    falls between two samples, h apart, by at most half of rate times h below the mean of both.
+    """
+    per_segment = (len(grid) - 1) // (len(trajectory.t) - 1)
+    fastest = np.abs(trajectory.extrema(1).value).max(axis=2) @ reach
+    approach = 0.5 * np.repeat(fastest, per_segment) * np.diff(grid)
+    return float((0.5 * (distance[:-1] + distance[1:]) - approach).min())

@@ -1,0 +1,164 @@
+"""The figures by which motions are compared, the same for the baseline and for a planned trajectory."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.planning.task import ToolTask
+from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.scene.clearance import Clearances
+
+__all__ = ["LimitUse", "MotionFigures", "Samples", "figures", "measure"]
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitUse:
+    """Largest share of each bound that is used, over all joints and times; 1 is at the bound."""
+
+    velocity: float
+    acceleration: float
+    jerk: float
+    torque: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionFigures:
+    """What a motion asks of the guardrail and how it keeps to its task.
+
+    Attributes
+    ----------
+    peak_guardrail_torque, mean_guardrail_torque : float, Nm
+        Largest value and time mean of the norm of the torque on the guardrail.
+    peak_static_guardrail_torque : float, Nm
+        Largest norm at rest in the motion's postures: the part that gravity asks.
+    min_clearance : float, m
+        Smallest distance to obstacles and of the arm to itself.
+    max_tool_deviation : float, m
+        Largest distance of the tool point from the legs, whenever it is there.
+    max_tool_rotation : float, rad
+        Largest angle by which the tool misses the prescribed orientation or axis.
+    limit_use : LimitUse
+    """
+
+    peak_guardrail_torque: float
+    mean_guardrail_torque: float
+    peak_static_guardrail_torque: float
+    min_clearance: float
+    max_tool_deviation: float
+    max_tool_rotation: float
+    limit_use: LimitUse
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """A motion at N times, with everything that is plotted or written of it.
+
+    Attributes
+    ----------
+    t : (N,), s
+    q, v, a, j : (N, n), rad, rad/s, rad/s2, rad/s3
+    joint_torque : (N, n), Nm
+    guardrail_force, guardrail_torque : (N, 3), N and Nm
+        Wrench on the guardrail from the moving arm, at O0, in W.
+    tool_point : (N, 3), m
+    tool_deviation : (N,), m
+        Distance of the tool point from the legs.
+    tool_rotation : (N,), rad
+    clearance : (N,), m
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+    j: FloatArray
+    joint_torque: FloatArray
+    guardrail_force: FloatArray
+    guardrail_torque: FloatArray
+    tool_point: FloatArray
+    tool_deviation: FloatArray
+    tool_rotation: FloatArray
+    clearance: FloatArray
+
+
+def measure(
+    robot: Robot,
+    task: ToolTask,
+    clearances: Clearances,
+    t: FloatArray,
+    motion: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+) -> Samples:
+    """Measure a motion at its samples.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+    clearances : Clearances
+    t : (N,), s
+    motion : four arrays (N, n)
+        Position, velocity, acceleration and jerk.
+    """
+    q, v, a, j = motion
+    efforts = Dynamics(robot).efforts(q, v, a)
+    p_WT, R_WT = Kinematics(robot).tool_poses(q)
+    return Samples(
+        t=t,
+        q=q,
+        v=v,
+        a=a,
+        j=j,
+        joint_torque=efforts.joint_torque,
+        guardrail_force=efforts.guardrail_force,
+        guardrail_torque=efforts.guardrail_torque,
+        tool_point=p_WT,
+        tool_deviation=np.asarray(np.linalg.norm(task.path.offset(p_WT), axis=1)),
+        tool_rotation=task.rotation(R_WT),
+        clearance=clearances.smallest(q).distance,
+    )
+
+
+def figures(robot: Robot, samples: Samples, kinematic_use: tuple[float, float, float] | None = None) -> MotionFigures:
+    """Reduce samples to figures.
+
+    Parameters
+    ----------
+    robot : Robot
+    samples : Samples
+    kinematic_use : three floats, optional
+        Shares of the velocity, acceleration and jerk bounds where they are known exactly; default: as sampled.
+    """
+    limits = robot.limits
+    if kinematic_use is None:
+        velocity, acceleration, jerk = (
+            float((np.abs(x) / bound).max())
+            for x, bound in (
+                (samples.v, limits.velocity),
+                (samples.a, limits.acceleration),
+                (samples.j, limits.jerk),
+            )
+        )
+    else:
+        velocity, acceleration, jerk = kinematic_use
+    torque = np.linalg.norm(samples.guardrail_torque, axis=1)
+    static = Dynamics(robot).static_efforts(samples.q).guardrail_torque
+    duration = float(samples.t[-1] - samples.t[0])
+    return MotionFigures(
+        peak_guardrail_torque=float(torque.max()),
+        mean_guardrail_torque=float(np.trapezoid(torque, samples.t) / duration),
+        peak_static_guardrail_torque=float(np.linalg.norm(static, axis=1).max()),
+        min_clearance=float(samples.clearance.min()),
+        max_tool_deviation=float(samples.tool_deviation.max()),
+        max_tool_rotation=float(samples.tool_rotation.max()),
+        limit_use=LimitUse(
+            velocity=velocity,
+            acceleration=acceleration,
+            jerk=jerk,
+            torque=float((np.abs(samples.joint_torque) / limits.torque).max()),
+        ),
+    )

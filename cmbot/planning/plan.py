@@ -1,0 +1,130 @@
+"""What planning yields: a certified trajectory beside the baseline it is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.planning.certificate import Certificate
+from cmbot.planning.figures import MotionFigures, Samples, measure
+from cmbot.planning.optimiser import PassReport
+from cmbot.planning.task import ToolTask
+from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.robot import Robot
+from cmbot.scene import PlannerOptions, Scene
+from cmbot.scene.clearance import Clearances
+
+__all__ = ["Plan", "Seconds"]
+
+FloatArray = NDArray[np.float64]
+
+SAMPLE_STEP = 0.01
+"""Step of the sampled motions, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Seconds:
+    """Wall time of each stage, s."""
+
+    path: float
+    optimise: float
+    certify: float
+    total: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """A motion that keeps every promise of its certificate, and the baseline.
+
+    Attributes
+    ----------
+    scene : Scene
+    options : PlannerOptions
+        What it was planned with.
+    robot : Robot
+    task : ToolTask
+    baseline : Samples
+        The paper's motion without optimisation: Chang 2021, Eq. (22) integrated; its acceleration and jerk
+        are differences of its rates.
+    baseline_figures : MotionFigures
+    drift : float, m
+        Largest distance of the baseline's tool point from where it should be at that time.
+    smallest_singular_value : float
+        Of the task Jacobian along the baseline.
+    trajectory : QuinticTrajectory
+        The planned motion.
+    certificate : Certificate
+    passes : tuple of PassReport
+        How the optimiser came there.
+    seconds : Seconds
+    """
+
+    scene: Scene
+    options: PlannerOptions
+    robot: Robot
+    task: ToolTask
+    baseline: Samples
+    baseline_figures: MotionFigures
+    drift: float
+    smallest_singular_value: float
+    trajectory: QuinticTrajectory
+    certificate: Certificate
+    passes: tuple[PassReport, ...]
+    seconds: Seconds
+
+    @property
+    def figures(self) -> MotionFigures:
+        """Figures of the planned motion, as certified."""
+        return self.certificate.figures
+
+    @cached_property
+    def samples(self) -> Samples:
+        """The planned motion every 0.01 s."""
+        t = sample_times(self.trajectory.duration, SAMPLE_STEP)
+        q, v, a, j = (self.trajectory.evaluate(t, order) for order in range(4))
+        clearances = Clearances(self.robot, self.scene.obstacles)
+        return measure(self.robot, self.task, clearances, t, (q, v, a, j))
+
+    @property
+    def peak_static_reduction(self) -> float:
+        """How much lower the planned motion's static torque peak is than the baseline's, as a share."""
+        baseline = self.baseline_figures.peak_static_guardrail_torque
+        return 1.0 - self.figures.peak_static_guardrail_torque / baseline
+
+    def summary(self) -> str:
+        """Return the figures as an aligned table of plain text."""
+        rows = [("", "baseline", "planned"), *self.rows()]
+        width = max(len(row[0]) for row in rows)
+        return "\n".join(f"{name:<{width}}  {left:>12}  {right:>12}" for name, left, right in rows)
+
+    def rows(self) -> Iterator[tuple[str, str, str]]:
+        """Yield the figures, each as its name and unit, the baseline's value and the planned one."""
+        pair = (self.baseline_figures, self.figures)
+        for name, attribute, unit, factor, digits in _ROWS:
+            yield f"{name}, {unit}", *(f"{factor * getattr(f, attribute):.{digits}f}" for f in pair)
+        for limit in ("velocity", "acceleration", "jerk", "torque"):
+            yield (
+                f"joint {limit}, share of its bound",
+                *(f"{getattr(f.limit_use, limit):.3f}" for f in pair),
+            )
+
+
+_ROWS = (
+    ("peak torque on the guardrail", "peak_guardrail_torque", "Nm", 1.0, 2),
+    ("mean torque on the guardrail", "mean_guardrail_torque", "Nm", 1.0, 2),
+    ("peak of its gravity part", "peak_static_guardrail_torque", "Nm", 1.0, 2),
+    ("smallest clearance", "min_clearance", "mm", 1e3, 1),
+    ("largest tool deviation", "max_tool_deviation", "mm", 1e3, 3),
+    ("largest tool rotation", "max_tool_rotation", "deg", float(np.rad2deg(1.0)), 3),
+)
+
+
+def sample_times(duration: float, step: float) -> FloatArray:
+    """Return times from 0 to `duration` every `step` (the last one shorter if need be), s."""
+    count = int(np.floor(duration / step * (1 + 1e-12)))
+    t = step * np.arange(count + 1)
+    return t if duration - t[-1] < 1e-9 * duration else np.append(t, duration)

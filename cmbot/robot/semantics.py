@@ -1,0 +1,84 @@
+"""What an SRDF says about a robot: the stance of its locked joints, the shapes that may touch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from cmbot.errors import ModelError
+
+__all__ = ["enable_pairs", "stance"]
+
+
+def stance(model: Any, semantics: ElementTree.Element | None, path: Path) -> NDArray[np.float64]:
+    """Return the configuration of the full model: the SRDF's group states, zero elsewhere.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        With every joint of the URDF.
+    semantics : xml.etree.ElementTree.Element, optional
+        The SRDF.
+    path : pathlib.Path
+        Its file, to name in an error.
+
+    Raises
+    ------
+    ModelError
+        When a state names an unknown joint or holds no finite number.
+    """
+    q: NDArray[np.float64] = pin.neutral(model)
+    states = [] if semantics is None else semantics.findall("group_state")
+    for entry in (joint for state in states for joint in state.findall("joint")):
+        name, text = entry.get("name", ""), entry.get("value", "")
+        if name not in list(model.names)[1:]:
+            raise ModelError(str(path), "group_state", repr(name), "the name of a movable joint of the URDF")
+        try:
+            value = float(text)
+        except ValueError:
+            value = np.nan
+        if not np.isfinite(value):
+            raise ModelError(str(path), f"group_state.{name}", repr(text), "an angle, rad, or a distance, m")
+        q[model.joints[model.getJointId(name)].idx_q] = value
+    return q
+
+
+def enable_pairs(model: Any, collision: Any, semantics: ElementTree.Element | None, path: Path) -> None:
+    """Let all pairs of shapes collide but those the SRDF disables (without one: neighbouring joints).
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+    collision : pinocchio.GeometryModel
+        Changed in place.
+    semantics : xml.etree.ElementTree.Element, optional
+        The SRDF.
+    path : pathlib.Path
+        Its file, to name in an error.
+
+    Raises
+    ------
+    ModelError
+        When the SRDF disables a pair without naming both links.
+    """
+    collision.removeAllCollisionPairs()
+    collision.addAllCollisionPairs()
+    if semantics is not None:
+        for pair in semantics.findall("disable_collisions"):
+            if not (pair.get("link1") and pair.get("link2")):
+                raise ModelError(str(path), "disable_collisions", pair.attrib, "the names of link1 and link2")
+        text = ElementTree.tostring(semantics, encoding="unicode")
+        pin.removeCollisionPairsFromXML(model, collision, text)
+        return
+    # Copied first: what pinocchio hands out are references into the list that is changed here.
+    pairs = [(pair.first, pair.second) for pair in collision.collisionPairs]
+    collision.removeAllCollisionPairs()
+    for first, second in pairs:
+        joints = [collision.geometryObjects[i].parentJoint for i in (first, second)]
+        if model.parents[max(joints)] != min(joints):
+            collision.addCollisionPair(pin.CollisionPair(first, second))

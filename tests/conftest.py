@@ -1,0 +1,71 @@
+"""What all tests share: the shipped robot, repeatable random numbers, Hypothesis settings."""
+
+import os
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from numpy.typing import NDArray
+
+from cmbot.resources import model_folder
+from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
+
+FloatArray = NDArray[np.float64]
+States = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
+
+# No test may depend on speed; a failure in CI must come back on the next run.
+settings.register_profile("local", deadline=None)
+settings.register_profile("ci", deadline=None, derandomize=True)
+settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+
+@pytest.fixture(scope="session")
+def cmbot_robot() -> Robot:
+    return load_robot("cmbot")
+
+
+@pytest.fixture(scope="session")
+def cmbot_dynamics(cmbot_robot: Robot) -> Dynamics:
+    return Dynamics(cmbot_robot)
+
+
+@pytest.fixture(scope="session")
+def cmbot_kinematics(cmbot_robot: Robot) -> Kinematics:
+    return Kinematics(cmbot_robot)
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(2793)
+
+
+@pytest.fixture
+def random_states(rng: np.random.Generator) -> States:
+    """Function of a robot and a number N: q within the ranges, v to 3 times the limits, a to 20 rad/s2."""
+
+    def states(robot: Robot, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        lower, upper = np.clip(robot.limits.lower, -np.pi, None), np.clip(robot.limits.upper, None, np.pi)
+        q = rng.uniform(lower, upper, (number, robot.dof))
+        v = rng.uniform(-3, 3, q.shape) * robot.limits.velocity
+        return q, v, rng.uniform(-20, 20, q.shape)
+
+    return states
+
+
+@pytest.fixture(scope="session")
+def bare_urdf() -> str:
+    """Text of the shipped URDF without its visual meshes: it loads from anywhere, and faster."""
+    text = (model_folder() / "urdf" / "cmbot.urdf").read_text(encoding="utf-8")
+    return re.sub(r"<visual.*?</visual>", "", text, flags=re.DOTALL)
+
+
+@pytest.fixture
+def urdf_folder(tmp_path: Path, bare_urdf: str) -> Path:
+    """Folder with a copy of the shipped robot's three files, to be changed by a test."""
+    (tmp_path / "cmbot.urdf").write_text(bare_urdf, encoding="utf-8")
+    for name in ("cmbot.srdf", "joint_limits.yaml"):
+        (tmp_path / name).write_bytes((model_folder() / "urdf" / name).read_bytes())
+    return tmp_path

@@ -1,0 +1,1 @@
+"""Second opinions: physics written out by hand, sharing nothing with the package."""

@@ -1,0 +1,216 @@
+"""Joint torques and guardrail wrench against the paper's recursion, mechanics and finite differences."""
+
+import dataclasses
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import FloatArray, States
+from finite_differences import check_derivative, finite_difference
+from oracles import newton_euler
+
+from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
+
+GRAVITY = 9.81
+
+
+def weight(mass: float) -> FloatArray:
+    return np.array([0.0, 0.0, -mass * GRAVITY])
+
+
+def motion(t: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A smooth motion of period 2 pi, all joints: q, v, a (N, 7)."""
+    centre, size = np.deg2rad([-10, -90, 90, 0, 10, 50, 0]), np.array([0.5, 0.3, 0.4, 0.6, 0.5, 0.4, 0.3])
+    times, phase = np.array([1, 1, 2, 1, 3, 2, 1]), np.arange(7)
+    angle = np.multiply.outer(t, times) + phase
+    return centre + size * np.sin(angle), size * times * np.cos(angle), -size * times**2 * np.sin(angle)
+
+
+def with_gravity(robot: Robot, gravity: FloatArray) -> Robot:
+    model, floating = robot.model.copy(), robot.floating_model.copy()
+    model.gravity = floating.gravity = pin.Motion(gravity, np.zeros(3))
+    return dataclasses.replace(robot, model=model, floating_model=floating)
+
+
+def test_efforts_are_the_papers_recursion(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+) -> None:
+    q, v, a = random_states(cmbot_robot, 100_000)
+    tau, n_0, f_0 = newton_euler.efforts(q, v, a)
+    got = cmbot_dynamics.efforts(q, v, a)
+    # A single component may cancel to nearly nothing, so errors count against the state's own largest torque
+    # and force. Rounding accounts for about 1e-14 of it.
+    torque_scale = np.maximum(np.abs(tau).max(axis=1), np.abs(n_0).max(axis=1))
+    force_scale = np.abs(f_0).max(axis=1)
+    assert np.abs(got.joint_torque - tau).max(axis=1) / torque_scale == pytest.approx(0, abs=1e-10)
+    assert np.abs(got.guardrail_torque + n_0).max(axis=1) / torque_scale == pytest.approx(0, abs=1e-10)
+    assert np.abs(got.guardrail_force + f_0).max(axis=1) / force_scale == pytest.approx(0, abs=1e-10)
+
+
+def test_joint_torque_is_mass_matrix_coriolis_and_gravity(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+) -> None:
+    """Chang 2021, Eq. (14)."""
+    q, v, a = random_states(cmbot_robot, 1000)
+    model, data = cmbot_robot.model, cmbot_robot.model.createData()
+    got = cmbot_dynamics.efforts(q, v, a).joint_torque
+    for k in range(len(q)):
+        M = np.triu(pin.crba(model, data, q[k]))
+        M += np.triu(M, 1).T
+        C = pin.computeCoriolisMatrix(model, data, q[k], v[k])
+        g = pin.computeGeneralizedGravity(model, data, q[k])
+        np.testing.assert_allclose(got[k], M @ a[k] + C @ v[k] + g, rtol=0, atol=1e-11 * np.abs(got[k]).max())
+
+
+def test_power_of_the_joints_is_the_change_of_energy(cmbot_dynamics: Dynamics) -> None:
+    t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    q, v, a = motion(t)
+    power = (cmbot_dynamics.efforts(q, v, a).joint_torque * v).sum(axis=1)
+    for k in range(0, len(t), 10):
+        check_derivative(
+            lambda x: newton_euler.energy(*motion(x)[:2])[0],
+            t[k : k + 1],
+            power[k : k + 1],
+            atol=1e-8 * np.abs(power).max(),
+        )
+
+
+def test_work_of_the_joints_over_a_closed_motion_is_zero(cmbot_dynamics: Dynamics) -> None:
+    # The rectangle rule is exact for a smooth periodic integrand: its error falls faster than any power.
+    t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
+    q, v, a = motion(t)
+    power = (cmbot_dynamics.efforts(q, v, a).joint_torque * v).sum(axis=1)
+    assert np.abs(power).mean() > 10
+    assert power.mean() == pytest.approx(0, abs=1e-11 * np.abs(power).max())
+
+
+def test_wrench_is_the_change_of_momentum(cmbot_robot: Robot, cmbot_dynamics: Dynamics) -> None:
+    """Newton's and Euler's laws for the arm as a whole, about O0."""
+    model, data = cmbot_robot.model, cmbot_robot.model.createData()
+
+    def momentum(t: FloatArray) -> FloatArray:
+        q, v, _ = motion(t)
+        h = pin.computeCentroidalMomentum(model, data, q[0], v[0]).copy()
+        return np.concatenate([h.linear, h.angular + np.cross(data.com[0], h.linear)])
+
+    for t in np.linspace(0, 6, 13):
+        q, v, a = motion(np.array([t]))
+        got = cmbot_dynamics.efforts(q, v, a)
+        centre = newton_euler.centre_of_mass(q)[0]
+        W = weight(cmbot_robot.arm_mass)
+        force, torque = W - got.guardrail_force[0], np.cross(centre, W) - got.guardrail_torque[0]
+        check_derivative(momentum, [t], np.concatenate([force, torque])[:, None], rtol=1e-9)
+
+
+def test_at_rest_the_force_is_the_weight_and_the_torque_its_lever(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+) -> None:
+    q, _, _ = random_states(cmbot_robot, 2000)
+    got = cmbot_dynamics.static_efforts(q)
+    W = weight(37.62)
+    np.testing.assert_allclose(got.guardrail_force, np.tile(W, (len(q), 1)), rtol=0, atol=1e-10)
+    lever = newton_euler.centre_of_mass(q)
+    np.testing.assert_allclose(got.guardrail_torque, np.cross(lever, W), rtol=0, atol=1e-9)
+
+
+def test_static_torque_of_the_start_posture(cmbot_dynamics: Dynamics) -> None:
+    start = np.deg2rad([[-10, -90, 90, 0, 10, 50, 0]])
+    torque = cmbot_dynamics.static_efforts(start).guardrail_torque
+    assert np.linalg.norm(torque) == pytest.approx(486.4, abs=0.05)
+
+
+@pytest.mark.parametrize("factor", [0.0, 0.5, -2.0])
+def test_static_efforts_scale_with_gravity(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States, factor: float
+) -> None:
+    q, _, _ = random_states(cmbot_robot, 50)
+    normal = cmbot_dynamics.static_efforts(q)
+    scaled = Dynamics(with_gravity(cmbot_robot, factor * weight(1.0))).static_efforts(q)
+    for field in dataclasses.fields(normal):
+        expected = factor * getattr(normal, field.name)
+        np.testing.assert_allclose(getattr(scaled, field.name), expected, rtol=0, atol=1e-10)
+
+
+def test_efforts_of_a_motion_differ_from_rest_by_a_part_free_of_gravity(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+) -> None:
+    q, v, a = random_states(cmbot_robot, 50)
+    floating = Dynamics(with_gravity(cmbot_robot, np.zeros(3))).efforts(q, v, a)
+    moving, still = cmbot_dynamics.efforts(q, v, a), cmbot_dynamics.static_efforts(q)
+    for field in dataclasses.fields(moving):
+        part = getattr(moving, field.name) - getattr(still, field.name)
+        np.testing.assert_allclose(getattr(floating, field.name), part, rtol=0, atol=1e-9)
+
+
+def test_payload_is_a_point_mass_at_the_tool(cmbot_dynamics: Dynamics, cmbot_kinematics: Kinematics) -> None:
+    loaded = load_robot("cmbot", payload=5.0)
+    assert loaded.arm_mass == pytest.approx(42.62)
+    assert loaded.carrier_mass == pytest.approx(30.38)
+
+    def tool_velocity(t: FloatArray) -> FloatArray:
+        q, v, _ = motion(t)
+        return cmbot_kinematics.tool_jacobian(q[0])[1][:3] @ v[0]
+
+    for t in np.linspace(0, 6, 7):
+        state = motion(np.array([t]))
+        X_WT, J = cmbot_kinematics.tool_jacobian(state[0][0])
+        acceleration = finite_difference(tool_velocity, np.array([t]))[:, 0]
+        force = weight(5.0) - 5.0 * acceleration
+        with_load, without = Dynamics(loaded).efforts(*state), cmbot_dynamics.efforts(*state)
+        extra = with_load.guardrail_force - without.guardrail_force
+        np.testing.assert_allclose(extra[0], force, atol=1e-7)
+        extra = with_load.guardrail_torque - without.guardrail_torque
+        np.testing.assert_allclose(extra[0], np.cross(X_WT.translation, force), atol=1e-7)
+        extra = with_load.joint_torque - without.joint_torque
+        np.testing.assert_allclose(extra[0], -J[:3].T @ force, atol=1e-7)
+
+
+def test_tool_length_has_no_mass(cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States) -> None:
+    states = random_states(cmbot_robot, 50)
+    longer = Dynamics(load_robot("cmbot", tool_length=0.6)).efforts(*states)
+    np.testing.assert_array_equal(longer.guardrail_torque, cmbot_dynamics.efforts(*states).guardrail_torque)
+
+
+def test_derivatives_are_those_of_the_efforts(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+) -> None:
+    q, v, a = random_states(cmbot_robot, 60)
+    got = cmbot_dynamics.derivatives(q, v, a)
+
+    def value(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        efforts = cmbot_dynamics.efforts(q[None], v[None], a[None])
+        return np.concatenate([efforts.guardrail_torque[0], efforts.joint_torque[0]])
+
+    for k in range(len(q)):
+        expected = value(q[k], v[k], a[k])
+        np.testing.assert_allclose(got.value[k], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        check_derivative(lambda x, k=k: value(x, v[k], a[k]), q[k], got.d_q[k], rtol=1e-9)
+        # Quadratic in velocity, linear in acceleration: a large step has no truncation error.
+        check_derivative(lambda x, k=k: value(q[k], x, a[k]), v[k], got.d_v[k], step=1.0, rtol=1e-11)
+        check_derivative(lambda x, k=k: value(q[k], v[k], x), a[k], got.d_a[k], step=1.0, rtol=1e-11)
+
+
+def test_derivative_to_acceleration_is_the_mass_matrix(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+) -> None:
+    states = random_states(cmbot_robot, 200)
+    M = cmbot_dynamics.derivatives(*states).d_a[:, 3:]
+    np.testing.assert_allclose(M, M.swapaxes(1, 2), rtol=0, atol=1e-11)
+    assert np.linalg.eigvalsh(M).min() > 0
+
+
+def test_results_do_not_alias_working_memory(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+) -> None:
+    q, v, a = random_states(cmbot_robot, 2)
+    first = cmbot_dynamics.derivatives(q[:1], v[:1], a[:1])
+    kept = first.d_a.copy(), first.value.copy()
+    cmbot_dynamics.derivatives(q[1:], v[1:], a[1:])
+    np.testing.assert_array_equal(first.d_a, kept[0])
+    np.testing.assert_array_equal(first.value, kept[1])
+
+
+def test_no_states_give_empty_results(cmbot_dynamics: Dynamics) -> None:
+    none = np.empty((0, 7))
+    assert cmbot_dynamics.efforts(none, none, none).guardrail_torque.shape == (0, 3)
+    assert cmbot_dynamics.derivatives(none, none, none).d_q.shape == (0, 10, 7)

@@ -1,0 +1,96 @@
+"""Forward kinematics against the paper's table and poses, Jacobians against finite differences."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import States
+from finite_differences import check_derivative, finite_difference
+from hypothesis import given
+from hypothesis import strategies as st
+from oracles import newton_euler
+
+from cmbot.robot import Kinematics, Robot
+
+ANGLES = st.lists(st.floats(-2.2, 2.2), min_size=7, max_size=7).map(np.array)
+
+
+def test_tool_poses_are_the_papers(
+    cmbot_robot: Robot, cmbot_kinematics: Kinematics, random_states: States
+) -> None:
+    """Chang 2021, Eqs. (1)-(3)."""
+    q, _, _ = random_states(cmbot_robot, 20_000)
+    p, R = cmbot_kinematics.tool_poses(q)
+    p_hand, R_hand = newton_euler.tool_pose(q)
+    # The arm reaches 3.8 m: 1e-13 is a few hundred roundings.
+    np.testing.assert_allclose(p, p_hand, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(R, R_hand, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "wrist"), [((0, -90, 90, 0, 0, 0, 0), (1.61, 0, 1.87)), ((0,) * 7, (2.61, 0, 0.87))]
+)
+def test_known_wrist_centres(
+    cmbot_robot: Robot, angles_deg: tuple[float, ...], wrist: tuple[float, ...]
+) -> None:
+    model, data = cmbot_robot.model, cmbot_robot.model.createData()
+    pin.framesForwardKinematics(model, data, np.deg2rad(angles_deg))
+    X_WB, X_W7 = (data.oMf[model.getFrameId(name)] for name in ("arm_base", "link_7"))
+    np.testing.assert_allclose(X_WB.actInv(X_W7.translation), wrist, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("angles_deg", "point", "axis"),
+    [
+        ((-10, -90, 90, 0, 10, 50, 0), (1.815, 0.780, -2.063), (0.766, 0, -0.643)),
+        ((-45, -90, 90, -10, 10, -55, 0), (0.812, 1.372, -1.984), (-0.733, -0.532, -0.425)),
+    ],
+)
+def test_tool_at_the_start_of_both_experiments(
+    cmbot_kinematics: Kinematics, angles_deg: tuple[float, ...], point: object, axis: object
+) -> None:
+    X_WT = cmbot_kinematics.tool_pose(np.deg2rad(angles_deg))
+    np.testing.assert_allclose(X_WT.translation, point, rtol=0, atol=6e-4)
+    np.testing.assert_allclose(X_WT.rotation[:, 2], axis, rtol=0, atol=6e-4)
+
+
+@given(q=ANGLES)
+def test_one_pose_and_many_agree(cmbot_kinematics: Kinematics, q: np.ndarray) -> None:
+    X_WT = cmbot_kinematics.tool_pose(q)
+    p, R = cmbot_kinematics.tool_poses(q[None])
+    np.testing.assert_array_equal(p[0], X_WT.translation)
+    np.testing.assert_array_equal(R[0], X_WT.rotation)
+    beside, _ = cmbot_kinematics.tool_jacobian(q)
+    np.testing.assert_allclose(beside.homogeneous, X_WT.homogeneous, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(R[0] @ R[0].T, np.eye(3), rtol=0, atol=1e-14)
+
+
+@given(q=ANGLES)
+def test_tool_jacobian(cmbot_kinematics: Kinematics, q: np.ndarray) -> None:
+    """Chang 2021, Eq. (15), also at singular postures."""
+    X_WT, J = cmbot_kinematics.tool_jacobian(q)
+    check_derivative(lambda x: cmbot_kinematics.tool_pose(x).translation, q, J[:3], rtol=1e-10)
+    # dR = S(omega) R, and the angular velocity stands in S.
+    dR = finite_difference(lambda x: cmbot_kinematics.tool_pose(x).rotation, q)
+    S = np.einsum("abi,cb->aci", dR, X_WT.rotation)
+    np.testing.assert_allclose(J[3:], [S[2, 1], S[0, 2], S[1, 0]], rtol=0, atol=1e-10)
+
+
+@given(q=ANGLES)
+def test_centre_of_mass_is_the_moving_arms(cmbot_kinematics: Kinematics, q: np.ndarray) -> None:
+    centre, J = cmbot_kinematics.centre_of_mass(q)
+    np.testing.assert_allclose(centre, newton_euler.centre_of_mass(q[None])[0], rtol=0, atol=1e-13)
+    check_derivative(lambda x: cmbot_kinematics.centre_of_mass(x)[0], q, J, rtol=1e-10)
+
+
+def test_results_do_not_alias_working_memory(cmbot_kinematics: Kinematics) -> None:
+    q = np.linspace(-1, 1, 7)
+    X_WT = cmbot_kinematics.tool_pose(q)
+    beside, J = cmbot_kinematics.tool_jacobian(q)
+    centre, J_c = cmbot_kinematics.centre_of_mass(q)
+    kept = [array.copy() for array in (X_WT.homogeneous, beside.homogeneous, J, centre, J_c)]
+    cmbot_kinematics.tool_pose(-q)
+    cmbot_kinematics.tool_jacobian(-q)
+    cmbot_kinematics.centre_of_mass(-q)
+    now = (X_WT.homogeneous, beside.homogeneous, J, centre, J_c)
+    for array, copy in zip(now, kept, strict=True):
+        np.testing.assert_array_equal(array, copy)
