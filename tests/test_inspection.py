@@ -63,6 +63,7 @@ DAMAGE = {
         "joint[tool]",
         "name of a link",
     ),
+    "name of the world": ('joint name="joint_2"', 'joint name="universe"', "joint[universe]", "another name"),
     "two materials": (
         "</robot>",
         '<material name="red"><color rgba="1 0 0 1"/></material></robot>',

@@ -90,7 +90,7 @@ def test_mount_that_is_no_pose(mount: Any) -> None:
         load_robot("cmbot", mount=mount)
 
 
-@pytest.mark.parametrize("length", [0.05, 0.3, 0.45])
+@pytest.mark.parametrize("length", [0.02, 0.05, 0.3, 0.45])
 def test_tool_length(cmbot_robot: Robot, random_states: States, length: float) -> None:
     robot = load_robot("cmbot", tool_length=length)
     q, _, _ = random_states(cmbot_robot, 5)
@@ -155,3 +155,14 @@ def test_tool_that_cannot_be_stretched(urdf_folder: Path, shape: str | None) -> 
 def test_payload_that_is_no_mass(payload: float) -> None:
     with pytest.raises(ModelError, match="payload"):
         load_robot("cmbot", payload=payload)
+
+
+def test_joint_called_guardrail(urdf_folder: Path, cmbot_dynamics: Dynamics, random_states: States) -> None:
+    """The robot's names do not meet that of the free-flyer below it."""
+    for name, old in (("cmbot.urdf", '"joint_3"'), ("joint_limits.yaml", "joint_3:")):
+        replace(urdf_folder / name, old, old.replace("joint_3", "guardrail"))
+    robot = load_copy(urdf_folder)
+    states = random_states(robot, 3)
+    got, expected = Dynamics(robot).derivatives(*states), cmbot_dynamics.derivatives(*states)
+    np.testing.assert_allclose(got.value, expected.value, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(got.d_q, expected.d_q, rtol=0, atol=1e-10)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.polynomial import Polynomial, chebyshev
@@ -57,7 +57,6 @@ def test_every_simple_root_of_numpy_is_found(degree: int) -> None:
     assert checked > 50
 
 
-@settings(deadline=None)
 @given(coefficients)
 def test_roots_are_sorted_and_each_is_a_root_an_end_or_a_stationary_point(c: FloatArray) -> None:
     roots = roots_in_unit_interval(c)
@@ -79,7 +78,6 @@ def test_roots_are_sorted_and_each_is_a_root_an_end_or_a_stationary_point(c: Flo
     assert explained.all()
 
 
-@settings(deadline=None)
 @given(coefficients)
 def test_every_change_of_sign_on_a_grid_is_a_root(c: FloatArray) -> None:
     u = np.linspace(0, 1, 201)
@@ -91,14 +89,12 @@ def test_every_change_of_sign_on_a_grid_is_a_root(c: FloatArray) -> None:
             assert np.any((roots >= u[low]) & (roots <= u[high]))
 
 
-@settings(deadline=None)
 @given(known_roots, st.sampled_from([-(2.0**20), -1.0, 2.0**-20, 3.0]))
 def test_known_distinct_roots_are_found_the_ends_included(roots: list[float], leading: float) -> None:
     found = roots_in_unit_interval(from_roots(roots, leading))
     np.testing.assert_allclose(found, np.sort(roots), rtol=0, atol=1e-11)
 
 
-@settings(deadline=None)
 @given(known_roots, st.integers(1, 3))
 def test_vanishing_leading_coefficients_do_no_harm(roots: list[float], zeros: int) -> None:
     found = roots_in_unit_interval(np.concatenate([from_roots(roots), np.zeros(zeros)]))

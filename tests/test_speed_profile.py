@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
@@ -37,7 +37,6 @@ def between_breaks(profile: SpeedProfile, margin: float) -> FloatArray:
     return np.linspace(edges[:-1] + margin, edges[1:] - margin, 50).T
 
 
-@settings(deadline=None)
 @given(profiles)
 def test_covers_the_leg_from_rest_to_rest(profile: SpeedProfile) -> None:
     ends = np.array([0.0, 1.0])
@@ -45,7 +44,6 @@ def test_covers_the_leg_from_rest_to_rest(profile: SpeedProfile) -> None:
     np.testing.assert_array_equal(profile.rate(ends), [0.0, 0.0])
 
 
-@settings(deadline=None)
 @given(profiles)
 def test_the_rate_is_never_negative_and_peaks_at_the_cruising_speed(profile: SpeedProfile) -> None:
     u = np.linspace(0, 1, 2001)
@@ -58,7 +56,6 @@ def test_the_rate_is_never_negative_and_peaks_at_the_cruising_speed(profile: Spe
     assert profile.rate(np.array([0.5]))[0] == pytest.approx(peak, rel=1e-15)
 
 
-@settings(deadline=None)
 @given(profiles)
 def test_share_rises_and_is_symmetric(profile: SpeedProfile) -> None:
     u = np.linspace(0, 1, 2001)
@@ -69,7 +66,6 @@ def test_share_rises_and_is_symmetric(profile: SpeedProfile) -> None:
     assert profile.share(np.array([0.5]))[0] == pytest.approx(0.5, abs=1e-15)
 
 
-@settings(deadline=None)
 @given(profiles)
 def test_share_is_the_integral_of_the_rate(profile: SpeedProfile) -> None:
     x, w = np.polynomial.legendre.leggauss(4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -50,7 +51,6 @@ def test_times_and_lengths_of_the_triangle() -> None:
     np.testing.assert_allclose(path.lengths, [1.0, 0.3, np.hypot(1.0, 0.3)])
 
 
-@settings(deadline=None)
 @given(paths)
 def test_the_tool_rests_at_every_corner(path: ToolPath) -> None:
     np.testing.assert_allclose(path.position(path.leg_times), path.corners, rtol=0, atol=1e-14)
@@ -59,7 +59,6 @@ def test_the_tool_rests_at_every_corner(path: ToolPath) -> None:
         assert np.abs(path.velocity(times)).max() < 1e-6
 
 
-@settings(deadline=None)
 @given(paths)
 def test_velocity_is_the_derivative_of_position(path: ToolPath) -> None:
     step = 1e-5
@@ -72,7 +71,6 @@ def test_velocity_is_the_derivative_of_position(path: ToolPath) -> None:
     np.testing.assert_allclose(difference, path.velocity(times), rtol=0, atol=1e-6)
 
 
-@settings(deadline=None)
 @given(paths)
 def test_positions_lie_on_the_leg_of_their_time(path: ToolPath) -> None:
     for leg, (start, end) in enumerate(zip(path.leg_times[:-1], path.leg_times[1:], strict=True)):
@@ -95,7 +93,6 @@ def test_times_outside_count_as_the_nearer_end(kind: str) -> None:
     assert path.progress(25.0) == 1.0
 
 
-@settings(deadline=None)
 @given(paths)
 def test_progress_is_the_covered_share_of_the_length(path: ToolPath) -> None:
     times = np.linspace(0, path.duration, 101)
@@ -112,7 +109,7 @@ def test_progress_is_the_covered_share_of_the_length(path: ToolPath) -> None:
     assert np.linalg.norm(np.diff(fine, axis=0), axis=1).sum() == pytest.approx(path.lengths.sum(), rel=1e-12)
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(paths, st.integers(0, 2**32 - 1))
 def test_offset_is_the_way_from_the_nearest_point_of_densely_sampled_legs(path: ToolPath, seed: int) -> None:
     p = np.random.default_rng(seed).normal(scale=1.5, size=(20, 3))
@@ -130,12 +127,25 @@ def test_offset_is_the_way_from_the_nearest_point_of_densely_sampled_legs(path: 
     np.testing.assert_allclose(path.offset(p - offset), 0.0, rtol=0, atol=1e-13)
 
 
-@settings(deadline=None)
 @given(paths)
 def test_offset_is_zero_on_the_legs(path: ToolPath) -> None:
     on_legs = path.position(np.linspace(0, path.duration, 101))
     np.testing.assert_allclose(path.offset(on_legs), 0.0, rtol=0, atol=1e-13)
     np.testing.assert_allclose(path.offset(path.corners), 0.0, rtol=0, atol=1e-13)
+
+
+@given(paths, st.integers(0, 2**32 - 1))
+def test_leg_offset_is_from_the_leg_of_that_time_only(path: ToolPath, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    legs = len(path.seconds)
+    p = rng.normal(scale=1.5, size=(legs, 3))
+    times = path.leg_times[:-1] + rng.uniform(0.01, 0.99, size=legs) * path.seconds
+    got = path.leg_offset(times, p)
+    for leg in range(legs):
+        alone = replace(path, corners=path.corners[leg : leg + 2], seconds=path.seconds[leg : leg + 1])
+        np.testing.assert_allclose(got[leg], alone.offset(p[leg : leg + 1])[0], rtol=0, atol=1e-14)
+    # The nearest of all legs is no further.
+    assert np.all(np.linalg.norm(path.offset(p), axis=1) <= np.linalg.norm(got, axis=1) + 1e-14)
 
 
 def test_offset_beyond_the_ends_is_from_the_end() -> None:
@@ -149,7 +159,6 @@ def test_offset_beyond_the_ends_is_from_the_end() -> None:
     np.testing.assert_allclose(path.offset(p), [[1.0, 0, 0], [-1.0, 2.0, 0], [0, 0, 0.5]], rtol=0, atol=1e-15)
 
 
-@settings(deadline=None)
 @given(paths, st.integers(0, 60))
 def test_via_times_hold_the_leg_ends_and_equal_steps_within_a_leg(path: ToolPath, more: int) -> None:
     legs = len(path.seconds)
@@ -176,7 +185,6 @@ def test_the_straight_line_of_the_paper_has_equal_steps() -> None:
     assert share_out_segments([20.0], 49) == [49]
 
 
-@settings(deadline=None)
 @given(durations, st.integers(0, 80))
 def test_shares_add_up_and_follow_dhondt(seconds: list[float], more: int) -> None:
     shares = share_out_segments(seconds, len(seconds) + more)
@@ -190,7 +198,7 @@ def test_shares_add_up_and_follow_dhondt(seconds: list[float], more: int) -> Non
             assert shortest >= seconds[gaining] / (shares[gaining] + 1)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(max_examples=40)
 @given(st.lists(st.floats(0.1, 100), min_size=1, max_size=3), st.integers(0, 9))
 def test_no_other_shares_have_a_longer_shortest_step(seconds: list[float], more: int) -> None:
     total = len(seconds) + more
@@ -200,7 +208,6 @@ def test_no_other_shares_have_a_longer_shortest_step(seconds: list[float], more:
     assert min(T / m for T, m in zip(seconds, shares, strict=True)) == best
 
 
-@settings(deadline=None)
 @given(durations, st.integers(0, 60))
 def test_one_more_segment_takes_none_away(seconds: list[float], more: int) -> None:
     fewer = share_out_segments(seconds, len(seconds) + more)
@@ -208,7 +215,6 @@ def test_one_more_segment_takes_none_away(seconds: list[float], more: int) -> No
     assert sorted(gained) == [0] * (len(seconds) - 1) + [1]
 
 
-@settings(deadline=None)
 @given(durations, st.integers(0, 60))
 def test_a_leg_that_lasts_longer_has_no_fewer_segments(seconds: list[float], more: int) -> None:
     assume(len(seconds) > 1)

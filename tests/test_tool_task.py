@@ -52,7 +52,7 @@ def moved(X_WT: Any, twist: FloatArray) -> Any:
 
 
 @every_kind
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=seeds)
 def test_error_is_zero_at_the_goal_and_only_there(keep: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -69,7 +69,7 @@ def test_error_is_zero_at_the_goal_and_only_there(keep: str, seed: int) -> None:
 
 
 @every_kind
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=seeds)
 def test_jacobian_is_minus_the_derivative_of_the_error_at_the_goal(keep: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -85,7 +85,7 @@ def test_jacobian_is_minus_the_derivative_of_the_error_at_the_goal(keep: str, se
 
 
 @every_kind
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(seed=seeds)
 def test_near_the_goal_the_jacobian_is_wrong_by_no_more_than_the_tilt(keep: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -126,7 +126,6 @@ def test_jacobian_of_an_arm(keep: str) -> None:
     np.testing.assert_allclose(np.transpose(differences), -task.jacobian(X_WT, J), rtol=0, atol=1e-8)
 
 
-@settings(deadline=None)
 @given(seeds)
 def test_turning_by_the_error_reaches_the_goal_from_anywhere(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -144,7 +143,6 @@ def test_turning_by_the_error_reaches_the_goal_from_anywhere(seed: int) -> None:
     assert np.linalg.norm(axis[3:]) == pytest.approx(angle, abs=1e-7)
 
 
-@settings(deadline=None)
 @given(seeds, st.floats(-np.pi, np.pi))
 def test_axis_does_not_care_for_a_turn_about_the_tools_own_z(seed: int, angle: float) -> None:
     rng = np.random.default_rng(seed)
@@ -179,7 +177,6 @@ def test_rotation_angles(angle: float) -> None:
     assert not task_of("position", R_goal).rotation(turned).any()
 
 
-@settings(deadline=None)
 @given(seeds)
 def test_rotation_is_the_length_of_the_rotational_error(seed: int) -> None:
     rng = np.random.default_rng(seed)
@@ -205,7 +202,6 @@ def test_an_opposite_axis_is_half_a_turn_away(axis: int, slip: float) -> None:
     np.testing.assert_allclose(task.rotation(R[None]), np.pi, rtol=0, atol=1e-9)
 
 
-@settings(deadline=None)
 @given(seeds)
 def test_a_pose_half_a_turn_away_has_an_error_of_that_length(seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -82,7 +82,6 @@ def test_coefficients_solve_the_six_end_conditions() -> None:
         np.testing.assert_allclose(got[j, i] / h[j] ** k, c, rtol=1e-8, atol=1e-8 * np.abs(c).max())
 
 
-@settings(deadline=None)
 @given(trajectories, st.integers(0, 5))
 def test_evaluate_agrees_with_bernstein_polynomials(x: QuinticTrajectory, order: int) -> None:
     inside = (x.t[:-1, None] + np.diff(x.t)[:, None] * np.linspace(0.01, 0.99, 9)).ravel()
@@ -96,7 +95,6 @@ def test_every_derivative_beyond_the_fifth_is_zero() -> None:
     assert not random_trajectory(0).evaluate([0.1, 0.2], 6).any()
 
 
-@settings(deadline=None)
 @given(trajectories)
 def test_the_knots_are_reproduced(x: QuinticTrajectory) -> None:
     for order, (got, knots) in enumerate(zip(x.states(x.t), (x.q, x.v, x.a), strict=True)):
@@ -104,7 +102,6 @@ def test_the_knots_are_reproduced(x: QuinticTrajectory) -> None:
         np.testing.assert_array_equal(got, x.evaluate(x.t, order))
 
 
-@settings(deadline=None)
 @given(trajectories)
 def test_twice_differentiable_whatever_the_knots(x: QuinticTrajectory) -> None:
     for order in range(3):
@@ -114,7 +111,6 @@ def test_twice_differentiable_whatever_the_knots(x: QuinticTrajectory) -> None:
         np.testing.assert_allclose(x.evaluate(left, order), x.evaluate(x.t[1:-1], order), rtol=0, atol=near)
 
 
-@settings(deadline=None)
 @given(trajectories, st.integers(0, 5))
 def test_jumps_agree_with_bernstein_polynomials(x: QuinticTrajectory, order: int) -> None:
     c = oracle(x).derivative(order).c if order else oracle(x).c
@@ -131,7 +127,7 @@ def test_at_an_inner_knot_a_jumping_derivative_has_the_later_value() -> None:
     assert np.abs(x.jumps(3)).min() > 1e-6
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(trajectories, st.integers(0, 4))
 def test_extrema_bound_every_time_and_are_attained(x: QuinticTrajectory, order: int) -> None:
     extrema = x.extrema(order)
@@ -151,7 +147,7 @@ def test_extrema_bound_every_time_and_are_attained(x: QuinticTrajectory, order: 
             np.testing.assert_allclose(extrema.value[j, i], attained, rtol=0, atol=tiny + slip)
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(trajectories, st.integers(0, 4))
 def test_largest_is_the_largest_magnitude_and_its_time(x: QuinticTrajectory, order: int) -> None:
     extrema = x.extrema(order)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cmbot.errors import PathNotFound
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene.clearance import Clearances
+from cmbot.scene.clearance import Clearances, Nearest
 from cmbot.scene.options import PlannerOptions
 
 __all__ = ["JointPath", "follow_path", "place_on_task", "robust_inverse"]
@@ -20,6 +20,9 @@ FloatArray = NDArray[np.float64]
 
 # The tool is lost, not merely drifting, when it lags this far behind its path.
 _LOST = 0.01
+# Power k of the weights by which the nearest of several pairs prevails: small lets them cancel out, large
+# comes near to Eq. (17)'s jumps.
+_SHARPNESS = 8
 # Corrections of a via-point end when the task error is below this (m and rad); more steps than this many
 # mean that it cannot be reached.
 _ON_TASK = 1e-12
@@ -53,7 +56,13 @@ class JointPath:
 
 
 def follow_path(
-    robot: Robot, task: ToolTask, posture: FloatArray, clearances: Clearances, options: PlannerOptions
+    robot: Robot,
+    task: ToolTask,
+    posture: FloatArray,
+    clearances: Clearances,
+    options: PlannerOptions,
+    *,
+    stop_at_obstacles: bool = True,
 ) -> JointPath:
     """Follow a tool path from a posture, away from obstacles.
 
@@ -68,6 +77,8 @@ def follow_path(
         Where the arm starts; its tool pose is the start of the tool path.
     clearances : Clearances
     options : PlannerOptions
+    stop_at_obstacles : bool
+        False carries on whatever happens, to show what the motion would be.
 
     Raises
     ------
@@ -91,7 +102,7 @@ def follow_path(
         clearance[k], singular_value[k] = smallest.distance[0], s[-1]
         drift[k] = np.linalg.norm(X_WT.translation - points[k])
         obstacle = _obstacle(robot, clearances, smallest.pair[0], q[k], clearance[k], error, options)
-        if obstacle is not None:
+        if obstacle is not None and stop_at_obstacles:
             reason, pair = obstacle
             raise PathNotFound(
                 reason,
@@ -145,19 +156,41 @@ def _null_space_part(J: FloatArray, gradient: FloatArray) -> FloatArray:
 def _gradient(
     kinematics: Kinematics, clearances: Clearances, q: FloatArray, options: PlannerOptions
 ) -> FloatArray:
-    """Gradient of H, (n,): away from the nearest obstacle (Eq. (17)), and the centre of mass to the foot."""
-    gradient = np.zeros(len(q))
-    smallest = clearances.smallest(q[None], avoidable_only=True)
-    distance, d_s = smallest.distance[0], options.avoidance_distance_m
-    if distance <= d_s:
-        nearest = clearances.nearest(q, int(smallest.pair[0]))
-        fade = 1.0 if options.avoidance == "switch" else 1.0 - max(distance, 0.0) / d_s
-        gradient += fade * (np.linalg.pinv(nearest.jacobian, rcond=1e-6) @ nearest.direction)
+    """Gradient of H, (n,): away from what is near, and the arm's centre of mass towards the foot."""
+    away = _away_switched if options.avoidance == "switch" else _away_smoothly
+    gradient = away(clearances, q, options.avoidance_distance_m)
     if options.centre_of_gravity_weight > 0:
         centre, J_c = kinematics.centre_of_mass(q)
         # Only the horizontal lever makes a torque about the foot.
         gradient -= options.centre_of_gravity_weight * (J_c[:2].T @ centre[:2])
     return gradient
+
+
+def _away_switched(clearances: Clearances, q: FloatArray, d_s: float) -> FloatArray:
+    """J_C+ u of the nearest pair where it is nearer than `d_s`: Chang 2021, Eq. (17) to the letter."""
+    smallest = clearances.smallest(q[None], avoidable_only=True)
+    if not smallest.distance[0] <= d_s:
+        return np.zeros(len(q))
+    return _away_from(clearances.nearest(q, int(smallest.pair[0])))
+
+
+def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float) -> FloatArray:
+    """Eq. (17) for every pair nearer than `d_s`, weighted by ``w = 1 - d/d_s``: ``sum w^(k+1) J_C+ u / sum w^k``.
+
+    With one near pair that is its direction, fading in. With several the nearest prevails, without the jump on
+    which Eq. (17) would chatter where another pair becomes the nearest.
+    """
+    total, weights = np.zeros(len(q)), 0.0
+    for near in clearances.within(q, d_s):
+        w = 1.0 - max(near.distance, 0.0) / d_s
+        total += w ** (_SHARPNESS + 1) * _away_from(near)
+        weights += w**_SHARPNESS
+    return total / weights if weights > 0 else total
+
+
+def _away_from(near: Nearest) -> FloatArray:
+    """J_C+ u: the joint rates that move the arm's nearest point straight away."""
+    return np.asarray(np.linalg.pinv(near.jacobian, rcond=1e-6) @ near.direction)
 
 
 def _obstacle(

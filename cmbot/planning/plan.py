@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from cmbot.planning.certificate import Certificate
 from cmbot.planning.figures import MotionFigures, Samples, measure
 from cmbot.planning.optimiser import PassReport
+from cmbot.planning.starts import Start
 from cmbot.planning.task import ToolTask
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.robot import Robot
@@ -47,9 +48,12 @@ class Plan:
         What it was planned with.
     robot : Robot
     task : ToolTask
+    start : Start
+        Where the planned motion starts, and why, if not at the scene's posture.
     baseline : Samples
-        The paper's motion without optimisation: Chang 2021, Eq. (22) integrated; its acceleration and jerk
-        are differences of its rates.
+        The paper's motion without optimisation: Chang 2021, Eq. (22) integrated from the scene's posture; its
+        acceleration and jerk are differences of its rates. It is a motion to compare with, not a plan: it may
+        break limits, and when the planned motion had to start elsewhere it runs into something.
     baseline_figures : MotionFigures
     drift : float, m
         Largest distance of the baseline's tool point from where it should be at that time.
@@ -67,6 +71,7 @@ class Plan:
     options: PlannerOptions
     robot: Robot
     task: ToolTask
+    start: Start
     baseline: Samples
     baseline_figures: MotionFigures
     drift: float

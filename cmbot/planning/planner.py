@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_limits
 
 from cmbot.errors import InputError, PathNotFound, SceneError
 from cmbot.planning.certificate import certify
@@ -16,6 +17,7 @@ from cmbot.planning.gradient_projection import JointPath, follow_path, place_on_
 from cmbot.planning.optimiser import PassReport, optimise
 from cmbot.planning.plan import Plan, Seconds
 from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.starts import find_path
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene
@@ -37,11 +39,14 @@ class Progress:
     ----------
     stage : str
         ``path``, ``optimise`` or ``certify``.
+    failed_starts : int
+        Starting postures from which no path was found so far.
     report : PassReport or None
         After each pass of the optimiser.
     """
 
     stage: str
+    failed_starts: int = 0
     report: PassReport | None = None
 
 
@@ -70,7 +75,8 @@ def plan(
     SceneError, ModelError
         When scene and robot do not fit together.
     PathNotFound
-        When the path ends at an obstacle, a joint's range or out of reach.
+        When the path ends at an obstacle, a joint's range or out of reach, from the scene's posture and from the
+        others that were tried.
     OptimisationFailed
         When no trajectory through the path's via-points keeps the limits.
     LimitViolation
@@ -79,13 +85,28 @@ def plan(
     tell = progress or (lambda _: None)
     options = checked(options) if options is not None else scene.planner
     clock = _Clock()
+    # The matrices are small: more threads of linear algebra than one only wait for each other.
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _plan(scene, options, tell, clock)
+
+
+def _plan(
+    scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None], clock: _Clock
+) -> Plan:
     robot = robot_of(scene)
     posture = robot.posture(scene.posture, source=scene.source, key="posture_deg", error_type=SceneError)
     task = task_of(scene, robot)
     clearances = Clearances(robot, scene.obstacles)
 
     tell(Progress(stage="path"))
-    path = follow_path(robot, task, posture, clearances, options)
+    path, start = find_path(
+        robot,
+        task,
+        posture,
+        clearances,
+        options,
+        lambda failed: tell(Progress(stage="path", failed_starts=failed)),
+    )
     via_times = task.path.via_times(scene.via_points)
     via_points = _via_points(robot, task, path, via_times)
     path_seconds = clock.lap()
@@ -98,6 +119,9 @@ def plan(
     tell(Progress(stage="certify"))
     certificate = certify(robot, task, optimised.trajectory, via_points, clearances, options)
     certificate.require()
+    if start.moved > 0:
+        # The comparison is with what the paper's motion would be from the scene's own posture, obstacles or not.
+        path = follow_path(robot, task, posture, clearances, options, stop_at_obstacles=False)
     baseline = _baseline(robot, task, clearances, path)
     certify_seconds = clock.lap()
     return Plan(
@@ -105,6 +129,7 @@ def plan(
         options=options,
         robot=robot,
         task=task,
+        start=start,
         baseline=baseline,
         baseline_figures=figures(robot, baseline),
         drift=float(path.drift.max()),

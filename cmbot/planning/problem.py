@@ -42,8 +42,8 @@ SAMPLED_SHARE = 1e-3
 _EXACT_SHARE = 1e-6
 # Smoothing below this weight whitens no better.
 _LEAST_WHITENING = 1e-6
-# Midpoints per segment at which the mean square of the torque is taken.
-_MEAN_SAMPLES = 8
+# Gauss points per segment at which the mean square of the torque is taken.
+_MEAN_SAMPLES = 3
 
 
 @dataclass(frozen=True)
@@ -108,9 +108,10 @@ class TorqueProblem:
             ToolDeviation(kinematics, task, options.max_tool_deviation_m * inside),
             ClearanceMargin(clearances, options.safety_margin_m + 1e-5),
         )
-        edges = np.linspace(t[:-1], t[1:], _MEAN_SAMPLES + 1, axis=1)
-        self._mean_times = (0.5 * (edges[:, 1:] + edges[:, :-1])).ravel()
-        self._mean_weights = np.diff(edges, axis=1).ravel() / (t[-1] - t[0])
+        nodes, weights = np.polynomial.legendre.leggauss(_MEAN_SAMPLES)
+        h = np.diff(t)[:, None]
+        self._mean_times = (t[:-1, None] + 0.5 * h * (1 + nodes)).ravel()
+        self._mean_weights = (0.5 * h * weights).ravel() / (t[-1] - t[0])
         self._mean_rows = self.rows(self._mean_times)
 
     @property
@@ -124,7 +125,7 @@ class TorqueProblem:
 
     def states(self, y: FloatArray, times: FloatArray) -> States:
         """Return the joints' states at `times` (N,)."""
-        return States(*self.trajectory(y).states(times))
+        return States(times, *self.trajectory(y).states(times))
 
     def rows(self, times: FloatArray) -> FloatArray:
         """Whitened basis splines and their first three derivatives at `times`, (4, N, n - 4)."""

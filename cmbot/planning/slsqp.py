@@ -14,7 +14,7 @@ __all__ = ["Subproblem", "solve_slsqp"]
 FloatArray = NDArray[np.float64]
 
 # SLSQP stops when the objective (about 1) changes less than this and the constraints' violations sum to less.
-_ACCURACY = 1e-10
+_ACCURACY = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)

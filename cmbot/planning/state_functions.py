@@ -35,14 +35,15 @@ _FLAT = 1e-12
 
 @dataclass(frozen=True)
 class States:
-    """Positions, velocities and accelerations (N, n) of the joints at N times."""
+    """Times (N,), and positions, velocities and accelerations (N, n) of the joints there."""
 
+    t: FloatArray
     q: FloatArray
     v: FloatArray
     a: FloatArray
 
     def __getitem__(self, index: IntArray | slice) -> States:
-        return States(self.q[index], self.v[index], self.a[index])
+        return States(self.t[index], self.q[index], self.v[index], self.a[index])
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,10 @@ class JointTorque:
 
 @dataclass(frozen=True)
 class ToolDeviation:
-    """Distance of the tool point from the legs within its bound."""
+    """Distance of the tool point from the leg of its time within its bound.
+
+    That is never less than its distance from all the legs, and unlike that has no kink at a corner.
+    """
 
     kinematics: Kinematics
     task: ToolTask
@@ -132,7 +136,7 @@ class ToolDeviation:
 
     def values(self, states: States) -> tuple[FloatArray, IntArray]:
         """Return distance/bound - 1, (N, 1)."""
-        offset = self.task.path.offset(self.kinematics.tool_poses(states.q)[0])
+        offset = self.task.path.leg_offset(states.t, self.kinematics.tool_poses(states.q)[0])
         value = np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 
@@ -142,7 +146,7 @@ class ToolDeviation:
         value, d_q = np.empty(len(states.q)), np.empty(states.q.shape)
         for k, q in enumerate(states.q):
             X_WT, J = self.kinematics.tool_jacobian(q)
-            offset = self.task.path.offset(X_WT.translation[None])[0] / self.bound
+            offset = self.task.path.leg_offset(states.t[[k]], X_WT.translation[None])[0] / self.bound
             distance = float(np.linalg.norm(offset))
             value[k] = distance - 1
             d_q[k] = offset @ J[:3] / max(distance, _FLAT) / self.bound

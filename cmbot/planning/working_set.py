@@ -74,7 +74,7 @@ class WorkingSet:
         trajectory = problem.trajectory(y)
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             if len(sites.times):
-                at = function.linearise(States(*trajectory.states(sites.times)), sites.component)
+                at = function.linearise(States(sites.times, *trajectory.states(sites.times)), sites.component)
                 values.append(at.value)
                 jacobians.append(problem.chain(sites.rows, at.d_q, at.d_v, at.d_a))
         for bound, sites in zip(problem.bounds, self._bound_sites, strict=True):
@@ -121,7 +121,7 @@ class WorkingSet:
             Largest scaled guardrail torque seen.
         """
         times = self._problem.grid[::stride]
-        states = States(*trajectory.states(times))
+        states = States(times, *trajectory.states(times))
         added, worst, peak = 0, Violation("none", -np.inf), 0.0
         for k, (function, sites) in enumerate(zip(self._functions, self._state_sites, strict=True)):
             value, component = function.values(states)

@@ -183,6 +183,8 @@ def _tree(root: ElementTree.Element) -> Iterator[Finding]:
         names = [element.get("name", "") for element in root.findall(tag)]
         for name in sorted({name for name in names if names.count(name) > 1 or not name}):
             yield _error(f"{tag}[{name}]", f"{names.count(name)} of that name", "a unique name for each")
+        if "universe" in names:
+            yield _error(f"{tag}[universe]", "pinocchio's name for the world", "another name")
     links = {link.get("name", "") for link in root.findall("link")}
     if not links:
         yield _error("link", "none", "at least one link")

@@ -232,10 +232,13 @@ def _pose(mount: ArrayLike) -> Any:
 
 def _on_free_flyer(model: Any) -> Any:
     """Return `model` below a massless free-flyer at W."""
+    name = "guardrail"
+    while model.existFrame(name):
+        name += "_"
     floating = pin.Model()
-    root = floating.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), "guardrail")
+    root = floating.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
     floating.addJointFrame(root)
-    floating = pin.appendModel(floating, model, floating.getFrameId("guardrail"), pin.SE3.Identity())
+    floating = pin.appendModel(floating, model, floating.getFrameId(name), pin.SE3.Identity())
     floating.inertias[root] = pin.Inertia.Zero()
     floating.gravity = model.gravity
     return floating

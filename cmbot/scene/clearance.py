@@ -20,6 +20,8 @@ IntArray = NDArray[np.intp]
 
 # When some point of the arm may have moved further than this, m, all pairs are looked at again.
 _LOOK_AGAIN = 0.05
+# Rounding that the choice of near pairs allows for, m.
+_SLACK = 1e-9
 # GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured.
 _GJK_TOLERANCE = 1e-10
 
@@ -155,6 +157,13 @@ class Clearances:
                 distance[k], pair[k] = self._smallest(q_k, counted)
         return Smallest(distance=distance, pair=pair)
 
+    def within(self, q: FloatArray, distance: float) -> list[Nearest]:
+        """Return the nearest points of every avoidable pair (see `smallest`) nearer than `distance` at `q`."""
+        moved = self._moved(q)
+        candidates = np.flatnonzero(self._avoidable & (self._seen <= distance + moved + _SLACK))
+        found = (self.nearest(q, int(pair)) for pair in candidates)
+        return [near for near in found if near.distance < distance]
+
     def nearest(self, q: FloatArray, pair: int) -> Nearest:
         """Return the nearest points of pair number `pair` at posture `q` (n,)."""
         pin.computeJointJacobians(self._model, self._data, q)
@@ -192,14 +201,9 @@ class Clearances:
 
     def _smallest(self, q: FloatArray, counted: NDArray[np.bool_]) -> tuple[float, int]:
         """Smallest distance among the `counted` pairs at `q`, and its pair."""
-        moved = float(np.abs(q - self._seen_at) @ self.reach)
-        if not moved <= _LOOK_AGAIN:
-            self._look_at_all(q)
-            moved = 0.0
-        # No point of the arm has moved further than this since all pairs were looked at, and two shapes of the
-        # arm move against each other only by the joints between them: so no distance has changed by more.
+        moved = self._moved(q)
         nearest = self._seen[counted].min()
-        candidates = np.flatnonzero(counted & (self._seen <= nearest + 2 * moved + 1e-9))
+        candidates = np.flatnonzero(counted & (self._seen <= nearest + 2 * moved + _SLACK))
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, q)
         distances = [
             pin.computeDistance(self._geometry, self._geometry_data, int(pair)).min_distance
@@ -208,11 +212,19 @@ class Clearances:
         best = int(np.argmin(distances))
         return distances[best], int(candidates[best])
 
-    def _look_at_all(self, q: FloatArray) -> None:
-        """Compute the distance of every pair at `q` and remember them."""
+    def _moved(self, q: FloatArray) -> float:
+        """How much any distance can have changed since all pairs were looked at, m; looks again if by much.
+
+        No point of the arm moves further than the joints' moves times their reach, and two shapes of the arm move
+        against each other only by the joints between them.
+        """
+        moved = float(np.abs(q - self._seen_at) @ self.reach)
+        if moved <= _LOOK_AGAIN:
+            return moved
         pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
         self._seen_at = q.copy()
         self._seen = np.array([result.min_distance for result in self._geometry_data.distanceResults])
+        return 0.0
 
     def _reach(self, moving: Sequence[int]) -> FloatArray:
         """Largest distance (n,) that any point of the arm can have from each joint's origin, m."""

@@ -25,8 +25,8 @@ class PlannerOptions:
     knots : str
         ``fixed``: the via-points stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
     avoidance : str
-        ``smooth``: the clearance gradient is multiplied by ``1 - d_min/d_s``, so it fades in.
-        ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump where it switches.
+        ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
+        near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
     avoidance_distance_m : float
         d_s of Eq. (17), m.
     avoidance_gain : float
@@ -42,6 +42,9 @@ class PlannerOptions:
         Feedback from the tool's pose error to its commanded velocity along the path, 1/s.
     path_step_s : float
         Step at which Eq. (22) is integrated, s.
+    other_starts : int
+        When no path leads on from the scene's posture: how many others with the same tool pose, reached by
+        self-motion, are tried at most, the nearest first; 0 keeps the scene's posture.
     safety_margin_m : float
         Smallest clearance that a plan may have, m.
     max_tool_deviation_m : float
@@ -74,6 +77,7 @@ class PlannerOptions:
     damping_threshold: NonNegativeFloat = 0.1
     drift_gain: NonNegativeFloat = 10.0
     path_step_s: Annotated[float, Field(gt=0, le=0.1)] = 0.01
+    other_starts: Annotated[int, Field(ge=0)] = 60
     safety_margin_m: NonNegativeFloat = 0.02
     max_tool_deviation_m: PositiveFloat = 0.001
     solver: Literal["slsqp"] = "slsqp"

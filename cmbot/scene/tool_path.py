@@ -71,12 +71,14 @@ class ToolPath:
 
     def offset(self, p: FloatArray) -> FloatArray:
         """Return the vector from the nearest point of the legs to each of `p` (N, 3), (N, 3), m."""
-        edges = np.diff(self.corners, axis=0)
-        along = np.einsum("nld,ld->nl", p[:, None] - self.corners[:-1], edges) / self.lengths**2
-        nearest = self.corners[:-1] + np.clip(along, 0.0, 1.0)[..., None] * edges
-        offsets = p[:, None] - nearest
+        every = [self._offset_from(np.full(len(p), leg), p) for leg in range(len(self.seconds))]
+        offsets = np.stack(every, axis=1)
         leg = np.einsum("nld,nld->nl", offsets, offsets).argmin(axis=1)
         return np.asarray(offsets[np.arange(len(p)), leg])
+
+    def leg_offset(self, times: ArrayLike, p: FloatArray) -> FloatArray:
+        """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the leg at `times`."""
+        return self._offset_from(self._locate(times)[0], p)
 
     def via_times(self, count: int) -> FloatArray:
         """Times t_j (count,) of the via-points: leg ends, and equal steps within each leg (Eq. (23)).
@@ -92,6 +94,11 @@ class ToolPath:
             for start, end, m in zip(self.leg_times[:-1], self.leg_times[1:], segments, strict=True)
         ]
         return np.concatenate([*pieces, self.leg_times[-1:]])
+
+    def _offset_from(self, leg: NDArray[np.intp], p: FloatArray) -> FloatArray:
+        start, edge = self.corners[leg], np.diff(self.corners, axis=0)[leg]
+        along = np.einsum("nd,nd->n", p - start, edge) / self.lengths[leg] ** 2
+        return np.asarray(p - start - np.clip(along, 0.0, 1.0)[:, None] * edge)
 
     def _locate(self, times: ArrayLike) -> tuple[NDArray[np.intp], FloatArray]:
         """Leg (N,) and share of its duration (N,) at `times`; outside the path, its nearer end."""
