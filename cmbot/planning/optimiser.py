@@ -24,6 +24,10 @@ FloatArray = NDArray[np.float64]
 # no longer needed once the others are met.
 _COARSE_STRIDE = 10
 _COARSE_MOST = 40
+# In those passes the smoothing weighs more, so that splines do not swing between the few working times.
+_COARSE_SMOOTHING = 1000.0
+# SLSQP's line search can stall short of the constraints; started afresh from there it gets on.
+_MOST_STALLS = 3
 # A peak this near to that of the resting ends cannot be told from it.
 _AT_REST = 1e-6
 
@@ -105,68 +109,75 @@ class _Run:
         self._problem = problem
         self._progress = progress
         self._working = WorkingSet(problem)
-        self._working.add_torque_times(problem.space.t)
+        t = problem.space.t
+        self._working.add_everywhere(0.5 * (t[1:] + t[:-1]))
         self.reports: list[PassReport] = []
 
     def stage(self, name: str, y: FloatArray, bound: float) -> tuple[FloatArray, float]:
         """Run one stage from `y`; return its end and its scaled peak torque."""
-        options = self._problem.options
-        stride = _COARSE_STRIDE
-        self._working.add_violated(
-            self._problem.trajectory(y), bound, options.constraint_tolerance, stride, _COARSE_MOST
-        )
+        options, tolerance = self._problem.options, self._problem.options.constraint_tolerance
+        stride, most, stalls = _COARSE_STRIDE, _COARSE_MOST, 0
+        self._working.add_violated(self._problem.trajectory(y), bound, tolerance, stride, most)
         while True:
             if len(self.reports) >= options.max_passes:
                 raise self._failure(f"no solution in {options.max_passes} passes", self.reports[-1].worst)
             if name == "peak":
-                x, iterations = solve_slsqp(self._peak_subproblem(y, bound), options.max_iterations)
-                y, bound = x[:-1], float(x[-1])
+                y, bound, iterations = self._lower_peak(y, bound, _COARSE_SMOOTHING if stride > 1 else 1.0)
             else:
-                subproblem, C = self._mean_subproblem(y, bound)
-                u, iterations = solve_slsqp(subproblem, options.max_iterations)
-                y = C @ u
-            most = _COARSE_MOST if stride > 1 else len(self._problem.grid)
+                y, iterations = self._lower_mean_square(y, bound)
             added, worst, peak = self._working.add_violated(
-                self._problem.trajectory(y), bound, options.constraint_tolerance, stride, most
+                self._problem.trajectory(y), bound, tolerance, stride, most
             )
             self._report(name, iterations, peak, worst)
             if added:
                 continue
             if stride > 1:
-                stride = 1
-            elif worst.value > options.constraint_tolerance:
+                stride, most = 1, len(self._problem.grid)
+            elif worst.value <= tolerance:
+                return y, peak
+            elif stalls == _MOST_STALLS:
                 raise self._failure("the solver stopped before the constraints were met", worst)
             else:
-                return y, peak
+                stalls += 1
 
-    def _peak_subproblem(self, y: FloatArray, bound: float) -> Subproblem:
-        """Epigraph form: unknowns (y, b)."""
+    def _lower_peak(self, y: FloatArray, bound: float, smoothing: float) -> tuple[FloatArray, float, int]:
+        """Solve the peak stage's subproblem in epigraph form; its `smoothing` is so many times the problem's.
+
+        Unknowns are (u, b) with ``y = u / sqrt(smoothing)``, which keeps the smoothing term's Hessian.
+        """
+        scale = 1.0 / np.sqrt(smoothing)
+        smooth = self._problem.smoothing
 
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
-            smooth = self._problem.smoothing
             return float(x[-1] + 0.5 * smooth * (x[:-1] @ x[:-1])), np.append(smooth * x[:-1], 1.0)
 
         def constraints(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value, jacobian, torques = self._working.values(x[:-1])
+            value, jacobian, torques = self._working.values(scale * x[:-1])
             value[:torques] -= x[-1]
             d_bound = np.zeros((len(value), 1))
             d_bound[:torques] = -1.0
-            return -value, -np.hstack([jacobian, d_bound])
+            return -value, -np.hstack([scale * jacobian, d_bound])
 
-        return Subproblem(start=np.append(y, bound), objective=objective, constraints=constraints)
+        start = np.append(y / scale, bound)
+        x, iterations = solve_slsqp(
+            Subproblem(start=start, objective=objective, constraints=constraints),
+            self._problem.options.max_iterations,
+        )
+        return scale * x[:-1], float(x[-1]), iterations
 
-    def _mean_subproblem(self, y: FloatArray, bound: float) -> tuple[Subproblem, FloatArray]:
-        """Mean square of the torque, its norm below `bound`; unknowns u with ``y = C u``.
+    def _lower_mean_square(self, y: FloatArray, bound: float) -> tuple[FloatArray, int]:
+        """Solve the mean-square stage's subproblem, the torque's norm held below `bound`.
 
-        C whitens the objective's Gauss-Newton Hessian, so that SLSQP starts with nearly the right curvature.
+        Unknowns are u with ``y = C u``, where C whitens the objective's Gauss-Newton Hessian: SLSQP then starts
+        with nearly the right curvature.
         """
         L = np.linalg.cholesky(self._problem.mean_square_curvature(y))
         C = linalg.solve_triangular(L, np.eye(len(L)), lower=True).T
+        smooth = self._problem.smoothing
 
         def objective(u: FloatArray) -> tuple[float, FloatArray]:
             y = C @ u
             value, gradient = self._problem.mean_square(y)
-            smooth = self._problem.smoothing
             return value + 0.5 * smooth * float(y @ y), C.T @ (gradient + smooth * y)
 
         def constraints(u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -174,7 +185,11 @@ class _Run:
             value[:torques] -= bound
             return -value, -(jacobian @ C)
 
-        return Subproblem(start=L.T @ y, objective=objective, constraints=constraints), C
+        u, iterations = solve_slsqp(
+            Subproblem(start=L.T @ y, objective=objective, constraints=constraints),
+            self._problem.options.max_iterations,
+        )
+        return C @ u, iterations
 
     def _report(self, stage: str, iterations: int, peak: float, worst: Violation) -> None:
         report = PassReport(

@@ -32,14 +32,16 @@ from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene.clearance import Clearances
 from cmbot.scene.options import PlannerOptions
 
-__all__ = ["SAMPLED_SHARE", "TorqueProblem"]
+__all__ = ["TorqueProblem"]
 
 FloatArray = NDArray[np.float64]
 
 # Sampled constraints are kept this share inside their bounds, for what lies between the samples; bounds on
-# polynomials are met at their exact extrema and need only the solver's tolerance.
-SAMPLED_SHARE = 1e-3
-_EXACT_SHARE = 1e-6
+# polynomials are met at their exact extrema and need only room for the solver's tolerance.
+_SAMPLED_SHARE = 1e-3
+_EXACT_SHARE_IN_TOLERANCES = 10.0
+# The same room for the clearance, m.
+_CLEARANCE_ROOM = 1e-5
 # Smoothing below this weight whitens no better.
 _LEAST_WHITENING = 1e-6
 # Gauss points per segment at which the mean square of the torque is taken.
@@ -100,13 +102,13 @@ class TorqueProblem:
         torque = self.dynamics.efforts(states.q, states.v, states.a).guardrail_torque
         self.scale = float(np.linalg.norm(torque, axis=1).max())
         self.torque = GuardrailTorque(self.dynamics, self.scale)
-        self.bounds = _kinematic_bounds(robot)
+        self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         kinematics = Kinematics(robot)
-        inside = 1 - SAMPLED_SHARE
+        inside = 1 - _SAMPLED_SHARE
         self.functions: tuple[StateFunction, ...] = (
             JointTorque(self.dynamics, robot.limits.torque * inside),
             ToolDeviation(kinematics, task, options.max_tool_deviation_m * inside),
-            ClearanceMargin(clearances, options.safety_margin_m + 1e-5),
+            ClearanceMargin(clearances, options.safety_margin_m + _CLEARANCE_ROOM),
         )
         nodes, weights = np.polynomial.legendre.leggauss(_MEAN_SAMPLES)
         h = np.diff(t)[:, None]
@@ -173,11 +175,10 @@ class TorqueProblem:
         return self._origin + self.whitened_basis @ x.T
 
 
-def _kinematic_bounds(robot: Robot) -> tuple[KinematicBound, ...]:
+def _kinematic_bounds(robot: Robot, inside: float) -> tuple[KinematicBound, ...]:
     limits = robot.limits
     middle = np.where(np.isfinite(limits.lower), 0.5 * (limits.lower + limits.upper), 0.0)
     half = np.where(np.isfinite(limits.lower), 0.5 * (limits.upper - limits.lower), np.inf)
-    inside = 1 - _EXACT_SHARE
     low, high = middle - half * inside, middle + half * inside
     symmetric = ((limits.velocity, "velocity"), (limits.acceleration, "acceleration"), (limits.jerk, "jerk"))
     return (

@@ -63,6 +63,10 @@ class StateFunction(Protocol):
     def name(self) -> str:
         """What is constrained, for messages."""
 
+    @property
+    def components(self) -> int | None:
+        """Number of components; None where they are too many to look at one by one."""
+
     def values(self, states: States) -> tuple[FloatArray, IntArray]:
         """Return values (N, c) and what tells their components apart (N, c), at N states."""
 
@@ -80,6 +84,7 @@ class GuardrailTorque:
     dynamics: Dynamics
     scale: float
     name: str = "guardrail torque"
+    components: int = 1
 
     def values(self, states: States) -> tuple[FloatArray, IntArray]:
         """Return the norms (N, 1)."""
@@ -105,6 +110,11 @@ class JointTorque:
     dynamics: Dynamics
     bound: FloatArray
     name: str = "joint torque"
+
+    @property
+    def components(self) -> int:
+        """Two a joint."""
+        return 2 * len(self.bound)
 
     def values(self, states: States) -> tuple[FloatArray, IntArray]:
         """Return tau/tau_C - 1 and -tau/tau_C - 1, (N, 2n)."""
@@ -133,6 +143,7 @@ class ToolDeviation:
     task: ToolTask
     bound: float
     name: str = "tool deviation"
+    components: int = 1
 
     def values(self, states: States) -> tuple[FloatArray, IntArray]:
         """Return distance/bound - 1, (N, 1)."""
@@ -143,14 +154,11 @@ class ToolDeviation:
     def linearise(self, states: States, component: IntArray) -> Linearisation:
         """Linearise the distance."""
         del component
-        value, d_q = np.empty(len(states.q)), np.empty(states.q.shape)
-        for k, q in enumerate(states.q):
-            X_WT, J = self.kinematics.tool_jacobian(q)
-            offset = self.task.path.leg_offset(states.t[[k]], X_WT.translation[None])[0] / self.bound
-            distance = float(np.linalg.norm(offset))
-            value[k] = distance - 1
-            d_q[k] = offset @ J[:3] / max(distance, _FLAT) / self.bound
-        return Linearisation(value, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
+        p_WT, J = self.kinematics.tool_point_jacobians(states.q)
+        offset = self.task.path.leg_offset(states.t, p_WT) / self.bound
+        distance = np.linalg.norm(offset, axis=1)
+        d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _FLAT)[:, None] / self.bound, J)
+        return Linearisation(distance - 1, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
 
 
 @dataclass(frozen=True)
@@ -161,6 +169,7 @@ class ClearanceMargin:
     margin: float
     scale: float = 0.1
     name: str = "clearance"
+    components: None = None
 
     def values(self, states: States) -> tuple[FloatArray, IntArray]:
         """Return (margin - distance)/scale of the nearest pair, (N, 1), and the pair."""

@@ -91,9 +91,14 @@ class WorkingSet:
             return np.empty(0), np.empty((0, problem.dimension)), 0
         return np.concatenate(values), np.vstack(jacobians), len(self._state_sites[0].times)
 
-    def add_torque_times(self, times: FloatArray) -> None:
-        """Add times at which the guardrail torque is compared with its bound."""
-        self._state_sites[0].add(times, np.zeros(len(times), dtype=np.intp), self._problem)
+    def add_everywhere(self, times: FloatArray) -> None:
+        """Add the guardrail torque and every constraint with one component at `times`.
+
+        Without a first hold all along, the first passes would run far away where nothing has been added yet.
+        """
+        for function, sites in zip(self._functions, self._state_sites, strict=True):
+            if function.components == 1:
+                sites.add(times, np.zeros(len(times), dtype=np.intp), self._problem)
 
     def add_violated(
         self, trajectory: QuinticTrajectory, torque_bound: float, tolerance: float, stride: int, most: int

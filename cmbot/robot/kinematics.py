@@ -55,6 +55,14 @@ class Kinematics:
         J = pin.computeFrameJacobian(model, data, q, self._tool, pin.ReferenceFrame.LOCAL_WORLD_ALIGNED)
         return pin.updateFramePlacement(model, data, self._tool).copy(), J
 
+    def tool_point_jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Tool points p_WT (N, 3), m, and their Jacobians (N, 3, n), m/rad, at postures `q` (N, n)."""
+        p, J = np.empty((len(q), 3)), np.empty((len(q), 3, q.shape[1]))
+        for k, q_k in enumerate(q):
+            X_WT, J_k = self.tool_jacobian(q_k)
+            p[k], J[k] = X_WT.translation, J_k[:3]
+        return p, J
+
     def centre_of_mass(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Centre of mass (3,) of the moving arm, m, in W, and its Jacobian (3, n) at `q` (n,)."""
         model, data = self.robot.model, self._data

@@ -83,6 +83,6 @@ class PlannerOptions:
     solver: Literal["slsqp"] = "slsqp"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
     smoothing_weight: NonNegativeFloat = 1e-4
-    constraint_tolerance: Annotated[float, Field(gt=0, le=1e-3)] = 1e-7
+    constraint_tolerance: Annotated[float, Field(gt=0, le=1e-4)] = 1e-6
     max_passes: PositiveInt = 40
     max_iterations: PositiveInt = 1000
