@@ -1,1 +1,32 @@
-"""."""
+"""The method: path, via-points, trajectory, certificate, plan."""
+
+from cmbot.planning.certificate import Certificate, Check
+from cmbot.planning.figures import LimitUse, MotionFigures, Samples
+from cmbot.planning.gradient_projection import JointPath
+from cmbot.planning.optimiser import PassReport
+from cmbot.planning.plan import Plan, Seconds
+from cmbot.planning.planner import Progress, plan, robot_of, task_of
+from cmbot.planning.spline_space import SplineSpace
+from cmbot.planning.starts import Start
+from cmbot.planning.task import ToolTask
+from cmbot.planning.trajectory import QuinticTrajectory
+
+__all__ = [
+    "Certificate",
+    "Check",
+    "JointPath",
+    "LimitUse",
+    "MotionFigures",
+    "PassReport",
+    "Plan",
+    "Progress",
+    "QuinticTrajectory",
+    "Samples",
+    "Seconds",
+    "SplineSpace",
+    "Start",
+    "ToolTask",
+    "plan",
+    "robot_of",
+    "task_of",
+]
