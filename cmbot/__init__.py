@@ -1,1 +1,86 @@
-"""."""
+"""Plans the motion of a robot arm that works from a base that bends.
+
+The reading order::
+
+    load_scene     a scene file, checked                  cmbot.scene
+    load_robot     a URDF, checked, its limits            cmbot.robot
+    plan           path, trajectory, certificate          cmbot.planning
+    Plan           what came out, with its figures
+    save, load_plan   a plan directory                    cmbot.archive
+    replay         the motion in a browser                cmbot.views
+
+Names are imported when they are first used, so that ``import cmbot`` is quick.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from cmbot.errors import (
+    ArchiveError,
+    CmbotError,
+    InputError,
+    LimitViolation,
+    MissingExtra,
+    ModelError,
+    OptimisationFailed,
+    PathNotFound,
+    PlanningError,
+    SceneError,
+)
+
+if TYPE_CHECKING:
+    from cmbot.archive import load_plan, save
+    from cmbot.planning import Plan, QuinticTrajectory, plan
+    from cmbot.robot import Robot, load_robot
+    from cmbot.scene import PlannerOptions, Scene, load_scene
+    from cmbot.views import replay
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "ArchiveError",
+    "CmbotError",
+    "InputError",
+    "LimitViolation",
+    "MissingExtra",
+    "ModelError",
+    "OptimisationFailed",
+    "PathNotFound",
+    "Plan",
+    "PlannerOptions",
+    "PlanningError",
+    "QuinticTrajectory",
+    "Robot",
+    "Scene",
+    "SceneError",
+    "load_plan",
+    "load_robot",
+    "load_scene",
+    "plan",
+    "replay",
+    "save",
+]
+
+_ROOMS = {
+    "cmbot.archive": ("load_plan", "save"),
+    "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
+    "cmbot.robot": ("Robot", "load_robot"),
+    "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
+    "cmbot.views": ("replay",),
+}
+_ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name from its room when it is first asked for."""
+    if name not in _ROOM_OF:
+        raise AttributeError(f"module 'cmbot' has no attribute {name!r}")
+    value = getattr(import_module(_ROOM_OF[name]), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *_ROOM_OF])

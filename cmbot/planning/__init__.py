@@ -1,6 +1,7 @@
 """The method: path, via-points, trajectory, certificate, plan."""
 
 from cmbot.planning.certificate import Certificate, Check
+from cmbot.planning.examination import examine_scene
 from cmbot.planning.figures import LimitUse, MotionFigures, Samples
 from cmbot.planning.gradient_projection import JointPath
 from cmbot.planning.optimiser import PassReport
@@ -26,6 +27,7 @@ __all__ = [
     "SplineSpace",
     "Start",
     "ToolTask",
+    "examine_scene",
     "plan",
     "robot_of",
     "task_of",

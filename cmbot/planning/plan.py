@@ -118,6 +118,33 @@ class Plan:
             )
 
 
+    def remarks(self) -> Iterator[str]:
+        """Yield what the figures alone do not say, a sentence each."""
+        if self.start.moved > 0:
+            posture = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(self.start.posture))
+            yield (
+                f"Starts elsewhere: from the scene's posture, {self.start.failures[0].reason}. "
+                f"The nearest of {len(self.start.failures)} others with the same tool pose that leads to the end is "
+                f"({posture}) deg, at most {np.rad2deg(self.start.moved):.1f} deg away; "
+                "the arm has to be brought there first."
+            )
+        if self.baseline_figures.min_clearance < self.options.safety_margin_m:
+            yield "The baseline comes nearer than the safety margin: it is shown for comparison and is no plan."
+        yield (
+            f"Gravity's peak torque on the guardrail: {-100 * self.peak_static_reduction:+.2f} % against the "
+            "baseline" + (" (fixed knots cannot lower it at the via-points)." if self.start.moved == 0 else ".")
+        )
+        yield (
+            f"Certified: {len(self.certificate.checks)} checks hold; clearance stays above "
+            f"{1e3 * self.certificate.clearance_bound:.1f} mm at all times, between samples too."
+        )
+        seconds = self.seconds
+        yield (
+            f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({len(self.passes)} passes), "
+            f"certificate {seconds.certify:.2f} s, planning in all {seconds.total:.2f} s."
+        )
+
+
 _ROWS = (
     ("peak torque on the guardrail", "peak_guardrail_torque", "Nm", 1.0, 2),
     ("mean torque on the guardrail", "mean_guardrail_torque", "Nm", 1.0, 2),

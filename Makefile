@@ -1,0 +1,40 @@
+# The two commands of the README, and what the developers run. Everything happens in .venv.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: demo test lint bench models clean
+
+demo: .venv/installed
+	$(BIN)/cmbot plan triangle --output out/triangle --force
+
+test: .venv/tested
+	$(BIN)/pytest -n auto
+
+lint: .venv/tested
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+	$(BIN)/python tools/build_models.py --check
+	$(BIN)/python tools/build_schema.py --check
+
+bench: .venv/installed
+	$(BIN)/python benchmarks/run.py
+
+models: .venv/installed
+	$(BIN)/python tools/build_models.py
+	$(BIN)/python tools/build_schema.py
+
+clean:
+	rm -rf .venv out dist
+
+.venv/bin/python:
+	$(PYTHON) -m venv .venv
+
+.venv/installed: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable .
+	touch $@
+
+.venv/tested: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable '.[test]'
+	touch .venv/installed $@

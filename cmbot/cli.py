@@ -1,0 +1,252 @@
+"""The command line: the only place that prints or exits."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, ClassVar
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+import cmbot
+from cmbot.errors import CmbotError, InputError, PlanningError
+
+if TYPE_CHECKING:
+    from cmbot.planning import Plan, Progress
+
+__all__ = ["app", "main"]
+
+DONE, FAILED, BAD_INPUT, NO_PLAN = 0, 1, 2, 3
+
+app = typer.Typer(
+    name="cmbot",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    help="Plan the motion of a robot arm that works from a base that bends.\n\n"
+    "Example: [bold]cmbot plan triangle[/bold], then open out/triangle/replay.html in a browser.",
+)
+out = Console(soft_wrap=True, highlight=False)
+err = Console(stderr=True, soft_wrap=True, highlight=False)
+
+SceneArgument = Annotated[
+    str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")
+]
+PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
+
+
+def main() -> None:
+    """Run the command line; turn errors into one line and an exit status."""
+    sys.excepthook = _one_line
+    try:
+        app()
+    except CmbotError as error:
+        if "--debug" in sys.argv:
+            raise
+        err.print(f"error: {escape(_flat(error))}", style="red" if err.is_terminal else "")
+        sys.exit(exit_status(error))
+
+
+def exit_status(error: CmbotError) -> int:
+    """Exit status of an error: 2 bad input, 3 no plan, 1 anything else."""
+    if isinstance(error, InputError):
+        return BAD_INPUT
+    return NO_PLAN if isinstance(error, PlanningError) else FAILED
+
+
+def _one_line(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
+    """Report what should not have happened."""
+    if "--debug" in sys.argv or isinstance(error, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, traceback)
+    else:
+        text = f"error: {kind.__name__}: {_flat(error)} (a bug in cmbot: --debug shows where)"
+        err.print(escape(text))
+
+
+def _flat(error: BaseException) -> str:
+    return " ".join(str(error).split())
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        out.print(cmbot.__version__)
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+    version: Annotated[
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version.")
+    ] = False,
+) -> None:
+    del debug, version
+
+
+@app.command()
+def plan(
+    scene: SceneArgument,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Plan directory to write [default: out/NAME].")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a plan directory that is there.")] = False,
+) -> None:
+    """Plan a scene, print what was gained, write a plan directory with a replay page.
+
+    Example: [bold]cmbot plan triangle -o out/triangle[/bold]
+    """
+    from cmbot.archive import require_free
+
+    started = time.perf_counter()
+    loaded = cmbot.load_scene(scene)
+    directory = output if output is not None else Path("out") / loaded.name
+    require_free(directory, force=force)
+    with _Narrator() as narrator:
+        planned = cmbot.plan(loaded, progress=narrator.tell)
+    cmbot.save(planned, directory, force=force)
+    cmbot.replay(planned, html=directory / "replay.html")
+    _print_plan(planned)
+    out.print(f"Written to {escape(str(directory))} in {time.perf_counter() - started:.1f} s.")
+    out.print(f"Look at it: open {escape(str(directory / 'replay.html'))} in a browser.")
+
+
+@app.command()
+def replay(
+    directory: PlanArgument,
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Page to write [default: DIR/replay.html].")
+    ] = None,
+    serve: Annotated[bool, typer.Option("--serve", help="Serve the page on 127.0.0.1 instead.")] = False,
+) -> None:
+    """Write a page that replays a plan in any browser, without a network.
+
+    Example: [bold]cmbot replay out/triangle --html triangle.html[/bold]
+    """
+    loaded = cmbot.load_plan(directory)
+    if serve:
+        from cmbot.views import serve_replay
+
+        with serve_replay(loaded) as server:
+            out.print(f"Replay of {escape(loaded.scene.name)} at {server.url}; stop with Ctrl-C.")
+            try:
+                server.wait()
+            except KeyboardInterrupt:
+                return
+    else:
+        page = html if html is not None else directory / "replay.html"
+        cmbot.replay(loaded, html=page)
+        out.print(f"Written to {escape(str(page))}.")
+
+
+@app.command()
+def check(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A URDF, a scene file, or a shipped scene's name.")
+    ],
+) -> None:
+    """Inspect a URDF or a scene before anything is planned with it.
+
+    Examples: [bold]cmbot check arm.urdf[/bold], [bold]cmbot check triangle[/bold]
+    """
+    if Path(file).suffix.lower() in (".urdf", ".xml"):
+        _check_urdf(Path(file))
+    else:
+        _check_scene(file)
+
+
+@app.command()
+def doctor() -> None:
+    """Show versions, where things were loaded from, and what is missing.
+
+    Example: [bold]cmbot doctor[/bold]
+    """
+    from cmbot.doctor import examine
+
+    symptoms = examine()
+    width = max(len(symptom.name) for symptom in symptoms)
+    for symptom in symptoms:
+        mark = "ok     " if symptom.healthy else "MISSING"
+        out.print(f"{mark} {symptom.name:<{width}}  {escape(symptom.found)}")
+    if not all(symptom.healthy for symptom in symptoms):
+        raise typer.Exit(FAILED)
+
+
+def _check_urdf(path: Path) -> None:
+    from cmbot.robot import inspect_urdf, parse_urdf
+
+    root = parse_urdf(path)
+    findings = inspect_urdf(root)
+    for finding in findings:
+        line = f"{finding.severity}: {path}: {finding.key}: got {finding.got}, expected {finding.expected}"
+        out.print(escape(line))
+    joints = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
+    out.print(f"{len(root.findall('link'))} links, {len(joints)} movable joints, {len(findings)} findings.")
+    if any(finding.severity == "error" for finding in findings):
+        raise typer.Exit(BAD_INPUT)
+
+
+def _check_scene(file: str) -> None:
+    from cmbot.planning import examine_scene
+
+    scene = cmbot.load_scene(file)
+    for name, value in examine_scene(scene):
+        out.print(f"{name:<34}{escape(value)}")
+    out.print("The scene can be planned with: " + escape(f"cmbot plan {file}"))
+
+
+def _print_plan(planned: Plan) -> None:
+    if out.is_terminal:
+        table = Table(title=escape(planned.scene.name), title_justify="left")
+        table.add_column("")
+        table.add_column("baseline", justify="right")
+        table.add_column("planned", justify="right")
+        for row in planned.rows():
+            table.add_row(*row)
+        out.print(table)
+    else:
+        out.print(planned.summary())
+    for remark in planned.remarks():
+        out.print(escape(remark))
+
+
+class _Narrator:
+    """Tells what the planner is doing: a moving line on a terminal, plain lines elsewhere."""
+
+    _STAGES: ClassVar[dict[str, str]] = {
+        "path": "following the tool path",
+        "optimise": "optimising",
+        "certify": "certifying",
+    }
+
+    def __enter__(self) -> _Narrator:
+        self._status = err.status("") if err.is_terminal else None
+        if self._status is not None:
+            self._status.start()
+        self._last = ""
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._status is not None:
+            self._status.stop()
+
+    def tell(self, progress: Progress) -> None:
+        """Show one step."""
+        text = self._STAGES[progress.stage]
+        if progress.failed_starts:
+            text += f" from another start ({progress.failed_starts} failed)"
+        report = progress.report
+        if report is not None:
+            text += (
+                f", pass {report.number} ({report.stage}): peak {report.peak_torque:.2f} Nm, "
+                f"worst constraint {report.worst.name} {max(report.worst.value, 0.0):.2%} beyond its bound"
+            )
+        if self._status is not None:
+            self._status.update(text)
+        elif not progress.failed_starts or progress.failed_starts == 1:
+            err.print(text)

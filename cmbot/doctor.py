@@ -1,0 +1,72 @@
+"""What a bug report needs: versions, where things were loaded from, what is missing."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+from dataclasses import dataclass
+from importlib import metadata, util
+from pathlib import Path
+
+import cmbot
+from cmbot.resources import model_folder, scene_folder
+
+__all__ = ["Symptom", "examine"]
+
+_REQUIRED = ("pin", "coal", "numpy", "scipy", "pydantic", "meshcat", "yourdfpy", "trimesh", "typer", "rich")
+_OPTIONAL = (("mujoco", "test"), ("hypothesis", "test"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Symptom:
+    """One line of the examination.
+
+    Attributes
+    ----------
+    name, found : str
+    healthy : bool
+        False when cmbot does not work without it and it is not there.
+    """
+
+    name: str
+    found: str
+    healthy: bool = True
+
+
+def examine() -> list[Symptom]:
+    """Look at the installation."""
+    symptoms = [
+        Symptom(name="cmbot", found=f"{cmbot.__version__} from {Path(cmbot.__file__).parent}"),
+        Symptom(name="python", found=f"{platform.python_version()} on {platform.platform()}"),
+    ]
+    symptoms += [_package(name) for name in _REQUIRED]
+    for name, extra in _OPTIONAL:
+        version = _version(name)
+        missing = f'not installed (optional: pip install "cmbot[{extra}]")'
+        symptoms.append(Symptom(name=name, found=version or missing))
+    for name, path in (
+        ("model", model_folder() / "urdf" / "cmbot.urdf"),
+        ("meshes", model_folder() / "meshes"),
+        ("scenes", scene_folder() / "triangle.yaml"),
+    ):
+        found = str(path) if path.exists() else f"missing: {path}"
+        symptoms.append(Symptom(name=name, found=found, healthy=path.exists()))
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    symptoms.append(Symptom(name="browser", found=browser or "none found (any browser opens the pages)"))
+    return symptoms
+
+
+def _package(name: str) -> Symptom:
+    version = _version(name)
+    module = {"pin": "pinocchio"}.get(name, name)
+    spec = util.find_spec(module)
+    if version is None or spec is None:
+        return Symptom(name=name, found=f"not installed (run: pip install {name})", healthy=False)
+    return Symptom(name=name, found=f"{version} from {Path(spec.origin or '').parent}")
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
