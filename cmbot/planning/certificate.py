@@ -1,8 +1,8 @@
 """The certificate: everything that a plan promises, computed again apart from the optimiser.
 
 It reads the finished trajectory alone. Position, velocity, acceleration and jerk are judged at the exact
-extrema of their polynomials, which is for all times; torques, clearance and the tool's deviation on a grid ten
-times finer than the optimiser's. For the clearance it also states a bound that holds between the samples.
+extrema of their polynomials, which is for all times; torques, clearance and the tool's deviation on a grid
+ten times finer than the optimiser's. For the clearance it also states a bound that holds between samples.
 """
 
 from __future__ import annotations
@@ -10,8 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import LimitViolation
 from cmbot.planning.figures import MotionFigures, figures, measure
 from cmbot.planning.task import ToolTask
@@ -22,7 +22,6 @@ from cmbot.scene.options import PlannerOptions
 
 __all__ = ["Certificate", "Check", "certify"]
 
-FloatArray = NDArray[np.float64]
 
 # Grid of the certificate: this many times finer than the optimiser's.
 _FINER = 10
@@ -194,7 +193,8 @@ def _continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     """Largest jump at an inner knot, or rate left at an end, as a share of its bound (Eqs. (34)-(37))."""
     limits, t = robot.limits, trajectory.t
     worst, where = 0.0, float(t[0])
-    for order, bound in enumerate((np.pi, limits.velocity, limits.acceleration, limits.jerk)):
+    bounds: tuple[FloatArray | float, ...] = (np.pi, limits.velocity, limits.acceleration, limits.jerk)
+    for order, bound in enumerate(bounds):
         jumps = [(t[1:-1], trajectory.jumps(order))]
         if order > 0:
             jumps.append((t[[0, -1]], trajectory.evaluate(t[[0, -1]], order)))

@@ -32,9 +32,15 @@ def examine_scene(scene: Scene) -> Iterator[tuple[str, str]]:
     yield "robot", f"{robot.name}: {robot.dof} joints, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"
     path = task.path
     legs = f"{len(scene.legs)} leg{'s' * (len(scene.legs) > 1)}"
-    yield "tool path", f"{legs}, {path.lengths.sum():.3f} m in {path.duration:g} s, keeps the tool's {scene.keep}"
+    yield (
+        "tool path",
+        f"{legs}, {path.lengths.sum():.3f} m in {path.duration:g} s, keeps the tool's {scene.keep}",
+    )
     yield "via-points", str(len(path.via_times(scene.via_points)))
-    yield "obstacles", f"{len(scene.obstacles)}, of them {sum(o.workpiece for o in scene.obstacles)} workpieces"
+    yield (
+        "obstacles",
+        f"{len(scene.obstacles)}, of them {sum(o.workpiece for o in scene.obstacles)} workpieces",
+    )
     q = scene.posture
     point = ", ".join(f"{x:.4f}" for x in path.corners[0])
     yield "tool point at the start", f"({point}) m"

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene.clearance import Clearances
 
 __all__ = ["LimitUse", "MotionFigures", "Samples", "figures", "measure"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +90,7 @@ def measure(
     task: ToolTask,
     clearances: Clearances,
     t: FloatArray,
-    motion: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    motion: Sequence[FloatArray],
 ) -> Samples:
     """Measure a motion at its samples.
 
@@ -123,7 +122,9 @@ def measure(
     )
 
 
-def figures(robot: Robot, samples: Samples, kinematic_use: tuple[float, float, float] | None = None) -> MotionFigures:
+def figures(
+    robot: Robot, samples: Samples, kinematic_use: tuple[float, float, float] | None = None
+) -> MotionFigures:
     """Reduce samples to figures.
 
     Parameters
@@ -131,7 +132,8 @@ def figures(robot: Robot, samples: Samples, kinematic_use: tuple[float, float, f
     robot : Robot
     samples : Samples
     kinematic_use : three floats, optional
-        Shares of the velocity, acceleration and jerk bounds where they are known exactly; default: as sampled.
+        Shares of the velocity, acceleration and jerk bounds where they are known exactly; default: as
+        sampled.
     """
     limits = robot.limits
     if kinematic_use is None:

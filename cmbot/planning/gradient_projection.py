@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import PathNotFound
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Robot
@@ -16,7 +16,6 @@ from cmbot.scene.options import PlannerOptions
 
 __all__ = ["JointPath", "follow_path", "place_on_task", "robust_inverse"]
 
-FloatArray = NDArray[np.float64]
 
 # The tool is lost, not merely drifting, when it lags this far behind its path.
 _LOST = 0.01
@@ -134,7 +133,7 @@ def robust_inverse(J: FloatArray, options: PlannerOptions) -> FloatArray:
 def place_on_task(
     kinematics: Kinematics, task: ToolTask, q: FloatArray, point: FloatArray
 ) -> FloatArray | None:
-    """Move posture `q` (n,) the least way onto the tool task at `point` (3,); None if it cannot be reached."""
+    """Move posture `q` (n,) the least way onto the task at `point` (3,); None where it cannot be reached."""
     for _ in range(_MOST_CORRECTIONS):
         X_WT, J = kinematics.tool_jacobian(q)
         error = task.error(X_WT, point)
@@ -175,10 +174,10 @@ def _away_switched(clearances: Clearances, q: FloatArray, d_s: float) -> FloatAr
 
 
 def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float) -> FloatArray:
-    """Eq. (17) for every pair nearer than `d_s`, weighted by ``w = 1 - d/d_s``: ``sum w^(k+1) J_C+ u / sum w^k``.
+    """Eq. (17) for every near pair: ``sum w^(k+1) J_C+ u / sum w^k`` with ``w = 1 - d/d_s``.
 
-    With one near pair that is its direction, fading in. With several the nearest prevails, without the jump on
-    which Eq. (17) would chatter where another pair becomes the nearest.
+    With one near pair that is its direction, fading in. With several the nearest prevails, without the jump
+    on which Eq. (17) would chatter where another pair becomes the nearest.
     """
     total, weights = np.zeros(len(q)), 0.0
     for near in clearances.within(q, d_s):
@@ -214,7 +213,10 @@ def _obstacle(
     if len(outside):
         i = outside[0]
         low, high = np.rad2deg([robot.limits.lower[i], robot.limits.upper[i]])
-        return f"{robot.joints[i]} leaves its range {low:g} to {high:g} deg ({np.rad2deg(q[i]):.1f} deg)", None
+        return (
+            f"{robot.joints[i]} leaves its range {low:g} to {high:g} deg ({np.rad2deg(q[i]):.1f} deg)",
+            None,
+        )
     if np.linalg.norm(error[:3]) > _LOST:
         return f"the tool is {np.linalg.norm(error[:3]):.3f} m behind its path: out of reach", None
     return None

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import OptimisationFailed
 from cmbot.planning.feasibility import check_feasible
 from cmbot.planning.problem import TorqueProblem
@@ -18,7 +18,6 @@ from cmbot.planning.working_set import Violation, WorkingSet
 
 __all__ = ["Optimised", "PassReport", "optimise"]
 
-FloatArray = NDArray[np.float64]
 
 # The first passes look at every tenth sample and add few constraints: most of those that they would add are
 # no longer needed once the others are met.
@@ -74,9 +73,7 @@ class Optimised:
     passes: tuple[PassReport, ...]
 
 
-def optimise(
-    problem: TorqueProblem, progress: Callable[[PassReport], None] | None = None
-) -> Optimised:
+def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | None = None) -> Optimised:
     """Solve the torque problem with SLSQP.
 
     Parameters
@@ -168,8 +165,8 @@ class _Run:
     def _lower_mean_square(self, y: FloatArray, bound: float) -> tuple[FloatArray, int]:
         """Solve the mean-square stage's subproblem, the torque's norm held below `bound`.
 
-        Unknowns are u with ``y = C u``, where C whitens the objective's Gauss-Newton Hessian: SLSQP then starts
-        with nearly the right curvature.
+        Unknowns are u with ``y = C u``, where C whitens the objective's Gauss-Newton Hessian: SLSQP then
+        starts with nearly the right curvature.
         """
         L = np.linalg.cholesky(self._problem.mean_square_curvature(y))
         C = linalg.solve_triangular(L, np.eye(len(L)), lower=True).T

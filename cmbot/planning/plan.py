@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.planning.certificate import Certificate
 from cmbot.planning.figures import MotionFigures, Samples, measure
 from cmbot.planning.optimiser import PassReport
@@ -21,7 +21,6 @@ from cmbot.scene.clearance import Clearances
 
 __all__ = ["Plan", "Seconds"]
 
-FloatArray = NDArray[np.float64]
 
 SAMPLE_STEP = 0.01
 """Step of the sampled motions, s."""
@@ -110,13 +109,11 @@ class Plan:
         """Yield the figures, each as its name and unit, the baseline's value and the planned one."""
         pair = (self.baseline_figures, self.figures)
         for name, attribute, unit, factor, digits in _ROWS:
-            yield f"{name}, {unit}", *(f"{factor * getattr(f, attribute):.{digits}f}" for f in pair)
+            left, right = (f"{factor * getattr(figures, attribute):.{digits}f}" for figures in pair)
+            yield f"{name}, {unit}", left, right
         for limit in ("velocity", "acceleration", "jerk", "torque"):
-            yield (
-                f"joint {limit}, share of its bound",
-                *(f"{getattr(f.limit_use, limit):.3f}" for f in pair),
-            )
-
+            left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in pair)
+            yield f"joint {limit}, share of its bound", left, right
 
     def remarks(self) -> Iterator[str]:
         """Yield what the figures alone do not say, a sentence each."""
@@ -124,15 +121,15 @@ class Plan:
             posture = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(self.start.posture))
             yield (
                 f"Starts elsewhere: from the scene's posture, {self.start.failures[0].reason}. "
-                f"The nearest of {len(self.start.failures)} others with the same tool pose that leads to the end is "
-                f"({posture}) deg, at most {np.rad2deg(self.start.moved):.1f} deg away; "
-                "the arm has to be brought there first."
+                f"The {len(self.start.failures)}. other with the same tool pose leads to the end: ({posture}) deg, "
+                f"at most {np.rad2deg(self.start.moved):.1f} deg a joint away. Bring the arm there first."
             )
         if self.baseline_figures.min_clearance < self.options.safety_margin_m:
-            yield "The baseline comes nearer than the safety margin: it is shown for comparison and is no plan."
+            yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
         yield (
             f"Gravity's peak torque on the guardrail: {-100 * self.peak_static_reduction:+.2f} % against the "
-            "baseline" + (" (fixed knots cannot lower it at the via-points)." if self.start.moved == 0 else ".")
+            "baseline"
+            + (" (fixed knots cannot lower it at the via-points)." if self.start.moved == 0 else ".")
         )
         yield (
             f"Certified: {len(self.certificate.checks)} checks hold; clearance stays above "
@@ -140,8 +137,8 @@ class Plan:
         )
         seconds = self.seconds
         yield (
-            f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({len(self.passes)} passes), "
-            f"certificate {seconds.certify:.2f} s, planning in all {seconds.total:.2f} s."
+            f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s "
+            f"({len(self.passes)} passes), certificate {seconds.certify:.2f} s, planning in all {seconds.total:.2f} s."
         )
 
 
@@ -158,5 +155,5 @@ _ROWS = (
 def sample_times(duration: float, step: float) -> FloatArray:
     """Return times from 0 to `duration` every `step` (the last one shorter if need be), s."""
     count = int(np.floor(duration / step * (1 + 1e-12)))
-    t = step * np.arange(count + 1)
+    t: FloatArray = step * np.arange(count + 1, dtype=np.float64)
     return t if duration - t[-1] < 1e-9 * duration else np.append(t, duration)

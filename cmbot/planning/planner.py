@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import InputError, PathNotFound, SceneError
 from cmbot.planning.certificate import certify
 from cmbot.planning.figures import Samples, figures, measure
@@ -27,8 +27,6 @@ from cmbot.scene.tool_path import ToolPath
 from cmbot.validation import validated
 
 __all__ = ["Progress", "plan", "robot_of", "task_of"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,8 +73,8 @@ def plan(
     SceneError, ModelError
         When scene and robot do not fit together.
     PathNotFound
-        When the path ends at an obstacle, a joint's range or out of reach, from the scene's posture and from the
-        others that were tried.
+        When the path ends at an obstacle, a joint's range or out of reach, from the scene's posture and from
+        the others that were tried.
     OptimisationFailed
         When no trajectory through the path's via-points keeps the limits.
     LimitViolation
@@ -90,9 +88,7 @@ def plan(
         return _plan(scene, options, tell, clock)
 
 
-def _plan(
-    scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None], clock: _Clock
-) -> Plan:
+def _plan(scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None], clock: _Clock) -> Plan:
     robot = robot_of(scene)
     posture = robot.posture(scene.posture, source=scene.source, key="posture_deg", error_type=SceneError)
     task = task_of(scene, robot)
@@ -120,7 +116,7 @@ def _plan(
     certificate = certify(robot, task, optimised.trajectory, via_points, clearances, options)
     certificate.require()
     if start.moved > 0:
-        # The comparison is with what the paper's motion would be from the scene's own posture, obstacles or not.
+        # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
         path = follow_path(robot, task, posture, clearances, options, stop_at_obstacles=False)
     baseline = _baseline(robot, task, clearances, path)
     certify_seconds = clock.lap()
@@ -196,7 +192,6 @@ def checked(options: PlannerOptions) -> PlannerOptions:
         Naming the option, what it is and what it may be.
     """
     return validated(PlannerOptions, asdict(options), "PlannerOptions", InputError)
-
 
 
 def _via_points(robot: Robot, task: ToolTask, path: JointPath, times: FloatArray) -> FloatArray:

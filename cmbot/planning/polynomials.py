@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.polynomial import polynomial
-from numpy.typing import NDArray
 
-__all__ = ["derivative", "roots_in_unit_interval"]
+from cmbot.arrays import FloatArray
 
-FloatArray = NDArray[np.float64]
+__all__ = ["derivative", "roots_in_unit_interval", "values"]
+
 
 # Halving [0, 1] this often leaves an interval below the spacing of doubles near 1.
 _BISECTIONS = 54
@@ -52,18 +52,18 @@ def roots_in_unit_interval(c: FloatArray) -> FloatArray:
     stationary = [roots_in_unit_interval(derivative(c))] if degree > 1 else []
     edges = np.concatenate([ends[0], *stationary, ends[1]], axis=-1)
     low, high = edges[..., :-1].copy(), edges[..., 1:].copy()
-    sign_low = np.sign(_values(c, low))
-    crosses = sign_low * np.sign(_values(c, high)) <= 0
+    sign_low = np.sign(values(c, low))
+    crosses = sign_low * np.sign(values(c, high)) <= 0
     for _ in range(_BISECTIONS):
         middle = 0.5 * (low + high)
-        left = np.sign(_values(c, middle)) == sign_low
+        left = np.sign(values(c, middle)) == sign_low
         low, high = np.where(left, middle, low), np.where(left, high, middle)
     return np.where(crosses, 0.5 * (low + high), edges[..., :-1])
 
 
-def _values(c: FloatArray, u: FloatArray) -> FloatArray:
-    """Evaluate each polynomial c (..., k + 1) at its own points u (..., m)."""
-    value = np.broadcast_to(c[..., -1:], u.shape)
+def values(c: FloatArray, u: FloatArray) -> FloatArray:
+    """Evaluate each polynomial `c` (..., k + 1) at its own points `u` (..., m), by Horner's rule."""
+    value = np.broadcast_to(c[..., -1:], np.broadcast_shapes(c[..., -1:].shape, u.shape))
     for power in range(c.shape[-1] - 2, -1, -1):
         value = value * u + c[..., power : power + 1]
-    return value
+    return np.asarray(value)

@@ -14,9 +14,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import linalg
 
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.state_functions import (
     ClearanceMargin,
@@ -34,7 +34,6 @@ from cmbot.scene.options import PlannerOptions
 
 __all__ = ["TorqueProblem"]
 
-FloatArray = NDArray[np.float64]
 
 # Sampled constraints are kept this share inside their bounds, for what lies between the samples; bounds on
 # polynomials are met at their exact extrema and need only room for the solver's tolerance.
@@ -138,7 +137,7 @@ class TorqueProblem:
         parts = (d[:, :, None] * rows[order][:, None, :] for order, d in enumerate((d_q, d_v, d_a)))
         return np.asarray(sum(parts) * self.joint_scale[:, None]).reshape(len(d_q), -1)
 
-    def chain_one(self, rows: FloatArray, joint: NDArray[np.intp], factor: FloatArray) -> FloatArray:
+    def chain_one(self, rows: FloatArray, joint: IntArray, factor: FloatArray) -> FloatArray:
         """Derivatives (N, dimension) of ``factor * derivative of one joint``, `rows` (N, n - 4)."""
         J = np.zeros((len(rows), self.robot.dof, rows.shape[1]))
         J[np.arange(len(rows)), joint] = (factor * self.joint_scale[joint])[:, None] * rows
@@ -172,7 +171,7 @@ class TorqueProblem:
 
     def _knots(self, y: FloatArray) -> FloatArray:
         x = y.reshape(self.robot.dof, -1) * self.joint_scale[:, None]
-        return self._origin + self.whitened_basis @ x.T
+        return np.asarray(self._origin + self.whitened_basis @ x.T)
 
 
 def _kinematic_bounds(robot: Robot, inside: float) -> tuple[KinematicBound, ...]:

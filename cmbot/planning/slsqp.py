@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
+
+from cmbot.arrays import FloatArray
 
 __all__ = ["Subproblem", "solve_slsqp"]
 
-FloatArray = NDArray[np.float64]
 
 # SLSQP stops when the objective (about 1) changes less than this and the constraints' violations sum to less.
 _ACCURACY = 1e-8

@@ -17,17 +17,17 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import linalg, sparse
 from scipy.sparse.linalg import SuperLU, splu
 
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.errors import InputError
 from cmbot.planning.polynomials import derivative
 from cmbot.planning.trajectory import QuinticTrajectory, hermite_coefficients
 
 __all__ = ["SplineSpace"]
 
-FloatArray = NDArray[np.float64]
 
 # A basis spline lives on this many segments: the fewest on which a C3 quintic spline that vanishes at the
 # knots between them, and joins zero with C3 on both sides, exists; it is then unique up to its scale.
@@ -157,7 +157,9 @@ class SplineSpace:
         c = derivative(self._hermite, 3)
         powers = np.arange(c.shape[-1])
         moments = 1.0 / (powers[:, None] + powers + 1)
-        local = np.einsum("mai,ij,mbj->mab", c, moments, c) / (h[:, None, None] ** 5 * (self.t[-1] - self.t[0]))
+        local = np.einsum("mai,ij,mbj->mab", c, moments, c) / (
+            h[:, None, None] ** 5 * (self.t[-1] - self.t[0])
+        )
         index = 3 * np.arange(n - 1)[:, None] + np.arange(6)
         rows, columns = np.repeat(index, 6, axis=1).ravel(), np.tile(index, 6).ravel()
         return sparse.csr_array((local.ravel(), (rows, columns)), shape=(3 * n, 3 * n))
@@ -172,6 +174,6 @@ class SplineSpace:
         return splu(sparse.block_array([[G, C.T], [C, None]], format="csc"))
 
 
-def _velocity_and_acceleration(knots: NDArray[np.intp]) -> NDArray[np.intp]:
+def _velocity_and_acceleration(knots: IntArray) -> IntArray:
     """Indices of the velocities and accelerations of `knots` in a knot vector, ascending."""
-    return (3 * knots[:, None] + np.array([1, 2])).ravel()
+    return np.asarray((3 * knots[:, None] + np.array([1, 2])).ravel())

@@ -9,8 +9,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import PathNotFound
 from cmbot.planning.gradient_projection import JointPath, follow_path, place_on_task
 from cmbot.planning.task import ToolTask
@@ -20,7 +20,6 @@ from cmbot.scene.options import PlannerOptions
 
 __all__ = ["Start", "find_path", "self_motion_postures"]
 
-FloatArray = NDArray[np.float64]
 
 # Self-motion is followed in steps of this length, rad, at most so many of them each way; every fourth posture
 # is tried.
@@ -107,7 +106,7 @@ def find_path(
 
 
 def self_motion_postures(robot: Robot, task: ToolTask, posture: FloatArray) -> list[FloatArray]:
-    """Return postures (n,) within the joint ranges that hold the task's start, the nearest to `posture` first.
+    """Return postures (n,) within the joint ranges that hold the task's start, nearest to `posture` first.
 
     They lie on the curves that lead from `posture` along each direction of the null space, both ways; with a
     full pose and seven joints that is all of the self-motion connected with it.
@@ -125,7 +124,7 @@ def _follow_self_motion(
 ) -> list[FloatArray]:
     """Postures along one curve of self-motion, until a joint's range or the start again."""
     found: list[FloatArray] = []
-    q: FloatArray | None = posture
+    q = posture
     for step in range(1, _MOST_STEPS + 1):
         N = _null_space(kinematics, task, q)
         direction = N @ (N.T @ direction)
@@ -133,9 +132,10 @@ def _follow_self_motion(
         if length < 1e-6:
             break
         direction = direction / length
-        q = place_on_task(kinematics, task, q + _STEP * direction, task.path.corners[0])
-        if q is None or (q < robot.limits.lower).any() or (q > robot.limits.upper).any():
+        placed = place_on_task(kinematics, task, q + _STEP * direction, task.path.corners[0])
+        if placed is None or (placed < robot.limits.lower).any() or (placed > robot.limits.upper).any():
             break
+        q = placed
         if step > 2 and np.linalg.norm(q - posture) < _STEP:
             break
         if step % _TRIED_EVERY == 0:

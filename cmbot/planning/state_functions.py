@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.scene.clearance import Clearances
@@ -26,8 +26,6 @@ __all__ = [
     "ToolDeviation",
 ]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
 _FLAT = 1e-12
@@ -178,11 +176,7 @@ class ClearanceMargin:
 
     def linearise(self, states: States, component: IntArray) -> Linearisation:
         """Linearise the distance of the given pair at each state."""
-        nearest = [
-            self.clearances.nearest(q, int(pair)) for q, pair in zip(states.q, component, strict=True)
-        ]
+        nearest = [self.clearances.nearest(q, int(pair)) for q, pair in zip(states.q, component, strict=True)]
         value = np.array([(self.margin - near.distance) / self.scale for near in nearest])
         d_q = np.array([-near.gradient / self.scale for near in nearest]).reshape(states.q.shape)
         return Linearisation(value, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
-
-

@@ -7,14 +7,12 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
 from cmbot.scene.tool_path import ToolPath
 
 __all__ = ["ToolTask"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class ToolTask:
 
     def error(self, X_WT: Any, point: FloatArray) -> FloatArray:
         """Task coordinates (m,) of the way from `X_WT` to the path's orientation at `point` (3,)."""
-        translation = point - X_WT.translation
+        translation: FloatArray = point - X_WT.translation
         if self.keep == "position":
             return translation
         R, R_goal = X_WT.rotation, self.path.orientation
@@ -63,7 +61,7 @@ class ToolTask:
             return np.zeros(len(R_WT))
         if self.keep == "axis":
             z, z_goal = R_WT[:, :, 2], R_goal[:, 2]
-            return np.arctan2(np.linalg.norm(np.cross(z, z_goal), axis=1), z @ z_goal)
+            return np.asarray(np.arctan2(np.linalg.norm(np.cross(z, z_goal), axis=1), z @ z_goal))
         # |R_goal - R| = 2 sqrt(2) sin(angle/2), exact for small angles where the trace is not.
         chord = np.linalg.norm(R_WT - R_goal, axis=(1, 2)) / (2 * np.sqrt(2))
         return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))

@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
-from cmbot.planning.polynomials import derivative, roots_in_unit_interval
+from cmbot.planning.polynomials import derivative, roots_in_unit_interval, values
 
 __all__ = ["Extrema", "QuinticTrajectory", "hermite_coefficients"]
 
-FloatArray = NDArray[np.float64]
 POSITION, VELOCITY, ACCELERATION, JERK = range(4)
 
 
@@ -76,7 +76,7 @@ class Extrema:
         return magnitude[joint, worst], time[joint, worst]
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class QuinticTrajectory:
     """Piecewise quintics through knots with given position, velocity and acceleration.
 
@@ -128,9 +128,9 @@ class QuinticTrajectory:
     def coefficients(self) -> FloatArray:
         """Coefficients of ``q(t) = sum_k c_k ((t - t_j)/h_j)^k``, (m, n, 6), rad."""
         knots = (self.q, self.v, self.a)
-        return hermite_coefficients(
-            np.diff(self.t), tuple(x[:-1] for x in knots), tuple(x[1:] for x in knots)
-        )
+        c = hermite_coefficients(np.diff(self.t), tuple(x[:-1] for x in knots), tuple(x[1:] for x in knots))
+        c.setflags(write=False)
+        return c
 
     def evaluate(self, times: ArrayLike, order: int = 0) -> FloatArray:
         """Evaluate the trajectory or one of its derivatives.
@@ -147,15 +147,11 @@ class QuinticTrajectory:
         -------
         (N, n)
         """
-        times = np.clip(np.asarray(times, dtype=float), self.t[0], self.t[-1])
-        segment = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
+        t: FloatArray = np.clip(np.asarray(times, dtype=np.float64), self.t[0], self.t[-1])
+        segment = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
         h = np.diff(self.t)[segment]
-        u = ((times - self.t[segment]) / h)[:, None]
-        c = derivative(self.coefficients, order)[segment]
-        value = c[..., -1]
-        for power in range(c.shape[-1] - 2, -1, -1):
-            value = value * u + c[..., power]
-        return np.asarray(value / h[:, None] ** order)
+        u = ((t - self.t[segment]) / h)[:, None, None]
+        return values(derivative(self.coefficients, order)[segment], u)[..., 0] / h[:, None] ** order
 
     def states(self, times: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration at `times` (N,), each (N, n)."""
@@ -167,10 +163,7 @@ class QuinticTrajectory:
         c = derivative(self.coefficients, order)
         u = roots_in_unit_interval(derivative(c))
         u = np.concatenate([np.zeros_like(u[..., :1]), u, np.ones_like(u[..., :1])], axis=-1)
-        value = np.broadcast_to(c[..., -1:], u.shape)
-        for power in range(c.shape[-1] - 2, -1, -1):
-            value = value * u + c[..., power : power + 1]
-        return Extrema(time=self.t[:-1, None, None] + u * h, value=value / h**order)
+        return Extrema(time=self.t[:-1, None, None] + u * h, value=values(c, u) / h**order)
 
     def jumps(self, order: int) -> FloatArray:
         """Return how far derivative `order` jumps at each inner knot, (m - 1, n)."""

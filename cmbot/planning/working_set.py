@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.state_functions import StateFunction, States
 from cmbot.planning.trajectory import QuinticTrajectory
 
 __all__ = ["Violation", "WorkingSet"]
 
-FloatArray = NDArray[np.float64]
 
 # Two sites of one component nearer than this share of a grid step are the same.
 _SAME_SITE = 1e-3
@@ -32,10 +31,10 @@ class _Sites:
     """Times at which one constraint is looked at, which component of it, and the splines' rows there."""
 
     times: FloatArray = field(default_factory=lambda: np.empty(0))
-    component: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, dtype=np.intp))
+    component: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     rows: FloatArray = field(default_factory=lambda: np.empty((4, 0, 0)))
 
-    def add(self, times: FloatArray, component: NDArray[np.intp], problem: TorqueProblem) -> int:
+    def add(self, times: FloatArray, component: IntArray, problem: TorqueProblem) -> int:
         """Add the sites that are not there yet; return how many."""
         step = _SAME_SITE * (problem.grid[1] - problem.grid[0])
         known = (np.abs(self.times - times[:, None]) < step) & (self.component == component[:, None])
@@ -84,9 +83,7 @@ class WorkingSet:
                 sign = np.where(upper, 1.0, -1.0)
                 limit = np.where(upper, bound.high[joint], bound.low[joint])
                 values.append(sign * (derivative - limit) / bound.scale[joint])
-                jacobians.append(
-                    problem.chain_one(sites.rows[bound.order], joint, sign / bound.scale[joint])
-                )
+                jacobians.append(problem.chain_one(sites.rows[bound.order], joint, sign / bound.scale[joint]))
         if not values:
             return np.empty(0), np.empty((0, problem.dimension)), 0
         return np.concatenate(values), np.vstack(jacobians), len(self._state_sites[0].times)
@@ -128,9 +125,9 @@ class WorkingSet:
         times = self._problem.grid[::stride]
         states = States(times, *trajectory.states(times))
         added, worst, peak = 0, Violation("none", -np.inf), 0.0
-        for k, (function, sites) in enumerate(zip(self._functions, self._state_sites, strict=True)):
+        for number, (function, sites) in enumerate(zip(self._functions, self._state_sites, strict=True)):
             value, component = function.values(states)
-            if k == 0:
+            if number == 0:
                 peak = float(value.max())
                 value = value - torque_bound
             elif value.max() > worst.value:
@@ -145,8 +142,8 @@ class WorkingSet:
             under = (bound.low[:, None] - extrema.value) / bound.scale[:, None]
             value = np.stack([over, under], axis=2)
             if value.max() > worst.value:
-                joint = int(np.unravel_index(value.argmax(), value.shape)[1])
-                worst = Violation(f"{bound.name} of {self._problem.robot.joints[joint]}", float(value.max()))
+                name = self._problem.robot.joints[np.unravel_index(value.argmax(), value.shape)[1]]
+                worst = Violation(f"{bound.name} of {name}", float(value.max()))
             # The worst time of each segment, joint and side.
             segment, joint, side = np.nonzero(value.max(axis=3) > tolerance)
             if len(segment) == 0:
@@ -158,7 +155,7 @@ class WorkingSet:
         return added, worst, peak
 
 
-def _local_maxima(value: FloatArray) -> NDArray[np.bool_]:
+def _local_maxima(value: FloatArray) -> BoolArray:
     """Where each column of `value` (N, c) is not exceeded by its neighbours."""
     padded = np.pad(value, ((1, 1), (0, 0)), constant_values=-np.inf)
     return np.asarray((value >= padded[:-2]) & (value >= padded[2:]))

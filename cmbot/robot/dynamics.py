@@ -6,13 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.robot.robot import Robot
 
 __all__ = ["Dynamics", "EffortDerivatives", "Efforts"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.robot.robot import Robot
 
 __all__ = ["Kinematics"]
-
-FloatArray = NDArray[np.float64]
 
 
 class Kinematics:

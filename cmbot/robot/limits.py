@@ -14,16 +14,15 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import InputError, ModelError
 from cmbot.validation import FileModel, validated
 from cmbot.yaml_reader import read_yaml
 
 __all__ = ["JointLimits", "read_joint_limits"]
 
-FloatArray = NDArray[np.float64]
 Positive = Annotated[float, Field(gt=0)]
 
 

@@ -11,10 +11,12 @@ from xml.etree import ElementTree
 import coal
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import ModelError
 from cmbot.resources import model_folder
+from cmbot.robot.hulls import convex_hull, encloses_volume
 from cmbot.robot.inspection import inspect_urdf, parse_robot_xml, parse_urdf
 from cmbot.robot.limits import JointLimits, read_joint_limits
 from cmbot.robot.robot import Robot
@@ -22,8 +24,6 @@ from cmbot.robot.semantics import enable_pairs, stance
 from cmbot.robot.tool import attach_payload, set_tool_length
 
 __all__ = ["load_robot"]
-
-FloatArray = NDArray[np.float64]
 
 
 def load_robot(
@@ -155,15 +155,11 @@ def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
 
 
 def _convex_hull(shape: Any, source: str) -> Any:
-    mesh = shape.geometry
-    vertices = mesh.vertices()
-    extents = np.linalg.svd(vertices - vertices.mean(axis=0), compute_uv=False)
-    # On a flat mesh, even on a nearly flat one (3e-8), coal's hull crashes the process.
-    if len(vertices) < 4 or not extents[2] > 1e-5 * extents[0]:
+    vertices = shape.geometry.vertices()
+    if not encloses_volume(vertices):
         expected = "a mesh that encloses a volume"
         raise ModelError(source, shape.name, f"the mesh {shape.meshPath}", expected)
-    mesh.buildConvexHull(False, "Qt")
-    return mesh.convex
+    return convex_hull(vertices)
 
 
 def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[int]:

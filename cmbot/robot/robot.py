@@ -7,14 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
 from cmbot.robot.limits import JointLimits
 
 __all__ = ["Robot"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

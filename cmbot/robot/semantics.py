@@ -8,14 +8,14 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import ModelError
 
 __all__ = ["enable_pairs", "stance"]
 
 
-def stance(model: Any, semantics: ElementTree.Element | None, path: Path) -> NDArray[np.float64]:
+def stance(model: Any, semantics: ElementTree.Element | None, path: Path) -> FloatArray:
     """Return the configuration of the full model: the SRDF's group states, zero elsewhere.
 
     Parameters
@@ -32,7 +32,7 @@ def stance(model: Any, semantics: ElementTree.Element | None, path: Path) -> NDA
     ModelError
         When a state names an unknown joint or holds no finite number.
     """
-    q: NDArray[np.float64] = pin.neutral(model)
+    q: FloatArray = pin.neutral(model)
     states = [] if semantics is None else semantics.findall("group_state")
     for entry in (joint for state in states for joint in state.findall("joint")):
         name, text = entry.get("name", ""), entry.get("value", "")

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.errors import ModelError
+from cmbot.robot.hulls import convex_hull
 
 __all__ = ["attach_payload", "set_tool_length"]
 
@@ -118,8 +119,5 @@ def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
 
 
 def _stretched_hull(hull: Any, X_FS: Any, ratio: float) -> Any:
-    points = coal.StdVec_Vec3s()
-    for i in range(hull.num_points):
-        p_F = X_FS.act(hull.point(i))
-        points.append(X_FS.actInv(p_F * [1.0, 1.0, ratio]))
-    return coal.Convex.convexHull(points, False, "Qt")
+    stretched = (X_FS.act(hull.point(i)) * [1.0, 1.0, ratio] for i in range(hull.num_points))
+    return convex_hull(np.array([X_FS.actInv(p_F) for p_F in stretched]))

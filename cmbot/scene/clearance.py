@@ -7,16 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
+from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Robot
 from cmbot.scene.obstacles import Obstacle
 from cmbot.scene.shapes import coal_shapes
 
 __all__ = ["Clearances", "Nearest", "ShapePair", "Smallest"]
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 # When some point of the arm may have moved further than this, m, all pairs are looked at again.
 _LOOK_AGAIN = 0.05
@@ -109,11 +107,9 @@ class Clearances:
         self._geometry = pin.GeometryModel(robot.collision_model)
         self._data = robot.model.createData()
         own_pairs = [(pair.first, pair.second) for pair in self._geometry.collisionPairs]
-        moving = [
-            i for i, shape in enumerate(self._geometry.geometryObjects) if shape.parentJoint > 0
-        ]
+        moving = [i for i, shape in enumerate(self._geometry.geometryObjects) if shape.parentJoint > 0]
         self._geometry.removeAllCollisionPairs()
-        self.pairs: tuple[ShapePair, ...] = ()
+        self.pairs: list[ShapePair] = []
         self._shapes: list[tuple[int, int]] = []
         for i, j in own_pairs:
             # The link further out is the one that moves.
@@ -134,8 +130,9 @@ class Clearances:
         for request in self._geometry_data.distanceRequests:
             request.gjk_tolerance = request.epa_tolerance = _GJK_TOLERANCE
         self.reach = self._reach(moving)
-        self._all = np.ones(len(self.pairs), dtype=bool)
-        self._avoidable = np.array([not (pair.of_arm or pair.at_work) for pair in self.pairs], dtype=bool)
+        self._all = np.ones(len(self.pairs), dtype=np.bool_)
+        kept_away_from = [not (pair.of_arm or pair.at_work) for pair in self.pairs]
+        self._avoidable = np.array(kept_away_from, dtype=np.bool_)
         # Where all pairs were last looked at, and their distances there: nowhere yet.
         self._seen_at, self._seen = np.full(robot.dof, np.inf), np.empty(0)
 
@@ -151,14 +148,14 @@ class Clearances:
             Leave out the arm with itself and the tool with a workpiece, as H of Eq. (17) does here.
         """
         counted = self._avoidable if avoidable_only else self._all
-        distance, pair = np.full(len(q), np.inf), np.full(len(q), -1)
+        distance, pair = np.full(len(q), np.inf), np.full(len(q), -1, dtype=np.intp)
         if counted.any():
             for k, q_k in enumerate(q):
                 distance[k], pair[k] = self._smallest(q_k, counted)
         return Smallest(distance=distance, pair=pair)
 
     def within(self, q: FloatArray, distance: float) -> list[Nearest]:
-        """Return the nearest points of every avoidable pair (see `smallest`) nearer than `distance` at `q`."""
+        """Return every avoidable pair (see `smallest`) that is nearer than `distance` at `q`."""
         moved = self._moved(q)
         candidates = np.flatnonzero(self._avoidable & (self._seen <= distance + moved + _SLACK))
         found = (self.nearest(q, int(pair)) for pair in candidates)
@@ -186,7 +183,7 @@ class Clearances:
         self._geometry.addCollisionPair(pin.CollisionPair(i, j))
         self._shapes.append((i, j))
         pair = ShapePair(link=self._link_of(i), other=other, of_arm=of_arm, at_work=at_work)
-        self.pairs = (*self.pairs, pair)
+        self.pairs.append(pair)
 
     def _joint_of(self, shape: int) -> int:
         return int(self._geometry.geometryObjects[shape].parentJoint)
@@ -199,7 +196,7 @@ class Clearances:
         J = pin.getJointJacobian(self._model, self._data, joint, pin.ReferenceFrame.WORLD)
         return np.asarray(J[:3] + np.cross(J[3:], point, axis=0))
 
-    def _smallest(self, q: FloatArray, counted: NDArray[np.bool_]) -> tuple[float, int]:
+    def _smallest(self, q: FloatArray, counted: BoolArray) -> tuple[float, int]:
         """Smallest distance among the `counted` pairs at `q`, and its pair."""
         moved = self._moved(q)
         nearest = self._seen[counted].min()
@@ -215,8 +212,8 @@ class Clearances:
     def _moved(self, q: FloatArray) -> float:
         """How much any distance can have changed since all pairs were looked at, m; looks again if by much.
 
-        No point of the arm moves further than the joints' moves times their reach, and two shapes of the arm move
-        against each other only by the joints between them.
+        No point of the arm moves further than the joints' moves times their reach, and two shapes of the arm
+        move against each other only by the joints between them.
         """
         moved = float(np.abs(q - self._seen_at) @ self.reach)
         if moved <= _LOOK_AGAIN:
@@ -241,5 +238,3 @@ class Clearances:
             parent = model.parents[joint]
             radius[parent] = max(radius[parent], offset + radius[joint])
         return radius[1:]
-
-

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.scene.guardrail_schema import GuardrailFile, Matrix6, SectionFile
 from cmbot.scene.obstacles import Box, Obstacle, pose
 
@@ -139,8 +139,8 @@ class Guardrail:
     post: Post
     rails: tuple[Rail, ...]
     material: GuardrailMaterial
-    stiffness: NDArray[np.float64] | None
-    mass: NDArray[np.float64] | None
+    stiffness: FloatArray | None
+    mass: FloatArray | None
 
 
 def guardrail_from_file(file: GuardrailFile) -> Guardrail:
@@ -200,7 +200,7 @@ def _section(file: SectionFile) -> Section:
     return BarSection(diameter=cast("float", file.bar))  # the schema lets exactly one through
 
 
-def _matrix(rows: Matrix6 | None) -> NDArray[np.float64] | None:
+def _matrix(rows: Matrix6 | None) -> FloatArray | None:
     if rows is None:
         return None
     matrix = np.array(rows)

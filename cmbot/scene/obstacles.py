@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+
+from cmbot.arrays import FloatArray
 
 __all__ = ["Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "Shape", "Sphere", "pose"]
 
@@ -103,11 +104,11 @@ class Obstacle:
 
     name: str
     shape: Shape
-    X_WO: NDArray[np.float64]
+    X_WO: FloatArray
     workpiece: bool = False
 
 
-def pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> NDArray[np.float64]:
+def pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
     """Return a pose from URDF's position and angles.
 
     Parameters

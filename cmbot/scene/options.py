@@ -64,9 +64,7 @@ class PlannerOptions:
         SLSQP iterations per pass (the paper's bound).
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(
-        extra="forbid", strict=True, allow_inf_nan=False
-    )
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     knots: Literal["fixed"] = "fixed"
     avoidance: Literal["smooth", "switch"] = "smooth"

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Literal, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import SceneError
 from cmbot.resources import scene_folder
 from cmbot.scene.guardrail import Guardrail, guardrail_from_file, guardrail_obstacles
@@ -116,7 +116,7 @@ class Scene:
     name: str
     source: str
     robot: RobotSource
-    posture: NDArray[np.float64]
+    posture: FloatArray
     keep: Literal["pose", "axis", "position"]
     legs: tuple[Leg, ...]
     speed_profile: SpeedProfile

@@ -11,9 +11,24 @@ import pinocchio as pin
 import trimesh
 
 from cmbot.errors import SceneError
+from cmbot.robot.hulls import convex_hull, encloses_volume
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 
 __all__ = ["coal_shapes", "load_mesh"]
+
+# What trimesh reads without further packages.
+_FORMATS = ("glb", "obj", "off", "ply", "stl")
+# What its readers let through when a file is damaged.
+_DAMAGED = (
+    OSError,
+    ValueError,
+    LookupError,
+    TypeError,
+    AttributeError,
+    NameError,
+    ArithmeticError,
+    NotImplementedError,
+)
 
 
 def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
@@ -33,7 +48,7 @@ def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
     Raises
     ------
     SceneError
-        When a mesh cannot be read or has no volume.
+        When a mesh cannot be read, or a connected part of it has no volume.
     """
     match shape:
         case Box(size=size):
@@ -45,30 +60,37 @@ def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
         case Sphere(radius=radius):
             geometry = coal.Sphere(radius)
         case Mesh(path=path):
-            return [(_hull(part), pin.SE3.Identity()) for part in load_mesh(path, name).split(only_watertight=False)]
+            parts = load_mesh(path, name).split(only_watertight=False)
+            return [(_hull(part, path, name), pin.SE3.Identity()) for part in parts]
     return [(geometry, pin.SE3.Identity())]
 
 
 def load_mesh(path: Path, name: str) -> trimesh.Trimesh:
-    """Load an obstacle's mesh file (any format that trimesh reads), in metres.
+    """Load an obstacle's mesh file (GLB, OBJ, OFF, PLY or STL), in metres, without its colours.
+
+    Vertices that only differ in colour or normal become one: they would take the mesh apart.
 
     Raises
     ------
     SceneError
         When it cannot be read or has no volume.
     """
+    key = f"obstacles[{name}].mesh"
+    if path.suffix.lower().removeprefix(".") not in _FORMATS:
+        raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)
     try:
         mesh = trimesh.load_mesh(path)
-    except (OSError, ValueError, KeyError, IndexError, TypeError, NotImplementedError) as error:
-        raise SceneError(str(path), f"obstacles[{name}].mesh", f"unreadable ({error})", "a mesh file") from error
-    extents = getattr(mesh, "extents", None)
-    if extents is None or not np.isfinite(extents).all() or np.min(extents) <= 0:
-        raise SceneError(str(path), f"obstacles[{name}].mesh", "no volume", "a mesh with three dimensions")
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)
+    except _DAMAGED as error:
+        raise SceneError(str(path), key, f"unreadable ({error})", "a mesh file") from error
+    if len(mesh.faces) == 0 or not encloses_volume(np.asarray(mesh.vertices)):
+        raise SceneError(str(path), key, "no volume", "a mesh with three dimensions")
     return mesh
 
 
-def _hull(mesh: trimesh.Trimesh) -> Any:
-    points = coal.StdVec_Vec3s()
-    for vertex in mesh.convex_hull.vertices:
-        points.append(np.array(vertex, dtype=float))
-    return coal.Convex.convexHull(points, True, "Qt")
+def _hull(part: trimesh.Trimesh, path: Path, name: str) -> Any:
+    vertices = np.asarray(part.vertices)
+    if not encloses_volume(vertices):
+        got = f"a connected part without volume near {np.round(vertices.mean(axis=0), 3).tolist()}"
+        raise SceneError(str(path), f"obstacles[{name}].mesh", got, "parts with three dimensions each")
+    return convex_hull(vertices)

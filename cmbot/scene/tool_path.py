@@ -7,14 +7,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.errors import InputError
 from cmbot.scene.speed_profile import SpeedProfile
 
 __all__ = ["ToolPath", "share_out_segments"]
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,16 +94,16 @@ class ToolPath:
         ]
         return np.concatenate([*pieces, self.leg_times[-1:]])
 
-    def _offset_from(self, leg: NDArray[np.intp], p: FloatArray) -> FloatArray:
+    def _offset_from(self, leg: IntArray, p: FloatArray) -> FloatArray:
         start, edge = self.corners[leg], np.diff(self.corners, axis=0)[leg]
         along = np.einsum("nd,nd->n", p - start, edge) / self.lengths[leg] ** 2
         return np.asarray(p - start - np.clip(along, 0.0, 1.0)[:, None] * edge)
 
-    def _locate(self, times: ArrayLike) -> tuple[NDArray[np.intp], FloatArray]:
+    def _locate(self, times: ArrayLike) -> tuple[IntArray, FloatArray]:
         """Leg (N,) and share of its duration (N,) at `times`; outside the path, its nearer end."""
-        times = np.clip(np.asarray(times, dtype=float), 0.0, self.duration)
-        leg = np.clip(np.searchsorted(self.leg_times, times, side="right") - 1, 0, len(self.seconds) - 1)
-        return leg, np.clip((times - self.leg_times[leg]) / self.seconds[leg], 0.0, 1.0)
+        t: FloatArray = np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)
+        leg = np.clip(np.searchsorted(self.leg_times, t, side="right") - 1, 0, len(self.seconds) - 1)
+        return leg, np.clip((t - self.leg_times[leg]) / self.seconds[leg], 0.0, 1.0)
 
 
 def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> list[int]:
