@@ -121,16 +121,16 @@ class Plan:
             posture = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(self.start.posture))
             yield (
                 f"Starts elsewhere: from the scene's posture, {self.start.failures[0].reason}. "
-                f"The {len(self.start.failures)}. other with the same tool pose leads to the end: ({posture}) deg, "
-                f"at most {np.rad2deg(self.start.moved):.1f} deg a joint away. Bring the arm there first."
+                f"Of {len(self.start.failures)} others tried with the same tool pose the last leads to the end: "
+                f"({posture}) deg, up to {np.rad2deg(self.start.moved):.1f} deg a joint away. "
+                "Bring the arm there first."
             )
         if self.baseline_figures.min_clearance < self.options.safety_margin_m:
             yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
-        yield (
-            f"Gravity's peak torque on the guardrail: {-100 * self.peak_static_reduction:+.2f} % against the "
-            "baseline"
-            + (" (fixed knots cannot lower it at the via-points)." if self.start.moved == 0 else ".")
+        why = (
+            "fixed knots cannot lower it at the via-points" if self.start.moved == 0 else "by the other start"
         )
+        yield f"Gravity's peak on the guardrail: {-100 * self.peak_static_reduction:+.2f} % ({why})."
         yield (
             f"Certified: {len(self.certificate.checks)} checks hold; clearance stays above "
             f"{1e3 * self.certificate.clearance_bound:.1f} mm at all times, between samples too."
@@ -138,7 +138,7 @@ class Plan:
         seconds = self.seconds
         yield (
             f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s "
-            f"({len(self.passes)} passes), certificate {seconds.certify:.2f} s, planning in all {seconds.total:.2f} s."
+            f"({len(self.passes)} passes), certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
         )
 
 

@@ -1,0 +1,203 @@
+"""Folders and files that appear whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import re
+import secrets
+import shutil
+import stat
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from pathlib import Path
+
+from cmbot.archive.strict_json import read_json
+from cmbot.errors import ArchiveError
+from cmbot.validation import shown
+
+__all__ = ["FORMAT", "PLAN_FILE", "SAVED_FILES", "add_file", "read_file", "write_folder"]
+
+FORMAT = "cmbot-plan/1"
+PLAN_FILE = "plan.json"
+SAVED_FILES = ("trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json")
+"""What stands beside `PLAN_FILE` from the first."""
+
+_FORMAT_OF_ANY_VERSION = re.compile(r"cmbot-plan/\d+")
+_FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
+
+
+def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool) -> None:
+    """Write a plan directory: a hidden folder beside it is filled, then renamed.
+
+    Parameters
+    ----------
+    contents : mapping
+        From each file's name to its bytes.
+    directory : Path
+    force : bool
+        Replace the plan that is there.
+
+    Raises
+    ------
+    ArchiveError
+        When something is in the way, or the system refuses. Nothing is left behind then.
+    """
+    with _refusals(directory), ExitStack() as cleanup:
+        target = directory.resolve()
+        _require_free(target, directory, force=force)
+        missing = [parent for parent in target.parents if not parent.exists()]
+        cleanup.callback(_remove_empty, missing)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        part = _unique(target.parent)
+        cleanup.callback(shutil.rmtree, part, ignore_errors=True)
+        part.mkdir()
+        for name, content in contents.items():
+            _write(part / name, content)
+        _sync(part)
+        if force and target.exists():
+            _swap(part, target)
+        else:
+            part.rename(target)
+        _sync(target.parent)
+
+
+def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
+    """Add a file to a plan directory, whole or not at all; an earlier one of its name is replaced.
+
+    Parameters
+    ----------
+    directory : str or Path
+        A plan directory.
+    name : str
+        Of the file, such as ``replay.html``; not one of those that make up the plan.
+    content : bytes or str
+        Text is written in UTF-8.
+
+    Returns
+    -------
+    Path
+        Of the file.
+
+    Raises
+    ------
+    ArchiveError
+        When `directory` is no plan directory, the name is not possible, or the system refuses.
+    """
+    directory = Path(directory)
+    if not _FILE_NAME.fullmatch(name):
+        expected = "letters, digits, ., - and _, beginning with a letter or digit"
+        raise ArchiveError("add_file", "name", shown(name), expected)
+    if name in (PLAN_FILE, *SAVED_FILES):
+        raise ArchiveError("add_file", "name", name, "a name that is not one of the plan's own files")
+    with _refusals(directory), ExitStack() as cleanup:
+        if not _is_plan_directory(directory):
+            raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
+        part = _unique(directory)
+        cleanup.callback(part.unlink, missing_ok=True)
+        _write(part, content.encode() if isinstance(content, str) else content)
+        part.replace(directory / name)
+        _sync(directory)
+    return directory / name
+
+
+def read_file(path: Path) -> bytes:
+    """Return what stands in a file.
+
+    Raises
+    ------
+    ArchiveError
+        When it is missing, no regular file or unreadable.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe or a device may never end
+            raise ArchiveError(str(path), "", "something that is not a regular file", "a file")
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        raise ArchiveError(str(path), "", "no such file", "a file of the plan directory") from error
+    except OSError as error:
+        got = f"a file that cannot be read ({error.strerror})"
+        raise ArchiveError(str(path), "", got, "a readable file") from error
+
+
+def _require_free(target: Path, directory: Path, *, force: bool) -> None:
+    """Refuse to write over anything but, with `force`, a plan."""
+    if not target.exists():
+        return
+    if not target.is_dir():
+        raise ArchiveError(str(directory), "", "a file of that name", "the name of a new folder")
+    if not force:
+        expected = "a new folder; --force (in Python force=True) replaces a plan"
+        raise ArchiveError(str(directory), "", "a folder that is already there", expected)
+    if any(target.iterdir()) and not _is_plan_directory(target):
+        expected = "a plan directory or an empty folder: nothing else is replaced, not even with --force"
+        raise ArchiveError(str(directory), "", "a folder with something other than a plan in it", expected)
+
+
+def _is_plan_directory(folder: Path) -> bool:
+    """Whether the folder has a plan.json of ours; other programs write files of that name, too."""
+    path = folder / PLAN_FILE
+    try:
+        data = read_json(read_file(path), str(path))
+    except ArchiveError:
+        return False
+    return _FORMAT_OF_ANY_VERSION.fullmatch(str(data.get("format"))) is not None
+
+
+def _swap(part: Path, target: Path) -> None:
+    """Put `part` in the place of `target` and delete that; whatever happens, one of both is in place."""
+    old = _unique(target.parent)
+    with ExitStack() as undo:
+        undo.callback(_put_back, old, target)
+        target.rename(old)
+        part.rename(target)
+    try:
+        shutil.rmtree(old)
+    except OSError as error:
+        got = f"the replaced plan, which cannot be deleted ({error.strerror})"
+        raise ArchiveError(str(old), "", got, "to be deleted by hand; the new plan is in place") from error
+
+
+def _put_back(old: Path, target: Path) -> None:
+    if old.exists() and not target.exists():
+        old.rename(target)
+
+
+def _unique(parent: Path) -> Path:
+    return parent / f".cmbot-{secrets.token_hex(8)}.part"
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):  # not empty, or never made
+            folder.rmdir()
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(folder: Path) -> None:
+    """Make the names in a folder outlast a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def _refusals(directory: Path) -> Iterator[None]:
+    """Turn what the system refuses into an ArchiveError."""
+    try:
+        yield
+    except ArchiveError:
+        raise
+    except OSError as error:
+        where = f" at {error.filename}" if error.filename else ""
+        got = f"a refusal of the system ({error.strerror or error}{where})"
+        raise ArchiveError(str(directory), "", got, "a place that can be written to") from error
+    except (RuntimeError, ValueError) as error:  # links in a circle; a name that no file can have
+        raise ArchiveError(shown(str(directory)), "", shown(str(error)), "the path of a folder") from error

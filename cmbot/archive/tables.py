@@ -1,0 +1,123 @@
+"""A sampled motion as CSV: one row a sample, SI units, radians, world frame."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.errors import ArchiveError
+from cmbot.planning import Samples
+from cmbot.validation import shown
+
+__all__ = ["columns", "read_motion", "samples_csv"]
+
+FloatArray = NDArray[np.float64]
+
+_JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
+_VECTORS = ("guardrail_torque", "guardrail_force", "tool")
+_CLEARANCE = "clearance"
+
+
+def columns(dof: int) -> tuple[str, ...]:
+    """Return the columns' names for an arm of `dof` joints: ``t, q1, ..., clearance``."""
+    joints = (f"{letter}{i}" for letter in _JOINT_COLUMNS for i in range(1, dof + 1))
+    vectors = (f"{vector}_{axis}" for vector in _VECTORS for axis in "xyz")
+    return ("t", *joints, *vectors, _CLEARANCE)
+
+
+def samples_csv(samples: Samples, source: str) -> bytes:
+    """Return samples as CSV; every number is the shortest text that reads back as the same.
+
+    Parameters
+    ----------
+    samples : Samples
+    source : str
+        Name of the file, for messages.
+
+    Raises
+    ------
+    ArchiveError
+        When a number is not finite; an infinite clearance is, where nothing is there to be hit.
+    """
+    vectors = (samples.guardrail_torque, samples.guardrail_force, samples.tool_point)
+    joints = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
+    table = np.column_stack([samples.t, *joints, *vectors, samples.clearance])
+    names = columns(samples.q.shape[1])
+    _require_numbers(table, names, source)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    writer.writerows(table.tolist())
+    return text.getvalue().encode()
+
+
+def read_motion(
+    content: bytes, source: str, dof: int
+) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
+    """Read times and motion from such a table.
+
+    Parameters
+    ----------
+    content : bytes
+    source : str
+        The file, for messages.
+    dof : int
+        Number n of the arm's joints.
+
+    Returns
+    -------
+    t : (N,), s
+    motion : four arrays (N, n)
+        Position, velocity, acceleration and jerk.
+
+    Raises
+    ------
+    ArchiveError
+        When columns are missing or strange, a cell is no number, or times do not increase.
+    """
+    names = columns(dof)
+    table = np.array(_rows(content, source, names))
+    if len(table) < 2 or not (np.diff(table[:, 0]) > 0).all():
+        raise ArchiveError(source, "t", f"{len(table)} rows", "two or more rows, their times increasing")
+    _require_numbers(table, names, source)
+    q, v, a, j = (table[:, 1 + k * dof : 1 + (k + 1) * dof].copy() for k in range(4))
+    return table[:, 0].copy(), (q, v, a, j)
+
+
+def _rows(content: bytes, source: str, names: tuple[str, ...]) -> list[list[float]]:
+    try:
+        header, *lines = content.decode("ascii").splitlines() or [""]
+    except UnicodeDecodeError as error:
+        raise ArchiveError(
+            source, "", f"a strange byte (byte {error.start})", "a table of numbers"
+        ) from error
+    if header != ",".join(names):
+        raise ArchiveError(source, "line 1", shown(header), f"the columns {','.join(names)}")
+    rows = []
+    for number, line in enumerate(lines, start=2):
+        cells = line.split(",")
+        if len(cells) != len(names):
+            raise ArchiveError(source, f"line {number}", f"{len(cells)} cells", f"{len(names)} cells")
+        rows.append([_number(*cell, source, number) for cell in zip(cells, names, strict=True)])
+    return rows
+
+
+def _number(cell: str, column: str, source: str, line: int) -> float:
+    try:
+        return float(cell)
+    except ValueError as error:
+        raise ArchiveError(source, f"line {line}, {column}", shown(cell), "a number") from error
+
+
+def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> None:
+    wrong = ~np.isfinite(table)
+    # With nothing to be hit, the clearance is infinite.
+    wrong[:, -1] &= table[:, -1] != math.inf
+    if wrong.any():
+        row, column = np.argwhere(wrong)[0]
+        key = f"line {row + 2}, {names[column]}"
+        raise ArchiveError(source, key, table[row, column], "a finite number")

@@ -1,0 +1,182 @@
+"""From a plan to the files of its directory."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import platform
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cmbot.archive.folder import FORMAT, PLAN_FILE, write_folder
+from cmbot.archive.schema import PlanFile, or_null
+from cmbot.archive.strict_json import json_bytes
+from cmbot.archive.tables import samples_csv
+from cmbot.errors import ArchiveError
+from cmbot.planning import MotionFigures, Plan, QuinticTrajectory, Start
+from cmbot.robot import Robot
+from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file_model
+from cmbot.planning import Samples
+from cmbot.validation import validated
+
+__all__ = ["save"]
+
+_PACKAGES = ("cmbot", "numpy", "scipy", "pin", "coal")
+
+
+def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
+    """Write a plan directory; it appears whole or not at all.
+
+    Parameters
+    ----------
+    plan : Plan
+    directory : str or Path
+        A new folder; folders above it are made as needed.
+    force : bool
+        Replace the plan that is there, with all files that were added to it. What is no plan directory is
+        never replaced.
+
+    Returns
+    -------
+    Path
+        The directory.
+
+    Raises
+    ------
+    ArchiveError
+        When something is in the way, the system refuses, or the plan holds a number that is not finite.
+    SceneError
+        When a file that the scene names has gone since.
+    """
+    directory = Path(directory)
+    contents = {
+        "trajectory.csv": samples_csv(plan.samples, "trajectory.csv"),
+        "baseline.csv": samples_csv(plan.baseline, "baseline.csv"),
+        "trajectory.npz": _knots(plan.trajectory),
+        "trajectory.ros.json": json_bytes(_ros_joint_trajectory(plan.robot, plan.samples)),
+    }
+    contents[PLAN_FILE] = _plan_json(plan, contents)
+    write_folder(contents, directory, force=force)
+    return directory
+
+
+def _knots(trajectory: QuinticTrajectory) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, t=trajectory.t, q=trajectory.q, v=trajectory.v, a=trajectory.a)
+    return file.getvalue()
+
+
+def _ros_joint_trajectory(robot: Robot, samples: Samples) -> dict[str, Any]:
+    """Return the samples as a ROS 2 ``trajectory_msgs/JointTrajectory``."""
+    nanoseconds = np.rint(1e9 * (samples.t - samples.t[0])).astype(np.int64).tolist()
+    rows = zip(samples.q, samples.v, samples.a, samples.joint_torque, nanoseconds, strict=True)
+    return {
+        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
+        "joint_names": list(robot.joints),
+        "points": [
+            {
+                "positions": q.tolist(),
+                "velocities": v.tolist(),
+                "accelerations": a.tolist(),
+                "effort": torque.tolist(),
+                "time_from_start": {"sec": time // 10**9, "nanosec": time % 10**9},
+            }
+            for q, v, a, torque, time in rows
+        ],
+    }
+
+
+def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
+    scene = _resolved(plan.scene)
+    certificate = plan.certificate
+    data = {
+        "format": FORMAT,
+        "status": "certified" if certificate.holds else "a promise is broken",
+        "baseline": _figures(plan.baseline_figures),
+        "planned": _figures(plan.figures),
+        "torque_floor": None,
+        "gap_to_floor": None,
+        "seconds": asdict(plan.seconds),
+        "certificate": {
+            "clearance_bound": or_null(certificate.clearance_bound),
+            "checks": [
+                {
+                    **asdict(check),
+                    "value": or_null(check.value),
+                    "bound": or_null(check.bound),
+                    "holds": bool(check.holds),
+                }
+                for check in certificate.checks
+            ],
+        },
+        "start": _start(plan.start),
+        "drift": plan.drift,
+        "smallest_singular_value": plan.smallest_singular_value,
+        "options": asdict(plan.options),
+        "scene": scene.as_data(),
+        "versions": _versions(),
+        "hashes": {
+            "robot": plan.robot.content_hash,
+            "scene": plan.scene.content_hash,
+            "resolved_scene": scene_from_file_model(scene, Path.cwd(), plan.scene.source).content_hash,
+        },
+        "files": {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
+        "passes": [asdict(report) for report in plan.passes],
+    }
+    # What could not be read back is not written.
+    validated(PlanFile, data, PLAN_FILE, ArchiveError)
+    return json_bytes(data, indent=2)
+
+
+def _figures(figures: MotionFigures) -> dict[str, Any]:
+    return {**asdict(figures), "min_clearance": or_null(figures.min_clearance)}
+
+
+def _start(start: Start) -> dict[str, Any]:
+    return {
+        "posture_deg": np.degrees(start.posture).tolist(),
+        "moved_deg": float(np.degrees(start.moved)),
+        "failures": [
+            {
+                "reason": failure.reason,
+                "time": failure.time,
+                "progress": failure.progress,
+                "smallest_singular_value": failure.smallest_singular_value,
+                "pair": failure.pair,
+            }
+            for failure in start.failures
+        ],
+    }
+
+
+def _resolved(scene: Scene) -> SceneFile:
+    """Return the scene's content with absolute paths, so that it can be read back from anywhere."""
+    # The scene's own obstacles come before the guardrail's members.
+    own = zip(scene.file.obstacles, scene.obstacles, strict=False)
+    obstacles = tuple(
+        file.model_copy(update={"mesh": str(obstacle.shape.path)})
+        if isinstance(obstacle.shape, Mesh)
+        else file
+        for file, obstacle in own
+    )
+    paths = {name: getattr(scene.robot, name) for name in ("model", "limits", "srdf")}
+    robot = scene.file.robot.model_copy(
+        update={name: str(path) for name, path in paths.items() if path is not None}
+    )
+    return scene.file.model_copy(update={"obstacles": obstacles, "robot": robot})
+
+
+def _versions() -> dict[str, str]:
+    return {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}}
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:  # run from a checkout
+        return "not installed"
