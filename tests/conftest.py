@@ -10,8 +10,10 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 
+from cmbot.planning import Plan, plan
 from cmbot.resources import model_folder
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
+from cmbot.scene import load_scene
 
 FloatArray = NDArray[np.float64]
 States = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
@@ -35,6 +37,11 @@ def cmbot_dynamics(cmbot_robot: Robot) -> Dynamics:
 @pytest.fixture(scope="session")
 def cmbot_kinematics(cmbot_robot: Robot) -> Kinematics:
     return Kinematics(cmbot_robot)
+
+
+@pytest.fixture(scope="session")
+def triangle_plan() -> Plan:
+    return plan(load_scene("triangle"))
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ from cmbot.archive.strict_json import read_json
 from cmbot.errors import ArchiveError
 from cmbot.validation import shown
 
-__all__ = ["FORMAT", "PLAN_FILE", "SAVED_FILES", "add_file", "read_file", "write_folder"]
+__all__ = ["FORMAT", "PLAN_FILE", "SAVED_FILES", "add_file", "read_file", "require_free", "write_folder"]
 
 FORMAT = "cmbot-plan/1"
 PLAN_FILE = "plan.json"
@@ -42,9 +42,9 @@ def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool)
     ArchiveError
         When something is in the way, or the system refuses. Nothing is left behind then.
     """
+    require_free(directory, force=force)
     with _refusals(directory), ExitStack() as cleanup:
-        target = directory.resolve()
-        _require_free(target, directory, force=force)
+        target = _resolved(directory)
         missing = [parent for parent in target.parents if not parent.exists()]
         cleanup.callback(_remove_empty, missing)
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -59,6 +59,36 @@ def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool)
         else:
             part.rename(target)
         _sync(target.parent)
+
+
+def require_free(directory: str | Path, *, force: bool = False) -> None:
+    """Refuse a directory that `save` would refuse; worth asking before a long computation.
+
+    Parameters
+    ----------
+    directory : str or Path
+    force : bool
+        A plan directory or an empty folder may be there, but nothing else.
+
+    Raises
+    ------
+    ArchiveError
+        When something is in the way.
+    """
+    directory = Path(directory)
+    with _refusals(directory):
+        target = _resolved(directory)
+        if not target.exists():
+            return
+        if not target.is_dir():
+            raise ArchiveError(str(directory), "", "a file of that name", "the name of a new folder")
+        if not force:
+            expected = "a new folder; --force (in Python force=True) replaces a plan"
+            raise ArchiveError(str(directory), "", "a folder that is already there", expected)
+        if any(target.iterdir()) and not _is_plan_directory(target):
+            got = "a folder with something other than a plan in it"
+            expected = "a plan directory or an empty folder: nothing else is replaced, not even with --force"
+            raise ArchiveError(str(directory), "", got, expected)
 
 
 def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
@@ -90,13 +120,14 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
     if name in (PLAN_FILE, *SAVED_FILES):
         raise ArchiveError("add_file", "name", name, "a name that is not one of the plan's own files")
     with _refusals(directory), ExitStack() as cleanup:
-        if not _is_plan_directory(directory):
+        target = _resolved(directory)
+        if not _is_plan_directory(target):
             raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
-        part = _unique(directory)
+        part = _unique(target)
         cleanup.callback(part.unlink, missing_ok=True)
-        _write(part, content.encode() if isinstance(content, str) else content)
-        part.replace(directory / name)
-        _sync(directory)
+        _write(part, _in_bytes(content))
+        part.replace(target / name)
+        _sync(target)
     return directory / name
 
 
@@ -119,18 +150,22 @@ def read_file(path: Path) -> bytes:
         raise ArchiveError(str(path), "", got, "a readable file") from error
 
 
-def _require_free(target: Path, directory: Path, *, force: bool) -> None:
-    """Refuse to write over anything but, with `force`, a plan."""
-    if not target.exists():
-        return
-    if not target.is_dir():
-        raise ArchiveError(str(directory), "", "a file of that name", "the name of a new folder")
-    if not force:
-        expected = "a new folder; --force (in Python force=True) replaces a plan"
-        raise ArchiveError(str(directory), "", "a folder that is already there", expected)
-    if any(target.iterdir()) and not _is_plan_directory(target):
-        expected = "a plan directory or an empty folder: nothing else is replaced, not even with --force"
-        raise ArchiveError(str(directory), "", "a folder with something other than a plan in it", expected)
+def _in_bytes(content: bytes | str) -> bytes:
+    if isinstance(content, bytes):
+        return content
+    try:
+        return content.encode()
+    except UnicodeEncodeError as error:
+        got = f"a character that is none (at position {error.start})"
+        raise ArchiveError("add_file", "content", got, "text that UTF-8 can hold") from error
+
+
+def _resolved(directory: Path) -> Path:
+    """Return the absolute path without links, so that what a link leads to is replaced, not the link."""
+    try:
+        return directory.resolve()
+    except (RuntimeError, ValueError) as error:  # links in a circle; a name that no file can have
+        raise ArchiveError(shown(str(directory)), "", shown(str(error)), "the path of a folder") from error
 
 
 def _is_plan_directory(folder: Path) -> bool:
@@ -199,5 +234,3 @@ def _refusals(directory: Path) -> Iterator[None]:
         where = f" at {error.filename}" if error.filename else ""
         got = f"a refusal of the system ({error.strerror or error}{where})"
         raise ArchiveError(str(directory), "", got, "a place that can be written to") from error
-    except (RuntimeError, ValueError) as error:  # links in a circle; a name that no file can have
-        raise ArchiveError(shown(str(directory)), "", shown(str(error)), "the path of a folder") from error

@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import zipfile
-import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmbot.archive.folder import FORMAT, PLAN_FILE, SAVED_FILES, read_file
+from cmbot.archive.knots import read_knots
 from cmbot.archive.schema import PlanFile
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_motion
+from cmbot.arrays import FloatArray
 from cmbot.errors import ArchiveError, InputError
-from cmbot.planning import Certificate, MotionFigures, Plan, QuinticTrajectory, robot_of, task_of
+from cmbot.planning import Certificate, MotionFigures, Plan, robot_of, task_of
 from cmbot.planning.certificate import certify
 from cmbot.planning.figures import figures, measure
 from cmbot.robot import Robot
@@ -30,20 +27,6 @@ from cmbot.validation import shown, validated
 
 __all__ = ["load_plan"]
 
-FloatArray = NDArray[np.float64]
-
-# What np.load raises for a file that is damaged or no .npz at all.
-_DAMAGED = (
-    EOFError,
-    KeyError,
-    MemoryError,
-    NotImplementedError,
-    OSError,
-    RuntimeError,
-    ValueError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 # Figures computed again agree with those in the file to this relative and absolute tolerance: another machine
 # rounds differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
@@ -52,8 +35,9 @@ _SAME, _SAME_ZERO = 1e-6, 1e-9
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     """Read a plan directory.
 
-    The scene is checked as if it came from a file, robot and meshes are loaded from where they were, and all of
-    it must be what the plan was made with. The baseline's torques, clearances and tool points are measured again.
+    The scene is checked as if it came from a file, robot and meshes are loaded from where they were, and all
+    of it must be what the plan was made with. The baseline's torques, clearances and tool points are measured
+    again.
 
     Parameters
     ----------
@@ -79,7 +63,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         clearances = Clearances(robot, scene.obstacles)
     contents = {name: read_file(folder / name) for name in SAVED_FILES}
     duration = task.path.duration
-    trajectory = _trajectory(contents["trajectory.npz"], str(folder / "trajectory.npz"), robot)
+    trajectory = read_knots(contents["trajectory.npz"], str(folder / "trajectory.npz"), robot.dof)
     _require_times(trajectory.t, duration, str(folder / "trajectory.npz"))
     t, motion = read_motion(contents["baseline.csv"], str(folder / "baseline.csv"), robot.dof)
     _require_times(t, duration, str(folder / "baseline.csv"))
@@ -161,34 +145,6 @@ def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
 
 def _changed(source: Path, key: str, got: str, expected: str, what: str) -> ArchiveError:
     return ArchiveError(str(source), key, f"{got[:16]}… now", f"{expected[:16]}…: {what}; plan again")
-
-
-def _trajectory(content: bytes, source: str, robot: Robot) -> QuinticTrajectory:
-    knots = _arrays(content, source)
-    if sorted(knots) != ["a", "q", "t", "v"]:
-        raise ArchiveError(source, "", f"the arrays {', '.join(sorted(knots))}", "the arrays t, q, v, a")
-    for name, array in knots.items():
-        if array.dtype != np.float64:
-            raise ArchiveError(source, name, f"type {array.dtype}", "type float64")
-    try:
-        trajectory = QuinticTrajectory(**knots)
-    except InputError as error:
-        raise ArchiveError(source, error.key, error.got, error.expected) from error
-    if trajectory.q.shape[1] != robot.dof:
-        raise ArchiveError(source, "q", f"{trajectory.q.shape[1]} joints", f"{robot.dof} joints")
-    return trajectory
-
-
-def _arrays(content: bytes, source: str) -> dict[str, Any]:
-    try:
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            return {name: file[name] for name in file.files}
-    except (AttributeError, TypeError) as error:  # a lone array, such as a .npy
-        raise ArchiveError(source, "", "something else", "a NumPy .npz file") from error
-    except _DAMAGED as error:
-        raise ArchiveError(
-            source, "", f"a damaged file ({shown(str(error))})", "a NumPy .npz file"
-        ) from error
 
 
 def _require_times(t: FloatArray, duration: float, source: str) -> None:

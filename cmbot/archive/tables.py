@@ -7,15 +7,13 @@ import io
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray
 from cmbot.errors import ArchiveError
 from cmbot.planning import Samples
 from cmbot.validation import shown
 
 __all__ = ["columns", "read_motion", "samples_csv"]
-
-FloatArray = NDArray[np.float64]
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
@@ -92,9 +90,8 @@ def _rows(content: bytes, source: str, names: tuple[str, ...]) -> list[list[floa
     try:
         header, *lines = content.decode("ascii").splitlines() or [""]
     except UnicodeDecodeError as error:
-        raise ArchiveError(
-            source, "", f"a strange byte (byte {error.start})", "a table of numbers"
-        ) from error
+        got = f"a strange byte (byte {error.start})"
+        raise ArchiveError(source, "", got, "a table of numbers") from error
     if header != ",".join(names):
         raise ArchiveError(source, "line 1", shown(header), f"the columns {','.join(names)}")
     rows = []

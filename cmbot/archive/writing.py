@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
 import platform
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -13,20 +12,21 @@ from typing import Any
 
 import numpy as np
 
+from cmbot import __version__
 from cmbot.archive.folder import FORMAT, PLAN_FILE, write_folder
+from cmbot.archive.knots import knots_npz
 from cmbot.archive.schema import PlanFile, or_null
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import samples_csv
 from cmbot.errors import ArchiveError
-from cmbot.planning import MotionFigures, Plan, QuinticTrajectory, Start
+from cmbot.planning import MotionFigures, Plan, Samples, Start
 from cmbot.robot import Robot
 from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file_model
-from cmbot.planning import Samples
 from cmbot.validation import validated
 
 __all__ = ["save"]
 
-_PACKAGES = ("cmbot", "numpy", "scipy", "pin", "coal")
+_PACKAGES = ("numpy", "scipy", "pin", "coal")
 
 
 def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
@@ -57,18 +57,12 @@ def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
     contents = {
         "trajectory.csv": samples_csv(plan.samples, "trajectory.csv"),
         "baseline.csv": samples_csv(plan.baseline, "baseline.csv"),
-        "trajectory.npz": _knots(plan.trajectory),
+        "trajectory.npz": knots_npz(plan.trajectory),
         "trajectory.ros.json": json_bytes(_ros_joint_trajectory(plan.robot, plan.samples)),
     }
     contents[PLAN_FILE] = _plan_json(plan, contents)
     write_folder(contents, directory, force=force)
     return directory
-
-
-def _knots(trajectory: QuinticTrajectory) -> bytes:
-    file = io.BytesIO()
-    np.savez(file, t=trajectory.t, q=trajectory.q, v=trajectory.v, a=trajectory.a)
-    return file.getvalue()
 
 
 def _ros_joint_trajectory(robot: Robot, samples: Samples) -> dict[str, Any]:
@@ -157,12 +151,10 @@ def _start(start: Start) -> dict[str, Any]:
 def _resolved(scene: Scene) -> SceneFile:
     """Return the scene's content with absolute paths, so that it can be read back from anywhere."""
     # The scene's own obstacles come before the guardrail's members.
-    own = zip(scene.file.obstacles, scene.obstacles, strict=False)
+    shapes = [obstacle.shape for obstacle in scene.obstacles[: len(scene.file.obstacles)]]
     obstacles = tuple(
-        file.model_copy(update={"mesh": str(obstacle.shape.path)})
-        if isinstance(obstacle.shape, Mesh)
-        else file
-        for file, obstacle in own
+        file.model_copy(update={"mesh": str(shape.path)}) if isinstance(shape, Mesh) else file
+        for file, shape in zip(scene.file.obstacles, shapes, strict=True)
     )
     paths = {name: getattr(scene.robot, name) for name in ("model", "limits", "srdf")}
     robot = scene.file.robot.model_copy(
@@ -172,11 +164,5 @@ def _resolved(scene: Scene) -> SceneFile:
 
 
 def _versions() -> dict[str, str]:
-    return {"python": platform.python_version(), **{name: _version(name) for name in _PACKAGES}}
-
-
-def _version(package: str) -> str:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:  # run from a checkout
-        return "not installed"
+    packages = {name: metadata.version(name) for name in _PACKAGES}
+    return {"cmbot": __version__, "python": platform.python_version(), **packages}

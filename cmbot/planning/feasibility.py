@@ -25,7 +25,7 @@ def check_feasible(problem: TorqueProblem) -> None:
     OptimisationFailed
         Naming the joint and the share that it needs.
     """
-    least_jerk = problem.trajectory(np.zeros(problem.dimension))
+    least_jerk = problem.trajectory(problem.family, problem.family.start)
     t = problem.space.t
     grid = np.linspace(t[:-1], t[1:], _SAMPLES_PER_SEGMENT, endpoint=False, axis=1)
     times = np.append(grid.ravel(), t[-1])

@@ -27,6 +27,8 @@ _COARSE_MOST = 40
 _COARSE_SMOOTHING = 1000.0
 # SLSQP's line search can stall short of the constraints; started afresh from there it gets on.
 _MOST_STALLS = 3
+# Unknowns without any effect, such as the slide of a pinned via-point, keep the Hessian regular.
+_LEAST_CURVATURE = 1e-6
 # A peak this near to that of the resting ends cannot be told from it.
 _AT_REST = 1e-6
 
@@ -66,10 +68,13 @@ class Optimised:
     Attributes
     ----------
     trajectory : QuinticTrajectory
+    via_points : (n, d), rad
+        What it was to pass through: those given, or where they slid to.
     passes : tuple of PassReport
     """
 
     trajectory: QuinticTrajectory
+    via_points: FloatArray
     passes: tuple[PassReport, ...]
 
 
@@ -87,16 +92,20 @@ def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | No
     OptimisationFailed
         When the via-points admit no trajectory within the limits, or none was found.
     """
-    check_feasible(problem)
+    if not problem.family.sliding:
+        check_feasible(problem)
     run = _Run(problem, progress)
-    y = np.zeros(problem.dimension)
     at_rest = problem.peak_at_rest / problem.scale * (1 + _AT_REST)
     peak = 1.0
     if peak > at_rest:
-        y, peak = run.stage("peak", y, peak)
+        peak = run.stage("peak", peak)
     if peak <= at_rest:
-        y, _ = run.stage("mean square", y, at_rest)
-    return Optimised(trajectory=problem.trajectory(y), passes=tuple(run.reports))
+        run.stage("mean square", at_rest)
+    return Optimised(
+        trajectory=problem.trajectory(run.family, run.x),
+        via_points=run.family.via_points_at(run.x),
+        passes=tuple(run.reports),
+    )
 
 
 class _Run:
@@ -108,85 +117,93 @@ class _Run:
         self._working = WorkingSet(problem)
         t = problem.space.t
         self._working.add_everywhere(0.5 * (t[1:] + t[:-1]))
+        self.family = problem.family
+        self.x = problem.family.start
         self.reports: list[PassReport] = []
 
-    def stage(self, name: str, y: FloatArray, bound: float) -> tuple[FloatArray, float]:
-        """Run one stage from `y`; return its end and its scaled peak torque."""
+    def stage(self, name: str, bound: float) -> float:
+        """Run one stage from where the last one ended; return its scaled peak torque."""
         options, tolerance = self._problem.options, self._problem.options.constraint_tolerance
         stride, most, stalls = _COARSE_STRIDE, _COARSE_MOST, 0
-        self._working.add_violated(self._problem.trajectory(y), bound, tolerance, stride, most)
+        self._look(bound, stride, most)
         while True:
             if len(self.reports) >= options.max_passes:
                 raise self._failure(f"no solution in {options.max_passes} passes", self.reports[-1].worst)
             if name == "peak":
-                y, bound, iterations = self._lower_peak(y, bound, _COARSE_SMOOTHING if stride > 1 else 1.0)
+                smoothing = _COARSE_SMOOTHING if stride > 1 else 1.0
+                bound, iterations = self._lower_peak(bound, smoothing * options.smoothing_weight)
             else:
-                y, iterations = self._lower_mean_square(y, bound)
-            added, worst, peak = self._working.add_violated(
-                self._problem.trajectory(y), bound, tolerance, stride, most
-            )
+                iterations = self._lower_mean_square(bound)
+            added, worst, peak = self._look(bound, stride, most)
             self._report(name, iterations, peak, worst)
             if added:
                 continue
             if stride > 1:
                 stride, most = 1, len(self._problem.grid)
             elif worst.value <= tolerance:
-                return y, peak
+                return peak
             elif stalls == _MOST_STALLS:
                 raise self._failure("the solver stopped before the constraints were met", worst)
             else:
                 stalls += 1
 
-    def _lower_peak(self, y: FloatArray, bound: float, smoothing: float) -> tuple[FloatArray, float, int]:
-        """Solve the peak stage's subproblem in epigraph form; its `smoothing` is so many times the problem's.
+    def _look(self, bound: float, stride: int, most: int) -> tuple[int, Violation, float]:
+        """Add what the present trajectory violates."""
+        trajectory = self._problem.trajectory(self.family, self.x)
+        tolerance = self._problem.options.constraint_tolerance
+        return self._working.add_violated(trajectory, bound, tolerance, stride, most)
 
-        Unknowns are (u, b) with ``y = u / sqrt(smoothing)``, which keeps the smoothing term's Hessian.
-        """
-        scale = 1.0 / np.sqrt(smoothing)
-        smooth = self._problem.smoothing
+    def _lower_peak(self, bound: float, weight: float) -> tuple[float, int]:
+        """Solve the peak stage's subproblem in epigraph form: unknowns are (x, b)."""
+        family = self.family = self.family.rebuilt(self.x, weight)
 
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
-            return float(x[-1] + 0.5 * smooth * (x[:-1] @ x[:-1])), np.append(smooth * x[:-1], 1.0)
+            value, gradient = family.smoothing(x[:-1])
+            return float(x[-1]) + value, np.append(gradient, 1.0)
 
         def constraints(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value, jacobian, torques = self._working.values(scale * x[:-1])
+            value, jacobian, torques = self._working.values(family, x[:-1])
             value[:torques] -= x[-1]
             d_bound = np.zeros((len(value), 1))
             d_bound[:torques] = -1.0
-            return -value, -np.hstack([scale * jacobian, d_bound])
+            return -value, -np.hstack([jacobian, d_bound])
 
-        start = np.append(y / scale, bound)
         x, iterations = solve_slsqp(
-            Subproblem(start=start, objective=objective, constraints=constraints),
+            Subproblem(start=np.append(family.start, bound), objective=objective, constraints=constraints),
             self._problem.options.max_iterations,
         )
-        return scale * x[:-1], float(x[-1]), iterations
+        self.x = x[:-1]
+        return float(x[-1]), iterations
 
-    def _lower_mean_square(self, y: FloatArray, bound: float) -> tuple[FloatArray, int]:
+    def _lower_mean_square(self, bound: float) -> int:
         """Solve the mean-square stage's subproblem, the torque's norm held below `bound`.
 
-        Unknowns are u with ``y = C u``, where C whitens the objective's Gauss-Newton Hessian: SLSQP then
+        Unknowns are u with ``x = C u``, where C whitens the objective's Gauss-Newton Hessian: SLSQP then
         starts with nearly the right curvature.
         """
-        L = np.linalg.cholesky(self._problem.mean_square_curvature(y))
+        problem = self._problem
+        family = self.family = self.family.rebuilt(self.x, problem.options.smoothing_weight)
+        H = problem.mean_square_curvature(family, family.start) + family.smoothing_curvature()
+        L = np.linalg.cholesky(H + _LEAST_CURVATURE * np.eye(len(H)))
         C = linalg.solve_triangular(L, np.eye(len(L)), lower=True).T
-        smooth = self._problem.smoothing
 
         def objective(u: FloatArray) -> tuple[float, FloatArray]:
-            y = C @ u
-            value, gradient = self._problem.mean_square(y)
-            return value + 0.5 * smooth * float(y @ y), C.T @ (gradient + smooth * y)
+            x = C @ u
+            value, gradient = problem.mean_square(family, x)
+            smoothing, pull = family.smoothing(x)
+            return value + smoothing, C.T @ (gradient + pull)
 
         def constraints(u: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value, jacobian, torques = self._working.values(C @ u)
+            value, jacobian, torques = self._working.values(family, C @ u)
             value[:torques] -= bound
             return -value, -(jacobian @ C)
 
         u, iterations = solve_slsqp(
-            Subproblem(start=L.T @ y, objective=objective, constraints=constraints),
-            self._problem.options.max_iterations,
+            Subproblem(start=L.T @ family.start, objective=objective, constraints=constraints),
+            problem.options.max_iterations,
         )
-        return C @ u, iterations
+        self.x = C @ u
+        return iterations
 
     def _report(self, stage: str, iterations: int, peak: float, worst: Violation) -> None:
         report = PassReport(

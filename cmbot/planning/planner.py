@@ -12,11 +12,13 @@ from threadpoolctl import threadpool_limits
 from cmbot.arrays import FloatArray
 from cmbot.errors import InputError, PathNotFound, SceneError
 from cmbot.planning.certificate import certify
+from cmbot.planning.families import FixedKnots, WhitenedSplines
 from cmbot.planning.figures import Samples, figures, measure
 from cmbot.planning.gradient_projection import JointPath, follow_path, place_on_task
 from cmbot.planning.optimiser import PassReport, optimise
 from cmbot.planning.plan import Plan, Seconds
 from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.starts import find_path
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Robot, load_robot
@@ -108,7 +110,8 @@ def _plan(scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None
     path_seconds = clock.lap()
 
     tell(Progress(stage="optimise"))
-    problem = TorqueProblem(robot, task, via_times, via_points, clearances, options)
+    family = fixed_knots(robot, via_times, via_points, options)
+    problem = TorqueProblem(robot, task, family, clearances, options, resting=(0, -1))
     optimised = optimise(problem, lambda report: tell(Progress(stage="optimise", report=report)))
     optimise_seconds = clock.lap()
 
@@ -217,6 +220,15 @@ def _baseline(robot: Robot, task: ToolTask, clearances: Clearances, path: JointP
     acceleration = np.gradient(path.v, path.t, axis=0)
     jerk = np.gradient(acceleration, path.t, axis=0)
     return measure(robot, task, clearances, path.t, (path.q, path.v, acceleration, jerk))
+
+
+def fixed_knots(
+    robot: Robot, times: FloatArray, via_points: FloatArray, options: PlannerOptions
+) -> FixedKnots:
+    """Return the family of splines through fixed via-points (n, d), rad, from the least-jerk spline on."""
+    splines = WhitenedSplines(SplineSpace(times), robot.limits)
+    numbers = np.zeros((splines.basis.shape[1], robot.dof))
+    return FixedKnots(splines, via_points, numbers, options.smoothing_weight)
 
 
 class _Clock:

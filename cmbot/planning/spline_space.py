@@ -85,6 +85,10 @@ class SplineSpace:
         """Gram matrix of the basis under the time mean of the product of jerks, (n - 4, n - 4), banded."""
         return sparse.csr_array(self.basis.T @ self._jerk_energy @ self.basis)
 
+    def jerk_product(self, z_a: FloatArray, z_b: FloatArray) -> FloatArray:
+        """Time means (a, b) of the products of the jerks of knot vectors `z_a` (3n, a) and `z_b` (3n, b)."""
+        return np.asarray(z_a.T @ (self._jerk_energy @ z_b))
+
     def least_jerk(self, q: FloatArray) -> FloatArray:
         """Knot vectors P q of the splines through `q` with the least mean squared jerk.
 

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
@@ -53,6 +54,34 @@ class ToolTask:
         if self.keep == "pose":
             return np.concatenate([translation, pin.log3(R_goal @ R.T)])
         return np.concatenate([translation, R[:, :2].T @ _between(R[:, 2], R_goal[:, 2])])
+
+    def jacobians(self, R_WT: FloatArray, J: FloatArray) -> FloatArray:
+        """Task rows (N, m, n) of N tool Jacobians `J` (N, 6, n) at orientations `R_WT` (N, 3, 3)."""
+        if self.keep == "pose":
+            return J
+        if self.keep == "axis":
+            return np.concatenate([J[:, :3], R_WT[:, :, :2].transpose(0, 2, 1) @ J[:, 3:]], axis=1)
+        return J[:, :3]
+
+    def errors(self, p_WT: FloatArray, R_WT: FloatArray, points: FloatArray) -> FloatArray:
+        """Task coordinates (N, m) of the ways from N tool poses to the path's orientation at `points`.
+
+        `points` is (N, 3), or (3,) for all.
+        """
+        translation = points - p_WT
+        R_goal = self.path.orientation
+        if self.keep == "position":
+            return translation
+        if self.keep == "pose":
+            turn = Rotation.from_matrix(R_goal @ R_WT.transpose(0, 2, 1)).as_rotvec()
+            return np.concatenate([translation, turn], axis=1)
+        turns = np.array([R[:, :2].T @ _between(R[:, 2], R_goal[:, 2]) for R in R_WT]).reshape(-1, 2)
+        return np.concatenate([translation, turns], axis=1)
+
+    @property
+    def dimension(self) -> int:
+        """Number m of task coordinates."""
+        return {"pose": 6, "axis": 5, "position": 3}[self.keep]
 
     def rotation(self, R_WT: FloatArray) -> FloatArray:
         """Angles (N,), rad, by which orientations `R_WT` (N, 3, 3) miss what is prescribed."""

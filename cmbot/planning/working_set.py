@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.families import FixedKnots
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.state_functions import StateFunction, States
 from cmbot.planning.trajectory import QuinticTrajectory
@@ -48,7 +49,7 @@ class _Sites:
 
 
 class WorkingSet:
-    """Constraints at chosen times, as one vector ``c(y) <= 0`` with its Jacobian.
+    """Constraints at chosen times, as one vector ``c(x) <= 0`` with its Jacobian.
 
     The guardrail torque comes first; what it is compared with (`TorqueProblem`) is left to the caller.
 
@@ -66,16 +67,16 @@ class WorkingSet:
     def __len__(self) -> int:
         return sum(len(sites.times) for sites in (*self._state_sites, *self._bound_sites))
 
-    def values(self, y: FloatArray) -> tuple[FloatArray, FloatArray, int]:
+    def values(self, family: FixedKnots, x: FloatArray) -> tuple[FloatArray, FloatArray, int]:
         """Return values (K,), Jacobian (K, dimension), and how many leading rows are guardrail torques."""
         problem = self._problem
         values, jacobians = [], []
-        trajectory = problem.trajectory(y)
+        trajectory = problem.trajectory(family, x)
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             if len(sites.times):
                 at = function.linearise(States(sites.times, *trajectory.states(sites.times)), sites.component)
                 values.append(at.value)
-                jacobians.append(problem.chain(sites.rows, at.d_q, at.d_v, at.d_a))
+                jacobians.append(family.chain(x, sites.rows, at.d_q, at.d_v, at.d_a))
         for bound, sites in zip(problem.bounds, self._bound_sites, strict=True):
             if len(sites.times):
                 joint, upper = sites.component // 2, sites.component % 2 == 0
@@ -83,9 +84,10 @@ class WorkingSet:
                 sign = np.where(upper, 1.0, -1.0)
                 limit = np.where(upper, bound.high[joint], bound.low[joint])
                 values.append(sign * (derivative - limit) / bound.scale[joint])
-                jacobians.append(problem.chain_one(sites.rows[bound.order], joint, sign / bound.scale[joint]))
+                factor = sign / bound.scale[joint]
+                jacobians.append(family.chain_one(x, sites.rows, bound.order, joint, factor))
         if not values:
-            return np.empty(0), np.empty((0, problem.dimension)), 0
+            return np.empty(0), np.empty((0, family.dimension)), 0
         return np.concatenate(values), np.vstack(jacobians), len(self._state_sites[0].times)
 
     def add_everywhere(self, times: FloatArray) -> None:

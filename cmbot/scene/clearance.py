@@ -20,7 +20,8 @@ __all__ = ["Clearances", "Nearest", "ShapePair", "Smallest"]
 _LOOK_AGAIN = 0.05
 # Rounding that the choice of near pairs allows for, m.
 _SLACK = 1e-9
-# GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured.
+# GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured. EPA, which
+# takes over in deep overlaps, keeps its default: asked for more it fails now and then.
 _GJK_TOLERANCE = 1e-10
 
 
@@ -55,7 +56,8 @@ class Smallest:
     distance : (N,), m
         Negative where shapes overlap.
     pair : (N,)
-        Index into `Clearances.pairs`; -1 where no pair counts (the distance is then infinite).
+        Index into `Clearances.pairs`; -1 where no pair counts (the distance is then infinite) or the posture
+        is no number (the distance is then NaN).
     """
 
     distance: FloatArray
@@ -128,13 +130,13 @@ class Clearances:
                     self._add_pair(i, j, obstacle.name, of_arm=False, at_work=at_work)
         self._geometry_data = pin.GeometryData(self._geometry)
         for request in self._geometry_data.distanceRequests:
-            request.gjk_tolerance = request.epa_tolerance = _GJK_TOLERANCE
+            request.gjk_tolerance = _GJK_TOLERANCE
         self.reach = self._reach(moving)
         self._all = np.ones(len(self.pairs), dtype=np.bool_)
         kept_away_from = [not (pair.of_arm or pair.at_work) for pair in self.pairs]
         self._avoidable = np.array(kept_away_from, dtype=np.bool_)
         # Where all pairs were last looked at, and their distances there: nowhere yet.
-        self._seen_at, self._seen = np.full(robot.dof, np.inf), np.empty(0)
+        self._seen_at, self._seen = np.full(robot.dof, np.nan), np.empty(0)
 
     def smallest(self, q: FloatArray, *, avoidable_only: bool = False) -> Smallest:
         """Return the smallest distance in each of the postures `q` (N, n).
@@ -151,7 +153,9 @@ class Clearances:
         distance, pair = np.full(len(q), np.inf), np.full(len(q), -1, dtype=np.intp)
         if counted.any():
             for k, q_k in enumerate(q):
-                distance[k], pair[k] = self._smallest(q_k, counted)
+                # Of shapes that are nowhere coal would say that they touch.
+                known = np.isfinite(q_k).all()
+                distance[k], pair[k] = self._smallest(q_k, counted) if known else (np.nan, -1)
         return Smallest(distance=distance, pair=pair)
 
     def within(self, q: FloatArray, distance: float) -> list[Nearest]:

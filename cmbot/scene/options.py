@@ -45,6 +45,12 @@ class PlannerOptions:
     other_starts : int
         When no path leads on from the scene's posture: how many others with the same tool pose, reached by
         self-motion, are tried at most, the nearest first; 0 keeps the scene's posture.
+    chart_spacing : float
+        Distance between neighbouring postures of a chart of self-motion, rad.
+    chart_seeds : int
+        Random postures from which the first chart is grown.
+    step_share : float
+        Share of the velocity bounds that the global stage lets joints use between via-points.
     safety_margin_m : float
         Smallest clearance that a plan may have, m.
     max_tool_deviation_m : float
@@ -76,11 +82,14 @@ class PlannerOptions:
     drift_gain: NonNegativeFloat = 10.0
     path_step_s: Annotated[float, Field(gt=0, le=0.1)] = 0.01
     other_starts: Annotated[int, Field(ge=0)] = 60
+    chart_spacing: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    chart_seeds: PositiveInt = 300
+    step_share: Annotated[float, Field(gt=0, le=1)] = 0.6
     safety_margin_m: NonNegativeFloat = 0.02
     max_tool_deviation_m: PositiveFloat = 0.001
     solver: Literal["slsqp"] = "slsqp"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
-    smoothing_weight: NonNegativeFloat = 1e-4
+    smoothing_weight: Annotated[float, Field(gt=0, le=1)] = 1e-4
     constraint_tolerance: Annotated[float, Field(gt=0, le=1e-4)] = 1e-6
     max_passes: PositiveInt = 40
     max_iterations: PositiveInt = 1000

@@ -34,7 +34,10 @@ def from_capsule(
     a, b = X_WO.actInv(start), X_WO.actInv(end)
     # The distance to a convex shape is a convex function along a segment.
     best = minimize_scalar(
-        lambda s: from_point(geometry, a + s * (b - a)), bounds=(0, 1), method="bounded", options={"xatol": 1e-12}
+        lambda s: from_point(geometry, a + s * (b - a)),
+        bounds=(0, 1),
+        method="bounded",
+        options={"xatol": 1e-12},
     ).fun
     best = min(best, from_point(geometry, a), from_point(geometry, b))
     return float(best - radius) if best > clear else np.nan

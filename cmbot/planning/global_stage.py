@@ -1,0 +1,287 @@
+"""The global stage: which postures, via-point by via-point, ask the least of the guardrail.
+
+Charts of self-motion at every via-point, and dynamic programming over them. The result is the best there is up to
+the charts' spacing, and it carries a floor: whatever the arm does, at the via-point named it cannot rest in an
+admissible posture with less torque on the guardrail.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cmbot.arrays import BoolArray, FloatArray
+from cmbot.errors import PathNotFound
+from cmbot.planning.self_motion import Chart, ChartMaker, project
+from cmbot.planning.task import ToolTask
+from cmbot.robot import Kinematics, Postures, Robot
+from cmbot.scene.clearance import Clearances
+from cmbot.scene.options import PlannerOptions
+
+__all__ = ["Floor", "GlobalSolution", "solve_globally"]
+
+# Around the best postures of a chart the floor is looked for this many times finer.
+_FINER = 20
+# Bound of the second derivative of the static torque along a unit step of self-motion, as a multiple of weight
+# times reach: no centre of mass is moved on a tighter curve.
+_CURVATURE = 1.0
+# Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared torque.
+_STEP_WEIGHT = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Floor:
+    """What no admissible plan can go below.
+
+    Attributes
+    ----------
+    torque : float, Nm
+        The largest, over the via-points, of the smallest static torque of any admissible posture there.
+    error : float, Nm
+        The true value lies at most so far below it, as far as the charts are complete.
+    via_point : int
+        Index of the via-point that sets it.
+    each : (n,), Nm
+        The smallest static torque at every via-point.
+    """
+
+    torque: float
+    error: float
+    via_point: int
+    each: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class GlobalSolution:
+    """Postures at the via-points with the smallest peak of the static torque on the guardrail.
+
+    Attributes
+    ----------
+    q : (n, d), rad
+    torque : (n,), Nm
+        Static torque of each.
+    floor : Floor
+    """
+
+    q: FloatArray
+    torque: FloatArray
+    floor: Floor
+
+
+class _Nodes:
+    """The postures of one chart; whether they are admissible is found out when it is asked."""
+
+    def __init__(self, chart: Chart, clearances: Clearances, robot: Robot, margin: float) -> None:
+        self.chart = chart
+        self.admissible = chart.joint_use <= 1.0
+        self._clearances = clearances
+        self._margin = margin
+        self._looked = ~self.admissible
+        self.too_near = np.zeros(len(chart.q), dtype=np.bool_)
+
+    def look(self, which: BoolArray) -> bool:
+        """Find out the clearance of the nodes `which` (M,); return whether any turned out inadmissible."""
+        new = np.flatnonzero(which & ~self._looked)
+        if len(new) == 0:
+            return False
+        near = self._clearances.smallest(self.chart.q[new]).distance < self._margin
+        self._looked[new] = True
+        self.too_near[new] = near
+        self.admissible[new] = ~near
+        return bool(near.any())
+
+    def least(self) -> float:
+        """Smallest torque of any admissible node; infinite when there is none."""
+        while True:
+            torque = np.where(self.admissible, self.chart.torque, np.inf)
+            best = int(torque.argmin()) if len(torque) else 0
+            if not len(torque) or not np.isfinite(torque[best]):
+                return float("inf")
+            if self._looked[best]:
+                return float(torque[best])
+            self.look(np.arange(len(torque)) == best)
+
+
+def solve_globally(
+    robot: Robot,
+    task: ToolTask,
+    times: FloatArray,
+    posture: FloatArray,
+    clearances: Clearances,
+    options: PlannerOptions,
+    *,
+    pinned: bool,
+) -> GlobalSolution:
+    """Find postures at all via-points with the smallest peak, then mean square, of the static torque.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+    times : (n,), s
+        Of the via-points.
+    posture : (d,), rad
+        The scene's.
+    clearances : Clearances
+    options : PlannerOptions
+    pinned : bool
+        Start in `posture`; otherwise anywhere with its tool pose.
+
+    Raises
+    ------
+    PathNotFound
+        When a via-point has no admissible posture, or no sequence of them can be followed.
+    """
+    postures = Postures(robot)
+    maker = ChartMaker(postures, task, robot.limits, spacing=options.chart_spacing, seeds=options.chart_seeds)
+    points = task.path.position(times)
+    charts = [maker.first(points[0], posture[None])]
+    for point in points[1:]:
+        charts.append(maker.next(charts[-1], point))
+    nodes = [_Nodes(chart, clearances, robot, options.safety_margin_m) for chart in charts]
+    floor = _floor(robot, postures, task, points, nodes, clearances, options)
+    if pinned:
+        at_posture = np.abs(charts[0].q - posture).max(axis=1) < 1e-9
+        nodes[0].admissible &= at_posture
+    steps = options.step_share * robot.limits.velocity * np.diff(times)[:, None] + 0.5 * options.chart_spacing
+    edges = [_edges(a.chart.q, b.chart.q, step) for a, b, step in zip(nodes, nodes[1:], steps, strict=False)]
+    chosen = _best_sequence(robot, task, times, nodes, edges, steps)
+    q = np.stack([node.chart.q[k] for node, k in zip(nodes, chosen, strict=True)])
+    torque = np.array([node.chart.torque[k] for node, k in zip(nodes, chosen, strict=True)])
+    return GlobalSolution(q=q, torque=torque, floor=floor)
+
+
+def _edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray) -> BoolArray:
+    """Which postures of `q_b` (N, d) can follow which of `q_a` (M, d), (M, N)."""
+    reachable = np.ones((len(q_a), len(q_b)), dtype=np.bool_)
+    for joint in range(q_a.shape[1]):
+        reachable &= np.abs(q_a[:, None, joint] - q_b[None, :, joint]) <= step[joint]
+    return reachable
+
+
+def _best_sequence(
+    robot: Robot,
+    task: ToolTask,
+    times: FloatArray,
+    nodes: list[_Nodes],
+    edges: list[BoolArray],
+    steps: FloatArray,
+) -> list[int]:
+    """Indices of the postures with the smallest peak; among those, with the smallest sum of squares."""
+    while True:
+        peak = _smallest_peak(robot, task, times, nodes, edges)
+        # Clearances are looked at only where a path may pass; a node that is too near sends it round again.
+        if not any([node.look(node.admissible & (node.chart.torque <= peak)) for node in nodes]):
+            break
+    cost = np.where(nodes[0].admissible & (nodes[0].chart.torque <= peak), nodes[0].chart.torque ** 2, np.inf)
+    came_from = []
+    for node, before, edge, step in zip(nodes[1:], nodes, edges, steps, strict=False):
+        share = np.zeros(edge.shape)
+        for joint in range(robot.dof):
+            move = before.chart.q[:, None, joint] - node.chart.q[None, :, joint]
+            share += (move / step[joint]) ** 2
+        total = np.where(edge, cost[:, None] + _STEP_WEIGHT * peak**2 * share, np.inf)
+        origin = total.argmin(axis=0)
+        came_from.append(origin)
+        best = total[origin, np.arange(len(origin))]
+        cost = np.where(node.admissible & (node.chart.torque <= peak), best + node.chart.torque**2, np.inf)
+    chosen = [int(cost.argmin())]
+    for origin in reversed(came_from):
+        chosen.insert(0, int(origin[chosen[0]]))
+    return chosen
+
+
+def _smallest_peak(
+    robot: Robot, task: ToolTask, times: FloatArray, nodes: list[_Nodes], edges: list[BoolArray]
+) -> float:
+    """Smallest peak torque of any sequence of nodes that are not known to be inadmissible."""
+    reached = np.where(nodes[0].admissible, nodes[0].chart.torque, np.inf)
+    for k, (node, edge) in enumerate(zip(nodes[1:], edges, strict=True), start=1):
+        before = np.where(edge, reached[:, None], np.inf).min(axis=0) if len(reached) else np.full(0, np.inf)
+        reached = np.where(node.admissible, np.maximum(before, node.chart.torque), np.inf)
+        if not np.isfinite(reached).any():
+            raise _blocked(robot, task, times, nodes, k)
+    return float(reached.min())
+
+
+def _blocked(robot: Robot, task: ToolTask, times: FloatArray, nodes: list[_Nodes], k: int) -> PathNotFound:
+    """Say at which via-point the sequence ends, and what excluded most postures there."""
+    node = nodes[k]
+    if len(node.chart.q) == 0:
+        why = "no posture within the joint ranges holds the tool there"
+    elif not node.admissible.any():
+        weak = int((node.chart.joint_use > 1.0).sum())
+        near = int(node.too_near.sum())
+        why = (
+            f"{near} postures come within the safety margin, {weak} ask too much of a joint's torque"
+            if near >= weak
+            else f"{weak} postures ask too much of a joint's torque, {near} come within the safety margin"
+        )
+    else:
+        why = "its admissible postures are too far from those before for the joints' velocities"
+    q = node.chart.q[:1] if len(node.chart.q) else nodes[k - 1].chart.q[:1]
+    X_WT, J = Kinematics(robot).tool_jacobian(q[0])
+    return PathNotFound(
+        f"via-point {k + 1} of {len(nodes)} is blocked: {why}",
+        time=float(times[k]),
+        progress=task.path.progress(float(times[k])),
+        smallest_singular_value=float(np.linalg.svd(task.jacobian(X_WT, J), compute_uv=False)[-1]),
+    )
+
+
+def _floor(
+    robot: Robot,
+    postures: Postures,
+    task: ToolTask,
+    points: FloatArray,
+    nodes: list[_Nodes],
+    clearances: Clearances,
+    options: PlannerOptions,
+) -> Floor:
+    """Refine the smallest torque at every via-point that may set the floor."""
+    rough = np.array([node.least() for node in nodes])
+    for k, least in enumerate(rough):
+        if not np.isfinite(least):
+            raise _blocked(robot, task, np.linspace(0.0, task.path.duration, len(nodes)), nodes, k)
+    curvature = _CURVATURE * robot.arm_mass * 9.81 * float(clearances.reach.max())
+    # Between two postures of a chart the torque dips below both by no more than this.
+    dip = curvature * options.chart_spacing**2 / 8
+    each = rough.copy()
+    # From the largest down, until the refined ones exceed all that are left: only those can set the maximum.
+    for k in np.argsort(-rough):
+        if rough[k] < each.max() - dip and rough[k] < np.sort(each)[-1]:
+            continue
+        each[k] = _refined(postures, task, points[k], nodes[k], rough[k] + dip, robot, clearances, options)
+    fine = options.chart_spacing / _FINER
+    where = int(each.argmax())
+    return Floor(torque=float(each[where]), error=float(curvature * fine**2 / 8), via_point=where, each=each)
+
+
+def _refined(
+    postures: Postures,
+    task: ToolTask,
+    point: FloatArray,
+    node: _Nodes,
+    worth: float,
+    robot: Robot,
+    clearances: Clearances,
+    options: PlannerOptions,
+) -> float:
+    """Smallest admissible torque around the postures of a chart with less than `worth`."""
+    centres = node.chart.q[(node.chart.torque <= worth) & (node.chart.joint_use <= 1.1)]
+    at = postures.at(centres)
+    J = task.jacobians(at.tool_rotation, at.jacobian)
+    tangents = np.linalg.svd(J)[2][:, J.shape[1] :]
+    fractions = np.linspace(-1.0, 1.0, 2 * _FINER + 1) * options.chart_spacing
+    around = (centres[:, None, None] + fractions[:, None] * tangents[:, :, None]).reshape(-1, robot.dof)
+    q, reached = project(postures, task, around, point)
+    limits = robot.limits
+    q = q[reached & ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]
+    at = postures.at(q)
+    use = (np.abs(at.joint_torque) / limits.torque).max(axis=1)
+    torque = np.where(use <= 1.0, np.linalg.norm(at.guardrail_torque, axis=1), np.inf)
+    for k in np.argsort(torque):
+        if clearances.smallest(q[k : k + 1]).distance[0] >= options.safety_margin_m:
+            return min(float(torque[k]), node.least())
+    return node.least()

@@ -1,0 +1,158 @@
+"""A plan's still picture as commands to meshcat's viewer: the robot, the bridge, the tool path.
+
+The commands are written here, as meshcat's Readme describes them. meshcat's Python side is not imported: it brings
+its server with it, its geometries have neither normals nor 16-bit arrays, and its identifiers hold the computer's
+network address.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import trimesh
+import umsgpack
+from numpy.typing import NDArray
+
+from cmbot.planning import Plan
+from cmbot.robot import Robot
+from cmbot.scene import Scene, guardrail_obstacles
+from cmbot.views.surfaces import merged, obstacle_surface, simplified, tube, visual_surface
+
+__all__ = ["reach", "scene_commands"]
+
+MOST_ROBOT_FACES = 24_000
+MOST_OBSTACLE_FACES = 12_000
+"""With these, and the most frames of a motion, a page stays below 5 MB whatever is in the scene."""
+
+CREASE = np.deg2rad(35.0)
+"""Edges sharper than this look sharp."""
+
+CONCRETE, STEEL, WORKPIECE, PATH = 0xC2BDB3, 0x7D8C99, 0x2F9E8F, 0x7B2CBF
+SHINE = 0x303030
+DOUBLE_SIDE = 2
+"""three.js: draw the backs of triangles too."""
+BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.98, 0.985, 0.99), (0.72, 0.78, 0.84)
+
+# The viewer's MessagePack codes for typed arrays.
+_TYPED_ARRAYS = {
+    "float32": ("Float32Array", 0x17),
+    "int16": ("Int16Array", 0x13),
+    "uint32": ("Uint32Array", 0x16),
+}
+
+Command = dict[str, Any]
+
+
+def scene_commands(plan: Plan) -> list[bytes]:
+    """Return packed meshcat commands, for `MeshCat.Viewer.handle_command_bytearray`.
+
+    The shapes that joint i (pinocchio's count; 0: what stands still) carries are below ``/robot/i``, in the
+    joint's frame; ``/bridge`` and ``/path`` are in W. No name from a file is used.
+
+    Raises
+    ------
+    ModelError, SceneError
+        When a shape cannot be drawn.
+    """
+    commands = [*_backdrop(), *_robot(plan.robot), *_bridge(plan.scene), *_path(plan)]
+    return [umsgpack.packb(command) for command in commands]
+
+
+def reach(robot: Robot) -> float:
+    """Return the length of the stretched arm, m: the measure of what is drawn beside it."""
+    tool = robot.model.frames[robot.tool_frame_id].placement
+    offsets = [X.translation for X in robot.model.jointPlacements[2:]]
+    return float(sum(np.linalg.norm(p) for p in (*offsets, tool.translation)))
+
+
+def _backdrop() -> Iterator[Command]:
+    for hidden in ("Grid", "Axes", "Lights"):
+        yield _set_property(f"/{hidden}", "visible", False)
+    yield _set_property("/Background", "top_color", BACKGROUND_TOP)
+    yield _set_property("/Background", "bottom_color", BACKGROUND_BOTTOM)
+
+
+def _robot(robot: Robot) -> Iterator[Command]:
+    shapes = list(robot.visual_model.geometryObjects)
+    meshes = simplified([visual_surface(shape, str(robot.urdf)) for shape in shapes], MOST_ROBOT_FACES)
+    groups: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
+    for shape, mesh in zip(shapes, meshes, strict=True):
+        groups.setdefault((int(shape.parentJoint), tuple(shape.meshColor)), []).append(mesh)
+    for number, ((joint, rgba), group) in enumerate(groups.items()):
+        red, green, blue = (round(255 * float(np.clip(value, 0, 1))) for value in rgba[:3])
+        colour = (red << 16) + (green << 8) + blue
+        yield _set_mesh(f"/robot/{joint}/{number}", group, colour, opacity=rgba[3], shininess=60)
+
+
+def _bridge(scene: Scene) -> Iterator[Command]:
+    rails = {obstacle.name for obstacle in guardrail_obstacles(scene.guardrail)}
+    meshes = simplified([obstacle_surface(obstacle) for obstacle in scene.obstacles], MOST_OBSTACLE_FACES)
+    groups: dict[int, list[trimesh.Trimesh]] = {}
+    for obstacle, mesh in zip(scene.obstacles, meshes, strict=True):
+        colour = STEEL if obstacle.name in rails else WORKPIECE if obstacle.workpiece else CONCRETE
+        groups.setdefault(colour, []).append(mesh)
+    for number, (colour, group) in enumerate(groups.items()):
+        yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
+
+
+def _path(plan: Plan) -> Iterator[Command]:
+    yield _set_mesh("/path", [tube(plan.task.path.corners, 0.002 * reach(plan.robot))], PATH)
+
+
+def _set_property(path: str, name: str, value: object) -> Command:
+    return {"type": "set_property", "path": path, "property": name, "value": value}
+
+
+def _set_mesh(
+    path: str, meshes: list[trimesh.Trimesh], colour: int, *, opacity: float = 1.0, shininess: float = 30.0
+) -> Command:
+    """Return the command for a three.js object: one geometry, one material, no transform."""
+    material = {
+        "uuid": f"{path} material",
+        "type": "MeshPhongMaterial",
+        "color": colour,
+        "specular": SHINE,
+        "shininess": shininess,
+        "side": DOUBLE_SIDE,
+        "transparent": opacity < 1,
+        "opacity": float(opacity),
+    }
+    geometry = {
+        "uuid": f"{path} geometry",
+        "type": "BufferGeometry",
+        "data": _creased_geometry(merged(meshes)),
+    }
+    thing = {
+        "uuid": f"{path} object",
+        "type": "Mesh",
+        "geometry": geometry["uuid"],
+        "material": material["uuid"],
+    }
+    lowered = {
+        "metadata": {"version": 4.5, "type": "Object"},
+        "geometries": [geometry],
+        "materials": [material],
+        "object": thing,
+    }
+    return {"type": "set_object", "path": path, "object": lowered}
+
+
+def _creased_geometry(mesh: trimesh.Trimesh) -> dict[str, Any]:
+    """Return a mesh with normals that are smooth but at its edges."""
+    mesh.update_faces(mesh.nondegenerate_faces())
+    if len(mesh.faces):
+        mesh = trimesh.graph.smooth_shade(mesh, angle=CREASE)
+    normals = np.round(32767 * mesh.vertex_normals).astype(np.int16)
+    attributes = {
+        "position": _packed(mesh.vertices.astype(np.float32), 3),
+        "normal": _packed(normals, 3, normalized=True),
+    }
+    return {"attributes": attributes, "index": _packed(mesh.faces.astype(np.uint32), 1)}
+
+
+def _packed(array: NDArray[Any], item_size: int, *, normalized: bool = False) -> dict[str, Any]:
+    name, code = _TYPED_ARRAYS[array.dtype.name]
+    packed = umsgpack.Ext(code, array.astype(array.dtype.newbyteorder("<")).tobytes())
+    return {"itemSize": item_size, "type": name, "array": packed, "normalized": normalized}

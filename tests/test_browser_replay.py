@@ -1,0 +1,228 @@
+"""The replay page in a browser without a network: it shows the plan, at any time, and nothing else runs."""
+
+import dataclasses
+import io
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from browser import chromium
+from PIL import Image
+from selenium import webdriver
+
+from cmbot.planning import Plan
+from cmbot.views import replay
+
+pytestmark = pytest.mark.browser
+
+EVIL = "</script><script>window.hacked=1</script><img src=x onerror='window.hacked=2'>\"'`${hacked}"
+
+
+@pytest.fixture(scope="module")
+def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def page(chrome: webdriver.Chrome, triangle_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "replay.html"
+    replay(triangle_plan, path)
+    return path
+
+
+@pytest.fixture
+def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
+    """The browser with the page open at time 0, paused."""
+    if chrome.current_url != page.as_uri():
+        open_page(chrome, page)
+    chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(0)")
+    return chrome
+
+
+def open_page(chrome: webdriver.Chrome, page: Path) -> None:
+    for kind in ("browser", "performance"):
+        chrome.get_log(kind)  # of the page before
+    chrome.get(page.as_uri())
+
+
+def next_frame(chrome: webdriver.Chrome) -> None:
+    chrome.execute_async_script(
+        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
+    )
+
+
+def picture(chrome: webdriver.Chrome) -> np.ndarray:
+    next_frame(chrome)
+    png = chrome.find_element("id", "view").screenshot_as_png
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+
+
+def drawn_pose(chrome: webdriver.Chrome, link: str, arm: str) -> np.ndarray:
+    return np.reshape(chrome.execute_script("return cmbotReplay.pose(...arguments)", link, arm), (4, 4))
+
+
+def console_errors(chrome: webdriver.Chrome) -> list[str]:
+    return [entry["message"] for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
+    chrome: webdriver.Chrome, page: Path
+) -> None:
+    open_page(chrome, page)
+    chrome.execute_script("cmbotReplay.seek(5)")
+    next_frame(chrome)
+    events = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]
+    asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
+    assert page.as_uri() in asked
+    assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page.as_uri()}
+    assert not [event for event in events if event["method"] == "Network.webSocketCreated"]
+    assert console_errors(chrome) == []
+    assert chrome.find_elements("id", "failure") == []
+
+
+@pytest.mark.parametrize("address", ["http://127.0.0.1:9/x", "ws://127.0.0.1:9/x"])
+def test_its_policy_forbids_connections(shown: webdriver.Chrome, address: str) -> None:
+    blocked = shown.execute_async_script(
+        """const [address, done] = arguments;
+        document.addEventListener("securitypolicyviolation", (event) => done(event.effectiveDirective), {once: true});
+        address.startsWith("ws") ? new WebSocket(address) : fetch(address).catch(() => {});""",
+        address,
+    )
+    assert blocked == "connect-src"
+    shown.get_log("browser")
+
+
+@pytest.mark.parametrize("time", [0.0, 3.333, 10.0, 16.87, 20.0])
+def test_the_arms_are_drawn_where_the_kinematics_puts_them(
+    shown: webdriver.Chrome, triangle_plan: Plan, time: float
+) -> None:
+    shown.execute_script("cmbotReplay.seek(arguments[0])", time)
+    model, data = triangle_plan.robot.model, triangle_plan.robot.model.createData()
+    baseline = triangle_plan.baseline
+    postures = {
+        "planned": triangle_plan.trajectory.evaluate(np.array([time]), 0)[0],
+        "baseline": np.array([np.interp(time, baseline.t, q) for q in baseline.q.T]),
+    }
+    for arm, q in postures.items():
+        pin.forwardKinematics(model, data, q)
+        for joint, link in enumerate(shown.execute_script("return cmbotReplay.links"), start=1):
+            X_WL = data.oMi[model.frames[model.getFrameId(link)].parentJoint].homogeneous
+            np.testing.assert_allclose(data.oMi[joint].homogeneous, X_WL)
+            np.testing.assert_allclose(drawn_pose(shown, link, arm), X_WL, atol=1e-3)
+
+
+def test_the_picture_changes_with_time_and_comes_back(shown: webdriver.Chrome) -> None:
+    start = picture(shown)
+    shown.execute_script("cmbotReplay.seek(10)")
+    middle = picture(shown)
+    shown.execute_script("cmbotReplay.seek(0)")
+    again = picture(shown)
+    assert len(np.unique(start.reshape(-1, 3), axis=0)) > 500  # not blank
+    orange = (start[..., 0] > 180) & (start[..., 1] < 140) & (start[..., 2] < 70)
+    assert orange[: start.shape[0] // 2].sum() > 200  # joints and arrow, above the bar
+    changed = np.abs(start - middle).max(axis=2) > 60
+    assert changed[: start.shape[0] * 2 // 3].sum() > 1000
+    assert (np.abs(start - again).max(axis=2) > 60).sum() < 50
+
+
+def test_the_numbers_are_those_of_the_plan(shown: webdriver.Chrome, triangle_plan: Plan) -> None:
+    samples, figures = triangle_plan.samples, triangle_plan.figures
+    shown.execute_script("cmbotReplay.seek(8)")
+    texts = {
+        key: shown.find_element("id", f"planned-{key}").text
+        for key in ("torque", "peak", "clearance", "closest")
+    }
+    k = int(np.argmin(np.abs(samples.t - 8.0)))
+    assert texts == {
+        "torque": f"{np.linalg.norm(samples.guardrail_torque[k]):.1f} Nm",
+        "peak": f"{figures.peak_guardrail_torque:.1f} Nm",
+        "clearance": f"{1e3 * samples.clearance[k]:.1f} mm",
+        "closest": f"{1e3 * figures.min_clearance:.1f} mm",
+    }
+    assert shown.find_element("id", "time").text == "8.00 / 20.00 s"
+    peak = triangle_plan.baseline_figures.peak_guardrail_torque
+    assert shown.find_element("id", "baseline-peak").text == f"{peak:.1f} Nm"
+
+
+def test_play_and_pause(shown: webdriver.Chrome) -> None:
+    reached = shown.execute_async_script(
+        """const done = arguments[0];
+        document.getElementById("play").click();
+        const wait = () => (cmbotReplay.time > 0.05 ? done(cmbotReplay.playing) : requestAnimationFrame(wait));
+        wait();"""
+    )
+    assert reached is True
+    shown.find_element("id", "play").click()
+    stopped = shown.execute_script("return cmbotReplay.time")
+    next_frame(shown)
+    assert shown.execute_script("return [cmbotReplay.time, cmbotReplay.playing]") == [stopped, False]
+
+
+def test_it_stops_at_the_end_and_starts_anew_from_there(shown: webdriver.Chrome) -> None:
+    ended = shown.execute_async_script(
+        """const done = arguments[0];
+        cmbotReplay.seek(cmbotReplay.duration - 0.02);
+        cmbotReplay.play();
+        const wait = () => (cmbotReplay.playing ? requestAnimationFrame(wait) : done(cmbotReplay.time));
+        wait();"""
+    )
+    assert ended == shown.execute_script("return cmbotReplay.duration")
+    restarted = shown.execute_script("cmbotReplay.play(); return cmbotReplay.time")
+    assert restarted == 0
+
+
+def test_keys_and_slider(shown: webdriver.Chrome) -> None:
+    shown.execute_script("document.activeElement.blur()")
+    body = shown.find_element("tag name", "body")
+
+    def time() -> float:
+        return shown.execute_script("return cmbotReplay.time")
+
+    shown.execute_script("cmbotReplay.seek(5)")
+    body.send_keys("\ue014")  # right
+    assert time() == pytest.approx(5.1)
+    body.send_keys("\ue008\ue012")  # shift, left
+    assert time() == pytest.approx(4.1)
+    body.send_keys("\ue010")  # end
+    assert time() == shown.execute_script("return cmbotReplay.duration")
+    body.send_keys("\ue011")  # home
+    assert time() == 0
+    body.send_keys(" ")
+    assert shown.execute_script("return cmbotReplay.playing") is True
+    body.send_keys(" ")
+    assert shown.execute_script("return cmbotReplay.playing") is False
+    shown.execute_script(
+        """const scrub = document.getElementById("scrub");
+        scrub.value = 7.25;
+        scrub.dispatchEvent(new Event("input"));"""
+    )
+    assert time() == pytest.approx(7.25)
+
+
+@pytest.mark.parametrize(("asked", "reached"), [("-1", 0.0), ("1e9", 20.0), ("NaN", 0.0), ("'x'", 0.0)])
+def test_a_seek_beyond_the_ends_stays_within(shown: webdriver.Chrome, asked: str, reached: float) -> None:
+    shown.execute_script(f"cmbotReplay.seek({asked})")
+    assert shown.execute_script("return cmbotReplay.time") == reached
+
+
+def test_hostile_names_are_text_and_nothing_else(
+    chrome: webdriver.Chrome, triangle_plan: Plan, tmp_path: Path
+) -> None:
+    scene = triangle_plan.scene
+    obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
+    scene = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
+    robot = dataclasses.replace(triangle_plan.robot, name=EVIL)
+    path = tmp_path / "evil.html"
+    replay(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path)
+    open_page(chrome, path)
+    next_frame(chrome)
+    assert chrome.execute_script("return window.hacked") is None
+    assert chrome.title == EVIL
+    assert chrome.find_element("tag name", "h1").text == EVIL
+    assert chrome.find_elements("tag name", "img") == []
+    assert console_errors(chrome) == []  # the policy had nothing to stop either
+    assert chrome.execute_script("return cmbotReplay.duration") == pytest.approx(20.0)
