@@ -114,7 +114,7 @@ def _print(results: dict[str, dict[str, float]]) -> None:
         f"({1e6 * kernel['derivatives']:.1f} and {1e6 * kernel['values']:.1f} us a state)."
     )
     console.print(
-        f"import cmbot takes {start['import cmbot'] / start['python']:.1f} times as long as Python's own start, "
+        f"import cmbot takes {start['import cmbot'] / start['python']:.1f} times as long as Python alone, "
         f"import cmbot.planning {start['import cmbot.planning'] / start['python']:.1f} times "
         f"({start['import cmbot.planning']:.2f} s)."
     )

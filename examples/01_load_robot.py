@@ -1,6 +1,6 @@
 """Load the shipped robot and ask it where its tool is and what it weighs on the guardrail.
 
-    python examples/01_load_robot.py
+Run it with ``python examples/01_load_robot.py``.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import cmbot
 from cmbot.robot import Dynamics, Kinematics
 
 robot = cmbot.load_robot("cmbot", tool_length=0.30)
-print(f"{robot.name}: {robot.dof} joints, {robot.mass:.2f} kg, of which the joints move {robot.arm_mass:.2f} kg")
+print(f"{robot.name}: {robot.dof} joints, {robot.mass:.2f} kg, {robot.arm_mass:.2f} kg of it moving")
 for name, low, high, torque in zip(
     robot.joints, robot.limits.lower, robot.limits.upper, robot.limits.torque, strict=True
 ):

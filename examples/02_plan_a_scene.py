@@ -1,6 +1,6 @@
 """Plan a shipped scene, read the figures, see where a gain comes from and where it cannot come from.
 
-    python examples/02_plan_a_scene.py [triangle | line | a scene file]
+Run it with ``python examples/02_plan_a_scene.py``, and the name of a scene or a scene file if you like.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ for check in plan.certificate.checks:
     print(f"  {check.quantity}: {where}")
 
 # Gravity at a via-point depends on the posture alone. The splines pass through every via-point whatever the
-# optimiser does, so the largest of these torques is a floor of what it can reach.
+# optimiser does, so the largest of these torques is what gravity asks of any of them.
 at_via_points = Dynamics(plan.robot).static_efforts(plan.trajectory.q).guardrail_torque
-floor = np.linalg.norm(at_via_points, axis=1).max()
-least_jerk = plan.figures.peak_static_guardrail_torque
-print(f"\ngravity's peak torque at the via-points: {floor:.2f} Nm")
-print(f"gravity's peak torque all along:         {least_jerk:.2f} Nm")
+print("\ngravity's peak torque on the guardrail, Nm:")
+print(f"  baseline, from the scene's posture:  {plan.baseline_figures.peak_static_guardrail_torque:.2f}")
+print(f"  planned, at its via-points:          {np.linalg.norm(at_via_points, axis=1).max():.2f}")
+print(f"  planned, all along:                  {plan.figures.peak_static_guardrail_torque:.2f}")

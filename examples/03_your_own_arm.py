@@ -1,9 +1,10 @@
 """Plan an arm of your own: a URDF, a joint-limits file, a scene.
 
-    python examples/03_your_own_arm.py
+Run it with ``python examples/03_your_own_arm.py``.
 
 The arm is made up here: seven joints, upright on a rigid pedestal, a sanding disc of 1 kg at its end, which
-follows a rectangle on a table. Everything is written to a temporary folder, as you would write it to yours.
+follows three sides of a rectangle above a table. Everything is written to a temporary folder, as you would
+write it to yours.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ def urdf() -> str:
 
 
 LIMITS = "format: cmbot-joint-limits/1\njoints:\n" + "".join(
-    f"  joint_{number}: {{acceleration_deg: 300, jerk_deg: 3000}}\n" for number in range(1, 8)
+    f"  joint_{number}: {{acceleration_deg: 100, jerk_deg: 400}}\n" for number in range(1, 8)
 )
 
 SCENE = """\
@@ -83,18 +84,18 @@ posture_deg: [0, 35, 0, 85, 0, 60, 0]  # the tool point straight ahead, its axis
 tool_path:
   keep: axis  # a disc may spin about its axis
   legs:
+    - {by: [-0.10, 0, 0], seconds: 2}
     - {by: [0, 0.25, 0], seconds: 3}
     - {by: [0.10, 0, 0], seconds: 2}
-    - {by: [0, -0.25, 0], seconds: 3}
   speed_profile: {kind: jerk_limited, ramp: 0.3}
   via_points: 24
 
 obstacles:
-  - {name: table, box: [0.6, 1.0, 0.04], xyz: [0.75, 0, 0.10], workpiece: true}
-  - {name: lamp, sphere: 0.10, xyz: [0.35, 0.55, 0.9]}
+  - {name: table, box: [0.6, 1.0, 0.04], xyz: [0.75, 0, 0.43], workpiece: true}
+  - {name: lamp, sphere: 0.10, xyz: [0.40, -0.45, 0.9]}
 
 guardrail: {bays: 0}  # no guardrail: nothing of it to hit, and a rigid hold
-planner: {smoothing_weight: 0.001}  # any option of cmbot.PlannerOptions
+planner: {smoothing_weight: 0.01}  # any option of cmbot.PlannerOptions
 """
 
 with tempfile.TemporaryDirectory() as name:

@@ -23,7 +23,7 @@ ARGUMENTS = (
     "--disable-sync",
     "--hide-scrollbars",
     "--host-resolver-rules=MAP * ~NOTFOUND",
-    "--window-size=1000,700",
+    "--window-size=720,560",
 )
 
 

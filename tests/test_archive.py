@@ -21,7 +21,7 @@ from cmbot.archive import load_plan, save
 from cmbot.archive.knots import read_knots
 from cmbot.archive.tables import read_motion
 from cmbot.errors import ArchiveError, LimitViolation, PathNotFound, SceneError
-from cmbot.planning import Check, Plan, Start, robot_of
+from cmbot.planning import Check, Plan, Samples, Start, robot_of
 from cmbot.planning.figures import figures
 from cmbot.resources import model_folder
 from cmbot.scene import Mesh, PlannerOptions, load_scene
@@ -55,6 +55,14 @@ def folder(saved: Path, tmp_path: Path) -> Path:
 
 
 @pytest.fixture(scope="module")
+def thin_plan(triangle_plan: Plan) -> Plan:
+    """The same with few samples of the baseline, quick to save."""
+    samples = triangle_plan.baseline
+    few = {field.name: getattr(samples, field.name)[::100] for field in fields(samples)}
+    return replace(triangle_plan, baseline=Samples(**few))
+
+
+@pytest.fixture(scope="module")
 def loaded(saved: Path) -> Plan:
     return load_plan(saved)
 
@@ -71,9 +79,9 @@ def foreign_files(tmp_path_factory: pytest.TempPathFactory, bare_urdf: str) -> P
 
 
 @pytest.fixture(scope="module")
-def foreign_plan(triangle_plan: Plan, foreign_files: Path) -> Plan:
+def foreign_plan(thin_plan: Plan, foreign_files: Path) -> Plan:
     """The same motion in a scene whose robot and mesh are files with relative paths."""
-    robot = triangle_plan.robot
+    robot = thin_plan.robot
     X_WB = robot.model.frames[robot.model.getFrameId(robot.base_frame)].placement
     data = load_scene("triangle").file.as_data()
     data["robot"] = {
@@ -89,7 +97,7 @@ def foreign_plan(triangle_plan: Plan, foreign_files: Path) -> Plan:
     data["obstacles"].append({"name": "rock", "mesh": "rock.obj", "xyz": [0, 0, 0]})
     (foreign_files / "scene.yaml").write_text(json.dumps(data))
     scene = load_scene(foreign_files / "scene.yaml")
-    return replace(triangle_plan, scene=scene, robot=robot_of(scene))
+    return replace(thin_plan, scene=scene, robot=robot_of(scene))
 
 
 @pytest.fixture(scope="module")
@@ -243,20 +251,20 @@ def test_ros_joint_trajectory(saved, triangle_plan):
     assert middle["effort"] == triangle_plan.samples.joint_torque[1000].tolist()
 
 
-def test_numbers_that_are_none_are_not_written(triangle_plan, tmp_path):
-    torque = triangle_plan.baseline.joint_torque.copy()
+def test_numbers_that_are_none_are_not_written(thin_plan, tmp_path):
+    torque = thin_plan.baseline.joint_torque.copy()
     torque[5, 2] = math.nan
-    plan = replace(triangle_plan, baseline=replace(triangle_plan.baseline, joint_torque=torque))
+    plan = replace(thin_plan, baseline=replace(thin_plan.baseline, joint_torque=torque))
     with pytest.raises(ArchiveError, match=r"baseline\.csv: line 7, tau3: got nan"):
         save(plan, tmp_path / "plan")
     with pytest.raises(ArchiveError, match="drift"):
-        save(replace(triangle_plan, drift=math.nan), tmp_path / "plan")
+        save(replace(thin_plan, drift=math.nan), tmp_path / "plan")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_plan_that_breaks_a_promise_is_not_written(triangle_plan, tmp_path):
+def test_a_plan_that_breaks_a_promise_is_not_written(thin_plan, tmp_path):
     broken = Check(quantity="clearance", time=1.0, value=0.0, bound=0.02, unit="m", at_least=True)
-    plan = replace(triangle_plan, certificate=replace(triangle_plan.certificate, checks=(broken,)))
+    plan = replace(thin_plan, certificate=replace(thin_plan.certificate, checks=(broken,)))
     with pytest.raises(ArchiveError, match="status"):
         save(plan, tmp_path / "plan")
     assert not list(tmp_path.iterdir())
@@ -308,15 +316,15 @@ def test_saved_again_it_is_the_same(saved, loaded, tmp_path):
     }
 
 
-def test_a_start_elsewhere_is_kept(triangle_plan, tmp_path):
+def test_a_start_elsewhere_is_kept(thin_plan, tmp_path):
     failures = (
         PathNotFound(
             "in the way", time=1.5, progress=0.25, smallest_singular_value=0.3, pair=("link", "slab")
         ),
         PathNotFound("out of reach", time=0.5, progress=0.125, smallest_singular_value=0.1),
     )
-    start = Start(posture=triangle_plan.start.posture + 0.1, moved=0.1, failures=failures)
-    read = load_plan(save(replace(triangle_plan, start=start), tmp_path / "plan")).start
+    start = Start(posture=thin_plan.start.posture + 0.1, moved=0.1, failures=failures)
+    read = load_plan(save(replace(thin_plan, start=start), tmp_path / "plan")).start
     np.testing.assert_allclose(read.posture, start.posture, rtol=1e-15)
     assert read.moved == pytest.approx(0.1, rel=1e-15)
     for got, expected in zip(read.failures, failures, strict=True):
@@ -324,8 +332,8 @@ def test_a_start_elsewhere_is_kept(triangle_plan, tmp_path):
         assert str(got) == str(expected)
 
 
-def test_without_anything_to_hit_clearances_are_infinite(triangle_plan, tmp_path):
-    certificate, infinite = triangle_plan.certificate, np.full(len(triangle_plan.baseline.t), np.inf)
+def test_without_anything_to_hit_clearances_are_infinite(thin_plan, tmp_path):
+    certificate, infinite = thin_plan.certificate, np.full(len(thin_plan.baseline.t), np.inf)
     checks = tuple(
         replace(check, value=math.inf) if check.quantity == "clearance" else check
         for check in certificate.checks
@@ -333,10 +341,10 @@ def test_without_anything_to_hit_clearances_are_infinite(triangle_plan, tmp_path
     planned = replace(certificate.figures, min_clearance=math.inf)
     certificate = replace(certificate, checks=checks, figures=planned, clearance_bound=math.inf)
     plan = replace(
-        triangle_plan,
+        thin_plan,
         certificate=certificate,
-        baseline=replace(triangle_plan.baseline, clearance=infinite),
-        baseline_figures=replace(triangle_plan.baseline_figures, min_clearance=math.inf),
+        baseline=replace(thin_plan.baseline, clearance=infinite),
+        baseline_figures=replace(thin_plan.baseline_figures, min_clearance=math.inf),
     )
     read = load_plan(save(plan, tmp_path / "plan"))
     assert read.certificate == certificate
@@ -415,6 +423,7 @@ def test_verify_certifies_again(saved, triangle_plan):
 @pytest.mark.parametrize("motion", ["planned", "baseline"])
 def test_verify_notices_wrong_figures(folder, motion):
     edit(folder, lambda data: data[motion].update(peak_guardrail_torque=1.0))
+    edit(folder, lambda data: data["options"].update(samples_per_segment=4))  # quicker
     with pytest.raises(ArchiveError) as caught:
         load_plan(folder, verify=True)
     assert caught.value.key == f"{motion}.peak_guardrail_torque"
@@ -428,7 +437,7 @@ def test_verify_notices_a_broken_promise(folder, triangle_plan):
     rewrite(folder, "trajectory.npz", npz(t=knots.t, q=knots.q, v=v, a=knots.a))
     edit(folder, lambda data: data["options"].update(samples_per_segment=4))  # quicker
     assert load_plan(folder).certificate.holds  # the file's word
-    with pytest.raises(LimitViolation, match="jerk|jump"):
+    with pytest.raises(LimitViolation, match="of joint_"):
         load_plan(folder, verify=True)
 
 
@@ -579,8 +588,7 @@ def member_without_header(knots):
         (lambda knots: b"not a zip file", ""),
         (lambda knots: npz(**knots)[:5000], ""),
         (lambda knots: npz(t=knots["t"], q=knots["q"]), ""),
-        (knots_with(extra=lambda _: None), ""),
-        (lambda knots: npz(**{**knots, "j": knots["a"]}), ""),
+        (lambda knots: npz(**knots, extra=knots["a"]), ""),
         (knots_with(q=lambda q: q.astype(object)), ""),
         (member_without_header, "t"),
         (knots_with(q=lambda q: q.astype(np.float32)), "q"),

@@ -88,7 +88,8 @@ def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
 def test_its_policy_forbids_connections(shown: webdriver.Chrome, address: str) -> None:
     blocked = shown.execute_async_script(
         """const [address, done] = arguments;
-        document.addEventListener("securitypolicyviolation", (event) => done(event.effectiveDirective), {once: true});
+        const report = (event) => done(event.effectiveDirective);
+        document.addEventListener("securitypolicyviolation", report, {once: true});
         address.startsWith("ws") ? new WebSocket(address) : fetch(address).catch(() => {});""",
         address,
     )
@@ -152,7 +153,8 @@ def test_play_and_pause(shown: webdriver.Chrome) -> None:
     reached = shown.execute_async_script(
         """const done = arguments[0];
         document.getElementById("play").click();
-        const wait = () => (cmbotReplay.time > 0.05 ? done(cmbotReplay.playing) : requestAnimationFrame(wait));
+        const moved = () => cmbotReplay.time > 0.05;
+        const wait = () => (moved() ? done(cmbotReplay.playing) : requestAnimationFrame(wait));
         wait();"""
     )
     assert reached is True
@@ -215,7 +217,7 @@ def test_hostile_names_are_text_and_nothing_else(
     scene = triangle_plan.scene
     obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
     scene = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
-    robot = dataclasses.replace(triangle_plan.robot, name=EVIL)
+    robot = dataclasses.replace(triangle_plan.robot, name=EVIL, visual_model=pin.GeometryModel())  # quick
     path = tmp_path / "evil.html"
     replay(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path)
     open_page(chrome, path)

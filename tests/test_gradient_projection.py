@@ -1,4 +1,4 @@
-"""The joint path: the robust inverse to the letter, the tool on its path, avoidance by self-motion alone."""
+"""The joint path: the robust inverse to the letter, the tool on its path, and what ends it."""
 
 from __future__ import annotations
 
@@ -15,9 +15,11 @@ from small_scenes import parts, short_scene
 from cmbot.errors import PathNotFound
 from cmbot.planning.gradient_projection import JointPath, follow_path, place_on_task, robust_inverse
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.scene.clearance import Clearances
+from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.scene.tool_path import ToolPath
 
 FloatArray = NDArray[np.float64]
 OPTIONS = PlannerOptions(knots="fixed")
@@ -63,7 +65,7 @@ def test_inverse_is_equations_20_and_21(seed: int, s_6: float, s_h: float, dampi
     J = jacobian(seed, s_6)
     s = np.linalg.svd(J, compute_uv=False)[-1]
     lam = damping * (1 - s / s_h) if s < s_h else 0.0
-    if lam == 0.0 and s < 1e-2 or 0.0 < lam < 1e-3:
+    if max(s, lam) < 1e-2:
         return  # the literal form itself loses its digits there
     expected = J.T @ np.linalg.inv(J @ J.T + lam**2 * np.eye(6))
     got = robust_inverse(J, replace(OPTIONS, damping_max=damping, damping_threshold=s_h))
@@ -72,9 +74,9 @@ def test_inverse_is_equations_20_and_21(seed: int, s_6: float, s_h: float, dampi
 
 @given(seed=st.integers(0, 2**32 - 1), s_6=st.floats(0, 0.1))
 def test_inverse_is_bounded_near_singularities(seed: int, s_6: float) -> None:
-    """The gain s/(s^2 + lambda^2) has its maximum below s_h, where it is about 1/s_h (here 10)."""
+    """The gain s/(s^2 + lambda^2) is largest just below s_h, where it is hardly more than 1/s_h."""
     got = robust_inverse(jacobian(seed, s_6), OPTIONS)
-    assert np.linalg.norm(got, 2) <= 10.0 + 1e-9
+    assert np.linalg.norm(got, 2) <= 1.05 / OPTIONS.damping_threshold
 
 
 def test_damping_of_zero_is_the_plain_inverse() -> None:
@@ -106,8 +108,8 @@ def test_the_drift_falls_with_the_step() -> None:
     scene = short_scene()
     drift = [path_of(scene, path_step_s=step)[3].drift.max() for step in (0.04, 0.02, 0.01)]
     assert drift[0] < 1e-3
-    assert drift[1] < 0.35 * drift[0]
-    assert drift[2] < 0.35 * drift[1]
+    assert drift[1] < 0.6 * drift[0]
+    assert drift[2] < 0.6 * drift[1]
 
 
 @pytest.mark.parametrize("keep", ["pose", "axis", "position"])
@@ -120,116 +122,6 @@ def test_what_is_kept_and_what_is_free(keep: str) -> None:
     whole = np.linalg.norm(R_WT - task.path.orientation, axis=(1, 2))
     assert (axis.max() < 1e-3) == (keep != "position")
     assert (whole.max() < 1e-3) == (keep == "pose")
-
-
-def rates_at(scene: Scene, q: FloatArray, **options: Any) -> FloatArray:
-    """Joint rates at `q` when the tool is to stay where it is: self-motion alone."""
-    robot, _, _, clearances = parts(scene)
-    X_WT = Kinematics(robot).tool_pose(q)
-    path = replace(
-        parts(scene)[1].path, corners=np.vstack([X_WT.translation] * 2) + [[0, 0, 0], [0, 0, 1e-15]]
-    )
-    task = ToolTask(replace(path, orientation=X_WT.rotation, seconds=np.array([0.02])), scene.keep)
-    chosen = replace(scene.planner, path_step_s=0.02, **options)
-    return follow_path(robot, task, q, clearances, chosen, stop_at_obstacles=False).v[0]
-
-
-@pytest.fixture(scope="module")
-def near_postures(triangle_path: tuple[Robot, ToolTask, Clearances, JointPath]) -> FloatArray:
-    """Postures of the triangle's path where something is near, three pairs at most."""
-    _, _, clearances, path = triangle_path
-    near = clearances.smallest(path.q, avoidable_only=True).distance < 0.14
-    assert near.sum() > 100
-    return path.q[near][::40]
-
-
-@pytest.mark.parametrize("avoidance", ["smooth", "switch"])
-def test_self_motion_leaves_the_tool_alone(
-    triangle: Scene, near_postures: FloatArray, avoidance: str
-) -> None:
-    kinematics = Kinematics(parts(triangle)[0])
-    for q in near_postures:
-        v = rates_at(triangle, q, avoidance=avoidance)
-        assert np.abs(v).max() > 1e-3
-        assert np.abs(kinematics.tool_jacobian(q)[1] @ v).max() < 1e-10
-
-
-def test_switch_is_equation_17_to_the_letter(
-    triangle: Scene, near_postures: FloatArray, triangle_path: tuple[Robot, ToolTask, Clearances, JointPath]
-) -> None:
-    robot, _, clearances, path = triangle_path
-    kinematics = Kinematics(robot)
-    avoidable = [k for k, pair in enumerate(clearances.pairs) if not (pair.of_arm or pair.at_work)]
-    far = path.q[clearances.smallest(path.q, avoidable_only=True).distance > 0.16][:3]
-    assert len(far) == 3
-    for q in (*near_postures, *far):
-        near = min((clearances.nearest(q, k) for k in avoidable), key=lambda found: found.distance)
-        u = (near.point - near.other_point) / near.distance
-        gradient = np.linalg.pinv(near.jacobian) @ u if near.distance <= 0.15 else np.zeros(7)
-        J = kinematics.tool_jacobian(q)[1]
-        expected = 2.0 * (np.eye(7) - np.linalg.pinv(J) @ J) @ gradient
-        got = rates_at(triangle, q, avoidance="switch")
-        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
-
-
-def test_smooth_avoidance_of_one_pair_fades_in(triangle: Scene, near_postures: FloatArray) -> None:
-    """With one near pair it is Eq. (17) times 1 - d/d_s."""
-    robot, _, _, clearances = parts(triangle)
-    compared = 0
-    for q in near_postures:
-        found = clearances.within(q, 0.15)
-        if len(found) == 1:
-            share = 1 - found[0].distance / 0.15
-            got, switched = (rates_at(triangle, q, avoidance=kind) for kind in ("smooth", "switch"))
-            np.testing.assert_allclose(got, share * switched, rtol=0, atol=1e-9)
-            compared += 1
-    assert compared > 0
-
-
-def largest_jump(scene: Scene, step: float, avoidance: str) -> float:
-    path = path_of(scene, path_step_s=step, avoidance=avoidance)[3]
-    return float(np.abs(np.diff(path.v, axis=0)).max())
-
-
-def test_smooth_rates_are_continuous_and_switched_ones_are_not() -> None:
-    """Jumps from step to step shrink with the step, or do not."""
-    # The slab comes within d_s on the way.
-    scene = short_scene(
-        tool_path={"legs": [{"by": [0, -0.6, 0], "seconds": 8}]},
-        obstacles=[{"name": "slab", "box": [6, 1.2, 0.12], "xyz": [1, -0.8, -1.06]}],
-    )
-    smooth = [largest_jump(scene, step, "smooth") for step in (0.04, 0.02, 0.01)]
-    assert smooth[1] < 0.65 * smooth[0]
-    assert smooth[2] < 0.65 * smooth[1]
-    switch = [largest_jump(scene, step, "switch") for step in (0.02, 0.01)]
-    assert switch[1] > 0.8 * switch[0]
-    assert switch[1] > 10 * smooth[2]
-
-
-def test_avoidance_gains_clearance(
-    triangle: Scene, triangle_path: tuple[Robot, ToolTask, Clearances, JointPath]
-) -> None:
-    robot, task, posture, clearances = parts(triangle)
-    options = replace(triangle.planner, avoidance_gain=0.0, path_step_s=0.02)
-    without = follow_path(robot, task, posture, clearances, options, stop_at_obstacles=False)
-    assert triangle_path[3].clearance.min() > without.clearance.min() + 0.01
-    avoidable = [clearances.smallest(p.q, avoidable_only=True).distance for p in (triangle_path[3], without)]
-    assert avoidable[0].min() > avoidable[1].min() + 0.01
-
-
-def test_pulling_the_centre_of_gravity_lowers_the_torque(
-    triangle: Scene, triangle_path: tuple[Robot, ToolTask, Clearances, JointPath]
-) -> None:
-    robot, task, posture, clearances = parts(triangle)
-    options = replace(triangle.planner, centre_of_gravity_weight=0.2, path_step_s=0.02)
-    pulled = follow_path(robot, task, posture, clearances, options, stop_at_obstacles=False)
-    dynamics = Dynamics(robot)
-    mean = [
-        np.linalg.norm(dynamics.static_efforts(path.q).guardrail_torque, axis=1).mean()
-        for path in (pulled, triangle_path[3])
-    ]
-    assert mean[0] < 0.98 * mean[1]
-    assert pulled.drift.max() < 1e-3
 
 
 def test_path_ends_at_an_obstacle() -> None:
@@ -283,7 +175,10 @@ def test_placing_on_the_task(cmbot_robot: Robot, seed: int, keep: Any) -> None:
     kinematics = Kinematics(cmbot_robot)
     q = np.deg2rad([-10, -90, 90, 0, 10, 50, 0]) + rng.uniform(-0.3, 0.3, 7)
     X_WT, J = kinematics.tool_jacobian(q)
-    path = replace(parts(short_scene())[1].path, orientation=X_WT.rotation)
+    corners = np.array([X_WT.translation, X_WT.translation + np.ones(3)])
+    path = ToolPath(
+        corners=corners, orientation=X_WT.rotation, seconds=np.array([1.0]), profile=SpeedProfile()
+    )
     task = ToolTask(path, keep)
     off = rng.uniform(-0.01, 0.01, 7)
     placed = place_on_task(kinematics, task, q + off, X_WT.translation)

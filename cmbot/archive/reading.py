@@ -56,6 +56,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     folder = Path(directory)
     file = _plan_file(folder)
     source = folder / PLAN_FILE
+    certificate = _certificate(file, source)
     with _as_archive_error(str(source)):
         scene = _scene(file, source)
         robot = _robot(scene, file, source)
@@ -71,17 +72,16 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
 
     baseline = measure(robot, task, clearances, t, motion)
     baseline_figures = file.baseline.figures()
-    certificate = _certificate(file, source)
     start = file.start.start()
     if start.posture.shape != (robot.dof,):
         raise ArchiveError(
             str(source), "start.posture_deg", f"{len(start.posture)} joints", f"{robot.dof} joints"
         )
     if verify:
+        _require_same(baseline_figures, figures(robot, baseline), source, "baseline")
         fresh = certify(robot, task, trajectory, trajectory.q, clearances, file.options)
         fresh.require()
         _require_same(certificate.figures, fresh.figures, source, "planned")
-        _require_same(baseline_figures, figures(robot, baseline), source, "baseline")
         certificate = fresh
     return Plan(
         scene=scene,

@@ -1,9 +1,9 @@
 """What the optimiser varies: families of C3 splines, as functions of a vector x of unknowns.
 
-`FixedKnots` keeps the via-points (Chang 2021, Eq. (30) to the letter) and varies the numbers of `SplineSpace`;
-`SlidingKnots` also lets via-points slide along the self-motion, the tool task kept exactly. Unknowns are scaled so
-that the smoothing term ``weight/2 * mean over joints of mean_t (jerk/J_C)^2`` has, for the spline numbers, the
-identity as its Hessian, which is what SLSQP starts with.
+`FixedKnots` keeps the via-points (Chang 2021, Eq. (30) to the letter) and varies the numbers of
+`SplineSpace`; `SlidingKnots` also lets via-points slide along the self-motion, the tool task kept exactly.
+Unknowns are scaled so that the smoothing term ``weight/2 * mean over joints of mean_t (jerk/J_C)^2`` has, for
+the spline numbers, the identity as its Hessian, which is what SLSQP starts with.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ class WhitenedSplines:
     @cached_property
     def response(self) -> FloatArray:
         """P: knot vectors (3n, n) of the least-jerk splines through each via-point alone."""
-        return self.space.least_jerk(np.eye(len(self.space.t)))
+        return np.asarray(self.space.least_jerk(np.eye(len(self.space.t))))
 
     @cached_property
     def response_gram(self) -> FloatArray:
@@ -180,7 +180,7 @@ class SlidingKnots(FixedKnots):
             self._null[0] = 0.0
         self._slides = self._null.shape[0] * self._null.shape[1]
         self._weights = weight / self._joints / splines.limits.jerk**2
-        # Scaling only: where smoothing does not hold it back, a unit slides all via-points by the longest slide.
+        # Scaling only: where smoothing does not hold it back, a unit slides via-points by the longest slide.
         H = self._slide_curvature(self._null) + np.eye(self._slides) / _LONGEST_SLIDE**2
         self._to_slides = linalg.solve_triangular(np.linalg.cholesky(H), np.eye(self._slides), lower=True).T
         self._at: tuple[FloatArray, FloatArray, FloatArray] | None = None
@@ -188,7 +188,7 @@ class SlidingKnots(FixedKnots):
     @property
     def dimension(self) -> int:
         """Number of unknowns."""
-        return super().dimension + self._slides
+        return int(self._numbers.size) + self._slides
 
     @property
     def start(self) -> FloatArray:
@@ -224,7 +224,7 @@ class SlidingKnots(FixedKnots):
     def smoothing_curvature(self) -> FloatArray:
         """Hessian (dimension, dimension) of the smoothing term around `start`, along the tangents."""
         slides = self._to_slides.T @ self._slide_curvature(self._null) @ self._to_slides
-        return np.asarray(linalg.block_diag(slides, np.eye(super().dimension)))
+        return np.asarray(linalg.block_diag(slides, np.eye(self._numbers.size)))
 
     def rebuilt(self, x: FloatArray, weight: float) -> SlidingKnots:
         """Build the family anew around `x`, with another weight of the smoothing term."""

@@ -25,6 +25,10 @@ _COARSE_STRIDE = 10
 _COARSE_MOST = 40
 # In those passes the smoothing weighs more, so that splines do not swing between the few working times.
 _COARSE_SMOOTHING = 1000.0
+# The mean square is not worth jerk at its bound all along: so many times the peak stage's smoothing.
+_MEAN_SMOOTHING = 100.0
+# Accuracy of a pass, relative to the objective, which is about 1.
+_COARSE_ACCURACY, _ACCURACY = 1e-5, 1e-8
 # SLSQP's line search can stall short of the constraints; started afresh from there it gets on.
 _MOST_STALLS = 3
 # Unknowns without any effect, such as the slide of a pinned via-point, keep the Hessian regular.
@@ -129,11 +133,11 @@ class _Run:
         while True:
             if len(self.reports) >= options.max_passes:
                 raise self._failure(f"no solution in {options.max_passes} passes", self.reports[-1].worst)
+            coarse = stride > 1
             if name == "peak":
-                smoothing = _COARSE_SMOOTHING if stride > 1 else 1.0
-                bound, iterations = self._lower_peak(bound, smoothing * options.smoothing_weight)
+                bound, iterations = self._lower_peak(bound, coarse=coarse)
             else:
-                iterations = self._lower_mean_square(bound)
+                iterations = self._lower_mean_square(bound, coarse=coarse)
             added, worst, peak = self._look(bound, stride, most)
             self._report(name, iterations, peak, worst)
             if added:
@@ -153,8 +157,9 @@ class _Run:
         tolerance = self._problem.options.constraint_tolerance
         return self._working.add_violated(trajectory, bound, tolerance, stride, most)
 
-    def _lower_peak(self, bound: float, weight: float) -> tuple[float, int]:
+    def _lower_peak(self, bound: float, *, coarse: bool) -> tuple[float, int]:
         """Solve the peak stage's subproblem in epigraph form: unknowns are (x, b)."""
+        weight = self._problem.options.smoothing_weight * (_COARSE_SMOOTHING if coarse else 1.0)
         family = self.family = self.family.rebuilt(self.x, weight)
 
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
@@ -170,19 +175,21 @@ class _Run:
 
         x, iterations = solve_slsqp(
             Subproblem(start=np.append(family.start, bound), objective=objective, constraints=constraints),
+            _COARSE_ACCURACY if coarse else _ACCURACY,
             self._problem.options.max_iterations,
         )
         self.x = x[:-1]
         return float(x[-1]), iterations
 
-    def _lower_mean_square(self, bound: float) -> int:
+    def _lower_mean_square(self, bound: float, *, coarse: bool) -> int:
         """Solve the mean-square stage's subproblem, the torque's norm held below `bound`.
 
         Unknowns are u with ``x = C u``, where C whitens the objective's Gauss-Newton Hessian: SLSQP then
         starts with nearly the right curvature.
         """
         problem = self._problem
-        family = self.family = self.family.rebuilt(self.x, problem.options.smoothing_weight)
+        weight = problem.options.smoothing_weight * (_COARSE_SMOOTHING if coarse else _MEAN_SMOOTHING)
+        family = self.family = self.family.rebuilt(self.x, weight)
         H = problem.mean_square_curvature(family, family.start) + family.smoothing_curvature()
         L = np.linalg.cholesky(H + _LEAST_CURVATURE * np.eye(len(H)))
         C = linalg.solve_triangular(L, np.eye(len(L)), lower=True).T
@@ -200,6 +207,7 @@ class _Run:
 
         u, iterations = solve_slsqp(
             Subproblem(start=L.T @ family.start, objective=objective, constraints=constraints),
+            _COARSE_ACCURACY if coarse else _ACCURACY,
             problem.options.max_iterations,
         )
         self.x = C @ u

@@ -34,7 +34,7 @@ __all__ = ["KinematicBound", "TorqueProblem"]
 
 # Sampled constraints are kept this share inside their bounds, for what lies between the samples; bounds on
 # polynomials are met at their exact extrema and need only room for the solver's tolerance.
-_SAMPLED_SHARE = 1e-3
+_SAMPLED_SHARE = 2e-3
 _EXACT_SHARE_IN_TOLERANCES = 10.0
 # The same room for the clearance, m.
 _CLEARANCE_ROOM = 1e-5

@@ -13,10 +13,6 @@ from cmbot.arrays import FloatArray
 __all__ = ["Subproblem", "solve_slsqp"]
 
 
-# SLSQP stops when the objective (about 1) changes less than this and the constraints' violations sum to less.
-_ACCURACY = 1e-8
-
-
 @dataclass(frozen=True, kw_only=True)
 class Subproblem:
     """A smooth problem ``min f(x), c(x) >= 0``.
@@ -35,7 +31,7 @@ class Subproblem:
     constraints: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
 
 
-def solve_slsqp(subproblem: Subproblem, max_iterations: int) -> tuple[FloatArray, int]:
+def solve_slsqp(subproblem: Subproblem, accuracy: float, max_iterations: int) -> tuple[FloatArray, int]:
     """Solve a subproblem by SciPy's sequential quadratic programming.
 
     There are no equality constraints, so SLSQP's abort on more equalities than variables cannot happen. Its
@@ -44,6 +40,8 @@ def solve_slsqp(subproblem: Subproblem, max_iterations: int) -> tuple[FloatArray
     Parameters
     ----------
     subproblem : Subproblem
+    accuracy : float
+        It stops when the objective changes by less and the constraints' violations sum to less.
     max_iterations : int
 
     Returns
@@ -63,7 +61,7 @@ def solve_slsqp(subproblem: Subproblem, max_iterations: int) -> tuple[FloatArray
             "fun": lambda x: constraints(x)[0],
             "jac": lambda x: constraints(x)[1],
         },
-        options={"maxiter": max_iterations, "ftol": _ACCURACY},
+        options={"maxiter": max_iterations, "ftol": accuracy},
     )
     return np.asarray(result.x), int(result.nit)
 

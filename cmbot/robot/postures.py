@@ -98,7 +98,7 @@ class PostureBatch:
     def jacobian(self) -> FloatArray:
         """Tool Jacobians (N, 6, n): velocity of the tool point, m/rad, then angular velocity."""
         arm = self.tool_point[:, None] - self.origin
-        return np.concatenate([np.cross(self.axis, arm), self.axis], axis=2).transpose(0, 2, 1)
+        return np.asarray(np.concatenate([np.cross(self.axis, arm), self.axis], axis=2).transpose(0, 2, 1))
 
     @cached_property
     def guardrail_torque(self) -> FloatArray:
@@ -114,7 +114,7 @@ class PostureBatch:
     @cached_property
     def joint_torque(self) -> FloatArray:
         """Static joint torques (N, n), Nm (Chang 2021, Eq. (13))."""
-        return -np.einsum("kid,kid->ki", self.axis, np.cross(self._beyond, self.gravity))
+        return np.asarray(-np.einsum("kid,kid->ki", self.axis, np.cross(self._beyond, self.gravity)))
 
     @cached_property
     def _moment(self) -> FloatArray:

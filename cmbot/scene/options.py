@@ -90,6 +90,6 @@ class PlannerOptions:
     solver: Literal["slsqp"] = "slsqp"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
     smoothing_weight: Annotated[float, Field(gt=0, le=1)] = 1e-4
-    constraint_tolerance: Annotated[float, Field(gt=0, le=1e-4)] = 1e-6
+    constraint_tolerance: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
     max_passes: PositiveInt = 40
     max_iterations: PositiveInt = 1000

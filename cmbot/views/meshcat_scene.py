@@ -1,8 +1,8 @@
 """A plan's still picture as commands to meshcat's viewer: the robot, the bridge, the tool path.
 
-The commands are written here, as meshcat's Readme describes them. meshcat's Python side is not imported: it brings
-its server with it, its geometries have neither normals nor 16-bit arrays, and its identifiers hold the computer's
-network address.
+The commands are written here, as meshcat's Readme describes them. meshcat's Python side is not imported: it
+brings its server with it, its geometries have neither normals nor 16-bit arrays, and its identifiers hold the
+computer's network address.
 """
 
 from __future__ import annotations
@@ -25,6 +25,9 @@ __all__ = ["reach", "scene_commands"]
 MOST_ROBOT_FACES = 24_000
 MOST_OBSTACLE_FACES = 12_000
 """With these, and the most frames of a motion, a page stays below 5 MB whatever is in the scene."""
+
+SHORTEST_REACH = 0.05
+"""m."""
 
 CREASE = np.deg2rad(35.0)
 """Edges sharper than this look sharp."""
@@ -64,7 +67,8 @@ def reach(robot: Robot) -> float:
     """Return the length of the stretched arm, m: the measure of what is drawn beside it."""
     tool = robot.model.frames[robot.tool_frame_id].placement
     offsets = [X.translation for X in robot.model.jointPlacements[2:]]
-    return float(sum(np.linalg.norm(p) for p in (*offsets, tool.translation)))
+    length = float(sum(np.linalg.norm(p) for p in (*offsets, tool.translation)))
+    return max(length, SHORTEST_REACH)
 
 
 def _backdrop() -> Iterator[Command]:
@@ -83,7 +87,7 @@ def _robot(robot: Robot) -> Iterator[Command]:
     for number, ((joint, rgba), group) in enumerate(groups.items()):
         red, green, blue = (round(255 * float(np.clip(value, 0, 1))) for value in rgba[:3])
         colour = (red << 16) + (green << 8) + blue
-        yield _set_mesh(f"/robot/{joint}/{number}", group, colour, opacity=rgba[3], shininess=60)
+        yield _set_mesh(f"/robot/{joint}/{number}", group, colour, opacity=float(rgba[3]), shininess=60)
 
 
 def _bridge(scene: Scene) -> Iterator[Command]:
@@ -117,7 +121,7 @@ def _set_mesh(
         "shininess": shininess,
         "side": DOUBLE_SIDE,
         "transparent": opacity < 1,
-        "opacity": float(opacity),
+        "opacity": opacity,
     }
     geometry = {
         "uuid": f"{path} geometry",

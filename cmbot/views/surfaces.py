@@ -21,8 +21,8 @@ FloatArray = NDArray[np.float64]
 
 CAPSULE_RINGS = (12, 24)
 SPHERE_SUBDIVISIONS = 3
-FIRST_CELL = 1e-3
-"""Share of the largest extent at which clustering starts."""
+SMALLEST_CELL = 1e-4
+"""Share of the largest extent, in `simplified`."""
 
 
 def visual_surface(shape: Any, source: str) -> trimesh.Trimesh:
@@ -93,12 +93,15 @@ def simplified(meshes: Sequence[trimesh.Trimesh], most_faces: int) -> list[trime
 
     Vertices in one cell of a grid become one (Rossignac and Borrel 1993); the cell grows until it suffices.
     """
-    meshes = list(meshes)
-    cell = FIRST_CELL * max((float(mesh.extents.max()) for mesh in meshes if len(mesh.faces)), default=0.0)
-    coarse = meshes
+    coarse = list(meshes)
+    if sum(len(mesh.faces) for mesh in meshes) <= most_faces:
+        return coarse
+    # A cell of this size keeps about two triangles.
+    cell = np.sqrt(sum(mesh.area for mesh in meshes) / most_faces)
+    cell = max(cell, SMALLEST_CELL * max(mesh.extents.max() for mesh in meshes if len(mesh.faces)))
     while sum(len(mesh.faces) for mesh in coarse) > most_faces:
         coarse = [_clustered(mesh, cell) for mesh in meshes]
-        cell *= 1.3
+        cell *= 1.2
     return coarse
 
 

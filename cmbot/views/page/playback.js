@@ -116,7 +116,7 @@ class Replay {
     const advance = (now) => {
       if (!this.playing) return;
       // A tab that was in the background goes on where it was left.
-      const passed = Math.min(Math.max(now - last, 0), 250) / 1000;
+      const passed = Math.min(Math.max(now - last, 0), 500) / 1000;
       last = now;
       this.seek(this.time + Number(this.ui.speed.value) * passed);
       if (this.time >= this.data.duration) this.pause();

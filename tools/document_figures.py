@@ -1,0 +1,69 @@
+"""Write the figures in README.md anew, between their markers, from real runs.
+
+Run it with ``python tools/document_figures.py`` after a change that moves them; with ``--sensitivity`` it also
+writes the tables of docs/assumptions.md, which takes minutes. tests/test_documents.py holds the README to it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import cmbot
+
+ROOT = Path(__file__).resolve().parent.parent
+
+
+def write_between(path: Path, marker: str, text: str) -> None:
+    """Put `text` between ``<!-- marker -->`` and ``<!-- end of marker -->``."""
+    start, end = f"<!-- {marker} -->", f"<!-- end of {marker} -->"
+    old = path.read_text(encoding="utf-8")
+    pattern = re.compile(f"{re.escape(start)}\n.*?{re.escape(end)}", re.DOTALL)
+    new, count = pattern.subn(lambda _: f"{start}\n{text.strip()}\n{end}", old)
+    if count != 1:
+        sys.exit(f"{path}: {count} places marked {marker}, expected one")
+    path.write_text(new, encoding="utf-8")
+
+
+def output_of_plan() -> str:
+    """Return what ``cmbot plan triangle`` prints on standard output."""
+    with tempfile.TemporaryDirectory() as folder:
+        command = [str(Path(sys.executable).with_name("cmbot")), "plan", "triangle"]
+        done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
+    return f"```text\n{done.stdout.strip()}\n```"
+
+
+def table_of_figures() -> str:
+    """Return the figures of both shipped scenes, as the plans print them."""
+    lines = ["| | triangle, baseline | triangle, planned | line, baseline | line, planned |"]
+    lines.append("|---|---|---|---|---|")
+    plans = (cmbot.plan(cmbot.load_scene(name)) for name in ("triangle", "line"))
+    for triangle, line in zip(*(plan.rows() for plan in plans), strict=True):
+        lines.append(f"| {' | '.join((*triangle, *line[1:]))} |")
+    return "\n".join(lines)
+
+
+def sensitivity(scene: str) -> str:
+    """Return what ``tools/sensitivity.py`` prints of a scene."""
+    command = [sys.executable, str(ROOT / "tools" / "sensitivity.py"), scene]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def main() -> None:
+    """Write what was asked for."""
+    parser = argparse.ArgumentParser(description="Write the documents' figures from real runs.")
+    parser.add_argument("--sensitivity", action="store_true", help="the tables of docs/assumptions.md too")
+    arguments = parser.parse_args()
+    write_between(ROOT / "README.md", "output of cmbot plan triangle", output_of_plan())
+    write_between(ROOT / "README.md", "figures", table_of_figures())
+    if arguments.sensitivity:
+        for scene in ("triangle", "line"):
+            write_between(ROOT / "docs" / "assumptions.md", f"sensitivity of {scene}", sensitivity(scene))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""Print what the figures of a shipped scene are sensitive to: one assumption changed at a time.
+
+The table of docs/assumptions.md is its output. Run it with ``python tools/sensitivity.py [triangle | line]``.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from copy import deepcopy
+from typing import Any
+
+import cmbot
+
+# Where in the scene file, and what stands there instead.
+CHANGES: list[tuple[str, object]] = [
+    ("robot.tool_length_m", 0.25),
+    ("robot.tool_length_m", 0.35),
+    ("robot.payload_kg", 5.0),
+    ("tool_path.speed_profile.ramp", 0.1),
+    ("tool_path.via_points", 30),
+    ("planner.avoidance", "switch"),
+    ("planner.avoidance_gain", 0.0),
+    ("planner.avoidance_gain", 4.0),
+    ("planner.avoidance_distance_m", 0.10),
+    ("planner.avoidance_distance_m", 0.20),
+    ("planner.damping_threshold", 0.3),
+    ("planner.drift_gain", 5.0),
+    ("planner.centre_of_gravity_weight", 1.0),
+]
+HEADER = "| changed | gravity's peak, baseline, Nm | planned, Nm | its clearance, mm | start moved, deg |"
+
+
+def changed(data: dict[str, Any], key: str, value: object) -> dict[str, Any]:
+    """Return a copy of a scene's content with one value changed."""
+    data = deepcopy(data)
+    *above, last = key.split(".")
+    node = data
+    for step in above:
+        node = node.setdefault(step, {})
+    node[last] = value
+    return data
+
+
+def row(name: str, content: dict[str, Any]) -> str:
+    """Return a line of the table: a plan's figures, or why there is none."""
+    try:
+        plan = cmbot.plan(cmbot.load_scene(content))
+    except cmbot.PlanningError as error:
+        return f"| {name} | no plan: {type(error).__name__}, {error} | | | |"
+    figures = (
+        f"{plan.baseline_figures.peak_static_guardrail_torque:.2f}",
+        f"{plan.figures.peak_static_guardrail_torque:.2f}",
+        f"{1e3 * plan.figures.min_clearance:.1f}",
+        f"{math.degrees(plan.start.moved):.1f}",
+    )
+    return f"| {name} | {' | '.join(figures)} |"
+
+
+def main() -> None:
+    """Plan the scene as it is, then with every change."""
+    scene = cmbot.load_scene(sys.argv[1] if len(sys.argv) > 1 else "triangle")
+    data = scene.file.as_data()
+    print(HEADER)
+    print("|---|---|---|---|---|")
+    print(row("nothing", data), flush=True)
+    for key, value in CHANGES:
+        print(row(f"`{key}: {value}`", changed(data, key, value)), flush=True)
+
+
+if __name__ == "__main__":
+    main()
