@@ -29,6 +29,7 @@ from cmbot.errors import (
     PlanningError,
     SceneError,
 )
+from cmbot.version import __version__
 
 if TYPE_CHECKING:
     from cmbot.archive import load_plan, save
@@ -36,8 +37,6 @@ if TYPE_CHECKING:
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.views import replay
-
-__version__ = "0.1.0"
 
 __all__ = [
     "ArchiveError",
@@ -55,6 +54,7 @@ __all__ = [
     "Robot",
     "Scene",
     "SceneError",
+    "__version__",
     "load_plan",
     "load_robot",
     "load_scene",

@@ -242,9 +242,11 @@ class _Narrator:
             text += f" from another start ({progress.failed_starts} failed)"
         report = progress.report
         if report is not None:
+            beyond = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
+            met = report.worst.value <= 0.0
             text += (
                 f", pass {report.number} ({report.stage}): peak {report.peak_torque:.2f} Nm, "
-                f"worst constraint {report.worst.name} {max(report.worst.value, 0.0):.2%} beyond its bound"
+                f"{'all constraints met' if met else beyond}"
             )
         if self._status is not None:
             self._status.update(text)

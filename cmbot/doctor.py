@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
 
-import cmbot
 from cmbot.resources import model_folder, scene_folder
+from cmbot.version import __version__
 
 __all__ = ["Symptom", "examine"]
 
@@ -36,7 +36,7 @@ class Symptom:
 def examine() -> list[Symptom]:
     """Look at the installation."""
     symptoms = [
-        Symptom(name="cmbot", found=f"{cmbot.__version__} from {Path(cmbot.__file__).parent}"),
+        Symptom(name="cmbot", found=f"{__version__} from {Path(__file__).parent}"),
         Symptom(name="python", found=f"{platform.python_version()} on {platform.platform()}"),
     ]
     symptoms += [_package(name) for name in _REQUIRED]

@@ -24,7 +24,7 @@ SHORT: dict[str, Any] = {
     "robot": {"model": "cmbot"},
     "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
     "tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 4}], "via_points": 8},
-    "planner": {"knots": "fixed", "path_step_s": 0.02, "samples_per_segment": 20},
+    "planner": {"knots": "fixed", "path_step_s": 0.02},
 }
 
 

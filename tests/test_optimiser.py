@@ -39,7 +39,7 @@ def literal(problem: TorqueProblem, task: ToolTask, per_segment: int) -> Literal
         via_points=problem.family.via_points,
         scale=problem.scale,
         smoothing_weight=problem.options.smoothing_weight,
-        max_tool_deviation=problem.options.max_tool_deviation_m * (1 - 1e-3),
+        max_tool_deviation=(problem.functions[1].bound),
         per_segment=per_segment,
     )
 
@@ -61,13 +61,13 @@ def test_peak_is_that_of_the_papers_own_formulation() -> None:
     """The tool's deviation is at its bound here; joint limits, which the oracle leaves out, are not."""
     scene = short_scene(
         tool_path={"legs": OUT_AND_BACK, "via_points": 7},
-        planner={"smoothing_weight": 1e-2, "max_tool_deviation_m": 0.01},
+        planner={"smoothing_weight": 1e-2, "max_tool_deviation_m": 0.01, "samples_per_segment": 20},
     )
     problem, task, _ = problem_of(scene)
     optimised = optimise(problem)
     assert {report.stage for report in optimised.passes} == {"peak"}
     assert keeps_joint_limits(problem, optimised)
-    oracle = literal(problem, task, problem.options.samples_per_segment)
+    oracle = literal(problem, task, per_segment=20)
     best, z = oracle.solve()
     got = peak_of(problem, optimised) + oracle.smoothing(variables(optimised))[0]
     assert got == pytest.approx(best, rel=1e-6)
@@ -189,19 +189,28 @@ def test_passes_run_out() -> None:
     assert "% beyond its bound" in str(caught.value)
 
 
-def test_a_margin_that_the_via_points_break_cannot_be_met() -> None:
-    scene = short_scene(
-        planner={"max_iterations": 20},
-        obstacles=[{"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.6, -2.06]}],
-    )
+def test_a_margin_that_the_via_points_break_is_refused_at_once() -> None:
+    scene = short_scene(obstacles=[{"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.6, -2.06]}])
     problem, task, clearances = problem_of(scene)
     distance = clearances.smallest(problem.family.via_points).distance.min()
     options = replace(scene.planner, safety_margin_m=float(distance) + 0.01)
     stricter = TorqueProblem(problem.robot, task, problem.family, clearances, options, resting=(0, -1))
-    with pytest.raises(OptimisationFailed) as caught:
-        optimise(stricter)
+    told: list[PassReport] = []
+    with pytest.raises(OptimisationFailed, match="a via-point of the path breaks a bound") as caught:
+        optimise(stricter, told.append)
+    assert told == []
     assert caught.value.constraint == "clearance"
     assert caught.value.violation == pytest.approx(0.1, rel=0.05)
+
+
+def test_a_load_that_is_too_heavy_at_rest_is_refused_at_once() -> None:
+    problem, _, _ = problem_of(short_scene(robot={"payload_kg": 20.0}))
+    with pytest.raises(OptimisationFailed, match="a via-point of the path breaks a bound") as caught:
+        optimise(problem)
+    assert caught.value.constraint == "joint torque"
+    static = problem.dynamics.static_efforts(problem.family.via_points[[0, -1]]).joint_torque
+    share = np.abs(static / problem.robot.limits.torque).max()
+    assert caught.value.violation == pytest.approx(share - 1, abs=0.02)
 
 
 WRONG = [

@@ -1,7 +1,7 @@
 """Write the figures in README.md anew, between their markers, from real runs.
 
-Run it with ``python tools/document_figures.py`` after a change that moves them; with ``--sensitivity`` it also
-writes the tables of docs/assumptions.md, which takes minutes. tests/test_documents.py holds the README to it.
+Run it with ``python tools/document_figures.py`` after a change that moves them; ``--sensitivity`` also writes
+the tables of docs/assumptions.md, which takes minutes. tests/test_documents.py holds the README to it.
 """
 
 from __future__ import annotations

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot import __version__
+from cmbot.version import __version__
 from cmbot.archive.folder import FORMAT, PLAN_FILE, write_folder
 from cmbot.archive.knots import knots_npz
 from cmbot.archive.schema import PlanFile, or_null

@@ -91,7 +91,7 @@ class FixedKnots:
     @property
     def start(self) -> FloatArray:
         """Unknowns (dimension,) of the spline that the family was built around."""
-        return (self._numbers / self._scale).T.ravel()
+        return np.asarray((self._numbers / self._scale).T.ravel())
 
     def numbers(self, x: FloatArray) -> FloatArray:
         """Multiples (n - 4, d) of the whitened basis."""
@@ -178,7 +178,7 @@ class SlidingKnots(FixedKnots):
         self._null = np.linalg.svd(J)[2][:, J.shape[1] :]
         if pinned:
             self._null[0] = 0.0
-        self._slides = self._null.shape[0] * self._null.shape[1]
+        self._slides = int(self._null.shape[0] * self._null.shape[1])
         self._weights = weight / self._joints / splines.limits.jerk**2
         # Scaling only: where smoothing does not hold it back, a unit slides via-points by the longest slide.
         H = self._slide_curvature(self._null) + np.eye(self._slides) / _LONGEST_SLIDE**2

@@ -1,4 +1,4 @@
-"""Whether any spline through the via-points keeps velocity, acceleration and jerk within their bounds."""
+"""Whether via-points rule out every trajectory through them, whatever its torque on the guardrail."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from scipy import optimize, sparse
 
 from cmbot.errors import OptimisationFailed
 from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.state_functions import ClearanceMargin, States
 
 __all__ = ["check_feasible"]
 
@@ -14,7 +15,10 @@ _SAMPLES_PER_SEGMENT = 6
 
 
 def check_feasible(problem: TorqueProblem) -> None:
-    """Say at once when the via-points are too far apart for the time between them.
+    """Say at once when no trajectory through the via-points keeps the bounds.
+
+    At the ends, where the arm rests, joint torques and the clearance are given; at the other via-points the
+    clearance is.
 
     A small linear program per joint minimises the largest share of velocity, acceleration and jerk bounds at
     samples. Above 1 no trajectory through the via-points exists, whatever the torque; an optimisation would
@@ -23,8 +27,9 @@ def check_feasible(problem: TorqueProblem) -> None:
     Raises
     ------
     OptimisationFailed
-        Naming the joint and the share that it needs.
+        Naming the constraint that cannot be met, and by how much.
     """
+    _check_via_points(problem)
     least_jerk = problem.trajectory(problem.family, problem.family.start)
     t = problem.space.t
     grid = np.linspace(t[:-1], t[1:], _SAMPLES_PER_SEGMENT, endpoint=False, axis=1)
@@ -50,4 +55,18 @@ def check_feasible(problem: TorqueProblem) -> None:
                 "the via-points are too far apart for the time between them: give the legs more seconds",
                 constraint=f"velocity, acceleration or jerk of {name}",
                 violation=float(result.x[-1] - 1.0),
+            )
+
+
+def _check_via_points(problem: TorqueProblem) -> None:
+    q = problem.family.via_points
+    at_rest = States(problem.space.t, q, np.zeros_like(q), np.zeros_like(q))
+    for function in problem.functions:
+        value = function.values(at_rest)[0].max(axis=1)
+        fixed = value if isinstance(function, ClearanceMargin) else value[[0, -1]]
+        if fixed.max() > problem.options.constraint_tolerance:
+            raise OptimisationFailed(
+                "a via-point of the path breaks a bound, so every trajectory through it does",
+                constraint=function.name,
+                violation=float(fixed.max()),
             )

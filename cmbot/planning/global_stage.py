@@ -1,8 +1,8 @@
 """The global stage: which postures, via-point by via-point, ask the least of the guardrail.
 
-Charts of self-motion at every via-point, and dynamic programming over them. The result is the best there is up to
-the charts' spacing, and it carries a floor: whatever the arm does, at the via-point named it cannot rest in an
-admissible posture with less torque on the guardrail.
+Charts of self-motion at every via-point, and dynamic programming over them. The result is the best there is
+up to the charts' spacing, and it carries a floor: whatever the arm does, at the via-point named it cannot rest
+in an admissible posture with less torque on the guardrail.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ __all__ = ["Floor", "GlobalSolution", "solve_globally"]
 
 # Around the best postures of a chart the floor is looked for this many times finer.
 _FINER = 20
-# Bound of the second derivative of the static torque along a unit step of self-motion, as a multiple of weight
-# times reach: no centre of mass is moved on a tighter curve.
+# Bound of the second derivative of the static torque along a unit step of self-motion, as a multiple of
+# weight times reach: no centre of mass is moved on a tighter curve.
 _CURVATURE = 1.0
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared torque.
 _STEP_WEIGHT = 0.02

@@ -130,7 +130,9 @@ class Plan:
         why = (
             "fixed knots cannot lower it at the via-points" if self.start.moved == 0 else "by the other start"
         )
-        yield f"Gravity's peak on the guardrail: {-100 * self.peak_static_reduction:+.2f} % ({why})."
+        # Adding zero turns -0.0 into 0.0.
+        change = round(-100 * self.peak_static_reduction, 2) + 0.0
+        yield f"Gravity's peak on the guardrail: {change:+.2f} % ({why})."
         yield (
             f"Certified: {len(self.certificate.checks)} checks hold; clearance stays above "
             f"{1e3 * self.certificate.clearance_bound:.1f} mm at all times, between samples too."

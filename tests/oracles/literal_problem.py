@@ -1,6 +1,6 @@
 """Chang 2021, Eqs. (30)-(37), as written: knot velocities and accelerations are the variables.
 
-Splines by SciPy's Bernstein polynomials, the jerk conditions as equalities, torque and tool on one dense grid.
+Splines by SciPy's Bernstein polynomials, the jerk conditions as equalities, torque and tool on one grid.
 Bounds on the joints are left out: where the solution keeps them anyway, it is the solution with them too.
 """
 
@@ -39,7 +39,7 @@ class Literal:
         start[-1] = 1.1
 
         # The variables in other units, so that the smoothing term is as steep along all of them.
-        offset, A = self._at_gauss[3]
+        A = self._at_gauss[3][1]
         rows = np.sqrt(self._weights)[:, None, None] * A / self.robot.limits.jerk[:, None]
         H = np.einsum("kiz,kiy->zy", rows, rows) * self.smoothing_weight / 7
         C = np.zeros((n + 1, n + 1))

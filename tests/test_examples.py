@@ -1,0 +1,61 @@
+"""The examples run as a reader runs them, and print what they say."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parent.parent / "examples"
+
+
+def run(name: str, folder: Path, *arguments: str) -> str:
+    """Standard output of an example, started in an empty folder."""
+    command = [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert list(folder.iterdir()) == [], "an example left something behind"
+    return done.stdout
+
+
+def number(pattern: str, text: str) -> float:
+    found = re.search(pattern, text, flags=re.MULTILINE)
+    assert found is not None, f"{pattern!r} is not in:\n{text}"
+    return float(found[1])
+
+
+def test_every_example_is_tested() -> None:
+    tested = {"01_load_robot.py", "02_plan_a_scene.py", "03_your_own_arm.py"}
+    assert {path.name for path in EXAMPLES.glob("*.py")} == tested
+
+
+def test_load_robot(tmp_path: Path) -> None:
+    text = run("01_load_robot.py", tmp_path)
+    assert "cmbot: 7 joints, 68.00 kg, 37.62 kg of it moving" in text
+    # The weight of the 37.62 kg of Table 2, and the torque of the paper's initial posture.
+    assert number(r"force on guardrail.*?(-\d+\.\d+)\]", text) == pytest.approx(-37.62 * 9.81, abs=0.005)
+    assert number(r"its norm: +(\S+) Nm", text) == pytest.approx(486.41, abs=0.005)
+    assert len(re.findall(r"^  joint_\d:", text, flags=re.MULTILINE)) == 7
+
+
+def test_plan_a_scene(tmp_path: Path) -> None:
+    text = run("02_plan_a_scene.py", tmp_path)
+    checks = text.split("check by check:\n")[1].split("\n\n")[0].splitlines()
+    assert len(checks) == 9
+    at_via_points = number(r"planned, at its via-points: +(\S+)", text)
+    all_along = number(r"planned, all along: +(\S+)", text)
+    # What the example is there to show: knot derivatives cannot undercut gravity at the via-points.
+    assert at_via_points == pytest.approx(486.41, abs=0.005)
+    assert all_along >= at_via_points - 0.005
+
+
+def test_your_own_arm(tmp_path: Path) -> None:
+    text = run("03_your_own_arm.py", tmp_path)
+    assert "sander: 7 joints, 21.3 kg moving" in text
+    deviation = number(r"^largest tool deviation, mm +\S+ +(\S+)", text)
+    assert 0 < deviation <= 1.0
+    assert number(r"^smallest clearance, mm +\S+ +(\S+)", text) >= 20
+    assert "Certified: 9 checks hold" in text
+    assert "A slip is told like this: tool_frame: got 'dsic', expected a link of the URDF" in text
