@@ -1,4 +1,4 @@
-"""What the documents say is so: links lead somewhere, code runs, commands exist, figures are the planner's."""
+"""What the documents say is so: links lead somewhere, code runs, commands exist, figures are printed ones."""
 
 import importlib
 import re
@@ -112,7 +112,7 @@ def test_makefile_has_the_named_targets() -> None:
 def test_named_paths_exist() -> None:
     pattern = re.compile(r"`((?:cmbot|tools|tests|scenes|models|examples|docs|benchmarks)/[\w./]*)`")
     for document in documents():
-        for path in pattern.findall(prose(document)):
+        for path in (path for path in pattern.findall(prose(document)) if "NAME" not in path):
             assert (ROOT / path).exists(), f"{path} in {name_of(document)}"
 
 

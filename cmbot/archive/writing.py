@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.version import __version__
 from cmbot.archive.folder import FORMAT, PLAN_FILE, write_folder
 from cmbot.archive.knots import knots_npz
 from cmbot.archive.schema import PlanFile, or_null
@@ -23,6 +22,7 @@ from cmbot.planning import MotionFigures, Plan, Samples, Start
 from cmbot.robot import Robot
 from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file_model
 from cmbot.validation import validated
+from cmbot.version import __version__
 
 __all__ = ["save"]
 

@@ -1,8 +1,8 @@
 """The global stage: which postures, via-point by via-point, ask the least of the guardrail.
 
 Charts of self-motion at every via-point, and dynamic programming over them. The result is the best there is
-up to the charts' spacing, and it carries a floor: whatever the arm does, at the via-point named it cannot rest
-in an admissible posture with less torque on the guardrail.
+up to the charts' spacing, and it carries a floor: whatever the arm does, at the via-point named it cannot
+rest in an admissible posture with less torque on the guardrail.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ _FINER = 20
 # Bound of the second derivative of the static torque along a unit step of self-motion, as a multiple of
 # weight times reach: no centre of mass is moved on a tighter curve.
 _CURVATURE = 1.0
-# Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared torque.
+# Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
+# torque.
 _STEP_WEIGHT = 0.02
 
 
@@ -172,7 +173,8 @@ def _best_sequence(
     while True:
         peak = _smallest_peak(robot, task, times, nodes, edges)
         # Clearances are looked at only where a path may pass; a node that is too near sends it round again.
-        if not any([node.look(node.admissible & (node.chart.torque <= peak)) for node in nodes]):
+        refused = [node.look(node.admissible & (node.chart.torque <= peak)) for node in nodes]
+        if not any(refused):
             break
     cost = np.where(nodes[0].admissible & (nodes[0].chart.torque <= peak), nodes[0].chart.torque ** 2, np.inf)
     came_from = []

@@ -121,7 +121,7 @@ class Plan:
             posture = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(self.start.posture))
             yield (
                 f"Starts elsewhere: from the scene's posture, {self.start.failures[0].reason}. "
-                f"Of {len(self.start.failures)} others tried with the same tool pose the last leads to the end: "
+                f"Of {len(self.start.failures)} others tried with the same tool pose the last leads to the end, "
                 f"({posture}) deg, up to {np.rad2deg(self.start.moved):.1f} deg a joint away. "
                 "Bring the arm there first."
             )

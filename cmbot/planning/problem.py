@@ -3,8 +3,8 @@
 Two stages share the constraints of Eqs. (31)-(32), the tool's deviation and the clearance:
 
 - peak: minimise ``b + smoothing`` with ``|n_0(t)| <= b scale`` at the working times (Eq. (30));
-- mean square: where the peak sits at a resting end that is fixed it cannot fall, so with ``|n_0(t)|`` held below
-  it ``mean_t |n_0 / scale|^2 / 2 + smoothing`` is minimised instead.
+- mean square: where the peak sits at a resting end that is fixed it cannot fall, so with ``|n_0(t)|`` held
+  below it ``mean_t |n_0 / scale|^2 / 2 + smoothing`` is minimised instead.
 """
 
 from __future__ import annotations
