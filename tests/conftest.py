@@ -44,6 +44,11 @@ def triangle_plan() -> Plan:
     return plan(load_scene("triangle"))
 
 
+@pytest.fixture(scope="session")
+def line_plan() -> Plan:
+    return plan(load_scene("line"))
+
+
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(2793)

@@ -105,6 +105,8 @@ def certify(
     via_points: FloatArray,
     clearances: Clearances,
     options: PlannerOptions,
+    *,
+    at_work: bool = True,
 ) -> Certificate:
     """Look at a finished trajectory with fresh eyes.
 
@@ -118,24 +120,28 @@ def certify(
     clearances : Clearances
     options : PlannerOptions
         Margin and tool deviation that were promised, and the optimiser's grid.
+    at_work : bool
+        False with the tool off: its deviation is measured, not bounded.
     """
     t = trajectory.t
     per_segment = _FINER * options.samples_per_segment
     grid = np.append(np.linspace(t[:-1], t[1:], per_segment, endpoint=False, axis=1).ravel(), t[-1])
     samples = measure(robot, task, clearances, grid, tuple(trajectory.evaluate(grid, k) for k in range(4)))
     rates = _rate_checks(robot, trajectory)
-    checks = (
+    checks = [
         _range_check(robot, trajectory),
         *rates,
         _torque_check(robot, grid, samples.joint_torque),
         _continuity_check(robot, trajectory),
         _via_point_check(trajectory, via_points),
         _grid_check("clearance", grid, samples.clearance, options.safety_margin_m, "m", at_least=True),
-        _grid_check("tool deviation", grid, samples.tool_deviation, options.max_tool_deviation_m, "m"),
-    )
+    ]
+    if at_work:
+        bound = options.max_tool_deviation_m
+        checks.append(_grid_check("tool deviation", grid, samples.tool_deviation, bound, "m"))
     velocity, acceleration, jerk = (check.value / check.bound for check in rates)
     return Certificate(
-        checks=checks,
+        checks=tuple(checks),
         figures=figures(robot, samples, (velocity, acceleration, jerk)),
         clearance_bound=_clearance_bound(trajectory, grid, samples.clearance, clearances.reach),
     )

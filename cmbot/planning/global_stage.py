@@ -19,7 +19,7 @@ from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene.clearance import Clearances
 from cmbot.scene.options import PlannerOptions
 
-__all__ = ["Floor", "GlobalSolution", "solve_globally"]
+__all__ = ["Floor", "GlobalSolution", "GlobalStage"]
 
 # Around the best postures of a chart the floor is looked for this many times finer.
 _FINER = 20
@@ -29,6 +29,8 @@ _CURVATURE = 1.0
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # torque.
 _STEP_WEIGHT = 0.02
+# Two postures nearer than this in every joint are one, rad.
+_SAME_POSTURE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,18 +64,21 @@ class GlobalSolution:
     q : (n, d), rad
     torque : (n,), Nm
         Static torque of each.
-    floor : Floor
     """
 
     q: FloatArray
     torque: FloatArray
-    floor: Floor
+
+    @property
+    def peak(self) -> float:
+        """Largest static torque, Nm."""
+        return float(self.torque.max())
 
 
 class _Nodes:
     """The postures of one chart; whether they are admissible is found out when it is asked."""
 
-    def __init__(self, chart: Chart, clearances: Clearances, robot: Robot, margin: float) -> None:
+    def __init__(self, chart: Chart, clearances: Clearances, margin: float) -> None:
         self.chart = chart
         self.admissible = chart.joint_use <= 1.0
         self._clearances = clearances
@@ -86,7 +91,7 @@ class _Nodes:
         new = np.flatnonzero(which & ~self._looked)
         if len(new) == 0:
             return False
-        near = self._clearances.smallest(self.chart.q[new]).distance < self._margin
+        near = self._clearances.too_near(self.chart.q[new], self._margin)
         self._looked[new] = True
         self.too_near[new] = near
         self.admissible[new] = ~near
@@ -104,17 +109,8 @@ class _Nodes:
             self.look(np.arange(len(torque)) == best)
 
 
-def solve_globally(
-    robot: Robot,
-    task: ToolTask,
-    times: FloatArray,
-    posture: FloatArray,
-    clearances: Clearances,
-    options: PlannerOptions,
-    *,
-    pinned: bool,
-) -> GlobalSolution:
-    """Find postures at all via-points with the smallest peak, then mean square, of the static torque.
+class GlobalStage:
+    """Charts of self-motion at all via-points, what is admissible in them, and the best ways through.
 
     Parameters
     ----------
@@ -126,31 +122,62 @@ def solve_globally(
         The scene's.
     clearances : Clearances
     options : PlannerOptions
-    pinned : bool
-        Start in `posture`; otherwise anywhere with its tool pose.
 
     Raises
     ------
     PathNotFound
-        When a via-point has no admissible posture, or no sequence of them can be followed.
+        When a via-point has no admissible posture: which one, and what excluded most postures there.
     """
-    postures = Postures(robot)
-    maker = ChartMaker(postures, task, robot.limits, spacing=options.chart_spacing, seeds=options.chart_seeds)
-    points = task.path.position(times)
-    charts = [maker.first(points[0], posture[None])]
-    for point in points[1:]:
-        charts.append(maker.next(charts[-1], point))
-    nodes = [_Nodes(chart, clearances, robot, options.safety_margin_m) for chart in charts]
-    floor = _floor(robot, postures, task, points, nodes, clearances, options)
-    if pinned:
-        at_posture = np.abs(charts[0].q - posture).max(axis=1) < 1e-9
-        nodes[0].admissible &= at_posture
-    steps = options.step_share * robot.limits.velocity * np.diff(times)[:, None] + 0.5 * options.chart_spacing
-    edges = [_edges(a.chart.q, b.chart.q, step) for a, b, step in zip(nodes, nodes[1:], steps, strict=False)]
-    chosen = _best_sequence(robot, task, times, nodes, edges, steps)
-    q = np.stack([node.chart.q[k] for node, k in zip(nodes, chosen, strict=True)])
-    torque = np.array([node.chart.torque[k] for node, k in zip(nodes, chosen, strict=True)])
-    return GlobalSolution(q=q, torque=torque, floor=floor)
+
+    def __init__(
+        self,
+        robot: Robot,
+        task: ToolTask,
+        times: FloatArray,
+        posture: FloatArray,
+        clearances: Clearances,
+        options: PlannerOptions,
+    ) -> None:
+        self._robot, self._task, self._times = robot, task, times
+        postures = Postures(robot)
+        maker = ChartMaker(
+            postures, task, robot.limits, spacing=options.chart_spacing, seeds=options.chart_seeds
+        )
+        points = task.path.position(times)
+        charts = [maker.first(points[0], posture[None])]
+        for point in points[1:]:
+            charts.append(maker.next(charts[-1], point))
+        self._nodes = [_Nodes(chart, clearances, options.safety_margin_m) for chart in charts]
+        self.floor = _floor(robot, postures, task, times, self._nodes, clearances, options)
+        self._steps = (
+            options.step_share * robot.limits.velocity * np.diff(times)[:, None]
+            + 0.5 * options.chart_spacing
+        )
+        self._edges = [
+            _edges(a.chart.q, b.chart.q, step)
+            for a, b, step in zip(self._nodes, self._nodes[1:], self._steps, strict=False)
+        ]
+        self._pinned = np.abs(charts[0].q - posture).max(axis=1) < _SAME_POSTURE
+
+    def solve(self, *, pinned: bool) -> GlobalSolution:
+        """Find the sequence with the smallest peak, then mean square, of the static torque.
+
+        Parameters
+        ----------
+        pinned : bool
+            Start in the scene's posture; otherwise anywhere with its tool pose.
+
+        Raises
+        ------
+        PathNotFound
+            When no sequence of admissible postures can be followed to the end.
+        """
+        starts = self._pinned if pinned else np.ones_like(self._pinned)
+        way = _Way(self._robot, self._task, self._times, self._nodes, self._edges, self._steps, starts)
+        chosen = way.best()
+        q = np.stack([node.chart.q[k] for node, k in zip(self._nodes, chosen, strict=True)])
+        torque = np.array([node.chart.torque[k] for node, k in zip(self._nodes, chosen, strict=True)])
+        return GlobalSolution(q=q, torque=torque)
 
 
 def _edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray) -> BoolArray:
@@ -161,50 +188,55 @@ def _edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray) -> BoolArray:
     return reachable
 
 
-def _best_sequence(
-    robot: Robot,
-    task: ToolTask,
-    times: FloatArray,
-    nodes: list[_Nodes],
-    edges: list[BoolArray],
-    steps: FloatArray,
-) -> list[int]:
-    """Indices of the postures with the smallest peak; among those, with the smallest sum of squares."""
-    while True:
-        peak = _smallest_peak(robot, task, times, nodes, edges)
-        # Clearances are looked at only where a path may pass; a node that is too near sends it round again.
-        refused = [node.look(node.admissible & (node.chart.torque <= peak)) for node in nodes]
-        if not any(refused):
-            break
-    cost = np.where(nodes[0].admissible & (nodes[0].chart.torque <= peak), nodes[0].chart.torque ** 2, np.inf)
-    came_from = []
-    for node, before, edge, step in zip(nodes[1:], nodes, edges, steps, strict=False):
-        share = np.zeros(edge.shape)
-        for joint in range(robot.dof):
-            move = before.chart.q[:, None, joint] - node.chart.q[None, :, joint]
-            share += (move / step[joint]) ** 2
-        total = np.where(edge, cost[:, None] + _STEP_WEIGHT * peak**2 * share, np.inf)
-        origin = total.argmin(axis=0)
-        came_from.append(origin)
-        best = total[origin, np.arange(len(origin))]
-        cost = np.where(node.admissible & (node.chart.torque <= peak), best + node.chart.torque**2, np.inf)
-    chosen = [int(cost.argmin())]
-    for origin in reversed(came_from):
-        chosen.insert(0, int(origin[chosen[0]]))
-    return chosen
+@dataclass(frozen=True)
+class _Way:
+    """Dynamic programming over the nodes of all via-points."""
 
+    robot: Robot
+    task: ToolTask
+    times: FloatArray
+    nodes: list[_Nodes]
+    edges: list[BoolArray]
+    steps: FloatArray
+    starts: BoolArray
 
-def _smallest_peak(
-    robot: Robot, task: ToolTask, times: FloatArray, nodes: list[_Nodes], edges: list[BoolArray]
-) -> float:
-    """Smallest peak torque of any sequence of nodes that are not known to be inadmissible."""
-    reached = np.where(nodes[0].admissible, nodes[0].chart.torque, np.inf)
-    for k, (node, edge) in enumerate(zip(nodes[1:], edges, strict=True), start=1):
-        before = np.where(edge, reached[:, None], np.inf).min(axis=0) if len(reached) else np.full(0, np.inf)
-        reached = np.where(node.admissible, np.maximum(before, node.chart.torque), np.inf)
-        if not np.isfinite(reached).any():
-            raise _blocked(robot, task, times, nodes, k)
-    return float(reached.min())
+    def best(self) -> list[int]:
+        """Indices of the nodes with the smallest peak; among those, with the smallest sum of squares."""
+        while True:
+            peak = self._smallest_peak()
+            # Clearances are looked at only where a way may pass; a node that is too near sends it round again.
+            refused = [node.look(node.admissible & (node.chart.torque <= peak)) for node in self.nodes]
+            if not any(refused):
+                return self._smallest_squares(peak)
+
+    def _smallest_peak(self) -> float:
+        """Smallest peak torque of any sequence of nodes that are not known to be inadmissible."""
+        first = self.nodes[0]
+        reached = np.where(first.admissible & self.starts, first.chart.torque, np.inf)
+        for k, (node, edge) in enumerate(zip(self.nodes[1:], self.edges, strict=True), start=1):
+            before = np.where(edge, reached[:, None], np.inf).min(axis=0, initial=np.inf)
+            reached = np.where(node.admissible, np.maximum(before, node.chart.torque), np.inf)
+            if not np.isfinite(reached).any():
+                raise _blocked(self.robot, self.task, self.times, self.nodes, k)
+        return float(reached.min())
+
+    def _smallest_squares(self, peak: float) -> list[int]:
+        first = self.nodes[0]
+        allowed = first.admissible & self.starts & (first.chart.torque <= peak)
+        cost = np.where(allowed, first.chart.torque**2, np.inf)
+        came_from = []
+        for before, node, edge, step in zip(self.nodes, self.nodes[1:], self.edges, self.steps, strict=False):
+            moves = (before.chart.q[:, None] - node.chart.q[None]) / step
+            way = cost[:, None] + _STEP_WEIGHT * peak**2 * np.einsum("abi,abi->ab", moves, moves)
+            total = np.where(edge, way, np.inf)
+            origin = total.argmin(axis=0)
+            came_from.append(origin)
+            best = total[origin, np.arange(len(origin))] + node.chart.torque**2
+            cost = np.where(node.admissible & (node.chart.torque <= peak), best, np.inf)
+        chosen = [int(cost.argmin())]
+        for origin in reversed(came_from):
+            chosen.insert(0, int(origin[chosen[0]]))
+        return chosen
 
 
 def _blocked(robot: Robot, task: ToolTask, times: FloatArray, nodes: list[_Nodes], k: int) -> PathNotFound:
@@ -236,24 +268,25 @@ def _floor(
     robot: Robot,
     postures: Postures,
     task: ToolTask,
-    points: FloatArray,
+    times: FloatArray,
     nodes: list[_Nodes],
     clearances: Clearances,
     options: PlannerOptions,
 ) -> Floor:
     """Refine the smallest torque at every via-point that may set the floor."""
+    points = task.path.position(times)
     rough = np.array([node.least() for node in nodes])
     for k, least in enumerate(rough):
         if not np.isfinite(least):
-            raise _blocked(robot, task, np.linspace(0.0, task.path.duration, len(nodes)), nodes, k)
+            raise _blocked(robot, task, times, nodes, k)
     curvature = _CURVATURE * robot.arm_mass * 9.81 * float(clearances.reach.max())
     # Between two postures of a chart the torque dips below both by no more than this.
     dip = curvature * options.chart_spacing**2 / 8
     each = rough.copy()
     # From the largest down, until the refined ones exceed all that are left: only those can set the maximum.
     for k in np.argsort(-rough):
-        if rough[k] < each.max() - dip and rough[k] < np.sort(each)[-1]:
-            continue
+        if rough[k] < each.max() - dip:
+            break
         each[k] = _refined(postures, task, points[k], nodes[k], rough[k] + dip, robot, clearances, options)
     fine = options.chart_spacing / _FINER
     where = int(each.argmax())

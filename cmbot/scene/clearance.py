@@ -158,6 +158,13 @@ class Clearances:
                 distance[k], pair[k] = self._smallest(q_k, counted) if known else (np.nan, -1)
         return Smallest(distance=distance, pair=pair)
 
+    def too_near(self, q: FloatArray, margin: float) -> BoolArray:
+        """Return which of the postures `q` (N, n) have any distance below `margin`, m; order does not matter."""
+        for request in self._geometry_data.collisionRequests:
+            request.security_margin = margin
+        arguments = (self._model, self._data, self._geometry, self._geometry_data)
+        return np.array([pin.computeCollisions(*arguments, q_k, True) for q_k in q], dtype=np.bool_)
+
     def within(self, q: FloatArray, distance: float) -> list[Nearest]:
         """Return every avoidable pair (see `smallest`) that is nearer than `distance` at `q`."""
         moved = self._moved(q)

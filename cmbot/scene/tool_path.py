@@ -15,6 +15,8 @@ from cmbot.scene.speed_profile import SpeedProfile
 
 __all__ = ["ToolPath", "share_out_segments"]
 
+_NO_LENGTH = 1e-300
+
 
 @dataclass(frozen=True, kw_only=True)
 class ToolPath:
@@ -96,7 +98,8 @@ class ToolPath:
 
     def _offset_from(self, leg: IntArray, p: FloatArray) -> FloatArray:
         start, edge = self.corners[leg], np.diff(self.corners, axis=0)[leg]
-        along = np.einsum("nd,nd->n", p - start, edge) / self.lengths[leg] ** 2
+        # A leg of no length has but one point.
+        along = np.einsum("nd,nd->n", p - start, edge) / np.maximum(self.lengths[leg] ** 2, _NO_LENGTH)
         return np.asarray(p - start - np.clip(along, 0.0, 1.0)[:, None] * edge)
 
     def _locate(self, times: ArrayLike) -> tuple[IntArray, FloatArray]:
