@@ -97,7 +97,7 @@ def test_mean_square_is_that_of_the_papers_own_formulation() -> None:
 def solved(request: pytest.FixtureRequest) -> tuple[TorqueProblem, ToolTask, Optimised, list[PassReport]]:
     changes: dict[str, Any] = {
         "there": {},
-        "there and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 15}},
+        "there and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
         "payload": {"robot": {"payload_kg": 3.0}},
     }[request.param]
     problem, task, _ = problem_of(short_scene(**changes))

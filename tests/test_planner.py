@@ -125,7 +125,7 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "switch": {"planner": {"avoidance": "switch"}},
     "centre of gravity": {"planner": {"centre_of_gravity_weight": 0.1}},
     "no guardrail to hit": {"guardrail": {"bays": 0}},
-    "no smoothing to speak of": {"planner": {"smoothing_weight": 1e-6}},
+    "little smoothing": {"planner": {"smoothing_weight": 1e-5}},
     "coarse samples": {"planner": {"samples_per_segment": 20}},
     "an obstacle near by": {
         "obstacles": [{"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.5, -2.06]}]

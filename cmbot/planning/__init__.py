@@ -1,20 +1,26 @@
 """The method: path, via-points, trajectory, certificate, plan."""
 
+from cmbot.planning.approach import Approach
 from cmbot.planning.certificate import Certificate, Check
 from cmbot.planning.examination import examine_scene
 from cmbot.planning.figures import LimitUse, MotionFigures, Samples
+from cmbot.planning.global_stage import Floor, GlobalSolution, GlobalStage
 from cmbot.planning.gradient_projection import JointPath
 from cmbot.planning.optimiser import PassReport
-from cmbot.planning.plan import Plan, Seconds
-from cmbot.planning.planner import Progress, plan, robot_of, task_of
+from cmbot.planning.plan import Plan, Seconds, Start
+from cmbot.planning.planner import Progress, plan
+from cmbot.planning.setting import robot_of, task_of
 from cmbot.planning.spline_space import SplineSpace
-from cmbot.planning.starts import Start
 from cmbot.planning.task import ToolTask
 from cmbot.planning.trajectory import QuinticTrajectory
 
 __all__ = [
+    "Approach",
     "Certificate",
     "Check",
+    "Floor",
+    "GlobalSolution",
+    "GlobalStage",
     "JointPath",
     "LimitUse",
     "MotionFigures",

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cmbot.planning.planner import robot_of, task_of
+from cmbot.planning.setting import robot_of, task_of
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.scene import Scene
 from cmbot.scene.clearance import Clearances

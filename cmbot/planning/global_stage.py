@@ -150,13 +150,13 @@ class GlobalStage:
         self._nodes = [_Nodes(chart, clearances, options.safety_margin_m) for chart in charts]
         self.floor = _floor(robot, postures, task, times, self._nodes, clearances, options)
         self._steps = (
-            options.step_share * robot.limits.velocity * np.diff(times)[:, None]
-            + 0.5 * options.chart_spacing
+            options.step_share * robot.limits.velocity * np.diff(times)[:, None] + 0.5 * options.chart_spacing
         )
         self._edges = [
             _edges(a.chart.q, b.chart.q, step)
             for a, b, step in zip(self._nodes, self._nodes[1:], self._steps, strict=False)
         ]
+        self.first_chart = charts[0]
         self._pinned = np.abs(charts[0].q - posture).max(axis=1) < _SAME_POSTURE
 
     def solve(self, *, pinned: bool) -> GlobalSolution:

@@ -32,7 +32,7 @@ class FreeSpace:
     def holds(self, q: FloatArray) -> BoolArray:
         """Which of the postures `q` (N, n) are free, with `_LOOK_EVERY`/2 to spare for their neighbours."""
         limits = self.robot.limits
-        within = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
+        within: BoolArray = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
         free = within.copy()
         free[within] = ~self.clearances.too_near(q[within], self.margin + _LOOK_EVERY / 2)
         return free

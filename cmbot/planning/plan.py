@@ -9,17 +9,20 @@ from functools import cached_property
 import numpy as np
 
 from cmbot.arrays import FloatArray
+from cmbot.errors import PathNotFound
+from cmbot.planning.approach import Approach
 from cmbot.planning.certificate import Certificate
 from cmbot.planning.figures import MotionFigures, Samples, measure
+from cmbot.planning.global_stage import Floor
 from cmbot.planning.optimiser import PassReport
-from cmbot.planning.starts import Start
 from cmbot.planning.task import ToolTask
 from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.planning.ways import Choice
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.clearance import Clearances
 
-__all__ = ["Plan", "Seconds"]
+__all__ = ["Plan", "Seconds", "Start"]
 
 
 SAMPLE_STEP = 0.01
@@ -34,6 +37,24 @@ class Seconds:
     optimise: float
     certify: float
     total: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Where a motion starts, and why not elsewhere.
+
+    Attributes
+    ----------
+    posture : (n,), rad
+    moved : float, rad
+        Largest difference of a joint from the scene's posture; 0 when that is kept.
+    failures : tuple of PathNotFound
+        What happened from the scene's posture, then from the others that were tried.
+    """
+
+    posture: FloatArray
+    moved: float
+    failures: tuple[PathNotFound, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,6 +84,13 @@ class Plan:
     certificate : Certificate
     passes : tuple of PassReport
         How the optimiser came there.
+    floor : Floor or None
+        What no admissible plan can go below at rest; None with fixed knots.
+    choice : Choice or None
+        The global stage's peaks for both choices of the start; None with fixed knots.
+    approach : Approach or None
+        How the arm gets from the scene's posture to the start; None where it starts there, or where the knots
+        are fixed.
     seconds : Seconds
     """
 
@@ -78,6 +106,9 @@ class Plan:
     trajectory: QuinticTrajectory
     certificate: Certificate
     passes: tuple[PassReport, ...]
+    floor: Floor | None
+    choice: Choice | None
+    approach: Approach | None
     seconds: Seconds
 
     @property
@@ -92,6 +123,16 @@ class Plan:
         q, v, a, j = (self.trajectory.evaluate(t, order) for order in range(4))
         clearances = Clearances(self.robot, self.scene.obstacles)
         return measure(self.robot, self.task, clearances, t, (q, v, a, j))
+
+    @property
+    def gap_to_floor(self) -> float | None:
+        """How far the certified peak torque lies above the floor, as a share of it; None with fixed knots.
+
+        A moving arm may undercut a static floor a little: then it is negative.
+        """
+        if self.floor is None:
+            return None
+        return self.figures.peak_guardrail_torque / self.floor.torque - 1.0
 
     @property
     def peak_static_reduction(self) -> float:

@@ -10,25 +10,25 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cmbot.arrays import FloatArray
-from cmbot.errors import InputError, PathNotFound, SceneError
+from cmbot.errors import InputError
+from cmbot.planning.approach import plan_approach
 from cmbot.planning.certificate import certify
-from cmbot.planning.families import FixedKnots, WhitenedSplines
 from cmbot.planning.figures import Samples, figures, measure
-from cmbot.planning.gradient_projection import JointPath, follow_path, place_on_task
+from cmbot.planning.gradient_projection import JointPath, follow_path
 from cmbot.planning.optimiser import PassReport, optimise
-from cmbot.planning.plan import Plan, Seconds
-from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.spline_space import SplineSpace
-from cmbot.planning.starts import find_path
+from cmbot.planning.plan import Plan, Seconds, Start
+from cmbot.planning.setting import Setting, prepare
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Kinematics, Robot, load_robot
+from cmbot.planning.ways import Way, fixed_way, sliding_way
+from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.clearance import Clearances
-from cmbot.scene.obstacles import pose
-from cmbot.scene.tool_path import ToolPath
 from cmbot.validation import validated
 
-__all__ = ["Progress", "plan", "robot_of", "task_of"]
+__all__ = ["Progress", "checked", "plan"]
+
+# The arm starts in the scene's posture when no joint is further from it than this, rad.
+_SAME_POSTURE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,9 +58,10 @@ def plan(
 ) -> Plan:
     """Plan the motion of a scene's arm.
 
-    Gradient projection carries the arm along the tool path, free of collisions; quintic splines through
-    via-points of that path are optimised so that the torque on the guardrail stays small and the jerk smooth;
-    the result is certified apart from the optimiser.
+    With sliding knots, charts of the self-motion and dynamic programming over them give via-points with the
+    least torque on the guardrail; with fixed knots, gradient projection gives those of the paper. Quintic
+    splines through them are optimised so that the torque stays small and the jerk smooth. The result is
+    certified apart from the optimiser, and so is the approach to where it starts.
 
     Parameters
     ----------
@@ -91,36 +92,30 @@ def plan(
 
 
 def _plan(scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None], clock: _Clock) -> Plan:
-    robot = robot_of(scene)
-    posture = robot.posture(scene.posture, source=scene.source, key="posture_deg", error_type=SceneError)
-    task = task_of(scene, robot)
-    clearances = Clearances(robot, scene.obstacles)
-
     tell(Progress(stage="path"))
-    path, start = find_path(
-        robot,
-        task,
-        posture,
-        clearances,
-        options,
-        lambda failed: tell(Progress(stage="path", failed_starts=failed)),
-    )
-    via_times = task.path.via_times(scene.via_points)
-    via_points = _via_points(robot, task, path, via_times)
+    setting = prepare(scene, options)
+    if options.knots == "sliding":
+        way = sliding_way(setting)
+    else:
+        way = fixed_way(setting, lambda failed: tell(Progress(stage="path", failed_starts=failed)))
     path_seconds = clock.lap()
 
     tell(Progress(stage="optimise"))
-    family = fixed_knots(robot, via_times, via_points, options)
-    problem = TorqueProblem(robot, task, family, clearances, options, resting=(0, -1))
-    optimised = optimise(problem, lambda report: tell(Progress(stage="optimise", report=report)))
+    optimised = optimise(way.problem, lambda report: tell(Progress(stage="optimise", report=report)))
     optimise_seconds = clock.lap()
 
     tell(Progress(stage="certify"))
-    certificate = certify(robot, task, optimised.trajectory, via_points, clearances, options)
+    robot, task, clearances = setting.robot, setting.task, setting.clearances
+    certificate = certify(robot, task, optimised.trajectory, optimised.via_points, clearances, options)
     certificate.require()
-    if start.moved > 0:
-        # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
-        path = follow_path(robot, task, posture, clearances, options, stop_at_obstacles=False)
+    start = _start(setting, way, optimised.via_points[0])
+    approach = None
+    if way.chart is not None and start.moved > _SAME_POSTURE:
+        approach = plan_approach(
+            robot, task, setting.posture, start.posture, way.chart.q, clearances, options
+        )
+    # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
+    path = follow_path(robot, task, setting.posture, clearances, options, stop_at_obstacles=False)
     baseline = _baseline(robot, task, clearances, path)
     certify_seconds = clock.lap()
     return Plan(
@@ -136,54 +131,20 @@ def _plan(scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None
         trajectory=optimised.trajectory,
         certificate=certificate,
         passes=optimised.passes,
+        floor=way.floor,
+        choice=way.choice,
+        approach=approach,
         seconds=Seconds(
             path=path_seconds, optimise=optimise_seconds, certify=certify_seconds, total=clock.total()
         ),
     )
 
 
-def robot_of(scene: Scene) -> Robot:
-    """Load the robot that a scene names.
-
-    Raises
-    ------
-    ModelError
-        When its files cannot be used.
-    """
-    source = scene.robot
-    mount = None
-    if source.mount_xyz is not None and source.mount_rpy is not None:
-        mount = pose(source.mount_xyz, source.mount_rpy)
-    return load_robot(
-        source.model,
-        base_frame=source.base_frame,
-        tool_frame=source.tool_frame,
-        limits=source.limits,
-        srdf=source.srdf,
-        mount=mount,
-        tool_length=source.tool_length,
-        payload=source.payload,
-    )
-
-
-def task_of(scene: Scene, robot: Robot) -> ToolTask:
-    """Return the timed tool path of a scene, from the tool pose of its posture.
-
-    Raises
-    ------
-    SceneError
-        When the posture does not fit the robot.
-    """
-    posture = robot.posture(scene.posture, source=scene.source, key="posture_deg", error_type=SceneError)
-    X_WT = Kinematics(robot).tool_pose(posture)
-    steps = np.array([leg.by for leg in scene.legs])
-    path = ToolPath(
-        corners=X_WT.translation + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]),
-        orientation=X_WT.rotation,
-        seconds=np.array([leg.seconds for leg in scene.legs]),
-        profile=scene.speed_profile,
-    )
-    return ToolTask(path, scene.keep)
+def _start(setting: Setting, way: Way, posture: FloatArray) -> Start:
+    moved = float(np.abs(posture - setting.posture).max())
+    if moved <= _SAME_POSTURE:
+        posture, moved = setting.posture, 0.0
+    return Start(posture=posture, moved=moved, failures=way.failures)
 
 
 def checked(options: PlannerOptions) -> PlannerOptions:
@@ -197,38 +158,10 @@ def checked(options: PlannerOptions) -> PlannerOptions:
     return validated(PlannerOptions, asdict(options), "PlannerOptions", InputError)
 
 
-def _via_points(robot: Robot, task: ToolTask, path: JointPath, times: FloatArray) -> FloatArray:
-    """Take via-points from a joint path at `times` (n,), each put onto the tool task exactly."""
-    kinematics = Kinematics(robot)
-    rough = np.stack([np.interp(times, path.t, joint) for joint in path.q.T], axis=1)
-    via_points = np.empty_like(rough)
-    for k, (q, point) in enumerate(zip(rough, task.path.position(times), strict=True)):
-        placed = place_on_task(kinematics, task, q, point)
-        if placed is None:
-            nearest = int(np.abs(path.t - times[k]).argmin())
-            raise PathNotFound(
-                f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular",
-                time=float(times[k]),
-                progress=task.path.progress(float(times[k])),
-                smallest_singular_value=float(path.singular_value[nearest]),
-            )
-        via_points[k] = placed
-    return via_points
-
-
 def _baseline(robot: Robot, task: ToolTask, clearances: Clearances, path: JointPath) -> Samples:
     acceleration = np.gradient(path.v, path.t, axis=0)
     jerk = np.gradient(acceleration, path.t, axis=0)
     return measure(robot, task, clearances, path.t, (path.q, path.v, acceleration, jerk))
-
-
-def fixed_knots(
-    robot: Robot, times: FloatArray, via_points: FloatArray, options: PlannerOptions
-) -> FixedKnots:
-    """Return the family of splines through fixed via-points (n, d), rad, from the least-jerk spline on."""
-    splines = WhitenedSplines(SplineSpace(times), robot.limits)
-    numbers = np.zeros((splines.basis.shape[1], robot.dof))
-    return FixedKnots(splines, via_points, numbers, options.smoothing_weight)
 
 
 class _Clock:

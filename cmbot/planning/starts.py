@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from cmbot.robot import Kinematics, Robot
 from cmbot.scene.clearance import Clearances
 from cmbot.scene.options import PlannerOptions
 
-__all__ = ["Start", "find_path", "self_motion_postures"]
+__all__ = ["find_path", "self_motion_postures"]
 
 
 # Self-motion is followed in steps of this length, rad, at most so many of them each way; every fourth posture
@@ -30,24 +30,6 @@ _TRIED_EVERY = 4
 _COARSE_STEP = 0.05
 
 
-@dataclass(frozen=True, kw_only=True)
-class Start:
-    """Where a motion starts, and why not elsewhere.
-
-    Attributes
-    ----------
-    posture : (n,), rad
-    moved : float, rad
-        Largest difference of a joint from the scene's posture; 0 when that is kept.
-    failures : tuple of PathNotFound
-        What happened from the scene's posture, then from the others that were tried.
-    """
-
-    posture: FloatArray
-    moved: float
-    failures: tuple[PathNotFound, ...]
-
-
 def find_path(
     robot: Robot,
     task: ToolTask,
@@ -55,7 +37,7 @@ def find_path(
     clearances: Clearances,
     options: PlannerOptions,
     tell: Callable[[int], None],
-) -> tuple[JointPath, Start]:
+) -> tuple[JointPath, tuple[PathNotFound, ...]]:
     """Follow the tool path from `posture`; where that fails, from others at the same tool pose.
 
     Parameters
@@ -69,6 +51,12 @@ def find_path(
     tell : callable
         Called with the number of failures so far before each further try.
 
+    Returns
+    -------
+    JointPath
+    tuple of PathNotFound
+        What happened from the starts before, `posture` first; empty when that led to the end.
+
     Raises
     ------
     PathNotFound
@@ -79,7 +67,7 @@ def find_path(
     except PathNotFound as error:
         failures = [error]
     else:
-        return path, Start(posture=posture, moved=0.0, failures=())
+        return path, ()
     coarse = replace(options, path_step_s=max(options.path_step_s, _COARSE_STEP))
     for start in self_motion_postures(robot, task, posture)[: options.other_starts]:
         tell(len(failures))
@@ -89,8 +77,7 @@ def find_path(
         except PathNotFound as error:
             failures.append(error)
         else:
-            moved = float(np.abs(start - posture).max())
-            return path, Start(posture=start, moved=moved, failures=tuple(failures))
+            return path, tuple(failures)
     first, others = failures[0], len(failures) - 1
     furthest = max(failure.progress for failure in failures)
     reason = first.reason

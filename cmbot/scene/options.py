@@ -23,7 +23,11 @@ class PlannerOptions:
     Attributes
     ----------
     knots : str
-        ``fixed``: the via-points stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
+        ``sliding``: the via-points slide along the self-motion to where the torque on the guardrail is least.
+        ``fixed``: they stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
+    start : str
+        With sliding knots: ``free`` lets the arm first go to a better posture with the same tool pose;
+        ``pinned`` keeps the scene's posture.
     avoidance : str
         ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
         near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
@@ -72,7 +76,8 @@ class PlannerOptions:
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    knots: Literal["fixed"] = "fixed"
+    knots: Literal["sliding", "fixed"] = "sliding"
+    start: Literal["free", "pinned"] = "free"
     avoidance: Literal["smooth", "switch"] = "smooth"
     avoidance_distance_m: PositiveFloat = 0.15
     avoidance_gain: NonNegativeFloat = 2.0

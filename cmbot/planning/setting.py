@@ -1,0 +1,106 @@
+"""From a scene to what planning works on: the robot, its task, what is around."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cmbot.arrays import FloatArray
+from cmbot.errors import SceneError
+from cmbot.planning.task import ToolTask
+from cmbot.robot import Kinematics, Robot, load_robot
+from cmbot.scene import PlannerOptions, Scene
+from cmbot.scene.clearance import Clearances
+from cmbot.scene.obstacles import pose
+from cmbot.scene.tool_path import ToolPath
+
+__all__ = ["Setting", "prepare", "robot_of", "task_of"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Setting:
+    """What every stage of planning needs.
+
+    Attributes
+    ----------
+    robot : Robot
+    posture : (n,), rad
+        The scene's.
+    task : ToolTask
+    clearances : Clearances
+    times : (k,), s
+        Of the via-points.
+    options : PlannerOptions
+    """
+
+    robot: Robot
+    posture: FloatArray
+    task: ToolTask
+    clearances: Clearances
+    times: FloatArray
+    options: PlannerOptions
+
+
+def prepare(scene: Scene, options: PlannerOptions) -> Setting:
+    """Bring a scene and its robot together.
+
+    Raises
+    ------
+    SceneError, ModelError
+        When they do not fit together.
+    """
+    robot = robot_of(scene)
+    task = task_of(scene, robot)
+    return Setting(
+        robot=robot,
+        posture=np.array(scene.posture),
+        task=task,
+        clearances=Clearances(robot, scene.obstacles),
+        times=task.path.via_times(scene.via_points),
+        options=options,
+    )
+
+
+def robot_of(scene: Scene) -> Robot:
+    """Load the robot that a scene names.
+
+    Raises
+    ------
+    ModelError
+        When its files cannot be used.
+    """
+    source = scene.robot
+    mount = None
+    if source.mount_xyz is not None and source.mount_rpy is not None:
+        mount = pose(source.mount_xyz, source.mount_rpy)
+    return load_robot(
+        source.model,
+        base_frame=source.base_frame,
+        tool_frame=source.tool_frame,
+        limits=source.limits,
+        srdf=source.srdf,
+        mount=mount,
+        tool_length=source.tool_length,
+        payload=source.payload,
+    )
+
+
+def task_of(scene: Scene, robot: Robot) -> ToolTask:
+    """Return the timed tool path of a scene, from the tool pose of its posture.
+
+    Raises
+    ------
+    SceneError
+        When the posture does not fit the robot.
+    """
+    posture = robot.posture(scene.posture, source=scene.source, key="posture_deg", error_type=SceneError)
+    X_WT = Kinematics(robot).tool_pose(posture)
+    steps = np.array([leg.by for leg in scene.legs])
+    path = ToolPath(
+        corners=X_WT.translation + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]),
+        orientation=X_WT.rotation,
+        seconds=np.array([leg.seconds for leg in scene.legs]),
+        profile=scene.speed_profile,
+    )
+    return ToolTask(path, scene.keep)
