@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import sys
 import time
+import traceback
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import typer
+import typer.main
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+from rich.text import Text
 
 import cmbot
 from cmbot.errors import CmbotError, InputError, PlanningError
@@ -32,8 +34,9 @@ app = typer.Typer(
     help="Plan the motion of a robot arm that works from a base that bends.\n\n"
     "Example: [bold]cmbot plan triangle[/bold], then open out/triangle/replay.html in a browser.",
 )
-out = Console(soft_wrap=True, highlight=False)
-err = Console(stderr=True, soft_wrap=True, highlight=False)
+# Without markup and emoji codes, so that file names are shown as they are.
+out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
+err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 SceneArgument = Annotated[
     str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")
@@ -41,15 +44,29 @@ SceneArgument = Annotated[
 PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
 
+# The base of all of Typer's complaints about a command line; Typer does not name it.
+_UsageError: Any = typer.BadParameter.__bases__[0]
+
+
 def main() -> None:
     """Run the command line; turn errors into one line and an exit status."""
     sys.excepthook = _one_line
+    # Understood before the verb and after it.
+    words = [word for word in sys.argv[1:] if word != "--debug"]
     try:
-        app()
+        # Not `app()`: that replaces the hook by its own, and shows errors in a box of many lines.
+        sys.exit(typer.main.get_command(app)(words, prog_name="cmbot", standalone_mode=False))
+    except _UsageError as error:
+        # Without any argument the help has been printed, and there is nothing left to say.
+        if message := _flat(error.format_message()):
+            verb = error.ctx.command_path if error.ctx is not None else "cmbot"
+            _print_error(f"{message.rstrip('.')}. See: {verb} --help")
+        sys.exit(BAD_INPUT)
     except CmbotError as error:
-        if "--debug" in sys.argv:
-            raise
-        err.print(f"error: {escape(_flat(error))}", style="red" if err.is_terminal else "")
+        if _debugging():
+            traceback.print_exc()
+        else:
+            _print_error(str(error))
         sys.exit(exit_status(error))
 
 
@@ -60,17 +77,25 @@ def exit_status(error: CmbotError) -> int:
     return NO_PLAN if isinstance(error, PlanningError) else FAILED
 
 
-def _one_line(kind: type[BaseException], error: BaseException, traceback: TracebackType | None) -> None:
+def _one_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Report what should not have happened."""
-    if "--debug" in sys.argv or isinstance(error, KeyboardInterrupt):
-        sys.__excepthook__(kind, error, traceback)
+    if _debugging() or isinstance(error, KeyboardInterrupt):
+        sys.__excepthook__(kind, error, trace)
     else:
-        text = f"error: {kind.__name__}: {_flat(error)} (a bug in cmbot: --debug shows where)"
-        err.print(escape(text))
+        _print_error(f"{kind.__name__}: {error} (a bug in cmbot: --debug shows where)")
 
 
-def _flat(error: BaseException) -> str:
-    return " ".join(str(error).split())
+def _debugging() -> bool:
+    return "--debug" in sys.argv
+
+
+def _print_error(text: str) -> None:
+    err.print(f"error: {_flat(text)}", style="red" if err.is_terminal else "")
+
+
+def _flat(text: object) -> str:
+    """Return one line of printable characters: messages and file names may hold anything."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in str(text))
 
 
 def _print_version(wanted: bool) -> None:
@@ -101,10 +126,11 @@ def plan(
 
     Example: [bold]cmbot plan triangle -o out/triangle[/bold]
     """
-    from cmbot.archive import require_free
-
     started = time.perf_counter()
     loaded = cmbot.load_scene(scene)
+    # Only now, so that a slip in a scene file is answered at once: this brings the robot's libraries.
+    from cmbot.archive import require_free
+
     directory = output if output is not None else Path("out") / loaded.name
     require_free(directory, force=force)
     with _Narrator() as narrator:
@@ -112,8 +138,8 @@ def plan(
     cmbot.save(planned, directory, force=force)
     cmbot.replay(planned, html=directory / "replay.html")
     _print_plan(planned)
-    out.print(f"Written to {escape(str(directory))} in {time.perf_counter() - started:.1f} s.")
-    out.print(f"Look at it: open {escape(str(directory / 'replay.html'))} in a browser.")
+    out.print(f"Written to {_flat(directory)} in {time.perf_counter() - started:.1f} s.")
+    out.print(f"Look at it: open {_flat(directory / 'replay.html')} in a browser.")
 
 
 @app.command()
@@ -128,20 +154,22 @@ def replay(
 
     Example: [bold]cmbot replay out/triangle --html triangle.html[/bold]
     """
+    if serve and html is not None:
+        raise InputError("cmbot replay", "--html, --serve", "both", "one of them")
     loaded = cmbot.load_plan(directory)
     if serve:
         from cmbot.views import serve_replay
 
         with serve_replay(loaded) as server:
-            out.print(f"Replay of {escape(loaded.scene.name)} at {server.url}; stop with Ctrl-C.")
             try:
+                out.print(f"Replay of {loaded.scene.name} at {server.url}; stop with Ctrl-C.")
                 server.wait()
             except KeyboardInterrupt:
                 return
     else:
         page = html if html is not None else directory / "replay.html"
         cmbot.replay(loaded, html=page)
-        out.print(f"Written to {escape(str(page))}.")
+        out.print(f"Written to {_flat(page)}.")
 
 
 @app.command()
@@ -172,7 +200,7 @@ def doctor() -> None:
     width = max(len(symptom.name) for symptom in symptoms)
     for symptom in symptoms:
         mark = "ok     " if symptom.healthy else "MISSING"
-        out.print(f"{mark} {symptom.name:<{width}}  {escape(symptom.found)}")
+        out.print(f"{mark} {symptom.name:<{width}}  {_flat(symptom.found)}")
     if not all(symptom.healthy for symptom in symptoms):
         raise typer.Exit(FAILED)
 
@@ -184,7 +212,7 @@ def _check_urdf(path: Path) -> None:
     findings = inspect_urdf(root)
     for finding in findings:
         line = f"{finding.severity}: {path}: {finding.key}: got {finding.got}, expected {finding.expected}"
-        out.print(escape(line))
+        out.print(_flat(line))
     joints = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
     out.print(f"{len(root.findall('link'))} links, {len(joints)} movable joints, {len(findings)} findings.")
     if any(finding.severity == "error" for finding in findings):
@@ -196,13 +224,13 @@ def _check_scene(file: str) -> None:
 
     scene = cmbot.load_scene(file)
     for name, value in examine_scene(scene):
-        out.print(f"{name:<34}{escape(value)}")
-    out.print("The scene can be planned with: " + escape(f"cmbot plan {file}"))
+        out.print(f"{name:<34}{_flat(value)}")
+    out.print(f"The scene can be planned with: cmbot plan {_flat(file)}")
 
 
 def _print_plan(planned: Plan) -> None:
     if out.is_terminal:
-        table = Table(title=escape(planned.scene.name), title_justify="left")
+        table = Table(title=planned.scene.name, title_justify="left")
         table.add_column("")
         table.add_column("baseline", justify="right")
         table.add_column("planned", justify="right")
@@ -212,7 +240,7 @@ def _print_plan(planned: Plan) -> None:
     else:
         out.print(planned.summary())
     for remark in planned.remarks():
-        out.print(escape(remark))
+        out.print(remark)
 
 
 class _Narrator:
@@ -249,6 +277,6 @@ class _Narrator:
                 f"{'all constraints met' if met else beyond}"
             )
         if self._status is not None:
-            self._status.update(text)
+            self._status.update(Text(text))
         elif not progress.failed_starts or progress.failed_starts == 1:
             err.print(text)

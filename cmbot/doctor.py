@@ -13,7 +13,22 @@ from cmbot.version import __version__
 
 __all__ = ["Symptom", "examine"]
 
-_REQUIRED = ("pin", "coal", "numpy", "scipy", "pydantic", "meshcat", "yourdfpy", "trimesh", "typer", "rich")
+# The module of each required package.
+_REQUIRED = {
+    "pin": "pinocchio",
+    "coal": "coal",
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "pydantic": "pydantic",
+    "ruamel.yaml": "ruamel.yaml",
+    "meshcat": "meshcat",
+    "u-msgpack-python": "umsgpack",
+    "yourdfpy": "yourdfpy",
+    "trimesh": "trimesh",
+    "threadpoolctl": "threadpoolctl",
+    "typer": "typer",
+    "rich": "rich",
+}
 _OPTIONAL = (("mujoco", "test"), ("hypothesis", "test"))
 
 
@@ -39,7 +54,7 @@ def examine() -> list[Symptom]:
         Symptom(name="cmbot", found=f"{__version__} from {Path(__file__).parent}"),
         Symptom(name="python", found=f"{platform.python_version()} on {platform.platform()}"),
     ]
-    symptoms += [_package(name) for name in _REQUIRED]
+    symptoms += [_package(name, module) for name, module in _REQUIRED.items()]
     for name, extra in _OPTIONAL:
         version = _version(name)
         missing = f'not installed (optional: pip install "cmbot[{extra}]")'
@@ -56,13 +71,19 @@ def examine() -> list[Symptom]:
     return symptoms
 
 
-def _package(name: str) -> Symptom:
-    version = _version(name)
-    module = {"pin": "pinocchio"}.get(name, name)
-    spec = util.find_spec(module)
-    if version is None or spec is None:
+def _package(name: str, module: str) -> Symptom:
+    version, folder = _version(name), _folder(module)
+    if version is None or folder is None:
         return Symptom(name=name, found=f"not installed (run: pip install {name})", healthy=False)
-    return Symptom(name=name, found=f"{version} from {Path(spec.origin or '').parent}")
+    return Symptom(name=name, found=f"{version} from {folder}")
+
+
+def _folder(module: str) -> Path | None:
+    try:
+        spec = util.find_spec(module)
+    except ModuleNotFoundError:  # not even the package around it is there
+        return None
+    return None if spec is None else Path(spec.origin or "").parent
 
 
 def _version(name: str) -> str | None:

@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -44,9 +45,20 @@ def triangle_plan() -> Plan:
     return plan(load_scene("triangle"))
 
 
+def _with_fixed_knots(name: str) -> Plan:
+    scene = load_scene(name)
+    return plan(scene, options=replace(scene.planner, knots="fixed"))
+
+
 @pytest.fixture(scope="session")
-def line_plan() -> Plan:
-    return plan(load_scene("line"))
+def fixed_triangle_plan() -> Plan:
+    """The paper's own problem: via-points stay on the gradient-projection path."""
+    return _with_fixed_knots("triangle")
+
+
+@pytest.fixture(scope="session")
+def fixed_line_plan() -> Plan:
+    return _with_fixed_knots("line")
 
 
 @pytest.fixture

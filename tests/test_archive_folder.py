@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from cmbot.archive import add_file, require_free
-from cmbot.archive.folder import write_folder
+from cmbot.archive.folder import APPROACH_FILES, SAVED_FILES, write_folder
 from cmbot.errors import ArchiveError
 
 CONTENTS = {"plan.json": b'{"format": "cmbot-plan/1"}', "a.csv": b"1,2\n", "b.npz": b"\0"}
@@ -189,9 +189,7 @@ def test_names_that_lead_elsewhere_are_refused(folder, name):
     assert names(folder) == FILES | {"old"}
 
 
-@pytest.mark.parametrize(
-    "name", ["plan.json", "trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json"]
-)
+@pytest.mark.parametrize("name", ["plan.json", *SAVED_FILES, *APPROACH_FILES])
 def test_the_plan_itself_is_not_replaced(folder, name):
     with pytest.raises(ArchiveError, match="the plan's own files"):
         add_file(folder, name, "")

@@ -66,7 +66,7 @@ def broken(certificate: Certificate) -> dict[str, Check]:
     return {check.quantity.split(" of ")[0]: check for check in failed}
 
 
-@pytest.mark.parametrize("name", ["triangle_plan", "line_plan", "short_plan"])
+@pytest.mark.parametrize("name", ["triangle_plan", "fixed_triangle_plan", "fixed_line_plan", "short_plan"])
 def test_plans_hold(name: str, request: pytest.FixtureRequest) -> None:
     planned: Plan = request.getfixturevalue(name)
     certificate = planned.certificate
@@ -212,7 +212,7 @@ def test_figures_by_hand(triangle_plan: Plan) -> None:
     assert np.abs(tau[at]).max() == pytest.approx(check.value, rel=1e-6)
 
 
-@pytest.mark.parametrize("name", ["short_plan", "triangle_plan"])
+@pytest.mark.parametrize("name", ["short_plan", "fixed_triangle_plan"])
 def test_clearance_bound(name: str, request: pytest.FixtureRequest) -> None:
     planned: Plan = request.getfixturevalue(name)
     certificate, x = planned.certificate, planned.trajectory

@@ -44,11 +44,15 @@ def test_plan_a_scene(tmp_path: Path) -> None:
     text = run("02_plan_a_scene.py", tmp_path)
     checks = text.split("check by check:\n")[1].split("\n\n")[0].splitlines()
     assert len(checks) == 9
-    at_via_points = number(r"planned, at its via-points: +(\S+)", text)
-    all_along = number(r"planned, all along: +(\S+)", text)
-    # What the example is there to show: knot derivatives cannot undercut gravity at the via-points.
-    assert at_via_points == pytest.approx(486.41, abs=0.005)
-    assert all_along >= at_via_points - 0.005
+    # What the example is there to show: knot derivatives cannot undercut gravity at the via-points, slides can.
+    baseline = number(r"baseline, from the scene's posture: +(\S+)", text)
+    at_via_points = number(r"fixed knots, at the via-points: +(\S+)", text)
+    fixed = number(r"fixed knots, all along: +(\S+)", text)
+    sliding = number(r"as the scene has it, all along: +(\S+)", text)
+    floor = number(r"floor of any posture at one of them: +(\S+)", text)
+    assert baseline == at_via_points == pytest.approx(486.41, abs=0.005)
+    assert fixed >= at_via_points - 0.005
+    assert floor - 0.05 <= sliding < 1.02 * floor < fixed
 
 
 def test_your_own_arm(tmp_path: Path) -> None:

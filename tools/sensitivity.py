@@ -13,20 +13,22 @@ from typing import Any
 import cmbot
 
 # Where in the scene file, and what stands there instead.
-CHANGES: list[tuple[str, object]] = [
-    ("robot.tool_length_m", 0.25),
-    ("robot.tool_length_m", 0.35),
-    ("robot.payload_kg", 5.0),
-    ("tool_path.speed_profile.ramp", 0.1),
-    ("tool_path.via_points", 30),
-    ("planner.avoidance", "switch"),
-    ("planner.avoidance_gain", 0.0),
-    ("planner.avoidance_gain", 4.0),
-    ("planner.avoidance_distance_m", 0.10),
-    ("planner.avoidance_distance_m", 0.20),
-    ("planner.damping_threshold", 0.3),
-    ("planner.drift_gain", 5.0),
-    ("planner.centre_of_gravity_weight", 1.0),
+CHANGES: list[dict[str, object]] = [
+    {"planner.start": "pinned"},
+    {"planner.step_share": 0.3},
+    {"planner.chart_spacing": 0.05},
+    {"planner.safety_margin_m": 0.05},
+    {"robot.tool_length_m": 0.25},
+    {"robot.tool_length_m": 0.35},
+    {"robot.payload_kg": 5.0},
+    {"tool_path.via_points": 30},
+    {"planner.knots": "fixed"},
+    {"planner.knots": "fixed", "planner.avoidance": "switch"},
+    {"planner.knots": "fixed", "planner.avoidance_gain": 0.0},
+    {"planner.knots": "fixed", "planner.avoidance_gain": 4.0},
+    {"planner.knots": "fixed", "planner.avoidance_distance_m": 0.2},
+    {"planner.knots": "fixed", "planner.centre_of_gravity_weight": 1.0},
+    {"planner.knots": "fixed", "tool_path.speed_profile.ramp": 0.1},
 ]
 HEADER = "| changed | gravity's peak, baseline, Nm | planned, Nm | its clearance, mm | start moved, deg |"
 
@@ -64,8 +66,11 @@ def main() -> None:
     print(HEADER)
     print("|---|---|---|---|---|")
     print(row("nothing", data), flush=True)
-    for key, value in CHANGES:
-        print(row(f"`{key}: {value}`", changed(data, key, value)), flush=True)
+    for change in CHANGES:
+        content = data
+        for key, value in change.items():
+            content = changed(content, key, value)
+        print(row(", ".join(f"`{key}: {value}`" for key, value in change.items()), content), flush=True)
 
 
 if __name__ == "__main__":

@@ -15,12 +15,23 @@ from cmbot.archive.strict_json import read_json
 from cmbot.errors import ArchiveError
 from cmbot.validation import shown
 
-__all__ = ["FORMAT", "PLAN_FILE", "SAVED_FILES", "add_file", "read_file", "require_free", "write_folder"]
+__all__ = [
+    "APPROACH_FILES",
+    "FORMAT",
+    "PLAN_FILE",
+    "SAVED_FILES",
+    "add_file",
+    "read_file",
+    "require_free",
+    "write_folder",
+]
 
 FORMAT = "cmbot-plan/1"
 PLAN_FILE = "plan.json"
 SAVED_FILES = ("trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json")
 """What stands beside `PLAN_FILE` from the first."""
+APPROACH_FILES = ("approach.csv", "approach.npz", "approach.ros.json")
+"""What stands there as well when the work starts elsewhere than in the scene's posture."""
 
 _FORMAT_OF_ANY_VERSION = re.compile(r"cmbot-plan/\d+")
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
@@ -117,7 +128,7 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
     if not _FILE_NAME.fullmatch(name):
         expected = "letters, digits, ., - and _, beginning with a letter or digit"
         raise ArchiveError("add_file", "name", shown(name), expected)
-    if name in (PLAN_FILE, *SAVED_FILES):
+    if name in (PLAN_FILE, *SAVED_FILES, *APPROACH_FILES):
         raise ArchiveError("add_file", "name", name, "a name that is not one of the plan's own files")
     with _refusals(directory), ExitStack() as cleanup:
         target = _resolved(directory)

@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 
-from cmbot.archive.folder import FORMAT, PLAN_FILE, SAVED_FILES, read_file
+from cmbot.archive.fitting import require_fit, require_times, require_unchanged
+from cmbot.archive.folder import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES, read_file
 from cmbot.archive.knots import read_knots
-from cmbot.archive.schema import PlanFile
+from cmbot.archive.schema import ApproachFile, CertificateFile, FiguresFile, PlanFile
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_motion
-from cmbot.arrays import FloatArray
 from cmbot.errors import ArchiveError, InputError
-from cmbot.planning import Certificate, MotionFigures, Plan, robot_of, task_of
+from cmbot.planning import (
+    Approach,
+    Certificate,
+    MotionFigures,
+    Plan,
+    QuinticTrajectory,
+    ToolTask,
+    robot_of,
+    task_of,
+)
 from cmbot.planning.certificate import certify
 from cmbot.planning.figures import figures, measure
 from cmbot.robot import Robot
@@ -30,6 +38,9 @@ __all__ = ["load_plan"]
 # Figures computed again agree with those in the file to this relative and absolute tolerance: another machine
 # rounds differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
+# The grid on which the planner certifies an approach (cmbot.planning.approach): on another one its figures
+# would differ.
+_APPROACH_SAMPLES = 10
 
 
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
@@ -43,61 +54,56 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     ----------
     directory : str or Path
     verify : bool
-        Certify the trajectory again (about a second) rather than take the file's word for it.
+        Certify trajectory and approach again (some seconds) rather than take the file's word for it.
 
     Raises
     ------
     ArchiveError
-        When a file is missing, damaged, of another version, or does not belong to the others; when robot,
-        scene or meshes have changed since; with `verify`, when the file's figures are not the motion's.
+        When a file is missing, damaged, of another version, or does not belong to the others; when approach
+        and work do not join; when robot, scene or meshes have changed since; with `verify`, when the file's
+        figures are not the motion's.
     LimitViolation
-        With `verify`, when the trajectory breaks a promise.
+        With `verify`, when trajectory or approach breaks a promise.
     """
     folder = Path(directory)
     file = _plan_file(folder)
     source = folder / PLAN_FILE
-    certificate = _certificate(file, source)
+    certificate = _certificate(file.certificate, file.planned, source, "certificate")
     with _as_archive_error(str(source)):
         scene = _scene(file, source)
         robot = _robot(scene, file, source)
         task = task_of(scene, robot)
         clearances = Clearances(robot, scene.obstacles)
-    contents = {name: read_file(folder / name) for name in SAVED_FILES}
+    names = SAVED_FILES if file.approach is None else (*SAVED_FILES, *APPROACH_FILES)
+    contents = {name: read_file(folder / name) for name in names}
     duration = task.path.duration
-    trajectory = read_knots(contents["trajectory.npz"], str(folder / "trajectory.npz"), robot.dof)
-    _require_times(trajectory.t, duration, str(folder / "trajectory.npz"))
+    trajectory = _trajectory(contents, folder, "trajectory.npz", robot, duration, "the scene")
+    approach = None
+    if file.approach is not None:
+        approach = _approach(file.approach, contents, folder, robot, task)
     t, motion = read_motion(contents["baseline.csv"], str(folder / "baseline.csv"), robot.dof)
-    _require_times(t, duration, str(folder / "baseline.csv"))
-    _require_unchanged(folder, file, contents)
-
-    baseline = measure(robot, task, clearances, t, motion)
-    baseline_figures = file.baseline.figures()
-    start = file.start.start()
-    if start.posture.shape != (robot.dof,):
-        raise ArchiveError(
-            str(source), "start.posture_deg", f"{len(start.posture)} joints", f"{robot.dof} joints"
-        )
-    if verify:
-        _require_same(baseline_figures, figures(robot, baseline), source, "baseline")
-        fresh = certify(robot, task, trajectory, trajectory.q, clearances, file.options)
-        fresh.require()
-        _require_same(certificate.figures, fresh.figures, source, "planned")
-        certificate = fresh
-    return Plan(
+    require_times(t, duration, str(folder / "baseline.csv"), "the scene")
+    require_unchanged(folder, file, contents)
+    require_fit(file, np.array(scene.posture), trajectory, approach, folder)
+    plan = Plan(
         scene=scene,
         options=file.options,
         robot=robot,
         task=task,
-        start=start,
-        baseline=baseline,
-        baseline_figures=baseline_figures,
+        start=file.start.start(),
+        baseline=measure(robot, task, clearances, t, motion),
+        baseline_figures=file.baseline.figures(),
         drift=file.drift,
         smallest_singular_value=file.smallest_singular_value,
         trajectory=trajectory,
         certificate=certificate,
         passes=tuple(entry.report() for entry in file.passes),
+        floor=None if file.floor is None else file.floor.floor(),
+        choice=None if file.choice is None else file.choice.choice(),
+        approach=approach,
         seconds=file.seconds.seconds(),
     )
+    return _verified(plan, clearances, source) if verify else plan
 
 
 def _plan_file(folder: Path) -> PlanFile:
@@ -147,34 +153,55 @@ def _changed(source: Path, key: str, got: str, expected: str, what: str) -> Arch
     return ArchiveError(str(source), key, f"{got[:16]}… now", f"{expected[:16]}…: {what}; plan again")
 
 
-def _require_times(t: FloatArray, duration: float, source: str) -> None:
-    if t[0] != 0.0 or abs(t[-1] - duration) > 1e-9 * duration:
-        raise ArchiveError(source, "t", f"{t[0]:g} to {t[-1]:g} s", f"0 to {duration:g} s, as in the scene")
+def _certificate(entry: CertificateFile, motion: FiguresFile, source: Path, key: str) -> Certificate:
+    certificate = entry.certificate(motion)
+    for index, (stored, check) in enumerate(zip(entry.checks, certificate.checks, strict=True)):
+        if not (check.holds and stored.holds):
+            where, got = f"{key}.checks[{index}]", f"a broken promise ({check.quantity})"
+            raise ArchiveError(str(source), where, got, "kept ones")
+    return certificate
 
 
-def _require_unchanged(folder: Path, file: PlanFile, contents: dict[str, bytes]) -> None:
-    """Refuse files that were not saved together: the figures would be another motion's."""
-    for name, content in contents.items():
-        if file.files.get(name) != hashlib.sha256(content).hexdigest():
-            expected = f"the file that was saved with {PLAN_FILE}"
-            raise ArchiveError(str(folder / name), "", "other content", expected)
+def _trajectory(
+    contents: Mapping[str, bytes], folder: Path, name: str, robot: Robot, duration: float, whose: str
+) -> QuinticTrajectory:
+    trajectory = read_knots(contents[name], str(folder / name), robot.dof)
+    require_times(trajectory.t, duration, str(folder / name), whose)
+    return trajectory
 
 
-def _certificate(file: PlanFile, source: Path) -> Certificate:
-    checks = tuple(entry.check() for entry in file.certificate.checks)
-    for index, (entry, check) in enumerate(zip(file.certificate.checks, checks, strict=True)):
-        if not (check.holds and entry.holds):
-            raise ArchiveError(
-                str(source),
-                f"certificate.checks[{index}]",
-                f"a broken promise ({check.quantity})",
-                "kept ones",
-            )
-    return Certificate(
-        checks=checks,
-        figures=file.planned.figures(),
-        clearance_bound=file.certificate.clearance_bound_m(),
+def _approach(
+    file: ApproachFile, contents: Mapping[str, bytes], folder: Path, robot: Robot, task: ToolTask
+) -> Approach:
+    return Approach(
+        trajectory=_trajectory(contents, folder, "approach.npz", robot, file.seconds, PLAN_FILE),
+        certificate=_certificate(file.certificate, file, folder / PLAN_FILE, "approach.certificate"),
+        task=_at_the_start(task),
+        along_self_motion=file.along_self_motion,
     )
+
+
+def _at_the_start(task: ToolTask) -> ToolTask:
+    """Return the task of holding the tool where the work starts, as the planner gives it to an approach."""
+    corners = np.repeat(task.path.corners[:1], 2, axis=0)
+    return replace(task, path=replace(task.path, corners=corners, seconds=np.ones(1)))
+
+
+def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
+    """Return the plan with certificates made now; the figures in the file must be theirs."""
+    robot, options, trajectory = plan.robot, plan.options, plan.trajectory
+    _require_same(plan.baseline_figures, figures(robot, plan.baseline), source, "baseline")
+    certificate = certify(robot, plan.task, trajectory, trajectory.q, clearances, options)
+    certificate.require()
+    _require_same(plan.figures, certificate.figures, source, "planned")
+    approach = plan.approach
+    if approach is not None:
+        trajectory, coarse = approach.trajectory, replace(options, samples_per_segment=_APPROACH_SAMPLES)
+        fresh = certify(robot, approach.task, trajectory, trajectory.q, clearances, coarse, at_work=False)
+        fresh.require()
+        _require_same(approach.certificate.figures, fresh.figures, source, "approach")
+        approach = replace(approach, certificate=fresh)
+    return replace(plan, certificate=certificate, approach=approach)
 
 
 def _require_same(stored: MotionFigures, fresh: MotionFigures, source: Path, key: str) -> None:

@@ -9,16 +9,20 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.errors import PathNotFound
-from cmbot.planning import Check, LimitUse, MotionFigures, PassReport, Seconds, Start
+from cmbot.planning import Certificate, Check, Floor, LimitUse, MotionFigures, PassReport, Seconds, Start
+from cmbot.planning.ways import Choice
 from cmbot.planning.working_set import Violation
 from cmbot.scene import PlannerOptions, SceneFile
 from cmbot.validation import FileModel
 
 __all__ = [
+    "ApproachFile",
     "CertificateFile",
     "CheckFile",
+    "ChoiceFile",
     "FailureFile",
     "FiguresFile",
+    "FloorFile",
     "HashesFile",
     "LimitUseFile",
     "PassFile",
@@ -121,15 +125,56 @@ class CheckFile(FileModel):
 
 
 class CertificateFile(FileModel):
-    """What the trajectory was found to do."""
+    """What a trajectory was found to do."""
 
     clearance_bound: float | None
     """No distance is smaller at any time, m; null: there is nothing to be hit."""
     checks: Annotated[tuple[CheckFile, ...], Field(min_length=1)]
 
-    def clearance_bound_m(self) -> float:
-        """Return the bound as the certificate has it."""
-        return _or_infinite(self.clearance_bound)
+    def certificate(self, figures: FiguresFile) -> Certificate:
+        """Return it, with its motion's `figures`, as the planner has it."""
+        return Certificate(
+            checks=tuple(entry.check() for entry in self.checks),
+            figures=figures.figures(),
+            clearance_bound=_or_infinite(self.clearance_bound),
+        )
+
+
+class ApproachFile(FiguresFile):
+    """How the arm gets from the scene's posture to where the work starts: its figures, and more."""
+
+    seconds: Annotated[float, Field(gt=0)]
+    """How long it takes, s."""
+    along_self_motion: bool
+    """The tool stays about where it is."""
+    certificate: CertificateFile
+
+
+class FloorFile(FileModel):
+    """The torque on the guardrail, Nm, that no admissible plan can go below at rest."""
+
+    torque: Annotated[float, Field(gt=0)]
+    error: NonNegative
+    """The true value lies at most so far below it."""
+    via_point: Count
+    """Index, from 0, of the via-point that sets it."""
+    each: tuple[NonNegative, ...]
+    """The smallest static torque at every via-point."""
+
+    def floor(self) -> Floor:
+        """Return it as the planner has it."""
+        return Floor(torque=self.torque, error=self.error, via_point=self.via_point, each=np.array(self.each))
+
+
+class ChoiceFile(FileModel):
+    """Peak static torque, Nm, that the global stage found for each choice of the start; null: no way."""
+
+    free: NonNegative | None
+    pinned: NonNegative | None
+
+    def choice(self) -> Choice:
+        """Return it as the planner has it."""
+        return Choice(free=self.free, pinned=self.pinned)
 
 
 class FailureFile(FileModel):
@@ -216,9 +261,14 @@ class PlanFile(FileModel):
     status: Literal["certified"]
     baseline: FiguresFile
     planned: FiguresFile
-    torque_floor: None
-    """Of the via-points' freedom; null where they are fixed."""
-    gap_to_floor: None
+    approach: ApproachFile | None
+    """null: the work starts in the scene's posture, or the knots are fixed."""
+    torque_floor: NonNegative | None
+    """Torque of the floor, Nm; like all that the global stage finds, null with fixed knots."""
+    gap_to_floor: float | None
+    """How far the planned peak lies above it, as a share of it."""
+    floor: FloorFile | None
+    choice: ChoiceFile | None
     seconds: SecondsFile
     certificate: CertificateFile
     start: StartFile

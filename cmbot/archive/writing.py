@@ -18,9 +18,12 @@ from cmbot.archive.schema import PlanFile, or_null
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import samples_csv
 from cmbot.errors import ArchiveError
-from cmbot.planning import MotionFigures, Plan, Samples, Start
+from cmbot.planning import Approach, Certificate, MotionFigures, Plan, QuinticTrajectory, Samples, Start
+from cmbot.planning.figures import measure
+from cmbot.planning.plan import SAMPLE_STEP, sample_times
 from cmbot.robot import Robot
 from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file_model
+from cmbot.scene.clearance import Clearances
 from cmbot.validation import validated
 from cmbot.version import __version__
 
@@ -54,15 +57,31 @@ def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
         When a file that the scene names has gone since.
     """
     directory = Path(directory)
-    contents = {
-        "trajectory.csv": samples_csv(plan.samples, "trajectory.csv"),
-        "baseline.csv": samples_csv(plan.baseline, "baseline.csv"),
-        "trajectory.npz": knots_npz(plan.trajectory),
-        "trajectory.ros.json": json_bytes(_ros_joint_trajectory(plan.robot, plan.samples)),
-    }
+    contents = _motion_files("trajectory", plan.robot, plan.trajectory, plan.samples)
+    contents["baseline.csv"] = samples_csv(plan.baseline, "baseline.csv")
+    if plan.approach is not None:
+        samples = _approach_samples(plan, plan.approach)
+        contents |= _motion_files("approach", plan.robot, plan.approach.trajectory, samples)
     contents[PLAN_FILE] = _plan_json(plan, contents)
     write_folder(contents, directory, force=force)
     return directory
+
+
+def _motion_files(
+    name: str, robot: Robot, trajectory: QuinticTrajectory, samples: Samples
+) -> dict[str, bytes]:
+    """Return the files of a planned motion."""
+    return {
+        f"{name}.csv": samples_csv(samples, f"{name}.csv"),
+        f"{name}.npz": knots_npz(trajectory),
+        f"{name}.ros.json": json_bytes(_ros_joint_trajectory(robot, samples)),
+    }
+
+
+def _approach_samples(plan: Plan, approach: Approach) -> Samples:
+    t = sample_times(approach.trajectory.duration, SAMPLE_STEP)
+    motion = tuple(approach.trajectory.evaluate(t, order) for order in range(4))
+    return measure(plan.robot, approach.task, Clearances(plan.robot, plan.scene.obstacles), t, motion)
 
 
 def _ros_joint_trajectory(robot: Robot, samples: Samples) -> dict[str, Any]:
@@ -87,27 +106,20 @@ def _ros_joint_trajectory(robot: Robot, samples: Samples) -> dict[str, Any]:
 
 def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
     scene = _resolved(plan.scene)
-    certificate = plan.certificate
+    approach, floor, choice = plan.approach, plan.floor, plan.choice
+    holds = plan.certificate.holds and (approach is None or approach.certificate.holds)
     data = {
         "format": FORMAT,
-        "status": "certified" if certificate.holds else "a promise is broken",
+        "status": "certified" if holds else "a promise is broken",
         "baseline": _figures(plan.baseline_figures),
         "planned": _figures(plan.figures),
-        "torque_floor": None,
-        "gap_to_floor": None,
+        "approach": None if approach is None else _approach(approach),
+        "torque_floor": None if floor is None else floor.torque,
+        "gap_to_floor": plan.gap_to_floor,
+        "floor": None if floor is None else {**asdict(floor), "each": floor.each.tolist()},
+        "choice": None if choice is None else asdict(choice),
         "seconds": asdict(plan.seconds),
-        "certificate": {
-            "clearance_bound": or_null(certificate.clearance_bound),
-            "checks": [
-                {
-                    **asdict(check),
-                    "value": or_null(check.value),
-                    "bound": or_null(check.bound),
-                    "holds": bool(check.holds),
-                }
-                for check in certificate.checks
-            ],
-        },
+        "certificate": _certificate(plan.certificate),
         "start": _start(plan.start),
         "drift": plan.drift,
         "smallest_singular_value": plan.smallest_singular_value,
@@ -129,6 +141,30 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
 
 def _figures(figures: MotionFigures) -> dict[str, Any]:
     return {**asdict(figures), "min_clearance": or_null(figures.min_clearance)}
+
+
+def _approach(approach: Approach) -> dict[str, Any]:
+    return {
+        **_figures(approach.certificate.figures),
+        "seconds": approach.trajectory.duration,
+        "along_self_motion": approach.along_self_motion,
+        "certificate": _certificate(approach.certificate),
+    }
+
+
+def _certificate(certificate: Certificate) -> dict[str, Any]:
+    return {
+        "clearance_bound": or_null(certificate.clearance_bound),
+        "checks": [
+            {
+                **asdict(check),
+                "value": or_null(check.value),
+                "bound": or_null(check.bound),
+                "holds": bool(check.holds),
+            }
+            for check in certificate.checks
+        ],
+    }
 
 
 def _start(start: Start) -> dict[str, Any]:

@@ -73,6 +73,8 @@ class FixedKnots:
     """
 
     sliding = False
+    slides = 0
+    """Number of unknowns, the first ones, that slide via-points."""
 
     def __init__(
         self, splines: WhitenedSplines, via_points: FloatArray, numbers: FloatArray, weight: float
@@ -178,22 +180,22 @@ class SlidingKnots(FixedKnots):
         self._null = np.linalg.svd(J)[2][:, J.shape[1] :]
         if pinned:
             self._null[0] = 0.0
-        self._slides = int(self._null.shape[0] * self._null.shape[1])
+        self.slides = int(self._null.shape[0] * self._null.shape[1])
         self._weights = weight / self._joints / splines.limits.jerk**2
         # Scaling only: where smoothing does not hold it back, a unit slides via-points by the longest slide.
-        H = self._slide_curvature(self._null) + np.eye(self._slides) / _LONGEST_SLIDE**2
-        self._to_slides = linalg.solve_triangular(np.linalg.cholesky(H), np.eye(self._slides), lower=True).T
+        H = self._slide_curvature(self._null) + np.eye(self.slides) / _LONGEST_SLIDE**2
+        self._to_slides = linalg.solve_triangular(np.linalg.cholesky(H), np.eye(self.slides), lower=True).T
         self._at: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
     @property
     def dimension(self) -> int:
         """Number of unknowns."""
-        return int(self._numbers.size) + self._slides
+        return int(self._numbers.size) + self.slides
 
     @property
     def start(self) -> FloatArray:
         """Unknowns (dimension,) of the spline that the family was built around: no slide."""
-        return np.concatenate([np.zeros(self._slides), super().start])
+        return np.concatenate([np.zeros(self.slides), super().start])
 
     def via_points_at(self, x: FloatArray) -> FloatArray:
         """Via-points (n, d) after their slides."""
@@ -216,7 +218,7 @@ class SlidingKnots(FixedKnots):
         """Value and gradient (dimension,) of the smoothing term."""
         q, tangent = self._placed(x)
         pull = self.splines.response_gram @ q * self._weights
-        y = x[self._slides :]
+        y = x[self.slides :]
         value = 0.5 * float(np.sum(q * pull)) + 0.5 * float(y @ y)
         along = np.einsum("ki,kai->ka", pull, tangent).ravel()
         return value, np.concatenate([self._to_slides.T @ along, y])
@@ -255,8 +257,8 @@ class SlidingKnots(FixedKnots):
 
     def _placed(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Via-points (n, d) of the slides in `x`, and their derivatives (n, a, d) by the unscaled slides."""
-        if self._at is None or not np.array_equal(self._at[0], x[: self._slides]):
-            self._at = (x[: self._slides].copy(), *self._place(x[: self._slides]))
+        if self._at is None or not np.array_equal(self._at[0], x[: self.slides]):
+            self._at = (x[: self.slides].copy(), *self._place(x[: self.slides]))
         return self._at[1], self._at[2]
 
     def _place(self, unknowns: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -19,22 +19,43 @@ from cmbot.planning.working_set import Violation, WorkingSet
 __all__ = ["Optimised", "PassReport", "optimise"]
 
 
-# The first passes look at every tenth sample and add few constraints: most of those that they would add are
-# no longer needed once the others are met.
-_COARSE_STRIDE = 10
-_COARSE_MOST = 40
-# In those passes the smoothing weighs more, so that splines do not swing between the few working times.
-_COARSE_SMOOTHING = 1000.0
-# The mean square is not worth jerk at its bound all along: so many times the peak stage's smoothing.
-_MEAN_SMOOTHING = 100.0
-# Accuracy of a pass, relative to the objective, which is about 1.
-_COARSE_ACCURACY, _ACCURACY = 1e-5, 1e-8
 # SLSQP's line search can stall short of the constraints; started afresh from there it gets on.
 _MOST_STALLS = 3
 # Unknowns without any effect, such as the slide of a pinned via-point, keep the Hessian regular.
 _LEAST_CURVATURE = 1e-6
 # A peak this near to that of the resting ends cannot be told from it.
 _AT_REST = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Effort:
+    """How hard a pass tries.
+
+    Attributes
+    ----------
+    stride : int
+        Every which sample is looked at for violations.
+    most : int
+        At most so many violated sites of a constraint are added: many are no longer once others are met.
+    smoothing : float
+        Weight of the smoothing in multiples of the option's: with few working times a light one lets splines
+        swing between them.
+    accuracy : float
+        Of the solver, relative to the objective, which is about 1.
+    """
+
+    stride: int
+    most: int
+    smoothing: float
+    accuracy: float
+
+
+# Via-points first slide alone; then all unknowns look for a smooth trajectory, coarsely and on all samples. Only
+# a peak that is not yet low enough is worth giving up smoothness for.
+_SKETCH = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-5)
+_COARSE = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-5)
+_SMOOTH = _Effort(stride=1, most=400, smoothing=1000.0, accuracy=1e-7)
+_FULL = _Effort(stride=1, most=400, smoothing=1.0, accuracy=1e-8)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,12 +120,14 @@ def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | No
     if not problem.family.sliding:
         check_feasible(problem)
     run = _Run(problem, progress)
-    at_rest = problem.peak_at_rest / problem.scale * (1 + _AT_REST)
-    peak = 1.0
+    at_rest = problem.peak_at_rest * (1 + _AT_REST)
+    # Where a resting end that cannot change asks the most, there is nothing to lower but the mean square. With
+    # sliding knots that is known beforehand.
+    peak = problem.via_point_peak if problem.family.slides else problem.scale
     if peak > at_rest:
-        peak = run.stage("peak", peak)
+        peak = problem.scale * run.stage("peak", 1.0)
     if peak <= at_rest:
-        run.stage("mean square", at_rest)
+        run.stage("mean square", at_rest / problem.scale)
     return Optimised(
         trajectory=problem.trajectory(run.family, run.x),
         via_points=run.family.via_points_at(run.x),
@@ -128,68 +151,77 @@ class _Run:
     def stage(self, name: str, bound: float) -> float:
         """Run one stage from where the last one ended; return its scaled peak torque."""
         options, tolerance = self._problem.options, self._problem.options.constraint_tolerance
-        stride, most, stalls = _COARSE_STRIDE, _COARSE_MOST, 0
-        self._look(bound, stride, most)
+        effort, stalls = _SKETCH if self.family.slides else _COARSE, 0
+        self._look(bound, effort)
         while True:
             if len(self.reports) >= options.max_passes:
                 raise self._failure(f"no solution in {options.max_passes} passes", self.reports[-1].worst)
-            coarse = stride > 1
             if name == "peak":
-                bound, iterations = self._lower_peak(bound, coarse=coarse)
+                bound, iterations = self._lower_peak(bound, effort)
             else:
-                iterations = self._lower_mean_square(bound, coarse=coarse)
-            added, worst, peak = self._look(bound, stride, most)
+                iterations = self._lower_mean_square(bound, effort)
+            added, worst, peak = self._look(bound, effort)
             self._report(name, iterations, peak, worst)
-            if added:
+            if effort is _SKETCH:
+                effort = _COARSE
+            elif added:
                 continue
-            if stride > 1:
-                stride, most = 1, len(self._problem.grid)
-            elif worst.value <= tolerance:
-                return peak
-            elif stalls == _MOST_STALLS:
-                raise self._failure("the solver stopped before the constraints were met", worst)
-            else:
+            elif effort is _COARSE:
+                effort = _SMOOTH
+            elif worst.value > tolerance:
+                if stalls == _MOST_STALLS:
+                    raise self._failure("the solver stopped before the constraints were met", worst)
                 stalls += 1
+            elif effort is _SMOOTH and name == "peak" and peak > self._problem.low_enough:
+                effort = _FULL
+            else:
+                return peak
 
-    def _look(self, bound: float, stride: int, most: int) -> tuple[int, Violation, float]:
+    def _look(self, bound: float, effort: _Effort) -> tuple[int, Violation, float]:
         """Add what the present trajectory violates."""
         trajectory = self._problem.trajectory(self.family, self.x)
         tolerance = self._problem.options.constraint_tolerance
-        return self._working.add_violated(trajectory, bound, tolerance, stride, most)
+        return self._working.add_violated(trajectory, bound, tolerance, effort.stride, effort.most)
 
-    def _lower_peak(self, bound: float, *, coarse: bool) -> tuple[float, int]:
-        """Solve the peak stage's subproblem in epigraph form: unknowns are (x, b)."""
-        weight = self._problem.options.smoothing_weight * (_COARSE_SMOOTHING if coarse else 1.0)
-        family = self.family = self.family.rebuilt(self.x, weight)
+    def _weight(self, effort: _Effort) -> float:
+        return self._problem.options.smoothing_weight * effort.smoothing
+
+    def _lower_peak(self, bound: float, effort: _Effort) -> tuple[float, int]:
+        """Solve the peak stage's subproblem in epigraph form: unknowns are (x, b), or slides alone and b."""
+        family = self.family = self.family.rebuilt(self.x, self._weight(effort))
+        full = family.start
+        free = family.slides if effort is _SKETCH else len(full)
+
+        def unknowns(x: FloatArray) -> FloatArray:
+            return np.concatenate([x[:-1], full[free:]])
 
         def objective(x: FloatArray) -> tuple[float, FloatArray]:
-            value, gradient = family.smoothing(x[:-1])
-            return float(x[-1]) + value, np.append(gradient, 1.0)
+            value, gradient = family.smoothing(unknowns(x))
+            return float(x[-1]) + value, np.append(gradient[:free], 1.0)
 
         def constraints(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value, jacobian, torques = self._working.values(family, x[:-1])
+            value, jacobian, torques = self._working.values(family, unknowns(x))
             value[:torques] -= x[-1]
             d_bound = np.zeros((len(value), 1))
             d_bound[:torques] = -1.0
-            return -value, -np.hstack([jacobian, d_bound])
+            return -value, -np.hstack([jacobian[:, :free], d_bound])
 
         x, iterations = solve_slsqp(
-            Subproblem(start=np.append(family.start, bound), objective=objective, constraints=constraints),
-            _COARSE_ACCURACY if coarse else _ACCURACY,
+            Subproblem(start=np.append(full[:free], bound), objective=objective, constraints=constraints),
+            effort.accuracy,
             self._problem.options.max_iterations,
         )
-        self.x = x[:-1]
+        self.x = unknowns(x)
         return float(x[-1]), iterations
 
-    def _lower_mean_square(self, bound: float, *, coarse: bool) -> int:
+    def _lower_mean_square(self, bound: float, effort: _Effort) -> int:
         """Solve the mean-square stage's subproblem, the torque's norm held below `bound`.
 
         Unknowns are u with ``x = C u``, where C whitens the objective's Gauss-Newton Hessian: SLSQP then
         starts with nearly the right curvature.
         """
         problem = self._problem
-        weight = problem.options.smoothing_weight * (_COARSE_SMOOTHING if coarse else _MEAN_SMOOTHING)
-        family = self.family = self.family.rebuilt(self.x, weight)
+        family = self.family = self.family.rebuilt(self.x, self._weight(effort))
         H = problem.mean_square_curvature(family, family.start) + family.smoothing_curvature()
         L = np.linalg.cholesky(H + _LEAST_CURVATURE * np.eye(len(H)))
         C = linalg.solve_triangular(L, np.eye(len(L)), lower=True).T
@@ -207,7 +239,7 @@ class _Run:
 
         u, iterations = solve_slsqp(
             Subproblem(start=L.T @ family.start, objective=objective, constraints=constraints),
-            _COARSE_ACCURACY if coarse else _ACCURACY,
+            effort.accuracy,
             problem.options.max_iterations,
         )
         self.x = C @ u

@@ -66,6 +66,8 @@ class TorqueProblem:
     options : PlannerOptions
     resting : tuple of int
         Indices of the via-points where the arm rests in a posture that the family cannot change.
+    floor : float, Nm
+        What the peak torque cannot fall below, but for what motion takes off.
     """
 
     def __init__(
@@ -77,6 +79,7 @@ class TorqueProblem:
         options: PlannerOptions,
         *,
         resting: tuple[int, ...],
+        floor: float,
     ) -> None:
         self.robot = robot
         self.options = options
@@ -85,13 +88,14 @@ class TorqueProblem:
         t = self.space.t
         grid = np.linspace(t[:-1], t[1:], options.samples_per_segment, endpoint=False, axis=1)
         self.grid = np.append(grid.ravel(), t[-1])
-        self.peak_at_rest = 0.0
-        if resting:
-            ends = self.dynamics.static_efforts(family.via_points[list(resting)]).guardrail_torque
-            self.peak_at_rest = float(np.linalg.norm(ends, axis=1).max())
+        static = self.dynamics.static_efforts(family.via_points).guardrail_torque
+        at_via_points = np.linalg.norm(static, axis=1)
+        self.via_point_peak = float(at_via_points.max())
+        self.peak_at_rest = float(at_via_points[list(resting)].max(initial=0.0))
         states = self.states(family, family.start, self.grid)
         torque = self.dynamics.efforts(states.q, states.v, states.a).guardrail_torque
         self.scale = float(np.linalg.norm(torque, axis=1).max())
+        self.low_enough = floor * (1 + options.gap_target) / self.scale
         self.torque = GuardrailTorque(self.dynamics, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE

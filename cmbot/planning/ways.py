@@ -79,7 +79,9 @@ def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
     )
     splines, numbers = _splines(setting)
     family = FixedKnots(splines, _via_points(setting, path), numbers, setting.options.smoothing_weight)
-    return Way(problem=_problem(setting, family, resting=(0, -1)), failures=failures)
+    static = Postures(setting.robot).at(family.via_points).guardrail_torque
+    floor = float(np.linalg.norm(static, axis=1).max())
+    return Way(problem=_problem(setting, family, resting=(0, -1), floor=floor), failures=failures)
 
 
 def sliding_way(setting: Setting) -> Way:
@@ -114,16 +116,24 @@ def sliding_way(setting: Setting) -> Way:
         pinned=pinned,
     )
     return Way(
-        problem=_problem(setting, family, resting=(0,) if pinned else ()),
+        problem=_problem(setting, family, resting=(0,) if pinned else (), floor=stage.floor.torque),
         floor=stage.floor,
         choice=Choice(free=other if pinned else solution.peak, pinned=solution.peak if pinned else other),
         chart=stage.first_chart,
     )
 
 
-def _problem(setting: Setting, family: FixedKnots, resting: tuple[int, ...]) -> TorqueProblem:
+def _problem(
+    setting: Setting, family: FixedKnots, *, resting: tuple[int, ...], floor: float
+) -> TorqueProblem:
     return TorqueProblem(
-        setting.robot, setting.task, family, setting.clearances, setting.options, resting=resting
+        setting.robot,
+        setting.task,
+        family,
+        setting.clearances,
+        setting.options,
+        resting=resting,
+        floor=floor,
     )
 
 

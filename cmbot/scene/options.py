@@ -66,6 +66,9 @@ class PlannerOptions:
     smoothing_weight : float
         Weight rho of the mean squared jerk (in units of its bounds) beside the peak torque (in units of its
         value at the start): breaks ties between trajectories of equal peak.
+    gap_target : float
+        The peak torque is low enough when it is within this share of its floor: from there on smoothness
+        counts for more.
     constraint_tolerance : float
         Relative violation below which a constraint counts as met by the optimiser.
     max_passes : int
@@ -95,6 +98,7 @@ class PlannerOptions:
     solver: Literal["slsqp"] = "slsqp"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
     smoothing_weight: Annotated[float, Field(gt=0, le=1)] = 1e-4
+    gap_target: NonNegativeFloat = 2e-3
     constraint_tolerance: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
     max_passes: PositiveInt = 40
     max_iterations: PositiveInt = 1000

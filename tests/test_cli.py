@@ -1,0 +1,264 @@
+"""What the verbs of the command line do, write and print when all goes well."""
+
+import os
+import pty
+import re
+import shutil
+import signal
+import subprocess
+from pathlib import Path
+from urllib.request import urlopen
+
+import pytest
+from command_line import Outcome, command, environment, plain, run, without_colours, write_scene
+from small_scenes import SHORT
+
+import cmbot
+from cmbot.resources import model_folder
+
+SAVED = {
+    "plan.json",
+    "trajectory.csv",
+    "baseline.csv",
+    "trajectory.npz",
+    "trajectory.ros.json",
+    "replay.html",
+}
+FIGURES = ("peak torque on the guardrail, Nm", "smallest clearance, mm", "joint jerk, share of its bound")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder with the scene file that the tests plan."""
+    folder = tmp_path_factory.mktemp("cli")
+    write_scene(folder / "short.yaml", SHORT)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def planned(folder: Path) -> Outcome:
+    """What ``cmbot plan`` says; it writes folder/plan."""
+    return run("plan", folder / "short.yaml", "--output", folder / "plan")
+
+
+@pytest.fixture
+def directory(folder: Path, planned: Outcome, tmp_path: Path) -> Path:
+    """A copy of the plan directory, to be changed by a test."""
+    assert planned.status == 0, planned.err
+    return shutil.copytree(folder / "plan", tmp_path / "plan")
+
+
+@pytest.fixture
+def known(directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> cmbot.Plan:
+    """The plan that ``cmbot plan`` finds at once, so that only what is around the planning is tested."""
+    known = cmbot.load_plan(directory)
+    monkeypatch.setattr(cmbot, "plan", lambda scene, progress: known)
+    monkeypatch.chdir(tmp_path)
+    write_scene(Path("short.yaml"), SHORT)
+    return known
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_version() -> None:
+    assert run("--version") == Outcome(status=0, out=f"{cmbot.__version__}\n", err="")
+
+
+def test_help_shows_an_example_and_every_verb() -> None:
+    outcome = run("--help")
+    assert (outcome.status, outcome.err) == (0, "")
+    text = plain(outcome.out)
+    assert "Example: cmbot plan triangle" in text
+    assert all(f" {verb} " in text for verb in ("plan", "replay", "check", "doctor"))
+
+
+def test_without_a_verb_the_help_is_shown() -> None:
+    outcome = run()
+    assert outcome.err == ""
+    assert "Example: cmbot plan triangle" in plain(outcome.out)
+
+
+@pytest.mark.parametrize(
+    ("verb", "example"),
+    [
+        ("plan", "Example: cmbot plan triangle -o out/triangle"),
+        ("replay", "Example: cmbot replay out/triangle --html triangle.html"),
+        ("check", "Examples: cmbot check arm.urdf, cmbot check triangle"),
+        ("doctor", "Example: cmbot doctor"),
+    ],
+)
+def test_help_of_a_verb_shows_an_example(verb: str, example: str) -> None:
+    outcome = run(verb, "--help")
+    assert (outcome.status, outcome.err) == (0, "")
+    assert example in plain(outcome.out)
+
+
+def test_plan_writes_a_directory_with_a_replay_page(folder: Path, planned: Outcome) -> None:
+    assert planned.status == 0, planned.err
+    assert names(folder) == {"short.yaml", "plan"}
+    assert names(folder / "plan") >= SAVED
+    assert (folder / "plan" / "replay.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    assert cmbot.load_plan(folder / "plan").scene.name == "short"
+
+
+def test_plan_prints_plain_lines_where_there_is_no_terminal(folder: Path, planned: Outcome) -> None:
+    lines = planned.out.splitlines()
+    assert lines[0].split() == ["baseline", "planned"]
+    plan = cmbot.load_plan(folder / "plan")
+    assert lines[1 : len(plan.summary().splitlines())] == plan.summary().splitlines()[1:]
+    assert any(line.startswith("Certified: ") for line in lines)
+    assert re.fullmatch(rf"Written to {re.escape(str(folder / 'plan'))} in \d+\.\d s\.", lines[-2])
+    assert lines[-1] == f"Look at it: open {folder / 'plan' / 'replay.html'} in a browser."
+    assert "\x1b" not in planned.out + planned.err
+    assert planned.err.splitlines()[0] == "following the tool path"
+    assert "optimising" in planned.err
+    assert "error" not in planned.err
+
+
+def test_plan_on_a_terminal_draws_a_table(folder: Path, tmp_path: Path) -> None:
+    """A narrow terminal on all three streams."""
+    ours, theirs = pty.openpty()
+    words = ("plan", folder / "short.yaml", "-o", tmp_path / "out")
+    with subprocess.Popen(
+        command(*words),
+        env=environment(TERM="xterm-256color", COLUMNS="70"),
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+    ) as process:
+        os.close(theirs)
+        shown = b""
+        try:
+            while chunk := os.read(ours, 65536):
+                shown += chunk
+        except OSError:  # how a terminal ends that nobody writes to any longer
+            pass
+        finally:
+            os.close(ours)
+        assert process.wait() == 0, shown
+    text = shown.decode()
+    assert re.search(
+        r"│ peak torque on the guardrail, Nm +│ +\d+\.\d\d │ +\d+\.\d\d │", without_colours(text)
+    )
+    assert "\x1b[" in text
+    assert "following the tool path" in text
+    # A path on the last line is never broken, so that it can be copied.
+    assert f"open {tmp_path / 'out' / 'replay.html'} in a browser." in text
+
+
+@pytest.mark.usefixtures("known")
+def test_plan_writes_to_out_by_default(tmp_path: Path) -> None:
+    assert run("plan", "short.yaml").status == 0
+    assert names(tmp_path / "out") == {"short"}
+    assert names(tmp_path / "out" / "short") >= SAVED
+
+
+@pytest.mark.usefixtures("known")
+def test_plan_shows_a_name_as_it_is(tmp_path: Path) -> None:
+    name = "a [red]b[/red]  :warning:"
+    outcome = run("plan", "short.yaml", "-o", name)
+    assert (outcome.status, outcome.err) == (0, "")
+    assert f"Written to {name} in " in outcome.out
+    assert names(tmp_path / name) >= SAVED
+
+
+@pytest.mark.usefixtures("known")
+def test_force_replaces_a_plan(directory: Path) -> None:
+    (directory / "replay.html").write_text("old", encoding="utf-8")
+    (directory / "notes.txt").touch()
+    assert run("plan", "short.yaml", "-o", directory, "--force").status == 0
+    assert "notes.txt" not in names(directory)
+    assert (directory / "replay.html").stat().st_size > 100_000
+
+
+@pytest.mark.parametrize("force", [(), ("--force",)])
+def test_plan_refuses_what_is_in_the_way_before_it_plans(
+    known: cmbot.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: tuple[str, ...]
+) -> None:
+    def plan(*_: object, **__: object) -> None:
+        pytest.fail("planned first")
+
+    monkeypatch.setattr(cmbot, "plan", plan)
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "thesis.txt").write_text("years of work", encoding="utf-8")
+    outcome = run("plan", "short.yaml", "-o", "mine", *force)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert re.fullmatch(r"error: mine: got a folder .*--force.*\n", outcome.err)
+    assert (tmp_path / "mine" / "thesis.txt").read_text(encoding="utf-8") == "years of work"
+
+
+def test_replay_writes_the_page_anew(directory: Path) -> None:
+    page = directory / "replay.html"
+    page.unlink()
+    outcome = run("replay", directory)
+    assert outcome == Outcome(status=0, out=f"Written to {page}.\n", err="")
+    assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+
+
+def test_replay_writes_a_page_elsewhere(directory: Path, tmp_path: Path) -> None:
+    before = {path: path.read_bytes() for path in directory.iterdir()}
+    page = tmp_path / "seen.html"
+    outcome = run("replay", directory, "--html", page)
+    assert outcome == Outcome(status=0, out=f"Written to {page}.\n", err="")
+    assert page.stat().st_size > 100_000
+    assert {path: path.read_bytes() for path in directory.iterdir()} == before
+
+
+def test_replay_serves_the_page_until_ctrl_c(directory: Path) -> None:
+    with subprocess.Popen(
+        command("replay", directory, "--serve"),
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        try:
+            assert process.stdout is not None
+            line = process.stdout.readline()
+            found = re.fullmatch(r"Replay of short at (http://127\.0\.0\.1:\d+/); stop with Ctrl-C\.\n", line)
+            assert found, line
+            with urlopen(found[1], timeout=60) as answer:
+                page = answer.read().decode()
+            process.send_signal(signal.SIGINT)
+            out, err = process.communicate(timeout=60)
+        finally:
+            process.kill()
+    assert page == (directory / "replay.html").read_text(encoding="utf-8")
+    assert (process.returncode, out, err) == (0, "", "")
+
+
+def test_check_of_a_shipped_scene() -> None:
+    outcome = run("check", "triangle")
+    assert (outcome.status, outcome.err) == (0, "")
+    lines = outcome.out.splitlines()
+    values = {line[:34].strip(): line[34:] for line in lines[:-1]}
+    assert values["via-points"] == "50"
+    assert values["robot"].startswith("cmbot: 7 joints, ")
+    assert values["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
+    assert values["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
+    assert lines[-1] == "The scene can be planned with: cmbot plan triangle"
+
+
+def test_check_of_a_scene_file(folder: Path) -> None:
+    outcome = run("check", folder / "short.yaml")
+    assert (outcome.status, outcome.err) == (0, "")
+    assert f"short ({folder / 'short.yaml'})" in outcome.out
+    assert "1 leg, 0.300 m in 4 s" in outcome.out
+
+
+def test_check_of_a_urdf() -> None:
+    outcome = run("check", model_folder() / "urdf" / "cmbot.urdf")
+    assert outcome == Outcome(status=0, out="16 links, 12 movable joints, 0 findings.\n", err="")
+
+
+def test_check_of_a_damaged_urdf(tmp_path: Path, bare_urdf: str) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(bare_urdf.replace('value="7.8"', 'value="-7.8"'), encoding="utf-8")
+    outcome = run("check", path)
+    assert (outcome.status, outcome.err) == (2, "")
+    *findings, count = outcome.out.splitlines()
+    assert len(findings) == 1
+    assert findings[0].startswith(f"error: {path}: link[link_1].inertial.mass: got ")
+    assert count == "16 links, 12 movable joints, 1 findings."

@@ -1,0 +1,92 @@
+"""`import cmbot` is quick: what is heavy is loaded when it is first used."""
+
+import ast
+import inspect
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from command_line import environment
+
+import cmbot
+
+HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy", "pydantic", "rich", "typer"}
+
+
+def loaded_by(code: str) -> set[str]:
+    """The top-level modules that a fresh process has after `code`."""
+    report = (
+        "\nimport json, sys\nprint('\\n' + json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code + report], env=environment(), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return set(json.loads(done.stdout.splitlines()[-1]))
+
+
+def test_importing_cmbot_loads_nothing_heavy() -> None:
+    assert not loaded_by("import cmbot\ncmbot.__version__, cmbot.SceneError, dir(cmbot)") & HEAVY
+
+
+def test_a_name_brings_what_it_needs() -> None:
+    """The test above would notice: the same look finds the heavy ones when they are there."""
+    assert loaded_by("import cmbot\ncmbot.load_scene") >= {"numpy", "pydantic"}
+
+
+@pytest.mark.parametrize("words", [["--help"], ["plan", "--help"], ["--version"], ["plan", "nosuch"]])
+def test_the_command_line_loads_the_robot_only_when_it_is_needed(words: list[str]) -> None:
+    code = f"""
+import sys
+from cmbot.cli import main
+sys.argv = ["cmbot", *{words!r}]
+try:
+    main()
+except SystemExit as ended:
+    assert ended.code in (0, 2)
+"""
+    loaded = loaded_by(code)
+    assert "typer" in loaded
+    assert not loaded & {"pinocchio", "coal", "meshcat", "trimesh"}
+    assert "scipy" not in loaded or "nosuch" in words  # a scene's poses are made with it
+
+
+def test_dir_and_all_are_complete() -> None:
+    assert set(cmbot.__all__) <= set(dir(cmbot))
+    assert len(cmbot.__all__) == len(set(cmbot.__all__))
+    public = {name for name in dir(cmbot) if not name.startswith("_")}
+    helpers = {"annotations", "import_module", "TYPE_CHECKING"}
+    modules = {name for name in public if inspect.ismodule(getattr(cmbot, name))}
+    assert public - modules - helpers == set(cmbot.__all__) - {"__version__"}
+
+
+def test_type_checkers_see_the_same_names() -> None:
+    """The imports under TYPE_CHECKING are those that are made on first use."""
+    tree = ast.parse(Path(cmbot.__file__).read_text(encoding="utf-8"))
+    (block,) = (node for node in tree.body if isinstance(node, ast.If))
+    seen = {
+        (node.module, name.name)
+        for node in block.body
+        if isinstance(node, ast.ImportFrom)
+        for name in node.names
+    }
+    assert seen == {(room, name) for name, room in cmbot._ROOM_OF.items()}
+
+
+@pytest.mark.parametrize("name", cmbot.__all__)
+def test_every_public_name_is_there_and_documented(name: str) -> None:
+    value = getattr(cmbot, name)
+    if name == "__version__":
+        assert isinstance(value, str)
+    else:
+        assert value.__name__ == name
+        assert inspect.getdoc(value)
+
+
+def test_an_unknown_name_is_an_attribute_error() -> None:
+    with pytest.raises(AttributeError, match="module 'cmbot' has no attribute 'simulate_everything'"):
+        cmbot.simulate_everything  # noqa: B018
+    with pytest.raises(ImportError, match="nothing_of_ours"):
+        exec("from cmbot import nothing_of_ours")
