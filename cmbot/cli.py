@@ -239,7 +239,9 @@ def _print_plan(planned: Plan) -> None:
         out.print(table)
     else:
         out.print(planned.summary())
-    for remark in planned.remarks():
+    from cmbot.planning import remarks
+
+    for remark in remarks(planned):
         out.print(remark)
 
 

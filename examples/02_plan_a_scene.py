@@ -11,12 +11,13 @@ from dataclasses import replace
 import numpy as np
 
 import cmbot
+from cmbot.planning import remarks
 from cmbot.robot import Dynamics
 
 scene = cmbot.load_scene(sys.argv[1] if len(sys.argv) > 1 else "triangle")
 plan = cmbot.plan(scene)  # raises a cmbot.PlanningError when there is no plan; never returns None
 print(plan.summary())
-print(*plan.remarks(), sep="\n")
+print(*remarks(plan), sep="\n")
 
 # The trajectory is piecewise quintics: evaluate it, or a derivative of it, at any time.
 t = np.linspace(0.0, plan.trajectory.duration, 5)

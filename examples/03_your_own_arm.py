@@ -13,6 +13,7 @@ import tempfile
 from pathlib import Path
 
 import cmbot
+from cmbot.planning import remarks
 
 # Joint i: axis, distance of the next joint along z (m), mass of its link (kg), torque bound (Nm).
 JOINTS = [
@@ -108,7 +109,7 @@ with tempfile.TemporaryDirectory() as name:
     plan = cmbot.plan(scene)
     print(f"{plan.robot.name}: {plan.robot.dof} joints, {plan.robot.arm_mass:.1f} kg moving")
     print(plan.summary())
-    print(*plan.remarks(), sep="\n")
+    print(*remarks(plan), sep="\n")
 
     # What goes wrong has a type, and says where and what to do.
     try:

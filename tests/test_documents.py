@@ -11,7 +11,7 @@ import typer.main
 from ruamel.yaml import YAML
 
 from cmbot.cli import app
-from cmbot.planning import Plan, plan
+from cmbot.planning import Plan, plan, remarks
 from cmbot.scene import load_scene
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -179,7 +179,7 @@ def test_readme_figures_are_the_planners(figures: list[tuple[str, ...]]) -> None
 def test_readme_output_is_the_commands(triangle_plan: Plan) -> None:
     text = README.read_text("utf-8")
     quoted = text.split("<!-- output of cmbot plan triangle -->")[1].split("```")[1].splitlines()[1:]
-    printed = [*triangle_plan.summary().splitlines(), *triangle_plan.remarks()]
+    printed = [*triangle_plan.summary().splitlines(), *remarks(triangle_plan)]
     number = re.compile(r"[-+]?\d+(?:\.\d+)?")
     for left, right in zip(quoted, printed, strict=False):
         # Times and passes differ from run to run; the words and the other numbers do not.

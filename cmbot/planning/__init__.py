@@ -9,6 +9,7 @@ from cmbot.planning.gradient_projection import JointPath
 from cmbot.planning.optimiser import PassReport
 from cmbot.planning.plan import Plan, Seconds, Start
 from cmbot.planning.planner import Progress, plan
+from cmbot.planning.remarks import remarks
 from cmbot.planning.setting import robot_of, task_of
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.task import ToolTask
@@ -35,6 +36,7 @@ __all__ = [
     "ToolTask",
     "examine_scene",
     "plan",
+    "remarks",
     "robot_of",
     "task_of",
 ]

@@ -125,6 +125,15 @@ class Plan:
         return measure(self.robot, self.task, clearances, t, (q, v, a, j))
 
     @property
+    def largest_torque_difference(self) -> tuple[float, float]:
+        """Largest value over time of baseline's less planned torque norm, Nm, and when, s."""
+        baseline = np.linalg.norm(self.baseline.guardrail_torque, axis=1)
+        planned = np.linalg.norm(self.samples.guardrail_torque, axis=1)
+        difference = baseline - np.interp(self.baseline.t, self.samples.t, planned)
+        k = int(difference.argmax())
+        return float(difference[k]), float(self.baseline.t[k])
+
+    @property
     def gap_to_floor(self) -> float | None:
         """How far the certified peak torque lies above the floor, as a share of it; None with fixed knots.
 
@@ -155,34 +164,6 @@ class Plan:
         for limit in ("velocity", "acceleration", "jerk", "torque"):
             left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in pair)
             yield f"joint {limit}, share of its bound", left, right
-
-    def remarks(self) -> Iterator[str]:
-        """Yield what the figures alone do not say, a sentence each."""
-        if self.start.moved > 0:
-            posture = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(self.start.posture))
-            yield (
-                f"Starts elsewhere: from the scene's posture, {self.start.failures[0].reason}. "
-                f"Of {len(self.start.failures)} others tried with the same tool pose the last leads to the end, "
-                f"({posture}) deg, up to {np.rad2deg(self.start.moved):.1f} deg a joint away. "
-                "Bring the arm there first."
-            )
-        if self.baseline_figures.min_clearance < self.options.safety_margin_m:
-            yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
-        why = (
-            "fixed knots cannot lower it at the via-points" if self.start.moved == 0 else "by the other start"
-        )
-        # Adding zero turns -0.0 into 0.0.
-        change = round(-100 * self.peak_static_reduction, 2) + 0.0
-        yield f"Gravity's peak on the guardrail: {change:+.2f} % ({why})."
-        yield (
-            f"Certified: {len(self.certificate.checks)} checks hold; clearance stays above "
-            f"{1e3 * self.certificate.clearance_bound:.1f} mm at all times, between samples too."
-        )
-        seconds = self.seconds
-        yield (
-            f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s "
-            f"({len(self.passes)} passes), certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
-        )
 
 
 _ROWS = (

@@ -1,0 +1,82 @@
+"""What a plan's figures alone do not say, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cmbot.arrays import FloatArray
+from cmbot.planning.plan import Plan
+
+__all__ = ["remarks"]
+
+
+def remarks(plan: Plan) -> Iterator[str]:
+    """Yield what should be known of a plan besides its figures, a sentence or two each."""
+    yield from _start(plan)
+    if plan.baseline_figures.min_clearance < plan.options.safety_margin_m:
+        yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
+    yield _gain(plan)
+    yield from _floor(plan)
+    yield (
+        f"Certified: {len(plan.certificate.checks)} checks hold; clearance stays above "
+        f"{1e3 * plan.certificate.clearance_bound:.1f} mm at all times, between samples too."
+    )
+    seconds = plan.seconds
+    yield (
+        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({len(plan.passes)} passes), "
+        f"certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
+    )
+
+
+def _start(plan: Plan) -> Iterator[str]:
+    if plan.start.moved == 0:
+        yield "Starts in the scene's posture."
+        return
+    where = f"({_degrees(plan.start.posture)}) deg, up to {np.rad2deg(plan.start.moved):.1f} deg a joint away"
+    if plan.start.failures:
+        yield (
+            f"Starts elsewhere: from the scene's posture, {plan.start.failures[0].reason}. "
+            f"Of {len(plan.start.failures)} others tried with the same tool pose the last leads to the end, "
+            f"{where}. Bring the arm there first."
+        )
+    else:
+        yield f"Starts in a better posture with the same tool pose, {where} (start: free)."
+    if plan.approach is not None:
+        figures = plan.approach.certificate.figures
+        how = "along the self-motion, the tool stays" if plan.approach.along_self_motion else "tool off"
+        yield (
+            f"Approach: {plan.approach.trajectory.duration:.1f} s ({how}), peak torque "
+            f"{figures.peak_guardrail_torque:.2f} Nm, clearance {1e3 * figures.min_clearance:.1f} mm, certified."
+        )
+
+
+def _gain(plan: Plan) -> str:
+    # Adding zero turns -0.0 into 0.0.
+    change = round(-100 * plan.peak_static_reduction, 2) + 0.0
+    mean = plan.figures.mean_guardrail_torque / plan.baseline_figures.mean_guardrail_torque - 1
+    difference, time = plan.largest_torque_difference
+    fixed = plan.options.knots == "fixed" and plan.start.moved == 0
+    why = " (fixed knots cannot lower it at the via-points)" if fixed else ""
+    return (
+        f"Against the baseline: gravity's peak {change:+.2f} %{why}, the mean {100 * mean:+.2f} %; at most "
+        f"{difference:.1f} Nm less, at t = {time:.1f} s."
+    )
+
+
+def _floor(plan: Plan) -> Iterator[str]:
+    if plan.floor is None or plan.gap_to_floor is None or plan.choice is None:
+        return
+    yield (
+        f"Floor: no admissible plan rests below {plan.floor.torque:.2f} Nm (error {plan.floor.error:.3f} Nm), set by "
+        f"via-point {plan.floor.via_point + 1}; the peak is {100 * plan.gap_to_floor:+.3f} % from it."
+    )
+    pinned = plan.options.start == "pinned"
+    other, peak = ("free", plan.choice.free) if pinned else ("pinned", plan.choice.pinned)
+    found = "no way" if peak is None else f"a peak of {peak:.2f} Nm"
+    yield f"With start: {other} the global stage finds {found}."
+
+
+def _degrees(posture: FloatArray) -> str:
+    return ", ".join(f"{angle:.1f}" for angle in np.rad2deg(posture))
