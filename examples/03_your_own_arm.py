@@ -3,8 +3,8 @@
 Run it with ``python examples/03_your_own_arm.py``.
 
 The arm is made up here: seven joints, upright on a rigid pedestal, a sanding disc of 1 kg at its end, which
-follows three sides of a rectangle above a table. Everything is written to a temporary folder, as you would
-write it to yours.
+follows a straight line above a table. Everything is written to a temporary folder, as you would write it to
+yours.
 """
 
 from __future__ import annotations
@@ -85,18 +85,16 @@ posture_deg: [0, 35, 0, 85, 0, 60, 0]  # the tool point straight ahead, its axis
 tool_path:
   keep: axis  # a disc may spin about its axis
   legs:
-    - {by: [-0.10, 0, 0], seconds: 2}
-    - {by: [0, 0.25, 0], seconds: 3}
-    - {by: [0.10, 0, 0], seconds: 2}
+    - {by: [0.10, 0.20, 0], seconds: 4}
   speed_profile: {kind: jerk_limited, ramp: 0.3}
-  via_points: 24
+  via_points: 12
 
 obstacles:
   - {name: table, box: [0.6, 1.0, 0.04], xyz: [0.75, 0, 0.43], workpiece: true}
   - {name: lamp, sphere: 0.10, xyz: [0.40, -0.45, 0.9]}
 
 guardrail: {bays: 0}  # no guardrail: nothing of it to hit, and a rigid hold
-planner: {smoothing_weight: 0.01}  # any option of cmbot.PlannerOptions
+planner: {knots: fixed}  # any option of cmbot.PlannerOptions
 """
 
 with tempfile.TemporaryDirectory() as name:

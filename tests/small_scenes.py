@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmbot.planning import ToolTask, robot_of, task_of
-from cmbot.planning.families import FixedKnots, WhitenedSplines
-from cmbot.planning.gradient_projection import follow_path, place_on_task
 from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.spline_space import SplineSpace
-from cmbot.robot import Kinematics, Robot
+from cmbot.planning.setting import prepare
+from cmbot.planning.ways import fixed_way
+from cmbot.robot import Robot
 from cmbot.scene import Scene, load_scene
 from cmbot.scene.clearance import Clearances
 
@@ -47,14 +46,5 @@ def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
 
 def problem_of(scene: Scene) -> tuple[TorqueProblem, ToolTask, Clearances]:
     """The torque problem of a scene with fixed knots, started at the least-jerk spline."""
-    robot, task, posture, clearances = parts(scene)
-    path = follow_path(robot, task, posture, clearances, scene.planner)
-    t = task.path.via_times(scene.via_points)
-    kinematics = Kinematics(robot)
-    rough = np.stack([np.interp(t, path.t, joint) for joint in path.q.T], axis=1)
-    placed = [place_on_task(kinematics, task, *at) for at in zip(rough, task.path.position(t), strict=True)]
-    splines = WhitenedSplines(SplineSpace(t), robot.limits)
-    numbers = np.zeros((splines.basis.shape[1], robot.dof))
-    family = FixedKnots(splines, np.array(placed), numbers, scene.planner.smoothing_weight)
-    problem = TorqueProblem(robot, task, family, clearances, scene.planner, resting=(0, -1))
-    return problem, task, clearances
+    setting = prepare(scene, scene.planner)
+    return fixed_way(setting, lambda _: None).problem, setting.task, setting.clearances

@@ -14,6 +14,8 @@ from PIL import Image
 from selenium import webdriver
 
 from cmbot.planning import Plan
+from cmbot.robot import Dynamics, Robot
+from cmbot.scene.clearance import Clearances
 from cmbot.views import replay
 
 pytestmark = pytest.mark.browser
@@ -102,18 +104,80 @@ def test_the_arms_are_drawn_where_the_kinematics_puts_them(
     shown: webdriver.Chrome, triangle_plan: Plan, time: float
 ) -> None:
     shown.execute_script("cmbotReplay.seek(arguments[0])", time)
-    model, data = triangle_plan.robot.model, triangle_plan.robot.model.createData()
     baseline = triangle_plan.baseline
     postures = {
         "planned": triangle_plan.trajectory.evaluate(np.array([time]), 0)[0],
         "baseline": np.array([np.interp(time, baseline.t, q) for q in baseline.q.T]),
     }
+    require_drawn(shown, triangle_plan.robot, postures)
+
+
+def require_drawn(shown: webdriver.Chrome, robot: Robot, postures: dict[str, np.ndarray]) -> None:
+    """Compare the arms as they are drawn with forward kinematics."""
+    model, data = robot.model, robot.model.createData()
     for arm, q in postures.items():
         pin.forwardKinematics(model, data, q)
         for joint, link in enumerate(shown.execute_script("return cmbotReplay.links"), start=1):
             X_WL = data.oMi[model.frames[model.getFrameId(link)].parentJoint].homogeneous
             np.testing.assert_allclose(data.oMi[joint].homogeneous, X_WL)
             np.testing.assert_allclose(drawn_pose(shown, link, arm), X_WL, atol=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_the_approach_is_before_the_work(shown: webdriver.Chrome, triangle_plan: Plan, share: float) -> None:
+    approach = triangle_plan.approach
+    assert approach is not None
+    start = shown.execute_script("return cmbotReplay.start")
+    assert start == -approach.trajectory.duration
+    shown.execute_script("cmbotReplay.seek(arguments[0])", (1 - share) * start)
+    now = np.array([share * approach.trajectory.duration])
+    q = approach.trajectory.evaluate(now, 0)
+    first = triangle_plan.scene.posture
+    require_drawn(shown, triangle_plan.robot, {"planned": q[0] if share else first, "baseline": first})
+    v, a = (approach.trajectory.evaluate(now, order) for order in (1, 2))
+    torque = np.linalg.norm(Dynamics(triangle_plan.robot).efforts(q, v, a).guardrail_torque[0])
+    assert number(shown, "planned-torque") == pytest.approx(torque, abs=0.2)
+    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
+    distance = clearances.smallest(q).distance[0]
+    assert number(shown, "planned-clearance") == pytest.approx(1e3 * distance, abs=0.2)
+    peak = approach.certificate.figures.peak_guardrail_torque
+    assert number(shown, "planned-peak") == pytest.approx(peak, abs=0.06)
+    assert "approach, tool off" in shown.find_element("id", "subtitle").text
+    assert shown.find_element("id", "time").text == f"{(1 - share) * start:.2f} / 20.00 s"
+
+
+def number(shown: webdriver.Chrome, cell: str) -> float:
+    return float(shown.find_element("id", cell).text.split()[0])
+
+
+def plotted(chrome: webdriver.Chrome) -> np.ndarray:
+    """The plot's pixels (height, width, 4) with the time at its end."""
+    script = """cmbotReplay.seek(cmbotReplay.duration);
+        const plot = document.getElementById("plot"), {width, height} = plot;
+        return [height, width, [...plot.getContext("2d").getImageData(0, 0, width, height).data]];"""
+    height, width, pixels = chrome.execute_script(script)
+    return np.reshape(pixels, (height, width, 4))
+
+
+def test_the_plot_shades_the_approach_and_draws_the_floor(
+    chrome: webdriver.Chrome, page: Path, triangle_plan: Plan, tmp_path: Path
+) -> None:
+    bare = dataclasses.replace(triangle_plan.robot, visual_model=pin.GeometryModel())  # quick
+    plots = []
+    for floor in (triangle_plan.floor, None):
+        path = tmp_path / f"{len(plots)}.html"
+        replay(dataclasses.replace(triangle_plan, approach=None, floor=floor, robot=bare), path)
+        open_page(chrome, path)
+        assert chrome.execute_script("return [cmbotReplay.start, cmbotReplay.time]") == [0, 0]
+        plots.append(plotted(chrome))
+    assert (plots[0] != plots[1]).any(axis=(0, 2)).mean() > 0.4  # dashes all along
+    assert not plots[1][0, 20].any()
+    open_page(chrome, page)
+    start, time = chrome.execute_script("return [cmbotReplay.start, cmbotReplay.time]")
+    assert time == 0
+    top = plotted(chrome)[0]
+    assert top[20, 3] == 255
+    assert (top == top[20]).all(axis=1).mean() == pytest.approx(-start / (20.0 - start), abs=0.02)
 
 
 def test_the_picture_changes_with_time_and_comes_back(shown: webdriver.Chrome) -> None:
@@ -192,7 +256,8 @@ def test_keys_and_slider(shown: webdriver.Chrome) -> None:
     body.send_keys("\ue010")  # end
     assert time() == shown.execute_script("return cmbotReplay.duration")
     body.send_keys("\ue011")  # home
-    assert time() == 0
+    assert time() == shown.execute_script("return cmbotReplay.start") < 0
+    shown.execute_script("cmbotReplay.seek(0)")
     body.send_keys(" ")
     assert shown.execute_script("return cmbotReplay.playing") is True
     body.send_keys(" ")
@@ -205,10 +270,13 @@ def test_keys_and_slider(shown: webdriver.Chrome) -> None:
     assert time() == pytest.approx(7.25)
 
 
-@pytest.mark.parametrize(("asked", "reached"), [("-1", 0.0), ("1e9", 20.0), ("NaN", 0.0), ("'x'", 0.0)])
-def test_a_seek_beyond_the_ends_stays_within(shown: webdriver.Chrome, asked: str, reached: float) -> None:
+@pytest.mark.parametrize(("asked", "reached"), [("-1e9", None), ("1e9", 20.0), ("NaN", 0.0), ("'x'", 0.0)])
+def test_a_seek_beyond_the_ends_stays_within(
+    shown: webdriver.Chrome, asked: str, reached: float | None
+) -> None:
     shown.execute_script(f"cmbotReplay.seek({asked})")
-    assert shown.execute_script("return cmbotReplay.time") == reached
+    time, start = shown.execute_script("return [cmbotReplay.time, cmbotReplay.start]")
+    assert time == (start if reached is None else reached)
 
 
 def test_hostile_names_are_text_and_nothing_else(

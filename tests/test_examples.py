@@ -44,7 +44,7 @@ def test_plan_a_scene(tmp_path: Path) -> None:
     text = run("02_plan_a_scene.py", tmp_path)
     checks = text.split("check by check:\n")[1].split("\n\n")[0].splitlines()
     assert len(checks) == 9
-    # What the example is there to show: knot derivatives cannot undercut gravity at the via-points, slides can.
+    # What it is there to show: knot derivatives cannot undercut gravity at the via-points, slides can.
     baseline = number(r"baseline, from the scene's posture: +(\S+)", text)
     at_via_points = number(r"fixed knots, at the via-points: +(\S+)", text)
     fixed = number(r"fixed knots, all along: +(\S+)", text)

@@ -138,7 +138,6 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "coarse samples": {"planner": {"samples_per_segment": 20}},
     "sliding knots": {"planner": {"knots": "sliding"}},
     "sliding knots, pinned start": {"planner": {"knots": "sliding", "start": "pinned"}},
-    "sliding knots, keep axis": {"tool_path": {"keep": "axis"}, "planner": {"knots": "sliding"}},
     "an obstacle near by": {
         "obstacles": [{"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.5, -2.06]}]
     },

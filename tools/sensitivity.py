@@ -49,7 +49,7 @@ def row(name: str, content: dict[str, Any]) -> str:
     try:
         plan = cmbot.plan(cmbot.load_scene(content))
     except cmbot.PlanningError as error:
-        return f"| {name} | no plan: {type(error).__name__}, {error} | | | |"
+        return f"| {name} | no plan: {str(error).split(';')[0]} | | | |"
     figures = (
         f"{plan.baseline_figures.peak_static_guardrail_torque:.2f}",
         f"{plan.figures.peak_static_guardrail_torque:.2f}",

@@ -80,7 +80,7 @@ class _Nodes:
 
     def __init__(self, chart: Chart, clearances: Clearances, margin: float) -> None:
         self.chart = chart
-        self.admissible = chart.joint_use <= 1.0
+        self.admissible = chart.within & (chart.joint_use <= 1.0)
         self._clearances = clearances
         self._margin = margin
         self._looked = ~self.admissible

@@ -67,7 +67,7 @@ class TorqueProblem:
     resting : tuple of int
         Indices of the via-points where the arm rests in a posture that the family cannot change.
     floor : float, Nm
-        What the peak torque cannot fall below, but for what motion takes off.
+        What the peak torque cannot fall below, but for what motion takes off; near it the peak is low enough.
     """
 
     def __init__(
@@ -79,7 +79,7 @@ class TorqueProblem:
         options: PlannerOptions,
         *,
         resting: tuple[int, ...],
-        floor: float,
+        floor: float = 0.0,
     ) -> None:
         self.robot = robot
         self.options = options

@@ -2,7 +2,8 @@
 
 A chart is grown by numerical continuation along the null space of the task, all postures at a time, from the
 postures it is given and from random ones, so that it reaches every branch (shoulder, elbow and wrist flips).
-Any two of its postures keep a distance, and every posture of the self-motion has one within its spacing.
+It grows through postures beyond the joint ranges too: what the ranges cut into pieces hangs together there. Any
+two of its postures keep a distance, and every posture of the self-motion has one within its spacing.
 """
 
 from __future__ import annotations
@@ -40,11 +41,14 @@ class Chart:
         Norm of the static torque on the guardrail.
     joint_use : (M,)
         Largest static joint torque as a share of its bound.
+    within : (M,)
+        Which postures lie within the joint ranges; the others only hold the chart together.
     """
 
     q: FloatArray
     torque: FloatArray
     joint_use: FloatArray
+    within: BoolArray
 
 
 def project(
@@ -97,8 +101,11 @@ class ChartMaker:
         self._postures = postures
         self._task = task
         self._limits = limits
-        self._lower = np.maximum(limits.lower, -_ONE_TURN)
-        self._upper = np.minimum(limits.upper, _ONE_TURN)
+        # A joint that cannot pass half a turn is charted on the circle, others within their ranges.
+        self._round = (limits.lower >= -np.pi) & (limits.upper <= np.pi)
+        self._lower = np.where(self._round, -np.pi, np.maximum(limits.lower, -_ONE_TURN))
+        self._upper = np.where(self._round, np.pi, np.minimum(limits.upper, _ONE_TURN))
+        self._circle = np.where(self._round, 2 * np.pi, 0.0)
         self._spacing = spacing
         self._seeds = seeds
 
@@ -107,8 +114,7 @@ class ChartMaker:
         rng = np.random.default_rng(0)
         random = rng.uniform(self._lower, self._upper, (self._seeds, len(self._lower)))
         placed, reached = project(self._postures, self._task, random, point, _MANY_STEPS)
-        wrapped = np.where(np.isfinite(self._limits.lower), _wrap(placed), placed)
-        return self._chart(self._grown(np.vstack([known, wrapped[reached]]), point))
+        return self._chart(self._grown(np.vstack([known, placed[reached]]), point))
 
     def next(self, chart: Chart, point: FloatArray) -> Chart:
         """Chart the self-motion at a `point` (3,) near that of `chart`."""
@@ -121,6 +127,7 @@ class ChartMaker:
             q=q,
             torque=np.asarray(np.linalg.norm(at.guardrail_torque, axis=1)),
             joint_use=(np.abs(at.joint_torque) / self._limits.torque).max(axis=1),
+            within=np.all((q >= self._limits.lower) & (q <= self._limits.upper), axis=1),
         )
 
     def _grown(self, seeds: FloatArray, point: FloatArray) -> FloatArray:
@@ -138,25 +145,31 @@ class ChartMaker:
         return accepted
 
     def _new(self, accepted: FloatArray, q: FloatArray) -> FloatArray:
-        """Those of `q` that lie within the joint ranges and apart from `accepted` and from each other."""
+        """Those of `q` that are apart from `accepted` and from each other."""
+        q = np.where(self._round, (q + np.pi) % (2 * np.pi) - np.pi, q)
         q = q[((q >= self._lower) & (q <= self._upper)).all(axis=1)]
         apart = _APART * self._spacing
         if len(accepted) and len(q):
-            q = q[cKDTree(accepted).query(q, distance_upper_bound=apart)[0] >= apart]
+            q = q[self._tree(accepted).query(self._on_circle(q), distance_upper_bound=apart)[0] >= apart]
         if len(q) < 2:
             return q
         keep = np.ones(len(q), dtype=np.bool_)
-        for first, second in sorted(cKDTree(q).query_pairs(apart)):
+        for first, second in sorted(self._tree(q).query_pairs(apart)):
             if keep[first]:
                 keep[second] = False
         return q[keep]
+
+    def _tree(self, q: FloatArray) -> cKDTree:
+        """Tree of postures in which angles beyond half a turn are near those on the other side."""
+        return cKDTree(self._on_circle(q), boxsize=self._circle)
+
+    def _on_circle(self, q: FloatArray) -> FloatArray:
+        # The tree wants angles from 0 to below a whole turn; a tiny negative one would round up to it.
+        turned = np.where(self._round, q % (2 * np.pi), q)
+        return np.where(self._round & (turned >= 2 * np.pi), 0.0, turned)
 
     def _tangents(self, q: FloatArray) -> FloatArray:
         """Orthonormal directions (N, d, n) that leave the task alone."""
         at = self._postures.at(q)
         J = self._task.jacobians(at.tool_rotation, at.jacobian)
         return np.linalg.svd(J)[2][:, J.shape[1] :]
-
-
-def _wrap(q: FloatArray) -> FloatArray:
-    return np.asarray((q + np.pi) % (2 * np.pi) - np.pi)

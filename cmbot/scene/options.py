@@ -90,8 +90,8 @@ class PlannerOptions:
     drift_gain: NonNegativeFloat = 10.0
     path_step_s: Annotated[float, Field(gt=0, le=0.1)] = 0.01
     other_starts: Annotated[int, Field(ge=0)] = 60
-    chart_spacing: Annotated[float, Field(gt=0, le=0.5)] = 0.1
-    chart_seeds: PositiveInt = 300
+    chart_spacing: Annotated[float, Field(gt=0, le=0.5)] = 0.15
+    chart_seeds: PositiveInt = 200
     step_share: Annotated[float, Field(gt=0, le=1)] = 0.6
     safety_margin_m: NonNegativeFloat = 0.02
     max_tool_deviation_m: PositiveFloat = 0.001

@@ -1,4 +1,4 @@
-"""What the replay page needs of a plan's two motions, at equal time steps."""
+"""What the replay page needs of a plan's motions (approach, work, baseline), at equal time steps."""
 
 from __future__ import annotations
 
@@ -9,8 +9,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from cmbot.planning import MotionFigures, Plan, Samples
+from cmbot.planning import Approach, MotionFigures, Plan, Samples
+from cmbot.planning.figures import figures, measure
 from cmbot.robot import Robot
+from cmbot.scene.clearance import Clearances
 
 __all__ = ["link_names", "replay_data"]
 
@@ -20,24 +22,28 @@ FRAME_STEP = 0.02
 """Between two frames, s, unless that gives too many; the page interpolates."""
 
 MOST_POSES = 12_000
-"""Frames times links."""
+"""Frames times links, approach and work together."""
 
 
 def replay_data(plan: Plan) -> dict[str, Any]:
     """Return the page's data, ready for JSON; arrays are little-endian float32 in base64.
 
-    Poses are those of the arm's joint frames in W, as position (m) and quaternion x, y, z, w.
+    Poses are those of the arm's joint frames in W, as position (m) and quaternion x, y, z, w. The work starts
+    at time 0, the approach at ``start`` before it.
     """
     duration = float(max(plan.samples.t[-1], plan.baseline.t[-1]))
-    frames = int(min(np.ceil(duration / FRAME_STEP), MOST_POSES // plan.robot.dof)) + 1
-    times = np.linspace(0.0, duration, frames)
+    approach_duration = plan.approach.trajectory.duration if plan.approach is not None else 0.0
+    step = max(FRAME_STEP, (approach_duration + duration) * plan.robot.dof / MOST_POSES)
+    times = _frame_times(0.0, duration, step)
     return {
         "title": plan.scene.name,
         "robot": plan.robot.name,
+        "start": 0.0 - approach_duration,
         "duration": duration,
-        "frames": frames,
         "legTimes": plan.task.path.leg_times.tolist(),
+        "floor": plan.floor.torque if plan.floor is not None else None,
         "links": link_names(plan.robot),
+        "approach": _approach(plan, plan.approach, step) if plan.approach is not None else None,
         "planned": _motion(plan.robot, plan.samples, plan.figures, times),
         "baseline": _motion(plan.robot, plan.baseline, plan.baseline_figures, times),
         "focus": _focus(plan),
@@ -51,6 +57,28 @@ def link_names(robot: Robot) -> list[str]:
         next((frame.name for frame in bodies if frame.parentJoint == joint), robot.model.names[joint])
         for joint in range(1, robot.model.njoints)
     ]
+
+
+def _approach(plan: Plan, approach: Approach, step: float) -> dict[str, Any]:
+    """Return the planned arm's approach; meanwhile the baseline's arm rests where it starts."""
+    robot, trajectory = plan.robot, approach.trajectory
+    clearances = Clearances(robot, plan.scene.obstacles)
+    t = _frame_times(-trajectory.duration, 0.0, step)
+    motion = [trajectory.evaluate(t - t[0], order) for order in range(4)]
+    planned = measure(robot, approach.task, clearances, t, motion)
+    ends = t[[0, -1]]
+    posture = np.repeat(plan.baseline.q[:1], 2, axis=0)
+    rest = [posture, *np.zeros((3, *posture.shape))]
+    baseline = measure(robot, plan.task, clearances, ends, rest)
+    return {
+        "label": "approach along the self-motion" if approach.along_self_motion else "approach, tool off",
+        "planned": _motion(robot, planned, approach.certificate.figures, t),
+        "baseline": _motion(robot, baseline, figures(robot, baseline), ends),
+    }
+
+
+def _frame_times(start: float, end: float, step: float) -> FloatArray:
+    return np.linspace(start, end, int(np.ceil((end - start) / step)) + 1)
 
 
 def _motion(robot: Robot, samples: Samples, figures: MotionFigures, times: FloatArray) -> dict[str, Any]:
@@ -82,8 +110,11 @@ def _poses(robot: Robot, q: FloatArray) -> FloatArray:
 def _focus(plan: Plan) -> dict[str, Any]:
     """Return a ball (m, in W) about the foot, the path and the arm's joints, and from where to look at it."""
     points = [np.zeros((1, 3)), plan.task.path.corners]
-    for motion in (plan.samples, plan.baseline):
-        points += [motion.tool_point, _poses(plan.robot, motion.q[:: max(1, len(motion.q) // 50)])[..., :3]]
+    motions = [plan.samples.q, plan.baseline.q]
+    if plan.approach is not None:
+        motions.append(plan.approach.trajectory.q)
+    points += [motion.tool_point for motion in (plan.samples, plan.baseline)]
+    points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3] for q in motions]
     cloud = np.concatenate([block.reshape(-1, 3) for block in points])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     radius = max(float(np.linalg.norm(high - low)) / 2, 1e-3)

@@ -22,7 +22,7 @@ _HERE = files("cmbot.views") / "page"
 
 
 def replay_page(plan: Plan) -> str:
-    """Return an HTML page that shows a plan and its baseline moving, in 3-D.
+    """Return an HTML page that shows a plan, its approach and its baseline moving, in 3-D.
 
     It holds meshcat's viewer and all data, opens no connection (its content security policy forbids any), and
     runs no script but its own two. The same plan gives the same page.
@@ -42,7 +42,8 @@ def replay_page(plan: Plan) -> str:
     data = replay_data(plan)
     data["reach"] = reach(plan.robot)
     data["commands"] = [base64.b64encode(command).decode("ascii") for command in scene_commands(plan)]
-    scripts = {"viewer": _viewer_script(), "replay": _text("stage.js") + _text("playback.js")}
+    own = "".join(_text(name) for name in ("stage.js", "motions.js", "plot.js", "playback.js"))
+    scripts = {"viewer": _viewer_script(), "replay": own}
     return Template(_text("replay.html")).substitute(
         scripts,
         title=html.escape(plan.scene.name),

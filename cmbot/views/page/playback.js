@@ -1,58 +1,18 @@
-// Time: what the arms, the numbers and the plot show at a moment, and how the moment changes.
-class Motion {
-  constructor(data, source) {
-    this.links = data.links.length;
-    this.poses = floats(source.poses);
-    this.torque = floats(source.torque);
-    this.clearance = floats(source.clearance);
-    this.peakTorque = source.peakTorque;
-    this.minClearance = source.minClearance;
-    this.norms = this.clearance.map((_, k) => Math.hypot(...this.torque.subarray(3 * k, 3 * k + 3)));
-  }
-
-  place(link, index, frame, share) {
-    const p = [new THREE.Vector3(), new THREE.Vector3()], r = [new THREE.Quaternion(), new THREE.Quaternion()];
-    for (const k of [0, 1]) {
-      const start = 7 * ((frame + k) * this.links + index);
-      p[k].fromArray(this.poses, start);
-      r[k].fromArray(this.poses, start + 3);
-    }
-    link.position.lerpVectors(p[0], p[1], share);
-    link.quaternion.copy(r[0].slerp(r[1], share));
-  }
-
-  torqueAt(frame, share) {
-    const v = [0, 1].map((k) => new THREE.Vector3().fromArray(this.torque, 3 * (frame + k)));
-    return v[0].lerp(v[1], share);
-  }
-
-  clearanceAt(frame, share) {
-    return (1 - share) * this.clearance[frame] + share * this.clearance[frame + 1];
-  }
-}
-
+// Time: what the arms, the numbers and the plot show at a moment, and how the moment changes. The work starts at
+// time 0, the approach before it.
 class Replay {
   constructor(data) {
     this.data = data;
     this.stage = new Stage(data);
-    this.motions = { planned: new Motion(data, data.planned), baseline: new Motion(data, data.baseline) };
-    this.peak = Math.max(data.planned.peakTorque, data.baseline.peakTorque);
+    this.phases = phasesOf(data);
+    this.peak = Math.max(...this.phases.map((phase) => phase.peak), data.floor ?? 0);
     this.ui = Object.fromEntries([...document.querySelectorAll("[id]")].map((element) => [element.id, element]));
-    this.time = 0;
+    this.plot = new TorquePlot(this.ui.plot, data, this.phases, this.peak);
     this.playing = false;
-    this.fillCard();
+    this.ui.scrub.min = data.start;
+    this.ui.scrub.max = data.duration;
     this.connect();
     this.seek(0);
-  }
-
-  fillCard() {
-    const { data, ui } = this;
-    ui.subtitle.textContent = `${data.robot}, ${data.duration.toFixed(1)} s`;
-    ui.scrub.max = data.duration;
-    for (const [name, motion] of Object.entries(this.motions)) {
-      ui[`${name}-peak`].textContent = newtonMetres(motion.peakTorque);
-      show(ui[`${name}-closest`], motion.minClearance);
-    }
   }
 
   connect() {
@@ -63,14 +23,12 @@ class Replay {
     ui.ghost.addEventListener("change", () => { stage.ghost.visible = ui.ghost.checked; stage.redraw(); });
     ui.arrow.addEventListener("change", () => { stage.arrow.group.visible = ui.arrow.checked; stage.redraw(); });
     const seekOnPlot = (event) => {
-      if (!(event.buttons & 1)) return;
-      const box = ui.plot.getBoundingClientRect();
-      this.seek(((event.clientX - box.left - INSET) / (box.width - 2 * INSET)) * this.data.duration);
+      if (event.buttons & 1) this.seek(this.plot.timeAt(event.clientX));
     };
     ui.plot.addEventListener("pointerdown", seekOnPlot);
     ui.plot.addEventListener("pointermove", seekOnPlot);
     window.addEventListener("keydown", (event) => this.onKey(event));
-    window.addEventListener("resize", () => this.drawPlot());
+    window.addEventListener("resize", () => this.plot.draw(this.time));
     stage.afterRender(() => this.placeLabel());
   }
 
@@ -82,7 +40,7 @@ class Replay {
     if (key === " " && !onControl) this.playing ? this.pause() : this.play();
     else if (key === "ArrowLeft") this.seek(this.time - step);
     else if (key === "ArrowRight") this.seek(this.time + step);
-    else if (key === "Home") this.seek(0);
+    else if (key === "Home") this.seek(this.data.start);
     else if (key === "End") this.seek(this.data.duration);
     else return;
     event.preventDefault();
@@ -91,20 +49,24 @@ class Replay {
   seek(time) {
     const { data, stage, ui } = this;
     if (!Number.isFinite(time)) return;
-    this.time = Math.min(Math.max(time, 0), data.duration);
-    const at = (this.time / data.duration) * (data.frames - 1);
-    const frame = Math.min(Math.floor(at), data.frames - 2), share = at - frame;
-    for (const [name, motion] of Object.entries(this.motions)) {
-      stage.arms[name].forEach((link, index) => motion.place(link, index, frame, share));
-      ui[`${name}-torque`].textContent = newtonMetres(motion.torqueAt(frame, share).length());
-      show(ui[`${name}-clearance`], motion.clearanceAt(frame, share));
+    this.time = Math.min(Math.max(time, data.start), data.duration);
+    const phase = this.phases.findLast((candidate) => this.time >= candidate.start);
+    const moment = phase.share(this.time);
+    for (const [name, motion] of Object.entries(phase.motions)) {
+      stage.arms[name].forEach((link, index) => motion.place(link, index, moment));
+      ui[`${name}-torque`].textContent = newtonMetres(motion.torqueAt(moment).length());
+      show(ui[`${name}-clearance`], motion.clearanceAt(moment));
+      ui[`${name}-peak`].textContent = newtonMetres(motion.peakTorque);
+      show(ui[`${name}-closest`], motion.minClearance);
     }
-    const torque = this.motions.planned.torqueAt(frame, share);
+    const torque = phase.motions.planned.torqueAt(moment);
     stage.showTorque(torque, torque.length() / this.peak);
     ui["torque-label"].textContent = newtonMetres(torque.length());
+    const words = [data.robot, phase.label, `${(phase.end - phase.start).toFixed(1)} s`];
+    ui.subtitle.textContent = words.filter(Boolean).join(", ");
     ui.scrub.value = this.time;
-    ui.time.textContent = `${this.time.toFixed(2)} / ${data.duration.toFixed(2)} s`;
-    this.drawPlot();
+    ui.time.textContent = `${seconds(this.time)} / ${seconds(data.duration)} s`;
+    this.plot.draw(this.time);
     stage.redraw();
   }
 
@@ -141,43 +103,10 @@ class Replay {
     ui["torque-label"].style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, 8px)`;
     ui["torque-label"].hidden = !stage.arrow.group.visible;
   }
-
-  // Norm of the torque over time, above the slider and in step with its thumb.
-  drawPlot() {
-    const canvas = this.ui.plot, ratio = window.devicePixelRatio || 1;
-    const width = canvas.clientWidth, height = canvas.clientHeight;
-    canvas.width = Math.round(width * ratio);
-    canvas.height = Math.round(height * ratio);
-    const pen = canvas.getContext("2d");
-    pen.scale(ratio, ratio);
-    const x = (share) => INSET + share * (width - 2 * INSET);
-    const y = (torque) => height - 3 - (torque / this.peak) * (height - 16);
-    const line = (points, colour, wide) => {
-      pen.beginPath();
-      for (const [px, py] of points) pen.lineTo(px, py);
-      pen.strokeStyle = colour;
-      pen.lineWidth = wide;
-      pen.stroke();
-    };
-    for (const time of this.data.legTimes) {
-      const at = x(time / this.data.duration);
-      line([[at, 0], [at, height]], "#d5dce3", 1);
-    }
-    line([[x(0), y(0)], [x(1), y(0)]], "#b9c3cd", 1);
-    for (const [name, colour, wide] of [["baseline", "#2f6fb7", 1.5], ["planned", "#e0560f", 2]]) {
-      const { norms } = this.motions[name];
-      line(Array.from(norms, (norm, k) => [x(k / (norms.length - 1)), y(norm)]), colour, wide);
-    }
-    const now = x(this.time / this.data.duration);
-    line([[now, 0], [now, height]], "#1d2733", 1.5);
-    pen.fillStyle = "#5d6b7a";
-    pen.font = "11px system-ui, sans-serif";
-    pen.fillText("Torque on the guardrail, 0 to " + newtonMetres(this.peak), INSET + 6, height - 8);
-  }
 }
 
-const INSET = 8;  // half a slider's thumb, px
-const newtonMetres = (value) => `${value.toFixed(1)} Nm`;
+// Adding zero turns -0 into 0.
+const seconds = (value) => (Math.round(100 * value) / 100 + 0).toFixed(2);
 
 function show(cell, clearance) {
   cell.textContent = `${(1000 * clearance).toFixed(1)} mm`;
@@ -188,6 +117,7 @@ function start() {
   const data = JSON.parse(document.getElementById("replay-data").textContent);
   const replay = new Replay(data);
   window.cmbotReplay = {
+    start: data.start,
     duration: data.duration,
     links: data.links,
     get time() { return replay.time; },

@@ -19,7 +19,7 @@ class Stage {
     this.arrow = this.addArrow();
     this.addLight();
     this.resetView();
-      }
+  }
 
   node(...path) {
     return this.viewer.scene_tree.find(path).object;

@@ -1,0 +1,35 @@
+"""Postures in one call: the same as pinocchio, one at a time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cmbot.robot import Dynamics, Kinematics, Postures, Robot, load_robot
+from tests.finite_differences import check_derivative
+
+
+def test_a_batch_equals_pinocchio(rng: np.random.Generator) -> None:
+    robot = load_robot(payload=3.0, tool_length=0.4)
+    q = rng.uniform(-3, 3, (200, robot.dof))
+    batch, kinematics = Postures(robot).at(q), Kinematics(robot)
+    efforts = Dynamics(robot).static_efforts(q)
+    points, rotations = kinematics.tool_poses(q)
+    np.testing.assert_allclose(batch.tool_point, points, atol=1e-13)
+    np.testing.assert_allclose(batch.tool_rotation, rotations, atol=1e-13)
+    np.testing.assert_allclose(batch.guardrail_torque, efforts.guardrail_torque, atol=1e-11)
+    np.testing.assert_allclose(batch.joint_torque, efforts.joint_torque, atol=1e-11)
+    for q_k, J in zip(q, batch.jacobian, strict=True):
+        np.testing.assert_allclose(J, kinematics.tool_jacobian(q_k)[1], atol=1e-13)
+
+
+def test_the_torques_derivative(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    postures = Postures(cmbot_robot)
+    for q in rng.uniform(-3, 3, (5, cmbot_robot.dof)):
+        check_derivative(
+            lambda x: postures.at(x[None]).guardrail_torque[0],
+            q,
+            postures.at(q[None]).guardrail_torque_derivative[0],
+            step=1e-3,
+            rtol=1e-8,
+            atol=1e-6,
+        )
