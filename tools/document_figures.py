@@ -1,7 +1,7 @@
 """Write the figures in README.md anew, between their markers, from real runs.
 
 Run it with ``python tools/document_figures.py`` after a change that moves them; ``--sensitivity`` also writes
-the tables of docs/assumptions.md, which takes minutes. tests/test_documents.py holds the README to it.
+the table of docs/assumptions.md, which takes minutes. tests/test_documents.py holds the README to it.
 """
 
 from __future__ import annotations
@@ -56,13 +56,12 @@ def sensitivity(scene: str) -> str:
 def main() -> None:
     """Write what was asked for."""
     parser = argparse.ArgumentParser(description="Write the documents' figures from real runs.")
-    parser.add_argument("--sensitivity", action="store_true", help="the tables of docs/assumptions.md too")
+    parser.add_argument("--sensitivity", action="store_true", help="the table of docs/assumptions.md too")
     arguments = parser.parse_args()
     write_between(ROOT / "README.md", "output of cmbot plan triangle", output_of_plan())
     write_between(ROOT / "README.md", "figures", table_of_figures())
     if arguments.sensitivity:
-        for scene in ("triangle", "line"):
-            write_between(ROOT / "docs" / "assumptions.md", f"sensitivity of {scene}", sensitivity(scene))
+        write_between(ROOT / "docs" / "assumptions.md", "sensitivity of triangle", sensitivity("triangle"))
 
 
 if __name__ == "__main__":
