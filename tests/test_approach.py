@@ -53,17 +53,11 @@ def test_a_blocked_approach_is_refused() -> None:
         plan_approach(robot, task, posture, goal, posture[None], clearances, scene.planner)
 
 
-def test_connected_postures_are_joined_by_free_lines(rng: np.random.Generator) -> None:
-    scene = short_scene()
+def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: np.random.Generator) -> None:
+    scene = triangle_plan.scene
     robot, _, posture, clearances = parts(scene)
     space = FreeSpace(robot, clearances, 0.02)
-    limits = robot.limits
-    # The first random posture that is free, but not in sight.
-    goal = next(
-        q
-        for q in rng.uniform(limits.lower, limits.upper, (500, robot.dof))
-        if abs(q[0] - posture[0]) < 0.7 and space.holds(q[None])[0] and not space.straight(posture, q)
-    )
+    goal = triangle_plan.start.posture
     path = connect(space, posture, goal)
     assert path is not None
     short = shorten(space, path)

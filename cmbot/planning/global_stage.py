@@ -7,7 +7,7 @@ rest in an admissible posture with less torque on the guardrail.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -148,7 +148,15 @@ class GlobalStage:
         for point in points[1:]:
             charts.append(maker.next(charts[-1], point))
         self._nodes = [_Nodes(chart, clearances, options.safety_margin_m) for chart in charts]
-        self.floor = _floor(robot, postures, task, times, self._nodes, clearances, options)
+        self.floor = _floor(
+            robot,
+            postures,
+            task,
+            times,
+            self._nodes,
+            clearances,
+            replace(options, chart_spacing=maker.spacing),
+        )
         self._steps = (
             options.step_share * robot.limits.velocity * np.diff(times)[:, None] + 0.5 * options.chart_spacing
         )

@@ -26,6 +26,8 @@ _FEW_STEPS, _MANY_STEPS = 6, 40
 _LONGEST_STEP = 0.6
 # Accepted postures keep this share of the spacing from each other.
 _APART = 0.7
+# A chart has at most so many postures: where the self-motion has two dimensions or more, its spacing grows.
+_MOST_POSTURES, _COARSER = 600, 1.6
 # A continuous joint is charted within one turn either way, rad.
 _ONE_TURN = 2 * np.pi
 
@@ -90,7 +92,7 @@ class ChartMaker:
     task : ToolTask
     limits : JointLimits
     spacing : float
-        Length of the steps of continuation, rad.
+        Length of the steps of continuation, rad; the attribute of that name says what it has become.
     seeds : int
         Random postures from which the first chart is grown; later ones get a tenth of them.
     """
@@ -106,7 +108,7 @@ class ChartMaker:
         self._lower = np.where(self._round, -np.pi, np.maximum(limits.lower, -_ONE_TURN))
         self._upper = np.where(self._round, np.pi, np.minimum(limits.upper, _ONE_TURN))
         self._circle = np.where(self._round, 2 * np.pi, 0.0)
-        self._spacing = spacing
+        self.spacing = spacing
         self._seeds = seeds
 
     def first(self, point: FloatArray, known: FloatArray) -> Chart:
@@ -114,7 +116,12 @@ class ChartMaker:
         rng = np.random.default_rng(0)
         random = rng.uniform(self._lower, self._upper, (self._seeds, len(self._lower)))
         placed, reached = project(self._postures, self._task, random, point, _MANY_STEPS)
-        return self._chart(self._grown(np.vstack([known, placed[reached]]), point))
+        seeds = np.vstack([known, placed[reached]])
+        q = self._grown(seeds, point)
+        while len(q) > _MOST_POSTURES:
+            self.spacing *= _COARSER
+            q = self._grown(seeds, point)
+        return self._chart(q)
 
     def next(self, chart: Chart, point: FloatArray) -> Chart:
         """Chart the self-motion at a `point` (3,) near that of `chart`."""
@@ -134,9 +141,9 @@ class ChartMaker:
         """Grow a chart from postures on the task until it has nowhere to grow."""
         accepted = np.empty((0, len(self._lower)))
         frontier = self._new(accepted, seeds)
-        while len(frontier):
+        while len(frontier) and len(accepted) <= _MOST_POSTURES:
             accepted = np.vstack([accepted, frontier])
-            steps = self._spacing * self._tangents(frontier)
+            steps = self.spacing * self._tangents(frontier)
             neighbours = np.concatenate([frontier[:, None] + steps, frontier[:, None] - steps])
             placed, reached = project(
                 self._postures, self._task, neighbours.reshape(-1, frontier.shape[1]), point
@@ -148,7 +155,7 @@ class ChartMaker:
         """Those of `q` that are apart from `accepted` and from each other."""
         q = np.where(self._round, (q + np.pi) % (2 * np.pi) - np.pi, q)
         q = q[((q >= self._lower) & (q <= self._upper)).all(axis=1)]
-        apart = _APART * self._spacing
+        apart = _APART * self.spacing
         if len(accepted) and len(q):
             q = q[self._tree(accepted).query(self._on_circle(q), distance_upper_bound=apart)[0] >= apart]
         if len(q) < 2:
