@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: n
     short = shorten(space, path)
     for way in (path, short):
         np.testing.assert_array_equal(way[[0, -1]], [posture, goal])
-        for start, end in zip(way, way[1:], strict=False):
+        for start, end in pairwise(way):
             between = start + rng.uniform(0, 1, (50, 1)) * (end - start)
             assert clearances.smallest(between).distance.min() >= 0.02
     length = [np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in (path, short)]

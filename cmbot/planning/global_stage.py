@@ -212,7 +212,7 @@ class _Way:
         """Indices of the nodes with the smallest peak; among those, with the smallest sum of squares."""
         while True:
             peak = self._smallest_peak()
-            # Clearances are looked at only where a way may pass; a node that is too near sends it round again.
+            # Clearances are looked at only where a way may pass; one that is too near sends it round again.
             refused = [node.look(node.admissible & (node.chart.torque <= peak)) for node in self.nodes]
             if not any(refused):
                 return self._smallest_squares(peak)

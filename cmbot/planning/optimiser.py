@@ -50,8 +50,8 @@ class _Effort:
     accuracy: float
 
 
-# Via-points first slide alone; then all unknowns look for a smooth trajectory, coarsely and on all samples. Only
-# a peak that is not yet low enough is worth giving up smoothness for.
+# Via-points first slide alone; then all unknowns look for a smooth trajectory, coarsely and on all samples.
+# Only a peak that is not yet low enough is worth giving up smoothness for.
 _SKETCH = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-5)
 _COARSE = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-5)
 _SMOOTH = _Effort(stride=1, most=400, smoothing=1000.0, accuracy=1e-7)
@@ -121,8 +121,8 @@ def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | No
         check_feasible(problem)
     run = _Run(problem, progress)
     at_rest = problem.peak_at_rest * (1 + _AT_REST)
-    # Where a resting end that cannot change asks the most, there is nothing to lower but the mean square. With
-    # sliding knots that is known beforehand.
+    # Where a resting end that cannot change asks the most, there is nothing to lower but the mean square.
+    # With sliding knots that is known beforehand.
     peak = problem.via_point_peak if problem.family.slides else problem.scale
     if peak > at_rest:
         peak = problem.scale * run.stage("peak", 1.0)

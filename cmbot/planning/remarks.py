@@ -25,8 +25,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     )
     seconds = plan.seconds
     yield (
-        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({len(plan.passes)} passes), "
-        f"certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
+        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s "
+        f"({len(plan.passes)} passes), certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
     )
 
 
@@ -47,8 +47,9 @@ def _start(plan: Plan) -> Iterator[str]:
         figures = plan.approach.certificate.figures
         how = "along the self-motion, the tool stays" if plan.approach.along_self_motion else "tool off"
         yield (
-            f"Approach: {plan.approach.trajectory.duration:.1f} s ({how}), peak torque "
-            f"{figures.peak_guardrail_torque:.2f} Nm, clearance {1e3 * figures.min_clearance:.1f} mm, certified."
+            f"Approach: {plan.approach.trajectory.duration:.1f} s ({how}), "
+            f"peak torque {figures.peak_guardrail_torque:.2f} Nm, "
+            f"clearance {1e3 * figures.min_clearance:.1f} mm, certified."
         )
 
 
@@ -69,8 +70,9 @@ def _floor(plan: Plan) -> Iterator[str]:
     if plan.floor is None or plan.gap_to_floor is None or plan.choice is None:
         return
     yield (
-        f"Floor: no admissible plan rests below {plan.floor.torque:.2f} Nm (error {plan.floor.error:.3f} Nm), set by "
-        f"via-point {plan.floor.via_point + 1}; the peak is {100 * plan.gap_to_floor:+.3f} % from it."
+        f"Floor: no admissible plan rests below {plan.floor.torque:.2f} Nm "
+        f"(error {plan.floor.error:.3f} Nm), set by via-point {plan.floor.via_point + 1}; "
+        f"the peak is {100 * plan.gap_to_floor:+.3f} % from it."
     )
     pinned = plan.options.start == "pinned"
     other, peak = ("free", plan.choice.free) if pinned else ("pinned", plan.choice.pinned)

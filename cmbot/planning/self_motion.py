@@ -2,8 +2,8 @@
 
 A chart is grown by numerical continuation along the null space of the task, all postures at a time, from the
 postures it is given and from random ones, so that it reaches every branch (shoulder, elbow and wrist flips).
-It grows through postures beyond the joint ranges too: what the ranges cut into pieces hangs together there. Any
-two of its postures keep a distance, and every posture of the self-motion has one within its spacing.
+It grows through postures beyond the joint ranges too: what the ranges cut into pieces hangs together there.
+Any two of its postures keep a distance, and every posture of the self-motion has one within its spacing.
 """
 
 from __future__ import annotations

@@ -159,7 +159,7 @@ class Clearances:
         return Smallest(distance=distance, pair=pair)
 
     def too_near(self, q: FloatArray, margin: float) -> BoolArray:
-        """Return which of the postures `q` (N, n) have any distance below `margin`, m; order does not matter."""
+        """Return which of the postures `q` (N, n) have any distance below `margin`, m, in any order."""
         for request in self._geometry_data.collisionRequests:
             request.security_margin = margin
         arguments = (self._model, self._data, self._geometry, self._geometry_data)

@@ -1,8 +1,8 @@
 """Every posture of the shipped arm for a tool pose, in closed form, from the D-H table of Chang 2021.
 
-The wrist centre lies in the vertical plane that joint 1 chooses (two ways); in it, for each pitch of link 4, two
-links reach the point below it (two ways); the wrist turns to the orientation (two ways). Shares nothing with the
-package.
+The wrist centre lies in the vertical plane that joint 1 chooses (two ways); in it, for each pitch of link 4,
+two links reach the point below it (two ways); the wrist turns to the orientation (two ways). Shares nothing
+with the package.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ def postures(p_WT: FloatArray, R_WT: FloatArray, pitches: FloatArray) -> FloatAr
                 continue
             for q3 in (np.arccos(cosine), -np.arccos(cosine)):
                 q2 = np.arctan2(v, u) - np.arctan2(L3 * np.sin(q3), L2 + L3 * np.cos(q3))
-                for wrist_angles in _wrist(_base_to_link_4(q1, pitch).T @ R_B7):
-                    found.append([q1, q2, q3, pitch - q2 - q3, *wrist_angles])
+                wrist_angles = _wrist(_base_to_link_4(q1, pitch).T @ R_B7)
+                found += [[q1, q2, q3, pitch - q2 - q3, *angles] for angles in wrist_angles]
     q = np.array(found).reshape(-1, 7)
     return np.asarray((q + np.pi) % (2 * np.pi) - np.pi)
 
