@@ -52,10 +52,14 @@ class _Effort:
 
 # Via-points first slide alone; then all unknowns look for a smooth trajectory, coarsely and on all samples.
 # Only a peak that is not yet low enough is worth giving up smoothness for.
-_SKETCH = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-5)
-_COARSE = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-5)
-_SMOOTH = _Effort(stride=1, most=400, smoothing=1000.0, accuracy=1e-7)
+_SKETCH = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-4)
+_COARSE = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-4)
+_SMOOTH = _Effort(stride=1, most=400, smoothing=1000.0, accuracy=1e-6)
 _FULL = _Effort(stride=1, most=400, smoothing=1.0, accuracy=1e-8)
+
+
+# The mean square falls off slowly; its passes must be so much more accurate not to end far from feasible.
+_MEAN_ACCURACY = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,6 +162,9 @@ class _Run:
                 raise self._failure(f"no solution in {options.max_passes} passes", self.reports[-1].worst)
             if name == "peak":
                 bound, iterations = self._lower_peak(bound, effort)
+            elif effort is _SKETCH:
+                # The way through the charts is rough; smoothing it is all that is wanted here.
+                _, iterations = self._lower_peak(bound, effort)
             else:
                 iterations = self._lower_mean_square(bound, effort)
             added, worst, peak = self._look(bound, effort)
@@ -239,7 +246,7 @@ class _Run:
 
         u, iterations = solve_slsqp(
             Subproblem(start=L.T @ family.start, objective=objective, constraints=constraints),
-            effort.accuracy,
+            _MEAN_ACCURACY * effort.accuracy,
             problem.options.max_iterations,
         )
         self.x = C @ u
