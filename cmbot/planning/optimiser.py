@@ -54,7 +54,7 @@ class _Effort:
 # Only a peak that is not yet low enough is worth giving up smoothness for.
 _SKETCH = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-4)
 _COARSE = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-4)
-_SMOOTH = _Effort(stride=1, most=400, smoothing=1000.0, accuracy=1e-6)
+_SMOOTH = _Effort(stride=1, most=400, smoothing=1000.0, accuracy=1e-5)
 _FULL = _Effort(stride=1, most=400, smoothing=1.0, accuracy=1e-8)
 
 
