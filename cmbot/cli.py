@@ -118,7 +118,7 @@ def _options(
 def plan(
     scene: SceneArgument,
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Plan directory to write [default: out/NAME].")
+        Path | None, typer.Option("--output", "-o", help="Plan directory to write; out/NAME if left out.")
     ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a plan directory that is there.")] = False,
 ) -> None:
@@ -146,7 +146,7 @@ def plan(
 def replay(
     directory: PlanArgument,
     html: Annotated[
-        Path | None, typer.Option("--html", help="Page to write [default: DIR/replay.html].")
+        Path | None, typer.Option("--html", help="Page to write; DIR/replay.html if left out.")
     ] = None,
     serve: Annotated[bool, typer.Option("--serve", help="Serve the page on 127.0.0.1 instead.")] = False,
 ) -> None:
@@ -273,7 +273,8 @@ class _Narrator:
         report = progress.report
         if report is not None:
             beyond = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
-            met = report.worst.value <= 0.0
+            # What would print as 0.00 % is within the optimiser's tolerance.
+            met = report.worst.value < 5e-5
             text += (
                 f", pass {report.number} ({report.stage}): peak {report.peak_torque:.2f} Nm, "
                 f"{'all constraints met' if met else beyond}"
