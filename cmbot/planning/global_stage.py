@@ -13,7 +13,8 @@ import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray
 from cmbot.errors import PathNotFound
-from cmbot.planning.self_motion import Chart, ChartMaker, project
+from cmbot.planning.chart_nodes import ChartNodes
+from cmbot.planning.self_motion import ChartMaker, project
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene.clearance import Clearances
@@ -75,40 +76,6 @@ class GlobalSolution:
         return float(self.torque.max())
 
 
-class _Nodes:
-    """The postures of one chart; whether they are admissible is found out when it is asked."""
-
-    def __init__(self, chart: Chart, clearances: Clearances, margin: float) -> None:
-        self.chart = chart
-        self.admissible = chart.within & (chart.joint_use <= 1.0)
-        self._clearances = clearances
-        self._margin = margin
-        self._looked = ~self.admissible
-        self.too_near = np.zeros(len(chart.q), dtype=np.bool_)
-
-    def look(self, which: BoolArray) -> bool:
-        """Find out the clearance of the nodes `which` (M,); return whether any turned out inadmissible."""
-        new = np.flatnonzero(which & ~self._looked)
-        if len(new) == 0:
-            return False
-        near = self._clearances.too_near(self.chart.q[new], self._margin)
-        self._looked[new] = True
-        self.too_near[new] = near
-        self.admissible[new] = ~near
-        return bool(near.any())
-
-    def least(self) -> float:
-        """Smallest torque of any admissible node; infinite when there is none."""
-        while True:
-            torque = np.where(self.admissible, self.chart.torque, np.inf)
-            best = int(torque.argmin()) if len(torque) else 0
-            if not len(torque) or not np.isfinite(torque[best]):
-                return float("inf")
-            if self._looked[best]:
-                return float(torque[best])
-            self.look(np.arange(len(torque)) == best)
-
-
 class GlobalStage:
     """Charts of self-motion at all via-points, what is admissible in them, and the best ways through.
 
@@ -147,7 +114,7 @@ class GlobalStage:
         charts = [maker.first(points[0], posture[None])]
         for point in points[1:]:
             charts.append(maker.next(charts[-1], point))
-        self._nodes = [_Nodes(chart, clearances, options.safety_margin_m) for chart in charts]
+        self._nodes = [ChartNodes(chart, clearances, options.safety_margin_m) for chart in charts]
         self.floor = _floor(
             robot,
             postures,
@@ -203,7 +170,7 @@ class _Way:
     robot: Robot
     task: ToolTask
     times: FloatArray
-    nodes: list[_Nodes]
+    nodes: list[ChartNodes]
     edges: list[BoolArray]
     steps: FloatArray
     starts: BoolArray
@@ -247,7 +214,9 @@ class _Way:
         return chosen
 
 
-def _blocked(robot: Robot, task: ToolTask, times: FloatArray, nodes: list[_Nodes], k: int) -> PathNotFound:
+def _blocked(
+    robot: Robot, task: ToolTask, times: FloatArray, nodes: list[ChartNodes], k: int
+) -> PathNotFound:
     """Say at which via-point the sequence ends, and what excluded most postures there."""
     node = nodes[k]
     if len(node.chart.q) == 0:
@@ -277,7 +246,7 @@ def _floor(
     postures: Postures,
     task: ToolTask,
     times: FloatArray,
-    nodes: list[_Nodes],
+    nodes: list[ChartNodes],
     clearances: Clearances,
     options: PlannerOptions,
 ) -> Floor:
@@ -305,7 +274,7 @@ def _refined(
     postures: Postures,
     task: ToolTask,
     point: FloatArray,
-    node: _Nodes,
+    node: ChartNodes,
     worth: float,
     robot: Robot,
     clearances: Clearances,

@@ -1,0 +1,45 @@
+"""The postures of a chart as nodes of a search: whether they are admissible is found out when it is asked."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cmbot.arrays import BoolArray
+from cmbot.planning.self_motion import Chart
+from cmbot.scene.clearance import Clearances
+
+__all__ = ["ChartNodes"]
+
+
+class ChartNodes:
+    """The postures of one chart; whether they are admissible is found out when it is asked."""
+
+    def __init__(self, chart: Chart, clearances: Clearances, margin: float) -> None:
+        self.chart = chart
+        self.admissible = chart.within & (chart.joint_use <= 1.0)
+        self._clearances = clearances
+        self._margin = margin
+        self._looked = ~self.admissible
+        self.too_near = np.zeros(len(chart.q), dtype=np.bool_)
+
+    def look(self, which: BoolArray) -> bool:
+        """Find out the clearance of the nodes `which` (M,); return whether any turned out inadmissible."""
+        new = np.flatnonzero(which & ~self._looked)
+        if len(new) == 0:
+            return False
+        near = self._clearances.too_near(self.chart.q[new], self._margin)
+        self._looked[new] = True
+        self.too_near[new] = near
+        self.admissible[new] = ~near
+        return bool(near.any())
+
+    def least(self) -> float:
+        """Smallest torque of any admissible node; infinite when there is none."""
+        while True:
+            torque = np.where(self.admissible, self.chart.torque, np.inf)
+            best = int(torque.argmin()) if len(torque) else 0
+            if not len(torque) or not np.isfinite(torque[best]):
+                return float("inf")
+            if self._looked[best]:
+                return float(torque[best])
+            self.look(np.arange(len(torque)) == best)
