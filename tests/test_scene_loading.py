@@ -6,9 +6,9 @@ import math
 import numpy as np
 import pytest
 
+from cmbot.elastic import BarSection
 from cmbot.errors import SceneError
 from cmbot.scene import (
-    BarSection,
     Box,
     Capsule,
     Cylinder,

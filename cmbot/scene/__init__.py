@@ -1,14 +1,6 @@
 """Where the robot works: the scene file, obstacles, the guardrail, the planner's options."""
 
-from cmbot.scene.guardrail import (
-    AngleSection,
-    BarSection,
-    Guardrail,
-    GuardrailMaterial,
-    Post,
-    Rail,
-    guardrail_obstacles,
-)
+from cmbot.scene.guardrail import guardrail_obstacles
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.scene import (
@@ -23,19 +15,13 @@ from cmbot.scene.schema import SceneFile
 from cmbot.scene.speed_profile import SpeedProfile
 
 __all__ = [
-    "AngleSection",
-    "BarSection",
     "Box",
     "Capsule",
     "Cylinder",
-    "Guardrail",
-    "GuardrailMaterial",
     "Leg",
     "Mesh",
     "Obstacle",
     "PlannerOptions",
-    "Post",
-    "Rail",
     "RobotSource",
     "Scene",
     "SceneFile",

@@ -1,146 +1,26 @@
-"""The guardrail as data: for the boxes that can be hit, and for the frame that bends."""
+"""The guardrail of a scene: from the file to data, and as boxes that can be hit."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
 
 from cmbot.arrays import FloatArray
+from cmbot.elastic.guardrail import (
+    AngleSection,
+    BarSection,
+    Guardrail,
+    GuardrailMaterial,
+    Post,
+    Rail,
+    Section,
+)
 from cmbot.scene.guardrail_schema import GuardrailFile, Matrix6, SectionFile
 from cmbot.scene.obstacles import Box, Obstacle, pose
 
-__all__ = [
-    "AngleSection",
-    "BarSection",
-    "Guardrail",
-    "GuardrailMaterial",
-    "Post",
-    "Rail",
-    "guardrail_from_file",
-    "guardrail_obstacles",
-]
-
-
-@dataclass(frozen=True, kw_only=True)
-class AngleSection:
-    """Equal-leg angle steel.
-
-    Attributes
-    ----------
-    leg, thickness : float
-        m.
-    """
-
-    leg: float
-    thickness: float
-
-
-@dataclass(frozen=True, kw_only=True)
-class BarSection:
-    """A round bar.
-
-    Attributes
-    ----------
-    diameter : float
-        m.
-    """
-
-    diameter: float
-
-
-Section = AngleSection | BarSection
-
-
-@dataclass(frozen=True, kw_only=True)
-class Post:
-    """What every post is like; its axis runs along z at y = 0.
-
-    Attributes
-    ----------
-    section : AngleSection or BarSection
-    roll : float
-        Turn of the section about z, rad; at 0 the legs of an angle point along +x and +y.
-    bottom, clamp, top : float
-        z of the lower end, of the end of the rigid hold, of the upper end, m.
-    box : tuple of float
-        (2,), collision box along x and y, m.
-    """
-
-    section: Section
-    roll: float
-    bottom: float
-    clamp: float
-    top: float
-    box: tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Rail:
-    """A member along x at y = 0, from the first post to the last.
-
-    Attributes
-    ----------
-    name : str
-    section : AngleSection or BarSection
-    roll : float
-        Turn of the section about x, rad; at 0 the legs of an angle point along +y and +z.
-    height : float
-        z, m.
-    box : tuple of float
-        (2,), collision box along y and z, m.
-    """
-
-    name: str
-    section: Section
-    roll: float
-    height: float
-    box: tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class GuardrailMaterial:
-    """What the members are made of.
-
-    Attributes
-    ----------
-    young, shear : float
-        Moduli, Pa.
-    density : float
-        kg/m3.
-    """
-
-    young: float
-    shear: float
-    density: float
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Guardrail:
-    """A row of posts with rails; the foot holds it at the origin of W.
-
-    Attributes
-    ----------
-    post_positions : tuple of float
-        (bays + 1,), x of each post in W, m; empty: there is no guardrail to hit.
-    post : Post
-    rails : tuple of Rail
-    material : GuardrailMaterial
-    stiffness : array or None
-        (6, 6), at the origin of W, in W, linear then angular (N/m, N/rad, Nm/rad), in place of the frame's
-        own; read-only. None: the frame's, and where there are no posts the hold is rigid.
-    mass : array or None
-        (6, 6), moves with the foot beside a given `stiffness`; read-only. None: no such mass.
-    """
-
-    post_positions: tuple[float, ...]
-    post: Post
-    rails: tuple[Rail, ...]
-    material: GuardrailMaterial
-    stiffness: FloatArray | None
-    mass: FloatArray | None
+__all__ = ["guardrail_from_file", "guardrail_obstacles"]
 
 
 def guardrail_from_file(file: GuardrailFile) -> Guardrail:

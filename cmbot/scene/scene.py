@@ -12,9 +12,10 @@ from typing import Literal, cast
 import numpy as np
 
 from cmbot.arrays import FloatArray
+from cmbot.elastic import Guardrail
 from cmbot.errors import SceneError
 from cmbot.resources import scene_folder
-from cmbot.scene.guardrail import Guardrail, guardrail_from_file, guardrail_obstacles
+from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.schema import ObstacleFile, RobotFile, SceneFile
