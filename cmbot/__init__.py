@@ -7,6 +7,7 @@ The reading order::
     plan           path, trajectory, certificate          cmbot.planning
     Plan           what came out, with its figures
     save, load_plan   a plan directory                    cmbot.archive
+    simulate       what bends on the way                  cmbot.simulation
     replay         the motion in a browser                cmbot.views
 
 Names are imported when they are first used, so that ``import cmbot`` is quick.
@@ -28,14 +29,16 @@ from cmbot.errors import (
     PathNotFound,
     PlanningError,
     SceneError,
+    SimulationDiverged,
 )
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.archive import load_plan, save
+    from cmbot.archive import load_plan, save, save_tracking
     from cmbot.planning import Plan, QuinticTrajectory, plan
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
+    from cmbot.simulation import SimulationOptions, Tracking, simulate
     from cmbot.views import replay
 
 __all__ = [
@@ -54,6 +57,9 @@ __all__ = [
     "Robot",
     "Scene",
     "SceneError",
+    "SimulationDiverged",
+    "SimulationOptions",
+    "Tracking",
     "__version__",
     "load_plan",
     "load_robot",
@@ -61,13 +67,16 @@ __all__ = [
     "plan",
     "replay",
     "save",
+    "save_tracking",
+    "simulate",
 ]
 
 _ROOMS = {
-    "cmbot.archive": ("load_plan", "save"),
+    "cmbot.archive": ("load_plan", "save", "save_tracking"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
+    "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
     "cmbot.views": ("replay",),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
@@ -83,4 +92,4 @@ def __getattr__(name: str) -> object:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *_ROOM_OF])
+    return sorted({*globals(), *_ROOM_OF})

@@ -5,25 +5,27 @@ from __future__ import annotations
 import sys
 import time
 import traceback
+from collections.abc import Iterable
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import typer.main
-from rich.console import Console
 from rich.table import Table
-from rich.text import Text
 
 import cmbot
-from cmbot.errors import CmbotError, InputError, PlanningError
+from cmbot.cli_simulation import reproduce, simulate
+from cmbot.console import Narrator, err, flat, out
+from cmbot.errors import CmbotError, InputError, PlanningError, SceneError
 
 if TYPE_CHECKING:
-    from cmbot.planning import Plan, Progress
+    from cmbot.planning import Plan
 
 __all__ = ["app", "main"]
 
 DONE, FAILED, BAD_INPUT, NO_PLAN = 0, 1, 2, 3
+_SCENE_SUFFIXES = (".yaml", ".yml", ".json")
 
 app = typer.Typer(
     name="cmbot",
@@ -33,11 +35,8 @@ app = typer.Typer(
     rich_markup_mode="rich",
     help="Plan the motion of a robot arm that works from a base that bends.\n\n"
     "Example: [bold]cmbot plan triangle[/bold], then open out/triangle/replay.html in a browser.",
+    epilog="Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 1 anything else.",
 )
-# Without markup and emoji codes, so that file names are shown as they are.
-out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
-err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
-
 SceneArgument = Annotated[
     str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")
 ]
@@ -58,7 +57,7 @@ def main() -> None:
         sys.exit(typer.main.get_command(app)(words, prog_name="cmbot", standalone_mode=False))
     except _UsageError as error:
         # Without any argument the help has been printed, and there is nothing left to say.
-        if message := _flat(error.format_message()):
+        if message := flat(error.format_message()):
             verb = error.ctx.command_path if error.ctx is not None else "cmbot"
             _print_error(f"{message.rstrip('.')}. See: {verb} --help")
         sys.exit(BAD_INPUT)
@@ -71,7 +70,7 @@ def main() -> None:
 
 
 def exit_status(error: CmbotError) -> int:
-    """Exit status of an error: 2 bad input, 3 no plan, 1 anything else."""
+    """Exit status of an error: 2 bad input, 3 no plan, 1 anything else; Ctrl-C, which is none, gives 130."""
     if isinstance(error, InputError):
         return BAD_INPUT
     return NO_PLAN if isinstance(error, PlanningError) else FAILED
@@ -90,12 +89,7 @@ def _debugging() -> bool:
 
 
 def _print_error(text: str) -> None:
-    err.print(f"error: {_flat(text)}", style="red" if err.is_terminal else "")
-
-
-def _flat(text: object) -> str:
-    """Return one line of printable characters: messages and file names may hold anything."""
-    return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in str(text))
+    err.print(f"error: {flat(text)}", style="red" if err.is_terminal else "")
 
 
 def _print_version(wanted: bool) -> None:
@@ -133,13 +127,13 @@ def plan(
 
     directory = output if output is not None else Path("out") / loaded.name
     require_free(directory, force=force)
-    with _Narrator() as narrator:
+    with Narrator() as narrator:
         planned = cmbot.plan(loaded, progress=narrator.tell)
     cmbot.save(planned, directory, force=force)
-    cmbot.replay(planned, html=directory / "replay.html")
+    page = _add_replay(planned, directory)
     _print_plan(planned)
-    out.print(f"Written to {_flat(directory)} in {time.perf_counter() - started:.1f} s.")
-    out.print(f"Look at it: open {_flat(directory / 'replay.html')} in a browser.")
+    out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+    out.print(f"Look at it: open {flat(page)} in a browser.")
 
 
 @app.command()
@@ -166,10 +160,15 @@ def replay(
                 server.wait()
             except KeyboardInterrupt:
                 return
+    elif html is not None:
+        cmbot.replay(loaded, html=html)
+        out.print(f"Written to {flat(html)}.")
     else:
-        page = html if html is not None else directory / "replay.html"
-        cmbot.replay(loaded, html=page)
-        out.print(f"Written to {_flat(page)}.")
+        out.print(f"Written to {flat(_add_replay(loaded, directory))}.")
+
+
+app.command()(simulate)
+app.command()(reproduce)
 
 
 @app.command()
@@ -200,32 +199,62 @@ def doctor() -> None:
     width = max(len(symptom.name) for symptom in symptoms)
     for symptom in symptoms:
         mark = "ok     " if symptom.healthy else "MISSING"
-        out.print(f"{mark} {symptom.name:<{width}}  {_flat(symptom.found)}")
+        out.print(f"{mark} {symptom.name:<{width}}  {flat(symptom.found)}")
     if not all(symptom.healthy for symptom in symptoms):
         raise typer.Exit(FAILED)
 
 
 def _check_urdf(path: Path) -> None:
-    from cmbot.robot import inspect_urdf, parse_urdf
+    from cmbot.robot import inspect_urdf, overview, parse_urdf
+    from cmbot.validation import counted
 
     root = parse_urdf(path)
     findings = inspect_urdf(root)
     for finding in findings:
         line = f"{finding.severity}: {path}: {finding.key}: got {finding.got}, expected {finding.expected}"
-        out.print(_flat(line))
-    joints = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
-    out.print(f"{len(root.findall('link'))} links, {len(joints)} movable joints, {len(findings)} findings.")
-    if any(finding.severity == "error" for finding in findings):
+        out.print(flat(line))
+    errors = sum(finding.severity == "error" for finding in findings)
+    warnings = counted(len(findings) - errors, "warning")
+    if errors:
+        out.print(f"Not usable: {counted(errors, 'error')}, {warnings}.")
         raise typer.Exit(BAD_INPUT)
+    _print_pairs(overview(path, root))
+    out.print(f"OK: no error, {warnings}.")
 
 
 def _check_scene(file: str) -> None:
     from cmbot.planning import examine_scene
 
-    scene = cmbot.load_scene(file)
-    for name, value in examine_scene(scene):
-        out.print(f"{name:<34}{_flat(value)}")
-    out.print(f"The scene can be planned with: cmbot plan {_flat(file)}")
+    try:
+        scene = cmbot.load_scene(file)
+    except SceneError as error:
+        if error.key or Path(file).suffix.lower() in _SCENE_SUFFIXES or not _is_file(Path(file)):
+            raise
+        # Nothing in it could be read as a scene's.
+        expected = "a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)"
+        raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
+    _print_pairs(examine_scene(scene))
+    out.print(f"The scene can be planned with: cmbot plan {flat(file)}")
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
+
+
+def _print_pairs(pairs: Iterable[tuple[str, str]]) -> None:
+    for name, value in pairs:
+        out.print(f"{name:<34}{flat(value)}")
+
+
+def _add_replay(planned: Plan, directory: Path) -> Path:
+    """Put the replay page into a plan directory, whole or not at all."""
+    from cmbot.archive import add_file
+    from cmbot.views import replay_page
+
+    return add_file(directory, "replay.html", replay_page(planned).encode("utf-8", "replace"))
 
 
 def _print_plan(planned: Plan) -> None:
@@ -243,43 +272,3 @@ def _print_plan(planned: Plan) -> None:
 
     for remark in remarks(planned):
         out.print(remark)
-
-
-class _Narrator:
-    """Tells what the planner is doing: a moving line on a terminal, plain lines elsewhere."""
-
-    _STAGES: ClassVar[dict[str, str]] = {
-        "path": "following the tool path",
-        "optimise": "optimising",
-        "certify": "certifying",
-    }
-
-    def __enter__(self) -> _Narrator:
-        self._status = err.status("") if err.is_terminal else None
-        if self._status is not None:
-            self._status.start()
-        self._last = ""
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if self._status is not None:
-            self._status.stop()
-
-    def tell(self, progress: Progress) -> None:
-        """Show one step."""
-        text = self._STAGES[progress.stage]
-        if progress.failed_starts:
-            text += f" from another start ({progress.failed_starts} failed)"
-        report = progress.report
-        if report is not None:
-            beyond = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
-            # What would print as 0.00 % is within the optimiser's tolerance.
-            met = report.worst.value < 5e-5
-            text += (
-                f", pass {report.number} ({report.stage}): peak {report.peak_torque:.2f} Nm, "
-                f"{'all constraints met' if met else beyond}"
-            )
-        if self._status is not None:
-            self._status.update(Text(text))
-        elif not progress.failed_starts or progress.failed_starts == 1:
-            err.print(text)

@@ -11,11 +11,13 @@
         PathNotFound                   how far the path came, and why not further
         OptimisationFailed             the constraint that could not be met
         LimitViolation                 joint, time, value, bound
+      SimulationDiverged (RuntimeError)   when, and how far the arm was bent
       MissingExtra (ImportError)       the pip command to run
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "PathNotFound",
     "PlanningError",
     "SceneError",
+    "SimulationDiverged",
 ]
 
 
@@ -46,7 +49,7 @@ class InputError(CmbotError, ValueError):
     key : str
         Where in it: a key's path such as ``tool_path.legs[1].seconds``; empty for the whole.
     got : object
-        What stands there.
+        What stands there; of what is missing, ``no such file`` or the like, which needs no "got".
     expected : str
         What should stand there, or what to do.
     choices : sequence of str, optional
@@ -62,8 +65,9 @@ class InputError(CmbotError, ValueError):
         self.expected = expected
         self.choices = tuple(choices)
         where = f"{source}: {key}" if key else source
+        found = str(got) if str(got).startswith("no such ") else f"got {got}"
         listed = f" (one of: {', '.join(self.choices)})" if self.choices else ""
-        super().__init__(f"{where}: got {got}, expected {expected}{listed}")
+        super().__init__(f"{where}: {found}, expected {expected}{listed}")
 
 
 class ModelError(InputError):
@@ -162,6 +166,29 @@ class LimitViolation(PlanningError):
         self.unit = unit
         super().__init__(
             f"{quantity} is {value:.6g} {unit} at t = {time:.3f} s, the bound is {bound:.6g} {unit}"
+        )
+
+
+class SimulationDiverged(CmbotError, RuntimeError):
+    """The elastic motion left what its model can mean; no part of it is a result.
+
+    Parameters
+    ----------
+    time : float
+        Of the first state that is none, s.
+    state : sequence of float
+        The elastic coordinates there, m and rad.
+    """
+
+    def __init__(self, *, time: float, state: Sequence[float]) -> None:
+        self.time = time
+        self.state = tuple(state)
+        largest = max((abs(x) for x in self.state if math.isfinite(x)), default=math.nan)
+        lost = sum(not math.isfinite(x) for x in self.state)
+        super().__init__(
+            f"the simulation diverges at t = {time:.4f} s: the largest elastic coordinate is {largest:.3g} "
+            f"(m or rad), {lost} of {len(self.state)} are not finite; take a smaller step, or look at the "
+            "stiffness and the mass"
         )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-__all__ = ["data_folder", "model_folder", "scene_folder"]
+__all__ = ["assumptions_file", "data_folder", "model_folder", "scene_folder"]
 
 _PACKAGE = Path(__file__).resolve().parent
 
@@ -23,3 +23,8 @@ def model_folder() -> Path:
 def scene_folder() -> Path:
     """Return the folder with the shipped scene files."""
     return data_folder() / "scenes"
+
+
+def assumptions_file() -> Path:
+    """Return the page that lists every assumption, ``docs/assumptions.md``."""
+    return data_folder() / "docs" / "assumptions.md"

@@ -13,7 +13,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from cmbot.errors import InputError
 
-__all__ = ["FileModel", "input_error", "key_path", "refusal", "shown", "validated"]
+__all__ = ["FileModel", "counted", "input_error", "key_path", "refusal", "shown", "validated"]
 
 T = TypeVar("T")
 
@@ -40,7 +40,7 @@ _PHRASES = {
     "less_than_equal": "at most {le:g}",
     "too_short": "a list of {min_length} or more items",
     "too_long": "a list of at most {max_length} items",
-    "string_too_short": "text of at least {min_length} characters",
+    "string_too_short": "text of {min_length} or more characters",
     "string_too_long": "text of at most {max_length} characters",
     "json_invalid": "valid text and a depth that a file of this format can have ({error})",
 }
@@ -168,6 +168,11 @@ def shown(value: object) -> str:
     return text if len(text) <= _LONGEST_SHOWN else f"{text[: _LONGEST_SHOWN - 1]}…"
 
 
+def counted(number: int, noun: str, plural: str = "") -> str:
+    """Return a number of things as people write it: ``1 joint``, ``2 joints``; `plural` where it is no s."""
+    return f"{number} {noun if number == 1 else plural or noun + 's'}"
+
+
 def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:
     """Return the first error; but where a required key is missing, an unknown one beside it first."""
     first = errors[0]
@@ -207,7 +212,8 @@ def _schema_at(schema: dict[str, Any], loc: Sequence[str | int]) -> dict[str, An
     node = _resolved(schema, schema)
     for step in loc:
         if isinstance(step, str):
-            node = node.get("properties", {}).get(step, {})
+            others = node.get("additionalProperties")
+            node = node.get("properties", {}).get(step, others if isinstance(others, dict) else {})
         else:
             fixed = node.get("prefixItems", [])
             node = fixed[step] if step < len(fixed) else node.get("items", {})

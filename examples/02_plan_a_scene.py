@@ -39,5 +39,5 @@ print(f"  baseline, from the scene's posture:  {plan.baseline_figures.peak_stati
 print(f"  fixed knots, at the via-points:      {np.linalg.norm(at_via_points, axis=1).max():.2f}")
 print(f"  fixed knots, all along:              {fixed.figures.peak_static_guardrail_torque:.2f}")
 print(f"  as the scene has it, all along:      {plan.figures.peak_static_guardrail_torque:.2f}")
-if plan.floor is not None:
-    print(f"  floor of any posture at one of them: {plan.floor.torque:.2f}")
+if plan.torque_floor is not None:
+    print(f"  floor of any posture at one of them: {plan.torque_floor:.2f}")

@@ -10,6 +10,10 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
+from plan_folders import saved_triangle as saved_triangle
+from plan_folders import short_plan as short_plan
+from plan_folders import thin_plan as thin_plan
+from plan_folders import triangle_folder as triangle_folder
 
 from cmbot.planning import Plan, plan
 from cmbot.resources import model_folder

@@ -1,20 +1,55 @@
-"""Changing plan directories, and what is refused of them."""
+"""Plan directories that the tests share, changing them, and what is refused of them."""
 
 from __future__ import annotations
 
 import hashlib
 import io
 import json
+import shutil
 from collections.abc import Callable
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import short_scene
 
-from cmbot.archive import load_plan
+from cmbot.archive import load_plan, save
 from cmbot.errors import ArchiveError
+from cmbot.planning import Plan, Samples, plan
+
+MOTIONS = ("trajectory", "approach")
+FILES = {"plan.json", "baseline.csv"} | {
+    f"{name}{end}" for name in MOTIONS for end in (".csv", ".npz", ".ros.json")
+}
+"""All files of a plan with an approach."""
+
+
+@pytest.fixture(scope="session")
+def saved_triangle(triangle_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan directory that no test changes."""
+    return save(triangle_plan, tmp_path_factory.mktemp("archive") / "triangle")
+
+
+@pytest.fixture
+def triangle_folder(saved_triangle: Path, tmp_path: Path) -> Path:
+    """A plan directory to be changed."""
+    return Path(shutil.copytree(saved_triangle, tmp_path / "plan"))
+
+
+@pytest.fixture(scope="session")
+def thin_plan(triangle_plan: Plan) -> Plan:
+    """The triangle with few samples of the baseline, quick to save."""
+    samples = triangle_plan.baseline
+    few = {field.name: getattr(samples, field.name)[::100] for field in fields(samples)}
+    return replace(triangle_plan, baseline=Samples(**few))
+
+
+@pytest.fixture(scope="session")
+def short_plan() -> Plan:
+    """A small plan whose knots are fixed: no floor, no choice, no approach."""
+    return plan(short_scene())
 
 
 def edit(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:

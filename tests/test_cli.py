@@ -6,6 +6,7 @@ import re
 import shutil
 import signal
 import subprocess
+import sys
 from pathlib import Path
 from urllib.request import urlopen
 
@@ -14,7 +15,6 @@ from command_line import Outcome, command, environment, plain, run, without_colo
 from small_scenes import SHORT
 
 import cmbot
-from cmbot.resources import model_folder
 
 SAVED = {
     "plan.json",
@@ -71,7 +71,14 @@ def test_help_shows_an_example_and_every_verb() -> None:
     assert (outcome.status, outcome.err) == (0, "")
     text = plain(outcome.out)
     assert "Example: cmbot plan triangle" in text
+    assert "Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 1 anything else." in text
     assert all(f" {verb} " in text for verb in ("plan", "replay", "check", "doctor"))
+
+
+def test_it_is_a_module_to_run_as_well() -> None:
+    words = [sys.executable, "-m", "cmbot", "--version"]
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, f"{cmbot.__version__}\n", "")
 
 
 def test_without_a_verb_the_help_is_shown() -> None:
@@ -206,6 +213,20 @@ def test_replay_writes_a_page_elsewhere(directory: Path, tmp_path: Path) -> None
     assert {path: path.read_bytes() for path in directory.iterdir()} == before
 
 
+@pytest.mark.parametrize("verb", ["plan", "replay"])
+def test_the_page_in_a_plan_directory_is_added_by_the_archive(
+    known: cmbot.Plan, directory: Path, monkeypatch: pytest.MonkeyPatch, verb: str
+) -> None:
+    """So that it comes whole, and into nothing but a plan directory."""
+    added: list[tuple[Path, str]] = []
+    monkeypatch.setattr(
+        cmbot.archive, "add_file", lambda folder, name, _: added.append((folder, name)) or folder / name
+    )
+    words = {"plan": ("short.yaml", "-o", directory, "--force"), "replay": (directory,)}[verb]
+    assert run(verb, *words).status == 0
+    assert added == [(directory, "replay.html")]
+
+
 def test_replay_serves_the_page_until_ctrl_c(directory: Path) -> None:
     with subprocess.Popen(
         command("replay", directory, "--serve"),
@@ -227,38 +248,3 @@ def test_replay_serves_the_page_until_ctrl_c(directory: Path) -> None:
             process.kill()
     assert page == (directory / "replay.html").read_text(encoding="utf-8")
     assert (process.returncode, out, err) == (0, "", "")
-
-
-def test_check_of_a_shipped_scene() -> None:
-    outcome = run("check", "triangle")
-    assert (outcome.status, outcome.err) == (0, "")
-    lines = outcome.out.splitlines()
-    values = {line[:34].strip(): line[34:] for line in lines[:-1]}
-    assert values["via-points"] == "50"
-    assert values["robot"].startswith("cmbot: 7 joints, ")
-    assert values["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
-    assert values["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
-    assert lines[-1] == "The scene can be planned with: cmbot plan triangle"
-
-
-def test_check_of_a_scene_file(folder: Path) -> None:
-    outcome = run("check", folder / "short.yaml")
-    assert (outcome.status, outcome.err) == (0, "")
-    assert f"short ({folder / 'short.yaml'})" in outcome.out
-    assert "1 leg, 0.300 m in 4 s" in outcome.out
-
-
-def test_check_of_a_urdf() -> None:
-    outcome = run("check", model_folder() / "urdf" / "cmbot.urdf")
-    assert outcome == Outcome(status=0, out="16 links, 12 movable joints, 0 findings.\n", err="")
-
-
-def test_check_of_a_damaged_urdf(tmp_path: Path, bare_urdf: str) -> None:
-    path = tmp_path / "arm.urdf"
-    path.write_text(bare_urdf.replace('value="7.8"', 'value="-7.8"'), encoding="utf-8")
-    outcome = run("check", path)
-    assert (outcome.status, outcome.err) == (2, "")
-    *findings, count = outcome.out.splitlines()
-    assert len(findings) == 1
-    assert findings[0].startswith(f"error: {path}: link[link_1].inertial.mass: got ")
-    assert count == "16 links, 12 movable joints, 1 findings."

@@ -36,8 +36,8 @@ FILES = {
 }
 # The words after cmbot, and what the error has to name.
 BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
-    ("plan nosuch", ("nosuch: got no such file", "shipped scene (one of: line, triangle)")),
-    ("check nosuch.yaml", ("nosuch.yaml: got no such file", "one of: line, triangle")),
+    ("plan nosuch", ("nosuch: no such file, expected a scene", "shipped scene (one of: line, triangle)")),
+    ("check nosuch.yaml", ("nosuch.yaml: no such file", "one of: line, triangle")),
     ("plan no_plan", ("no_plan: got a folder",)),
     ("plan broken.yaml", ("broken.yaml: got ", "expected valid YAML")),
     ("plan empty.yaml", ("empty.yaml: got an empty file", "a mapping")),
@@ -48,10 +48,10 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("plan type.yaml", ("type.yaml: tool_path.via_points: got 'many', expected a whole number",)),
     ("plan option.yaml", ("option.yaml: planner.knots: got 'slidin'", "did you mean sliding?")),
     ("check joints.yaml", ("joints.yaml: posture_deg: got ", "7")),
-    ("check nosuch.urdf", ("nosuch.urdf: got No such file",)),
+    ("check nosuch.urdf", ("nosuch.urdf: no such file",)),
     ("check broken.urdf", ("broken.urdf: ",)),
     ("check other.xml", ("other.xml: ",)),
-    ("replay nosuch", ("nosuch: got no such folder", "cmbot plan")),
+    ("replay nosuch", ("nosuch: no such folder", "cmbot plan")),
     ("replay no_plan", ("no_plan",)),
     ("replay folder", ("folder",)),
     ("replay other_version", ("other_version", "cmbot-plan/999")),
@@ -121,7 +121,7 @@ def test_names_are_shown_as_they_are(name: str, verb: str, monkeypatch: pytest.M
     outcome = run(verb, name)
     assert outcome.status == 2
     # A name that is too long for the system is shortened.
-    shown = f"error: {name}: got no such f" if len(name) < 300 else "long" * 10
+    shown = f"error: {name}: no such f" if len(name) < 300 else "long" * 10
     assert shown in one_line(outcome)
 
 
@@ -140,7 +140,7 @@ def test_debug_shows_the_traceback_wherever_it_stands(place: int) -> None:
     outcome = run(*words)
     assert (outcome.status, outcome.out) == (2, "")
     assert outcome.err.startswith("Traceback (most recent call last):\n")
-    assert outcome.err.splitlines()[-1].startswith("cmbot.errors.SceneError: nosuch: got no such file")
+    assert outcome.err.splitlines()[-1].startswith("cmbot.errors.SceneError: nosuch: no such file")
 
 
 def test_a_hopeless_scene_says_how_far_it_came(folder: Path) -> None:

@@ -21,17 +21,6 @@ def setting_of(scene: Scene, **options: object) -> Setting:
     return prepare(scene, replace(scene.planner, knots="sliding", **options))
 
 
-def stage_of(setting: Setting) -> GlobalStage:
-    return GlobalStage(
-        setting.robot,
-        setting.task,
-        setting.times,
-        setting.posture,
-        setting.clearances,
-        setting.options,
-    )
-
-
 @pytest.fixture(scope="module")
 def setting() -> Setting:
     return setting_of(short_scene())
@@ -39,7 +28,7 @@ def setting() -> Setting:
 
 @pytest.fixture(scope="module")
 def stage(setting: Setting) -> GlobalStage:
-    return stage_of(setting)
+    return GlobalStage(setting)
 
 
 @pytest.mark.parametrize("pinned", [False, True])
@@ -54,23 +43,25 @@ def test_a_solution_is_admissible(setting: Setting, stage: GlobalStage, pinned: 
     assert (np.abs(at.joint_torque) <= robot.limits.torque).all()
     steps = options.step_share * robot.limits.velocity * np.diff(setting.times)[:, None]
     assert (np.abs(np.diff(solution.q, axis=0)) <= steps + 0.5 * options.chart_spacing).all()
-    np.testing.assert_allclose(solution.torque, np.linalg.norm(at.guardrail_torque, axis=1))
+    np.testing.assert_allclose(solution.value, np.linalg.norm(at.guardrail_torque, axis=1))
     if pinned:
         np.testing.assert_allclose(solution.q[0], setting.posture, atol=1e-12)
 
 
 def test_freedom_never_costs_torque(stage: GlobalStage) -> None:
     free, pinned = stage.solve(pinned=False).peak, stage.solve(pinned=True).peak
-    assert stage.floor.torque - stage.floor.error <= free <= pinned
+    assert stage.floor.value - stage.floor.error <= free <= pinned
 
 
 def test_the_floor_is_below_what_random_postures_ask(setting: Setting, stage: GlobalStage) -> None:
     """No admissible posture at the floor's via-point, found by other random seeds, is below the floor."""
-    finer = stage_of(replace(setting, options=replace(setting.options, chart_spacing=0.05, chart_seeds=500)))
+    finer = GlobalStage(
+        replace(setting, options=replace(setting.options, chart_spacing=0.05, chart_seeds=500))
+    )
     floor = stage.floor
-    assert finer.floor.torque >= floor.torque - floor.error - 1e-9
-    assert floor.torque == pytest.approx(finer.floor.torque, rel=1e-4)
-    assert floor.torque == floor.each[floor.via_point] == floor.each.max()
+    assert finer.floor.value >= floor.value - floor.error - 1e-9
+    assert floor.value == pytest.approx(finer.floor.value, rel=1e-4)
+    assert floor.value == floor.each[floor.via_point] == floor.each.max()
 
 
 @settings(max_examples=4)
@@ -86,9 +77,9 @@ def test_no_plan_rests_below_the_floor(by: tuple[float, float, float]) -> None:
         fixed = plan(scene)
     except PlanningError:
         return
-    floor = stage_of(setting_of(scene)).floor
+    floor = GlobalStage(setting_of(scene)).floor
     static = Dynamics(fixed.robot).static_efforts(fixed.trajectory.q).guardrail_torque
-    assert np.linalg.norm(static, axis=1).max() >= floor.torque - floor.error
+    assert np.linalg.norm(static, axis=1).max() >= floor.value - floor.error
 
 
 def test_a_blocked_via_point_is_named_with_its_reason() -> None:
@@ -96,24 +87,24 @@ def test_a_blocked_via_point_is_named_with_its_reason() -> None:
     with pytest.raises(
         PathNotFound, match=r"via-point \d of 8 is blocked: \d+ postures come within"
     ) as caught:
-        stage_of(setting_of(short_scene(obstacles=[wall])))
+        GlobalStage(setting_of(short_scene(obstacles=[wall])))
     assert 0 < caught.value.progress < 1
 
 
 def test_a_via_point_out_of_reach_is_named() -> None:
     legs = [{"by": [0, 2.5, 0], "seconds": 60}]
     with pytest.raises(PathNotFound, match="no posture within the joint ranges holds the tool there"):
-        stage_of(setting_of(short_scene(tool_path={"legs": legs})))
+        GlobalStage(setting_of(short_scene(tool_path={"legs": legs})))
 
 
 def test_joints_that_are_too_slow_are_named() -> None:
     legs = [{"by": [0, -0.6, 0], "seconds": 0.3}]
     with pytest.raises(PathNotFound, match="too far from those before"):
-        stage_of(setting_of(short_scene(tool_path={"legs": legs, "via_points": 5}), chart_spacing=0.1)).solve(
-            pinned=True
-        )
+        GlobalStage(
+            setting_of(short_scene(tool_path={"legs": legs, "via_points": 5}), chart_spacing=0.1)
+        ).solve(pinned=True)
 
 
 def test_weak_joints_are_named() -> None:
     with pytest.raises(PathNotFound, match="ask too much of a joint's torque"):
-        stage_of(setting_of(short_scene(robot={"payload_kg": 60.0})))
+        GlobalStage(setting_of(short_scene(robot={"payload_kg": 60.0})))

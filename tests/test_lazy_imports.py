@@ -55,6 +55,7 @@ except SystemExit as ended:
 
 def test_dir_and_all_are_complete() -> None:
     assert set(cmbot.__all__) <= set(dir(cmbot))
+    assert len(cmbot.__dir__()) == len(set(cmbot.__dir__()))
     assert len(cmbot.__all__) == len(set(cmbot.__all__))
     public = {name for name in dir(cmbot) if not name.startswith("_")}
     helpers = {"annotations", "import_module", "TYPE_CHECKING"}

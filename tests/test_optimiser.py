@@ -76,7 +76,8 @@ def test_peak_is_that_of_the_papers_own_formulation() -> None:
     optimised = optimise(problem)
     assert {report.stage for report in optimised.passes} == {"peak"}
     assert keeps_joint_limits(problem, optimised)
-    oracle = literal(problem, task, scene.planner.smoothing_weight, per_segment=20)
+    # On 20 samples a segment the oracle gains 2e-6 between them.
+    oracle = literal(problem, task, scene.planner.smoothing_weight, per_segment=80)
     best, z = oracle.solve()
     got = peak_of(problem, optimised) + oracle.smoothing(variables(optimised))[0]
     start = 1.0 + oracle.smoothing(variables_of(problem.trajectory(problem.family, problem.family.start)))[0]
@@ -168,7 +169,13 @@ def test_progress_is_told_pass_by_pass(solved: Solved) -> None:
     constraints = [report.constraints for report in told]
     assert constraints == sorted(constraints)
     assert told[-1].worst.value <= problem.options.constraint_tolerance
-    assert told[-1].peak_torque == pytest.approx(peak_of(problem, optimised) * problem.scale, rel=1e-9)
+    # The peak that is told lies between the samples, where it is largest.
+    on_grid = peak_of(problem, optimised) * problem.scale
+    times = np.linspace(0, problem.grid[-1], 20 * len(problem.grid))
+    torque = problem.dynamics.efforts(*optimised.trajectory.states(times)).guardrail_torque
+    everywhere = np.linalg.norm(torque, axis=1).max()
+    assert on_grid <= told[-1].peak_torque * (1 + 1e-12)
+    assert told[-1].peak_torque <= everywhere * (1 + 1e-9)
 
 
 @pytest.mark.parametrize("seconds", [0.3, 1.0])

@@ -167,7 +167,7 @@ def test_too_fast_to_plan() -> None:
 def test_in_the_way_of_every_start() -> None:
     wall = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
     scene = short_scene(obstacles=[wall], planner={"other_starts": 1, "path_step_s": 0.05})
-    with pytest.raises(PathNotFound, match="1 other starting postures fail as well"):
+    with pytest.raises(PathNotFound, match="1 other starting posture fails as well"):
         plan(scene)
 
 

@@ -81,7 +81,7 @@ WRONG = [
     (("tool_path", "speed_profile", "ramp"), 0, "tool_path.speed_profile.ramp", "0", "more than 0"),
     (("tool_path", "speed_profile", "ramp"), 0.6, "tool_path.speed_profile.ramp", "0.6", "at most 0.5"),
     (("tool_path", "speed_profile", "kind"), "s", "tool_path.speed_profile.kind", "'s'", "a known value"),
-    (("robot", "model"), "", "robot.model", "''", "at least 1 characters"),
+    (("robot", "model"), "", "robot.model", "''", "1 or more characters"),
     (("robot", "model"), "arm.urdf", "robot.base_frame", "nothing", "a value, as model is 'arm.urdf'"),
     (("robot", "payload_kg"), -1, "robot.payload_kg", "-1", "at least 0"),
     (("robot", "tool_length_m"), 0, "robot.tool_length_m", "0", "more than 0"),
@@ -167,7 +167,7 @@ def test_misspelt_required_key_is_named_before_the_missing_one():
     assert "did you mean tool_path?" in error.expected
 
 
-@pytest.mark.parametrize("key", ["base_frame", "tool_frame", "limits", "srdf", "mount"])
+@pytest.mark.parametrize("key", ["base_frame", "tool_frame", "limits", "srdf", "elasticity", "mount"])
 def test_shipped_robot_takes_no_frames_limits_or_mount(key):
     value = OTHER_ROBOT.get(key, "arm.srdf")
     error = refused({**MINIMAL, "robot": {key: value}})

@@ -48,9 +48,9 @@ def test_defaults_are_filled_in():
 @pytest.fixture
 def folder(tmp_path):
     """A folder with a scene file for another robot and a mesh."""
-    for name in ("arm.urdf", "arm.srdf", "limits.yaml", "rock.stl"):
+    for name in ("arm.urdf", "arm.srdf", "tubes.yaml", "limits.yaml", "rock.stl"):
         (tmp_path / name).write_text(name)
-    robot = {**OTHER_ROBOT, "srdf": "arm.srdf"}
+    robot = {**OTHER_ROBOT, "srdf": "arm.srdf", "elasticity": "tubes.yaml"}
     rock = {"name": "rock", "mesh": "rock.stl", "xyz": [0, 0, 0]}
     # JSON is YAML 1.2.
     (tmp_path / "scene.yaml").write_text(json.dumps({**MINIMAL, "robot": robot, "obstacles": [rock]}))
@@ -62,6 +62,7 @@ def test_paths_are_relative_to_the_scene_file(folder):
     robot = scene.robot
     assert (robot.model, robot.srdf) == (folder / "arm.urdf", folder / "arm.srdf")
     assert (robot.limits, robot.base_frame, robot.tool_frame) == (folder / "limits.yaml", "base", "flange")
+    assert robot.elasticity == folder / "tubes.yaml"
     assert robot.mount_xyz == (0, 0, 1)
     np.testing.assert_allclose(robot.mount_rpy, [math.pi, 0, math.pi / 2])
     assert scene.obstacles[0].shape == Mesh(path=folder / "rock.stl")
@@ -78,6 +79,7 @@ def test_paths_in_a_mapping_are_relative_to_the_current_folder(folder, monkeypat
     [
         ("arm.urdf", "robot.model"),
         ("arm.srdf", "robot.srdf"),
+        ("tubes.yaml", "robot.elasticity"),
         ("limits.yaml", "robot.limits"),
         ("rock.stl", "obstacles[0].mesh"),
     ],

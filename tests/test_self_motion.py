@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from cmbot.planning.self_motion import ChartMaker
+from cmbot.planning import task_of
+from cmbot.planning.objectives import objective_of
+from cmbot.planning.self_motion import ChartMaker, null_spaces, without_neighbours
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot
+from cmbot.scene import PlannerOptions, load_scene
 from cmbot.scene.speed_profile import SpeedProfile
 from cmbot.scene.tool_path import ToolPath
 from tests.oracles.inverse_kinematics import postures as closed_form
@@ -29,7 +34,8 @@ def task_at(robot: Robot, q: np.ndarray, keep: str = "pose") -> ToolTask:
 
 
 def maker_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> ChartMaker:
-    return ChartMaker(Postures(robot), task, robot.limits, spacing=spacing, seeds=seeds)
+    objective = objective_of(robot, PlannerOptions())
+    return ChartMaker(Postures(robot), task, robot.limits, objective, spacing=spacing, seeds=seeds)
 
 
 def distance_on_circle(q: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -82,16 +88,63 @@ def test_a_charts_postures_hold_the_task_apart_from_each_other(
     limits = cmbot_robot.limits
     within = ((chart.q >= limits.lower) & (chart.q <= limits.upper)).all(axis=1)
     np.testing.assert_array_equal(chart.within, within)
-    np.testing.assert_allclose(chart.torque, np.linalg.norm(at.guardrail_torque, axis=1))
+    np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
 
 
-def test_a_chart_is_carried_to_the_next_point(cmbot_robot: Robot) -> None:
+def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
+    """At every via-point of the triangle, carried there from the first, they are as complete as the first."""
+    limits, scene = cmbot_robot.limits, load_scene("triangle")
+    task = task_of(scene, cmbot_robot)
+    points = task.path.position(task.path.via_times(50))
+    charts = maker_for(cmbot_robot, task, 0.2).along(points, scene.posture[None])
+    assert len(charts) == len(points)
+    for point, chart in zip(points, charts, strict=True):
+        at = Postures(cmbot_robot).at(chart.q)
+        assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
+        assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * 0.2
+        oracle = closed_form(point, task.path.orientation, PITCHES)
+        oracle = oracle[((oracle >= limits.lower) & (oracle <= limits.upper)).all(axis=1)]
+        assert len(oracle) > 100
+        assert distance_on_circle(chart.q, oracle).max() < 1.5 * 0.2
+        np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
+        share = np.abs(at.joint_torque) / limits.torque
+        np.testing.assert_allclose(chart.joint_use, share.max(axis=1))
+
+
+@pytest.mark.parametrize("count", [1, 2, 6, 7, 8, 14])
+def test_charts_along_any_number_of_points(cmbot_robot: Robot, count: int) -> None:
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q)
-    maker = maker_for(cmbot_robot, task)
-    chart = maker.first(task.path.corners[0], q[None])
-    for height in (0.02, 0.04, 0.06, 0.08, 0.1):
-        point = task.path.corners[0] + [0, 0, height]
-        chart = maker.next(chart, point)
-    anew = maker_for(cmbot_robot, task).first(point, chart.q[:1])
-    assert distance_on_circle(chart.q, anew.q).max() < 1.5 * SPACING
+    points = task.path.corners[0] + np.linspace(0, 0.1, count)[:, None] * [0, 0, 1]
+    charts = maker_for(cmbot_robot, task).along(points, q[None])
+    assert len(charts) == count
+    for point, chart in zip(points, charts, strict=True):
+        at = Postures(cmbot_robot).at(chart.q)
+        assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
+    anew = maker_for(cmbot_robot, task).first(points[-1], charts[-1].q[:1])
+    assert distance_on_circle(charts[-1].q, anew.q).max() < 1.5 * SPACING
+
+
+@given(
+    st.integers(1, 30).flatmap(
+        lambda n: st.tuples(st.just(n), st.lists(st.tuples(*[st.integers(0, n - 1)] * 2)))
+    )
+)
+def test_thinning_goes_from_the_first_to_the_last(case: tuple[int, list[tuple[int, int]]]) -> None:
+    number, drawn = case
+    pairs = [(min(pair), max(pair)) for pair in drawn if pair[0] != pair[1]]
+    keep = np.ones(number, dtype=bool)
+    for first, second in sorted(pairs):
+        if keep[first]:
+            keep[second] = False
+    got = without_neighbours(number, np.array(pairs, dtype=np.intp).reshape(-1, 2))
+    np.testing.assert_array_equal(got, keep)
+
+
+def test_null_spaces(rng: np.random.Generator) -> None:
+    J = rng.normal(size=(20, 5, 7))
+    J[0, 4] = J[0, 3]
+    N = null_spaces(J)
+    assert N.shape == (20, 2, 7)
+    np.testing.assert_allclose(J @ N.transpose(0, 2, 1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(N @ N.transpose(0, 2, 1), np.broadcast_to(np.eye(2), (20, 2, 2)), atol=1e-12)

@@ -13,7 +13,6 @@ from small_scenes import parts, short_scene
 
 from cmbot.planning.state_functions import (
     ClearanceMargin,
-    GuardrailTorque,
     JointTorque,
     StateFunction,
     States,
@@ -62,16 +61,6 @@ def check_linearisation(
             assert derivative.shape == (N, 7)
             changed: Callable[[FloatArray], float] = lambda y, k=k, name=name: alone(k, **{name: y})  # noqa: E731
             check_derivative(changed, x[k], derivative[k], step=step, rtol=tolerance, atol=tolerance)
-
-
-def test_guardrail_torque(cmbot_dynamics: Dynamics, states: States) -> None:
-    function = GuardrailTorque(cmbot_dynamics, 123.0)
-    value, component = function.values(states)
-    torque = cmbot_dynamics.efforts(states.q, states.v, states.a).guardrail_torque
-    np.testing.assert_allclose(value, np.linalg.norm(torque, axis=1, keepdims=True) / 123.0, rtol=1e-12)
-    assert component.shape == value.shape == (N, 1)
-    np.testing.assert_allclose(function.linearise(states, component[:, 0]).value, value[:, 0], rtol=1e-12)
-    check_linearisation(function, states, component[:, 0], step=1e-3, tolerance=1e-8)
 
 
 def test_joint_torque(cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: States) -> None:

@@ -92,7 +92,8 @@ def test_evaluate_agrees_with_bernstein_polynomials(x: QuinticTrajectory, order:
 
 
 def test_every_derivative_beyond_the_fifth_is_zero() -> None:
-    assert not random_trajectory(0).evaluate([0.1, 0.2], 6).any()
+    x = random_trajectory(0)
+    assert not x.evaluate(x.t, 6).any()
 
 
 @given(trajectories)
@@ -179,11 +180,20 @@ def test_extrema_of_a_trajectory_at_rest_are_zero() -> None:
 
 
 @pytest.mark.parametrize("order", range(6))
-def test_times_outside_count_as_the_nearer_end(order: int) -> None:
+def test_times_that_miss_the_ends_by_rounding_count_as_the_ends(order: int) -> None:
     x = random_trajectory(7)
-    got = x.evaluate([-np.inf, x.t[0] - 5, x.t[-1] + 5, np.inf], order)
-    first, last = x.evaluate([x.t[0], x.t[-1]], order)
-    np.testing.assert_array_equal(got, [first, first, last, last])
+    rounding = 1e-10 * x.duration
+    got = x.evaluate([x.t[0] - rounding, x.t[-1] + rounding], order)
+    np.testing.assert_array_equal(got, x.evaluate(x.t[[0, -1]], order))
+
+
+@pytest.mark.parametrize("order", range(6))
+@pytest.mark.parametrize("miss", [-np.inf, -5.0, -1e-8, 1e-8, 5.0, np.inf, np.nan])
+def test_times_outside_are_refused(order: int, miss: float) -> None:
+    x = random_trajectory(7)
+    end = x.t[0] if miss < 0 else x.t[-1]
+    with pytest.raises(InputError, match=r"QuinticTrajectory: times: got .* s, expected times from "):
+        x.evaluate([x.t[0], end + miss * x.duration], order)
 
 
 def test_no_times_give_no_rows() -> None:

@@ -17,6 +17,7 @@ from cmbot.resources import data_folder, model_folder, scene_folder
 ROOT = Path(__file__).resolve().parent.parent
 # Where each folder of the checkout lies in the wheel.
 PLACES = {"cmbot": "cmbot", "models": "cmbot/_data/models", "scenes": "cmbot/_data/scenes"}
+ALONE = {"docs/assumptions.md": "cmbot/_data/docs/assumptions.md"}
 
 LOOK = """
 import json, pathlib
@@ -81,7 +82,7 @@ def expected_files() -> dict[str, Path]:
         listed = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=True).stdout
     except (OSError, subprocess.CalledProcessError):
         pytest.skip("only git knows which files belong to the project")
-    files = {}
+    files = {place: ROOT / name for name, place in ALONE.items()}
     for name in listed.split("\0"):
         top, _, rest = name.partition("/")
         if (ROOT / name).is_file():

@@ -1,7 +1,8 @@
 """Write the robot description from the tables of the paper.
 
-Writes ``urdf/cmbot.urdf``, ``urdf/cmbot.srdf``, ``urdf/joint_limits.yaml`` and ``meshes/*.stl``. The output
-is the same to the byte on every run, so the files that are checked in can be compared with it.
+Writes ``urdf/cmbot.urdf``, ``urdf/cmbot.srdf``, ``urdf/joint_limits.yaml``, ``urdf/cmbot.elasticity.yaml``
+and ``meshes/*.stl``. The output is the same to the byte on every run, so the files that are checked in can be
+compared with it.
 
     python tools/build_models.py            write models/
     python tools/build_models.py --check    compare models/ with it; exit status 1 on a difference
@@ -184,10 +185,37 @@ def joint_limits() -> str:
     return "\n".join(lines) + "\n"
 
 
+def elasticity() -> str:
+    """Return which links bend like which tubes, as YAML."""
+    lines = [
+        f"# {GENERATED.strip()}",
+        "# Assumptions of ours: aluminium tubes from joint to joint. The rest of the arm is rigid.",
+        "# The tube between joint 4 and the wrist is on link_5, which turns about the tube's own axis.",
+        "format: cmbot-elasticity/1",
+        "links:",
+    ]
+    for name, tube in tables.TUBES.items():
+        lines += [
+            f"  {name}:",
+            f"    start_m: [{', '.join(text([value]) for value in tube.start)}]",
+            f"    end_m: [{', '.join(text([value]) for value in tube.end)}]",
+            f"    outer_diameter_m: {tube.outer_diameter}",
+            f"    wall_m: {tube.wall}",
+            f"    young_pa: {tables.YOUNG_PA}",
+            f"    shear_pa: {tables.SHEAR_PA}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
 def files() -> dict[str, bytes]:
     """Return every generated file: path inside the models folder, and content."""
     meshes = {f"meshes/{name}.stl": stl_bytes(mesh) for name, mesh in sorted(build_meshes().items())}
-    described = {"cmbot.urdf": urdf(), "cmbot.srdf": srdf(), "joint_limits.yaml": joint_limits()}
+    described = {
+        "cmbot.urdf": urdf(),
+        "cmbot.srdf": srdf(),
+        "joint_limits.yaml": joint_limits(),
+        "cmbot.elasticity.yaml": elasticity(),
+    }
     return {**{f"urdf/{name}": content.encode() for name, content in described.items()}, **meshes}
 
 

@@ -44,6 +44,7 @@ ARM_COM: list[Vector] = [
 ]  # fmt: skip
 RANGE_DEG = [170, 170, 150, 170, 170, 130, 170]
 TOOL_LENGTH = 0.30
+YOUNG_PA, SHEAR_PA = 70e9, 26e9  # aluminium
 
 # --- The climbing mechanism: geometry and masses are ours ---
 CLIMBER_MASS = 30.38  # 68 kg less the 37.62 kg of Table 2
@@ -66,6 +67,16 @@ class Body:
     mass: float
     com: Vector
     inertia: tuple[float, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tube:
+    """What a link bends like: ends of its axis (m) in the link's frame, outer diameter and wall (m)."""
+
+    start: Vector
+    end: Vector
+    outer_diameter: float
+    wall: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,6 +115,14 @@ def solid_box(mass: float, com: Vector, sides: Vector) -> Body:
     diagonal = (mass * (y2 + z2) / 12, mass * (x2 + z2) / 12, mass * (x2 + y2) / 12)
     return Body(mass=mass, com=com, inertia=(*(round(value, 6) for value in diagonal), 0, 0, 0))
 
+
+# From joint to joint. The tube between joint 4 and the wrist is link_5's: it lies on the axis of joint 5.
+TUBES = {
+    "link_1": Tube(start=(0, 0, 0), end=(0.83, 0, 0), outer_diameter=0.1, wall=0.004),
+    "link_2": Tube(start=(0, 0, 0), end=(1.0, 0, 0), outer_diameter=0.1, wall=0.004),
+    "link_3": Tube(start=(0, 0, 0), end=(0.78, 0, 0), outer_diameter=0.1, wall=0.004),
+    "link_5": Tube(start=(0, 0, -0.87), end=(0, 0, 0), outer_diameter=0.08, wall=0.003),
+}
 
 # Bodies of the climber in their link frames; ankle_1, with the battery and the cabinet, is solved for.
 FOOT = solid_box(1.8, (0, 0.065, 0), (0.13, 0.05, 0.15))

@@ -34,7 +34,8 @@ def output_of_plan() -> str:
     with tempfile.TemporaryDirectory() as folder:
         command = [str(Path(sys.executable).with_name("cmbot")), "plan", "triangle"]
         done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
-    return f"```text\n{done.stdout.strip()}\n```"
+    # Its first line is the table's header, which begins with blanks.
+    return f"```text\n{done.stdout.rstrip()}\n```"
 
 
 def table_of_figures() -> str:

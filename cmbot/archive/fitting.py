@@ -13,6 +13,7 @@ from cmbot.archive.schema import PlanFile
 from cmbot.arrays import FloatArray
 from cmbot.errors import ArchiveError
 from cmbot.planning import Approach, QuinticTrajectory
+from cmbot.validation import counted, shown
 
 __all__ = ["require_fit", "require_times", "require_unchanged"]
 
@@ -67,6 +68,7 @@ def require_fit(
     _require_there(file.approach, sliding and file.start.moved_deg > 0, source, "approach")
     _require_there(file.floor, sliding, source, "floor")
     _require_there(file.choice, sliding, source, "choice")
+    _require_objective(file, source)
     _require_floor(file, len(work.t), source)
     if approach is not None:
         _require_join(approach.trajectory, posture, work, str(folder / "approach.npz"))
@@ -75,7 +77,8 @@ def require_fit(
 def _require_start(file: PlanFile, work: QuinticTrajectory, source: str) -> None:
     start = file.start.start().posture
     if start.shape != work.q[0].shape:
-        raise ArchiveError(source, "start.posture_deg", f"{len(start)} joints", f"{len(work.q[0])} joints")
+        got, expected = (counted(len(posture), "joint") for posture in (start, work.q[0]))
+        raise ArchiveError(source, "start.posture_deg", got, expected)
     _require_angles(start, work.q[0], source, "start.posture_deg", "where trajectory.npz begins")
 
 
@@ -90,19 +93,39 @@ def _require_there(block: object, expected: bool, source: str, key: str) -> None
 
 def _require_floor(file: PlanFile, via_points: int, source: str) -> None:
     """Refuse a floor that is not one of this plan's via-points, and figures that are not the floor's."""
-    floor = file.floor
+    floor, objective = file.floor, file.objective.figures()
+    value = None if floor is None else floor.value
+    reported = value if objective.is_guardrail_torque else None
+    _require_number(file.torque_floor, reported, source, "torque_floor")
+    gap = file.planned.peak_guardrail_torque / reported - 1.0 if reported else None
+    _require_number(file.gap_to_floor, gap, source, "gap_to_floor")
+    _require_number(file.objective.floor, value, source, "objective.floor")
+    _require_number(file.objective.gap, objective.gap, source, "objective.gap")
     if floor is None:
-        _require_number(file.torque_floor, None, source, "torque_floor")
-        _require_number(file.gap_to_floor, None, source, "gap_to_floor")
         return
     if len(floor.each) != via_points:
-        raise ArchiveError(source, "floor.each", f"{len(floor.each)} numbers", f"{via_points} numbers")
+        got, expected = (counted(number, "number") for number in (len(floor.each), via_points))
+        raise ArchiveError(source, "floor.each", got, expected)
     if floor.via_point >= via_points:
         raise ArchiveError(source, "floor.via_point", floor.via_point, f"less than {via_points}")
-    _require_number(floor.torque, floor.each[floor.via_point], source, "floor.torque")
-    _require_number(file.torque_floor, floor.torque, source, "torque_floor")
-    gap = file.planned.peak_guardrail_torque / floor.torque - 1.0
-    _require_number(file.gap_to_floor, gap, source, "gap_to_floor")
+    _require_number(floor.value, floor.each[floor.via_point], source, "floor.value")
+
+
+def _require_objective(file: PlanFile, source: str) -> None:
+    """Refuse an objective that is not the options', unless it is someone's own; or others' figures."""
+    objective, options = file.objective, file.options
+    if objective.own:
+        expected: tuple[object, ...] = (objective.name, None, None)
+    else:
+        expected = (options.objective, options.moment_about, options.axis_weights)
+    for key, value in zip(("name", "moment_about", "axis_weights"), expected, strict=True):
+        if getattr(objective, key) != value:
+            got = shown(getattr(objective, key))
+            raise ArchiveError(source, f"objective.{key}", got, f"{shown(value)}, by the options")
+    if objective.figures().is_guardrail_torque:
+        for key, motion in (("baseline_peak", file.baseline), ("planned_peak", file.planned)):
+            peak = motion.peak_guardrail_torque
+            _require_number(getattr(objective, key), peak, source, f"objective.{key}")
 
 
 def _require_number(got: float | None, expected: float | None, source: str, key: str) -> None:

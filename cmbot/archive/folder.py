@@ -23,6 +23,7 @@ __all__ = [
     "add_file",
     "read_file",
     "require_free",
+    "write_file",
     "write_folder",
 ]
 
@@ -130,16 +131,24 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
         raise ArchiveError("add_file", "name", shown(name), expected)
     if name in (PLAN_FILE, *SAVED_FILES, *APPROACH_FILES):
         raise ArchiveError("add_file", "name", name, "a name that is not one of the plan's own files")
-    with _refusals(directory), ExitStack() as cleanup:
+    with _refusals(directory):
         target = _resolved(directory)
         if not _is_plan_directory(target):
             raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
-        part = _unique(target)
-        cleanup.callback(part.unlink, missing_ok=True)
-        _write(part, _in_bytes(content))
-        part.replace(target / name)
-        _sync(target)
+        _put(target / name, _in_bytes(content))
     return directory / name
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Write a file, whole or not at all; an earlier one of its name is replaced.
+
+    Raises
+    ------
+    ArchiveError
+        When the system refuses.
+    """
+    with _refusals(path.parent):
+        _put(path, content)
 
 
 def read_file(path: Path) -> bytes:
@@ -216,6 +225,16 @@ def _remove_empty(folders: Sequence[Path]) -> None:
     for folder in folders:
         with suppress(OSError):  # not empty, or never made
             folder.rmdir()
+
+
+def _put(path: Path, content: bytes) -> None:
+    """Write a hidden file beside its place, then move it there."""
+    with ExitStack() as cleanup:
+        part = _unique(path.parent)
+        cleanup.callback(part.unlink, missing_ok=True)
+        _write(part, content)
+        part.replace(path)
+        _sync(path.parent)
 
 
 def _write(path: Path, content: bytes) -> None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from cmbot.errors import ArchiveError, InputError
 from cmbot.planning import QuinticTrajectory
-from cmbot.validation import shown
+from cmbot.validation import counted, shown
 
 __all__ = ["knots_npz", "read_knots"]
 
@@ -65,7 +65,7 @@ def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
     except InputError as error:
         raise ArchiveError(source, error.key, error.got, error.expected) from error
     if trajectory.q.shape[1] != dof:
-        raise ArchiveError(source, "q", f"{trajectory.q.shape[1]} joints", f"{dof} joints")
+        raise ArchiveError(source, "q", counted(trajectory.q.shape[1], "joint"), counted(dof, "joint"))
     return trajectory
 
 

@@ -23,11 +23,15 @@ from cmbot.planning import (
     Plan,
     QuinticTrajectory,
     ToolTask,
+    certify_approach,
     robot_of,
     task_of,
 )
-from cmbot.planning.certificate import certify
+from cmbot.planning.certificate import certificate_grid, certify
 from cmbot.planning.figures import figures, measure
+from cmbot.planning.objective_figures import objective_figures
+from cmbot.planning.objectives import objective_of
+from cmbot.planning.state_functions import States
 from cmbot.robot import Robot
 from cmbot.scene import Scene, scene_from_file_model
 from cmbot.scene.clearance import Clearances
@@ -38,9 +42,6 @@ __all__ = ["load_plan"]
 # Figures computed again agree with those in the file to this relative and absolute tolerance: another machine
 # rounds differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
-# The grid on which the planner certifies an approach (cmbot.planning.approach): on another one its figures
-# would differ.
-_APPROACH_SAMPLES = 10
 
 
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
@@ -54,7 +55,8 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     ----------
     directory : str or Path
     verify : bool
-        Certify trajectory and approach again (some seconds) rather than take the file's word for it.
+        Certify trajectory and approach again (some seconds) rather than take the file's word for it. Figures
+        of an objective of someone's own are not checked: the file holds its name only.
 
     Raises
     ------
@@ -98,6 +100,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         trajectory=trajectory,
         certificate=certificate,
         passes=tuple(entry.report() for entry in file.passes),
+        objective=file.objective.figures(),
         floor=None if file.floor is None else file.floor.floor(),
         choice=None if file.choice is None else file.choice.choice(),
         approach=approach,
@@ -144,7 +147,7 @@ def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
             "hashes.robot",
             robot.content_hash,
             file.hashes.robot,
-            f"the robot's files have changed since ({robot.urdf}, its SRDF or its joint limits)",
+            f"the robot's files have changed since ({robot.urdf}, its SRDF, its joint limits or its elasticity)",
         )
     return robot
 
@@ -176,15 +179,9 @@ def _approach(
     return Approach(
         trajectory=_trajectory(contents, folder, "approach.npz", robot, file.seconds, PLAN_FILE),
         certificate=_certificate(file.certificate, file, folder / PLAN_FILE, "approach.certificate"),
-        task=_at_the_start(task),
+        task=task.held_at_start(),
         along_self_motion=file.along_self_motion,
     )
-
-
-def _at_the_start(task: ToolTask) -> ToolTask:
-    """Return the task of holding the tool where the work starts, as the planner gives it to an approach."""
-    corners = np.repeat(task.path.corners[:1], 2, axis=0)
-    return replace(task, path=replace(task.path, corners=corners, seconds=np.ones(1)))
 
 
 def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
@@ -194,14 +191,32 @@ def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
     certificate = certify(robot, plan.task, trajectory, trajectory.q, clearances, options)
     certificate.require()
     _require_same(plan.figures, certificate.figures, source, "planned")
+    if not plan.objective.own:
+        _verify_objective(plan, source)
     approach = plan.approach
     if approach is not None:
-        trajectory, coarse = approach.trajectory, replace(options, samples_per_segment=_APPROACH_SAMPLES)
-        fresh = certify(robot, approach.task, trajectory, trajectory.q, clearances, coarse, at_work=False)
+        fresh = certify_approach(robot, approach.task, approach.trajectory, clearances, options)
         fresh.require()
         _require_same(approach.certificate.figures, fresh.figures, source, "approach")
         approach = replace(approach, certificate=fresh)
     return replace(plan, certificate=certificate, approach=approach)
+
+
+def _verify_objective(plan: Plan, source: Path) -> None:
+    """Require the objective's peaks to be those of the motions."""
+    baseline, grid = plan.baseline, certificate_grid(plan.trajectory, plan.options)
+    fresh = objective_figures(
+        objective_of(plan.robot, plan.options),
+        plan.options,
+        own=False,
+        baseline=States(baseline.t, baseline.q, baseline.v, baseline.a),
+        planned=States(grid, *plan.trajectory.states(grid)),
+        floor=plan.objective.floor,
+    )
+    for name in ("baseline_peak", "planned_peak"):
+        got, value = getattr(plan.objective, name), getattr(fresh, name)
+        if not np.isclose(got, value, rtol=_SAME, atol=_SAME_ZERO):
+            raise ArchiveError(str(source), f"objective.{name}", got, f"{value:g}, as measured again")
 
 
 def _require_same(stored: MotionFigures, fresh: MotionFigures, source: Path, key: str) -> None:

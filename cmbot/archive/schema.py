@@ -9,7 +9,17 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.errors import PathNotFound
-from cmbot.planning import Certificate, Check, Floor, LimitUse, MotionFigures, PassReport, Seconds, Start
+from cmbot.planning import (
+    Certificate,
+    Check,
+    Floor,
+    LimitUse,
+    MotionFigures,
+    ObjectiveFigures,
+    PassReport,
+    Seconds,
+    Start,
+)
 from cmbot.planning.ways import Choice
 from cmbot.planning.working_set import Violation
 from cmbot.scene import PlannerOptions, SceneFile
@@ -25,6 +35,7 @@ __all__ = [
     "FloorFile",
     "HashesFile",
     "LimitUseFile",
+    "ObjectiveFile",
     "PassFile",
     "PlanFile",
     "SecondsFile",
@@ -151,23 +162,44 @@ class ApproachFile(FiguresFile):
 
 
 class FloorFile(FileModel):
-    """The torque on the guardrail, Nm, that no admissible plan can go below at rest."""
+    """What of the objective no admissible plan can go below at rest."""
 
-    torque: Annotated[float, Field(gt=0)]
+    value: NonNegative
     error: NonNegative
     """The true value lies at most so far below it."""
     via_point: Count
     """Index, from 0, of the via-point that sets it."""
     each: tuple[NonNegative, ...]
-    """The smallest static torque at every via-point."""
+    """The smallest value at every via-point."""
 
     def floor(self) -> Floor:
         """Return it as the planner has it."""
-        return Floor(torque=self.torque, error=self.error, via_point=self.via_point, each=np.array(self.each))
+        return Floor(value=self.value, error=self.error, via_point=self.via_point, each=np.array(self.each))
+
+
+class ObjectiveFile(FileModel):
+    """What was made small, and how small."""
+
+    name: Annotated[str, Field(min_length=1)]
+    unit: str
+    """Empty: nobody said."""
+    own: bool
+    """A function of someone's own in Python: its figures cannot be checked again."""
+    moment_about: Literal["foot", "base"] | None
+    axis_weights: tuple[NonNegative, NonNegative, NonNegative] | None
+    baseline_peak: NonNegative
+    planned_peak: NonNegative
+    floor: NonNegative | None
+    gap: float | None
+    """How far the planned peak lies above the floor, as a share of it."""
+
+    def figures(self) -> ObjectiveFigures:
+        """Return it as the planner has it."""
+        return ObjectiveFigures(**self.model_dump(exclude={"gap"}))
 
 
 class ChoiceFile(FileModel):
-    """Peak static torque, Nm, that the global stage found for each choice of the start; null: no way."""
+    """Peak of the objective at rest, by the global stage, for each choice of the start; null: no way."""
 
     free: NonNegative | None
     pinned: NonNegative | None
@@ -264,9 +296,10 @@ class PlanFile(FileModel):
     approach: ApproachFile | None
     """null: the work starts in the scene's posture, or the knots are fixed."""
     torque_floor: NonNegative | None
-    """Torque of the floor, Nm; like all that the global stage finds, null with fixed knots."""
+    """Of the torque on the guardrail, Nm; null with fixed knots, and when something else was made small."""
     gap_to_floor: float | None
     """How far the planned peak lies above it, as a share of it."""
+    objective: ObjectiveFile
     floor: FloorFile | None
     choice: ChoiceFile | None
     seconds: SecondsFile

@@ -11,7 +11,7 @@ import numpy as np
 from cmbot.arrays import FloatArray
 from cmbot.errors import ArchiveError
 from cmbot.planning import Samples
-from cmbot.validation import shown
+from cmbot.validation import counted, shown
 
 __all__ = ["columns", "read_motion", "samples_csv"]
 
@@ -80,7 +80,8 @@ def read_motion(
     names = columns(dof)
     table = np.array(_rows(content, source, names))
     if len(table) < 2 or not (np.diff(table[:, 0]) > 0).all():
-        raise ArchiveError(source, "t", f"{len(table)} rows", "two or more rows, their times increasing")
+        got, expected = counted(len(table), "row"), "two or more rows, their times increasing"
+        raise ArchiveError(source, "t", got, expected)
     _require_numbers(table, names, source)
     q, v, a, j = (table[:, 1 + k * dof : 1 + (k + 1) * dof].copy() for k in range(4))
     return table[:, 0].copy(), (q, v, a, j)
@@ -98,7 +99,8 @@ def _rows(content: bytes, source: str, names: tuple[str, ...]) -> list[list[floa
     for number, line in enumerate(lines, start=2):
         cells = line.split(",")
         if len(cells) != len(names):
-            raise ArchiveError(source, f"line {number}", f"{len(cells)} cells", f"{len(names)} cells")
+            got, expected = (counted(len(row), "cell") for row in (cells, names))
+            raise ArchiveError(source, f"line {number}", got, expected)
         rows.append([_number(*cell, source, number) for cell in zip(cells, names, strict=True)])
     return rows
 

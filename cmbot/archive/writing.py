@@ -19,11 +19,8 @@ from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import samples_csv
 from cmbot.errors import ArchiveError
 from cmbot.planning import Approach, Certificate, MotionFigures, Plan, QuinticTrajectory, Samples, Start
-from cmbot.planning.figures import measure
-from cmbot.planning.plan import SAMPLE_STEP, sample_times
 from cmbot.robot import Robot
 from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file_model
-from cmbot.scene.clearance import Clearances
 from cmbot.validation import validated
 from cmbot.version import __version__
 
@@ -59,9 +56,8 @@ def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
     directory = Path(directory)
     contents = _motion_files("trajectory", plan.robot, plan.trajectory, plan.samples)
     contents["baseline.csv"] = samples_csv(plan.baseline, "baseline.csv")
-    if plan.approach is not None:
-        samples = _approach_samples(plan, plan.approach)
-        contents |= _motion_files("approach", plan.robot, plan.approach.trajectory, samples)
+    if plan.approach is not None and plan.approach_samples is not None:
+        contents |= _motion_files("approach", plan.robot, plan.approach.trajectory, plan.approach_samples)
     contents[PLAN_FILE] = _plan_json(plan, contents)
     write_folder(contents, directory, force=force)
     return directory
@@ -76,12 +72,6 @@ def _motion_files(
         f"{name}.npz": knots_npz(trajectory),
         f"{name}.ros.json": json_bytes(_ros_joint_trajectory(robot, samples)),
     }
-
-
-def _approach_samples(plan: Plan, approach: Approach) -> Samples:
-    t = sample_times(approach.trajectory.duration, SAMPLE_STEP)
-    motion = tuple(approach.trajectory.evaluate(t, order) for order in range(4))
-    return measure(plan.robot, approach.task, Clearances(plan.robot, plan.scene.obstacles), t, motion)
 
 
 def _ros_joint_trajectory(robot: Robot, samples: Samples) -> dict[str, Any]:
@@ -114,8 +104,9 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "baseline": _figures(plan.baseline_figures),
         "planned": _figures(plan.figures),
         "approach": None if approach is None else _approach(approach),
-        "torque_floor": None if floor is None else floor.torque,
+        "torque_floor": plan.torque_floor,
         "gap_to_floor": plan.gap_to_floor,
+        "objective": {**asdict(plan.objective), "gap": plan.objective.gap},
         "floor": None if floor is None else {**asdict(floor), "each": floor.each.tolist()},
         "choice": None if choice is None else asdict(choice),
         "seconds": asdict(plan.seconds),
@@ -192,7 +183,7 @@ def _resolved(scene: Scene) -> SceneFile:
         file.model_copy(update={"mesh": str(shape.path)}) if isinstance(shape, Mesh) else file
         for file, shape in zip(scene.file.obstacles, shapes, strict=True)
     )
-    paths = {name: getattr(scene.robot, name) for name in ("model", "limits", "srdf")}
+    paths = {name: getattr(scene.robot, name) for name in ("model", "limits", "srdf", "elasticity")}
     robot = scene.file.robot.model_copy(
         update={name: str(path) for name, path in paths.items() if path is not None}
     )

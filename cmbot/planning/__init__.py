@@ -1,11 +1,14 @@
 """The method: path, via-points, trajectory, certificate, plan."""
 
-from cmbot.planning.approach import Approach
+from cmbot.planning.approach import Approach, certify_approach
 from cmbot.planning.certificate import Certificate, Check
 from cmbot.planning.examination import examine_scene
 from cmbot.planning.figures import LimitUse, MotionFigures, Samples
-from cmbot.planning.global_stage import Floor, GlobalSolution, GlobalStage
+from cmbot.planning.floor import Floor
+from cmbot.planning.global_stage import GlobalSolution, GlobalStage
 from cmbot.planning.gradient_projection import JointPath
+from cmbot.planning.objective_figures import ObjectiveFigures
+from cmbot.planning.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
 from cmbot.planning.optimiser import PassReport
 from cmbot.planning.plan import Plan, Seconds, Start
 from cmbot.planning.planner import Progress, plan
@@ -14,6 +17,7 @@ from cmbot.planning.setting import robot_of, task_of
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.task import ToolTask
 from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction
 
 __all__ = [
     "Approach",
@@ -25,8 +29,12 @@ __all__ = [
     "JointPath",
     "LimitUse",
     "MotionFigures",
+    "Objective",
+    "ObjectiveFigures",
     "PassReport",
     "Plan",
+    "PostureFunction",
+    "PostureObjective",
     "Progress",
     "QuinticTrajectory",
     "Samples",
@@ -34,6 +42,10 @@ __all__ = [
     "SplineSpace",
     "Start",
     "ToolTask",
+    "WeightedMoment",
+    "WrenchFunction",
+    "WrenchObjective",
+    "certify_approach",
     "examine_scene",
     "plan",
     "remarks",

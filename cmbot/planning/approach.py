@@ -16,13 +16,12 @@ from cmbot.planning.joint_paths import FreeSpace, connect, shorten
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.task import ToolTask
 from cmbot.planning.trajectory import QuinticTrajectory
-from cmbot.robot import Robot
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene.clearance import Clearances
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.speed_profile import SpeedProfile
-from cmbot.scene.tool_path import ToolPath
 
-__all__ = ["Approach", "plan_approach"]
+__all__ = ["Approach", "certify_approach", "plan_approach"]
 
 # Distance of the spline's knots along the way, rad; halved when the spline comes too near to something.
 _KNOT_SPACING, _HALVINGS = 0.4, 4
@@ -30,6 +29,7 @@ _KNOT_SPACING, _HALVINGS = 0.4, 4
 _LIMIT_SHARE = 0.95
 # Postures of a chart are neighbours within this many spacings.
 _NEIGHBOURS = 1.6
+# Of the certificate: the tool is off and the way unhurried, so a coarser grid than the work's will do.
 _SAMPLES_PER_SEGMENT = 10
 
 
@@ -83,36 +83,66 @@ def plan_approach(
     PathNotFound
         When neither way was found.
     """
-    space = FreeSpace(robot, clearances, options.safety_margin_m)
+    whole = FreeSpace(robot, clearances, options.safety_margin_m)
+    for place, q in (("the scene's posture", start), ("the start of the work", end)):
+        if whole.around(q[None]) is None:
+            why = f"no collision-free approach: {place} is out of range or within the safety margin"
+            raise _no_way(robot, task, start, why)
+    space = whole.around(np.stack([start, end])) or whole
     way = _along_chart(space, start, end, chart, options.chart_spacing)
     along_self_motion = way is not None
     if way is None:
         way = connect(space, start, end)
     if way is None:
-        raise PathNotFound(
-            "no collision-free approach to the start of the work was found: try start: pinned",
-            time=0.0,
-            progress=0.0,
-            smallest_singular_value=0.0,
-        )
+        why = "no collision-free approach to the start of the work was found: try start: pinned"
+        raise _no_way(robot, task, start, why)
     way = shorten(space, way) if not along_self_motion else way
-    path = ToolPath(
-        corners=np.repeat(task.path.corners[:1], 2, axis=0),
-        orientation=task.path.orientation,
-        seconds=np.ones(1),
-        profile=task.path.profile,
-    )
-    still = replace(task, path=path)
-    coarse = replace(options, samples_per_segment=_SAMPLES_PER_SEGMENT)
+    still = task.held_at_start()
     for halving in range(_HALVINGS):
         trajectory = _timed(robot, way, _KNOT_SPACING / 2**halving)
-        certificate = certify(robot, still, trajectory, trajectory.q, clearances, coarse, at_work=False)
+        certificate = certify_approach(robot, still, trajectory, clearances, options)
         if certificate.holds:
             break
     certificate.require()
     return Approach(
         trajectory=trajectory, certificate=certificate, task=still, along_self_motion=along_self_motion
     )
+
+
+def _no_way(robot: Robot, task: ToolTask, start: FloatArray, reason: str) -> PathNotFound:
+    return PathNotFound(
+        reason,
+        time=0.0,
+        progress=0.0,
+        smallest_singular_value=task.smallest_singular_value(*Kinematics(robot).tool_jacobian(start)),
+    )
+
+
+def certify_approach(
+    robot: Robot,
+    task: ToolTask,
+    trajectory: QuinticTrajectory,
+    clearances: Clearances,
+    options: PlannerOptions,
+) -> Certificate:
+    """Examine an approach on the grid that approaches are examined on.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+        The tool held where the work starts, from `ToolTask.held_at_start`.
+    trajectory : QuinticTrajectory
+    clearances : Clearances
+    options : PlannerOptions
+
+    Returns
+    -------
+    Certificate
+        Whether it holds is left to the caller, as with `certify`.
+    """
+    coarse = replace(options, samples_per_segment=_SAMPLES_PER_SEGMENT)
+    return certify(robot, task, trajectory, trajectory.q, clearances, coarse, at_work=False)
 
 
 def _along_chart(

@@ -20,7 +20,7 @@ from cmbot.robot import Robot
 from cmbot.scene.clearance import Clearances
 from cmbot.scene.options import PlannerOptions
 
-__all__ = ["Certificate", "Check", "certify"]
+__all__ = ["Certificate", "Check", "certificate_grid", "certify"]
 
 
 # Grid of the certificate: this many times finer than the optimiser's.
@@ -123,9 +123,7 @@ def certify(
     at_work : bool
         False with the tool off: its deviation is measured, not bounded.
     """
-    t = trajectory.t
-    per_segment = _FINER * options.samples_per_segment
-    grid = np.append(np.linspace(t[:-1], t[1:], per_segment, endpoint=False, axis=1).ravel(), t[-1])
+    grid = certificate_grid(trajectory, options)
     samples = measure(robot, task, clearances, grid, tuple(trajectory.evaluate(grid, k) for k in range(4)))
     rates = _rate_checks(robot, trajectory)
     checks = [
@@ -145,6 +143,13 @@ def certify(
         figures=figures(robot, samples, (velocity, acceleration, jerk)),
         clearance_bound=_clearance_bound(trajectory, grid, samples.clearance, clearances.reach),
     )
+
+
+def certificate_grid(trajectory: QuinticTrajectory, options: PlannerOptions) -> FloatArray:
+    """Times (N,) at which what has no exact extrema is judged, s."""
+    t = trajectory.t
+    per_segment = _FINER * options.samples_per_segment
+    return np.append(np.linspace(t[:-1], t[1:], per_segment, endpoint=False, axis=1).ravel(), t[-1])
 
 
 def _range_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:

@@ -34,12 +34,12 @@ class ChartNodes:
         return bool(near.any())
 
     def least(self) -> float:
-        """Smallest torque of any admissible node; infinite when there is none."""
+        """Smallest value of any admissible node; infinite when there is none."""
         while True:
-            torque = np.where(self.admissible, self.chart.torque, np.inf)
-            best = int(torque.argmin()) if len(torque) else 0
-            if not len(torque) or not np.isfinite(torque[best]):
+            value = np.where(self.admissible, self.chart.value, np.inf)
+            best = int(value.argmin()) if len(value) else 0
+            if not len(value) or not np.isfinite(value[best]):
                 return float("inf")
             if self._looked[best]:
-                return float(torque[best])
-            self.look(np.arange(len(torque)) == best)
+                return float(value[best])
+            self.look(np.arange(len(value)) == best)

@@ -14,18 +14,12 @@ import numpy as np
 from scipy import linalg
 
 from cmbot.arrays import FloatArray, IntArray
-from cmbot.errors import OptimisationFailed
+from cmbot.planning.slides import LONGEST_SLIDE, TaskAtViaPoints
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.task import ToolTask
 from cmbot.robot import JointLimits, Postures
 
 __all__ = ["FixedKnots", "SlidingKnots", "WhitenedSplines"]
-
-# A via-point slides at most so far, rad, before the family is built anew around it.
-_LONGEST_SLIDE = 0.3
-# Newton steps that put slid via-points back onto the tool task, and how near they come.
-_NEWTON_STEPS = 12
-_ON_TASK = 1e-11
 
 
 class WhitenedSplines:
@@ -91,6 +85,11 @@ class FixedKnots:
         return int(self._numbers.size)
 
     @property
+    def space(self) -> SplineSpace:
+        """Where the splines live."""
+        return self.splines.space
+
+    @property
     def start(self) -> FloatArray:
         """Unknowns (dimension,) of the spline that the family was built around."""
         return np.asarray((self._numbers / self._scale).T.ravel())
@@ -108,6 +107,14 @@ class FixedKnots:
         """Knot vectors (3n, d)."""
         via_points = self.via_points_at(x)
         return np.asarray(self.splines.response @ via_points + self.splines.basis @ self.numbers(x))
+
+    def rows(self, times: FloatArray) -> FloatArray:
+        """Splines at `times`, for `chain`."""
+        return self.splines.rows(times, sliding=self.sliding)
+
+    def stacked(self, jacobians: list[FloatArray]) -> FloatArray:
+        """Put derivatives (., dimension) one below the other."""
+        return np.vstack([np.empty((0, self.dimension)), *jacobians])
 
     def chain(
         self, x: FloatArray, rows: FloatArray, d_q: FloatArray, d_v: FloatArray, d_a: FloatArray
@@ -174,16 +181,15 @@ class SlidingKnots(FixedKnots):
         pinned: bool,
     ) -> None:
         super().__init__(splines, via_points, numbers, weight)
-        self._postures, self._task, self._points, self._pinned = postures, task, points, pinned
-        at = postures.at(via_points)
-        J = task.jacobians(at.tool_rotation, at.jacobian)
-        self._null = np.linalg.svd(J)[2][:, J.shape[1] :]
+        self._task = TaskAtViaPoints(postures=postures, task=task, points=points)
+        self._pinned = pinned
+        self._null = self._task.null_spaces(via_points)
         if pinned:
             self._null[0] = 0.0
         self.slides = int(self._null.shape[0] * self._null.shape[1])
         self._weights = weight / self._joints / splines.limits.jerk**2
         # Scaling only: where smoothing does not hold it back, a unit slides via-points by the longest slide.
-        H = self._slide_curvature(self._null) + np.eye(self.slides) / _LONGEST_SLIDE**2
+        H = self._slide_curvature(self._null) + np.eye(self.slides) / LONGEST_SLIDE**2
         self._to_slides = linalg.solve_triangular(np.linalg.cholesky(H), np.eye(self.slides), lower=True).T
         self._at: tuple[FloatArray, FloatArray, FloatArray] | None = None
 
@@ -235,9 +241,9 @@ class SlidingKnots(FixedKnots):
             self.via_points_at(x),
             self.numbers(x),
             weight,
-            postures=self._postures,
-            task=self._task,
-            points=self._points,
+            postures=self._task.postures,
+            task=self._task.task,
+            points=self._task.points,
             pinned=self._pinned,
         )
 
@@ -265,30 +271,12 @@ class SlidingKnots(FixedKnots):
         n, a, _ = self._null.shape
         wanted = (self._to_slides @ unknowns).reshape(n, a)
         # A slide longer than the family bears bends back smoothly.
-        u = _LONGEST_SLIDE * np.tanh(wanted / _LONGEST_SLIDE)
-        du = 1.0 - np.tanh(wanted / _LONGEST_SLIDE) ** 2
+        u = LONGEST_SLIDE * np.tanh(wanted / LONGEST_SLIDE)
+        du = 1.0 - np.tanh(wanted / LONGEST_SLIDE) ** 2
         free = np.arange(1, n) if self._pinned else np.arange(n)
         q, tangent = self.via_points.copy(), np.zeros_like(self._null)
-        q[free] += np.einsum("ka,kai->ki", u[free], self._null[free])
-        for _ in range(_NEWTON_STEPS):
-            at = self._postures.at(q[free])
-            off = self._task.errors(at.tool_point, at.tool_rotation, self._points[free])
-            along = np.einsum("kai,ki->ka", self._null[free], q[free] - self.via_points[free]) - u[free]
-            residual = np.concatenate([off, -along], axis=1)
-            J = self._task.jacobians(at.tool_rotation, at.jacobian)
-            A = np.concatenate([J, self._null[free]], axis=1)
-            if np.abs(residual).max() < _ON_TASK:
-                break
-            q[free] += np.linalg.solve(A, residual[..., None])[..., 0]
-        else:
-            raise OptimisationFailed(
-                "a via-point slid to where the tool task cannot be held",
-                constraint="tool task at a via-point",
-                violation=float(np.abs(residual).max()),
-            )
-        rhs = np.zeros((len(free), A.shape[1], a))
-        rhs[:, -a:] = np.eye(a) * du[free][:, None, :]
-        tangent[free] = np.linalg.solve(A, rhs).transpose(0, 2, 1)
+        q[free], slope = self._task.slid(self.via_points, self._null[free], u[free], free)
+        tangent[free] = slope * du[free][:, :, None]
         return q, tangent
 
 

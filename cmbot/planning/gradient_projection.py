@@ -95,7 +95,7 @@ def follow_path(
     for k in range(steps + 1):
         X_WT, J = kinematics.tool_jacobian(q[k])
         J = task.jacobian(X_WT, J)
-        s = np.linalg.svd(J, compute_uv=False)
+        U, s, Vt = np.linalg.svd(J, full_matrices=False)
         error = task.error(X_WT, points[k])
         smallest = clearances.smallest(q[k : k + 1])
         clearance[k], singular_value[k] = smallest.distance[0], s[-1]
@@ -114,9 +114,10 @@ def follow_path(
         command = np.zeros(len(error))
         command[:3] = ahead / dt
         command += options.drift_gain * error
-        v[k] = robust_inverse(J, options) @ command + options.avoidance_gain * _null_space_part(
-            J, _gradient(kinematics, clearances, q[k], options)
-        )
+        gradient = _gradient(kinematics, clearances, q[k], options)
+        # (I - J+ J) gradient of Eq. (16): the part that leaves the task alone.
+        aside = gradient - Vt.T @ (Vt @ gradient)
+        v[k] = _damped_inverse(U, s, Vt, options) @ command + options.avoidance_gain * aside
         if k < steps:
             q[k + 1] = q[k] + dt * v[k]
     return JointPath(t=t, q=q, v=v, clearance=clearance, singular_value=singular_value, drift=drift)
@@ -124,8 +125,11 @@ def follow_path(
 
 def robust_inverse(J: FloatArray, options: PlannerOptions) -> FloatArray:
     """Singularity-robust inverse J* (n, m) of `J` (m, n), Chang 2021, Eqs. (18)-(21)."""
+    return _damped_inverse(*np.linalg.svd(J, full_matrices=False), options)
+
+
+def _damped_inverse(U: FloatArray, s: FloatArray, Vt: FloatArray, options: PlannerOptions) -> FloatArray:
     s_h = options.damping_threshold
-    U, s, Vt = np.linalg.svd(J, full_matrices=False)
     damping = options.damping_max * (1 - s[-1] / s_h) if s[-1] < s_h else 0.0
     return np.asarray((Vt.T * (s / (s**2 + damping**2))) @ U.T)
 
@@ -142,14 +146,6 @@ def place_on_task(
         q = q + np.linalg.lstsq(task.jacobian(X_WT, J), error, rcond=1e-6)[0]
     X_WT = kinematics.tool_pose(q)
     return q if np.abs(task.error(X_WT, point)).max() < 1e3 * _ON_TASK else None
-
-
-def _null_space_part(J: FloatArray, gradient: FloatArray) -> FloatArray:
-    """(I - J+ J) gradient, Eq. (16): the part of `gradient` (n,) that leaves the task alone."""
-    if not gradient.any():
-        return gradient
-    _, _, Vt = np.linalg.svd(J, full_matrices=False)
-    return np.asarray(gradient - Vt.T @ (Vt @ gradient))
 
 
 def _gradient(
@@ -189,7 +185,7 @@ def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float) -> FloatAr
 
 def _away_from(near: Nearest) -> FloatArray:
     """J_C+ u: the joint rates that move the arm's nearest point straight away."""
-    return np.asarray(np.linalg.pinv(near.jacobian, rcond=1e-6) @ near.direction)
+    return np.asarray(np.linalg.lstsq(near.jacobian, near.direction, rcond=1e-6)[0])
 
 
 def _obstacle(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,26 +19,50 @@ _MOST_GROWTHS = 4000
 _SHORT_CUTS = 150
 # Between two postures that are looked at no point of the arm moves further than this, m.
 _LOOK_EVERY = 0.04
+# Where the ends of a way leave less to spare, this share of what they leave is asked for in between.
+_SHARE_TO_SPARE = 0.5
 
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """Postures within the joint ranges whose shapes keep a margin from each other, m."""
+    """Postures within the joint ranges whose shapes keep a margin from each other.
+
+    Attributes
+    ----------
+    robot : Robot
+    clearances : Clearances
+    margin : float, m
+    spare : float, m
+        Kept beyond the margin for the neighbours of a posture that is looked at. With the default a line is
+        free all along; with less it is free where it is looked at, and a certificate has to see to the rest.
+    """
 
     robot: Robot
     clearances: Clearances
     margin: float
+    spare: float = _LOOK_EVERY / 2
+
+    def around(self, q: FloatArray) -> FreeSpace | None:
+        """Return the space with as much to spare as postures `q` (N, n) leave; None when one is not free.
+
+        Neighbouring links of some arms are always near each other: they never leave much.
+        """
+        limits = self.robot.limits
+        if ((q < limits.lower) | (q > limits.upper)).any():
+            return None
+        left = float(self.clearances.smallest(q).distance.min()) - self.margin
+        return None if left < 0 else replace(self, spare=min(self.spare, _SHARE_TO_SPARE * left))
 
     def holds(self, q: FloatArray) -> BoolArray:
-        """Which of the postures `q` (N, n) are free, with `_LOOK_EVERY`/2 to spare for their neighbours."""
+        """Which of the postures `q` (N, n) are free, with something to spare for their neighbours."""
         limits = self.robot.limits
         within: BoolArray = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
         free = within.copy()
-        free[within] = ~self.clearances.too_near(q[within], self.margin + _LOOK_EVERY / 2)
+        free[within] = ~self.clearances.too_near(q[within], self.margin + self.spare)
         return free
 
     def straight(self, start: FloatArray, end: FloatArray) -> bool:
-        """Whether every posture on the line between two postures (n,) is free, not only those looked at."""
+        """Whether the postures looked at on the line between two postures (n,) are free."""
         moved = float(np.abs(end - start) @ self.clearances.reach)
         shares = np.linspace(0.0, 1.0, int(np.ceil(moved / _LOOK_EVERY)) + 1)[1:, None]
         return bool(self.holds(start + shares * (end - start)).all())

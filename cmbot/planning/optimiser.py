@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
-from scipy import linalg
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import OptimisationFailed
+from cmbot.planning.efforts import COARSE, LIGHTER, SKETCH, SMOOTH, Effort
+from cmbot.planning.families import FixedKnots
 from cmbot.planning.feasibility import check_feasible
 from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.slsqp import Subproblem, solve_slsqp
+from cmbot.planning.slsqp import solve_slsqp
+from cmbot.planning.sparse_family import LocalKnots
+from cmbot.planning.sparse_passes import SparsePasses
+from cmbot.planning.subproblems import mean_square_subproblem, peak_subproblem
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.working_set import Violation, WorkingSet
 
@@ -21,42 +26,16 @@ __all__ = ["Optimised", "PassReport", "optimise"]
 
 # SLSQP's line search can stall short of the constraints; started afresh from there it gets on.
 _MOST_STALLS = 3
-# Unknowns without any effect, such as the slide of a pinned via-point, keep the Hessian regular.
-_LEAST_CURVATURE = 1e-6
 # A peak this near to that of the resting ends cannot be told from it.
 _AT_REST = 1e-6
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Effort:
-    """How hard a pass tries.
-
-    Attributes
-    ----------
-    stride : int
-        Every which sample is looked at for violations.
-    most : int
-        At most so many violated sites of a constraint are added: many are no longer once others are met.
-    smoothing : float
-        Weight of the smoothing in multiples of the option's: with few working times a light one lets splines
-        swing between them.
-    accuracy : float
-        Of the solver, relative to the objective, which is about 1.
-    """
-
-    stride: int
-    most: int
-    smoothing: float
-    accuracy: float
-
-
-# Via-points first slide alone; then all unknowns look for a smooth trajectory, coarsely and on all samples.
-# Only a peak that is not yet low enough is worth giving up smoothness for.
-_SKETCH = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-4)
-_COARSE = _Effort(stride=10, most=40, smoothing=1000.0, accuracy=1e-4)
-_SMOOTH = _Effort(stride=1, most=400, smoothing=1000.0, accuracy=1e-5)
-_FULL = _Effort(stride=1, most=400, smoothing=1.0, accuracy=1e-8)
-
+# A pass that ends worse than it began is done again with the smoothing this many times heavier, so often.
+_CAUTION, _RETRIES = 10.0, 3
+# The solver can end early; started afresh it ends for good when it gains no more than this.
+_SETTLED = 1e-7
+# A lighter smoothing must lower the peak by this share of the gap target for a still lighter one to be tried.
+_WORTHWHILE = 0.1
 
 # The mean square falls off slowly; its passes must be so much more accurate not to end far from feasible.
 _MEAN_ACCURACY = 0.1
@@ -108,7 +87,7 @@ class Optimised:
 
 
 def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | None = None) -> Optimised:
-    """Solve the torque problem with SLSQP.
+    """Solve the torque problem, with the solver that its family of splines is made for.
 
     Parameters
     ----------
@@ -148,109 +127,105 @@ class _Run:
         self._working = WorkingSet(problem)
         t = problem.space.t
         self._working.add_everywhere(0.5 * (t[1:] + t[:-1]))
+        self._sparse = SparsePasses(problem, self._working)
         self.family = problem.family
         self.x = problem.family.start
         self.reports: list[PassReport] = []
 
     def stage(self, name: str, bound: float) -> float:
-        """Run one stage from where the last one ended; return its scaled peak torque."""
-        options, tolerance = self._problem.options, self._problem.options.constraint_tolerance
-        effort, stalls = _SKETCH if self.family.slides else _COARSE, 0
-        self._look(bound, effort)
+        """Run one stage from where the last one ended; return its scaled peak torque.
+
+        A lighter smoothing that leads nowhere is given up for what was found with the heavier one: its last
+        report then has a violated constraint.
+        """
+        # The sparse solver needs no sketch: it takes no step for the worse, however rough the way.
+        sketched = self.family.slides and isinstance(self.family, FixedKnots)
+        first = (SKETCH, COARSE, SMOOTH) if sketched else (COARSE, SMOOTH)
+        self._look(bound, first[0])
+        peak = bound
+        for effort in first:
+            bound, peak = self._passes(name, bound, effort)
+        for effort in LIGHTER if name == "peak" else ():
+            if peak <= self._problem.low_enough:
+                break
+            kept = self.family, self.x
+            try:
+                bound, lower = self._passes(name, bound, effort)
+            except OptimisationFailed:
+                self.family, self.x = kept
+                break
+            gain, peak = peak - lower, lower
+            # Without a floor to be content with, the peak is lowered to the end.
+            if self._problem.low_enough > 0 and gain < _WORTHWHILE * self._problem.options.gap_target * peak:
+                break
+        return peak
+
+    def _passes(self, name: str, bound: float, effort: Effort) -> tuple[float, float]:
+        """Solve and look until nothing is violated; return the subproblem's bound and the scaled peak."""
+        options, stalls = self._problem.options, 0
         while True:
             if len(self.reports) >= options.max_passes:
                 raise self._failure(f"no solution in {options.max_passes} passes", self.reports[-1].worst)
-            if name == "peak":
-                bound, iterations = self._lower_peak(bound, effort)
-            elif effort is _SKETCH:
-                # The way through the charts is rough; smoothing it is all that is wanted here.
-                _, iterations = self._lower_peak(bound, effort)
-            else:
-                iterations = self._lower_mean_square(bound, effort)
+            bound, iterations, gain = self._solve(name, bound, effort)
             added, worst, peak = self._look(bound, effort)
             self._report(name, iterations, peak, worst)
-            if effort is _SKETCH:
-                effort = _COARSE
-            elif added:
+            if effort.slides_only:
+                return bound, peak
+            if added:
                 continue
-            elif effort is _COARSE:
-                effort = _SMOOTH
-            elif worst.value > tolerance:
-                if stalls == _MOST_STALLS:
-                    raise self._failure("the solver stopped before the constraints were met", worst)
-                stalls += 1
-            elif effort is _SMOOTH and name == "peak" and peak > self._problem.low_enough:
-                effort = _FULL
-            else:
-                return peak
+            if effort is COARSE:
+                return bound, peak
+            if worst.value <= options.constraint_tolerance:
+                if effort is LIGHTER[-1] and gain > _SETTLED:
+                    continue
+                return bound, peak
+            if stalls == _MOST_STALLS:
+                raise self._failure("the solver stopped before the constraints were met", worst)
+            stalls += 1
 
-    def _look(self, bound: float, effort: _Effort) -> tuple[int, Violation, float]:
+    def _look(self, bound: float, effort: Effort) -> tuple[int, Violation, float]:
         """Add what the present trajectory violates."""
         trajectory = self._problem.trajectory(self.family, self.x)
         tolerance = self._problem.options.constraint_tolerance
         return self._working.add_violated(trajectory, bound, tolerance, effort.stride, effort.most)
 
-    def _weight(self, effort: _Effort) -> float:
-        return self._problem.options.smoothing_weight * effort.smoothing
+    def _solve(self, name: str, bound: float, effort: Effort) -> tuple[float, int, float]:
+        """Solve a subproblem from where the last one ended; return its bound, the iterations and the gain.
 
-    def _lower_peak(self, bound: float, effort: _Effort) -> tuple[float, int]:
-        """Solve the peak stage's subproblem in epigraph form: unknowns are (x, b), or slides alone and b."""
-        family = self.family = self.family.rebuilt(self.x, self._weight(effort))
-        full = family.start
-        free = family.slides if effort is _SKETCH else len(full)
-
-        def unknowns(x: FloatArray) -> FloatArray:
-            return np.concatenate([x[:-1], full[free:]])
-
-        def objective(x: FloatArray) -> tuple[float, FloatArray]:
-            value, gradient = family.smoothing(unknowns(x))
-            return float(x[-1]) + value, np.append(gradient[:free], 1.0)
-
-        def constraints(x: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value, jacobian, torques = self._working.values(family, unknowns(x))
-            value[:torques] -= x[-1]
-            d_bound = np.zeros((len(value), 1))
-            d_bound[:torques] = -1.0
-            return -value, -np.hstack([jacobian[:, :free], d_bound])
-
-        x, iterations = solve_slsqp(
-            Subproblem(start=np.append(full[:free], bound), objective=objective, constraints=constraints),
-            effort.accuracy,
-            self._problem.options.max_iterations,
-        )
-        self.x = unknowns(x)
-        return float(x[-1]), iterations
-
-    def _lower_mean_square(self, bound: float, effort: _Effort) -> int:
-        """Solve the mean-square stage's subproblem, the torque's norm held below `bound`.
-
-        Unknowns are u with ``x = C u``, where C whitens the objective's Gauss-Newton Hessian: SLSQP then
-        starts with nearly the right curvature.
+        The solver can diverge; a step for the worse is not taken but tried again more cautiously.
         """
-        problem = self._problem
-        family = self.family = self.family.rebuilt(self.x, self._weight(effort))
-        H = problem.mean_square_curvature(family, family.start) + family.smoothing_curvature()
-        L = np.linalg.cholesky(H + _LEAST_CURVATURE * np.eye(len(H)))
-        C = linalg.solve_triangular(L, np.eye(len(L)), lower=True).T
-
-        def objective(u: FloatArray) -> tuple[float, FloatArray]:
-            x = C @ u
-            value, gradient = problem.mean_square(family, x)
-            smoothing, pull = family.smoothing(x)
-            return value + smoothing, C.T @ (gradient + pull)
-
-        def constraints(u: FloatArray) -> tuple[FloatArray, FloatArray]:
-            value, jacobian, torques = self._working.values(family, C @ u)
-            value[:torques] -= bound
-            return -value, -(jacobian @ C)
-
-        u, iterations = solve_slsqp(
-            Subproblem(start=L.T @ family.start, objective=objective, constraints=constraints),
-            _MEAN_ACCURACY * effort.accuracy,
-            problem.options.max_iterations,
-        )
-        self.x = C @ u
-        return iterations
+        if isinstance(self.family, LocalKnots):
+            self.family, peak, iterations, gain = self._sparse.solve(
+                self.family, None if name == "peak" else bound, effort
+            )
+            self.x = self.family.start
+            return peak, iterations, gain
+        iterations, weight = 0, self._problem.options.smoothing_weight * effort.smoothing
+        # The way through the charts is rough; smoothing it is all that is wanted of the first pass.
+        lower_peak = name == "peak" or effort.slides_only
+        for _ in range(_RETRIES + 1):
+            family = cast(FixedKnots, self.family).rebuilt(self.x, weight)
+            subproblem = (
+                peak_subproblem(self._working, family, bound, effort)
+                if lower_peak
+                else mean_square_subproblem(self._problem, self._working, family, bound)
+            )
+            try:
+                x, count = solve_slsqp(
+                    subproblem.problem,
+                    effort.accuracy if lower_peak else _MEAN_ACCURACY * effort.accuracy,
+                    min(effort.iterations, self._problem.options.max_iterations),
+                )
+                iterations += count
+                gain = subproblem.merit(subproblem.problem.start) - subproblem.merit(x)
+            except (OptimisationFailed, np.linalg.LinAlgError):
+                gain = -np.inf
+            if gain >= 0:
+                self.family, self.x = family, subproblem.unknowns(x)
+                return (float(x[-1]) if name == "peak" else bound), iterations, gain
+            weight *= _CAUTION
+        self.family, self.x = self.family.rebuilt(self.x, weight), self.family.start
+        return bound, iterations, 0.0
 
     def _report(self, stage: str, iterations: int, peak: float, worst: Violation) -> None:
         report = PassReport(

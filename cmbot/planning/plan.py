@@ -13,7 +13,8 @@ from cmbot.errors import PathNotFound
 from cmbot.planning.approach import Approach
 from cmbot.planning.certificate import Certificate
 from cmbot.planning.figures import MotionFigures, Samples, measure
-from cmbot.planning.global_stage import Floor
+from cmbot.planning.floor import Floor
+from cmbot.planning.objective_figures import ObjectiveFigures
 from cmbot.planning.optimiser import PassReport
 from cmbot.planning.task import ToolTask
 from cmbot.planning.trajectory import QuinticTrajectory
@@ -24,9 +25,8 @@ from cmbot.scene.clearance import Clearances
 
 __all__ = ["Plan", "Seconds", "Start"]
 
-
-SAMPLE_STEP = 0.01
-"""Step of the sampled motions, s."""
+# Step of the sampled motions, s.
+_SAMPLE_STEP = 0.01
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,8 +71,9 @@ class Plan:
     start : Start
         Where the planned motion starts, and why, if not at the scene's posture.
     baseline : Samples
-        The paper's motion without optimisation: Chang 2021, Eq. (22) integrated from the scene's posture; its
-        acceleration and jerk are differences of its rates. It is a motion to compare with, not a plan: it may
+        The paper's motion without optimisation: Chang 2021, Eq. (22) integrated from the scene's posture;
+        its acceleration and jerk are central differences of its rates, with rest before and after, and its
+        first and last acceleration are those of rest. It is a motion to compare with, not a plan: it may
         break limits, and when the planned motion had to start elsewhere it runs into something.
     baseline_figures : MotionFigures
     drift : float, m
@@ -84,6 +85,8 @@ class Plan:
     certificate : Certificate
     passes : tuple of PassReport
         How the optimiser came there.
+    objective : ObjectiveFigures
+        What was made small.
     floor : Floor or None
         What no admissible plan can go below at rest; None with fixed knots.
     choice : Choice or None
@@ -106,6 +109,7 @@ class Plan:
     trajectory: QuinticTrajectory
     certificate: Certificate
     passes: tuple[PassReport, ...]
+    objective: ObjectiveFigures
     floor: Floor | None
     choice: Choice | None
     approach: Approach | None
@@ -119,10 +123,17 @@ class Plan:
     @cached_property
     def samples(self) -> Samples:
         """The planned motion every 0.01 s."""
-        t = sample_times(self.trajectory.duration, SAMPLE_STEP)
-        q, v, a, j = (self.trajectory.evaluate(t, order) for order in range(4))
-        clearances = Clearances(self.robot, self.scene.obstacles)
-        return measure(self.robot, self.task, clearances, t, (q, v, a, j))
+        return self._sampled(self.trajectory, self.task)
+
+    @cached_property
+    def approach_samples(self) -> Samples | None:
+        """The approach every 0.01 s, from time 0; its tool deviation is that from where the work starts."""
+        return None if self.approach is None else self._sampled(self.approach.trajectory, self.approach.task)
+
+    def _sampled(self, trajectory: QuinticTrajectory, task: ToolTask) -> Samples:
+        t = _sample_times(trajectory.duration)
+        motion = [trajectory.evaluate(t, order) for order in range(4)]
+        return measure(self.robot, task, Clearances(self.robot, self.scene.obstacles), t, motion)
 
     @property
     def largest_torque_difference(self) -> tuple[float, float]:
@@ -134,14 +145,20 @@ class Plan:
         return float(difference[k]), float(self.baseline.t[k])
 
     @property
+    def torque_floor(self) -> float | None:
+        """Floor of the torque on the guardrail, Nm; None with fixed knots or another objective."""
+        if self.floor is None or not self.objective.is_guardrail_torque:
+            return None
+        return self.floor.value
+
+    @property
     def gap_to_floor(self) -> float | None:
-        """How far the certified peak torque lies above the floor, as a share of it; None with fixed knots.
+        """How far the certified peak torque lies above its floor, as a share of it; None where that is.
 
         A moving arm may undercut a static floor a little: then it is negative.
         """
-        if self.floor is None:
-            return None
-        return self.figures.peak_guardrail_torque / self.floor.torque - 1.0
+        floor = self.torque_floor
+        return self.figures.peak_guardrail_torque / floor - 1.0 if floor else None
 
     @property
     def peak_static_reduction(self) -> float:
@@ -161,9 +178,17 @@ class Plan:
         for name, attribute, unit, factor, digits in _ROWS:
             left, right = (f"{factor * getattr(figures, attribute):.{digits}f}" for figures in pair)
             yield f"{name}, {unit}", left, right
+            if attribute == "peak_guardrail_torque":
+                # It may ask more than the work: nobody should take the work's peak for all there is.
+                yield "peak torque on the approach, Nm", "-", self._approach_peak()
         for limit in ("velocity", "acceleration", "jerk", "torque"):
             left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in pair)
             yield f"joint {limit}, share of its bound", left, right
+
+    def _approach_peak(self) -> str:
+        if self.approach is None:
+            return "-"
+        return f"{self.approach.certificate.figures.peak_guardrail_torque:.2f}"
 
 
 _ROWS = (
@@ -176,8 +201,8 @@ _ROWS = (
 )
 
 
-def sample_times(duration: float, step: float) -> FloatArray:
-    """Return times from 0 to `duration` every `step` (the last one shorter if need be), s."""
-    count = int(np.floor(duration / step * (1 + 1e-12)))
-    t: FloatArray = step * np.arange(count + 1, dtype=np.float64)
+def _sample_times(duration: float) -> FloatArray:
+    """Return times from 0 to `duration` every 0.01 s (the last step shorter if need be)."""
+    count = int(np.floor(duration / _SAMPLE_STEP * (1 + 1e-12)))
+    t: FloatArray = _SAMPLE_STEP * np.arange(count + 1, dtype=np.float64)
     return t if duration - t[-1] < 1e-9 * duration else np.append(t, duration)

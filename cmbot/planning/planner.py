@@ -12,14 +12,18 @@ from threadpoolctl import threadpool_limits
 from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
 from cmbot.planning.approach import plan_approach
-from cmbot.planning.certificate import certify
+from cmbot.planning.certificate import certificate_grid, certify
 from cmbot.planning.figures import Samples, figures, measure
 from cmbot.planning.gradient_projection import JointPath, follow_path
+from cmbot.planning.objective_figures import ObjectiveFigures, objective_figures
 from cmbot.planning.optimiser import PassReport, optimise
 from cmbot.planning.plan import Plan, Seconds, Start
 from cmbot.planning.setting import Setting, prepare
+from cmbot.planning.state_functions import States
 from cmbot.planning.task import ToolTask
+from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.ways import Way, fixed_way, sliding_way
+from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.clearance import Clearances
@@ -29,6 +33,7 @@ __all__ = ["Progress", "checked", "plan"]
 
 # The arm starts in the scene's posture when no joint is further from it than this, rad.
 _SAME_POSTURE = 1e-9
+_STAGES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,11 +54,28 @@ class Progress:
     failed_starts: int = 0
     report: PassReport | None = None
 
+    def sentence(self) -> str:
+        """Return it in words."""
+        text = _STAGES[self.stage]
+        if self.failed_starts:
+            text += f" from another start ({self.failed_starts} failed)"
+        report = self.report
+        if report is None:
+            return text
+        # What would print as 0.00 % is within the optimiser's tolerance.
+        met = report.worst.value < 5e-5
+        worst = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
+        return (
+            f"{text}, pass {report.number} ({report.stage}): peak {report.peak_torque:.2f} Nm, "
+            f"{'all constraints met' if met else worst}"
+        )
+
 
 def plan(
     scene: Scene,
     *,
     options: PlannerOptions | None = None,
+    objective: WrenchFunction | None = None,
     progress: Callable[[Progress], None] | None = None,
 ) -> Plan:
     """Plan the motion of a scene's arm.
@@ -68,6 +90,10 @@ def plan(
     scene : Scene
     options : PlannerOptions, optional
         In place of the scene's own.
+    objective : callable, optional
+        A function of the wrench on the guardrail to make small in place of what the options say: from
+        wrenches (N, 6) to values (N,), never negative, and gradients (N, 6); see
+        `cmbot.planning.WrenchFunction`. A plan directory holds its name only.
     progress : callable, optional
         Called with a `Progress` as the work goes on.
 
@@ -75,6 +101,8 @@ def plan(
     ------
     SceneError, ModelError
         When scene and robot do not fit together.
+    InputError
+        When an option is out of its bounds, or `objective` is no such function.
     PathNotFound
         When the path ends at an obstacle, a joint's range or out of reach, from the scene's posture and from
         the others that were tried.
@@ -88,12 +116,18 @@ def plan(
     clock = _Clock()
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _plan(scene, options, tell, clock)
+        return _plan(scene, options, objective, tell, clock)
 
 
-def _plan(scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None], clock: _Clock) -> Plan:
+def _plan(
+    scene: Scene,
+    options: PlannerOptions,
+    own: WrenchFunction | None,
+    tell: Callable[[Progress], None],
+    clock: _Clock,
+) -> Plan:
     tell(Progress(stage="path"))
-    setting = prepare(scene, options)
+    setting = prepare(scene, options, own)
     if options.knots == "sliding":
         way = sliding_way(setting)
     else:
@@ -117,6 +151,7 @@ def _plan(scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None
     # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
     path = follow_path(robot, task, setting.posture, clearances, options, stop_at_obstacles=False)
     baseline = _baseline(robot, task, clearances, path)
+    made_small = _made_small(setting, way, baseline, optimised.trajectory, own=own is not None)
     certify_seconds = clock.lap()
     return Plan(
         scene=scene,
@@ -131,12 +166,27 @@ def _plan(scene: Scene, options: PlannerOptions, tell: Callable[[Progress], None
         trajectory=optimised.trajectory,
         certificate=certificate,
         passes=optimised.passes,
+        objective=made_small,
         floor=way.floor,
         choice=way.choice,
         approach=approach,
         seconds=Seconds(
             path=path_seconds, optimise=optimise_seconds, certify=certify_seconds, total=clock.total()
         ),
+    )
+
+
+def _made_small(
+    setting: Setting, way: Way, baseline: Samples, trajectory: QuinticTrajectory, *, own: bool
+) -> ObjectiveFigures:
+    grid = certificate_grid(trajectory, setting.options)
+    return objective_figures(
+        setting.objective,
+        setting.options,
+        own=own,
+        baseline=States(baseline.t, baseline.q, baseline.v, baseline.a),
+        planned=States(grid, *trajectory.states(grid)),
+        floor=None if way.floor is None else way.floor.value,
     )
 
 
@@ -159,9 +209,21 @@ def checked(options: PlannerOptions) -> PlannerOptions:
 
 
 def _baseline(robot: Robot, task: ToolTask, clearances: Clearances, path: JointPath) -> Samples:
-    acceleration = np.gradient(path.v, path.t, axis=0)
-    jerk = np.gradient(acceleration, path.t, axis=0)
+    """Measure the path as a motion that rests before it begins and after it ends."""
+    # Two steps of rest on either side: the central differences are then the same all along.
+    rates = np.pad(path.v, ((2, 2), (0, 0)))
+    acceleration = _central_difference(rates, path.t[1])
+    jerk = _central_difference(acceleration, path.t[1])
+    acceleration = acceleration[1:-1]
+    # The trapezoid sets off and stops with a jump of acceleration. Half a jump is what no instant has: the
+    # first and the last sample are those of the arm at rest, so that its rest counts among the torques.
+    acceleration[[0, -1]] = 0.0
     return measure(robot, task, clearances, path.t, (path.q, path.v, acceleration, jerk))
+
+
+def _central_difference(x: FloatArray, step: float) -> FloatArray:
+    """Derivatives (N - 2, n) at the inner samples of `x` (N, n)."""
+    return np.asarray((x[2:] - x[:-2]) / (2 * step))
 
 
 class _Clock:

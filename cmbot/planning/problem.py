@@ -2,23 +2,26 @@
 
 Two stages share the constraints of Eqs. (31)-(32), the tool's deviation and the clearance:
 
-- peak: minimise ``b + smoothing`` with ``|n_0(t)| <= b scale`` at the working times (Eq. (30));
-- mean square: where the peak sits at a resting end that is fixed it cannot fall, so with ``|n_0(t)|`` held
-  below it ``mean_t |n_0 / scale|^2 / 2 + smoothing`` is minimised instead.
+- peak: minimise ``b + smoothing`` with ``f(t) <= b scale`` at the working times (Eq. (30), where the
+  objective f is ``|n_0|``);
+- mean square: where the peak sits at a resting end that is fixed it cannot fall, so with ``f(t)`` held below
+  it ``mean_t (f / scale)^2 / 2 + smoothing`` is minimised instead.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from cmbot.arrays import FloatArray
-from cmbot.planning.families import FixedKnots
+from cmbot.planning.family import Family
+from cmbot.planning.objectives import Objective, ObjectiveShare, objective_of
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.state_functions import (
     ClearanceMargin,
-    GuardrailTorque,
     JointTorque,
     StateFunction,
     States,
@@ -32,9 +35,10 @@ from cmbot.scene.options import PlannerOptions
 
 __all__ = ["KinematicBound", "TorqueProblem"]
 
-# Sampled constraints are kept this share inside their bounds, for what lies between the samples; bounds on
-# polynomials are met at their exact extrema and need only room for the solver's tolerance.
-_SAMPLED_SHARE = 2e-3
+# Sampled constraints are kept this share, divided by the squared samples per segment, inside their bounds, for
+# what parabolas through samples do not see; bounds on polynomials are met at their exact extrema and need only
+# room for the solver's tolerance.
+_SAMPLED_SHARE = 0.5
 _EXACT_SHARE_IN_TOLERANCES = 10.0
 # The same room for the clearance, m.
 _CLEARANCE_ROOM = 1e-5
@@ -60,26 +64,29 @@ class TorqueProblem:
     ----------
     robot : Robot
     task : ToolTask
-    family : FixedKnots
+    family : Family
         Where the search starts; members of the same kind are handed to the methods.
     clearances : Clearances
     options : PlannerOptions
     resting : tuple of int
         Indices of the via-points where the arm rests in a posture that the family cannot change.
-    floor : float, Nm
-        What the peak torque cannot fall below, but for what motion takes off; near it the peak is low enough.
+    floor : float
+        What the peak cannot fall below, but for what motion takes off; near it the peak is low enough.
+    objective : Objective, optional
+        What is made small; left out, as the options say.
     """
 
     def __init__(
         self,
         robot: Robot,
         task: ToolTask,
-        family: FixedKnots,
+        family: Family,
         clearances: Clearances,
         options: PlannerOptions,
         *,
         resting: tuple[int, ...],
         floor: float = 0.0,
+        objective: Objective | None = None,
     ) -> None:
         self.robot = robot
         self.options = options
@@ -88,17 +95,17 @@ class TorqueProblem:
         t = self.space.t
         grid = np.linspace(t[:-1], t[1:], options.samples_per_segment, endpoint=False, axis=1)
         self.grid = np.append(grid.ravel(), t[-1])
-        static = self.dynamics.static_efforts(family.via_points).guardrail_torque
-        at_via_points = np.linalg.norm(static, axis=1)
+        self.objective = objective_of(robot, options) if objective is None else objective
+        still = np.zeros_like(family.via_points)
+        at_via_points = self.objective.values(States(t, family.via_points, still, still))
         self.via_point_peak = float(at_via_points.max())
         self.peak_at_rest = float(at_via_points[list(resting)].max(initial=0.0))
         states = self.states(family, family.start, self.grid)
-        torque = self.dynamics.efforts(states.q, states.v, states.a).guardrail_torque
-        self.scale = float(np.linalg.norm(torque, axis=1).max())
+        self.scale = float(self.objective.values(states).max())
         self.low_enough = floor * (1 + options.gap_target) / self.scale
-        self.torque = GuardrailTorque(self.dynamics, self.scale)
+        self.torque = ObjectiveShare(self.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
-        inside = 1 - _SAMPLED_SHARE
+        inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2
         self.functions: tuple[StateFunction, ...] = (
             JointTorque(self.dynamics, robot.limits.torque * inside),
             ToolDeviation(Kinematics(robot), task, options.max_tool_deviation_m * inside),
@@ -108,45 +115,47 @@ class TorqueProblem:
         h = np.diff(t)[:, None]
         self._mean_times = (t[:-1, None] + 0.5 * h * (1 + nodes)).ravel()
         self._mean_weights = (0.5 * h * weights).ravel() / (t[-1] - t[0])
-        self._mean_rows = self.rows(self._mean_times)
 
     @property
     def space(self) -> SplineSpace:
         """The splines' space."""
-        return self.family.splines.space
+        return self.family.space
 
-    def trajectory(self, family: FixedKnots, x: FloatArray) -> QuinticTrajectory:
+    def trajectory(self, family: Family, x: FloatArray) -> QuinticTrajectory:
         """Return the trajectory of the unknowns `x` of `family`."""
         return self.space.trajectory(family.knots(x))
 
-    def states(self, family: FixedKnots, x: FloatArray, times: FloatArray) -> States:
+    def states(self, family: Family, x: FloatArray, times: FloatArray) -> States:
         """Return the joints' states at `times` (N,)."""
         return States(times, *self.trajectory(family, x).states(times))
 
-    def rows(self, times: FloatArray) -> FloatArray:
+    def rows(self, times: FloatArray) -> Any:
         """Rows of the family's splines at `times`, for its `chain`."""
-        return self.family.splines.rows(times, sliding=self.family.sliding)
+        return self.family.rows(times)
 
-    def mean_square(self, family: FixedKnots, x: FloatArray) -> tuple[float, FloatArray]:
-        """Half the time mean of ``|n_0 / scale|^2``, and its gradient (dimension,)."""
-        torque, J = self._weighted_torque(family, x)
-        return 0.5 * float(torque @ torque), np.asarray(torque @ J)
+    def mean_square(self, family: Family, x: FloatArray) -> tuple[float, FloatArray]:
+        """Half the time mean of the squared objective in units of scale, and its gradient (dimension,)."""
+        part, J = self.weighted_parts(family, x)
+        return 0.5 * float(part @ part), np.asarray(part @ J)
 
-    def mean_square_curvature(self, family: FixedKnots, x: FloatArray) -> FloatArray:
+    def mean_square_curvature(self, family: Family, x: FloatArray) -> FloatArray:
         """Gauss-Newton Hessian (dimension, dimension) of `mean_square` at `x`."""
-        J = self._weighted_torque(family, x)[1]
+        J = self.weighted_parts(family, x)[1]
         return np.asarray(J.T @ J)
 
-    def _weighted_torque(self, family: FixedKnots, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Torques at the Gauss points, axis after axis, whose squares sum to the mean; their Jacobian."""
-        states = self.states(family, x, self._mean_times)
-        at = self.dynamics.derivatives(states.q, states.v, states.a)
-        weight = np.sqrt(self._mean_weights)[:, None] / self.scale
+    @cached_property
+    def _mean_rows(self) -> Any:
+        return self.rows(self._mean_times)
+
+    def weighted_parts(self, family: Family, x: FloatArray) -> tuple[FloatArray, Any]:
+        """The objective's parts at the Gauss points, whose squares sum to the mean; their Jacobian."""
+        parts = self.objective.parts(self.states(family, x, self._mean_times))
+        weight = np.sqrt(self._mean_weights) / self.scale
         J = [
-            family.chain(x, self._mean_rows, *(weight * d[:, axis] for d in (at.d_q, at.d_v, at.d_a)))
-            for axis in range(3)
+            family.chain(x, self._mean_rows, *(weight[:, None] * d for d in (part.d_q, part.d_v, part.d_a)))
+            for part in parts
         ]
-        return (weight * at.value[:, :3]).T.ravel(), np.vstack(J)
+        return np.concatenate([weight * part.value for part in parts]), family.stacked(J)
 
 
 def _kinematic_bounds(robot: Robot, inside: float) -> tuple[KinematicBound, ...]:

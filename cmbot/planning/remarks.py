@@ -7,7 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from cmbot.arrays import FloatArray
+from cmbot.planning.objective_figures import ObjectiveFigures
 from cmbot.planning.plan import Plan
+from cmbot.validation import counted
 
 __all__ = ["remarks"]
 
@@ -19,14 +21,15 @@ def remarks(plan: Plan) -> Iterator[str]:
         yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
     yield _gain(plan)
     yield from _floor(plan)
+    checks, passes = len(plan.certificate.checks), counted(len(plan.passes), "pass", "passes")
     yield (
-        f"Certified: {len(plan.certificate.checks)} checks hold; clearance stays above "
+        f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}; clearance stays above "
         f"{1e3 * plan.certificate.clearance_bound:.1f} mm at all times, between samples too."
     )
     seconds = plan.seconds
     yield (
         f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s "
-        f"({len(plan.passes)} passes), certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
+        f"({passes}), certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
     )
 
 
@@ -36,10 +39,12 @@ def _start(plan: Plan) -> Iterator[str]:
         return
     where = f"({_degrees(plan.start.posture)}) deg, up to {np.rad2deg(plan.start.moved):.1f} deg a joint away"
     if plan.start.failures:
+        # Every failure but the scene's posture's, and the one that led to the end.
+        tried = len(plan.start.failures)
+        other = "Another one" if tried == 1 else f"The last of {tried} others tried"
         yield (
             f"Starts elsewhere: from the scene's posture, {plan.start.failures[0].reason}. "
-            f"Of {len(plan.start.failures)} others tried with the same tool pose the last leads to the end, "
-            f"{where}. Bring the arm there first."
+            f"{other} with the same tool pose leads to the end, {where}. Bring the arm there first."
         )
     else:
         yield f"Starts in a better posture with the same tool pose, {where} (start: free)."
@@ -67,17 +72,32 @@ def _gain(plan: Plan) -> str:
 
 
 def _floor(plan: Plan) -> Iterator[str]:
-    if plan.floor is None or plan.gap_to_floor is None or plan.choice is None:
+    objective = plan.objective
+    # What has no unit is a function of someone's own.
+    unit = f" {objective.unit}" if objective.unit else ""
+    if not objective.is_guardrail_torque:
+        yield (
+            f"Made small: {_objective(objective)}, from a peak of {objective.baseline_peak:.2f}{unit} "
+            f"in the baseline to {objective.planned_peak:.2f}{unit}."
+        )
+    if plan.floor is None or plan.choice is None:
         return
+    gap = "" if objective.gap is None else f"; the peak is {100 * objective.gap:+.3f} % from it"
     yield (
-        f"Floor: no admissible plan rests below {plan.floor.torque:.2f} Nm "
-        f"(error {plan.floor.error:.3f} Nm), set by via-point {plan.floor.via_point + 1}; "
-        f"the peak is {100 * plan.gap_to_floor:+.3f} % from it."
+        f"Floor: no admissible plan rests below {plan.floor.value:.2f}{unit} "
+        f"(error {plan.floor.error:.3f}{unit}), set by via-point {plan.floor.via_point + 1}{gap}."
     )
     pinned = plan.options.start == "pinned"
     other, peak = ("free", plan.choice.free) if pinned else ("pinned", plan.choice.pinned)
-    found = "no way" if peak is None else f"a peak of {peak:.2f} Nm"
+    found = "no way" if peak is None else f"a peak of {peak:.2f}{unit}"
     yield f"With start: {other} the global stage finds {found}."
+
+
+def _objective(objective: ObjectiveFigures) -> str:
+    if objective.own or objective.axis_weights is None:
+        return objective.name
+    weights = ", ".join(f"{weight:g}" for weight in objective.axis_weights)
+    return f"the torque about the {objective.moment_about}, axes weighted {weights}"
 
 
 def _degrees(posture: FloatArray) -> str:

@@ -8,7 +8,9 @@ import numpy as np
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import SceneError
+from cmbot.planning.objectives import Objective, objective_of
 from cmbot.planning.task import ToolTask
+from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.clearance import Clearances
@@ -32,6 +34,8 @@ class Setting:
     times : (k,), s
         Of the via-points.
     options : PlannerOptions
+    objective : Objective
+        What is made small.
     """
 
     robot: Robot
@@ -40,25 +44,37 @@ class Setting:
     clearances: Clearances
     times: FloatArray
     options: PlannerOptions
+    objective: Objective
 
 
-def prepare(scene: Scene, options: PlannerOptions) -> Setting:
+def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = None) -> Setting:
     """Bring a scene and its robot together.
+
+    Parameters
+    ----------
+    scene : Scene
+    options : PlannerOptions
+    own : WrenchFunction, optional
+        What is made small, in place of what the options say.
 
     Raises
     ------
     SceneError, ModelError
         When they do not fit together.
+    InputError
+        When `own` is no function of the wrench.
     """
     robot = robot_of(scene)
     task = task_of(scene, robot)
+    posture = np.array(scene.posture)
     return Setting(
         robot=robot,
-        posture=np.array(scene.posture),
+        posture=posture,
         task=task,
         clearances=Clearances(robot, scene.obstacles),
         times=task.path.via_times(scene.via_points),
         options=options,
+        objective=objective_of(robot, options, own, posture),
     )
 
 
@@ -80,6 +96,7 @@ def robot_of(scene: Scene) -> Robot:
         tool_frame=source.tool_frame,
         limits=source.limits,
         srdf=source.srdf,
+        elasticity=source.elasticity,
         mount=mount,
         tool_length=source.tool_length,
         payload=source.payload,

@@ -18,7 +18,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import linalg, sparse
+from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from cmbot.arrays import FloatArray, IntArray
@@ -68,17 +68,27 @@ class SplineSpace:
 
         Entries of velocity rows are in 1/s, of acceleration rows in 1/s2, up to a common factor a column.
         """
-        columns = []
-        C = (self._jerk_jumps @ sparse.diags_array(1 / self._unit)).tocsc()
-        for k in range(self.dimension):
-            free = _velocity_and_acceleration(np.arange(k + 1, k + _SUPPORT))
-            conditions = C[:, free].toarray()[k : k + _SUPPORT + 1]
-            y = linalg.null_space(conditions / np.abs(conditions).max())[:, 0] / self._unit[free]
-            columns.append((y / y[np.argmax(np.abs(y))], free))
-        rows = np.concatenate([free for _, free in columns])
-        values = np.concatenate([y for y, _ in columns])
-        where = np.repeat(np.arange(self.dimension), 2 * (_SUPPORT - 1))
-        return sparse.csr_array((values, (rows, where)), shape=(3 * len(self.t), self.dimension))
+        free, conditions, _ = self._windows
+        largest = np.abs(conditions).max(axis=(1, 2), keepdims=True)
+        y = np.linalg.svd(conditions / largest)[2][:, -1] / self.unit[free]
+        y /= np.take_along_axis(y, np.abs(y).argmax(axis=1)[:, None], axis=1)
+        where = np.broadcast_to(np.arange(self.dimension)[:, None], free.shape)
+        shape = (3 * len(self.t), self.dimension)
+        return sparse.csr_array((y.ravel(), (free.ravel(), where.ravel())), shape=shape)
+
+    @cached_property
+    def cardinal(self) -> sparse.csr_array:
+        """Knot vectors (3n, n) of splines that are 1 at one knot, 0 at the others, and live on four segments."""
+        free, conditions, jumps = self._windows
+        knots = np.arange(len(self.t))
+        window = np.clip(knots - _SUPPORT // 2, 0, self.dimension - 1)
+        rhs = -np.take_along_axis(jumps[window], (knots - window)[:, None, None], axis=2)
+        y = (np.linalg.pinv(conditions[window]) @ rhs)[..., 0] / self.unit[free[window]]
+        where = np.broadcast_to(knots[:, None], y.shape)
+        values = np.concatenate([y.ravel(), np.ones(len(knots))])
+        rows = np.concatenate([free[window].ravel(), 3 * knots])
+        columns = np.concatenate([where.ravel(), knots])
+        return sparse.csr_array((values, (rows, columns)), shape=(3 * len(self.t), len(knots)))
 
     @cached_property
     def jerk_gram(self) -> sparse.csr_array:
@@ -88,6 +98,10 @@ class SplineSpace:
     def jerk_product(self, z_a: FloatArray, z_b: FloatArray) -> FloatArray:
         """Time means (a, b) of the products of the jerks of knot vectors `z_a` (3n, a) and `z_b` (3n, b)."""
         return np.asarray(z_a.T @ (self._jerk_energy @ z_b))
+
+    def jerk_products(self, columns: sparse.csr_array) -> sparse.csr_array:
+        """Time means of the products of the jerks of all pairs of sparse knot vectors `columns` (3n, a)."""
+        return sparse.csr_array(columns.T @ self._jerk_energy @ columns)
 
     def least_jerk(self, q: FloatArray) -> FloatArray:
         """Knot vectors P q of the splines through `q` with the least mean squared jerk.
@@ -105,8 +119,8 @@ class SplineSpace:
         z = np.zeros((3 * n, q.shape[1]))
         z[0::3] = q
         free = _velocity_and_acceleration(np.arange(1, n - 1))
-        rhs = -np.vstack([(self._jerk_energy @ z)[free] * (1 / self._unit[free, None]), self._jerk_jumps @ z])
-        z[free] = self._least_jerk_system.solve(rhs)[: len(free)] / self._unit[free, None]
+        rhs = -np.vstack([(self._jerk_energy @ z)[free] * (1 / self.unit[free, None]), self._jerk_jumps @ z])
+        z[free] = self._least_jerk_system.solve(rhs)[: len(free)] / self.unit[free, None]
         return z
 
     def trajectory(self, z: FloatArray) -> QuinticTrajectory:
@@ -115,18 +129,24 @@ class SplineSpace:
 
     def design(self, times: ArrayLike, order: int) -> sparse.csr_array:
         """Matrix (N, 3n) that takes knot vectors to derivative `order` at `times` (N,)."""
-        times = np.asarray(times, dtype=float)
+        segment, weights = self.hermite_weights(np.asarray(times, dtype=float), order + 1)
+        columns = 3 * segment[:, None] + np.arange(6)
+        return sparse.csr_array(
+            (weights[order].ravel(), (np.repeat(np.arange(len(segment)), 6), columns.ravel())),
+            shape=(len(segment), 3 * len(self.t)),
+        )
+
+    def hermite_weights(self, times: FloatArray, orders: int) -> tuple[IntArray, FloatArray]:
+        """Segments (N,) of `times` (N,), and the weights (orders, N, 6) of the knot values at their two ends."""
         segment = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
         h = np.diff(self.t)[segment]
         u = (times - self.t[segment]) / h
-        c = derivative(self._hermite, order)[segment]
-        powers = u[:, None] ** np.arange(c.shape[-1])
-        weights = np.einsum("smk,sk->sm", c, powers) / h[:, None] ** order
-        columns = 3 * segment[:, None] + np.arange(6)
-        return sparse.csr_array(
-            (weights.ravel(), (np.repeat(np.arange(len(times)), 6), columns.ravel())),
-            shape=(len(times), 3 * len(self.t)),
-        )
+        weights = np.empty((orders, len(times), 6))
+        for order in range(orders):
+            c = derivative(self._hermite, order)[segment]
+            powers = u[:, None] ** np.arange(c.shape[-1])
+            weights[order] = np.einsum("smk,sk->sm", c, powers) / h[:, None] ** order
+        return segment, weights
 
     @cached_property
     def _hermite(self) -> FloatArray:
@@ -137,10 +157,28 @@ class SplineSpace:
         return hermite_coefficients(np.diff(self.t), tuple(start), tuple(end))
 
     @cached_property
-    def _unit(self) -> FloatArray:
+    def unit(self) -> FloatArray:
         """Factors (3n,) that bring position, velocity and acceleration to one size: 1, T/m, (T/m)^2."""
         step = (self.t[-1] - self.t[0]) / (len(self.t) - 1)
         return np.tile([1.0, step, step**2], len(self.t))
+
+    @cached_property
+    def _windows(self) -> tuple[IntArray, FloatArray, FloatArray]:
+        """For each four neighbouring segments: what is free of the knots inside, and what keeps them C3.
+
+        Indices (n - 4, 6) in a knot vector; the jerks' jumps by those, unit-free, (n - 4, 5, 6); the same by
+        the positions of the five knots, (n - 4, 5, 5).
+        """
+        first = np.arange(self.dimension)[:, None]
+        free = np.stack([_velocity_and_acceleration(k + np.arange(1, _SUPPORT)) for k in first])
+        knots = first + np.arange(_SUPPORT + 1)
+        scaled = (self._jerk_jumps @ sparse.diags_array(1 / self.unit)).tocsr()
+
+        def blocks(columns: IntArray) -> FloatArray:
+            rows, columns = np.broadcast_arrays(knots[:, :, None], columns[:, None, :])
+            return np.asarray(scaled[rows.ravel(), columns.ravel()]).reshape(rows.shape)
+
+        return free, blocks(free), blocks(3 * knots)
 
     @cached_property
     def _jerk_jumps(self) -> sparse.csr_array:
@@ -172,7 +210,7 @@ class SplineSpace:
     def _least_jerk_system(self) -> SuperLU:
         """Factorised optimality conditions of the least-jerk spline, in unit-free variables."""
         free = _velocity_and_acceleration(np.arange(1, len(self.t) - 1))
-        scale = sparse.diags_array(1 / self._unit[free])
+        scale = sparse.diags_array(1 / self.unit[free])
         G = scale @ self._jerk_energy[free][:, free] @ scale
         C = self._jerk_jumps[:, free] @ scale
         return splu(sparse.block_array([[G, C.T], [C, None]], format="csc"))

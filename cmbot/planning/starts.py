@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +17,9 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene.clearance import Clearances
 from cmbot.scene.options import PlannerOptions
+from cmbot.validation import counted
 
-__all__ = ["find_path", "self_motion_postures"]
+__all__ = ["find_path", "no_start_left", "self_motion_postures"]
 
 
 # Self-motion is followed in steps of this length, rad, at most so many of them each way; every fourth posture
@@ -78,18 +79,25 @@ def find_path(
             failures.append(error)
         else:
             return path, tuple(failures)
+    raise no_start_left(failures) from failures[0]
+
+
+def no_start_left(failures: Sequence[PathNotFound]) -> PathNotFound:
+    """Return the first failure, with a word on the others."""
     first, others = failures[0], len(failures) - 1
     furthest = max(failure.progress for failure in failures)
     reason = first.reason
     if others:
-        reason += f"; {others} other starting postures fail as well (the best at {furthest:.0%} of the path)"
-    raise PathNotFound(
+        postures = counted(others, "other starting posture")
+        fail = "fails" if others == 1 else "fail"
+        reason += f"; {postures} {fail} as well (the best at {furthest:.0%} of the path)"
+    return PathNotFound(
         reason,
         time=first.time,
         progress=first.progress,
         smallest_singular_value=first.smallest_singular_value,
         pair=first.pair,
-    ) from first
+    )
 
 
 def self_motion_postures(robot: Robot, task: ToolTask, posture: FloatArray) -> list[FloatArray]:

@@ -18,7 +18,6 @@ from cmbot.scene.clearance import Clearances
 
 __all__ = [
     "ClearanceMargin",
-    "GuardrailTorque",
     "JointTorque",
     "Linearisation",
     "StateFunction",
@@ -70,35 +69,6 @@ class StateFunction(Protocol):
 
     def linearise(self, states: States, component: IntArray) -> Linearisation:
         """Linearise component number ``component[k]`` at state k."""
-
-
-@dataclass(frozen=True)
-class GuardrailTorque:
-    """Norm of the torque on the guardrail, in units of `scale`; the bound is not subtracted.
-
-    Chang 2021, Eqs. (12) and (30).
-    """
-
-    dynamics: Dynamics
-    scale: float
-    name: str = "guardrail torque"
-    components: int = 1
-
-    def values(self, states: States) -> tuple[FloatArray, IntArray]:
-        """Return the norms (N, 1)."""
-        torque = self.dynamics.efforts(states.q, states.v, states.a).guardrail_torque
-        value = np.linalg.norm(torque, axis=1, keepdims=True) / self.scale
-        return value, np.zeros(value.shape, dtype=np.intp)
-
-    def linearise(self, states: States, component: IntArray) -> Linearisation:
-        """Linearise the norm."""
-        del component
-        rows = self.dynamics.derivatives(states.q, states.v, states.a)
-        torque = rows.value[:, :3] / self.scale
-        norm = np.linalg.norm(torque, axis=1)
-        unit = torque / np.maximum(norm, _FLAT)[:, None] / self.scale
-        d_q, d_v, d_a = (np.einsum("ki,kij->kj", unit, d[:, :3]) for d in (rows.d_q, rows.d_v, rows.d_a))
-        return Linearisation(norm, d_q, d_v, d_a)
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -14,6 +14,10 @@ from cmbot.errors import InputError
 from cmbot.scene.tool_path import ToolPath
 
 __all__ = ["ToolTask"]
+
+# Sines of angles below which a rotation vector is zero, two unit vectors are parallel or opposite, and the
+# cosine below which a turn counts as nearly half a one.
+_NO_TURN, _OPPOSITE, _NEARLY_HALF_A_TURN = 1e-300, 1e-12, -0.9
 
 
 @dataclass(frozen=True)
@@ -45,6 +49,10 @@ class ToolTask:
             return np.vstack([J[:3], X_WT.rotation[:, :2].T @ J[3:]])
         return J[:3]
 
+    def smallest_singular_value(self, X_WT: Any, J: FloatArray) -> float:
+        """Return that of the task Jacobian (Chang 2021, Eq. (19)) from the tool's `J` (6, n) at `X_WT`."""
+        return float(np.linalg.svd(self.jacobian(X_WT, J), compute_uv=False)[-1])
+
     def error(self, X_WT: Any, point: FloatArray) -> FloatArray:
         """Task coordinates (m,) of the way from `X_WT` to the path's orientation at `point` (3,)."""
         translation: FloatArray = point - X_WT.translation
@@ -73,10 +81,15 @@ class ToolTask:
         if self.keep == "position":
             return translation
         if self.keep == "pose":
-            turn = Rotation.from_matrix(R_goal @ R_WT.transpose(0, 2, 1)).as_rotvec()
+            turn = _rotation_vectors(R_goal @ R_WT.transpose(0, 2, 1))
             return np.concatenate([translation, turn], axis=1)
-        turns = np.array([R[:, :2].T @ _between(R[:, 2], R_goal[:, 2]) for R in R_WT]).reshape(-1, 2)
-        return np.concatenate([translation, turns], axis=1)
+        turns = _all_between(R_WT[:, :, 2], R_goal[:, 2])
+        return np.concatenate([translation, np.einsum("kij,ki->kj", R_WT[:, :, :2], turns)], axis=1)
+
+    def held_at_start(self) -> ToolTask:
+        """Return the task of holding the tool where this one starts."""
+        corners = np.repeat(self.path.corners[:1], 2, axis=0)
+        return replace(self, path=replace(self.path, corners=corners, seconds=np.ones(1)))
 
     @property
     def dimension(self) -> int:
@@ -96,11 +109,34 @@ class ToolTask:
         return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
 
 
+def _rotation_vectors(R: FloatArray) -> FloatArray:
+    """Rotation vectors (N, 3) of rotations (N, 3, 3)."""
+    sine = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
+    size, cosine = np.linalg.norm(sine, axis=1), 0.5 * (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2] - 1.0)
+    # What follows is exact but for half turns, whose axis it does not see; SciPy's own costs ten times more.
+    vectors = sine * (np.arctan2(size, cosine) / np.maximum(size, _NO_TURN))[:, None]
+    vectors[size <= _NO_TURN] = 0.0
+    far = np.flatnonzero(cosine < _NEARLY_HALF_A_TURN)
+    if len(far):
+        vectors[far] = Rotation.from_matrix(R[far]).as_rotvec()
+    return vectors
+
+
+def _all_between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
+    """Shortest rotation vectors (N, 3) that turn unit vectors `z` (N, 3) to `z_goal` (3,)."""
+    cross, cosine = np.cross(z, z_goal), z @ z_goal
+    sine = np.linalg.norm(cross, axis=1)
+    vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
+    for k in np.flatnonzero(sine < _OPPOSITE):
+        vectors[k] = _between(z[k], z_goal)
+    return np.asarray(vectors)
+
+
 def _between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
     """Shortest rotation vector (3,) that turns the unit vector `z` to `z_goal`."""
     cross = np.cross(z, z_goal)
     sine = float(np.linalg.norm(cross))
-    if sine < 1e-12:
+    if sine < _OPPOSITE:
         # Parallel: nothing to do. Opposite: half a turn about any axis across z.
         if z @ z_goal > 0:
             return cross

@@ -14,6 +14,9 @@ from cmbot.planning.polynomials import derivative, roots_in_unit_interval, value
 
 __all__ = ["Extrema", "QuinticTrajectory", "hermite_coefficients"]
 
+# By how much times may miss the ends, as a share of the duration: they come from sums of steps.
+_TIME_ROUNDING = 1e-9
+
 POSITION, VELOCITY, ACCELERATION, JERK = range(4)
 
 
@@ -138,7 +141,7 @@ class QuinticTrajectory:
         Parameters
         ----------
         times : (N,), s
-            Times outside the trajectory count as its nearer end.
+            From the first knot to the last; beyond them by no more than rounding.
         order : int
             0 position, 1 velocity, 2 acceleration, 3 jerk, up to 5. At an inner knot a discontinuous
             derivative has the value of the later segment.
@@ -146,12 +149,27 @@ class QuinticTrajectory:
         Returns
         -------
         (N, n)
+
+        Raises
+        ------
+        InputError
+            When a time is not one of the trajectory's.
         """
-        t: FloatArray = np.clip(np.asarray(times, dtype=np.float64), self.t[0], self.t[-1])
+        t = self._own(np.asarray(times, dtype=np.float64))
         segment = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
         h = np.diff(self.t)[segment]
         u = ((t - self.t[segment]) / h)[:, None, None]
         return values(derivative(self.coefficients, order)[segment], u)[..., 0] / h[:, None] ** order
+
+    def _own(self, t: FloatArray) -> FloatArray:
+        """Return times (N,) when they are the trajectory's, rounding at its ends taken off."""
+        slack = _TIME_ROUNDING * self.duration
+        # In this form NaN counts as outside.
+        outside = ~((self.t[0] - slack <= t) & (t <= self.t[-1] + slack))
+        if outside.any():
+            expected = f"times from {self.t[0]:g} to {self.t[-1]:g} s"
+            raise InputError("QuinticTrajectory", "times", f"{t[outside][0]:g} s", expected)
+        return np.clip(t, self.t[0], self.t[-1])
 
     def states(self, times: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration at `times` (N,), each (N, n)."""

@@ -9,13 +9,14 @@ import numpy as np
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import PathNotFound
-from cmbot.planning.families import FixedKnots, SlidingKnots, WhitenedSplines
-from cmbot.planning.global_stage import Floor, GlobalStage
+from cmbot.planning.family import Family
+from cmbot.planning.floor import Floor
+from cmbot.planning.global_stage import GlobalSolution, GlobalStage
 from cmbot.planning.gradient_projection import JointPath, place_on_task
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.self_motion import Chart
 from cmbot.planning.setting import Setting
-from cmbot.planning.spline_space import SplineSpace
+from cmbot.planning.solvers import family_through
 from cmbot.planning.starts import find_path
 from cmbot.robot import Kinematics, Postures
 
@@ -28,8 +29,8 @@ class Choice:
 
     Attributes
     ----------
-    free, pinned : float or None, Nm
-        Peak static torque over the via-points; None where there is no way.
+    free, pinned : float or None
+        Peak of the objective at rest over the via-points; None where there is no way.
     """
 
     free: float | None
@@ -77,17 +78,17 @@ def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
     path, failures = find_path(
         setting.robot, setting.task, setting.posture, setting.clearances, setting.options, tell
     )
-    splines, numbers = _splines(setting)
-    family = FixedKnots(splines, _via_points(setting, path), numbers, setting.options.smoothing_weight)
-    static = Postures(setting.robot).at(family.via_points).guardrail_torque
-    floor = float(np.linalg.norm(static, axis=1).max())
+    family = family_through(setting, _via_points(setting, path), sliding=False)
+    floor = float(setting.objective.at_rest(Postures(setting.robot).at(family.via_points)).max())
     return Way(problem=_problem(setting, family, resting=(0, -1), floor=floor), failures=failures)
 
 
 def sliding_way(setting: Setting) -> Way:
     """Take via-points from the global stage, to slide along the self-motion.
 
-    With ``start: pinned`` the arm starts in the scene's posture; with ``free`` wherever the tool is the same.
+    With ``start: free`` the arm starts wherever the tool is the same, if that is worth leaving the scene's
+    posture; with ``pinned`` in the scene's posture, or, where no path leads on from there, in the nearest one
+    from which a path does.
 
     Raises
     ------
@@ -95,37 +96,37 @@ def sliding_way(setting: Setting) -> Way:
         When a via-point is blocked, or nothing leads from one to the next.
     """
     options = setting.options
-    stage = GlobalStage(
-        setting.robot, setting.task, setting.times, setting.posture, setting.clearances, options
-    )
-    pinned = options.start == "pinned"
-    solution = stage.solve(pinned=pinned)
-    try:
-        other: float | None = stage.solve(pinned=not pinned).peak
-    except PathNotFound:
-        other = None
-    splines, numbers = _splines(setting)
-    family = SlidingKnots(
-        splines,
-        solution.q,
-        numbers,
-        options.smoothing_weight,
-        postures=Postures(setting.robot),
-        task=setting.task,
-        points=setting.task.path.position(setting.times),
-        pinned=pinned,
-    )
+    stage = GlobalStage(setting)
+    free, pinned = (_tried(stage, pinned=choice) for choice in (False, True))
+    failures: tuple[PathNotFound, ...] = ()
+    if isinstance(free, PathNotFound):
+        raise free
+    if isinstance(pinned, GlobalSolution):
+        worth_leaving = pinned.peak > free.peak * (1 + options.gap_target)
+        solution = free if options.start == "free" and worth_leaving else pinned
+    elif options.start == "free":
+        solution = free
+    else:
+        solution, failures = stage.solve_elsewhere(pinned)
+    stays = solution is not free
+    family = family_through(setting, solution.q, sliding=True, pinned=stays)
     return Way(
-        problem=_problem(setting, family, resting=(0,) if pinned else (), floor=stage.floor.torque),
+        problem=_problem(setting, family, resting=(0,) if stays else (), floor=stage.floor.value),
+        failures=failures,
         floor=stage.floor,
-        choice=Choice(free=other if pinned else solution.peak, pinned=solution.peak if pinned else other),
+        choice=Choice(free=free.peak, pinned=pinned.peak if isinstance(pinned, GlobalSolution) else None),
         chart=stage.first_chart,
     )
 
 
-def _problem(
-    setting: Setting, family: FixedKnots, *, resting: tuple[int, ...], floor: float
-) -> TorqueProblem:
+def _tried(stage: GlobalStage, *, pinned: bool) -> GlobalSolution | PathNotFound:
+    try:
+        return stage.solve(pinned=pinned)
+    except PathNotFound as failure:
+        return failure
+
+
+def _problem(setting: Setting, family: Family, *, resting: tuple[int, ...], floor: float) -> TorqueProblem:
     return TorqueProblem(
         setting.robot,
         setting.task,
@@ -134,13 +135,8 @@ def _problem(
         setting.options,
         resting=resting,
         floor=floor,
+        objective=setting.objective,
     )
-
-
-def _splines(setting: Setting) -> tuple[WhitenedSplines, FloatArray]:
-    """Splines over the via-points' times, and the numbers of the least-jerk one."""
-    splines = WhitenedSplines(SplineSpace(setting.times), setting.robot.limits)
-    return splines, np.zeros((splines.basis.shape[1], setting.robot.dof))
 
 
 def _via_points(setting: Setting, path: JointPath) -> FloatArray:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.families import FixedKnots
+from cmbot.planning.family import Family
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.state_functions import StateFunction, States
 from cmbot.planning.trajectory import QuinticTrajectory
@@ -16,7 +18,11 @@ __all__ = ["Violation", "WorkingSet"]
 
 
 # Two sites of one component nearer than this share of a grid step are the same.
-_SAME_SITE = 1e-3
+_SAME_SITE = 0.005
+# The peak is the objective: what exceeds it counts at this share of the constraints' tolerance.
+_PEAK = 0.1
+# Sampled constraints within this of their bound are looked at between the samples, too.
+_NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -33,7 +39,7 @@ class _Sites:
 
     times: FloatArray = field(default_factory=lambda: np.empty(0))
     component: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    rows: FloatArray = field(default_factory=lambda: np.empty((4, 0, 0)))
+    rows: Any = None
 
     def add(self, times: FloatArray, component: IntArray, problem: TorqueProblem) -> int:
         """Add the sites that are not there yet; return how many."""
@@ -41,10 +47,9 @@ class _Sites:
         known = (np.abs(self.times - times[:, None]) < step) & (self.component == component[:, None])
         new = ~known.any(axis=1)
         if new.any():
-            rows = problem.rows(times[new])
-            self.rows = rows if len(self.times) == 0 else np.concatenate([self.rows, rows], axis=1)
             self.times = np.append(self.times, times[new])
             self.component = np.append(self.component, component[new])
+            self.rows = problem.family.rows(self.times)
         return int(new.sum())
 
 
@@ -65,10 +70,15 @@ class WorkingSet:
         self._bound_sites = [_Sites() for _ in problem.bounds]
 
     def __len__(self) -> int:
-        return sum(len(sites.times) for sites in (*self._state_sites, *self._bound_sites))
+        return sum(self.sizes)
 
-    def values(self, family: FixedKnots, x: FloatArray) -> tuple[FloatArray, FloatArray, int]:
-        """Return values (K,), Jacobian (K, dimension), and how many leading rows are guardrail torques."""
+    @property
+    def sizes(self) -> tuple[int, ...]:
+        """Numbers of sites of the functions of the state and of the joints' bounds, in the order of `values`."""
+        return tuple(len(sites.times) for sites in (*self._state_sites, *self._bound_sites))
+
+    def values(self, family: Family, x: FloatArray) -> tuple[FloatArray, Any, int]:
+        """Return values (K,), Jacobian (K, width of the family's), and how many leading rows are guardrail torques."""
         problem = self._problem
         values, jacobians = [], []
         trajectory = problem.trajectory(family, x)
@@ -87,8 +97,13 @@ class WorkingSet:
                 factor = sign / bound.scale[joint]
                 jacobians.append(family.chain_one(x, sites.rows, bound.order, joint, factor))
         if not values:
-            return np.empty(0), np.empty((0, family.dimension)), 0
-        return np.concatenate(values), np.vstack(jacobians), len(self._state_sites[0].times)
+            return np.empty(0), family.stacked([]), 0
+        return np.concatenate(values), family.stacked(jacobians), len(self._state_sites[0].times)
+
+    def state_sites(self) -> Iterator[tuple[StateFunction, FloatArray, IntArray]]:
+        """Go through the functions of the state in the order of `values`: times and components of their sites."""
+        for function, sites in zip(self._functions, self._state_sites, strict=True):
+            yield function, sites.times, sites.component
 
     def add_everywhere(self, times: FloatArray) -> None:
         """Add the guardrail torque and every constraint with one component at `times`.
@@ -129,15 +144,31 @@ class WorkingSet:
         added, worst, peak = 0, Violation("none", -np.inf), 0.0
         for number, (function, sites) in enumerate(zip(self._functions, self._state_sites, strict=True)):
             value, component = function.values(states)
+            row, column = np.nonzero(_local_maxima(value))
+            top, limit = value[row, column], torque_bound if number == 0 else 0.0
             if number == 0:
-                peak = float(value.max())
-                value = value - torque_bound
-            elif value.max() > worst.value:
-                worst = Violation(function.name, float(value.max()))
-            row, column = np.nonzero(_local_maxima(value) & (value > tolerance))
-            order = np.argsort(-value[row, column])[:most]
-            row, column = row[order], column[order]
-            added += sites.add(times[row], component[row, column], self._problem)
+                peak = float(top.max())
+            # What is near its bound between samples is looked at where it is largest.
+            near = top > limit - _NEAR
+            row, column, top = row[near], column[near], top[near]
+            when, where = times[row], component[row, column]
+            if len(when):
+                when = when + _shifts(times, value, row, column)
+                again, which = function.values(States(when, *trajectory.states(when)))
+                k = np.arange(len(when))
+                better = again[k, column] > top
+                when = np.where(better, when, times[row])
+                where = np.where(better, which[k, column], where)
+                top = np.maximum(again[k, column], top)
+            if number == 0:
+                peak = max(peak, float(top.max(initial=0.0)))
+            else:
+                largest = float(value.max()) if len(top) == 0 else float(top.max())
+                if largest > worst.value:
+                    worst = Violation(function.name, largest)
+            order = np.argsort(-top)
+            order = order[top[order] > limit + (_PEAK if number == 0 else 1.0) * tolerance][:most]
+            added += sites.add(when[order], where[order], self._problem)
         for bound, sites in zip(self._problem.bounds, self._bound_sites, strict=True):
             extrema = trajectory.extrema(bound.order)
             over = (extrema.value - bound.high[:, None]) / bound.scale[:, None]
@@ -161,3 +192,16 @@ def _local_maxima(value: FloatArray) -> BoolArray:
     """Where each column of `value` (N, c) is not exceeded by its neighbours."""
     padded = np.pad(value, ((1, 1), (0, 0)), constant_values=-np.inf)
     return np.asarray((value >= padded[:-2]) & (value >= padded[2:]))
+
+
+def _shifts(times: FloatArray, value: FloatArray, row: IntArray, column: IntArray) -> FloatArray:
+    """Times from local maxima to the tops of the parabolas through them and their neighbours."""
+    before, after = np.maximum(row - 1, 0), np.minimum(row + 1, len(times) - 1)
+    inner = (before < row) & (row < after)
+    a = np.where(inner, times[row] - times[before], 1.0)
+    b = np.where(inner, times[after] - times[row], 1.0)
+    middle = value[row, column]
+    rise, fall = (middle - value[before, column]) / a, (middle - value[after, column]) / b
+    slope, bend = (rise * b - fall * a) / (a + b), (rise + fall) / (a + b)
+    inner &= bend > 0
+    return np.where(inner, 0.5 * slope / np.where(inner, bend, 1.0), 0.0)

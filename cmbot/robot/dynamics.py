@@ -10,7 +10,7 @@ import pinocchio as pin
 from cmbot.arrays import FloatArray
 from cmbot.robot.robot import Robot
 
-__all__ = ["Dynamics", "EffortDerivatives", "Efforts"]
+__all__ = ["Dynamics", "EffortDerivatives", "Efforts", "WrenchDerivatives"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +41,24 @@ class EffortDerivatives:
     value : (N, 3 + n), Nm
         Guardrail torque about O0 in W, then joint torques.
     d_q, d_v, d_a : (N, 3 + n, n)
+        Derivatives of `value` with respect to position, velocity and acceleration.
+    """
+
+    value: FloatArray
+    d_q: FloatArray
+    d_v: FloatArray
+    d_a: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class WrenchDerivatives:
+    """Wrench on the guardrail at N states, with its derivatives.
+
+    Attributes
+    ----------
+    value : (N, 6), N and Nm
+        Force and torque about O0, in W.
+    d_q, d_v, d_a : (N, 6, n)
         Derivatives of `value` with respect to position, velocity and acceleration.
     """
 
@@ -92,19 +110,39 @@ class Dynamics:
         ----------
         q, v, a : (N, n), rad, rad/s, rad/s2
         """
-        model, data = self.robot.floating_model, self._floating_data
-        N, n = q.shape
-        rows = 3 + n
-        value = np.empty((N, rows))
-        d_q, d_v, d_a = (np.empty((N, rows, n)) for _ in range(3))
-        # The free-flyer is held at W: position zero with identity quaternion, no velocity, no acceleration.
-        q_f, v_f, a_f = np.zeros(7 + n), np.zeros(6 + n), np.zeros(6 + n)
-        q_f[6] = 1.0
-        for k in range(N):
-            q_f[7:], v_f[6:], a_f[6:] = q[k], v[k], a[k]
-            dtau_dq, dtau_dv, M = pin.computeRNEADerivatives(model, data, q_f, v_f, a_f)
-            value[k] = data.tau[3:]
-            d_q[k], d_v[k], d_a[k] = dtau_dq[3:, 6:], dtau_dv[3:, 6:], M[3:, 6:]
+        value, d_q, d_v, d_a = self._derivatives(q, v, a, slice(3, 6 + q.shape[1]))
         for array in (value, d_q, d_v, d_a):
             array[:, :3] *= -1.0
         return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)
+
+    def wrench_derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> WrenchDerivatives:
+        """Evaluate the wrench on the guardrail with its derivatives at N states.
+
+        Parameters
+        ----------
+        q, v, a : (N, n), rad, rad/s, rad/s2
+        """
+        value, d_q, d_v, d_a = self._derivatives(q, v, a, slice(0, 6))
+        return WrenchDerivatives(value=-value, d_q=-d_q, d_v=-d_v, d_a=-d_a)
+
+    def _derivatives(
+        self, q: FloatArray, v: FloatArray, a: FloatArray, rows: slice
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Rows of the free-flyer model's inverse dynamics (N, k), and their derivatives (N, k, n).
+
+        The first six are the wrench of the base on the arm, the others the joint torques.
+        """
+        model, data = self.robot.floating_model, self._floating_data
+        N, n = q.shape
+        k = rows.stop - rows.start
+        value = np.empty((N, k))
+        d_q, d_v, d_a = (np.empty((N, k, n)) for _ in range(3))
+        # The free-flyer is held at W: position zero with identity quaternion, no velocity, no acceleration.
+        q_f, v_f, a_f = np.zeros(7 + n), np.zeros(6 + n), np.zeros(6 + n)
+        q_f[6] = 1.0
+        for i in range(N):
+            q_f[7:], v_f[6:], a_f[6:] = q[i], v[i], a[i]
+            dtau_dq, dtau_dv, M = pin.computeRNEADerivatives(model, data, q_f, v_f, a_f)
+            value[i] = data.tau[rows]
+            d_q[i], d_v[i], d_a[i] = dtau_dq[rows, 6:], dtau_dv[rows, 6:], M[rows, 6:]
+        return value, d_q, d_v, d_a

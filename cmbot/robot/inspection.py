@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from cmbot.errors import ModelError
+from cmbot.validation import counted
 
 __all__ = ["Finding", "inspect_urdf", "parse_robot_xml", "parse_urdf"]
 
@@ -97,8 +98,11 @@ def parse_robot_xml(path: Path, kind: str) -> ElementTree.Element:
     """
     try:
         root = ElementTree.fromstring(path.read_bytes())
+    except FileNotFoundError as error:
+        raise ModelError(str(path), "", "no such file", f"{kind} file") from error
     except OSError as error:
-        raise ModelError(str(path), "", error.strerror or error, f"{kind} file that can be read") from error
+        got = f"a file that cannot be read ({error.strerror or error})"
+        raise ModelError(str(path), "", got, f"{kind} file") from error
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
         raise ModelError(str(path), "", f"no XML ({error})", f"{kind} file") from error
     if root.tag != "robot":
@@ -165,7 +169,7 @@ def _numbers(key: str, text: str, count: int) -> Iterator[Finding]:
     words = [word for word in text.split(" ") if word]
     well_formed = len(words) == count and all(map(_NUMBER.fullmatch, words))
     if not well_formed or not all(math.isfinite(float(word)) for word in words):
-        yield _error(key, repr(text), f"{count} finite number(s)")
+        yield _error(key, repr(text), counted(count, "finite number"))
     elif key.endswith("rgba") and not all(0 <= float(word) <= 1 for word in words):
         yield _error(key, repr(text), "4 numbers from 0 to 1")
 

@@ -21,7 +21,7 @@ from cmbot.errors import InputError, ModelError
 from cmbot.validation import FileModel, validated
 from cmbot.yaml_reader import read_yaml
 
-__all__ = ["JointLimits", "read_joint_limits"]
+__all__ = ["JointLimits", "joints_with_limits", "read_joint_limits"]
 
 Positive = Annotated[float, Field(gt=0)]
 
@@ -87,12 +87,27 @@ def read_joint_limits(path: Path, joints: tuple[str, ...]) -> tuple[FloatArray, 
     ModelError
         When the file cannot be read or misses a joint.
     """
-    data = validated(_JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError)
-    missing = [name for name in joints if name not in data.joints]
+    listed = _entries(path)
+    missing = [name for name in joints if name not in listed]
     if missing:
         raise ModelError(str(path), f"joints.{missing[0]}", "nothing", "acceleration_deg and jerk_deg")
-    entries = [data.joints[name] for name in joints]
+    entries = [listed[name] for name in joints]
     return (
         np.deg2rad([entry.acceleration_deg for entry in entries]),
         np.deg2rad([entry.jerk_deg for entry in entries]),
     )
+
+
+def joints_with_limits(path: Path) -> frozenset[str]:
+    """Return the names of the joints that a joint-limits file lists.
+
+    Raises
+    ------
+    ModelError
+        When the file cannot be read.
+    """
+    return frozenset(_entries(path))
+
+
+def _entries(path: Path) -> dict[str, _JointEntry]:
+    return validated(_JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError).joints

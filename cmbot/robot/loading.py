@@ -1,14 +1,14 @@
-"""From a URDF, its SRDF and its joint-limits file to a `Robot`."""
+"""From a URDF, its SRDF, its joint-limits and its elasticity file to a `Robot`."""
 
 from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import coal
 import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
@@ -16,11 +16,12 @@ from numpy.typing import ArrayLike
 from cmbot.arrays import FloatArray
 from cmbot.errors import ModelError
 from cmbot.resources import model_folder
-from cmbot.robot.hulls import convex_hull, encloses_volume
-from cmbot.robot.inspection import inspect_urdf, parse_robot_xml, parse_urdf
+from cmbot.robot.arm_model import arm_model
+from cmbot.robot.elasticity import read_elasticity
+from cmbot.robot.inspection import inspect_urdf, parse_urdf
 from cmbot.robot.limits import JointLimits, read_joint_limits
 from cmbot.robot.robot import Robot
-from cmbot.robot.semantics import enable_pairs, stance
+from cmbot.robot.semantics import enable_pairs, read_semantics
 from cmbot.robot.tool import attach_payload, set_tool_length
 
 __all__ = ["load_robot"]
@@ -33,6 +34,7 @@ def load_robot(
     tool_frame: str | None = None,
     limits: str | Path | None = None,
     srdf: str | Path | None = None,
+    elasticity: str | Path | None = None,
     mount: ArrayLike | None = None,
     tool_length: float | None = None,
     payload: float = 0.0,
@@ -53,6 +55,9 @@ def load_robot(
         Joint-limits file (acceleration and jerk); default: ``joint_limits.yaml`` beside the URDF.
     srdf : path, optional
         Disabled collision pairs and stances; default: the file beside the URDF with its name, if there.
+    elasticity : path, optional
+        Which links bend; default: the file beside the URDF with its name and the ending
+        ``.elasticity.yaml``, if there, else none does.
     mount : (4, 4), optional
         Pose of `base_frame` in W; default: the URDF's root link is W.
     tool_length : float, optional
@@ -72,129 +77,70 @@ def load_robot(
         urdf = Path(model)
     if base_frame is None or tool_frame is None:
         raise ModelError(str(urdf), "base_frame, tool_frame", "none", "the links that bound the arm")
+    files = _files(urdf, limits, srdf, elasticity)
+    root = _sound(urdf)
+    semantics = read_semantics(files.srdf) if files.srdf is not None else None
+    arm, (collision, visual) = arm_model(urdf, root, semantics, base_frame, tool_frame)
+    if mount is not None:
+        _move_root(arm, (collision, visual), base_frame, mount)
+    enable_pairs(arm, collision, semantics)
+    if tool_length is not None:
+        set_tool_length(arm, (collision, visual), tool_frame, tool_length, source=str(urdf))
+    attach_payload(arm, tool_frame, payload)
+    return Robot(
+        name=root.get("name", urdf.stem),
+        urdf=urdf.resolve(),
+        model=arm,
+        floating_model=_on_free_flyer(arm),
+        collision_model=collision,
+        visual_model=visual,
+        limits=_limits(arm, str(urdf), *read_joint_limits(files.limits, tuple(arm.names)[1:])),
+        elasticity=read_elasticity(files.elasticity, arm) if files.elasticity is not None else (),
+        base_frame=base_frame,
+        tool_frame=tool_frame,
+        payload=payload,
+        content_hash=files.content_hash(),
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Files:
+    """The files of a robot; None where there is none of a kind."""
+
+    urdf: Path
+    srdf: Path | None
+    limits: Path
+    elasticity: Path | None
+
+    def content_hash(self) -> str:
+        files = (self.urdf, self.srdf, self.limits, self.elasticity)
+        return hashlib.sha256(b"\0".join(file.read_bytes() for file in files if file is not None)).hexdigest()
+
+
+def _files(
+    urdf: Path, limits: str | Path | None, srdf: str | Path | None, elasticity: str | Path | None
+) -> _Files:
+    return _Files(
+        urdf=urdf,
+        srdf=_given_or_there(srdf, urdf.with_suffix(".srdf")),
+        limits=Path(limits) if limits is not None else urdf.with_name("joint_limits.yaml"),
+        elasticity=_given_or_there(elasticity, urdf.with_suffix(".elasticity.yaml")),
+    )
+
+
+def _given_or_there(given: str | Path | None, beside: Path) -> Path | None:
+    if given is not None:
+        return Path(given)
+    return beside if beside.exists() else None
+
+
+def _sound(urdf: Path) -> ElementTree.Element:
+    """Return what stands in a URDF when nothing in it is wrong."""
     root = parse_urdf(urdf)
     for finding in inspect_urdf(root):
         if finding.severity == "error":
             raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
-    srdf_path = Path(srdf) if srdf is not None else urdf.with_suffix(".srdf")
-    semantics = parse_robot_xml(srdf_path, "an SRDF") if srdf is not None or srdf_path.exists() else None
-    limits_path = Path(limits) if limits is not None else urdf.with_name("joint_limits.yaml")
-
-    full, shapes = _build(urdf, root)
-    arm_joints = _chain(full, str(urdf), base_frame, tool_frame)
-    _require_turning(root, str(urdf), [full.names[i] for i in arm_joints])
-    locked = [i for i in range(1, full.njoints) if i not in arm_joints]
-    reduced, (collision, visual) = pin.buildReducedModel(
-        full, shapes, locked, stance(full, semantics, srdf_path)
-    )
-    if mount is not None:
-        _move_root(reduced, (collision, visual), base_frame, mount)
-    enable_pairs(reduced, collision, semantics, srdf_path)
-    if tool_length is not None:
-        set_tool_length(reduced, (collision, visual), tool_frame, tool_length, source=str(urdf))
-    attach_payload(reduced, tool_frame, payload)
-    acceleration, jerk = read_joint_limits(limits_path, tuple(reduced.names)[1:])
-    return Robot(
-        name=root.get("name", urdf.stem),
-        urdf=urdf.resolve(),
-        model=reduced,
-        floating_model=_on_free_flyer(reduced),
-        collision_model=collision,
-        visual_model=visual,
-        limits=_limits(reduced, str(urdf), acceleration, jerk),
-        base_frame=base_frame,
-        tool_frame=tool_frame,
-        payload=payload,
-        content_hash=_hash([urdf, *([] if semantics is None else [srdf_path]), limits_path]),
-    )
-
-
-def _hash(files: Sequence[Path]) -> str:
-    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files)).hexdigest()
-
-
-def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
-    """Build the full model with its collision and visual geometry.
-
-    Collision meshes become their convex hulls. A continuous joint has two coordinates in pinocchio; read as a
-    revolute one without limits it has one, as the splines need.
-    """
-    for joint in root.findall("joint"):
-        if joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            limit = joint.find("limit")
-            if limit is None:
-                limit = ElementTree.SubElement(joint, "limit", effort="0", velocity="0")
-            limit.set("lower", "-1e9")
-            limit.set("upper", "1e9")
-        # Never used here, and the reader refuses a file for a slip in them.
-        for tag in ("dynamics", "calibration", "safety_controller"):
-            for element in joint.findall(tag):
-                joint.remove(element)
-    folder = urdf.resolve().parent
-    for mesh in root.iter("mesh"):
-        # Mesh paths count from the URDF, package:// from a folder above it.
-        name = mesh.get("filename", "")
-        if "://" not in name:
-            mesh.set("filename", str((folder / name).resolve()))
-    xml = ElementTree.tostring(root, encoding="unicode")
-    packages = [str(parent) for parent in folder.parents]
-    try:
-        model = pin.buildModelFromXML(xml)
-        kinds = (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL)
-        shapes = [pin.buildGeomFromUrdfString(model, xml, kind, package_dirs=packages) for kind in kinds]
-    except (ValueError, RuntimeError, IndexError) as error:
-        text = " ".join(str(error).split())
-        raise ModelError(
-            str(urdf), "", f"a file that pinocchio refuses ({text})", "a loadable URDF"
-        ) from error
-    for shape in shapes[0].geometryObjects:
-        if isinstance(shape.geometry, coal.BVHModelBase):
-            shape.geometry = _convex_hull(shape, str(urdf))
-    return model, shapes
-
-
-def _convex_hull(shape: Any, source: str) -> Any:
-    vertices = shape.geometry.vertices()
-    if not encloses_volume(vertices):
-        expected = "a mesh that encloses a volume"
-        raise ModelError(source, shape.name, f"the mesh {shape.meshPath}", expected)
-    return convex_hull(vertices)
-
-
-def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[int]:
-    """Return the indices of the joints from `base_frame` to `tool_frame`."""
-    for key, name in (("base_frame", base_frame), ("tool_frame", tool_frame)):
-        if not model.existFrame(name, pin.FrameType.BODY):
-            choices = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
-            raise ModelError(source, key, repr(name), "a link of the URDF", choices)
-        if [frame.name for frame in model.frames].count(name) > 1:
-            raise ModelError(source, key, repr(name), "a link that shares its name with no joint")
-    base = model.frames[model.getFrameId(base_frame)].parentJoint
-    joint = model.frames[model.getFrameId(tool_frame)].parentJoint
-    chain: list[int] = []
-    while joint not in (base, 0):
-        chain.insert(0, joint)
-        joint = model.parents[joint]
-    if joint != base or not chain:
-        raise ModelError(
-            source, "tool_frame", repr(tool_frame), f"a link that joints move below {base_frame!r}"
-        )
-    return chain
-
-
-def _require_turning(root: ElementTree.Element, source: str, names: Sequence[str]) -> None:
-    """Refuse an arm with a joint that slides, or that follows another one."""
-    for joint in (joint for joint in root.findall("joint") if joint.get("name") in names):
-        key = f"joint[{joint.get('name')}]"
-        if joint.get("type") != "revolute":  # what `_build` made of a continuous one
-            raise ModelError(
-                source, f"{key}.type", joint.get("type"), "an arm of revolute or continuous joints"
-            )
-        if joint.find("mimic") is not None:
-            raise ModelError(
-                source, f"{key}.mimic", "a joint that follows another", "an arm of independent joints"
-            )
+    return root
 
 
 def _move_root(model: Any, shapes: Sequence[Any], base_frame: str, mount: ArrayLike) -> None:

@@ -11,7 +11,9 @@ from numpy.typing import ArrayLike
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
+from cmbot.robot.elasticity import LinkTube
 from cmbot.robot.limits import JointLimits
+from cmbot.validation import counted
 
 __all__ = ["Robot"]
 
@@ -39,13 +41,15 @@ class Robot:
         Shapes to look at.
     limits : JointLimits
         Of the n joints of the arm.
+    elasticity : tuple of LinkTube
+        The links of the arm that bend, base to tool; `model` does not know of it. Empty: all are rigid.
     base_frame, tool_frame : str
         Names of the arm's first and last frame; the tool point is the origin of `tool_frame`, the tool's
         axis its z axis.
     payload : float
         Point mass at the tool, kg.
     content_hash : str
-        SHA-256 of URDF, SRDF and joint-limits file.
+        SHA-256 of URDF, SRDF, joint-limits and elasticity file.
     """
 
     name: str
@@ -55,6 +59,7 @@ class Robot:
     collision_model: Any
     visual_model: Any
     limits: JointLimits
+    elasticity: tuple[LinkTube, ...]
     base_frame: str
     tool_frame: str
     payload: float
@@ -119,7 +124,7 @@ class Robot:
         """
         q = np.asarray(q, dtype=float)
         if q.shape != (self.dof,) or not np.isfinite(q).all():
-            raise error_type(source, key, np.rad2deg(q).tolist(), f"{self.dof} finite joint angles")
+            raise error_type(source, key, np.rad2deg(q).tolist(), counted(self.dof, "finite joint angle"))
         outside = np.flatnonzero((q < self.limits.lower) | (q > self.limits.upper))
         if len(outside):
             i = outside[0]

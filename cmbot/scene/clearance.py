@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -137,6 +138,8 @@ class Clearances:
         self._avoidable = np.array(kept_away_from, dtype=np.bool_)
         # Where all pairs were last looked at, and their distances there: nowhere yet.
         self._seen_at, self._seen = np.full(robot.dof, np.nan), np.empty(0)
+        # The same pairs, the nearest first, all of them and the avoidable ones.
+        self._ranked: dict[bool, tuple[list[int], list[float]]] = {}
 
     def smallest(self, q: FloatArray, *, avoidable_only: bool = False) -> Smallest:
         """Return the smallest distance in each of the postures `q` (N, n).
@@ -152,10 +155,11 @@ class Clearances:
         counted = self._avoidable if avoidable_only else self._all
         distance, pair = np.full(len(q), np.inf), np.full(len(q), -1, dtype=np.intp)
         if counted.any():
-            for k, q_k in enumerate(q):
-                # Of shapes that are nowhere coal would say that they touch.
-                known = np.isfinite(q_k).all()
-                distance[k], pair[k] = self._smallest(q_k, counted) if known else (np.nan, -1)
+            # Of shapes that are nowhere coal would say that they touch.
+            known = np.isfinite(q).all(axis=1)
+            distance[~known] = np.nan
+            for k in np.flatnonzero(known):
+                distance[k], pair[k] = self._smallest(q[k], avoidable_only)
         return Smallest(distance=distance, pair=pair)
 
     def too_near(self, q: FloatArray, margin: float) -> BoolArray:
@@ -169,13 +173,22 @@ class Clearances:
         """Return every avoidable pair (see `smallest`) that is nearer than `distance` at `q`."""
         moved = self._moved(q)
         candidates = np.flatnonzero(self._avoidable & (self._seen <= distance + moved + _SLACK))
-        found = (self.nearest(q, int(pair)) for pair in candidates)
+        if len(candidates) == 0:
+            return []
+        self._place(q)
+        found = (self._nearest(int(pair)) for pair in candidates)
         return [near for near in found if near.distance < distance]
 
     def nearest(self, q: FloatArray, pair: int) -> Nearest:
         """Return the nearest points of pair number `pair` at posture `q` (n,)."""
+        self._place(q)
+        return self._nearest(pair)
+
+    def _place(self, q: FloatArray) -> None:
         pin.computeJointJacobians(self._model, self._data, q)
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
+
+    def _nearest(self, pair: int) -> Nearest:
         result = pin.computeDistance(self._geometry, self._geometry_data, pair)
         first, second = self._shapes[pair]
         point, other_point = result.getNearestPoint1(), result.getNearestPoint2()
@@ -205,20 +218,18 @@ class Clearances:
     def _point_jacobian(self, joint: int, point: FloatArray) -> FloatArray:
         """Jacobian (3, n) of a point of W that is fixed to `joint`."""
         J = pin.getJointJacobian(self._model, self._data, joint, pin.ReferenceFrame.WORLD)
-        return np.asarray(J[:3] + np.cross(J[3:], point, axis=0))
+        return np.asarray(J[:3] - pin.skew(point) @ J[3:])
 
-    def _smallest(self, q: FloatArray, counted: BoolArray) -> tuple[float, int]:
-        """Smallest distance among the `counted` pairs at `q`, and its pair."""
+    def _smallest(self, q: FloatArray, avoidable_only: bool) -> tuple[float, int]:
+        """Smallest distance among all or the avoidable pairs at `q`, and its pair."""
         moved = self._moved(q)
-        nearest = self._seen[counted].min()
-        candidates = np.flatnonzero(counted & (self._seen <= nearest + 2 * moved + _SLACK))
+        pairs, seen = self._ranked[avoidable_only]
+        candidates = pairs[: bisect_right(seen, seen[0] + 2 * moved + _SLACK)]
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, q)
-        distances = [
-            pin.computeDistance(self._geometry, self._geometry_data, int(pair)).min_distance
+        return min(
+            (pin.computeDistance(self._geometry, self._geometry_data, pair).min_distance, pair)
             for pair in candidates
-        ]
-        best = int(np.argmin(distances))
-        return distances[best], int(candidates[best])
+        )
 
     def _moved(self, q: FloatArray) -> float:
         """How much any distance can have changed since all pairs were looked at, m; looks again if by much.
@@ -232,6 +243,9 @@ class Clearances:
         pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
         self._seen_at = q.copy()
         self._seen = np.array([result.min_distance for result in self._geometry_data.distanceResults])
+        ranked = np.argsort(self._seen, kind="stable")
+        for avoidable_only, pairs in ((False, ranked), (True, ranked[self._avoidable[ranked]])):
+            self._ranked[avoidable_only] = (pairs.tolist(), self._seen[pairs].tolist())
         return 0.0
 
     def _reach(self, moving: Sequence[int]) -> FloatArray:

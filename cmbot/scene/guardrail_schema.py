@@ -44,7 +44,7 @@ class PostFile(FileModel):
     """What every post is like; posts stand along z."""
 
     section: SectionFile = SectionFile(angle=(0.075, 0.008))
-    roll_deg: Angle = -90.0
+    roll_deg: Angle = 0.0
     """Turn of the section about z; at 0 the legs of an angle point along +x and +y."""
     bottom_m: Coordinate = -1.10
     """z of the lower end."""
@@ -100,7 +100,7 @@ _RAILS = (
     RailFile(
         name="top_rail",
         section=SectionFile(angle=(0.063, 0.006)),
-        roll_deg=180.0,
+        roll_deg=-90.0,
         height_m=0.0,
         box_m=(0.06, 0.06),
     ),

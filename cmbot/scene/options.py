@@ -5,13 +5,25 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
+
+from cmbot.validation import refusal
 
 __all__ = ["PlannerOptions"]
 
 PositiveFloat = Annotated[float, Field(gt=0)]
 NonNegativeFloat = Annotated[float, Field(ge=0)]
 PositiveInt = Annotated[int, Field(ge=1)]
+
+
+def _not_all_zero(weights: tuple[float, ...]) -> tuple[float, ...]:
+    if max(weights) <= 0:
+        raise refusal("a list with at least one number above 0", got=list(weights))
+    return weights
+
+
+AxisWeight = Annotated[float, Field(ge=0, le=1e6)]
+AxisWeights = Annotated[tuple[AxisWeight, AxisWeight, AxisWeight], AfterValidator(_not_all_zero)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,8 +38,9 @@ class PlannerOptions:
         ``sliding``: the via-points slide along the self-motion to where the torque on the guardrail is least.
         ``fixed``: they stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
     start : str
-        With sliding knots: ``free`` lets the arm first go to a better posture with the same tool pose;
-        ``pinned`` keeps the scene's posture.
+        With sliding knots: ``free`` lets the arm first go to a better posture with the same tool pose, where
+        that lowers the peak by more than `gap_target`; ``pinned`` keeps the scene's posture as long as a path
+        leads on from there.
     avoidance : str
         ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
         near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
@@ -60,7 +73,8 @@ class PlannerOptions:
     max_tool_deviation_m : float
         How far the tool point may leave the legs between via-points, m.
     solver : str
-        ``slsqp``: SciPy's sequential quadratic programming.
+        ``sqp``: sequential quadratic programming on sparse matrices, with PIQP (``pip install "cmbot[fast]"``).
+        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``.
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are looked for violations.
     smoothing_weight : float
@@ -74,13 +88,16 @@ class PlannerOptions:
     max_passes : int
         Exchange passes before the optimisation is given up.
     max_iterations : int
-        SLSQP iterations per pass (the paper's bound).
+        Iterations of the solver per pass (the paper's bound).
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
     knots: Literal["sliding", "fixed"] = "sliding"
     start: Literal["free", "pinned"] = "free"
+    objective: Literal["torque"] = "torque"
+    moment_about: Literal["foot", "base"] = "foot"
+    axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     avoidance: Literal["smooth", "switch"] = "smooth"
     avoidance_distance_m: PositiveFloat = 0.15
     avoidance_gain: NonNegativeFloat = 2.0
@@ -95,7 +112,7 @@ class PlannerOptions:
     step_share: Annotated[float, Field(gt=0, le=1)] = 0.6
     safety_margin_m: NonNegativeFloat = 0.02
     max_tool_deviation_m: PositiveFloat = 0.001
-    solver: Literal["slsqp"] = "slsqp"
+    solver: Literal["auto", "sqp", "slsqp"] = "slsqp"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
     smoothing_weight: Annotated[float, Field(gt=0, le=1)] = 1e-4
     gap_target: NonNegativeFloat = 2e-3

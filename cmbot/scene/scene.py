@@ -47,6 +47,8 @@ class RobotSource:
         Joint-limits file of another URDF.
     srdf : Path or None
         SRDF of another URDF; None also where it has none.
+    elasticity : Path or None
+        Elasticity file of another URDF; None also where it is the one beside the URDF, or none.
     mount_xyz : tuple of float or None
         (3,), position of the base frame of another URDF in W, m.
     mount_rpy : tuple of float or None
@@ -62,6 +64,7 @@ class RobotSource:
     tool_frame: str | None
     limits: Path | None
     srdf: Path | None
+    elasticity: Path | None
     mount_xyz: tuple[float, float, float] | None
     mount_rpy: tuple[float, float, float] | None
     tool_length: float | None
@@ -244,6 +247,7 @@ def _robot(file: RobotFile, base_folder: Path, source: str) -> RobotSource:
         tool_frame=file.tool_frame,
         limits=named(file.limits, "limits"),
         srdf=named(file.srdf, "srdf"),
+        elasticity=named(file.elasticity, "elasticity"),
         mount_xyz=None if mount is None else mount.xyz,
         mount_rpy=None if mount is None else _radians(mount.rpy_deg),
         tool_length=file.tool_length_m,

@@ -54,6 +54,8 @@ class RobotFile(FileModel):
     """Of another URDF: path of its joint-limits file."""
     srdf: Text | None = None
     """Of another URDF: path of its SRDF, if there is one."""
+    elasticity: Text | None = None
+    """Of another URDF: path of the file that says which of its links bend; left out: as beside the URDF."""
     mount: MountFile | None = None
     """Of another URDF: where its base frame is held."""
     tool_length_m: Length | None = None
@@ -63,11 +65,11 @@ class RobotFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for name in ("base_frame", "tool_frame", "limits", "mount", "srdf"):
+        for name in ("base_frame", "tool_frame", "limits", "mount", "srdf", "elasticity"):
             given = getattr(self, name) is not None
             if self.model == "cmbot" and given:
                 raise refusal("no such key beside model: cmbot", got="a value", key=(name,))
-            if self.model != "cmbot" and not given and name != "srdf":
+            if self.model != "cmbot" and not given and name not in ("srdf", "elasticity"):
                 raise refusal(f"a value, as model is {shown(self.model)}", got="nothing", key=(name,))
         return self
 

@@ -2,4 +2,20 @@
 
 from __future__ import annotations
 
-__all__: list[str] = []
+from cmbot.simulation.metrics import ErrorFigures, Residual, Statistics
+from cmbot.simulation.options import SimulationOptions
+from cmbot.simulation.remarks import tracking_remarks, tracking_rows
+from cmbot.simulation.tracking import MotionTracking, Tracking, simulate, track
+
+__all__ = [
+    "ErrorFigures",
+    "MotionTracking",
+    "Residual",
+    "SimulationOptions",
+    "Statistics",
+    "Tracking",
+    "simulate",
+    "track",
+    "tracking_remarks",
+    "tracking_rows",
+]

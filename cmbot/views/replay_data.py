@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from cmbot.planning import Approach, MotionFigures, Plan, Samples
+from cmbot.planning import MotionFigures, Plan, Samples
 from cmbot.planning.figures import figures, measure
 from cmbot.robot import Robot
 from cmbot.scene.clearance import Clearances
@@ -41,9 +41,9 @@ def replay_data(plan: Plan) -> dict[str, Any]:
         "start": 0.0 - approach_duration,
         "duration": duration,
         "legTimes": plan.task.path.leg_times.tolist(),
-        "floor": plan.floor.torque if plan.floor is not None else None,
+        "floor": plan.torque_floor,
         "links": link_names(plan.robot),
-        "approach": _approach(plan, plan.approach, step) if plan.approach is not None else None,
+        "approach": _approach(plan, step),
         "planned": _motion(plan.robot, plan.samples, plan.figures, times),
         "baseline": _motion(plan.robot, plan.baseline, plan.baseline_figures, times),
         "focus": _focus(plan),
@@ -59,17 +59,16 @@ def link_names(robot: Robot) -> list[str]:
     ]
 
 
-def _approach(plan: Plan, approach: Approach, step: float) -> dict[str, Any]:
+def _approach(plan: Plan, step: float) -> dict[str, Any] | None:
     """Return the planned arm's approach; meanwhile the baseline's arm rests where it starts."""
-    robot, trajectory = plan.robot, approach.trajectory
-    clearances = Clearances(robot, plan.scene.obstacles)
-    t = _frame_times(-trajectory.duration, 0.0, step)
-    motion = [trajectory.evaluate(t - t[0], order) for order in range(4)]
-    planned = measure(robot, approach.task, clearances, t, motion)
+    robot, approach, planned = plan.robot, plan.approach, plan.approach_samples
+    if approach is None or planned is None:
+        return None
+    t = _frame_times(0.0, approach.trajectory.duration, step)
     ends = t[[0, -1]]
     posture = np.repeat(plan.baseline.q[:1], 2, axis=0)
     rest = [posture, *np.zeros((3, *posture.shape))]
-    baseline = measure(robot, plan.task, clearances, ends, rest)
+    baseline = measure(robot, plan.task, Clearances(robot, plan.scene.obstacles), ends, rest)
     return {
         "label": "approach along the self-motion" if approach.along_self_motion else "approach, tool off",
         "planned": _motion(robot, planned, approach.certificate.figures, t),

@@ -1,0 +1,5 @@
+"""``python -m cmbot``: the command line."""
+
+from cmbot.cli import main
+
+main()

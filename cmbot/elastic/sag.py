@@ -1,0 +1,135 @@
+"""How far the arm sags at rest: static equilibrium of springs and weights, with exact derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from cmbot.arrays import FloatArray
+from cmbot.elastic.arm import ElasticArm
+from cmbot.errors import InputError
+from cmbot.robot import Kinematics
+
+__all__ = ["Sag", "SagStates"]
+
+_ITERATIONS = 30
+# Newton's step in m and rad; the error that is left is about its square.
+_SETTLED = 1e-8
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SagStates:
+    """An arm at rest in N postures. It is compared with the same joint angles where nothing bends.
+
+    Attributes
+    ----------
+    u : (N, f), m and rad
+        Elastic coordinates.
+    tool : (N, 3), m
+        Displacement of the tool point, in W.
+    rotation : (N, 3), rad
+        Rotation vector of the tool's turn, in W.
+    d_tool : (N, 3, n), m/rad
+        Derivative of `tool` with respect to the joint angles.
+    """
+
+    u: FloatArray
+    tool: FloatArray
+    rotation: FloatArray
+    d_tool: FloatArray
+
+
+class Sag:
+    """Static equilibrium of an elastic arm under its own weight.
+
+    All weight counts, that of the climbing mechanism and the payload included, from the state in which
+    nothing bends. The weights follow what bends: equilibrium is where potential energy is least, with no
+    assumption that the deflections are small.
+
+    It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    """
+
+    def __init__(self, arm: ElasticArm) -> None:
+        self.arm = arm
+        self._data = arm.model.createData()
+        self._rigid = Kinematics(arm.robot)
+        self._to_elastic = np.ix_(arm.elastic, arm.elastic)
+        self._to_driven = np.ix_(arm.elastic, arm.driven)
+
+    def at(self, q: FloatArray) -> SagStates:
+        """Find the equilibrium in N postures.
+
+        Parameters
+        ----------
+        q : (N, n), rad
+
+        Raises
+        ------
+        InputError
+            When the arm is too soft to carry itself in a posture.
+        """
+        arm, (N, n) = self.arm, q.shape
+        u, d_tool = np.zeros((N, len(arm.elastic))), np.empty((N, 3, n))
+        tool, rotation = np.empty((N, 3)), np.empty((N, 3))
+        for k in range(N):
+            tangent, coupling = self._settle(q[k], u[k], k)
+            X_WT, J = self._tool(arm.configuration(q[k], u[k]))
+            X_WR, J_rigid = self._rigid.tool_jacobian(q[k])
+            # Implicit function theorem on stiffness u + gravity(q, u) = 0.
+            du_dq = -np.linalg.solve(tangent, coupling)
+            tool[k] = X_WT.translation - X_WR.translation
+            rotation[k] = pin.log3(X_WT.rotation @ X_WR.rotation.T)
+            # pinocchio's Jacobian of a single joint is a vector.
+            J_rigid = J_rigid.reshape(6, n)
+            d_tool[k] = J[:3, arm.driven] + J[:3, arm.elastic] @ du_dq - J_rigid[:3]
+        return SagStates(u=u, tool=tool, rotation=rotation, d_tool=d_tool)
+
+    def tangent_stiffness(self, q: FloatArray, u: FloatArray) -> FloatArray:
+        """Stiffness (f, f) of the elastic coordinates at `q` (n,) and `u` (f,), N/m, N/rad, Nm/rad.
+
+        What the springs add to, and what turning weights add or take.
+        """
+        return self._linearised(self.arm.configuration(q, u))[0]
+
+    def _settle(self, q: FloatArray, u: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
+        """Move `u` to the equilibrium; derivatives of the balance there with respect to `u` and `q`."""
+        arm = self.arm
+        configuration = arm.configuration(q, u)
+        expected = "an arm and a guardrail that are stiff enough to carry the weight"
+        for _ in range(_ITERATIONS):
+            tangent, coupling = self._linearised(configuration)
+            balance = arm.stiffness @ u + self._data.g[arm.elastic]
+            try:
+                step = np.linalg.solve(tangent, balance)
+            except np.linalg.LinAlgError as error:
+                raise InputError("Sag.at", f"q[{k}]", "a posture without equilibrium", expected) from error
+            u -= step
+            configuration[arm.elastic] = u
+            if np.abs(step).max(initial=0.0) < _SETTLED:
+                break
+        else:
+            raise InputError("Sag.at", f"q[{k}]", "a posture whose equilibrium was not found", expected)
+        tangent, coupling = self._linearised(configuration)
+        try:
+            np.linalg.cholesky(tangent)
+        except np.linalg.LinAlgError as error:
+            raise InputError("Sag.at", f"q[{k}]", "a posture from which the arm topples", expected) from error
+        return tangent, coupling
+
+    def _linearised(self, configuration: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Derivatives of springs and gravity with respect to elastic coordinates (f, f) and joints (f, n)."""
+        gravity = pin.computeGeneralizedGravityDerivatives(self.arm.model, self._data, configuration)
+        return self.arm.stiffness + gravity[self._to_elastic], gravity[self._to_driven]
+
+    def _tool(self, configuration: FloatArray) -> tuple[pin.SE3, FloatArray]:
+        """Pose and Jacobian (6, n + f) of the bent arm's tool, as `Kinematics.tool_jacobian`."""
+        model, data, frame = self.arm.model, self._data, self.arm.tool_frame_id
+        world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+        J = pin.computeFrameJacobian(model, data, configuration, frame, world)
+        return pin.updateFramePlacement(model, data, frame), J.reshape(6, model.nv)

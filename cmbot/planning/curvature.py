@@ -1,0 +1,133 @@
+"""Second derivatives of the torque problem's Lagrangian, and what a convex model takes from them."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg, sparse
+
+from cmbot.arrays import FloatArray, IntArray
+from cmbot.planning.sparse_family import LocalKnots
+from cmbot.planning.state_functions import StateFunction, States
+
+__all__ = ["convexified", "state_curvature"]
+
+# Sites whose multiplier is below this share of all do not bend anything.
+_NEGLIGIBLE = 1e-5
+# Step of the forward differences of exact first derivatives, for states in units of about 1.
+_STEP = 1e-7
+# What is coupled in the local unknowns is at most so many blocks apart.
+_BANDWIDTH = 3
+# Least curvature of a convexified model.
+_LEAST = 1e-9
+
+
+def state_curvature(
+    family: LocalKnots,
+    function: StateFunction,
+    states: States,
+    component: IntArray,
+    multipliers: FloatArray,
+    total: float,
+) -> sparse.csr_array:
+    """Hessian (size of u, size of u) of ``sum_k multipliers_k f(state_k)``, the splines' u varied.
+
+    Parameters
+    ----------
+    family : LocalKnots
+    function : StateFunction
+    states : States
+        N of them.
+    component : (N,)
+        Which component of the function counts at each.
+    multipliers : (N,)
+    total : float
+        What multipliers are compared with.
+    """
+    active = np.flatnonzero(multipliers > _NEGLIGIBLE * total)
+    states, component, multipliers = states[active], component[active], multipliers[active]
+    S = family.states(family.rows(states.t))
+    N, d = states.q.shape
+    M = np.zeros((N, 3 * d, 3 * d))
+    if N:
+        here = _gradients(function, states, component)
+        moves = here.any(axis=0).reshape(3, d).any(axis=1).repeat(d)
+        columns = np.flatnonzero(moves)
+        x = np.hstack([states.q, states.v, states.a])
+        ahead = np.repeat(x[None], len(columns), axis=0)
+        ahead[np.arange(len(columns)), :, columns] += _STEP
+        q, v, a = (ahead[:, :, part * d : (part + 1) * d].reshape(-1, d) for part in range(3))
+        there = States(np.tile(states.t, len(columns)), q, v, a)
+        gradients = _gradients(function, there, np.tile(component, len(columns)))
+        M[:, columns] = ((gradients.reshape(len(columns), N, -1) - here) / _STEP).transpose(1, 0, 2)
+        M = 0.5 * multipliers[:, None, None] * (M + M.transpose(0, 2, 1))
+    M_sparse = sparse.bsr_array((M, np.arange(N), np.arange(N + 1)), shape=(3 * d * N, 3 * d * N))
+    return sparse.csr_array(S.T @ (M_sparse.tocsr() @ S))
+
+
+def _gradients(function: StateFunction, states: States, component: IntArray) -> FloatArray:
+    at = function.linearise(states, component)
+    return np.hstack([at.d_q, at.d_v, at.d_a])
+
+
+def convexified(H: sparse.csr_array, blocks: IntArray) -> sparse.csr_array:
+    """Return a positive definite matrix near the symmetric `H`, equal to it if that is so already.
+
+    Block by block along the path, as a Cholesky factorisation would go: what is left of a diagonal block once
+    those before are eliminated has its negative eigenvalues turned positive.
+
+    Parameters
+    ----------
+    H : (n, n)
+    blocks : (n,)
+        Which block an unknown belongs to; entries of H couple blocks at most three apart.
+    """
+    order = np.argsort(blocks, kind="stable")
+    ends = np.searchsorted(blocks[order], np.arange(blocks.max(initial=-1) + 2))
+    width = int(
+        (ends[np.minimum(np.arange(len(ends)) + _BANDWIDTH + 1, len(ends) - 1)] - ends).max(initial=1)
+    )
+    band = _banded(H, order, width)
+    if linalg.lapack.dpbtrf(band.T, lower=1)[1] == 0:
+        return H
+    return sparse.csr_array(H + _corrections(band, order, ends))
+
+
+def _banded(H: sparse.csr_array, order: IntArray, width: int) -> FloatArray:
+    """Rows (n, width) of the upper triangle of `H`, reordered: entry (i, k) couples i and i + k."""
+    place = np.empty_like(order)
+    place[order] = np.arange(len(order))
+    entries = H.tocoo()
+    row, column = place[entries.coords[0]], place[entries.coords[1]]
+    upper = column >= row
+    band = np.zeros((len(order), width))
+    np.add.at(band, (row[upper], (column - row)[upper]), entries.data[upper])
+    return band
+
+
+def _corrections(band: FloatArray, order: IntArray, ends: IntArray) -> sparse.csr_array:
+    n, width = band.shape
+    padded = np.pad(band, ((0, width), (0, 0)))
+    offset = np.arange(width)
+    above = offset[None, :] - offset[:, None]
+    rows, columns, values = [], [], []
+    schur = np.zeros((width, width))
+    for start, end in zip(ends[:-1], ends[1:], strict=True):
+        m = end - start
+        upper = np.where(above >= 0, padded[start + offset[:, None], np.maximum(above, 0)], 0.0)
+        A = upper + np.triu(upper, 1).T - schur
+        eigenvalues, V = np.linalg.eigh(A[:m, :m])
+        wanted = np.maximum(np.abs(eigenvalues), _LEAST)
+        if eigenvalues[0] < _LEAST:
+            index = order[start:end]
+            rows.append(np.repeat(index, m))
+            columns.append(np.tile(index, m))
+            values.append(((V * (wanted - eigenvalues)) @ V.T).ravel())
+        L = A[m:, :m] @ (V / np.sqrt(wanted))
+        rest = schur[m:, m:] + L @ L.T
+        schur = np.zeros((width, width))
+        schur[: width - m, : width - m] = rest
+    if not rows:
+        return sparse.csr_array((n, n))
+    return sparse.csr_array(
+        (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns))), shape=(n, n)
+    )

@@ -1,0 +1,84 @@
+"""Which solver a plan is made with, and the family of splines that goes with it."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from typing import Literal
+
+import numpy as np
+
+from cmbot.arrays import FloatArray
+from cmbot.planning.families import FixedKnots, SlidingKnots, WhitenedSplines
+from cmbot.planning.family import Family
+from cmbot.planning.local_splines import LocalSplines
+from cmbot.planning.setting import Setting
+from cmbot.planning.slides import TaskAtViaPoints
+from cmbot.planning.sparse_family import LocalKnots
+from cmbot.planning.sparse_qp import piqp_module
+from cmbot.planning.spline_space import SplineSpace
+from cmbot.robot import Postures
+from cmbot.scene import PlannerOptions
+
+__all__ = ["family_through", "solver_of"]
+
+
+def solver_of(options: PlannerOptions) -> Literal["sqp", "slsqp"]:
+    """Return the solver that the options ask for, or with ``auto`` the best that is installed.
+
+    Raises
+    ------
+    MissingExtra
+        When it is ``sqp`` and PIQP is not installed.
+    """
+    if options.solver == "slsqp" or (options.solver == "auto" and find_spec("piqp") is None):
+        return "slsqp"
+    piqp_module()
+    return "sqp"
+
+
+def family_through(
+    setting: Setting, via_points: FloatArray, *, sliding: bool, pinned: bool = False
+) -> Family:
+    """Return the splines around the one of least jerk through `via_points`, as the solver wants them.
+
+    Parameters
+    ----------
+    setting : Setting
+    via_points : (n, d), rad
+    sliding : bool
+        They may slide along the self-motion.
+    pinned : bool
+        All but the first.
+
+    Raises
+    ------
+    MissingExtra
+        When the solver is not installed.
+    """
+    space, limits = SplineSpace(setting.times), setting.robot.limits
+    weight = setting.options.smoothing_weight
+    task = TaskAtViaPoints(
+        postures=Postures(setting.robot),
+        task=setting.task,
+        points=setting.task.path.position(setting.times),
+    )
+    if solver_of(setting.options) == "sqp":
+        local = LocalSplines(space, limits)
+        numbers = local.least_jerk(via_points)
+        return LocalKnots(
+            local, via_points, numbers, weight, task=task if sliding else None, pinned=pinned and sliding
+        )
+    whitened = WhitenedSplines(space, limits)
+    numbers = np.zeros((space.dimension, setting.robot.dof))
+    if not sliding:
+        return FixedKnots(whitened, via_points, numbers, weight)
+    return SlidingKnots(
+        whitened,
+        via_points,
+        numbers,
+        weight,
+        postures=task.postures,
+        task=task.task,
+        points=task.points,
+        pinned=pinned,
+    )

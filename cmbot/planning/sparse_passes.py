@@ -1,0 +1,125 @@
+"""The sparse solver's side of the exchange: descend a little, look, descend on."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cmbot.arrays import FloatArray
+from cmbot.errors import OptimisationFailed
+from cmbot.planning.efforts import COARSE, Effort
+from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.sparse_family import LocalKnots
+from cmbot.planning.sparse_place import TorquePlace
+from cmbot.planning.sqp import descend
+from cmbot.planning.working_set import Violation, WorkingSet
+
+__all__ = ["SparsePasses"]
+
+
+# So few quadratic programs, coarsely and on all samples, before new violations are looked for: long steps are
+# only safe where there are constraints to hold them.
+_COARSE_STEPS, _FINE_STEPS = 5, 10
+# A coarse pass need neither end at the optimum nor meet its constraints better than this.
+_COARSE_ACCURACY = 1e-3
+# Finer than this the quadratic programs do not tell.
+_FINEST = 1e-8
+# Constraints of the working set are met so much better than they have to be at the samples.
+_CLOSER = 0.1
+# The first penalty, and the radius that every pass may try again.
+_PENALTY, _LEAST_RADIUS = 0.1, 0.1
+_FIRST_RADIUS = 1.0
+# Quadratic programs of one pass, at most.
+_MOST_STEPS = 100
+
+
+class SparsePasses:
+    """Solves the subproblems of an exchange; multipliers and radius are kept from pass to pass.
+
+    Parameters
+    ----------
+    problem : TorqueProblem
+    working : WorkingSet
+    """
+
+    def __init__(self, problem: TorqueProblem, working: WorkingSet) -> None:
+        self._problem = problem
+        self._working = working
+        self._multipliers: tuple[FloatArray, ...] = ()
+        self._radius = _FIRST_RADIUS
+
+    def solve(
+        self, family: LocalKnots, bound: float | None, effort: Effort
+    ) -> tuple[LocalKnots, float, int, float]:
+        """Lower the peak, or with a `bound` on it the mean square.
+
+        Parameters
+        ----------
+        family : LocalKnots
+            Where to start.
+        bound : float or None
+            What the scaled torque is held below.
+        effort : Effort
+
+        Returns
+        -------
+        family : LocalKnots
+            Built around where it ended.
+        peak : float
+            Largest scaled torque at the working times.
+        iterations : int
+        gain : float
+            How far the merit fell since the working set was last added to.
+
+        Raises
+        ------
+        OptimisationFailed
+            When the constraints cannot be met near where it ended.
+        """
+        options = self._problem.options
+        most = min(effort.iterations, options.max_iterations, _MOST_STEPS)
+        family = family.rebuilt(family.start, options.smoothing_weight * effort.smoothing)
+        coarse = effort is COARSE
+        iterations = 0
+        while True:
+            start = TorquePlace(self._problem, self._working, family, bound)
+            ended = descend(
+                start,
+                self._guess(),
+                penalty=_PENALTY,
+                radius=max(self._radius, _LEAST_RADIUS),
+                accuracy=_COARSE_ACCURACY if coarse else max(effort.accuracy, _FINEST),
+                tolerance=_COARSE_ACCURACY if coarse else _CLOSER * options.constraint_tolerance,
+                max_iterations=min(_COARSE_STEPS if coarse else _FINE_STEPS, most - iterations),
+            )
+            self._keep(ended.multipliers)
+            self._radius = ended.radius
+            iterations += ended.iterations
+            family, first = ended.place.family, ended.place.first
+            peak = float(first.value[: first.peaks].max()) if bound is None else bound
+            if ended.stuck or iterations >= most or ended.settled:
+                break
+            self._look(family, peak, effort)
+        if ended.stuck and not coarse:
+            worst = self._look(family, peak, effort)
+            raise OptimisationFailed(
+                "near the trajectory that was found the constraints cannot all be met",
+                constraint=worst.name,
+                violation=worst.value,
+            )
+        gain = start.first.merit(ended.penalty) - first.merit(ended.penalty)
+        return family, peak, iterations, gain
+
+    def _look(self, family: LocalKnots, bound: float, effort: Effort) -> Violation:
+        trajectory = self._problem.trajectory(family, family.start)
+        tolerance = self._problem.options.constraint_tolerance
+        return self._working.add_violated(trajectory, bound, tolerance, effort.stride, effort.most)[1]
+
+    def _guess(self) -> FloatArray:
+        """Multipliers of the working set: those of old sites, none for new ones."""
+        sizes = self._working.sizes
+        known = self._multipliers or tuple(np.empty(0) for _ in sizes)
+        parts = [np.append(old, np.zeros(size - len(old))) for old, size in zip(known, sizes, strict=True)]
+        return np.concatenate(parts)
+
+    def _keep(self, multipliers: FloatArray) -> None:
+        self._multipliers = tuple(np.split(multipliers, np.cumsum(self._working.sizes)[:-1]))

@@ -1,0 +1,139 @@
+"""Which links bend: tubes, from a file beside the URDF.
+
+URDF has no words for elasticity, so an arm whose links bend has an elasticity file::
+
+    format: cmbot-elasticity/1
+    links:
+      link_1: {start_m: [0, 0, 0], end_m: [0.83, 0, 0], outer_diameter_m: 0.1, wall_m: 0.004,
+               young_pa: 70.0e+9, shear_pa: 26.0e+9}
+
+A link that is not named is rigid, and so are all links of a robot without the file.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import pinocchio as pin
+from pydantic import Field, model_validator
+
+from cmbot.errors import ModelError
+from cmbot.validation import FileModel, refusal, validated
+from cmbot.yaml_reader import read_yaml
+
+__all__ = ["LinkTube", "read_elasticity"]
+
+# The bounds keep every power of a length finite, and catch millimetres and gigapascals.
+Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
+Length = Annotated[float, Field(gt=0, le=1e4)]
+Modulus = Annotated[float, Field(ge=1e3, le=1e13)]
+Point = tuple[Coordinate, Coordinate, Coordinate]
+
+_SHORTEST = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True)
+class LinkTube:
+    """The round tube that a link bends like.
+
+    Attributes
+    ----------
+    link : str
+        Name of the link.
+    start, end : tuple of float
+        (3,), ends of the tube's axis in the link's frame, m; the start is towards the base.
+    outer_diameter, wall : float
+        m; a wall of half the diameter is a solid bar.
+    young, shear : float
+        Moduli, Pa.
+    """
+
+    link: str
+    start: tuple[float, float, float]
+    end: tuple[float, float, float]
+    outer_diameter: float
+    wall: float
+    young: float
+    shear: float
+
+    @property
+    def length(self) -> float:
+        """Length, m."""
+        return math.dist(self.start, self.end)
+
+    @property
+    def second_moment(self) -> float:
+        """Second moment of the cross-section's area about a diameter, m4; the polar one is twice that."""
+        inner_diameter = self.outer_diameter - 2 * self.wall
+        return math.pi / 64 * (self.outer_diameter**4 - inner_diameter**4)
+
+
+class _TubeEntry(FileModel):
+    start_m: Point
+    end_m: Point
+    outer_diameter_m: Length
+    wall_m: Length
+    young_pa: Modulus
+    shear_pa: Modulus
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if math.dist(self.start_m, self.end_m) < _SHORTEST:
+            raise refusal("an end a millimetre or more apart from start_m", got=self.end_m, key=("end_m",))
+        if 2 * self.wall_m > self.outer_diameter_m:
+            raise refusal("at most half of outer_diameter_m", got=self.wall_m, key=("wall_m",))
+        return self
+
+
+class _ElasticityFile(FileModel):
+    format: Literal["cmbot-elasticity/1"]
+    links: dict[str, _TubeEntry]
+
+
+def read_elasticity(path: Path, model: Any) -> tuple[LinkTube, ...]:
+    """Read the tubes of the links that move with the arm, in the order of its joints.
+
+    What the joints of the arm do not move is rigid: a tube of such a link is checked and left out.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The elasticity file.
+    model : pinocchio.Model
+        Of the arm alone.
+
+    Raises
+    ------
+    ModelError
+        When the file cannot be read, names no link of the URDF, or gives two tubes to links that one joint
+        moves as one body.
+    """
+    data = validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError)
+    links = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
+    by_joint: dict[int, LinkTube] = {}
+    for name, entry in data.links.items():
+        if name not in links:
+            raise ModelError(str(path), "links", repr(name), "a link of the URDF", tuple(links))
+        joint = links[name].parentJoint
+        if joint in by_joint:
+            expected = f"one tube for the body that {model.names[joint]} moves"
+            got = f"a tube beside that of {by_joint[joint].link}"
+            raise ModelError(str(path), f"links.{name}", got, expected)
+        if joint > 0:
+            by_joint[joint] = _tube(name, entry)
+    return tuple(by_joint[joint] for joint in sorted(by_joint))
+
+
+def _tube(link: str, entry: _TubeEntry) -> LinkTube:
+    return LinkTube(
+        link=link,
+        start=entry.start_m,
+        end=entry.end_m,
+        outer_diameter=entry.outer_diameter_m,
+        wall=entry.wall_m,
+        young=entry.young_pa,
+        shear=entry.shear_pa,
+    )

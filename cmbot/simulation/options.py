@@ -1,0 +1,73 @@
+"""Options of the elastic simulation: the same names in Python and in ``tracking.json``."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Annotated, ClassVar, Literal
+
+from pydantic import ConfigDict, Field
+
+from cmbot.errors import InputError
+from cmbot.validation import validated
+
+__all__ = ["SimulationOptions", "checked"]
+
+PositiveFloat = Annotated[float, Field(gt=0)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions:
+    """How a motion is simulated; every option has a default.
+
+    The bounds in the annotations are checked by `cmbot.simulate`.
+
+    Attributes
+    ----------
+    step_s : float
+        Longest step of the integrator, s.
+    output_step_s : float
+        Step of the tracking errors, s.
+    settle_s : float
+        How long the arm is watched after it has stopped, s.
+    damping : float
+        Ratio of every mode in the motion's first posture. The paper gives none.
+    initial : str
+        ``equilibrium``: the arm hangs at rest under its weight when the motion starts. ``undeformed``: it is
+        straight, and let go.
+    segments : int
+        Elastic joints per link tube.
+    guardrail_factor, link_factor : float
+        Of the stiffness of the guardrail and of the links.
+    payload_kg : float or None
+        Point mass at the tool in place of the scene's; the motion stays the same.
+    spectral_radius : float
+        rho_inf of the generalized-alpha method, 0 to 1: what it leaves, at each step, of a motion that is too
+        fast for the step; 1 damps nothing.
+    corrections : int
+        Newton corrections a step.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    step_s: Annotated[float, Field(gt=0, le=0.02)] = 0.002
+    output_step_s: Annotated[float, Field(gt=0, le=0.02)] = 0.005
+    settle_s: Annotated[float, Field(ge=0, le=60)] = 2.0
+    damping: Annotated[float, Field(ge=0, lt=1)] = 0.01
+    initial: Literal["equilibrium", "undeformed"] = "equilibrium"
+    segments: Annotated[int, Field(ge=1, le=8)] = 1
+    guardrail_factor: PositiveFloat = 1.0
+    link_factor: PositiveFloat = 1.0
+    payload_kg: Annotated[float, Field(ge=0)] | None = None
+    spectral_radius: Annotated[float, Field(ge=0, le=1)] = 0.8
+    corrections: Annotated[int, Field(ge=1, le=10)] = 2
+
+
+def checked(options: SimulationOptions) -> SimulationOptions:
+    """Return `options` when every one is within its bounds.
+
+    Raises
+    ------
+    InputError
+        Naming the option, what it is and what it may be.
+    """
+    return validated(SimulationOptions, asdict(options), "SimulationOptions", InputError)

@@ -1,0 +1,37 @@
+"""The shipped arm on the shipped guardrail, and a motion for it that needs no planning."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
+from cmbot.elastic.base import elastic_base
+from cmbot.robot import Robot
+from cmbot.scene import load_scene
+from cmbot.simulation.drive import Drive, drive_through
+
+FloatArray = NDArray[np.float64]
+
+
+def arm_on_its_guardrail(robot: Robot, segments: int = 1) -> ElasticArm:
+    return elastic_arm(
+        robot, elastic_base(load_scene("triangle").guardrail), ElasticOptions(segments=segments)
+    )
+
+
+def swing(seconds: float, size: float = 0.15) -> Drive:
+    """All joints out from the triangle's posture and back, from rest to rest."""
+    t = np.linspace(0.0, seconds, 81)
+    ways = np.sin(np.pi * t / seconds)[:, None] ** 2 * np.cos(np.arange(7) + t[:, None])
+    return drive_through(t, np.array(load_scene("triangle").posture) + size * (ways - ways[0]))
+
+
+def tool_points(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:
+    """Tool of the bent arm, (N, 3), m."""
+    data, points = arm.model.createData(), np.empty((len(q), 3))
+    for k, configuration in enumerate(arm.configuration(q, u)):
+        pin.forwardKinematics(arm.model, data, configuration)
+        points[k] = pin.updateFramePlacement(arm.model, data, arm.tool_frame_id).translation
+    return points

@@ -1,0 +1,138 @@
+"""What ``cmbot check`` says of a URDF, of a scene, and of what is neither."""
+
+import json
+from pathlib import Path
+
+import pytest
+from command_line import ROOT, Outcome, run, write_scene
+from small_scenes import SHORT
+
+import cmbot
+from cmbot.resources import model_folder
+
+
+def values(outcome: Outcome) -> dict[str, str]:
+    """The lines but the last, as names and values."""
+    return {line[:34].strip(): line[34:] for line in outcome.out.splitlines()[:-1]}
+
+
+def test_a_shipped_scene() -> None:
+    outcome = run("check", "triangle")
+    assert (outcome.status, outcome.err) == (0, "")
+    found = values(outcome)
+    assert found["via-points"] == "50"
+    assert found["robot"].startswith("cmbot: 7 joints, ")
+    assert found["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
+    assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
+    assert outcome.out.splitlines()[-1] == "The scene can be planned with: cmbot plan triangle"
+
+
+def test_a_scene_file(tmp_path: Path) -> None:
+    block = {"name": "block", "box": [1, 1, 1], "xyz": [9, 9, 9], "workpiece": True}
+    path = write_scene(tmp_path / "short.yaml", {**SHORT, "obstacles": [block]})
+    outcome = run("check", path)
+    assert (outcome.status, outcome.err) == (0, "")
+    assert f"short ({path})" in outcome.out
+    assert "1 leg, 0.300 m in 4 s" in outcome.out
+    assert values(outcome)["obstacles"].endswith(", of them 1 workpiece")
+
+
+def test_a_scene_file_may_have_any_name(tmp_path: Path) -> None:
+    path = write_scene(tmp_path / "short.scene", SHORT)
+    assert run("check", path).status == 0
+
+
+def test_a_urdf() -> None:
+    outcome = run("check", model_folder() / "urdf" / "cmbot.urdf")
+    assert (outcome.status, outcome.err) == (0, "")
+    found = values(outcome)
+    joints = cmbot.load_robot("cmbot").limits.velocity.size
+    assert (found["robot"], found["SRDF beside it"]) == ("cmbot", "cmbot.srdf")
+    assert found["links"] == f"16, {cmbot.load_robot('cmbot').mass:.2f} kg in all"
+    assert found["movable joints"] == "12 (12 revolute)"
+    assert found["limits in the URDF"] == "of 12 movable joints: position 12, velocity 12, effort 12"
+    assert found["joint_limits.yaml beside it"] == f"acceleration and jerk of {joints} of 12 movable joints"
+    assert "tool0" in found["tool frame"]
+    assert outcome.out.splitlines()[-1] == "OK: no error, 0 warnings."
+
+
+BARE = """<robot name="bare">
+  <link name="floor"/>
+  <link name="slide"><inertial><mass value="2.5"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
+  <link name="wheel"/><link name="plate"/>
+  <joint name="a" type="prismatic"><parent link="floor"/><child link="slide"/>
+    <limit velocity="0" effort="3"/></joint>
+  <joint name="b" type="continuous"><parent link="slide"/><child link="wheel"/></joint>
+  <joint name="c" type="fixed"><parent link="slide"/><child link="plate"/></joint>
+</robot>"""
+
+
+def test_a_urdf_that_lacks_limits(tmp_path: Path) -> None:
+    (tmp_path / "bare.urdf").write_text(BARE, encoding="utf-8")
+    outcome = run("check", tmp_path / "bare.urdf")
+    assert outcome.status == 0
+    assert values(outcome) == {
+        "robot": "bare",
+        "links": "4, 2.50 kg in all",
+        "movable joints": "2 (1 prismatic, 1 continuous)",
+        "limits in the URDF": "of 2 movable joints: position 1, velocity 0, effort 1",
+        "joint_limits.yaml beside it": "none: the scene has to name one, with acceleration and jerk",
+        "SRDF beside it": "none: only neighbouring links may touch",
+        "elasticity file beside it": "none: no link bends",
+        "base frame": "any link; the root is floor",
+        "tool frame": "any link that joints move below it; at the ends: wheel, plate",
+    }
+
+
+def test_a_doubtful_urdf_is_usable(tmp_path: Path) -> None:
+    path = tmp_path / "bare.urdf"
+    path.write_text(BARE.replace('izz="1"', 'izz="5"'), encoding="utf-8")
+    outcome = run("check", path)
+    first, *_, last = outcome.out.splitlines()
+    assert outcome.status == 0
+    assert first.startswith(f"warning: {path}: link[slide].inertial.inertia: got principal moments")
+    assert last == "OK: no error, 1 warning."
+
+
+def test_a_damaged_urdf(tmp_path: Path, bare_urdf: str) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(bare_urdf.replace('value="7.8"', 'value="-7.8"'), encoding="utf-8")
+    outcome = run("check", path)
+    assert (outcome.status, outcome.err) == (2, "")
+    finding, last = outcome.out.splitlines()
+    assert finding.startswith(f"error: {path}: link[link_1].inertial.mass: got ")
+    assert last == "Not usable: 1 error, 0 warnings."
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("README.md", (ROOT / "README.md").read_bytes()),
+        ("words.txt", "words"),
+        ("empty", ""),
+        ("data.bin", b"\xff\x00"),
+        ("arm.xacro", BARE),
+    ],
+)
+def test_what_is_neither_is_said_to_be_neither(tmp_path: Path, name: str, content: str | bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    outcome = run("check", path)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith(f"error: {path}: got a file that is neither (")
+    assert outcome.err.endswith("), expected a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("words.yaml", "words", "words.yaml: got 'words', expected a mapping"),
+        ("slip", json.dumps({**SHORT, "nam": "x"}), "slip: nam: got an unknown key"),
+    ],
+)
+def test_a_slip_in_a_scene_file_is_named(tmp_path: Path, name: str, content: str, words: str) -> None:
+    (tmp_path / name).write_text(content, encoding="utf-8")
+    outcome = run("check", tmp_path / name)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert words in outcome.err

@@ -1,0 +1,135 @@
+"""The guardrail's compliance against PyNite, another frame program."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from guardrails import guardrail, relative_difference
+from numpy.typing import NDArray
+from oracles.beams import angle_outline, cantilever, polygon
+from Pynite import FEModel3D
+
+from cmbot.elastic import AngleSection, BarSection, Guardrail, elastic_base
+
+FloatArray = NDArray[np.float64]
+
+LOADS = ("FX", "FY", "FZ", "MX", "MY", "MZ")
+DISPLACEMENTS = ("DX", "DY", "DZ", "RX", "RY", "RZ")
+YOUNG, SHEAR = 206e9, 79e9
+
+
+def model() -> FEModel3D:
+    made = FEModel3D()
+    made.add_material("steel", YOUNG, SHEAR, 0.3, 7850.0)
+    return made
+
+
+def add_section(made: FEModel3D, section: AngleSection | BarSection) -> str:
+    """Add a section whose local y axis is that of the larger moment, from its outline."""
+    if isinstance(section, BarSection):
+        d = section.diameter
+        name, area, moments = f"bar {d}", math.pi * d**2 / 4, [math.pi * d**4 / 64] * 2
+        torsion = math.pi * d**4 / 32
+    else:
+        area, _, tensor = polygon(angle_outline(section.leg, section.thickness))
+        name, moments = f"angle {section.leg}", np.linalg.eigvalsh(tensor).tolist()
+        torsion = area * section.thickness**2 / 3
+    if name not in made.sections:
+        made.add_section(name, area, moments[1], moments[0], torsion)
+    return name
+
+
+def compliance(made: FEModel3D, node: str) -> FloatArray:
+    """Compliance (6, 6) at a node: six load cases of one newton or newton metre."""
+    for load in LOADS:
+        made.add_node_load(node, load, 1.0, case=load)
+        made.add_load_combo(load, {load: 1.0})
+    made.analyze_linear(check_stability=False)
+    return np.array([[getattr(made.nodes[node], d)[load] for load in LOADS] for d in DISPLACEMENTS])
+
+
+def support(made: FEModel3D, node: str) -> None:
+    made.def_support(node, True, True, True, True, True, True)
+
+
+# For members in the plane y = 0 PyNite's local y axis is W's at rotation 0, and turns about the member's own
+# axis. Ours begins at the first leg, and the larger moment is about the line halfway between the legs.
+
+
+def rotation_of_post(roll: float) -> float:
+    """Upwards: from y, which is at 90 deg from the x axis."""
+    return math.degrees(roll) + 45 - 90
+
+
+def rotation_of_rail(roll: float) -> float:
+    """Along x: from y, where a rail's roll begins."""
+    return math.degrees(roll) + 45
+
+
+@pytest.mark.parametrize("roll", [-90.0, 0.0, 35.0])
+@pytest.mark.parametrize("upright", [True, False])
+def test_pynite_turns_a_section_as_we_think(upright: bool, roll: float) -> None:
+    """One cantilever, against its outline where it is: the sign of PyNite's rotation."""
+    made = model()
+    section = add_section(made, AngleSection(leg=0.075, thickness=0.008))
+    along = (0.0, 0.0, 1.3) if upright else (1.3, 0.0, 0.0)
+    made.add_node("clamp", 0, 0, 0)
+    made.add_node("tip", *along)
+    rotation = rotation_of_post if upright else rotation_of_rail
+    made.add_member("member", "clamp", "tip", "steel", section, rotation=rotation(math.radians(roll)))
+    support(made, "clamp")
+    c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
+    axes = np.array([(c, s, 0), (-s, c, 0)] if upright else [(0, c, s), (0, -s, c)])
+    area, _, moments = polygon(angle_outline(0.075, 0.008))
+    expected = cantilever(
+        along=along,
+        moments=axes.T @ moments @ axes,
+        young=YOUNG,
+        axial=YOUNG * area,
+        torsional=SHEAR * area * 0.008**2 / 3,
+    )
+    assert relative_difference(compliance(made, "tip"), expected) < 1e-9
+
+
+def pynite_compliance(found: Guardrail) -> FloatArray:
+    """The guardrail in PyNite, drawn by itself: one member from joint to joint."""
+    made = model()
+    post = found.post
+    levels = sorted({post.clamp, 0.0, post.top, *(rail.height for rail in found.rails)})
+    places = sorted({0.0, *found.post_positions})
+
+    def add(points: Sequence[tuple[float, float]], section: str, rotation: float) -> None:
+        for x, z in points:
+            if f"{x} {z}" not in made.nodes:
+                made.add_node(f"{x} {z}", x, 0, z)
+        for (x, z), (x_next, z_next) in pairwise(points):
+            name = f"{len(made.members)}"
+            made.add_member(name, f"{x} {z}", f"{x_next} {z_next}", "steel", section, rotation=rotation)
+
+    for x in found.post_positions:
+        add([(x, z) for z in levels], add_section(made, post.section), rotation_of_post(post.roll))
+        support(made, f"{x} {post.clamp}")
+    for rail in found.rails:
+        points = [(x, rail.height) for x in places]
+        add(points, add_section(made, rail.section), rotation_of_rail(rail.roll))
+    return compliance(made, "0.0 0.0")
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        pytest.param(guardrail(), id="default"),
+        pytest.param(guardrail(foot={"offset_m": 0.875}), id="foot at mid-rail"),
+        pytest.param(
+            guardrail(bays=3, foot={"post": 1}, post={"roll_deg": 25.0}), id="skewed posts at an end"
+        ),
+    ],
+)
+def test_all_entries_of_the_compliance(found: Guardrail) -> None:
+    base = elastic_base(found)
+    assert base is not None
+    assert relative_difference(np.linalg.inv(base.stiffness), pynite_compliance(found)) < 1e-9

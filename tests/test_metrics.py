@@ -1,0 +1,136 @@
+"""Figures of a tracking error against what can be computed by hand."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cmbot.simulation.metrics import error_figures, mode_power, residual, statistics
+
+FloatArray = NDArray[np.float64]
+STEP = 0.005
+T = STEP * np.arange(4001)
+
+
+def along(x: FloatArray, axis: int = 0) -> FloatArray:
+    """A vector with one component."""
+    error = np.zeros((len(x), 3))
+    error[:, axis] = x
+    return error
+
+
+def test_statistics_of_a_few_samples() -> None:
+    """By hand, with the trapezoidal rule's weights 1/4, 1/2, 1/4."""
+    figures = statistics(
+        np.array([0.0, 1.0, 2.0]), np.array([[0.0, 3.0, 0.0], [4.0, 3.0, 0.0], [8.0, 3.0, 0.0]])
+    )
+    norms = np.array([3.0, 5.0, np.sqrt(73.0)])
+    norm_mean = (norms[0] + 2 * norms[1] + norms[2]) / 4
+    np.testing.assert_allclose(figures.mean, [4.0, 3.0, 0.0, norm_mean])
+    np.testing.assert_allclose(figures.standard_deviation[:3], [np.sqrt(8.0), 0.0, 0.0])
+    np.testing.assert_allclose(figures.rms[:3], [np.sqrt(24.0), 3.0, 0.0])
+    np.testing.assert_allclose(figures.rms[3], np.sqrt((9 + 2 * 25 + 73) / 4))
+    np.testing.assert_allclose(figures.peak_to_peak, [8.0, 0.0, 0.0, norms[2] - 3.0])
+
+
+def test_a_last_step_that_is_shorter_weighs_less() -> None:
+    t = np.array([0.0, 1.0, 2.0, 2.5])
+    figures = statistics(t, along(t))
+    assert figures.mean[0] == pytest.approx(1.25)
+    assert figures.rms[0] ** 2 == pytest.approx(np.trapezoid(t**2, t) / 2.5)
+
+
+def test_statistics_of_a_vibration_about_a_mean() -> None:
+    error = along(0.01 + 0.002 * np.sin(2 * np.pi * 5 * T), 2)
+    figures = statistics(T, error)
+    assert figures.mean[2] == pytest.approx(0.01)
+    assert figures.standard_deviation[2] == pytest.approx(0.002 / np.sqrt(2))
+    assert figures.rms[2] ** 2 == pytest.approx(0.01**2 + 0.002**2 / 2)
+    assert figures.peak_to_peak[2] == pytest.approx(0.004)
+    np.testing.assert_allclose(figures.rms[3], figures.rms[2])
+
+
+def test_mean_square_is_mean_and_deviation(rng: np.random.Generator) -> None:
+    figures = statistics(T, rng.normal([1.0, 0.0, -2.0], 1.0, (len(T), 3)))
+    np.testing.assert_allclose(figures.rms**2, figures.mean**2 + figures.standard_deviation**2)
+    np.testing.assert_allclose((figures.rms[:3] ** 2).sum(), figures.rms[3] ** 2)
+
+
+def test_a_residual_that_decays() -> None:
+    t = STEP * np.arange(401)
+    swing = 1e-3 * np.exp(-0.6 * t) * np.cos(2 * np.pi * 4 * t)
+    found = residual(t + 20.0, np.column_stack([3 * swing, 4 * swing, 0 * swing]))
+    assert found.seconds == pytest.approx(2.0)
+    low, high = swing.min(), swing.max()
+    np.testing.assert_allclose(found.peak_to_peak, [3 * (high - low), 4 * (high - low), 0.0])
+    assert found.diameter == pytest.approx(5 * (high - low))
+    # From the first quarter to the last it is 1.5 s.
+    assert found.decay == pytest.approx(np.exp(-0.6 * 1.5), rel=0.01)
+
+
+def test_the_diameter_is_not_the_diagonal_of_a_box() -> None:
+    angle = np.linspace(0, 2 * np.pi, 361)
+    found = residual(angle, np.column_stack([np.cos(angle), np.sin(angle), 0 * angle]))
+    np.testing.assert_allclose(found.peak_to_peak, [2.0, 2.0, 0.0])
+    assert found.diameter == pytest.approx(2.0)
+
+
+def test_what_does_not_move_does_not_decay() -> None:
+    found = residual(T[:400], np.zeros((400, 3)))
+    assert found.decay is None
+    assert found.diameter == 0.0
+
+
+def test_power_of_two_sines() -> None:
+    """A sine of amplitude A has the mean square A^2/2; axes add up."""
+    error = along(1e-3 * np.sin(2 * np.pi * 4 * T)) + along(2e-3 * np.sin(2 * np.pi * 11 * T), 1)
+    power = mode_power(STEP, error, np.array([4.0, 7.0, 11.0]))
+    np.testing.assert_allclose(power[[0, 2]], [0.5e-6, 2e-6], rtol=0.01)
+    assert power[1] < 1e-3 * power[0]
+
+
+def test_near_modes_share_their_bands() -> None:
+    error = along(np.sin(2 * np.pi * 3.9 * T)) + along(np.sin(2 * np.pi * 4.4 * T), 1)
+    power = mode_power(STEP, error, np.array([3.8, 4.5]))
+    np.testing.assert_allclose(power, [0.5, 0.5], rtol=0.01)
+
+
+def test_what_is_far_from_a_mode_is_not_its() -> None:
+    power = mode_power(STEP, along(np.sin(2 * np.pi * 20 * T)) + 5.0, np.array([4.0, 9.0]))
+    assert power.max() < 1e-6
+
+
+def test_a_short_motion_has_power_too() -> None:
+    t = STEP * np.arange(400)
+    power = mode_power(STEP, along(np.sin(2 * np.pi * 8 * t)), np.array([8.0]))
+    assert power[0] == pytest.approx(0.5, rel=0.02)
+
+
+def test_figures_split_the_error_at_the_stop() -> None:
+    static = along(np.full(len(T), -0.01), 2)
+    dynamic = along(np.where(T <= 15.0, 1e-3, 2e-3) * np.sin(2 * np.pi * 5 * T))
+    moving = 3001
+    figures = error_figures(T, static + dynamic, static, moving, np.array([5.0, 9.0, 20.0, 70.0, 400.0]))
+    assert figures.static.mean[2] == pytest.approx(-0.01)
+    assert figures.static.peak_to_peak.max() == 0.0
+    assert figures.dynamic.rms[0] == pytest.approx(1e-3 / np.sqrt(2), rel=1e-3)
+    np.testing.assert_allclose(figures.total.mean, figures.static.mean, atol=1e-4)
+    assert figures.residual is not None
+    assert figures.residual.seconds == pytest.approx(5.0)
+    assert figures.residual.diameter == pytest.approx(4e-3, rel=1e-3)
+    assert figures.mode_power[0] == pytest.approx(0.5e-6, rel=0.01)
+    assert len(figures.mode_frequencies) == 4
+
+
+def test_modes_that_the_samples_cannot_show_are_left_out() -> None:
+    error = along(np.sin(T))
+    figures = error_figures(4 * T, error, error, len(T), np.array([5.0, 20.0, 22.0]))
+    np.testing.assert_array_equal(figures.mode_frequencies, [5.0, 20.0])
+    assert figures.residual is None
+
+
+def test_of_many_modes_the_first_four_count() -> None:
+    error = along(np.sin(T))
+    figures = error_figures(T, error, error, len(T), np.arange(1.0, 20.0))
+    np.testing.assert_array_equal(figures.mode_frequencies, [1.0, 2.0, 3.0, 4.0])

@@ -1,0 +1,61 @@
+"""Where sliding knots start: in the scene's posture as long as that leads on, or is as good as another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+from cmbot.errors import PathNotFound
+from cmbot.planning import plan, remarks
+
+# Beside the elbow: from the scene's posture the arm cannot get past it, from another it can.
+BALL = {"name": "ball", "sphere": 0.0555, "xyz": [0.95, 0.52, -1.0]}
+PINNED = {"knots": "sliding", "start": "pinned"}
+
+
+def test_a_pinned_start_that_leads_nowhere_is_left_for_the_nearest_that_does() -> None:
+    scene = short_scene(obstacles=[BALL], planner=PINNED)
+    planned = plan(scene)
+    assert planned.certificate.holds
+    first = planned.start.failures[0]
+    assert "blocked" in first.reason
+    assert 0 < first.progress < 1
+    assert 0.01 < planned.start.moved < 0.3
+    np.testing.assert_allclose(planned.trajectory.q[0], planned.start.posture, rtol=0, atol=1e-9)
+    assert planned.choice is not None
+    assert planned.choice.pinned is None
+    # It gets there by a certified approach, and says so.
+    assert planned.approach is not None
+    np.testing.assert_allclose(planned.approach.trajectory.q[0], scene.posture, rtol=0, atol=1e-12)
+    said = " ".join(remarks(planned))
+    assert "Starts elsewhere" in said
+    assert first.reason in said
+
+
+@pytest.mark.parametrize(("tries", "words"), [(0, ""), (1, "; 1 other starting posture fails as well")])
+def test_a_pinned_start_with_few_others_to_try(tries: int, words: str) -> None:
+    scene = short_scene(obstacles=[BALL], planner={**PINNED, "other_starts": tries})
+    with pytest.raises(PathNotFound) as caught:
+        plan(scene)
+    assert "blocked" in str(caught.value)
+    assert words in str(caught.value)
+    assert ("other starting" in str(caught.value)) == (tries > 0)
+
+
+def test_a_free_start_stays_where_nothing_is_gained_by_leaving() -> None:
+    """With a large enough gap target, the scene's posture is good enough."""
+    scene = short_scene(planner={"knots": "sliding"})
+    moved = plan(scene)
+    assert moved.start.moved > 0
+    assert moved.choice is not None
+    assert moved.choice.free is not None
+    assert moved.choice.pinned is not None
+    gain = moved.choice.pinned / moved.choice.free - 1
+    stays = plan(scene, options=replace(scene.planner, gap_target=1.01 * gain))
+    assert stays.start.moved == 0
+    assert stays.approach is None
+    leaves = plan(scene, options=replace(scene.planner, gap_target=0.99 * gain))
+    assert leaves.start.moved > 0
