@@ -4,7 +4,7 @@
 
     CmbotError
       InputError (ValueError)          what was handed in is wrong
-        ModelError                     a URDF, SRDF or joint-limits file
+        ModelError                     a URDF, SRDF, joint-limits or elasticity file
         SceneError                     a scene file
         ArchiveError                   a plan directory
       PlanningError (RuntimeError)     the input is fine, but there is no plan
@@ -71,7 +71,7 @@ class InputError(CmbotError, ValueError):
 
 
 class ModelError(InputError):
-    """A robot description (URDF, SRDF, joint limits) is missing, unreadable or physically impossible."""
+    """A robot description (URDF, SRDF, joint limits, elasticity) is missing, unreadable or impossible."""
 
 
 class SceneError(InputError):

@@ -47,12 +47,13 @@ def write_robot(folder: Path, links: list[Link], tool: Any, **options: Any) -> R
         '<mass value="5"/><inertia ixx=".2" iyy=".3" izz=".4" ixy="0" ixz="0" iyz="0"/></inertial></link>'
     )
     for i, link in enumerate(links, start=1):
-        I = link.inertia
+        tensor = link.inertia
         parts.append(
             f'<link name="link_{i}"><inertial><origin xyz="{_text(link.com)}"/><mass value="{link.mass!r}"/>'
-            f'<inertia ixx="{I[0, 0]:.17g}" iyy="{I[1, 1]:.17g}" izz="{I[2, 2]:.17g}" '
-            f'ixy="{I[0, 1]:.17g}" ixz="{I[0, 2]:.17g}" iyz="{I[1, 2]:.17g}"/></inertial></link>'
-            f'<joint name="joint_{i}" type="revolute"><parent link="{f"link_{i - 1}" if i > 1 else "base"}"/>'
+            f'<inertia ixx="{tensor[0, 0]:.17g}" iyy="{tensor[1, 1]:.17g}" izz="{tensor[2, 2]:.17g}" '
+            f'ixy="{tensor[0, 1]:.17g}" ixz="{tensor[0, 2]:.17g}" iyz="{tensor[1, 2]:.17g}"/>'
+            f'</inertial></link><joint name="joint_{i}" type="revolute">'
+            f'<parent link="{f"link_{i - 1}" if i > 1 else "base"}"/>'
             f'<child link="link_{i}"/><origin xyz="{_text(link.xyz)}" rpy="{_text(link.rpy)}"/>'
             f'<axis xyz="{_text(link.axis)}"/><limit lower="-3" upper="3" velocity="1" effort="100"/></joint>'
         )

@@ -44,12 +44,13 @@ def test_a_uniform_cantilever(tmp_path: Path) -> None:
     robot = cantilever(tmp_path, length=L, mass=mass)
     unit = np.sqrt(EI / (mass * L**3)) / (2 * np.pi)
     exact = np.array([1.875104, 1.875104, 4.694091, 4.694091, 7.854757, 7.854757]) ** 2 * unit
-    coarse, fine = (
+    one, ten = (
         arm_modes(elastic_arm(robot, None, ElasticOptions(segments=segments)), np.zeros(1)).frequencies[:6]
-        for segments in (10, 20)
+        for segments in (1, 10)
     )
-    np.testing.assert_allclose(fine, exact, rtol=0.0025)
-    assert (np.abs(coarse / exact - 1) > 2.9 * np.abs(fine / exact - 1)).all()
+    np.testing.assert_allclose(one[:2], exact[:2], rtol=0.01)
+    np.testing.assert_allclose(ten[:2], exact[:2], rtol=1e-4)
+    np.testing.assert_allclose(ten, exact, rtol=0.002)
 
 
 def test_a_disc_that_turns_on_a_tube(tmp_path: Path) -> None:
@@ -162,4 +163,4 @@ def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:
         for segments in (1, 4, 8)
     )
     np.testing.assert_allclose(one.frequencies[:6], eight.frequencies[:6], rtol=0.005)
-    np.testing.assert_allclose(four.frequencies[:6], eight.frequencies[:6], rtol=0.0002)
+    np.testing.assert_allclose(four.frequencies[:6], eight.frequencies[:6], rtol=0.0005)

@@ -55,7 +55,11 @@ class Twin:
             self.model.body_inertia[index] = moments
             mujoco.mju_mat2Quat(self.model.body_iquat[index], axes.ravel())
         self.data = mujoco.MjData(self.model)
-        mujoco.mj_setConst(self.model, self.data)
+        # What the compiler concluded from its inertias. (mj_setConst would warn of small pieces.)
+        self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        self.model.body_simple[:] = self.model.dof_simplenum[:] = 0
+        # A chain: below every body hangs what follows.
+        self.model.body_subtreemass[:] = np.cumsum(self.model.body_mass[::-1])[::-1]
 
     def _body(self, parent: Any, X: Any, inertia: Any) -> Any:
         self.inertias.append(inertia)

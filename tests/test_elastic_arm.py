@@ -55,11 +55,11 @@ def mass_matrix(model: Any, q: FloatArray) -> FloatArray:
 @pytest.mark.parametrize("segments", [1, 2, 7])
 @pytest.mark.parametrize("direction", [0, 1, 2])
 def test_a_cantilever_bends_as_a_beam(tmp_path: Path, segments: int, direction: int) -> None:
-    L, I = 0.7, second_moment()
+    L, area_moment = 0.7, second_moment()
     robot = cantilever(tmp_path, length=L, mass=1.0, direction=direction)
     C = compliance(elastic_arm(robot, None, ElasticOptions(segments=segments)), np.zeros(1))
     # Along x, forces and moments about x, y, z; the others by turning the axes in a circle.
-    EI, GJ = YOUNG * I, SHEAR * 2 * I
+    EI, GJ = YOUNG * area_moment, SHEAR * 2 * area_moment
     expected = np.zeros((6, 6))
     expected[1, 1] = expected[2, 2] = L**3 / (3 * EI)
     expected[4, 4] = expected[5, 5] = L / EI
@@ -145,15 +145,19 @@ def test_pieces_are_possible_and_add_up(body: Any, segments: int, end: tuple[flo
 def test_a_uniform_tube_is_cut_where_it_is() -> None:
     moment = 2.0 * 0.8**2 / 12
     body = pin.Inertia(2.0, np.array([0.4, 0, 0]), np.diag([0, moment, moment]))
-    pieces = cut_inertia(body, np.zeros(3), np.array([0.8, 0, 0]), np.array([0.125, 0.375, 0.625, 0.875]))
+    cuts = np.array([1, 3, 5, 7]) / 8
+    pieces = cut_inertia(body, np.zeros(3), np.array([0.8, 0, 0]), cuts)
     np.testing.assert_allclose([piece.mass for piece in pieces], [0.25, 0.5, 0.5, 0.5, 0.25], rtol=1e-12)
-    # From the middles of the cut rod, moved apart until they have its second moment: 64/3 = s^2 (2*49 + 4*16)/8.
-    stretch = np.sqrt((64 / 3) / (81 / 4))
-    centres = [piece.lever[0] for piece in pieces]
+    lengths = np.array([0.1, 0.2, 0.2, 0.2, 0.1])
+    # A quarter of their own second moment stays; the middles move apart for the rest.
+    for piece, length in zip(pieces, lengths, strict=True):
+        across = piece.mass * length**2 / 48
+        np.testing.assert_allclose(piece.inertia, np.diag([0, across, across]), atol=1e-15)
     middles = np.array([-0.35, -0.2, 0, 0.2, 0.35])
-    np.testing.assert_allclose(centres, 0.4 + stretch * middles, rtol=1e-12)
-    for piece in pieces:
-        np.testing.assert_allclose(piece.inertia, 0, atol=1e-15)
+    offsets = np.array([piece.lever[0] for piece in pieces]) - 0.4
+    stretch = offsets[-1] / middles[-1]
+    np.testing.assert_allclose(offsets, stretch * middles, atol=1e-12)
+    assert 1.01 < stretch < 1.04
 
 
 @pytest.mark.parametrize("centre", [0.45, 0.6, 0.73, 0.7499])

@@ -104,7 +104,7 @@ def test_links_that_do_not_move_are_rigid(bending_folder: Path) -> None:
         ("diameter_m: 0.08", "diameter_m: '0.08'", "links.link_5.outer_diameter_m", "a number"),
         (
             "-0.87]\n    end_m: [0.0, 0.0, 0.0]",
-            "0]\n    end_m: [0, 0, 0.0001]",
+            "0]\n    end_m: [0, 0, 1e-4]",
             "links.link_5.end_m",
             "apart",
         ),

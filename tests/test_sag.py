@@ -65,10 +65,10 @@ def test_a_cantilever_under_its_own_weight(tmp_path: Path) -> None:
     for segments in (1, 2, 4, 8):
         arm = elastic_arm(robot, None, ElasticOptions(segments=segments))
         errors.append(Sag(arm).at(np.zeros((1, 1))).tool[0, 2] / expected - 1)
-    # By hand, with half the mass at either Gauss point.
-    assert errors[0] == pytest.approx(8 * (1 / 24 + 1 / (4 * np.sqrt(12))) - 1, rel=1e-5)
+    # By hand: two halves sqrt(5)/8 of the length from the middle.
+    assert errors[0] == pytest.approx(8 * (1 / 24 + np.sqrt(5) / 32) - 1, rel=1e-5)
     for coarse, fine in pairwise(errors):
-        assert 0 < -fine < -coarse / 6
+        assert 0 < -fine < -coarse / 4
 
 
 def test_the_foot_gives_under_the_whole_robot(cmbot_robot: Robot, rng: np.random.Generator) -> None:
@@ -160,12 +160,16 @@ def test_states_do_not_know_of_each_other(shipped_arm: ElasticArm, rng: np.rando
     assert (none.u.shape, none.tool.shape, none.d_tool.shape) == ((0, 26), (0, 3), (0, 3, 7))
 
 
-def test_what_does_not_bend_does_not_sag(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+def test_what_does_not_bend_does_not_sag(
+    cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
+) -> None:
     q = rng.uniform(-2, 2, (2, 7))
-    states = Sag(elastic_arm(replace(cmbot_robot, elasticity=()), None)).at(q)
-    assert states.u.shape == (2, 0)
-    for array in (states.tool, states.rotation, states.d_tool):
-        np.testing.assert_allclose(array, 0, atol=1e-14)
+    for robot in (cmbot_robot, cantilever(tmp_path, length=1.0, mass=1.0)):
+        states = Sag(elastic_arm(replace(robot, elasticity=()), None)).at(q[:, : robot.dof])
+        assert states.u.shape == (2, 0)
+        assert states.d_tool.shape == (2, 3, robot.dof)
+        for array in (states.tool, states.rotation, states.d_tool):
+            np.testing.assert_allclose(array, 0, atol=1e-14)
 
 
 @pytest.mark.parametrize("factor", [1e3, 1e6, 1e9])
@@ -214,6 +218,6 @@ def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:
         Sag(elastic_arm(cmbot_robot, base, ElasticOptions(segments=segments))).at(q).tool[0]
         for segments in (1, 2, 4, 8)
     )
-    assert np.linalg.norm(one - eight) < 0.004 * np.linalg.norm(eight)
-    assert np.linalg.norm(two - eight) < 0.0005 * np.linalg.norm(eight)
+    assert np.linalg.norm(one - eight) < 0.005 * np.linalg.norm(eight)
+    assert np.linalg.norm(two - eight) < 0.001 * np.linalg.norm(eight)
     assert np.linalg.norm(four - eight) < 0.0002 * np.linalg.norm(eight)

@@ -25,6 +25,7 @@ from cmbot.planning import (
     ToolTask,
     certify_approach,
     robot_of,
+    sag_of,
     task_of,
 )
 from cmbot.planning.certificate import certificate_grid, certify
@@ -104,6 +105,8 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         floor=None if file.floor is None else file.floor.floor(),
         choice=None if file.choice is None else file.choice.choice(),
         approach=approach,
+        compensation=None if file.compensation is None else file.compensation.compensation(),
+        sag=sag_of(scene, robot, file.options) if file.options.compensate else None,
         seconds=file.seconds.seconds(),
     )
     return _verified(plan, clearances, source) if verify else plan
@@ -147,7 +150,7 @@ def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
             "hashes.robot",
             robot.content_hash,
             file.hashes.robot,
-            f"the robot's files have changed since ({robot.urdf}, its SRDF, its joint limits or its elasticity)",
+            f"the robot's files have changed since ({robot.urdf}, SRDF, joint limits or elasticity)",
         )
     return robot
 
@@ -188,7 +191,7 @@ def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
     """Return the plan with certificates made now; the figures in the file must be theirs."""
     robot, options, trajectory = plan.robot, plan.options, plan.trajectory
     _require_same(plan.baseline_figures, figures(robot, plan.baseline), source, "baseline")
-    certificate = certify(robot, plan.task, trajectory, trajectory.q, clearances, options)
+    certificate = certify(robot, plan.task, trajectory, trajectory.q, clearances, options, sag=plan.sag)
     certificate.require()
     _require_same(plan.figures, certificate.figures, source, "planned")
     if not plan.objective.own:
@@ -206,7 +209,7 @@ def _verify_objective(plan: Plan, source: Path) -> None:
     """Require the objective's peaks to be those of the motions."""
     baseline, grid = plan.baseline, certificate_grid(plan.trajectory, plan.options)
     fresh = objective_figures(
-        objective_of(plan.robot, plan.options),
+        objective_of(plan.robot, plan.options, sag=sag_of(plan.scene, plan.robot, plan.options)),
         plan.options,
         own=False,
         baseline=States(baseline.t, baseline.q, baseline.v, baseline.a),

@@ -20,6 +20,7 @@ from cmbot.planning import (
     Seconds,
     Start,
 )
+from cmbot.planning.compensation import Compensation
 from cmbot.planning.ways import Choice
 from cmbot.planning.working_set import Violation
 from cmbot.scene import PlannerOptions, SceneFile
@@ -209,6 +210,20 @@ class ChoiceFile(FileModel):
         return Choice(free=self.free, pinned=self.pinned)
 
 
+class CompensationFile(FileModel):
+    """How the predicted sag was compensated."""
+
+    rounds: Count
+    largest_shift: NonNegative
+    """Of a commanded tool point from where the path has it, m."""
+    last_change: NonNegative
+    """How far the last round moved any of them still, m."""
+
+    def compensation(self) -> Compensation:
+        """Return it as the planner has it."""
+        return Compensation(**self.model_dump())
+
+
 class FailureFile(FileModel):
     """Why no path led on from a starting posture."""
 
@@ -302,6 +317,8 @@ class PlanFile(FileModel):
     objective: ObjectiveFile
     floor: FloorFile | None
     choice: ChoiceFile | None
+    compensation: CompensationFile | None = None
+    """null: the sag was not compensated."""
     seconds: SecondsFile
     certificate: CertificateFile
     start: StartFile

@@ -18,13 +18,18 @@ __all__ = ["columns", "read_motion", "samples_csv"]
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE = "clearance"
+_EXPECTED = "expected_tool"
 
 
-def columns(dof: int) -> tuple[str, ...]:
-    """Return the columns' names for an arm of `dof` joints: ``t, q1, ..., clearance``."""
+def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
+    """Return the columns' names for an arm of `dof` joints: ``t, q1, ..., clearance``.
+
+    Where sag is compensated, ``tool`` is commanded and ``expected_tool``, at the end, is where it will be.
+    """
     joints = (f"{letter}{i}" for letter in _JOINT_COLUMNS for i in range(1, dof + 1))
     vectors = (f"{vector}_{axis}" for vector in _VECTORS for axis in "xyz")
-    return ("t", *joints, *vectors, _CLEARANCE)
+    expected = (f"{_EXPECTED}_{axis}" for axis in ("xyz" if compensated else ""))
+    return ("t", *joints, *vectors, _CLEARANCE, *expected)
 
 
 def samples_csv(samples: Samples, source: str) -> bytes:
@@ -43,8 +48,10 @@ def samples_csv(samples: Samples, source: str) -> bytes:
     """
     vectors = (samples.guardrail_torque, samples.guardrail_force, samples.tool_point)
     joints = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
-    table = np.column_stack([samples.t, *joints, *vectors, samples.clearance])
-    names = columns(samples.q.shape[1])
+    expected = samples.expected_tool_point
+    more = () if expected is None else (expected,)
+    table = np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
+    names = columns(samples.q.shape[1], compensated=expected is not None)
     _require_numbers(table, names, source)
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")

@@ -13,8 +13,8 @@ __all__ = ["cut_inertia"]
 
 # A body thinner than this share of the axis' length lies in a plane across it.
 _FLAT = 1e-9
-# Of a piece's own second moment along the axis, the share that stays: about what the consistent mass matrix of
-# a beam leaves to its end. With none the pieces of a flat body would be needles, which turn without inertia.
+# Of a piece's own second moment along the axis, the share that stays: about what the consistent mass matrix
+# of a beam leaves to its end. With none the pieces of a flat body would be needles that turn without inertia.
 _KEPT = 0.25
 
 
@@ -29,8 +29,8 @@ def cut_inertia(inertia: Any, start: FloatArray, end: FloatArray, cuts: FloatArr
     Each piece is drawn together until a quarter of its own second moment is left, and the means are moved
     apart until all have the body's again. That is nearer to a beam's own inertia than rigid pieces of the
     rod: with one cut the sag of a tube under its own weight comes out 11 % short instead of 17 %, and its
-    lowest frequency 3 % low instead of 7 %. No mean leaves the rod; what second moment that leaves over stays
-    within the pieces. All pieces are physical where the body is.
+    lowest frequency 0.7 % low instead of 2 % high. No mean leaves the rod; what second moment that leaves
+    over stays within the pieces. All pieces are physical where the body is.
 
     Parameters
     ----------

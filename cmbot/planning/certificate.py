@@ -15,6 +15,7 @@ from cmbot.arrays import FloatArray
 from cmbot.errors import LimitViolation
 from cmbot.planning.figures import MotionFigures, figures, measure
 from cmbot.planning.task import ToolTask
+from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.robot import Robot
 from cmbot.scene.clearance import Clearances
@@ -107,6 +108,7 @@ def certify(
     options: PlannerOptions,
     *,
     at_work: bool = True,
+    sag: ToolSag | None = None,
 ) -> Certificate:
     """Look at a finished trajectory with fresh eyes.
 
@@ -122,9 +124,12 @@ def certify(
         Margin and tool deviation that were promised, and the optimiser's grid.
     at_work : bool
         False with the tool off: its deviation is measured, not bounded.
+    sag : ToolSag, optional
+        Where it is compensated: the tool's deviation is that of the bent arm, as predicted.
     """
     grid = certificate_grid(trajectory, options)
-    samples = measure(robot, task, clearances, grid, tuple(trajectory.evaluate(grid, k) for k in range(4)))
+    motion = tuple(trajectory.evaluate(grid, order) for order in range(4))
+    samples = measure(robot, task, clearances, grid, motion, sag)
     rates = _rate_checks(robot, trajectory)
     checks = [
         _range_check(robot, trajectory),
@@ -136,7 +141,8 @@ def certify(
     ]
     if at_work:
         bound = options.max_tool_deviation_m
-        checks.append(_grid_check("tool deviation", grid, samples.tool_deviation, bound, "m"))
+        quantity = "tool deviation" if sag is None else "expected tool deviation"
+        checks.append(_grid_check(quantity, grid, samples.tool_deviation, bound, "m"))
     velocity, acceleration, jerk = (check.value / check.bound for check in rates)
     return Certificate(
         checks=tuple(checks),

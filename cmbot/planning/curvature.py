@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from scipy import linalg, sparse
 
@@ -111,7 +113,7 @@ def _corrections(band: FloatArray, order: IntArray, ends: IntArray) -> sparse.cs
     above = offset[None, :] - offset[:, None]
     rows, columns, values = [], [], []
     schur = np.zeros((width, width))
-    for start, end in zip(ends[:-1], ends[1:], strict=True):
+    for start, end in pairwise(ends):
         m = end - start
         upper = np.where(above >= 0, padded[start + offset[:, None], np.maximum(above, 0)], 0.0)
         A = upper + np.triu(upper, 1).T - schur

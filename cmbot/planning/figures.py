@@ -9,6 +9,7 @@ import numpy as np
 
 from cmbot.arrays import FloatArray
 from cmbot.planning.task import ToolTask
+from cmbot.planning.tool_sag import ToolSag
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene.clearance import Clearances
 
@@ -65,8 +66,11 @@ class Samples:
     guardrail_force, guardrail_torque : (N, 3), N and Nm
         Wrench on the guardrail from the moving arm, at O0, in W.
     tool_point : (N, 3), m
+        Where the joints put the tool; that is what is commanded.
+    expected_tool_point : (N, 3), m, or None
+        Where it is expected with its predicted sag; None where sag is not compensated.
     tool_deviation : (N,), m
-        Distance of the tool point from the legs.
+        Distance of the tool point, the expected one if there is one, from the legs.
     tool_rotation : (N,), rad
     clearance : (N,), m
     """
@@ -80,6 +84,7 @@ class Samples:
     guardrail_force: FloatArray
     guardrail_torque: FloatArray
     tool_point: FloatArray
+    expected_tool_point: FloatArray | None
     tool_deviation: FloatArray
     tool_rotation: FloatArray
     clearance: FloatArray
@@ -91,6 +96,7 @@ def measure(
     clearances: Clearances,
     t: FloatArray,
     motion: Sequence[FloatArray],
+    sag: ToolSag | None = None,
 ) -> Samples:
     """Measure a motion at its samples.
 
@@ -102,10 +108,13 @@ def measure(
     t : (N,), s
     motion : four arrays (N, n)
         Position, velocity, acceleration and jerk.
+    sag : ToolSag, optional
+        Where it is compensated: the tool's predicted displacement.
     """
     q, v, a, j = motion
     efforts = Dynamics(robot).efforts(q, v, a)
     p_WT, R_WT = Kinematics(robot).tool_poses(q)
+    expected = None if sag is None else p_WT + sag.along(t, q)
     return Samples(
         t=t,
         q=q,
@@ -116,10 +125,15 @@ def measure(
         guardrail_force=efforts.guardrail_force,
         guardrail_torque=efforts.guardrail_torque,
         tool_point=p_WT,
-        tool_deviation=np.asarray(np.linalg.norm(task.path.offset(p_WT), axis=1)),
+        expected_tool_point=expected,
+        tool_deviation=_lengths(task.path.offset(p_WT if expected is None else expected)),
         tool_rotation=task.rotation(R_WT),
         clearance=clearances.smallest(q).distance,
     )
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def figures(

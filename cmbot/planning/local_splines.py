@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from cmbot.arrays import FloatArray, IntArray
+from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.robot import JointLimits
 
@@ -66,7 +66,7 @@ class LocalSplines:
 
     @cached_property
     def unit(self) -> FloatArray:
-        """Multiples (n - 4, d) of the basis splines at which they use up a bound of velocity, acceleration or jerk."""
+        """Multiples (n - 4, d) at which a basis spline uses up a bound of velocity, acceleration or jerk."""
         t = self.space.t
         largest = np.zeros((3, self.count))
         for order in (1, 2, 3):
@@ -82,7 +82,7 @@ class LocalSplines:
         return np.asarray(self._basis_gram.solve(-(self.gram[: self.count, self.count :] @ q)))
 
     def least_jerk_adjoint(self, g: FloatArray) -> FloatArray:
-        """Gradient (n, d) by the via-points from that by the multiples (n - 4, d), with `least_jerk` between."""
+        """Gradient (n, d) by the via-points from that (n - 4, d) by the multiples that follow them."""
         return np.asarray(-(self.gram[self.count :, : self.count] @ self._basis_gram.solve(g)))
 
     @cached_property
@@ -103,8 +103,8 @@ class LocalSplines:
         )
 
     @cached_property
-    def _segments(self) -> tuple[IntArray, FloatArray, np.ndarray]:
-        """What lives on each segment: columns (m, w), their knot values (m, 6, w), and which are there (m, w)."""
+    def _segments(self) -> tuple[IntArray, FloatArray, BoolArray]:
+        """What lives on each segment: columns (m, w), knot values (m, 6, w), which are there (m, w)."""
         m = len(self.space.t) - 1
         entries = self.columns.tocoo()
         knot, part = np.divmod(entries.coords[0], 3)

@@ -8,7 +8,9 @@ from typing import Protocol
 import numpy as np
 
 from cmbot.arrays import FloatArray, IntArray
+from cmbot.errors import InputError
 from cmbot.planning.state_functions import Linearisation, States
+from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction, check_wrench_function
 from cmbot.robot import Dynamics, PostureBatch, Postures, Robot
 from cmbot.scene.options import PlannerOptions
@@ -167,6 +169,7 @@ def objective_of(
     options: PlannerOptions,
     own: WrenchFunction | None = None,
     posture: FloatArray | None = None,
+    sag: ToolSag | None = None,
 ) -> Objective:
     """Return what the options ask for, or the objective of a function of someone's own.
 
@@ -178,6 +181,8 @@ def objective_of(
         In place of what the options say.
     posture : (n,), rad, optional
         Where `own` is tried.
+    sag : ToolSag, optional
+        Needed for ``objective: sag``.
 
     Raises
     ------
@@ -190,6 +195,10 @@ def objective_of(
         at = Postures(robot).at(q)
         check_wrench_function(own, np.hstack([at.guardrail_force, at.guardrail_torque]), name)
         return WrenchObjective(robot, own, name=name, unit="")
+    if options.objective == "sag":
+        if sag is None:
+            raise InputError("objective_of", "sag", "nothing", "the predicted sag, for objective: sag")
+        return PostureObjective(function=sag.length, name="sag", unit="m")
     point = np.zeros(3)
     if options.moment_about == "base":
         model = robot.model

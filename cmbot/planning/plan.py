@@ -12,11 +12,13 @@ from cmbot.arrays import FloatArray
 from cmbot.errors import PathNotFound
 from cmbot.planning.approach import Approach
 from cmbot.planning.certificate import Certificate
+from cmbot.planning.compensation import Compensation
 from cmbot.planning.figures import MotionFigures, Samples, measure
 from cmbot.planning.floor import Floor
 from cmbot.planning.objective_figures import ObjectiveFigures
 from cmbot.planning.optimiser import PassReport
 from cmbot.planning.task import ToolTask
+from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.ways import Choice
 from cmbot.robot import Robot
@@ -94,6 +96,10 @@ class Plan:
     approach : Approach or None
         How the arm gets from the scene's posture to the start; None where it starts there, or where the knots
         are fixed.
+    compensation : Compensation or None
+        How the predicted sag was compensated; None where it was not.
+    sag : ToolSag or None
+        That sag.
     seconds : Seconds
     """
 
@@ -113,6 +119,8 @@ class Plan:
     floor: Floor | None
     choice: Choice | None
     approach: Approach | None
+    compensation: Compensation | None
+    sag: ToolSag | None
     seconds: Seconds
 
     @property
@@ -123,17 +131,17 @@ class Plan:
     @cached_property
     def samples(self) -> Samples:
         """The planned motion every 0.01 s."""
-        return self._sampled(self.trajectory, self.task)
+        return self._sampled(self.trajectory, self.task, self.sag)
 
     @cached_property
     def approach_samples(self) -> Samples | None:
         """The approach every 0.01 s, from time 0; its tool deviation is that from where the work starts."""
         return None if self.approach is None else self._sampled(self.approach.trajectory, self.approach.task)
 
-    def _sampled(self, trajectory: QuinticTrajectory, task: ToolTask) -> Samples:
+    def _sampled(self, trajectory: QuinticTrajectory, task: ToolTask, sag: ToolSag | None = None) -> Samples:
         t = _sample_times(trajectory.duration)
         motion = [trajectory.evaluate(t, order) for order in range(4)]
-        return measure(self.robot, task, Clearances(self.robot, self.scene.obstacles), t, motion)
+        return measure(self.robot, task, Clearances(self.robot, self.scene.obstacles), t, motion, sag)
 
     @property
     def largest_torque_difference(self) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
 from cmbot.planning.approach import plan_approach
 from cmbot.planning.certificate import certificate_grid, certify
+from cmbot.planning.compensation import compensate
 from cmbot.planning.figures import Samples, figures, measure
 from cmbot.planning.gradient_projection import JointPath, follow_path
 from cmbot.planning.objective_figures import ObjectiveFigures, objective_figures
@@ -135,12 +136,20 @@ def _plan(
     path_seconds = clock.lap()
 
     tell(Progress(stage="optimise"))
-    optimised = optimise(way.problem, lambda report: tell(Progress(stage="optimise", report=report)))
+
+    def each_pass(report: PassReport) -> None:
+        tell(Progress(stage="optimise", report=report))
+
+    optimised, compensation = optimise(way.problem, each_pass), None
+    if setting.sag is not None:
+        optimised, compensation = compensate(setting, way, optimised, setting.sag, each_pass)
     optimise_seconds = clock.lap()
 
     tell(Progress(stage="certify"))
     robot, task, clearances = setting.robot, setting.task, setting.clearances
-    certificate = certify(robot, task, optimised.trajectory, optimised.via_points, clearances, options)
+    certificate = certify(
+        robot, task, optimised.trajectory, optimised.via_points, clearances, options, sag=setting.sag
+    )
     certificate.require()
     start = _start(setting, way, optimised.via_points[0])
     approach = None
@@ -170,6 +179,8 @@ def _plan(
         floor=way.floor,
         choice=way.choice,
         approach=approach,
+        compensation=compensation,
+        sag=setting.sag,
         seconds=Seconds(
             path=path_seconds, optimise=optimise_seconds, certify=certify_seconds, total=clock.total()
         ),

@@ -35,9 +35,9 @@ from cmbot.scene.options import PlannerOptions
 
 __all__ = ["KinematicBound", "TorqueProblem"]
 
-# Sampled constraints are kept this share, divided by the squared samples per segment, inside their bounds, for
-# what parabolas through samples do not see; bounds on polynomials are met at their exact extrema and need only
-# room for the solver's tolerance.
+# Sampled constraints are kept this share, divided by the squared samples per segment, inside their bounds,
+# for what parabolas through samples do not see; bounds on polynomials are met at their exact extrema and need
+# only room for the solver's tolerance.
 _SAMPLED_SHARE = 0.5
 _EXACT_SHARE_IN_TOLERANCES = 10.0
 # The same room for the clearance, m.

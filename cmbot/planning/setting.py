@@ -10,6 +10,7 @@ from cmbot.arrays import FloatArray
 from cmbot.errors import SceneError
 from cmbot.planning.objectives import Objective, objective_of
 from cmbot.planning.task import ToolTask
+from cmbot.planning.tool_sag import ToolSag, tool_sag
 from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene
@@ -17,7 +18,7 @@ from cmbot.scene.clearance import Clearances
 from cmbot.scene.obstacles import pose
 from cmbot.scene.tool_path import ToolPath
 
-__all__ = ["Setting", "prepare", "robot_of", "task_of"]
+__all__ = ["Setting", "prepare", "robot_of", "sag_of", "task_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +37,8 @@ class Setting:
     options : PlannerOptions
     objective : Objective
         What is made small.
+    sag : ToolSag or None
+        Where it is to be compensated.
     """
 
     robot: Robot
@@ -45,6 +48,7 @@ class Setting:
     times: FloatArray
     options: PlannerOptions
     objective: Objective
+    sag: ToolSag | None
 
 
 def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = None) -> Setting:
@@ -67,6 +71,7 @@ def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = 
     robot = robot_of(scene)
     task = task_of(scene, robot)
     posture = np.array(scene.posture)
+    sag = sag_of(scene, robot, options)
     return Setting(
         robot=robot,
         posture=posture,
@@ -74,8 +79,20 @@ def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = 
         clearances=Clearances(robot, scene.obstacles),
         times=task.path.via_times(scene.via_points),
         options=options,
-        objective=objective_of(robot, options, own, posture),
+        objective=objective_of(robot, options, own, posture, sag),
+        sag=sag if options.compensate else None,
     )
+
+
+def sag_of(scene: Scene, robot: Robot, options: PlannerOptions) -> ToolSag | None:
+    """Return the predicted sag of the tool where the options need it.
+
+    Raises
+    ------
+    SceneError
+        When they do, and nothing bends.
+    """
+    return tool_sag(scene, robot) if options.compensate or options.objective == "sag" else None
 
 
 def robot_of(scene: Scene) -> Robot:

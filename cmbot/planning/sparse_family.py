@@ -144,7 +144,7 @@ class LocalKnots:
     def chain(
         self, x: FloatArray, rows: LocalRows, d_q: FloatArray, d_v: FloatArray, d_a: FloatArray
     ) -> sparse.csr_array:
-        """Take derivatives (N, d) by the states to those (N, size of u) by u; `map` leads on to the unknowns."""
+        """Take derivatives (N, d) by the states to those (N, size of u) by u; `map` leads on."""
         del x
         weight = rows.weight[:, :, None]
         data = weight[0] * d_q[rows.row] + weight[1] * d_v[rows.row] + weight[2] * d_a[rows.row]
@@ -210,7 +210,7 @@ class LocalKnots:
 
     @cached_property
     def blocks(self) -> IntArray:
-        """Numbers (dimension,) that order the unknowns along the path: what is coupled differs by 3 at most."""
+        """Numbers (dimension,) that order the unknowns along the path; what is coupled is 3 apart at most."""
         n, d = self.via_points.shape
         numbers = np.repeat(np.arange(n - 4), d)
         slides = np.repeat(np.clip(self._free - 2, 0, n - 5), self._null.shape[1])

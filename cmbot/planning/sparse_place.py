@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from functools import cached_property
 
+import numpy as np
 from scipy import sparse
 
 from cmbot.arrays import FloatArray
@@ -43,7 +44,7 @@ class TorquePlace:
 
     @cached_property
     def first(self) -> LocalModel:
-        """Values and first derivatives; the Hessian is left empty."""
+        """Values and first derivatives; Hessian and faces are left empty."""
         family = self.family
         value, jacobian, torques = self._constraints
         objective, gradient = family.smoothing()
@@ -59,6 +60,8 @@ class TorquePlace:
             value=value,
             jacobian=sparse.csr_array(jacobian @ family.map),
             peaks=torques if self.bound is None else 0,
+            face_value=np.empty(0),
+            face_jacobian=sparse.csr_array((0, family.dimension)),
         )
 
     def second(self, multipliers: FloatArray) -> LocalModel:
@@ -83,7 +86,8 @@ class TorquePlace:
                 by_u = by_u + state_curvature(family, function, states, component, share, total)
             H = H + family.map.T @ by_u @ family.map
         H = convexified(sparse.csr_array(H + family.bend_curvature(gradient)), family.blocks)
-        return replace(first, hessian=H)
+        value, faces = self.working.faces(family, family.start)
+        return replace(first, hessian=H, face_value=value, face_jacobian=sparse.csr_array(faces @ family.map))
 
     @cached_property
     def _constraints(self) -> tuple[FloatArray, sparse.csr_array, int]:

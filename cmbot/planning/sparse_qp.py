@@ -49,6 +49,10 @@ class LocalModel:
         Sparse.
     peaks : int
         How many of c, the first ones, are compared with b. Without any there is no b.
+    face_value : (F,)
+        Of functions that never exceed some of c, but reach what these overlook to first order.
+    face_jacobian : (F, n)
+        Sparse.
     """
 
     objective: float
@@ -57,6 +61,8 @@ class LocalModel:
     value: FloatArray
     jacobian: sparse.csr_array
     peaks: int
+    face_value: FloatArray
+    face_jacobian: sparse.csr_array
 
     @property
     def violation(self) -> float:
@@ -102,10 +108,12 @@ class Step:
 def solve_qp(model: LocalModel, penalty: float, radius: float) -> Step:
     """Minimise the model with violations weighed by `penalty`, no entry of p larger than `radius`."""
     piqp = piqp_module()
-    n, peaks, rows = len(model.gradient), model.peaks, len(model.value)
+    value = np.concatenate([model.value, model.face_value])
+    n, peaks, rows = len(model.gradient), model.peaks, len(value)
     bound = (np.arange(rows) < peaks)[:, None]
     # Behind p come the peak b and the largest violation e.
-    G = sparse.hstack([model.jacobian, np.where(bound, -1.0, 0.0), np.where(bound, 0.0, -1.0)], format="csc")
+    J = sparse.vstack([model.jacobian, model.face_jacobian])
+    G = sparse.hstack([J, np.where(bound, -1.0, 0.0), np.where(bound, 0.0, -1.0)], format="csc")
     P = sparse.block_diag([model.hessian, sparse.csc_array((2, 2))], format="csc")
     c = np.concatenate([model.gradient, [1.0 if peaks else 0.0, penalty]])
     highest = float(np.abs(model.value).max(initial=1.0))
@@ -122,12 +130,12 @@ def solve_qp(model: LocalModel, penalty: float, radius: float) -> Step:
         None,
         sparse.csc_matrix(G),
         np.full(rows, -np.inf),
-        -model.value,
+        -value,
         low,
         high,
     )
     solved = solver.solve() == piqp.PIQP_SOLVED
-    p, multipliers = np.array(solver.result.x[:n]), np.array(solver.result.z_u)
+    p, multipliers = np.array(solver.result.x[:n]), np.array(solver.result.z_u[: len(model.value)])
     if not (np.isfinite(p).all() and np.isfinite(multipliers).all()):
-        return Step(p=np.zeros(n), multipliers=np.zeros(rows), solved=False)
+        return Step(p=np.zeros(n), multipliers=np.zeros(len(model.value)), solved=False)
     return Step(p=np.clip(p, -radius, radius), multipliers=multipliers, solved=solved)

@@ -78,7 +78,7 @@ class SplineSpace:
 
     @cached_property
     def cardinal(self) -> sparse.csr_array:
-        """Knot vectors (3n, n) of splines that are 1 at one knot, 0 at the others, and live on four segments."""
+        """Knot vectors (3n, n) of splines that are 1 at one knot, 0 at the others, on four segments each."""
         free, conditions, jumps = self._windows
         knots = np.arange(len(self.t))
         window = np.clip(knots - _SUPPORT // 2, 0, self.dimension - 1)
@@ -137,7 +137,7 @@ class SplineSpace:
         )
 
     def hermite_weights(self, times: FloatArray, orders: int) -> tuple[IntArray, FloatArray]:
-        """Segments (N,) of `times` (N,), and the weights (orders, N, 6) of the knot values at their two ends."""
+        """Segments (N,) of `times` (N,), and weights (orders, N, 6) of the knot values at their two ends."""
         segment = np.clip(np.searchsorted(self.t, times, side="right") - 1, 0, len(self.t) - 2)
         h = np.diff(self.t)[segment]
         u = (times - self.t[segment]) / h

@@ -19,7 +19,7 @@ from cmbot.planning.sparse_qp import LocalModel, Step, solve_qp
 __all__ = ["Descent", "Place", "descend"]
 
 
-# Shares of the promised decrease below which a step is not taken, is too long, and above which it may be longer.
+# Shares of the promised decrease: below, a step is not taken; below, it is too long; above, it may be longer.
 _TAKEN, _TOO_LONG, _LONGER = 1e-3, 0.25, 0.75
 # A step that keeps less than this is corrected for what the constraints bend, unless it is hopeless.
 _CORRECTED, _HOPELESS = 0.5, -50.0
@@ -38,7 +38,7 @@ class Place(Protocol):
         """Values and first derivatives here; the Hessian is left empty."""
 
     def second(self, multipliers: FloatArray) -> LocalModel:
-        """The same with a positive definite Hessian of the Lagrangian (multipliers (K,) as the constraints)."""
+        """The same with a positive definite Hessian of the Lagrangian; multipliers (K,) as constraints."""
 
     def moved(self, p: FloatArray) -> Self:
         """Step by `p` (n,).

@@ -28,6 +28,8 @@ __all__ = [
 
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
 _FLAT = 1e-12
+# Directions across a leg in which the tool is held near it, its own among them.
+_FACES = 8
 
 
 @dataclass(frozen=True)
@@ -127,6 +129,27 @@ class ToolDeviation:
         distance = np.linalg.norm(offset, axis=1)
         d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _FLAT)[:, None] / self.bound, J)
         return Linearisation(distance - 1, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
+
+    def faces(self, states: States) -> tuple[Linearisation, ...]:
+        """Return smooth functions that never exceed the distance: offsets across the leg, in several directions.
+
+        To first order a distance knows no direction but its own; a step could leave the leg in any other.
+        """
+        p_WT, J = self.kinematics.tool_point_jacobians(states.q)
+        offset = self.task.path.leg_offset(states.t, p_WT) / self.bound
+        leg = self.task.path.leg_directions(states.t)
+        across = np.cross(leg, np.eye(3)[np.abs(leg).argmin(axis=1)])
+        away = offset - np.einsum("ki,ki->k", offset, leg)[:, None] * leg
+        u = np.where(np.linalg.norm(away, axis=1, keepdims=True) > _FLAT, away, across)
+        u /= np.linalg.norm(u, axis=1, keepdims=True)
+        w = np.cross(leg, u)
+        faces = []
+        for angle in np.arange(1, _FACES) * (2 * np.pi / _FACES):
+            direction = np.cos(angle) * u + np.sin(angle) * w
+            d_q = np.einsum("ki,kij->kj", direction / self.bound, J)
+            still = np.zeros_like(d_q)
+            faces.append(Linearisation(np.einsum("ki,ki->k", direction, offset) - 1, d_q, still, still))
+        return tuple(faces)
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from cmbot.errors import PathNotFound
 from cmbot.planning.family import Family
 from cmbot.planning.floor import Floor
 from cmbot.planning.global_stage import GlobalSolution, GlobalStage
-from cmbot.planning.gradient_projection import JointPath, place_on_task
+from cmbot.planning.gradient_projection import place_on_task
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.self_motion import Chart
 from cmbot.planning.setting import Setting
@@ -20,7 +20,7 @@ from cmbot.planning.solvers import family_through
 from cmbot.planning.starts import find_path
 from cmbot.robot import Kinematics, Postures
 
-__all__ = ["Choice", "Way", "fixed_way", "sliding_way"]
+__all__ = ["Choice", "Way", "fixed_way", "shifted_problem", "sliding_way"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,6 +44,10 @@ class Way:
     Attributes
     ----------
     problem : TorqueProblem
+    resting : tuple of int
+        Via-points where the arm rests in a posture that does not slide.
+    least : float
+        What the objective's peak cannot fall below, but for what motion takes off.
     failures : tuple of PathNotFound
         Starts that led nowhere, the scene's posture first.
     floor : Floor or None
@@ -55,6 +59,8 @@ class Way:
     """
 
     problem: TorqueProblem
+    resting: tuple[int, ...]
+    least: float
     failures: tuple[PathNotFound, ...] = ()
     floor: Floor | None = None
     choice: Choice | None = None
@@ -78,9 +84,12 @@ def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
     path, failures = find_path(
         setting.robot, setting.task, setting.posture, setting.clearances, setting.options, tell
     )
-    family = family_through(setting, _via_points(setting, path), sliding=False)
-    floor = float(setting.objective.at_rest(Postures(setting.robot).at(family.via_points)).max())
-    return Way(problem=_problem(setting, family, resting=(0, -1), floor=floor), failures=failures)
+    rough = np.stack([np.interp(setting.times, path.t, joint) for joint in path.q.T], axis=1)
+    family = family_through(setting, _placed(setting, rough), sliding=False)
+    least = float(setting.objective.at_rest(Postures(setting.robot).at(family.via_points)).max())
+    resting = (0, -1)
+    problem = _problem(setting, family, resting, least)
+    return Way(problem=problem, resting=resting, least=least, failures=failures)
 
 
 def sliding_way(setting: Setting) -> Way:
@@ -110,13 +119,39 @@ def sliding_way(setting: Setting) -> Way:
         solution, failures = stage.solve_elsewhere(pinned)
     stays = solution is not free
     family = family_through(setting, solution.q, sliding=True, pinned=stays)
+    resting = (0,) if stays else ()
     return Way(
-        problem=_problem(setting, family, resting=(0,) if stays else (), floor=stage.floor.value),
+        problem=_problem(setting, family, resting, stage.floor.value),
+        resting=resting,
+        least=stage.floor.value,
         failures=failures,
         floor=stage.floor,
         choice=Choice(free=free.peak, pinned=pinned.peak if isinstance(pinned, GlobalSolution) else None),
         chart=stage.first_chart,
     )
+
+
+def shifted_problem(setting: Setting, way: Way, via_points: FloatArray) -> TorqueProblem:
+    """Return the problem of a way once more, along a tool path that lies a little beside.
+
+    Parameters
+    ----------
+    setting : Setting
+        With the tool path as it is now.
+    way : Way
+        Along the tool path as it was.
+    via_points : (n, d), rad
+        Near those to start from.
+
+    Raises
+    ------
+    PathNotFound
+        When a via-point cannot be put onto the tool path.
+    """
+    sliding = way.floor is not None
+    pinned = sliding and 0 in way.resting
+    family = family_through(setting, _placed(setting, via_points), sliding=sliding, pinned=pinned)
+    return _problem(setting, family, way.resting, way.least)
 
 
 def _tried(stage: GlobalStage, *, pinned: bool) -> GlobalSolution | PathNotFound:
@@ -126,7 +161,7 @@ def _tried(stage: GlobalStage, *, pinned: bool) -> GlobalSolution | PathNotFound
         return failure
 
 
-def _problem(setting: Setting, family: Family, *, resting: tuple[int, ...], floor: float) -> TorqueProblem:
+def _problem(setting: Setting, family: Family, resting: tuple[int, ...], least: float) -> TorqueProblem:
     return TorqueProblem(
         setting.robot,
         setting.task,
@@ -134,25 +169,23 @@ def _problem(setting: Setting, family: Family, *, resting: tuple[int, ...], floo
         setting.clearances,
         setting.options,
         resting=resting,
-        floor=floor,
+        floor=least,
         objective=setting.objective,
     )
 
 
-def _via_points(setting: Setting, path: JointPath) -> FloatArray:
-    """Take via-points from a joint path, each put onto the tool task exactly."""
+def _placed(setting: Setting, rough: FloatArray) -> FloatArray:
+    """Put postures (n, d) near the via-points onto the tool task exactly."""
     kinematics, task, times = Kinematics(setting.robot), setting.task, setting.times
-    rough = np.stack([np.interp(times, path.t, joint) for joint in path.q.T], axis=1)
     via_points = np.empty_like(rough)
     for k, (q, point) in enumerate(zip(rough, task.path.position(times), strict=True)):
         placed = place_on_task(kinematics, task, q, point)
         if placed is None:
-            nearest = int(np.abs(path.t - times[k]).argmin())
             raise PathNotFound(
                 f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular",
                 time=float(times[k]),
                 progress=task.path.progress(float(times[k])),
-                smallest_singular_value=float(path.singular_value[nearest]),
+                smallest_singular_value=task.smallest_singular_value(*kinematics.tool_jacobian(q)),
             )
         via_points[k] = placed
     return via_points

@@ -11,7 +11,7 @@ import numpy as np
 from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.family import Family
 from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.state_functions import StateFunction, States
+from cmbot.planning.state_functions import StateFunction, States, ToolDeviation
 from cmbot.planning.trajectory import QuinticTrajectory
 
 __all__ = ["Violation", "WorkingSet"]
@@ -74,11 +74,11 @@ class WorkingSet:
 
     @property
     def sizes(self) -> tuple[int, ...]:
-        """Numbers of sites of the functions of the state and of the joints' bounds, in the order of `values`."""
+        """Numbers of sites, function after function, then bound after bound, as in `values`."""
         return tuple(len(sites.times) for sites in (*self._state_sites, *self._bound_sites))
 
     def values(self, family: Family, x: FloatArray) -> tuple[FloatArray, Any, int]:
-        """Return values (K,), Jacobian (K, width of the family's), and how many leading rows are guardrail torques."""
+        """Return values (K,), Jacobian (K, .), and how many leading rows are guardrail torques."""
         problem = self._problem
         values, jacobians = [], []
         trajectory = problem.trajectory(family, x)
@@ -100,8 +100,19 @@ class WorkingSet:
             return np.empty(0), family.stacked([]), 0
         return np.concatenate(values), family.stacked(jacobians), len(self._state_sites[0].times)
 
+    def faces(self, family: Family, x: FloatArray) -> tuple[FloatArray, Any]:
+        """Return values (F,) and derivatives (F, .) of what never exceeds the tool's deviations: offsets."""
+        values, jacobians = [], []
+        trajectory = self._problem.trajectory(family, x)
+        for function, sites in zip(self._functions, self._state_sites, strict=True):
+            if isinstance(function, ToolDeviation) and len(sites.times):
+                for at in function.faces(States(sites.times, *trajectory.states(sites.times))):
+                    values.append(at.value)
+                    jacobians.append(family.chain(x, sites.rows, at.d_q, at.d_v, at.d_a))
+        return np.concatenate([np.empty(0), *values]), family.stacked(jacobians)
+
     def state_sites(self) -> Iterator[tuple[StateFunction, FloatArray, IntArray]]:
-        """Go through the functions of the state in the order of `values`: times and components of their sites."""
+        """Go through the functions of the state, as in `values`: times and components of their sites."""
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             yield function, sites.times, sites.component
 

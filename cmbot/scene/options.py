@@ -41,6 +41,16 @@ class PlannerOptions:
         With sliding knots: ``free`` lets the arm first go to a better posture with the same tool pose, where
         that lowers the peak by more than `gap_target`; ``pinned`` keeps the scene's posture as long as a path
         leads on from there.
+    objective : str
+        What is made small; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
+        ``sag``: how far guardrail and links let the tool sag at rest.
+    moment_about : str
+        Of the torque. ``foot``: about O0, n_0. ``base``: about the origin of the arm's base frame, n_1
+        without the lever of Eq. (12).
+    axis_weights : three floats
+        By which the torque's components along x, y and z of W are multiplied before their norm is taken.
+    compensate : bool
+        Shift the via-points by the tool's predicted sag, so that the bent arm follows the path.
     avoidance : str
         ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
         near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
@@ -95,9 +105,10 @@ class PlannerOptions:
 
     knots: Literal["sliding", "fixed"] = "sliding"
     start: Literal["free", "pinned"] = "free"
-    objective: Literal["torque"] = "torque"
+    objective: Literal["torque", "sag"] = "torque"
     moment_about: Literal["foot", "base"] = "foot"
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
+    compensate: bool = False
     avoidance: Literal["smooth", "switch"] = "smooth"
     avoidance_distance_m: PositiveFloat = 0.15
     avoidance_gain: NonNegativeFloat = 2.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -13,7 +13,7 @@ from cmbot.arrays import FloatArray, IntArray
 from cmbot.errors import InputError
 from cmbot.scene.speed_profile import SpeedProfile
 
-__all__ = ["ToolPath", "share_out_segments"]
+__all__ = ["ShiftedToolPath", "ToolPath", "share_out_segments"]
 
 _NO_LENGTH = 1e-300
 
@@ -81,6 +81,11 @@ class ToolPath:
         """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the leg at `times`."""
         return self._offset_from(self._locate(times)[0], p)
 
+    def leg_directions(self, times: ArrayLike) -> FloatArray:
+        """Return unit vectors (N, 3) along the legs at `times`; zero for a leg of no length."""
+        leg, _ = self._locate(times)
+        return np.asarray(np.diff(self.corners, axis=0)[leg] / np.maximum(self.lengths[leg], _NO_LENGTH)[:, None])
+
     def via_times(self, count: int) -> FloatArray:
         """Times t_j (count,) of the via-points: leg ends, and equal steps within each leg (Eq. (23)).
 
@@ -107,6 +112,30 @@ class ToolPath:
         t: FloatArray = np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)
         leg = np.clip(np.searchsorted(self.leg_times, t, side="right") - 1, 0, len(self.seconds) - 1)
         return leg, np.clip((t - self.leg_times[leg]) / self.seconds[leg], 0.0, 1.0)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShiftedToolPath(ToolPath):
+    """A tool path that is displaced as time goes by; distances are measured from where it would be without.
+
+    Attributes
+    ----------
+    shift : callable
+        From times (N,), s, to displacements (N, 3), m; smooth.
+    """
+
+    shift: Callable[[FloatArray], FloatArray]
+
+    def position(self, times: ArrayLike) -> FloatArray:
+        """Return the displaced tool point (N, 3), m, at `times` (N,)."""
+        return super().position(times) + self._shift(times)
+
+    def leg_offset(self, times: ArrayLike, p: FloatArray) -> FloatArray:
+        """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the displaced leg."""
+        return super().leg_offset(times, p - self._shift(times))
+
+    def _shift(self, times: ArrayLike) -> FloatArray:
+        return np.asarray(self.shift(np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)))
 
 
 def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> list[int]:

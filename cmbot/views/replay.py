@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
-import uuid
 from pathlib import Path
 
 from cmbot.errors import InputError
 from cmbot.planning import Plan
+from cmbot.simulation import Tracking
+from cmbot.views.page_file import write_page
 from cmbot.views.replay_page import replay_page
 from cmbot.views.replay_server import ReplayServer
 
@@ -15,7 +15,12 @@ __all__ = ["replay", "serve_replay"]
 
 
 def replay(
-    plan: Plan, html: str | Path | None = None, serve: bool = False, *, port: int = 0
+    plan: Plan,
+    html: str | Path | None = None,
+    serve: bool = False,
+    *,
+    port: int = 0,
+    tracking: Tracking | None = None,
 ) -> ReplayServer | None:
     """Write a replay of a plan, or serve it, or both.
 
@@ -28,6 +33,8 @@ def replay(
         Serve the same page on 127.0.0.1; nothing is printed, and no browser opened.
     port : int
         To serve on; 0: any that is free.
+    tracking : Tracking, optional
+        Of that plan: where the bending arm carries the tool is then shown, too.
 
     Returns
     -------
@@ -37,39 +44,27 @@ def replay(
     Raises
     ------
     InputError
-        When neither `html` nor `serve` is given, the file cannot be written or the port is taken.
+        When neither `html` nor `serve` is given, the file cannot be written, the port is taken, or `tracking`
+        is that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
     """
     if html is None and not serve:
         raise InputError("replay", "html, serve", "neither", "a file to write, or serve=True")
-    page = replay_page(plan)
+    page = replay_page(plan, tracking)
     if html is not None:
-        _write(Path(html), page)
+        write_page(Path(html), page)
     return ReplayServer(page, port) if serve else None
 
 
-def serve_replay(plan: Plan, port: int = 0) -> ReplayServer:
+def serve_replay(plan: Plan, port: int = 0, tracking: Tracking | None = None) -> ReplayServer:
     """Serve the replay of a plan on 127.0.0.1, as ``replay(plan, serve=True)``.
 
     Raises
     ------
     InputError
-        When the port is taken.
+        When the port is taken, or `tracking` is that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
     """
-    return ReplayServer(replay_page(plan), port)
-
-
-def _write(path: Path, text: str) -> None:
-    """Write a file beside its place, then move it there."""
-    draft = path.parent / f".{uuid.uuid4().hex}.html"
-    try:
-        draft.write_text(text, encoding="utf-8", errors="replace", newline="\n")
-        draft.replace(path)
-    except (OSError, ValueError) as error:
-        with contextlib.suppress(OSError, ValueError):
-            draft.unlink(missing_ok=True)
-        got = f"a file that cannot be written ({getattr(error, 'strerror', None) or error})"
-        raise InputError(str(path), "", got, "a path where a file can be written") from error
+    return ReplayServer(replay_page(plan, tracking), port)

@@ -1,22 +1,25 @@
-"""What the replay page needs of a plan's motions (approach, work, baseline), at equal time steps."""
+"""What the pages need of a plan's motions (approach, work, baseline), at equal time steps."""
 
 from __future__ import annotations
 
 import base64
+from dataclasses import fields
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from cmbot.planning import MotionFigures, Plan, Samples
+from cmbot.arrays import FloatArray
+from cmbot.errors import InputError
+from cmbot.planning import Plan, Samples
 from cmbot.planning.figures import figures, measure
 from cmbot.robot import Robot
 from cmbot.scene.clearance import Clearances
+from cmbot.simulation import MotionTracking, Tracking
+from cmbot.views.frames import Frames, frame_times, poses_of, resampled
+from cmbot.views.meshcat_scene import reach, scene_commands
 
 __all__ = ["link_names", "replay_data"]
-
-FloatArray = NDArray[np.float64]
 
 FRAME_STEP = 0.02
 """Between two frames, s, unless that gives too many; the page interpolates."""
@@ -25,28 +28,42 @@ MOST_POSES = 12_000
 """Frames times links, approach and work together."""
 
 
-def replay_data(plan: Plan) -> dict[str, Any]:
-    """Return the page's data, ready for JSON; arrays are little-endian float32 in base64.
+def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
+    """Return the page's data, ready for JSON; `Frames.motion` says what there is of each motion.
 
-    Poses are those of the arm's joint frames in W, as position (m) and quaternion x, y, z, w. The work starts
-    at time 0, the approach at ``start`` before it.
+    The work starts at time 0, the approach at ``start`` before it; with `tracking` the arms rest after the
+    work until ``end``.
+
+    Raises
+    ------
+    InputError
+        When `tracking` is that of another plan.
+    ModelError, SceneError
+        When a shape cannot be drawn.
     """
     duration = float(max(plan.samples.t[-1], plan.baseline.t[-1]))
     approach_duration = plan.approach.trajectory.duration if plan.approach is not None else 0.0
-    step = max(FRAME_STEP, (approach_duration + duration) * plan.robot.dof / MOST_POSES)
-    times = _frame_times(0.0, duration, step)
+    end = duration if tracking is None else _end(tracking, duration)
+    step = max(FRAME_STEP, (approach_duration + end) * plan.robot.dof / MOST_POSES)
+    clearances = Clearances(plan.robot, plan.scene.obstacles)
+    frames = Frames(plan.robot, clearances, plan.options.avoidance_distance_m)
     return {
         "title": plan.scene.name,
         "robot": plan.robot.name,
         "start": 0.0 - approach_duration,
         "duration": duration,
+        "end": end,
         "legTimes": plan.task.path.leg_times.tolist(),
         "floor": plan.torque_floor,
+        "margin": plan.options.safety_margin_m,
         "links": link_names(plan.robot),
-        "approach": _approach(plan, step),
-        "planned": _motion(plan.robot, plan.samples, plan.figures, times),
-        "baseline": _motion(plan.robot, plan.baseline, plan.baseline_figures, times),
+        "approach": _approach(plan, frames, clearances, step),
+        **_work(plan, tracking, frames, frame_times(0.0, duration, step)),
+        "rest": None if tracking is None else _rest(plan, tracking, frames, duration, end, step),
+        "pairs": frames.pairs,
         "focus": _focus(plan),
+        "reach": reach(plan.robot),
+        "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(plan)],
     }
 
 
@@ -59,51 +76,66 @@ def link_names(robot: Robot) -> list[str]:
     ]
 
 
-def _approach(plan: Plan, step: float) -> dict[str, Any] | None:
+def _end(tracking: Tracking, duration: float) -> float:
+    for name, motion in (("planned", tracking.planned), ("baseline", tracking.baseline)):
+        if not np.isclose(motion.stop, duration, rtol=1e-9, atol=0.0):
+            expected = f"{duration:g} s, the plan's duration: the tracking errors of this plan"
+            raise InputError("tracking", f"{name}.stop", f"{motion.stop:g} s", expected)
+    return float(max(duration, tracking.planned.t[-1], tracking.baseline.t[-1]))
+
+
+def _work(plan: Plan, tracking: Tracking | None, frames: Frames, times: FloatArray) -> dict[str, Any]:
+    planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
+    return {
+        "planned": frames.motion(plan.samples, plan.figures, times, _error(planned, times)),
+        "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, _error(baseline, times)),
+    }
+
+
+def _approach(plan: Plan, frames: Frames, clearances: Clearances, step: float) -> dict[str, Any] | None:
     """Return the planned arm's approach; meanwhile the baseline's arm rests where it starts."""
     robot, approach, planned = plan.robot, plan.approach, plan.approach_samples
     if approach is None or planned is None:
         return None
-    t = _frame_times(0.0, approach.trajectory.duration, step)
+    t = frame_times(0.0, approach.trajectory.duration, step)
     ends = t[[0, -1]]
     posture = np.repeat(plan.baseline.q[:1], 2, axis=0)
-    rest = [posture, *np.zeros((3, *posture.shape))]
-    baseline = measure(robot, plan.task, Clearances(robot, plan.scene.obstacles), ends, rest)
+    still = [posture, *np.zeros((3, *posture.shape))]
+    baseline = measure(robot, plan.task, clearances, ends, still)
     return {
         "label": "approach along the self-motion" if approach.along_self_motion else "approach, tool off",
-        "planned": _motion(robot, planned, approach.certificate.figures, t),
-        "baseline": _motion(robot, baseline, figures(robot, baseline), ends),
+        "planned": frames.motion(planned, approach.certificate.figures, t),
+        "baseline": frames.motion(baseline, figures(robot, baseline), ends),
     }
 
 
-def _frame_times(start: float, end: float, step: float) -> FloatArray:
-    return np.linspace(start, end, int(np.ceil((end - start) / step)) + 1)
-
-
-def _motion(robot: Robot, samples: Samples, figures: MotionFigures, times: FloatArray) -> dict[str, Any]:
-    q = _resampled(times, samples.t, samples.q)
-    return {
-        "poses": _packed(_poses(robot, q)),
-        "torque": _packed(_resampled(times, samples.t, samples.guardrail_torque)),
-        "clearance": _packed(np.interp(times, samples.t, samples.clearance)),
-        "peakTorque": figures.peak_guardrail_torque,
-        "minClearance": figures.min_clearance,
+def _rest(
+    plan: Plan, tracking: Tracking, frames: Frames, duration: float, end: float, step: float
+) -> dict[str, Any] | None:
+    """Return both arms after the stop: their joints rest, what bends swings on."""
+    if end <= duration:
+        return None
+    t = frame_times(duration, end, step)
+    motions = {
+        "planned": (plan.samples, plan.figures, tracking.planned),
+        "baseline": (plan.baseline, plan.baseline_figures, tracking.baseline),
     }
+    held = {
+        name: frames.motion(_last(samples, t[[0, -1]]), of_it, t, _error(track, t))
+        for name, (samples, of_it, track) in motions.items()
+    }
+    return {"label": "after the stop", **held}
 
 
-def _resampled(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
-    return np.stack([np.interp(times, t, column) for column in values.T], axis=1)
+def _last(samples: Samples, ends: FloatArray) -> Samples:
+    """Return what a motion is at its end, at two times."""
+    at_end = {field.name: getattr(samples, field.name) for field in fields(Samples)}
+    held = {name: None if x is None else np.repeat(x[-1:], 2, axis=0) for name, x in at_end.items()}
+    return Samples(**{**held, "t": ends})
 
 
-def _poses(robot: Robot, q: FloatArray) -> FloatArray:
-    """Poses (N, n, 7) of the joint frames in W at postures `q` (N, n)."""
-    data = robot.model.createData()
-    poses = np.empty((*q.shape, 7))
-    for k, q_k in enumerate(q):
-        pin.forwardKinematics(robot.model, data, q_k)
-        for joint in range(1, robot.model.njoints):
-            poses[k, joint - 1] = pin.SE3ToXYZQUAT(data.oMi[joint])
-    return poses
+def _error(motion: MotionTracking | None, times: FloatArray) -> FloatArray | None:
+    return None if motion is None else resampled(times, motion.t, motion.error)
 
 
 def _focus(plan: Plan) -> dict[str, Any]:
@@ -113,7 +145,7 @@ def _focus(plan: Plan) -> dict[str, Any]:
     if plan.approach is not None:
         motions.append(plan.approach.trajectory.q)
     points += [motion.tool_point for motion in (plan.samples, plan.baseline)]
-    points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3] for q in motions]
+    points += [poses_of(plan.robot, q[:: max(1, len(q) // 50)])[..., :3] for q in motions]
     cloud = np.concatenate([block.reshape(-1, 3) for block in points])
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     radius = max(float(np.linalg.norm(high - low)) / 2, 1e-3)
@@ -129,7 +161,3 @@ def _azimuth(plan: Plan) -> float:
     arm = np.arctan2(y, x)
     outside = np.pi / 2
     return float(min((arm - np.pi / 4, arm + np.pi / 4), key=lambda angle: abs(angle - outside)))
-
-
-def _packed(array: FloatArray) -> str:
-    return base64.b64encode(array.astype("<f4").tobytes()).decode("ascii")

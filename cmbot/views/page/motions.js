@@ -1,10 +1,10 @@
-// The motions as functions of time: the arms move in phases, first the approach if there is one, then the work.
+// The motions as functions of time: the arms move in phases, the approach if there is one, the work, and after it
+// a rest if what bends is shown swinging on.
 class Motion {
   constructor(source, links) {
     this.links = links;
-    this.poses = floats(source.poses);
-    this.torque = floats(source.torque);
-    this.clearance = floats(source.clearance);
+    for (const name of ["poses", "torque", "clearance", "near", "pair", "tool"]) this[name] = floats(source[name]);
+    this.error = source.error === null ? null : floats(source.error);
     this.peakTorque = source.peakTorque;
     this.minClearance = source.minClearance;
     this.norms = this.clearance.map((_, k) => Math.hypot(...this.torque.subarray(3 * k, 3 * k + 3)));
@@ -28,15 +28,38 @@ class Motion {
     link.quaternion.copy(r[0].slerp(r[1], share));
   }
 
-  torqueAt(moment) {
+  // A vector of every frame, at a moment: `width` numbers a frame, the vector from number `first` on.
+  vectorAt(values, moment, width = 3, first = 0) {
     const [frame, share] = this.between(moment);
-    const v = [0, 1].map((k) => new THREE.Vector3().fromArray(this.torque, 3 * (frame + k)));
+    const v = [0, 1].map((k) => new THREE.Vector3().fromArray(values, width * (frame + k) + first));
     return v[0].lerp(v[1], share);
+  }
+
+  torqueAt(moment) {
+    return this.vectorAt(this.torque, moment);
   }
 
   clearanceAt(moment) {
     const [frame, share] = this.between(moment);
-    return (1 - share) * this.clearance[frame] + share * this.clearance[frame + 1];
+    return share ? (1 - share) * this.clearance[frame] + share * this.clearance[frame + 1] : this.clearance[frame];
+  }
+
+  // Nearest points at a moment. Between frames with other pairs there is nothing to blend.
+  nearAt(moment) {
+    const [frame, share] = this.between(moment);
+    const nearest = share < 0.5 ? frame : frame + 1, pair = this.pair[nearest];
+    if (pair < 0) return null;
+    const at = this.pair[frame] === this.pair[frame + 1] ? moment : nearest / (this.norms.length - 1);
+    const [point, other] = [0, 3].map((first) => this.vectorAt(this.near, at, 6, first));
+    return { point, other, pair, distance: this.clearanceAt(moment) };
+  }
+
+  toolAt(moment) {
+    return this.vectorAt(this.tool, moment);
+  }
+
+  errorAt(moment) {
+    return this.error && this.vectorAt(this.error, moment);
   }
 }
 
@@ -59,7 +82,8 @@ class Phase {
 }
 
 function phasesOf(data) {
-  const links = data.links.length;
-  const work = new Phase(0, data.duration, "", data, links);
-  return data.approach ? [new Phase(data.start, 0, data.approach.label, data.approach, links), work] : [work];
+  const links = data.links.length, phases = [new Phase(0, data.duration, "", data, links)];
+  if (data.approach) phases.unshift(new Phase(data.start, 0, data.approach.label, data.approach, links));
+  if (data.rest) phases.push(new Phase(data.duration, data.end, data.rest.label, data.rest, links));
+  return phases;
 }

@@ -1,6 +1,5 @@
 // The norm of the torque over time, above the slider and in step with its thumb.
 const INSET = 8;  // half a slider's thumb, px
-const newtonMetres = (value) => `${value.toFixed(1)} Nm`;
 
 class TorquePlot {
   constructor(canvas, data, phases, peak) {
@@ -9,13 +8,13 @@ class TorquePlot {
 
   // The time below a pointer.
   timeAt(clientX) {
-    const { start, duration } = this.data, box = this.canvas.getBoundingClientRect();
-    return start + ((clientX - box.left - INSET) / (box.width - 2 * INSET)) * (duration - start);
+    const { start, end } = this.data, box = this.canvas.getBoundingClientRect();
+    return start + ((clientX - box.left - INSET) / (box.width - 2 * INSET)) * (end - start);
   }
 
   x(time) {
-    const { start, duration } = this.data;
-    return INSET + ((time - start) / (duration - start)) * (this.width - 2 * INSET);
+    const { start, end } = this.data;
+    return INSET + ((time - start) / (end - start)) * (this.width - 2 * INSET);
   }
 
   y(torque) {
@@ -31,19 +30,21 @@ class TorquePlot {
     this.pen = canvas.getContext("2d");
     this.pen.scale(ratio, ratio);
     this.pen.font = "11px system-ui, sans-serif";
+    const style = getComputedStyle(document.documentElement);
+    this.colour = (name) => style.getPropertyValue(`--${name}`);
     this.shadeApproach();
-    for (const time of this.data.legTimes) this.upright(time, "#d5dce3", 1);
-    this.line([[this.x(this.data.start), this.y(0)], [this.x(this.data.duration), this.y(0)]], "#b9c3cd", 1);
+    for (const time of this.data.legTimes) this.upright(time, this.colour("line"), 1);
+    this.line([[this.x(this.data.start), this.y(0)], [this.x(this.data.end), this.y(0)]], this.colour("line"), 1);
     for (const phase of this.phases) this.drawPhase(phase);
     this.drawFloor();
     this.text(`Torque on the guardrail, 0 to ${newtonMetres(this.peak)}`, this.x(0) + 6, this.height - 8);
-    this.upright(now, "#1d2733", 1.5);
+    this.upright(now, this.colour("ink"), 1.5);
   }
 
   shadeApproach() {
     const { start } = this.data;
     if (start === 0) return;
-    this.pen.fillStyle = "#e3e0f0";
+    this.pen.fillStyle = this.colour("approach");
     this.pen.fillRect(this.x(start), 0, this.x(0) - this.x(start), this.height);
     const room = this.x(0) - this.x(start) - 8;
     const label = [this.phases[0].label, "approach"].find((text) => this.pen.measureText(text).width <= room);
@@ -51,10 +52,10 @@ class TorquePlot {
   }
 
   drawPhase(phase) {
-    for (const [name, colour, wide] of [["baseline", "#2f6fb7", 1.5], ["planned", "#e0560f", 2]]) {
+    for (const [name, wide] of [["baseline", 1.5], ["planned", 2]]) {
       const { norms } = phase.motions[name];
       const point = (norm, k) => [this.x(phase.timeOf(k / (norms.length - 1))), this.y(norm)];
-      this.line(Array.from(norms, point), colour, wide);
+      this.line(Array.from(norms, point), this.colour(name), wide);
     }
   }
 
@@ -63,7 +64,7 @@ class TorquePlot {
     const { floor, duration } = this.data;
     if (floor === null) return;
     this.pen.setLineDash([5, 4]);
-    this.line([[this.x(0), this.y(floor)], [this.x(duration), this.y(floor)]], "#1d2733", 1);
+    this.line([[this.x(0), this.y(floor)], [this.x(duration), this.y(floor)]], this.colour("ink"), 1);
     this.pen.setLineDash([]);
     const label = `floor ${newtonMetres(floor)}`, right = this.x(duration) - 4;
     this.text(label, right - this.pen.measureText(label).width, this.y(floor) + 12);
@@ -84,10 +85,10 @@ class TorquePlot {
 
   text(words, x, y) {
     const { pen } = this;
-    pen.strokeStyle = "rgba(255, 255, 255, .8)";  // readable across a curve
+    pen.strokeStyle = this.colour("halo");  // readable across a curve
     pen.lineWidth = 3;
     pen.strokeText(words, x, y);
-    pen.fillStyle = "#5d6b7a";
+    pen.fillStyle = this.colour("faint");
     pen.fillText(words, x, y);
   }
 }

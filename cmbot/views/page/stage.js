@@ -1,24 +1,51 @@
 "use strict";
-// The 3-D picture: meshcat's viewer, the arm and its ghost, the torque arrow, the light and the camera.
+// The 3-D picture: meshcat's viewer, the arm and its twin, the torque arrow, the light and the camera.
 const { THREE } = MeshCat;
 
-const floats = (text) => {
-  const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
-  return new Float32Array(bytes.buffer);
-};
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
+const floats = (text) => new Float32Array(bytesOf(text).buffer);
+const MOTIONS = ["planned", "baseline"];
 
 class Stage {
   constructor(data) {
     this.data = data;
-    this.viewer = new MeshCat.Viewer(document.getElementById("view"));
+    this.view = document.getElementById("view");
+    this.viewer = new MeshCat.Viewer(this.view);
     this.viewer.gui.domElement.remove();
     for (const command of data.commands) this.viewer.handle_command_bytearray(bytesOf(command));
     this.arms = { planned: data.links.map((_, i) => this.node("robot", String(i + 1))) };
     this.arms.baseline = this.addGhost();
     this.arrow = this.addArrow();
+    this.torque = { planned: new THREE.Vector3(), baseline: new THREE.Vector3() };
+    this.marks = new Marks(this, data);
+    this.compare = "ghost";
+    this.withArrow = true;
     this.addLight();
+    this.fit();
+    this.dress();
     this.resetView();
+  }
+
+  // meshcat fills the window; here it fills its own element, and draws one picture or two.
+  fit() {
+    const { viewer, view } = this, resize = viewer.set_3d_pane_size;
+    viewer.set_3d_pane_size = () => resize.call(viewer, view.clientWidth || 1, view.clientHeight || 1);
+    viewer.render = () => this.render();
+    new ResizeObserver(() => viewer.set_3d_pane_size()).observe(view);
+    viewer.set_3d_pane_size();
+  }
+
+  // Light or dark, as the page is.
+  dress() {
+    const dark = window.matchMedia("(prefers-color-scheme: dark)");
+    const colour = () => {
+      const [top, bottom] = dark.matches ? [[0.42, 0.46, 0.51], [0.2, 0.23, 0.27]] : [[0.98, 0.985, 0.99], [0.72, 0.78, 0.84]];
+      this.viewer.set_property(["Background"], "top_color", top);
+      this.viewer.set_property(["Background"], "bottom_color", bottom);
+      this.viewer.show_background();
+    };
+    dark.addEventListener("change", colour);
+    colour();
   }
 
   node(...path) {
@@ -29,8 +56,54 @@ class Stage {
     return this.viewer.scene;
   }
 
+  get beside() {
+    return this.compare === "beside";
+  }
+
   redraw() {
     this.viewer.set_dirty();
+  }
+
+  setCompare(how) {
+    this.compare = how;
+    this.redraw();
+  }
+
+  render() {
+    const { viewer, view } = this, { renderer, camera } = viewer;
+    const [width, height] = [view.clientWidth || 1, view.clientHeight || 1];
+    viewer.controls.update();
+    const half = Math.floor(width / 2);
+    const parts = this.beside ? [["planned", 0, half], ["baseline", half, width - half]] : [["planned", 0, width]];
+    renderer.setScissorTest(this.beside);
+    for (const [motion, left, wide] of parts) {
+      renderer.setViewport(left, 0, wide, height);
+      renderer.setScissor(left, 0, wide, height);
+      camera.aspect = wide / height;
+      camera.updateProjectionMatrix();
+      this.posed(motion, () => renderer.render(viewer.scene, camera));
+      this.onDrawn?.(motion, left, wide);
+    }
+    viewer.needs_render = false;
+  }
+
+  // Draw with the arm where one motion has it. The baseline's own picture borrows the planned arm's shapes.
+  posed(motion, draw) {
+    const { planned, baseline } = this.arms;
+    const borrowed = motion === "baseline" ? planned.map((link) => [link.position.clone(), link.quaternion.clone()]) : [];
+    borrowed.forEach((_, i) => {
+      planned[i].position.copy(baseline[i].position);
+      planned[i].quaternion.copy(baseline[i].quaternion);
+    });
+    this.ghost.visible = this.compare === "ghost";
+    this.marks.show(motion, this.compare);
+    this.arrow.group.visible = this.withArrow;
+    this.drawTorque(this.torque[motion]);
+    draw();
+    borrowed.forEach(([position, quaternion], i) => {
+      planned[i].position.copy(position);
+      planned[i].quaternion.copy(quaternion);
+    });
   }
 
   // The baseline's arm shares the planned arm's shapes. It is drawn twice, first into the depth buffer only, so
@@ -75,8 +148,10 @@ class Stage {
     return { group, shaft, heads, thick, material, tip: new THREE.Vector3() };
   }
 
-  showTorque(vector, share) {
+  // Longer and redder the more of the largest torque of both motions it is.
+  drawTorque(vector) {
     const { group, shaft, heads, thick, material, tip } = this.arrow;
+    const share = vector.length() / this.peak;
     const length = Math.max(0.32 * share * this.data.reach, 10 * thick);
     const direction = vector.clone().normalize();
     group.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), direction);
@@ -108,12 +183,14 @@ class Stage {
     sun.shadow.radius = 3;
   }
 
-  // The ball of interest in the middle of the part of the window that the bar below leaves free.
+  // The ball of interest in the middle of the part of the view that a bar in front of it leaves free.
   resetView() {
     const { centre, radius, azimuth } = this.data.focus;
     const { camera, controls } = this.viewer;
-    const width = window.innerWidth, height = window.innerHeight;
-    const free = Math.max(document.getElementById("bar").getBoundingClientRect().top, 0.3 * height);
+    const box = this.view.getBoundingClientRect();
+    const bar = document.getElementById("bar").getBoundingClientRect();
+    const height = box.height, free = Math.min(Math.max(bar.top - box.top, 0.3 * height), height);
+    const width = this.beside ? box.width / 2 : box.width;
     camera.fov = 36;
     const metresPerPixel = (2 * 1.05 * radius) / Math.min(free, width);
     const distance = (metresPerPixel * height) / (2 * Math.tan((camera.fov * Math.PI) / 360));
@@ -128,14 +205,15 @@ class Stage {
     this.redraw();
   }
 
-  afterRender(action) {
-    this.world.onAfterRender = action;
+  // Where a point of W is in a part of the view that begins at `left`, px.
+  onScreen(point, left, wide) {
+    const p = this.world.localToWorld(point.clone()).project(this.viewer.camera);
+    return [left + (0.5 + 0.5 * p.x) * wide, (0.5 - 0.5 * p.y) * this.view.clientHeight];
   }
 
-  // Where a point of W is on the screen, px.
-  onScreen(point) {
-    const p = this.world.localToWorld(point.clone()).project(this.viewer.camera);
-    return [(0.5 + 0.5 * p.x) * window.innerWidth, (0.5 - 0.5 * p.y) * window.innerHeight];
+  // The picture as it is now, as the address of a PNG.
+  still() {
+    return this.viewer.capture_image();
   }
 
   // Pose of a link in W as it is drawn now, 4 x 4, row after row.

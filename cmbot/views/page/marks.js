@@ -1,0 +1,93 @@
+// What is drawn beside the arms: the smallest clearance as a line, and where bending carries the tool, magnified.
+const COLOURS = { planned: 0xe0560f, baseline: 0x2f6fb7, near: 0xb8860b, tooNear: 0xd00000 };
+
+class Marks {
+  constructor(stage, data) {
+    Object.assign(this, { stage, data, factor: 0 });
+    this.thick = 0.004 * data.reach;
+    this.near = {};
+    this.bent = {};
+    for (const name of MOTIONS) {
+      this.near[name] = this.addStick(COLOURS.near, 1);
+      this.bent[name] = this.addStick(COLOURS[name], 2.2);
+      this.bent[name].trace = this.addTrace(COLOURS[name]);
+      this.near[name].on = this.bent[name].on = false;
+    }
+  }
+
+  // In front of everything: it is seen wherever it is.
+  material(kind, colour) {
+    return new kind({ color: colour, transparent: true, opacity: 0.95, depthTest: false });
+  }
+
+  addStick(colour, headSize) {
+    const material = this.material(THREE.MeshBasicMaterial, colour);
+    const part = (geometry) => {
+      const mesh = new THREE.Mesh(geometry, material);
+      mesh.renderOrder = 4;
+      return mesh;
+    };
+    const rod = part(new THREE.CylinderGeometry(0.5, 0.5, 1, 12).rotateX(Math.PI / 2).translate(0, 0, 0.5));
+    const ends = [0, 1].map((k) => part(new THREE.SphereGeometry((k ? headSize : 1) * this.thick, 16, 12)));
+    const group = new THREE.Group();
+    group.add(rod, ...ends);
+    this.stage.world.add(group);
+    return { group, rod, ends, material, from: new THREE.Vector3(), to: new THREE.Vector3() };
+  }
+
+  addTrace(colour) {
+    const line = new THREE.Line(new THREE.BufferGeometry(), this.material(THREE.LineBasicMaterial, colour));
+    line.renderOrder = 4;
+    line.frustumCulled = false;
+    this.stage.world.add(line);
+    return line;
+  }
+
+  place(stick, from, to) {
+    stick.from.copy(from);
+    stick.to.copy(to);
+    const along = to.clone().sub(from), length = Math.max(along.length(), 1e-9);
+    stick.rod.position.copy(from);
+    stick.rod.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), along.normalize());
+    stick.rod.scale.set(this.thick, this.thick, length);
+    stick.ends[0].position.copy(from);
+    stick.ends[1].position.copy(to);
+  }
+
+  // Nearest points of one motion now; null: nothing is near.
+  setNear(name, found) {
+    const stick = this.near[name];
+    stick.on = found !== null;
+    if (!found) return;
+    this.place(stick, found.point, found.other);
+    stick.material.color.setHex(found.distance < this.data.margin ? COLOURS.tooNear : COLOURS.near);
+  }
+
+  // Tool point and tracking error of one motion now; null: not simulated.
+  setBent(name, tool, error) {
+    const stick = this.bent[name];
+    stick.on = error !== null;
+    if (error) this.place(stick, tool, tool.clone().addScaledVector(error, this.factor));
+  }
+
+  // Where the bent tool goes during the work, at so many times its deflection.
+  setFactor(factor, motions) {
+    this.factor = factor;
+    for (const name of MOTIONS) {
+      const { tool, error } = motions[name];
+      if (!error) continue;
+      const points = tool.map((value, k) => value + factor * error[k]);
+      this.bent[name].trace.geometry.setAttribute("position", new THREE.BufferAttribute(points, 3));
+    }
+  }
+
+  // Before a picture is drawn: of which motion, compared how.
+  show(motion, compare) {
+    for (const name of MOTIONS) {
+      const wanted = name === motion || compare === "ghost";
+      this.near[name].group.visible = wanted && this.near[name].on;
+      this.bent[name].group.visible = wanted && this.bent[name].on && this.factor > 0;
+      this.bent[name].trace.visible = wanted && this.factor > 0;
+    }
+  }
+}

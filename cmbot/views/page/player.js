@@ -1,0 +1,178 @@
+// Time: what the arms and the numbers show at a moment, and how the moment changes. The work starts at time 0, the
+// approach before it. `onTime` is told of every moment: plots follow it.
+class Player {
+  constructor(data, onTime) {
+    this.data = data;
+    this.stage = new Stage(data);
+    this.phases = phasesOf(data);
+    this.work = this.phases.find((phase) => phase.start === 0);
+    this.peak = Math.max(...this.phases.map((phase) => phase.peak), data.floor ?? 0);
+    this.stage.peak = this.peak;
+    this.ui = Object.fromEntries([...document.querySelectorAll("[id]")].map((element) => [element.id, element]));
+    this.onTime = onTime;
+    this.playing = false;
+    this.ui.scrub.min = data.start;
+    this.ui.scrub.max = data.end;
+    this.ui.bending.hidden = !this.work.motions.planned.error;
+    this.connect();
+    this.magnify(Number(this.ui.deflection.value));
+    this.seek(0);
+  }
+
+  connect() {
+    const { ui, stage } = this;
+    ui.play.addEventListener("click", () => (this.playing ? this.pause() : this.play()));
+    ui.scrub.addEventListener("input", () => this.seek(Number(ui.scrub.value)));
+    ui.reset.addEventListener("click", () => stage.resetView());
+    ui.compare.addEventListener("change", () => this.compare(ui.compare.value));
+    ui.arrow.addEventListener("change", () => { stage.withArrow = ui.arrow.checked; stage.redraw(); });
+    ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
+    window.addEventListener("keydown", (event) => this.onKey(event));
+    stage.onDrawn = (motion, left, wide) => this.placeLabels(motion, left, wide);
+  }
+
+  compare(how) {
+    this.ui.compare.value = how;
+    this.stage.setCompare(how);
+    for (const label of document.querySelectorAll(".half")) label.hidden = how !== "beside";
+    this.seek(this.time);
+  }
+
+  magnify(factor) {
+    if (!this.work.motions.planned.error) return;
+    this.ui.factor.textContent = factor ? `× ${factor}` : "off";
+    this.stage.marks.setFactor(factor, this.work.motions);
+    if (this.time !== undefined) this.seek(this.time);
+  }
+
+  onKey(event) {
+    const { target, key } = event;
+    if (event.ctrlKey || event.altKey || event.metaKey || target.tagName === "SELECT") return;
+    const step = event.shiftKey ? 1 : 0.1;
+    const onControl = ["BUTTON", "SUMMARY"].includes(target.tagName) || target.type === "checkbox";
+    const onSlider = target.id === "deflection";
+    if (key === " " && !onControl) this.playing ? this.pause() : this.play();
+    else if (key === "ArrowLeft" && !onSlider) this.seek(this.time - step);
+    else if (key === "ArrowRight" && !onSlider) this.seek(this.time + step);
+    else if (key === "Home" && !onSlider) this.seek(this.data.start);
+    else if (key === "End" && !onSlider) this.seek(this.data.end);
+    else return;
+    event.preventDefault();
+  }
+
+  seek(time) {
+    const { data, stage } = this;
+    if (!Number.isFinite(time)) return;
+    this.time = Math.min(Math.max(time, data.start), data.end);
+    const phase = this.phases.findLast((candidate) => this.time >= candidate.start);
+    const moment = phase.share(this.time);
+    for (const [name, motion] of Object.entries(phase.motions)) this.showMotion(name, motion, moment);
+    const words = [data.robot, phase.label, `${(phase.end - phase.start).toFixed(1)} s`];
+    this.put("subtitle", words.filter(Boolean).join(", "));
+    this.ui.scrub.value = this.time;
+    this.put("time", `${seconds(this.time)} / ${seconds(data.end)} s`);
+    this.ui.scrub.setAttribute("aria-valuetext", `${seconds(this.time)} s`);
+    this.onTime(this.time);
+    stage.redraw();
+  }
+
+  showMotion(name, motion, moment) {
+    const { stage } = this, near = motion.nearAt(moment);
+    stage.arms[name].forEach((link, index) => motion.place(link, index, moment));
+    stage.torque[name] = motion.torqueAt(moment);
+    stage.marks.setNear(name, near);
+    stage.marks.setBent(name, motion.toolAt(moment), motion.errorAt(moment));
+    this.put(`${name}-torque`, newtonMetres(stage.torque[name].length()));
+    this.put(`${name}-peak`, newtonMetres(motion.peakTorque));
+    this.putClearance(`${name}-clearance`, motion.clearanceAt(moment));
+    this.putClearance(`${name}-closest`, motion.minClearance);
+    if (name === "planned") {
+      const where = near ? this.data.pairs[near.pair] : "";
+      this.put("near-label", near ? `${millimetres(near.distance)}, ${where}` : "");
+    }
+  }
+
+  put(id, text) {
+    if (this.ui[id]) this.ui[id].textContent = text;
+  }
+
+  putClearance(id, clearance) {
+    this.put(id, millimetres(clearance));
+    this.ui[id]?.classList.toggle("bad", clearance !== null && clearance < 0);
+  }
+
+  play() {
+    if (this.playing) return;
+    if (this.time >= this.data.end) this.seek(0);
+    this.setPlaying(true);
+    let last = performance.now();
+    const advance = (now) => {
+      if (!this.playing) return;
+      // A tab that was in the background goes on where it was left.
+      const passed = Math.min(Math.max(now - last, 0), 500) / 1000;
+      last = now;
+      this.seek(this.time + Number(this.ui.speed.value) * passed);
+      if (this.time >= this.data.end) this.pause();
+      else requestAnimationFrame(advance);
+    };
+    requestAnimationFrame(advance);
+  }
+
+  pause() {
+    this.setPlaying(false);
+  }
+
+  setPlaying(playing) {
+    this.playing = playing;
+    this.ui.play.classList.toggle("playing", playing);
+    this.ui.play.setAttribute("aria-label", playing ? "Pause" : "Play");
+  }
+
+  // The planned motion's labels, at the arrow's tip and beside the line of the smallest clearance.
+  placeLabels(motion, left, wide) {
+    if (motion !== "planned") return;
+    const { ui, stage } = this, near = stage.marks.near.planned;
+    this.put("torque-label", newtonMetres(stage.torque.planned.length()));
+    this.placeLabel(ui["torque-label"], stage.arrow.tip, left, wide, stage.withArrow);
+    this.placeLabel(ui["near-label"], near.from.clone().lerp(near.to, 0.5), left, wide, near.on, 34);
+  }
+
+  placeLabel(label, point, left, wide, visible, below = 8) {
+    const [x, y] = this.stage.onScreen(point, left, wide);
+    label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, ${below}px)`;
+    label.hidden = !visible;
+  }
+}
+
+// Adding zero turns -0 into 0.
+const seconds = (value) => (Math.round(100 * value) / 100 + 0).toFixed(2);
+const newtonMetres = (value) => `${value.toFixed(1)} Nm`;
+const millimetres = (value) => (Number.isFinite(value) ? `${(1000 * value).toFixed(1)} mm` : "–");
+
+// Start a page: `begin` makes a player of the data. Tests and the film drive the page by what it leaves behind.
+function start(begin) {
+  try {
+    const data = JSON.parse(document.getElementById("replay-data").textContent), player = begin(data);
+    window.cmbotReplay = {
+      start: data.start,
+      duration: data.duration,
+      end: data.end,
+      links: data.links,
+      get time() { return player.time; },
+      get playing() { return player.playing; },
+      seek: (time) => player.seek(time),
+      play: () => player.play(),
+      pause: () => player.pause(),
+      compare: (how) => player.compare(how),
+      magnify: (factor) => player.magnify(factor),
+      still: () => player.stage.still(),
+      pose: (link, arm = "planned") => player.stage.pose(arm, data.links.indexOf(link)),
+    };
+  } catch (error) {
+    const note = document.createElement("p");
+    note.id = "failure";
+    note.textContent = `The 3-D view cannot be shown: ${error.message}. It needs a browser with WebGL.`;
+    document.body.append(note);
+    throw error;
+  }
+}

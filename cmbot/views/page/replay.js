@@ -1,0 +1,16 @@
+// The replay page: the view fills the window, the torque is plotted above the slider.
+start((data) => {
+  let plot;
+  const player = new Player(data, (time) => plot?.draw(time));
+  plot = new TorquePlot(document.getElementById("plot"), data, player.phases, player.peak);
+  const seek = (event) => {
+    if (event.buttons & 1) player.seek(plot.timeAt(event.clientX));
+  };
+  plot.canvas.addEventListener("pointerdown", seek);
+  plot.canvas.addEventListener("pointermove", seek);
+  const redraw = () => plot.draw(player.time);
+  window.addEventListener("resize", redraw);
+  window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
+  plot.draw(player.time);
+  return player;
+});
