@@ -8,7 +8,7 @@ The reading order::
     Plan           what came out, with its figures
     save, load_plan   a plan directory                    cmbot.archive
     simulate       what bends on the way                  cmbot.simulation
-    replay         the motion in a browser                cmbot.views
+    replay, report   the motion in a browser, and what it gains   cmbot.views
 
 Names are imported when they are first used, so that ``import cmbot`` is quick.
 """
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.simulation import SimulationOptions, Tracking, simulate
-    from cmbot.views import replay
+    from cmbot.views import replay, report
 
 __all__ = [
     "ArchiveError",
@@ -66,6 +66,7 @@ __all__ = [
     "load_scene",
     "plan",
     "replay",
+    "report",
     "save",
     "save_tracking",
     "simulate",
@@ -77,7 +78,7 @@ _ROOMS = {
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
     "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
-    "cmbot.views": ("replay",),
+    "cmbot.views": ("replay", "report"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

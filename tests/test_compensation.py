@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from finite_differences import check_derivative
 from scipy.interpolate import CubicSpline
@@ -16,7 +17,7 @@ from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.errors import SceneError
-from cmbot.planning import Plan, plan, robot_of, sag_of, task_of
+from cmbot.planning import Plan, plan, remarks, robot_of, sag_of, task_of
 from cmbot.scene import load_scene
 from cmbot.scene.tool_path import ShiftedToolPath
 
@@ -38,8 +39,6 @@ def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
     model, data = robot.model, robot.model.createData()
     commanded = np.empty((len(t), 3))
     for k in range(len(t)):
-        import pinocchio as pin
-
         pin.framesForwardKinematics(model, data, q[k])
         commanded[k] = data.oMf[robot.tool_frame_id].translation
     bent = commanded + sag.at(q).tool
@@ -104,12 +103,14 @@ def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
     """A rigid hold and an arm without link tubes."""
     scene = short_scene(guardrail={"bays": 0}, planner=options)
     robot = replace(robot_of(scene), elasticity=())
-    with pytest.raises(SceneError, match="something that bends: guardrail.bays"):
+    with pytest.raises(SceneError, match=r"something that bends: guardrail\.bays"):
         sag_of(scene, robot, scene.planner)
 
 
-def test_sag_as_the_objective() -> None:
-    scene = short_scene(planner={"knots": "sliding", "objective": "sag"})
+def test_sag_as_the_objective(triangle_plan: Plan) -> None:
+    """From a posture that is good already, so that an approach leads to the best."""
+    posture = np.rad2deg(triangle_plan.start.posture).tolist()
+    scene = short_scene(posture_deg=posture, planner={"knots": "sliding", "objective": "sag"})
     planned = plan(scene)
     torque = plan(scene, options=replace(scene.planner, objective="torque"))
     sag = sag_of(scene, planned.robot, scene.planner)
@@ -157,3 +158,17 @@ def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> N
     beyond = shifted.position([-1.0, path.duration + 1.0])
     ends = shifted.position([0.0, path.duration])
     np.testing.assert_array_equal(beyond, ends)
+
+
+def test_a_better_start_that_no_approach_leads_to_is_given_up() -> None:
+    """The best posture for sag lies behind joint 4's range: the work begins where the arm is, and says why."""
+    scene = short_scene(planner={"knots": "sliding", "objective": "sag"})
+    planned = plan(scene)
+    assert planned.choice is not None
+    assert planned.choice.free is not None
+    assert planned.choice.pinned is not None
+    assert planned.choice.free < 0.9 * planned.choice.pinned
+    assert planned.start.moved == 0
+    assert planned.approach is None
+    assert "no collision-free approach" in planned.start.failures[0].reason
+    assert any("A better start was found" in remark for remark in remarks(planned))

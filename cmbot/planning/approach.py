@@ -94,7 +94,7 @@ def plan_approach(
     if way is None:
         way = connect(space, start, end)
     if way is None:
-        why = "no collision-free approach to the start of the work was found: try start: pinned"
+        why = "no collision-free approach to the start of the work was found"
         raise _no_way(robot, task, start, why)
     way = shorten(space, way) if not along_self_motion else way
     still = task.held_at_start()

@@ -10,24 +10,22 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cmbot.arrays import FloatArray
-from cmbot.errors import InputError
-from cmbot.planning.approach import plan_approach
-from cmbot.planning.certificate import certificate_grid, certify
-from cmbot.planning.compensation import compensate
-from cmbot.planning.figures import Samples, figures, measure
-from cmbot.planning.gradient_projection import JointPath, follow_path
+from cmbot.errors import InputError, PathNotFound
+from cmbot.planning.approach import Approach, plan_approach
+from cmbot.planning.baseline import baseline_samples
+from cmbot.planning.certificate import Certificate, certificate_grid, certify
+from cmbot.planning.compensation import Compensation, compensate
+from cmbot.planning.figures import Samples, figures
+from cmbot.planning.gradient_projection import follow_path
 from cmbot.planning.objective_figures import ObjectiveFigures, objective_figures
-from cmbot.planning.optimiser import PassReport, optimise
+from cmbot.planning.optimiser import Optimised, PassReport, optimise
 from cmbot.planning.plan import Plan, Seconds, Start
 from cmbot.planning.setting import Setting, prepare
 from cmbot.planning.state_functions import States
-from cmbot.planning.task import ToolTask
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.ways import Way, fixed_way, sliding_way
 from cmbot.planning.wrench_functions import WrenchFunction
-from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.scene.clearance import Clearances
 from cmbot.validation import validated
 
 __all__ = ["Progress", "checked", "plan"]
@@ -134,7 +132,64 @@ def _plan(
     else:
         way = fixed_way(setting, lambda failed: tell(Progress(stage="path", failed_starts=failed)))
     path_seconds = clock.lap()
+    try:
+        work = _work(setting, way, tell, clock)
+    except PathNotFound as failure:
+        if way.choice is None or 0 in way.resting:
+            raise
+        # No approach leads to the better start: the work begins where the arm is.
+        tell(Progress(stage="path"))
+        way = sliding_way(setting, unreached=failure)
+        path_seconds += clock.lap()
+        work = _work(setting, way, tell, clock)
+    # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
+    path = follow_path(
+        setting.robot, setting.task, setting.posture, setting.clearances, options, stop_at_obstacles=False
+    )
+    baseline = baseline_samples(setting, path)
+    made_small = _made_small(setting, way, baseline, work.optimised.trajectory, own=own is not None)
+    return Plan(
+        scene=scene,
+        options=options,
+        robot=setting.robot,
+        task=setting.task,
+        start=work.start,
+        baseline=baseline,
+        baseline_figures=figures(setting.robot, baseline),
+        drift=float(path.drift.max()),
+        smallest_singular_value=float(path.singular_value.min()),
+        trajectory=work.optimised.trajectory,
+        certificate=work.certificate,
+        passes=work.optimised.passes,
+        objective=made_small,
+        floor=way.floor,
+        choice=way.choice,
+        approach=work.approach,
+        compensation=work.compensation,
+        sag=setting.sag,
+        seconds=Seconds(
+            path=path_seconds,
+            optimise=work.optimise_seconds,
+            certify=work.certify_seconds + clock.lap(),
+            total=clock.total(),
+        ),
+    )
 
+
+@dataclass(frozen=True, kw_only=True)
+class _Work:
+    """The optimised and certified motion, and how the arm gets to its start."""
+
+    optimised: Optimised
+    compensation: Compensation | None
+    certificate: Certificate
+    start: Start
+    approach: Approach | None
+    optimise_seconds: float
+    certify_seconds: float
+
+
+def _work(setting: Setting, way: Way, tell: Callable[[Progress], None], clock: _Clock) -> _Work:
     tell(Progress(stage="optimise"))
 
     def each_pass(report: PassReport) -> None:
@@ -146,7 +201,7 @@ def _plan(
     optimise_seconds = clock.lap()
 
     tell(Progress(stage="certify"))
-    robot, task, clearances = setting.robot, setting.task, setting.clearances
+    robot, task, clearances, options = setting.robot, setting.task, setting.clearances, setting.options
     certificate = certify(
         robot, task, optimised.trajectory, optimised.via_points, clearances, options, sag=setting.sag
     )
@@ -157,33 +212,14 @@ def _plan(
         approach = plan_approach(
             robot, task, setting.posture, start.posture, way.chart.q, clearances, options
         )
-    # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
-    path = follow_path(robot, task, setting.posture, clearances, options, stop_at_obstacles=False)
-    baseline = _baseline(robot, task, clearances, path)
-    made_small = _made_small(setting, way, baseline, optimised.trajectory, own=own is not None)
-    certify_seconds = clock.lap()
-    return Plan(
-        scene=scene,
-        options=options,
-        robot=robot,
-        task=task,
-        start=start,
-        baseline=baseline,
-        baseline_figures=figures(robot, baseline),
-        drift=float(path.drift.max()),
-        smallest_singular_value=float(path.singular_value.min()),
-        trajectory=optimised.trajectory,
-        certificate=certificate,
-        passes=optimised.passes,
-        objective=made_small,
-        floor=way.floor,
-        choice=way.choice,
-        approach=approach,
+    return _Work(
+        optimised=optimised,
         compensation=compensation,
-        sag=setting.sag,
-        seconds=Seconds(
-            path=path_seconds, optimise=optimise_seconds, certify=certify_seconds, total=clock.total()
-        ),
+        certificate=certificate,
+        start=start,
+        approach=approach,
+        optimise_seconds=optimise_seconds,
+        certify_seconds=clock.lap(),
     )
 
 
@@ -217,24 +253,6 @@ def checked(options: PlannerOptions) -> PlannerOptions:
         Naming the option, what it is and what it may be.
     """
     return validated(PlannerOptions, asdict(options), "PlannerOptions", InputError)
-
-
-def _baseline(robot: Robot, task: ToolTask, clearances: Clearances, path: JointPath) -> Samples:
-    """Measure the path as a motion that rests before it begins and after it ends."""
-    # Two steps of rest on either side: the central differences are then the same all along.
-    rates = np.pad(path.v, ((2, 2), (0, 0)))
-    acceleration = _central_difference(rates, path.t[1])
-    jerk = _central_difference(acceleration, path.t[1])
-    acceleration = acceleration[1:-1]
-    # The trapezoid sets off and stops with a jump of acceleration. Half a jump is what no instant has: the
-    # first and the last sample are those of the arm at rest, so that its rest counts among the torques.
-    acceleration[[0, -1]] = 0.0
-    return measure(robot, task, clearances, path.t, (path.q, path.v, acceleration, jerk))
-
-
-def _central_difference(x: FloatArray, step: float) -> FloatArray:
-    """Derivatives (N - 2, n) at the inner samples of `x` (N, n)."""
-    return np.asarray((x[2:] - x[:-2]) / (2 * step))
 
 
 class _Clock:

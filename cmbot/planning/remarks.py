@@ -36,6 +36,8 @@ def remarks(plan: Plan) -> Iterator[str]:
 def _start(plan: Plan) -> Iterator[str]:
     if plan.start.moved == 0:
         yield "Starts in the scene's posture."
+        if plan.start.failures:
+            yield f"A better start was found, but not left for: {plan.start.failures[0].reason}."
         return
     where = f"({_degrees(plan.start.posture)}) deg, up to {np.rad2deg(plan.start.moved):.1f} deg a joint away"
     if plan.start.failures:

@@ -25,8 +25,8 @@ _COARSE_ACCURACY = 1e-3
 _FINEST = 1e-8
 # Constraints of the working set are met so much better than they have to be at the samples.
 _CLOSER = 0.1
-# The first penalty, and the radius that every pass may try again.
-_PENALTY, _LEAST_RADIUS = 0.1, 0.1
+# The first penalty, how far it stays above the sum of the multipliers, the radius that every pass may try again.
+_PENALTY, _ABOVE, _LEAST_RADIUS = 0.1, 2.0, 0.1
 _FIRST_RADIUS = 1.0
 # Quadratic programs of one pass, at most.
 _MOST_STEPS = 100
@@ -45,7 +45,7 @@ class SparsePasses:
         self._problem = problem
         self._working = working
         self._multipliers: tuple[FloatArray, ...] = ()
-        self._radius = _FIRST_RADIUS
+        self._radius, self._penalty = _FIRST_RADIUS, _PENALTY
 
     def solve(
         self, family: LocalKnots, bound: float | None, effort: Effort
@@ -79,20 +79,21 @@ class SparsePasses:
         most = min(effort.iterations, options.max_iterations, _MOST_STEPS)
         family = family.rebuilt(family.start, options.smoothing_weight * effort.smoothing)
         coarse = effort is COARSE
-        iterations = 0
+        iterations, radius = 0, max(self._radius, _LEAST_RADIUS)
         while True:
             start = TorquePlace(self._problem, self._working, family, bound)
             ended = descend(
                 start,
                 self._guess(),
-                penalty=_PENALTY,
-                radius=max(self._radius, _LEAST_RADIUS),
+                penalty=self._penalty,
+                radius=radius,
                 accuracy=_COARSE_ACCURACY if coarse else max(effort.accuracy, _FINEST),
                 tolerance=_COARSE_ACCURACY if coarse else _CLOSER * options.constraint_tolerance,
                 max_iterations=min(_COARSE_STEPS if coarse else _FINE_STEPS, most - iterations),
             )
             self._keep(ended.multipliers)
-            self._radius = ended.radius
+            radius = self._radius = ended.radius
+            self._penalty = max(_PENALTY, _ABOVE * float(ended.multipliers[ended.place.first.peaks :].sum()))
             iterations += ended.iterations
             family, first = ended.place.family, ended.place.first
             peak = float(first.value[: first.peaks].max()) if bound is None else bound

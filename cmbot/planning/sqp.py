@@ -26,8 +26,9 @@ _CORRECTED, _HOPELESS = 0.5, -50.0
 _LEAST_PROMISE = 1e-15
 _SMALLEST_RADIUS, _LARGEST_RADIUS = 1e-6, 10.0
 _MOST_PENALTY, _PENALTY_STEP = 1e4, 10.0
-# Violations that a step leaves at this share of what they were are there to stay, unless the penalty grows.
-_STAYS = 0.5
+# A step that leaves this share of the violations does little about them; a larger penalty is worthwhile if it
+# brings that down to this share.
+_STAYS, _WORTHWHILE = 0.5, 0.9
 
 
 class Place(Protocol):
@@ -115,7 +116,7 @@ def descend(
     model = place.second(multipliers)
     while iterations < max_iterations and not (settled or stuck):
         iterations += 1
-        step = solve_qp(model, penalty, radius)
+        step, penalty = _steered(model, penalty, radius, tolerance)
         promised = max(model.merit(penalty) - model.after(step.p, penalty), _LEAST_PROMISE)
         if radius < _SMALLEST_RADIUS:
             settled, stuck = model.violation <= tolerance, model.violation > tolerance
@@ -128,9 +129,8 @@ def descend(
                 settled = True
                 break
             if model.linear_violation(step.p) > _STAYS * model.violation:
-                stuck = penalty >= _MOST_PENALTY
-                penalty *= 1.0 if stuck else _PENALTY_STEP
-                continue
+                stuck = True
+                break
         trial, gained = _tried(place, model, step, penalty, promised)
         length = float(np.abs(step.p).max())
         if gained < _TOO_LONG * promised:
@@ -151,6 +151,19 @@ def descend(
         settled=settled,
         stuck=stuck,
     )
+
+
+def _steered(model: LocalModel, penalty: float, radius: float, tolerance: float) -> tuple[Step, float]:
+    """Solve the quadratic program; where violations stay that need not, with a larger penalty."""
+    step = solve_qp(model, penalty, radius)
+    left = model.linear_violation(step.p)
+    while left > max(tolerance, _STAYS * model.violation) and penalty < _MOST_PENALTY:
+        firmer = solve_qp(model, _PENALTY_STEP * penalty, radius)
+        better = model.linear_violation(firmer.p)
+        if better > _WORTHWHILE * left:
+            break
+        step, left, penalty = firmer, better, _PENALTY_STEP * penalty
+    return step, penalty
 
 
 def _tried(

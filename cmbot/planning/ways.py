@@ -92,12 +92,18 @@ def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
     return Way(problem=problem, resting=resting, least=least, failures=failures)
 
 
-def sliding_way(setting: Setting) -> Way:
+def sliding_way(setting: Setting, unreached: PathNotFound | None = None) -> Way:
     """Take via-points from the global stage, to slide along the self-motion.
 
     With ``start: free`` the arm starts wherever the tool is the same, if that is worth leaving the scene's
     posture; with ``pinned`` in the scene's posture, or, where no path leads on from there, in the nearest one
     from which a path does.
+
+    Parameters
+    ----------
+    setting : Setting
+    unreached : PathNotFound, optional
+        Why no approach leads to where ``start: free`` would have the arm start: it is treated as pinned.
 
     Raises
     ------
@@ -107,13 +113,14 @@ def sliding_way(setting: Setting) -> Way:
     options = setting.options
     stage = GlobalStage(setting)
     free, pinned = (_tried(stage, pinned=choice) for choice in (False, True))
-    failures: tuple[PathNotFound, ...] = ()
+    failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
     if isinstance(free, PathNotFound):
         raise free
+    may_leave = options.start == "free" and unreached is None
     if isinstance(pinned, GlobalSolution):
         worth_leaving = pinned.peak > free.peak * (1 + options.gap_target)
-        solution = free if options.start == "free" and worth_leaving else pinned
-    elif options.start == "free":
+        solution = free if may_leave and worth_leaving else pinned
+    elif may_leave:
         solution = free
     else:
         solution, failures = stage.solve_elsewhere(pinned)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -22,6 +22,8 @@ MOST_SMALL_POINTS = 400
 """Of a curve in a small one."""
 ROOM = 1.06
 """Of the axis beyond what has to be seen."""
+
+_ERROR = "The bent tool from where the same joint angles put the rigid one. Dashed: the sag at rest."
 
 Motion = Literal["planned", "baseline"]
 
@@ -187,7 +189,7 @@ def _tracking(tracking: Tracking) -> Iterator[Chart]:
             digits=2,
             curves=curves,
             axis=(1e3 * middle - half, 1e3 * middle + half),
-            note="The bent tool from where the same joint angles put the rigid one. Dashed: the sag at rest.",
+            note="" if number else _ERROR,
         )
 
 
@@ -195,7 +197,7 @@ def _quantity(
     plan: Plan, title: str, name: str, bounds: tuple[FloatArray, FloatArray], unit: str, factor: float
 ) -> Iterator[Chart]:
     for joint in range(plan.robot.dof):
-        curves = _curves(plan, lambda samples, joint=joint: factor * getattr(samples, name)[:, joint])
+        curves = _curves(plan, _of_joint(name, joint, factor))
         low, high = (factor * float(side[joint]) for side in bounds)
         finite = bool(np.isfinite([low, high]).all())
         if finite:
@@ -214,7 +216,11 @@ def _quantity(
         )
 
 
-def _curves(plan: Plan, quantity: Any, *, approach: bool = True) -> tuple[Curve, ...]:
+def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], FloatArray]:
+    return lambda samples: np.asarray(factor * getattr(samples, name)[:, joint])
+
+
+def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, approach: bool = True) -> tuple[Curve, ...]:
     """Return a quantity of both motions, the approach before the planned one."""
     planned = plan.samples
     t, y = planned.t, quantity(planned)

@@ -1,0 +1,133 @@
+"""What a person wants to know first of a plan: what was gained, and whether it is safe."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+from cmbot.planning import Certificate, Check, Plan
+from cmbot.simulation import Tracking
+from cmbot.validation import counted
+
+__all__ = ["Headline", "certificates", "headlines", "use_of"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Headline:
+    """One card of the report.
+
+    Attributes
+    ----------
+    title, value, detail : str
+    before : str
+        The baseline's value, where there is one to compare with.
+    state : str
+        ``good`` and ``bad`` are verdicts; ``plain`` is none.
+    """
+
+    title: str
+    value: str
+    detail: str
+    before: str = ""
+    state: Literal["plain", "good", "bad"] = "plain"
+
+
+def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
+    """Yield the cards, what matters most first."""
+    yield _peak(plan)
+    yield _floor(plan)
+    yield _certified(plan)
+    yield _clearance(plan)
+    yield _deviation(plan)
+    if tracking is not None:
+        yield _tracking(tracking)
+
+
+def certificates(plan: Plan) -> dict[str, Certificate]:
+    """Return the certificates of a plan by what they are of."""
+    approach = plan.approach
+    return {"work": plan.certificate} | ({} if approach is None else {"approach": approach.certificate})
+
+
+def use_of(check: Check) -> float:
+    """Share of its bound that a check's value uses; 1 is at the bound, more is beyond."""
+    if check.at_least:
+        return check.bound / check.value if check.value > 0 else float("inf")
+    return check.value / check.bound if check.bound else 0.0
+
+
+def _peak(plan: Plan) -> Headline:
+    before, after = plan.baseline_figures.peak_guardrail_torque, plan.figures.peak_guardrail_torque
+    detail = f"{100 * (after / before - 1):+.1f} % at work" if before else ""
+    if plan.approach is not None:
+        peak = plan.approach.certificate.figures.peak_guardrail_torque
+        detail += f"; {peak:.1f} Nm on the approach"
+    return Headline(
+        title="Peak torque on the guardrail",
+        before=f"{before:.1f}",
+        value=f"{after:.1f} Nm",
+        detail=detail,
+        state="good" if after < before else "plain",
+    )
+
+
+def _floor(plan: Plan) -> Headline:
+    floor, gap = plan.torque_floor, plan.gap_to_floor
+    if floor is None or gap is None:
+        why = "fixed knots have none" if plan.floor is None else "something else was made small"
+        return Headline(title="Above the floor", value="–", detail=why)
+    return Headline(
+        title="Above the floor",
+        value=f"{100 * gap:+.3f} %",
+        detail=f"no admissible plan rests below {floor:.1f} Nm",
+    )
+
+
+def _certified(plan: Plan) -> Headline:
+    checks = [check for certificate in certificates(plan).values() for check in certificate.checks]
+    holding = sum(check.holds for check in checks)
+    tightest = max(plan.certificate.checks, key=use_of)
+    return Headline(
+        title="Certificate",
+        value=f"{holding} of {counted(len(checks), 'check')} hold",
+        detail=f"tightest: {tightest.quantity}, {100 * use_of(tightest):.0f} % of its bound",
+        state="good" if holding == len(checks) else "bad",
+    )
+
+
+def _clearance(plan: Plan) -> Headline:
+    value, margin = plan.figures.min_clearance, plan.options.safety_margin_m
+    before = plan.baseline_figures.min_clearance
+    return Headline(
+        title="Smallest clearance",
+        before=f"{1e3 * before:.1f}",
+        value=f"{1e3 * value:.1f} mm",
+        detail=f"margin {1e3 * margin:g} mm; above {1e3 * plan.certificate.clearance_bound:.1f} mm at all times",
+        state="good" if value >= margin else "bad",
+    )
+
+
+def _deviation(plan: Plan) -> Headline:
+    value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
+    return Headline(
+        title="Tool's distance from its path",
+        before=f"{1e3 * plan.baseline_figures.max_tool_deviation:.2f}",
+        value=f"{1e3 * value:.2f} mm",
+        detail=f"bound {1e3 * bound:g} mm, promised for the plan",
+        state="good" if value <= bound else "bad",
+    )
+
+
+def _tracking(tracking: Tracking) -> Headline:
+    before, after = (1e3 * m.figures.total.rms[3] for m in (tracking.baseline, tracking.planned))
+    rest = [motion.figures.residual for motion in (tracking.baseline, tracking.planned)]
+    swings = [f"{1e3 * residual.diameter:.2f}" for residual in rest if residual is not None]
+    detail = f"swings {' → '.join(swings)} mm after the stop" if len(swings) == 2 else "while the joints move"
+    return Headline(
+        title="Tracking error, RMS",
+        before=f"{before:.1f}",
+        value=f"{after:.1f} mm",
+        detail=detail,
+        state="good" if after < before else "plain",
+    )

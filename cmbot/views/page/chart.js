@@ -1,0 +1,223 @@
+// A plot as SVG: curves over the time of the whole page, bounds shaded, and a cursor at the present moment.
+const SVG = "http://www.w3.org/2000/svg";
+
+function make(name, attributes = {}, parent = null, text = null) {
+  const element = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) element.setAttribute(key, value);
+  if (text !== null) element.textContent = text;
+  parent?.append(element);
+  return element;
+}
+
+// Values at which an axis is labelled: 1, 2 or 5 times a power of ten apart.
+function ticks(low, high, count) {
+  const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
+  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough);
+  const values = [];
+  for (let k = Math.ceil(low / step); k * step <= high + 1e-9 * step; k += 1) values.push(k * step);
+  const digits = Math.max(0, -Math.floor(Math.log10(step) + 1e-9));
+  return values.map((value) => [value, (value + 0).toFixed(digits).replace(/^-(0(\.0+)?)$/, "$1")]);
+}
+
+const shortened = (value) => (Math.abs(value) >= 100 ? value.toFixed(0) : Number(value.toPrecision(3)).toString());
+
+class Curve {
+  constructor(source) {
+    this.motion = source.motion;
+    this.thin = source.thin;
+    this.t = floats(source.t);
+    this.y = floats(source.y);
+  }
+
+  // Value at a time, null before and after the curve.
+  at(time) {
+    const { t, y } = this, last = t.length - 1;
+    if (time < t[0] - 1e-4 || time > t[last] + 1e-4) return null;
+    let low = 0, high = last;
+    while (high - low > 1) {
+      const middle = (low + high) >> 1;
+      if (t[middle] <= time) low = middle;
+      else high = middle;
+    }
+    const share = Math.min(Math.max((time - t[low]) / (t[high] - t[low]), 0), 1);
+    return y[low] + share * (y[high] - y[low]);
+  }
+
+  get extent() {
+    return this.y.reduce(([low, high], y) => [Math.min(low, y), Math.max(high, y)], [Infinity, -Infinity]);
+  }
+
+  // Largest share of the bounds that it uses, 1 at a bound.
+  use([low, high]) {
+    const middle = (low + high) / 2, half = (high - low) / 2;
+    return Math.max(...this.extent.map((y) => Math.abs(y - middle) / half));
+  }
+}
+
+let clips = 0;
+
+class Chart {
+  // `timeline`: start, end and legTimes of the page. `small`: one of many, with little beside its curves.
+  constructor(spec, timeline, onSeek, { small = false, name = spec.title } = {}) {
+    Object.assign(this, { spec, timeline, small, name, zoomed: false, time: timeline.start });
+    this.curves = spec.curves.map((source) => new Curve(source));
+    this.figure = document.createElement("figure");
+    this.figure.className = small ? "chart small" : "chart";
+    if (!small) this.addCaption();
+    this.svg = make("svg", { role: "img" });
+    this.figure.append(this.svg);
+    const seek = (event) => {
+      if (event.buttons & 1) onSeek(this.timeAt(event.clientX));
+    };
+    this.svg.addEventListener("pointerdown", (event) => { this.svg.setPointerCapture(event.pointerId); seek(event); });
+    this.svg.addEventListener("pointermove", seek);
+  }
+
+  addCaption() {
+    const caption = document.createElement("figcaption"), title = document.createElement("b");
+    title.textContent = `${this.spec.title}, ${this.spec.unit}`;
+    this.values = document.createElement("span");
+    caption.append(title, this.values);
+    this.figure.append(caption);
+    if (!this.spec.note) return;
+    const note = document.createElement("p");
+    note.textContent = this.spec.note;
+    this.figure.append(note);
+  }
+
+  x(time) {
+    const { start, end } = this.timeline, { left, right } = this.inset;
+    return left + ((time - start) / (end - start)) * (this.width - left - right);
+  }
+
+  y(value) {
+    const { top, bottom } = this.inset, [low, high] = this.axis;
+    return this.height - bottom - ((value - low) / (high - low)) * (this.height - top - bottom);
+  }
+
+  timeAt(clientX) {
+    const { start, end } = this.timeline, { left, right } = this.inset, box = this.svg.getBoundingClientRect();
+    const x = ((clientX - box.left) / box.width) * this.width;
+    return start + ((x - left) / (this.width - left - right)) * (end - start);
+  }
+
+  // The axis shows the bounds, or the curves alone.
+  get range() {
+    if (!this.zoomed) return this.spec.axis;
+    const extents = this.curves.map((curve) => curve.extent);
+    const low = Math.min(...extents.map((e) => e[0])), high = Math.max(...extents.map((e) => e[1]));
+    const room = 0.06 * (high - low) || 1;
+    return [low - room, high + room];
+  }
+
+  draw() {
+    const { svg, small } = this;
+    this.width = Math.max(this.figure.clientWidth, 60);
+    this.height = small ? 62 : 150;
+    this.inset = small ? { left: 2, right: 2, top: 4, bottom: 4 } : { left: 46, right: 8, top: 6, bottom: 20 };
+    const [low, high] = this.range;
+    this.axis = low < high ? [low, high] : [low - 1, high + 1];
+    svg.replaceChildren();
+    svg.setAttribute("viewBox", `0 0 ${this.width} ${this.height}`);
+    svg.setAttribute("aria-label", this.describe());
+    const { left, right, top, bottom } = this.inset;
+    const frame = { x: left, y: top, width: this.width - left - right, height: this.height - top - bottom };
+    make("rect", { class: "frame", ...frame }, svg);
+    const clip = `clip-${(clips += 1)}`;
+    make("rect", frame, make("clipPath", { id: clip }, make("defs", {}, svg)));
+    const inside = make("g", { "clip-path": `url(#${clip})` }, svg);
+    this.drawGround(inside, svg);
+    for (const curve of this.curves) this.drawCurve(curve, inside);
+    this.drawMarks(inside, svg);
+    this.cursor = make("line", { class: "cursor", y1: top, y2: this.height - bottom }, svg);
+    this.dots = this.curves.filter((c) => !c.thin).map((c) => [c, make("circle", { class: `dot ${c.motion}`, r: small ? 2.2 : 3.5 }, inside)]);
+    if (small) this.drawCorners(svg);
+    this.show(this.time);
+  }
+
+  drawGround(inside, svg) {
+    const { start, legTimes, end } = this.timeline, [low, high] = this.axis;
+    const across = { x: this.x(start), width: this.x(end) - this.x(start) };
+    const band = (name, from, to) => make("rect", { class: name, ...across, y: this.y(to), height: Math.max(this.y(from) - this.y(to), 0) }, inside);
+    if (start < 0) make("rect", { class: "approach", x: this.x(start), y: 0, width: this.x(0) - this.x(start), height: this.height }, inside);
+    const [lower, upper] = this.spec.bounds;
+    if (lower !== null && lower > low) band("beyond", low, Math.min(lower, high));
+    if (upper !== null && upper < high) band("beyond", Math.max(upper, low), high);
+    for (const time of legTimes) make("line", { class: "leg", x1: this.x(time), x2: this.x(time), y1: 0, y2: this.height }, inside);
+    if (this.small) return;
+    for (const [value, text] of ticks(low, high, 4)) {
+      make("line", { class: "grid", x1: across.x, x2: across.x + across.width, y1: this.y(value), y2: this.y(value) }, inside);
+      make("text", { class: "tick", x: this.inset.left - 6, y: this.y(value) + 3.5, "text-anchor": "end" }, svg, text);
+    }
+    for (const [value, text] of ticks(start, end, 8)) {
+      make("text", { class: "tick", x: this.x(value), y: this.height - 6, "text-anchor": "middle" }, svg, `${text} s`);
+    }
+    if (start < 0) make("text", { class: "tick", x: this.x(start) + 5, y: this.height - this.inset.bottom - 5 }, svg, "approach");
+  }
+
+  drawCurve(curve, inside) {
+    let path = "";
+    for (let k = 0; k < curve.t.length; k += 1) path += `${k ? "L" : "M"}${this.x(curve.t[k]).toFixed(1)} ${this.y(curve.y[k]).toFixed(1)}`;
+    make("path", { class: `curve ${curve.motion}${curve.thin ? " thin" : ""}`, d: path }, inside);
+  }
+
+  drawMarks(inside, svg) {
+    for (const [value, name] of this.spec.marks) {
+      const y = this.y(value);
+      make("line", { class: "mark", x1: this.x(this.timeline.start), x2: this.x(this.timeline.end), y1: y, y2: y }, inside);
+      const above = y - this.inset.top > 16;
+      make("text", { class: "mark-name", x: this.width - this.inset.right - 5, y: y + (above ? -4 : 12), "text-anchor": "end" }, svg, name);
+    }
+  }
+
+  // Of a small plot: what its upper edge is, and how much of the bound each motion uses.
+  drawCorners(svg) {
+    const { bounds, unit } = this.spec, [low, high] = this.axis, bound = bounds[1];
+    const top = bound === null || this.zoomed ? high : bound;
+    make("text", { class: "corner", x: 5, y: 14 }, svg, shortened(top));
+    make("text", { class: "corner", x: 5, y: this.height - 7 }, svg, bound === null || this.zoomed ? shortened(low) : shortened(bounds[0]));
+    if (bound === null) return;
+    const uses = make("text", { class: "corner", x: this.width - 5, y: 14, "text-anchor": "end" }, svg);
+    for (const curve of [...this.curves].reverse()) {
+      const share = curve.use(bounds);
+      make("tspan", { class: `${curve.motion}${share > 1 ? " over" : ""}`, dx: 4 }, uses, `${(100 * share).toFixed(0)} %`);
+    }
+    svg.append(make("title", {}, null, this.describe()));
+  }
+
+  describe() {
+    const { unit, digits } = this.spec;
+    const said = this.curves.filter((curve) => !curve.thin).map((curve) => {
+      const [low, high] = curve.extent.map((value) => value.toFixed(digits));
+      return `${curve.motion} from ${low} to ${high} ${unit}`;
+    });
+    return `${this.name}: ${said.join(", ")}`;
+  }
+
+  // The present moment.
+  show(time) {
+    this.time = time;
+    if (!this.cursor) return;
+    const x = this.x(time).toFixed(2);
+    this.cursor.setAttribute("x1", x);
+    this.cursor.setAttribute("x2", x);
+    for (const [curve, dot] of this.dots) {
+      const value = curve.at(time);
+      dot.setAttribute("visibility", value === null ? "hidden" : "visible");
+      if (value === null) continue;
+      dot.setAttribute("cx", x);
+      dot.setAttribute("cy", this.y(value).toFixed(2));
+    }
+    if (this.values) this.showValues(time);
+  }
+
+  showValues(time) {
+    const { unit, digits } = this.spec;
+    this.values.replaceChildren(...this.dots.map(([curve]) => {
+      const value = curve.at(time), part = document.createElement("span");
+      part.className = curve.motion;
+      part.textContent = `${curve.motion} ${value === null ? "–" : `${value.toFixed(digits)} ${unit}`}`;
+      return part;
+    }).reverse());
+  }
+}

@@ -1,0 +1,77 @@
+// The report page: plots beside the view, all at one moment; for the printer the view becomes stills.
+start((data) => {
+  const charts = [];
+  let player;
+  const seek = (time) => player.seek(time);
+
+  for (const spec of data.charts) {
+    const chart = new Chart(spec, data, seek);
+    document.getElementById(`charts-${spec.key}`).append(chart.figure);
+    charts.push(chart);
+  }
+  const small = addJoints();
+  charts.push(...small);
+
+  // Joint by joint downwards, quantity by quantity across.
+  function addJoints() {
+    const grid = document.getElementById("joint-grid"), joints = data.joints.length;
+    const quantities = data.jointCharts.filter((_, k) => k % joints === 0);
+    const cell = (name, text) => {
+      const element = document.createElement("div");
+      element.className = name;
+      element.textContent = text;
+      grid.append(element);
+    };
+    grid.style.setProperty("--quantities", quantities.length);
+    cell("corner", "");
+    for (const { title, unit } of quantities) cell("heading", `${title}, ${unit}`);
+    return data.joints.flatMap((joint, row) => {
+      cell("joint", joint);
+      return quantities.map((quantity, column) => {
+        const spec = data.jointCharts[column * joints + row];
+        const chart = new Chart(spec, data, seek, { small: true, name: `${quantity.title} of ${joint}` });
+        grid.append(chart.figure);
+        return chart;
+      });
+    });
+  }
+
+  player = new Player(data, (time) => charts.forEach((chart) => chart.show(time)));
+  const drawAll = () => charts.forEach((chart) => chart.draw());
+  let width = 0;
+  new ResizeObserver(([entry]) => {
+    if (Math.abs(entry.contentRect.width - width) < 1) return;
+    width = entry.contentRect.width;
+    drawAll();
+    player.seek(player.time);
+  }).observe(document.getElementById("plots"));
+
+  const zoom = document.getElementById("zoom");
+  zoom.addEventListener("change", () => {
+    for (const chart of small) {
+      chart.zoomed = zoom.checked;
+      chart.draw();
+    }
+  });
+
+  // The wheel scrolls the page; with Ctrl it zooms the view.
+  const { controls } = player.stage.viewer;
+  player.stage.view.addEventListener("wheel", (event) => { controls.enableZoom = event.ctrlKey; }, { capture: true });
+
+  window.addEventListener("beforeprint", () => {
+    const now = player.time, stills = document.getElementById("stills");
+    const { legTimes, duration } = data;
+    const times = legTimes.length > 2 && legTimes.length <= 5 ? legTimes : [0, duration / 2, duration];
+    player.pause();
+    stills.replaceChildren(...times.map((time) => {
+      player.seek(time);
+      const figure = document.createElement("figure"), image = document.createElement("img"), caption = document.createElement("figcaption");
+      image.src = player.stage.still();
+      image.alt = caption.textContent = `t = ${seconds(time)} s`;
+      figure.append(image, caption);
+      return figure;
+    }));
+    player.seek(now);
+  });
+  return player;
+});

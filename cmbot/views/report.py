@@ -1,0 +1,33 @@
+"""Writes what a plan gains, what it keeps and how it moves into one page."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cmbot.planning import Plan
+from cmbot.simulation import Tracking
+from cmbot.views.page_file import write_page
+from cmbot.views.report_page import report_page
+
+__all__ = ["report"]
+
+
+def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) -> None:
+    """Write a report of a plan: one self-contained page with its replay, plots and tables.
+
+    Parameters
+    ----------
+    plan : Plan
+    html : str or Path
+        It appears whole or not at all; an earlier file of that name is replaced.
+    tracking : Tracking, optional
+        Of that plan, from `cmbot.simulate`: its plots and figures are then in the report, too.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written, or `tracking` is that of another plan.
+    ModelError, SceneError
+        When a shape cannot be drawn.
+    """
+    write_page(Path(html), report_page(plan, tracking))
