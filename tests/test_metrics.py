@@ -111,9 +111,12 @@ def test_figures_split_the_error_at_the_stop() -> None:
     static = along(np.full(len(T), -0.01), 2)
     dynamic = along(np.where(T <= 15.0, 1e-3, 2e-3) * np.sin(2 * np.pi * 5 * T))
     moving = 3001
-    figures = error_figures(T, static + dynamic, static, moving, np.array([5.0, 9.0, 20.0, 70.0, 400.0]))
+    figures = error_figures(
+        T, static + dynamic, static, 3 * static, moving, np.array([5.0, 9.0, 20.0, 70.0, 400.0])
+    )
     assert figures.static.mean[2] == pytest.approx(-0.01)
     assert figures.static.peak_to_peak.max() == 0.0
+    assert figures.path.mean[2] == pytest.approx(-0.03)
     assert figures.dynamic.rms[0] == pytest.approx(1e-3 / np.sqrt(2), rel=1e-3)
     np.testing.assert_allclose(figures.total.mean, figures.static.mean, atol=1e-4)
     assert figures.residual is not None
@@ -125,12 +128,12 @@ def test_figures_split_the_error_at_the_stop() -> None:
 
 def test_modes_that_the_samples_cannot_show_are_left_out() -> None:
     error = along(np.sin(T))
-    figures = error_figures(4 * T, error, error, len(T), np.array([5.0, 20.0, 22.0]))
+    figures = error_figures(4 * T, error, error, error, len(T), np.array([5.0, 20.0, 22.0]))
     np.testing.assert_array_equal(figures.mode_frequencies, [5.0, 20.0])
     assert figures.residual is None
 
 
 def test_of_many_modes_the_first_four_count() -> None:
     error = along(np.sin(T))
-    figures = error_figures(T, error, error, len(T), np.arange(1.0, 20.0))
+    figures = error_figures(T, error, error, error, len(T), np.arange(1.0, 20.0))
     np.testing.assert_array_equal(figures.mode_frequencies, [1.0, 2.0, 3.0, 4.0])

@@ -50,7 +50,7 @@ def test_both_motions_are_simulated_to_the_end_and_beyond(tracking: Tracking, sh
     for motion in (tracking.baseline, tracking.planned):
         assert motion.stop == short_plan.trajectory.duration
         np.testing.assert_allclose(motion.t, 0.005 * np.arange(1201), atol=1e-12)
-        for array in (motion.error, motion.static, motion.command):
+        for array in (motion.error, motion.static, motion.command, motion.path_error):
             assert array.shape == (1201, 3)
             assert np.isfinite(array).all()
         np.testing.assert_array_equal(motion.dynamic, motion.error - motion.static)
@@ -73,6 +73,17 @@ def test_the_command_is_what_the_joints_do(tracking: Tracking, short_plan: Plan)
     every = round(short_plan.baseline.t[1] / 0.005)
     np.testing.assert_allclose(tracking.baseline.command[:801:every], off, atol=1e-9)
     assert short_plan.drift == pytest.approx(np.linalg.norm(off, axis=1).max(), rel=1e-6)
+
+
+def test_off_the_path_is_the_error_across_it(tracking: Tracking, short_plan: Plan) -> None:
+    """One leg along y: what is along it is no way off, unless it is beyond an end."""
+    (leg,) = np.diff(short_plan.task.path.corners, axis=0)
+    assert np.flatnonzero(leg).tolist() == [1]
+    motion = tracking.baseline
+    bent = motion.error + motion.command
+    np.testing.assert_allclose(motion.path_error[:, [0, 2]], bent[:, [0, 2]], atol=1e-12)
+    middle = slice(200, 600)
+    np.testing.assert_allclose(motion.path_error[middle, 1], 0.0, atol=1e-12)
 
 
 def test_an_arm_at_rest_stays_at_rest(cmbot_robot: Robot, task: ToolTask) -> None:
@@ -169,7 +180,7 @@ def test_without_settling_there_is_no_residual(short_plan: Plan) -> None:
 
 def test_rows_are_the_figures_in_millimetres(tracking: Tracking) -> None:
     rows = {(name, motion): numbers for name, motion, *numbers in tracking_rows(tracking)}
-    assert len(rows) == 26
+    assert len(rows) == 34
     figures = tracking.planned.figures
     for name, statistics in (
         ("error", figures.total),

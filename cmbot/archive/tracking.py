@@ -97,7 +97,7 @@ def _motion(motion: MotionTracking) -> dict[str, Any]:
     figures = motion.figures
     return {
         "stop": motion.stop,
-        **{part: _statistics(getattr(figures, part)) for part in ("total", "static", "dynamic")},
+        **{part: _statistics(getattr(figures, part)) for part in ("total", "static", "dynamic", "path")},
         "residual": _residual(figures),
         "modes": [
             {"frequency": frequency, "power": power}

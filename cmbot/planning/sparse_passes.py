@@ -93,7 +93,8 @@ class SparsePasses:
             )
             self._keep(ended.multipliers)
             radius = self._radius = ended.radius
-            self._penalty = max(_PENALTY, _ABOVE * float(ended.multipliers[ended.place.first.peaks :].sum()))
+            needed = _ABOVE * float(ended.multipliers[ended.place.first.peaks :].sum())
+            self._penalty = min(max(_PENALTY, needed), ended.penalty)
             iterations += ended.iterations
             family, first = ended.place.family, ended.place.first
             peak = float(first.value[: first.peaks].max()) if bound is None else bound

@@ -75,6 +75,9 @@ class ErrorFigures:
     ----------
     total, static, dynamic : Statistics
         Of the error, of the sag of its postures, of the rest, while the joints move.
+    path : Statistics
+        Of the bent tool's way from the nearest point of the tool path, while the joints move: what is left
+        where the sag was compensated.
     residual : Residual or None
         None where the arm was not watched after the stop.
     mode_frequencies : (k,), Hz
@@ -87,13 +90,19 @@ class ErrorFigures:
     total: Statistics
     static: Statistics
     dynamic: Statistics
+    path: Statistics
     residual: Residual | None
     mode_frequencies: FloatArray
     mode_power: FloatArray
 
 
 def error_figures(
-    t: FloatArray, error: FloatArray, static: FloatArray, moving: int, frequencies: FloatArray
+    t: FloatArray,
+    error: FloatArray,
+    static: FloatArray,
+    path_error: FloatArray,
+    moving: int,
+    frequencies: FloatArray,
 ) -> ErrorFigures:
     """Reduce a tracking error to figures.
 
@@ -101,7 +110,7 @@ def error_figures(
     ----------
     t : (N,), s
         Equal steps.
-    error, static : (N, 3), m
+    error, static, path_error : (N, 3), m
     moving : int
         Number of samples until the stop.
     frequencies : (f,), Hz
@@ -115,6 +124,7 @@ def error_figures(
         total=statistics(t[:moving], error[:moving]),
         static=statistics(t[:moving], static[:moving]),
         dynamic=statistics(t[:moving], dynamic[:moving]),
+        path=statistics(t[:moving], path_error[:moving]),
         residual=residual(t[rest], dynamic[rest]) if moving < len(t) else None,
         mode_frequencies=shown,
         mode_power=mode_power(step, dynamic[:moving], shown),

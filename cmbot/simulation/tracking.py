@@ -45,7 +45,9 @@ class MotionTracking:
         The same at rest: the sag of the posture at that time.
     command : (N, 3), m
         Tool point of that rigid arm less where the tool path has it at that time: it comes from the joint
-        motion, not from bending.
+        motion, not from bending. Where the sag was compensated, it is meant to make up for it.
+    path_error : (N, 3), m
+        From the nearest point of the tool path to the bending arm's tool point, whenever it is there.
     figures : ErrorFigures
     """
 
@@ -54,6 +56,7 @@ class MotionTracking:
     error: FloatArray
     static: FloatArray
     command: FloatArray
+    path_error: FloatArray
     figures: ErrorFigures
 
     @property
@@ -168,15 +171,17 @@ def track(arm: ElasticArm, task: ToolTask, drive: Drive, options: SimulationOpti
     moving = int(np.searchsorted(t, drive.duration * (1 + 1e-12), side="right"))
     q = drive.states(t)[0]
     rigid, _ = Kinematics(arm.robot).tool_poses(q)
-    error = _bent_tool(arm, q, motion, t) - rigid
+    bent = _bent_tool(arm, q, motion, t)
+    error, path_error = bent - rigid, task.path.offset(bent)
     static = _sag(arm, drive, t)
-    figures = error_figures(t, error, static, moving, modes.frequencies)
+    figures = error_figures(t, error, static, path_error, moving, modes.frequencies)
     return MotionTracking(
         t=t,
         stop=drive.duration,
         error=error,
         static=static,
         command=rigid - task.path.position(t),
+        path_error=path_error,
         figures=figures,
     )
 

@@ -8,7 +8,6 @@ from typing import Literal
 
 from cmbot.planning import Certificate, Check, Plan
 from cmbot.simulation import Tracking
-from cmbot.validation import counted
 
 __all__ = ["Headline", "certificates", "headlines", "use_of"]
 
@@ -64,7 +63,7 @@ def _peak(plan: Plan) -> Headline:
         peak = plan.approach.certificate.figures.peak_guardrail_torque
         detail += f"; {peak:.1f} Nm on the approach"
     return Headline(
-        title="Peak torque on the guardrail",
+        title="Peak guardrail torque",
         before=f"{before:.1f}",
         value=f"{after:.1f} Nm",
         detail=detail,
@@ -89,8 +88,8 @@ def _certified(plan: Plan) -> Headline:
     holding = sum(check.holds for check in checks)
     tightest = max(plan.certificate.checks, key=use_of)
     return Headline(
-        title="Certificate",
-        value=f"{holding} of {counted(len(checks), 'check')} hold",
+        title="Certified promises",
+        value=f"{holding} of {len(checks)} hold",
         detail=f"tightest: {tightest.quantity}, {100 * use_of(tightest):.0f} % of its bound",
         state="good" if holding == len(checks) else "bad",
     )
@@ -111,10 +110,10 @@ def _clearance(plan: Plan) -> Headline:
 def _deviation(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     return Headline(
-        title="Tool's distance from its path",
+        title="Tool off its path",
         before=f"{1e3 * plan.baseline_figures.max_tool_deviation:.2f}",
         value=f"{1e3 * value:.2f} mm",
-        detail=f"bound {1e3 * bound:g} mm, promised for the plan",
+        detail=f"bound {1e3 * bound:g} mm",
         state="good" if value <= bound else "bad",
     )
 

@@ -113,7 +113,7 @@ class Chart {
   draw() {
     const { svg, small } = this;
     this.width = Math.max(this.figure.clientWidth, 60);
-    this.height = small ? 62 : 150;
+    this.height = small ? 62 : 136;
     this.inset = small ? { left: 2, right: 2, top: 4, bottom: 4 } : { left: 46, right: 8, top: 6, bottom: 20 };
     const [low, high] = this.range;
     this.axis = low < high ? [low, high] : [low - 1, high + 1];
@@ -162,12 +162,34 @@ class Chart {
   }
 
   drawMarks(inside, svg) {
+    const { start, end } = this.timeline;
     for (const [value, name] of this.spec.marks) {
       const y = this.y(value);
-      make("line", { class: "mark", x1: this.x(this.timeline.start), x2: this.x(this.timeline.end), y1: y, y2: y }, inside);
-      const above = y - this.inset.top > 16;
-      make("text", { class: "mark-name", x: this.width - this.inset.right - 5, y: y + (above ? -4 : 12), "text-anchor": "end" }, svg, name);
+      make("line", { class: "mark", x1: this.x(start), x2: this.x(end), y1: y, y2: y }, inside);
+      const label = make("text", { class: "mark-name" }, svg, name);
+      const [x, base] = this.freePlace(y, 6.2 * name.length);
+      label.setAttribute("x", x);
+      label.setAttribute("y", base);
     }
+  }
+
+  // Where a level's name, so long, hides least of the curves: above or below it, somewhere along the axis.
+  freePlace(y, long) {
+    const { left, right, top, bottom } = this.inset, last = this.width - right - long - 5;
+    const places = [y - 4, y + 13].flatMap((base) => [1, 0.75, 0.5, 0.25, 0].map((share) => [left + 5 + share * (last - left - 5), base]));
+    const hidden = ([x, base]) => {
+      if (base - 11 < top || base > this.height - bottom) return Infinity;
+      let count = 0;
+      for (const { t, y: values } of this.curves) {
+        for (let k = 0; k < t.length; k += 1) {
+          const at = this.x(t[k]), height = this.y(values[k]);
+          if (at > x - 3 && at < x + long + 3 && height > base - 13 && height < base + 4) count += 1;
+        }
+      }
+      return count;
+    };
+    const counts = places.map(hidden);
+    return places[counts.indexOf(Math.min(...counts))];
   }
 
   // Of a small plot: what its upper edge is, and how much of the bound each motion uses.

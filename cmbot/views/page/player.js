@@ -138,9 +138,10 @@ class Player {
   }
 
   placeLabel(label, point, left, wide, visible, below = 8) {
-    const [x, y] = this.stage.onScreen(point, left, wide);
-    label.style.transform = `translate(${x.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, ${below}px)`;
     label.hidden = !visible;
+    const [x, y] = this.stage.onScreen(point, left, wide), half = label.offsetWidth / 2 + 4;
+    const within = Math.max(Math.min(x, left + wide - half), left + half);
+    label.style.transform = `translate(${within.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, ${below}px)`;
   }
 }
 
