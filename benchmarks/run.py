@@ -1,4 +1,4 @@
-"""One table, one run: what planning costs, ratios first.
+"""One table, one run: what planning and simulating cost, ratios first.
 
     python benchmarks/run.py            # or: make bench
 
@@ -23,8 +23,9 @@ from rich.console import Console
 from rich.table import Table
 
 from cmbot import load_scene
-from cmbot.planning import plan, robot_of
+from cmbot.planning import Plan, plan, robot_of
 from cmbot.robot import Dynamics
+from cmbot.simulation import simulate
 
 RESULTS = Path(__file__).parent / "results" / "latest.json"
 SCENES = ("triangle", "line")
@@ -64,6 +65,15 @@ def kernels() -> dict[str, float]:
     }
 
 
+def simulation(planned: Plan) -> dict[str, float]:
+    """Seconds that the elastic simulation of both motions takes, and how many it simulates."""
+    tracking = simulate(planned)
+    return {
+        "simulate": best_of(lambda: simulate(planned)),
+        "simulated": float(tracking.baseline.t[-1] + tracking.planned.t[-1]),
+    }
+
+
 def main() -> None:
     """Measure, print, write."""
     results: dict[str, dict[str, float]] = {"kernels": kernels()}
@@ -84,6 +94,7 @@ def main() -> None:
             "certify": seconds.certify,
             "passes": float(len(planned.passes)),
             "peak_guardrail_torque": planned.figures.peak_guardrail_torque,
+            **simulation(planned),
         }
     results_text = {
         "machine": {
@@ -107,6 +118,13 @@ def _print(results: dict[str, dict[str, float]]) -> None:
         r = results[name]
         shares = (f"{r[key] / r['motion']:.3f}" for key in ("command", "path", "optimise", "certify"))
         table.add_row(name, *shares, f"{r['command']:.2f}")
+    console.print(table)
+    table = Table(title="Simulating, wall time per second simulated")
+    for heading in ("scene", "seconds per second", "both motions, s"):
+        table.add_column(heading, justify="left" if heading == "scene" else "right")
+    for name in SCENES:
+        r = results[name]
+        table.add_row(name, f"{r['simulate'] / r['simulated']:.4f}", f"{r['simulate']:.2f}")
     console.print(table)
     kernel, start = results["kernels"], results["start-up"]
     console.print(

@@ -34,12 +34,12 @@ from cmbot.errors import (
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.archive import load_plan, save, save_tracking
+    from cmbot.archive import load_plan, load_tracking, save, save_tracking
     from cmbot.planning import Plan, QuinticTrajectory, plan
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.simulation import SimulationOptions, Tracking, simulate
-    from cmbot.views import replay, report
+    from cmbot.views import plot, replay, report
 
 __all__ = [
     "ArchiveError",
@@ -64,7 +64,9 @@ __all__ = [
     "load_plan",
     "load_robot",
     "load_scene",
+    "load_tracking",
     "plan",
+    "plot",
     "replay",
     "report",
     "save",
@@ -73,12 +75,12 @@ __all__ = [
 ]
 
 _ROOMS = {
-    "cmbot.archive": ("load_plan", "save", "save_tracking"),
+    "cmbot.archive": ("load_plan", "load_tracking", "save", "save_tracking"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
     "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
-    "cmbot.views": ("replay", "report"),
+    "cmbot.views": ("plot", "replay", "report"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

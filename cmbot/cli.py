@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import time
 import traceback
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,8 +14,10 @@ import typer.main
 from rich.table import Table
 
 import cmbot
+from cmbot.cli_planning import plan
 from cmbot.cli_simulation import reproduce, simulate
-from cmbot.console import Narrator, err, flat, out
+from cmbot.cli_views import replay, report
+from cmbot.console import JsonOption, QuietOption, err, flat, out, print_json
 from cmbot.errors import CmbotError, InputError, PlanningError, SceneError
 
 if TYPE_CHECKING:
@@ -34,13 +35,12 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     help="Plan the motion of a robot arm that works from a base that bends.\n\n"
-    "Example: [bold]cmbot plan triangle[/bold], then open out/triangle/replay.html in a browser.",
+    "Example: [bold]cmbot plan triangle[/bold], then open out/triangle/report.html in a browser.",
     epilog="Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 1 anything else.",
 )
 SceneArgument = Annotated[
     str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")
 ]
-PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
 
 # The base of all of Typer's complaints about a command line; Typer does not name it.
@@ -108,65 +108,9 @@ def _options(
     del debug, version
 
 
-@app.command()
-def plan(
-    scene: SceneArgument,
-    output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="Plan directory to write; out/NAME if left out.")
-    ] = None,
-    force: Annotated[bool, typer.Option("--force", help="Replace a plan directory that is there.")] = False,
-) -> None:
-    """Plan a scene, print what was gained, write a plan directory with a replay page.
-
-    Example: [bold]cmbot plan triangle -o out/triangle[/bold]
-    """
-    started = time.perf_counter()
-    loaded = cmbot.load_scene(scene)
-    # Only now, so that a slip in a scene file is answered at once: this brings the robot's libraries.
-    from cmbot.archive import require_free
-
-    directory = output if output is not None else Path("out") / loaded.name
-    require_free(directory, force=force)
-    with Narrator() as narrator:
-        planned = cmbot.plan(loaded, progress=narrator.tell)
-    cmbot.save(planned, directory, force=force)
-    page = _add_replay(planned, directory)
-    _print_plan(planned)
-    out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
-    out.print(f"Look at it: open {flat(page)} in a browser.")
-
-
-@app.command()
-def replay(
-    directory: PlanArgument,
-    html: Annotated[
-        Path | None, typer.Option("--html", help="Page to write; DIR/replay.html if left out.")
-    ] = None,
-    serve: Annotated[bool, typer.Option("--serve", help="Serve the page on 127.0.0.1 instead.")] = False,
-) -> None:
-    """Write a page that replays a plan in any browser, without a network.
-
-    Example: [bold]cmbot replay out/triangle --html triangle.html[/bold]
-    """
-    if serve and html is not None:
-        raise InputError("cmbot replay", "--html, --serve", "both", "one of them")
-    loaded = cmbot.load_plan(directory)
-    if serve:
-        from cmbot.views import serve_replay
-
-        with serve_replay(loaded) as server:
-            try:
-                out.print(f"Replay of {loaded.scene.name} at {server.url}; stop with Ctrl-C.")
-                server.wait()
-            except KeyboardInterrupt:
-                return
-    elif html is not None:
-        cmbot.replay(loaded, html=html)
-        out.print(f"Written to {flat(html)}.")
-    else:
-        out.print(f"Written to {flat(_add_replay(loaded, directory))}.")
-
-
+app.command()(plan)
+app.command()(replay)
+app.command()(report)
 app.command()(simulate)
 app.command()(reproduce)
 
@@ -247,28 +191,3 @@ def _is_file(path: Path) -> bool:
 def _print_pairs(pairs: Iterable[tuple[str, str]]) -> None:
     for name, value in pairs:
         out.print(f"{name:<34}{flat(value)}")
-
-
-def _add_replay(planned: Plan, directory: Path) -> Path:
-    """Put the replay page into a plan directory, whole or not at all."""
-    from cmbot.archive import add_file
-    from cmbot.views import replay_page
-
-    return add_file(directory, "replay.html", replay_page(planned).encode("utf-8", "replace"))
-
-
-def _print_plan(planned: Plan) -> None:
-    if out.is_terminal:
-        table = Table(title=planned.scene.name, title_justify="left")
-        table.add_column("")
-        table.add_column("baseline", justify="right")
-        table.add_column("planned", justify="right")
-        for row in planned.rows():
-            table.add_row(*row)
-        out.print(table)
-    else:
-        out.print(planned.summary())
-    from cmbot.planning import remarks
-
-    for remark in remarks(planned):
-        out.print(remark)

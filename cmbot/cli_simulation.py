@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.table import Table
 
 import cmbot
-from cmbot.console import Narrator, flat, out
+from cmbot.cli_views import add_figures, add_pages
+from cmbot.console import JsonOption, Narrator, QuietOption, flat, out, print_json, print_table
 
 if TYPE_CHECKING:
-    from cmbot.reproduction import Experiment
+    from cmbot.reproduction import Experiment, Reproduction
     from cmbot.simulation import Tracking
 
 __all__ = ["reproduce", "simulate"]
@@ -34,8 +33,15 @@ def simulate(
     ] = 1.0,
     segments: Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")] = 1,
     force: Annotated[bool, typer.Option("--force", help="Replace tracking errors that are there.")] = False,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Draw plots as PNG and SVG into the plan directory, too.")
+    ] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Let guardrail and links bend under a plan's motion, and under the baseline's; add tracking errors.
+
+    The plan's pages are written anew, with the tracking errors in them.
 
     Example: [bold]cmbot simulate out/triangle[/bold]
     """
@@ -56,12 +62,22 @@ def simulate(
         "cmbot simulate",
         cmbot.InputError,
     )
-    with Narrator() as narrator:
-        narrator.say("simulating")
-        tracking = cmbot.simulate(loaded, options)
+    if figures:
+        from cmbot.views import require_matplotlib
+
+        require_matplotlib()
+    with Narrator(quiet=quiet) as narrator:
+        narrator.say("simulating", 0.0)
+        tracking = cmbot.simulate(loaded, options, progress=lambda share: narrator.say("simulating", share))
     written = cmbot.save_tracking(tracking, directory, force=force)
-    print_tracking(loaded.scene.name, tracking)
-    out.print(f"Written to {', '.join(flat(path) for path in written)}.")
+    written += add_pages(loaded, tracking, directory)
+    if figures:
+        written += add_figures(tracking, directory)
+    if as_json:
+        print_json(_tracking_summary(loaded.scene.name, directory, tracking))
+    elif not quiet:
+        print_tracking(loaded.scene.name, tracking)
+        out.print(f"Written to {', '.join(flat(path) for path in written)}.")
 
 
 def reproduce(
@@ -69,6 +85,8 @@ def reproduce(
         Path, typer.Option("--output", "-o", help="Folder to write; out/reproduce if left out.")
     ] = Path("out/reproduce"),
     force: Annotated[bool, typer.Option("--force", help="Replace a reproduction that is there.")] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Plan and simulate both of the paper's experiments, and compare them with what it measured.
 
@@ -78,12 +96,17 @@ def reproduce(
     from cmbot.reproduction import reproduce as run
 
     require_room(output, force=force)
-    with Narrator() as narrator:
+    with Narrator(quiet=quiet) as narrator:
         found = run(
-            tell=lambda scene, what: narrator.say(f"{scene}: {what}"),
+            tell=lambda scene, what, share: narrator.say(f"{scene}: {what}", share),
             progress=lambda scene, step: narrator.tell(step, about=f"{scene}: "),
         )
     written = save_reproduction(found, output, force=force)
+    if as_json:
+        print_json(_reproduction_summary(output, found))
+        return
+    if quiet:
+        return
     for experiment in found.experiments:
         _print_comparison(experiment)
         for finding in findings(experiment):
@@ -93,42 +116,44 @@ def reproduce(
     out.print(f"Written to {' and '.join(flat(path) for path in written)}, with every assumption.")
 
 
+def _tracking_summary(name: str, directory: Path, tracking: Tracking) -> dict[str, Any]:
+    from cmbot.archive import tracking_json
+    from cmbot.simulation import tracking_remarks
+
+    figures = tracking_json(tracking)
+    return {
+        "verb": "simulate",
+        "scene": name,
+        "directory": str(directory),
+        "files": sorted(path.name for path in directory.iterdir()),
+        **{key: value for key, value in figures.items() if key != "format"},
+        "remarks": list(tracking_remarks(tracking)),
+    }
+
+
+def _reproduction_summary(folder: Path, found: Reproduction) -> dict[str, Any]:
+    from cmbot.reproduction import as_json
+
+    figures = as_json(found)
+    return {
+        "verb": "reproduce",
+        "directory": str(folder),
+        "files": sorted(path.name for path in folder.iterdir()),
+        **{key: value for key, value in figures.items() if key not in ("format", "assumptions")},
+    }
+
+
 def _print_comparison(experiment: Experiment) -> None:
     from cmbot.reproduction import comparison
 
     headings, *rows = comparison(experiment)
-    _print_table(experiment.paper.title, headings, rows)
+    print_table(experiment.paper.title, headings, rows, text_columns=2)
 
 
 def print_tracking(name: str, tracking: Tracking) -> None:
     """Print the figures of a simulation: a table on a terminal, aligned columns elsewhere."""
     from cmbot.simulation import tracking_remarks, tracking_rows
 
-    _print_table(f"{name}, mm", _HEADINGS, list(tracking_rows(tracking)))
+    print_table(f"{name}, mm", _HEADINGS, list(tracking_rows(tracking)), text_columns=2)
     for remark in tracking_remarks(tracking):
         out.print(remark)
-
-
-def _print_table(title: str, headings: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
-    """Print numbers behind two columns of text."""
-    if out.is_terminal:
-        table = Table(title=title, title_justify="left")
-        for number, heading in enumerate(headings):
-            table.add_column(heading, justify="left" if number < 2 else "right")
-        for row in rows:
-            table.add_row(*row)
-        out.print(table)
-    else:
-        out.print(title)
-        for line in _aligned([headings, *rows]):
-            out.print(line)
-
-
-def _aligned(rows: list[tuple[str, ...]]) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for cells in rows:
-        padded = (
-            f"{cell:<{width}}" if number < 2 else f"{cell:>{width}}"
-            for number, (cell, width) in enumerate(zip(cells, widths, strict=True))
-        )
-        yield "  ".join(padded).rstrip()

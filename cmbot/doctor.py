@@ -29,7 +29,7 @@ _REQUIRED = {
     "typer": "typer",
     "rich": "rich",
 }
-_OPTIONAL = (("mujoco", "test"), ("hypothesis", "test"))
+_OPTIONAL = (("piqp", "fast"), ("matplotlib", "plots"), ("mujoco", "test"), ("hypothesis", "test"))
 
 
 @dataclass(frozen=True, kw_only=True)

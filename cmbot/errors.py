@@ -12,7 +12,7 @@
         OptimisationFailed             the constraint that could not be met
         LimitViolation                 joint, time, value, bound
       SimulationDiverged (RuntimeError)   when, and how far the arm was bent
-      MissingExtra (ImportError)       the pip command to run
+      MissingExtra (ImportError)       the command to run
 """
 
 from __future__ import annotations
@@ -193,17 +193,20 @@ class SimulationDiverged(CmbotError, RuntimeError):
 
 
 class MissingExtra(CmbotError, ImportError):
-    """An optional package is not installed.
+    """An optional package or program is not installed.
 
     Parameters
     ----------
     package : str
-        What could not be imported.
+        What could not be imported or found.
     extra : str
-        The extra of cmbot that brings it.
+        The extra of cmbot that it belongs to.
+    command : str, optional
+        What installs it, if pip and that extra do not.
     """
 
-    def __init__(self, package: str, extra: str) -> None:
+    def __init__(self, package: str, extra: str, command: str = "") -> None:
         self.package = package
         self.extra = extra
-        super().__init__(f'{package} is not installed; run: pip install "cmbot[{extra}]"')
+        self.command = command or f'pip install "cmbot[{extra}]"'
+        super().__init__(f"{package} is not installed; run: {self.command}")

@@ -17,7 +17,7 @@ from ruamel.yaml.reader import ReaderError
 from cmbot.errors import InputError
 from cmbot.validation import key_path, shown
 
-__all__ = ["LARGEST_FILE", "read_yaml"]
+__all__ = ["LARGEST_FILE", "read_yaml", "yaml_value"]
 
 LARGEST_FILE = 5_000_000
 """Size in bytes above which a file is refused."""
@@ -57,12 +57,27 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
         no text, dates, numbers that are not finite, nesting deeper than 50 levels.
     """
     source = str(path)
-    text = _read_text(Path(path), source, error_type)
+    data = yaml_value(_read_text(Path(path), source, error_type), source, error_type)
+    if data is None:
+        raise error_type(source, "", "an empty file", "a mapping of keys to values")
+    if not isinstance(data, dict):
+        raise error_type(source, "", shown(data), "a mapping of keys to values")
+    return data
+
+
+def yaml_value(text: str, source: str, error_type: type[InputError]) -> Any:
+    """Return what a YAML text says: a mapping, a list, text, a number, true, false, or None for nothing.
+
+    Raises
+    ------
+    InputError
+        Of `error_type`, as `read_yaml`; `source` is named as the place where it stands.
+    """
     yaml = YAML(typ="safe", pure=True)
     yaml.Composer = _StrictComposer
     try:
         node = yaml.compose(text)
-        data = None if node is None else _data(yaml, node, ())
+        return None if node is None else _data(yaml, node, ())
     except _RefusedError as error:
         raise error_type(source, error.key, error.got, error.expected) from error
     except MarkedYAMLError as error:
@@ -72,11 +87,6 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
         raise error_type(source, "", got, "printable text") from error
     except (YAMLError, ValueError) as error:
         raise error_type(source, "", shown(str(error)), "valid YAML 1.2") from error
-    if data is None:
-        raise error_type(source, "", "an empty file", "a mapping of keys to values")
-    if not isinstance(data, dict):
-        raise error_type(source, "", shown(data), "a mapping of keys to values")
-    return data
 
 
 def _read_text(path: Path, source: str, error_type: type[InputError]) -> str:

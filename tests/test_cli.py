@@ -23,6 +23,7 @@ SAVED = {
     "trajectory.npz",
     "trajectory.ros.json",
     "replay.html",
+    "report.html",
 }
 FIGURES = ("peak torque on the guardrail, Nm", "smallest clearance, mm", "joint jerk, share of its bound")
 
@@ -72,7 +73,7 @@ def test_help_shows_an_example_and_every_verb() -> None:
     text = plain(outcome.out)
     assert "Example: cmbot plan triangle" in text
     assert "Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 1 anything else." in text
-    assert all(f" {verb} " in text for verb in ("plan", "replay", "check", "doctor"))
+    assert all(f" {verb} " in text for verb in ("plan", "simulate", "reproduce", "replay", "check", "doctor"))
 
 
 def test_it_is_a_module_to_run_as_well() -> None:
@@ -92,6 +93,8 @@ def test_without_a_verb_the_help_is_shown() -> None:
     [
         ("plan", "Example: cmbot plan triangle -o out/triangle"),
         ("replay", "Example: cmbot replay out/triangle --html triangle.html"),
+        ("simulate", "Example: cmbot simulate out/triangle"),
+        ("reproduce", "Example: cmbot reproduce -o out/reproduce"),
         ("check", "Examples: cmbot check arm.urdf, cmbot check triangle"),
         ("doctor", "Example: cmbot doctor"),
     ],
@@ -117,7 +120,7 @@ def test_plan_prints_plain_lines_where_there_is_no_terminal(folder: Path, planne
     assert lines[1 : len(plan.summary().splitlines())] == plan.summary().splitlines()[1:]
     assert any(line.startswith("Certified: ") for line in lines)
     assert re.fullmatch(rf"Written to {re.escape(str(folder / 'plan'))} in \d+\.\d s\.", lines[-2])
-    assert lines[-1] == f"Look at it: open {folder / 'plan' / 'replay.html'} in a browser."
+    assert lines[-1] == f"Look at it: open {folder / 'plan' / 'report.html'} in a browser."
     assert "\x1b" not in planned.out + planned.err
     assert planned.err.splitlines()[0] == "following the tool path"
     assert "optimising" in planned.err
@@ -152,7 +155,7 @@ def test_plan_on_a_terminal_draws_a_table(folder: Path, tmp_path: Path) -> None:
     assert "\x1b[" in text
     assert "following the tool path" in text
     # A path on the last line is never broken, so that it can be copied.
-    assert f"open {tmp_path / 'out' / 'replay.html'} in a browser." in text
+    assert f"open {tmp_path / 'out' / 'report.html'} in a browser." in text
 
 
 @pytest.mark.usefixtures("known")

@@ -170,6 +170,7 @@ FAILURES = [
     (errors.PathNotFound("stuck", time=1, progress=0.5, smallest_singular_value=0.1), 3),
     (errors.OptimisationFailed("stuck", constraint="jerk", violation=0.1), 3),
     (errors.LimitViolation("jerk", time=1, value=2, bound=1, unit="rad/s3"), 3),
+    (errors.SimulationDiverged(time=1, state=[2.0]), 1),
     (errors.MissingExtra("mujoco", "test"), 1),
     (errors.CmbotError("else"), 1),
 ]

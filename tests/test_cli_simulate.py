@@ -25,6 +25,7 @@ from cmbot.simulation import MotionTracking, Tracking, tracking_remarks, trackin
 
 TABLES = ("tracking.csv", "tracking_baseline.csv")
 FILES = {*TABLES, "tracking.json"}
+PAGES = ("replay.html", "report.html")
 COLUMNS = ["t", "error_x", "error_y", "error_z", "static_x", "static_y", "static_z"]
 
 
@@ -57,12 +58,12 @@ def rows_of(path: Path) -> tuple[list[str], np.ndarray]:
     return header, np.array(rows, dtype=float)
 
 
-def test_it_adds_three_files_and_changes_none(simulated: tuple[Path, Outcome], saved: Path) -> None:
+def test_it_adds_files_and_changes_none_of_the_plans(simulated: tuple[Path, Outcome], saved: Path) -> None:
     folder, outcome = simulated
     assert outcome.status == 0, outcome.err
     before = {path.name: path.read_bytes() for path in saved.iterdir()}
     after = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert after.keys() - before.keys() == FILES
+    assert after.keys() - before.keys() == FILES | set(PAGES)
     assert {name: after[name] for name in before} == before
     cmbot.load_plan(folder)
 
@@ -115,7 +116,8 @@ def test_it_prints_the_figures(simulated: tuple[Path, Outcome], tracking: Tracki
     told = lines[2 + len(rows) : -1]
     assert told[:-1] == remarks[:-1]
     assert re.fullmatch(r"Time: \d+\.\d\d s for 12 s of motion\.", told[-1])
-    assert lines[-1] == f"Written to {', '.join(str(folder / name) for name in (*TABLES, 'tracking.json'))}."
+    written = (*TABLES, "tracking.json", "replay.html", "report.html")
+    assert lines[-1] == f"Written to {', '.join(str(folder / name) for name in written)}."
     assert outcome.err == "simulating\n"
 
 

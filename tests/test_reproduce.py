@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from small_scenes import short_scene
 
 import cmbot
+from cmbot.archive import write_file
 from cmbot.errors import ArchiveError, OptimisationFailed
 from cmbot.planning import Plan, plan
 from cmbot.reproduction import (
@@ -310,6 +311,17 @@ def test_it_is_written_with_both_plans(found: Reproduction, tmp_path: Path) -> N
     with pytest.raises(ArchiveError):
         save_reproduction(found, folder)
     save_reproduction(found, folder, force=True)
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    write_file(tmp_path / "page.md", b"old")
+    write_file(tmp_path / "page.md", b"new")
+    assert (tmp_path / "page.md").read_bytes() == b"new"
+    (tmp_path / "taken").mkdir()
+    for path in (tmp_path / "nosuch" / "page.md", tmp_path / "taken"):
+        with pytest.raises(ArchiveError, match="refusal of the system"):
+            write_file(path, b"text")
+    assert names(tmp_path) == {"page.md", "taken"}
 
 
 @pytest.mark.usefixtures("planner")

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
-from cmbot.planning import task_of
+from cmbot.planning import robot_of, task_of
 from cmbot.planning.objectives import objective_of
-from cmbot.planning.self_motion import ChartMaker, null_spaces, without_neighbours
+from cmbot.planning.on_task import null_spaces, project
+from cmbot.planning.self_motion import ChartMaker, without_neighbours
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot
-from cmbot.scene import PlannerOptions, load_scene
+from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.scene.speed_profile import SpeedProfile
 from cmbot.scene.tool_path import ToolPath
 from tests.oracles.inverse_kinematics import postures as closed_form
+from tests.seven_joint_arms import endless_scene, panda_scene
 
 SPACING = 0.1
 PITCHES = np.linspace(-np.pi, np.pi, 181)
@@ -109,6 +114,28 @@ def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
         np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
         share = np.abs(at.joint_torque) / limits.torque
         np.testing.assert_allclose(chart.joint_use, share.max(axis=1))
+
+
+@pytest.mark.parametrize("make", [panda_scene, endless_scene])
+@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+def test_other_arms_charts_are_complete(
+    make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """No posture that random restarts find lies farther than the spacing from the chart."""
+    scene = make(tmp_path, keep=keep)
+    robot = robot_of(scene)
+    task, limits = task_of(scene, robot), robot.limits
+    maker = maker_for(robot, task, 0.15, seeds=200)
+    chart = maker.first(task.path.corners[0], scene.posture[None])
+    lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
+    q, reached = project(
+        Postures(robot), task, rng.uniform(lower, upper, (3000, 7)), task.path.corners[0], 40
+    )
+    endless = np.isinf(limits.lower)
+    q[:, endless] = (q[:, endless] + np.pi) % (2 * np.pi) - np.pi
+    q = q[reached & ((q >= lower) & (q <= upper)).all(axis=1)]
+    assert len(q) > 300
+    assert distance_on_circle(chart.q, q).max() < 1.1 * maker.spacing
 
 
 @pytest.mark.parametrize("count", [1, 2, 6, 7, 8, 14])

@@ -212,8 +212,8 @@ def _verify_objective(plan: Plan, source: Path) -> None:
         objective_of(plan.robot, plan.options, sag=sag_of(plan.scene, plan.robot, plan.options)),
         plan.options,
         own=False,
-        baseline=States(baseline.t, baseline.q, baseline.v, baseline.a),
-        planned=States(grid, *plan.trajectory.states(grid)),
+        baseline=(plan.baseline_figures, States(baseline.t, baseline.q, baseline.v, baseline.a)),
+        planned=(plan.figures, States(grid, *plan.trajectory.states(grid))),
         floor=plan.objective.floor,
     )
     for name in ("baseline_peak", "planned_peak"):

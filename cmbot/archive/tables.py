@@ -13,7 +13,7 @@ from cmbot.errors import ArchiveError
 from cmbot.planning import Samples
 from cmbot.validation import counted, shown
 
-__all__ = ["columns", "read_motion", "samples_csv"]
+__all__ = ["columns", "read_motion", "read_rows", "samples_csv"]
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
@@ -85,7 +85,7 @@ def read_motion(
         When columns are missing or strange, a cell is no number, or times do not increase.
     """
     names = columns(dof)
-    table = np.array(_rows(content, source, names))
+    table = np.array(read_rows(content, source, names))
     if len(table) < 2 or not (np.diff(table[:, 0]) > 0).all():
         got, expected = counted(len(table), "row"), "two or more rows, their times increasing"
         raise ArchiveError(source, "t", got, expected)
@@ -94,7 +94,14 @@ def read_motion(
     return table[:, 0].copy(), (q, v, a, j)
 
 
-def _rows(content: bytes, source: str, names: tuple[str, ...]) -> list[list[float]]:
+def read_rows(content: bytes, source: str, names: tuple[str, ...]) -> list[list[float]]:
+    """Return the numbers of a table with the columns `names`.
+
+    Raises
+    ------
+    ArchiveError
+        When columns are missing or strange, or a cell is no number.
+    """
     try:
         header, *lines = content.decode("ascii").splitlines() or [""]
     except UnicodeDecodeError as error:

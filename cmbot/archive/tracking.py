@@ -17,13 +17,13 @@ from cmbot.errors import ArchiveError
 from cmbot.simulation import ErrorFigures, MotionTracking, Statistics, Tracking
 from cmbot.version import __version__
 
-__all__ = ["TRACKING_FILES", "require_no_tracking", "save_tracking", "tracking_json"]
+__all__ = ["COLUMNS", "FORMAT", "TRACKING_FILES", "require_no_tracking", "save_tracking", "tracking_json"]
 
 TRACKING_FILES = ("tracking.csv", "tracking_baseline.csv", "tracking.json")
 """What `save_tracking` writes, the figures last: where they are, the tables are, too."""
 
-_FORMAT = "cmbot-tracking/1"
-_COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
+FORMAT = "cmbot-tracking/1"
+COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
 
 
 def save_tracking(tracking: Tracking, directory: str | Path, *, force: bool = False) -> tuple[Path, ...]:
@@ -84,7 +84,7 @@ def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
 def tracking_json(tracking: Tracking) -> dict[str, Any]:
     """Return the figures of tracking errors as JSON can hold them, SI units."""
     return {
-        "format": _FORMAT,
+        "format": FORMAT,
         "cmbot": __version__,
         "options": asdict(tracking.options),
         "seconds": tracking.seconds,
@@ -130,10 +130,10 @@ def _table(motion: MotionTracking, name: str) -> bytes:
     table = np.column_stack([motion.t, motion.error, motion.static])
     if not np.isfinite(table).all():
         row, column = np.argwhere(~np.isfinite(table))[0]
-        key = f"line {row + 2}, {_COLUMNS[column]}"
+        key = f"line {row + 2}, {COLUMNS[column]}"
         raise ArchiveError(name, key, table[row, column], "a finite number")
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    writer.writerow(COLUMNS)
     writer.writerows(table.tolist())
     return text.getvalue().encode()

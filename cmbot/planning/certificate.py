@@ -162,8 +162,8 @@ def _range_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     """Position of the joint that comes nearest to an end of its range, at its exact extrema."""
     limits, position = robot.limits, trajectory.extrema(0)
     finite = np.isfinite(limits.lower)
-    middle = np.where(finite, 0.5 * (limits.lower + limits.upper), 0.0)
     half = np.where(finite, 0.5 * (limits.upper - limits.lower), np.inf)
+    middle = np.where(finite, limits.upper, 0.0) - np.where(finite, half, 0.0)
     share = np.abs(position.value - middle[:, None]) / half[:, None]
     segment, joint, k = np.unravel_index(share.argmax(), share.shape)
     return Check(

@@ -12,19 +12,43 @@ from cmbot.planning.chart_nodes import ChartNodes
 from cmbot.planning.setting import Setting
 from cmbot.robot import Kinematics
 
-__all__ = ["WayThrough", "blocked", "edges"]
+__all__ = ["WayThrough", "blocked", "edges", "nearest_turn"]
 
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.
 _STEP_WEIGHT = 0.02
 
 
-def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray) -> BoolArray:
-    """Which postures of `q_b` (N, d) can follow which of `q_a` (M, d), (M, N)."""
+def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray) -> BoolArray:
+    """Which postures of `q_b` (N, n) can follow which of `q_a` (M, n), (M, N).
+
+    Parameters
+    ----------
+    q_a, q_b : (M, n) and (N, n), rad
+    step : (n,), rad
+        The longest that each joint can make.
+    endless : (n,)
+        Which joints have no range: a turn more or less is the same to them.
+    """
     reachable = np.ones((len(q_a), len(q_b)), dtype=np.bool_)
     for joint in range(q_a.shape[1]):
-        reachable &= np.abs(q_a[:, None, joint] - q_b[None, :, joint]) <= step[joint]
+        move = q_a[:, None, joint] - q_b[None, :, joint]
+        reachable &= np.abs(nearest_turn(move) if endless[joint] else move) <= step[joint]
     return reachable
+
+
+def nearest_turn(angle: FloatArray) -> FloatArray:
+    """Angles less whole turns, from half a turn back to half a turn forth, rad."""
+    return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))
+
+
+def _squared_moves(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray) -> FloatArray:
+    """Squared distances (M, N) between postures (M, n) and (N, n), joints counted in steps."""
+    a, b = (q[:, ~endless] / step[~endless] for q in (q_a, q_b))
+    moves = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
+    for joint in np.flatnonzero(endless):
+        moves += (nearest_turn(q_a[:, None, joint] - q_b[None, :, joint]) / step[joint]) ** 2
+    return np.asarray(moves)
 
 
 @dataclass(frozen=True)
@@ -65,8 +89,8 @@ class WayThrough:
         cost = self.nodes[0].chart.value[some[0]] ** 2
         came_from = []
         for k, (edge, step) in enumerate(zip(self.edges, self.steps, strict=True)):
-            before, after = (self.nodes[i].chart.q[some[i]] / step for i in (k, k + 1))
-            moves = (before**2).sum(axis=1)[:, None] + (after**2).sum(axis=1) - 2 * before @ after.T
+            before, after = (self.nodes[i].chart.q[some[i]] for i in (k, k + 1))
+            moves = _squared_moves(before, after, step, np.isinf(self.setting.robot.limits.lower))
             way = cost[:, None] + _STEP_WEIGHT * peak**2 * moves
             total = np.where(edge[np.ix_(some[k], some[k + 1])], way, np.inf)
             origin = total.argmin(axis=0)

@@ -15,20 +15,22 @@ import numpy as np
 from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.chart_nodes import ChartNodes
 from cmbot.planning.dynamic_programming import blocked
-from cmbot.planning.self_motion import null_spaces, project
+from cmbot.planning.on_task import null_spaces, project
 from cmbot.planning.setting import Setting
 from cmbot.robot import Postures
 
 __all__ = ["Floor", "find_floor"]
 
-# The floor is known well enough to this share of it; cells are halved at most so many times.
+# The floor is known well enough to this share of it; cells are halved at most so many times along each edge.
 _ACCURACY, _MOST_HALVINGS = 2e-6, 24
-# Via-points that are looked at together, and cells that are kept at most at each of them, the most promising
-# first: where the self-motion is wide the error says what that cost.
-_TOGETHER, _MOST_CELLS = 4, 400
-# Halves are taken so much larger than they are, for the curvature of the self-motion.
+# Via-points that are looked at together where the self-motion is a curve; where it is wider they are looked
+# at one by one, and at most so many cells are kept: the error says what that cost.
+_TOGETHER, _MOST_CELLS = 4, 200
+# Halves are taken so much longer than they are, for the curvature of the self-motion.
 _WIDER = 1.1
-# Joint torques and clearances beyond what a cell can hold are told from samples with this much doubt.
+# Cells in which the arm moves further than this, m, are not searched for clearances.
+_WIDE = 0.3
+# Joint torques beyond what a cell can hold are told from samples with this much doubt.
 _DOUBT = 1.5
 
 
@@ -75,14 +77,17 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> Flo
         if not np.isfinite(least):
             raise blocked(setting, nodes, k)
     search = _Search(setting, nodes, spacing)
+    together = _TOGETHER if setting.robot.dof - setting.task.dimension == 1 else 1
     bound = np.full(len(each), -np.inf)
     order = np.argsort(-each)
     # From the largest down, until those looked at exceed all that are left: what is left only gets smaller.
-    for first in range(0, len(order), _TOGETHER):
-        some = order[first : first + _TOGETHER]
-        if first and each[some[0]] <= each[order[:first]].max():
+    enough = -np.inf
+    for first in range(0, len(order), together):
+        some = order[first : first + together]
+        if each[some[0]] <= enough:
             break
-        each[some], bound[some] = search.least(some, each[some])
+        each[some], bound[some] = search.least(some, each[some], enough)
+        enough = max(enough, float(each[some].max()))
     looked = np.flatnonzero(np.isfinite(bound))
     where = int(looked[each[looked].argmax()])
     return Floor(value=float(each[where]), error=float(each[where] - bound.max()), via_point=where, each=each)
@@ -90,7 +95,7 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> Flo
 
 @dataclass(frozen=True)
 class _Cells:
-    """Boxes on the self-motion: centre, directions of the edges, half their length, index of via-point."""
+    """Boxes on the self-motion: centres (M, n), unit edges (M, d, n), half lengths (M, d), via-points."""
 
     q: FloatArray
     edges: FloatArray
@@ -99,6 +104,21 @@ class _Cells:
 
     def __getitem__(self, index: BoolArray | IntArray) -> _Cells:
         return _Cells(self.q[index], self.edges[index], self.half[index], self.of[index])
+
+
+@dataclass(frozen=True)
+class _Content:
+    """What is known of cells: the objective at the centre (M,), how far it may fall along edges (M, d)."""
+
+    value: FloatArray
+    fall: FloatArray
+
+    @property
+    def lowest(self) -> FloatArray:
+        return np.asarray(self.value - self.fall.sum(axis=1))
+
+    def __getitem__(self, index: BoolArray | IntArray) -> _Content:
+        return _Content(self.value[index], self.fall[index])
 
 
 class _Search:
@@ -111,7 +131,7 @@ class _Search:
         self._postures = Postures(setting.robot)
         self._points = setting.task.path.position(setting.times)
 
-    def least(self, some: IntArray, best: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def least(self, some: IntArray, best: FloatArray, enough: float) -> tuple[FloatArray, FloatArray]:
         """Smallest admissible values at the via-points `some`, and what they cannot go below.
 
         Parameters
@@ -119,45 +139,46 @@ class _Search:
         some : (s,)
         best : (s,)
             Values that are known to be admissible there.
+        enough : float
+            A via-point with an admissible value down here cannot set the floor; it is not looked at any
+            closer, and nothing is said of what it cannot go below.
         """
-        best = best.copy()
-        left_out = np.full(len(some), np.inf)
-        cells = self._first(some)
-        for _ in range(_MOST_HALVINGS):
-            lowest, possible, value = self._bounds(cells)
-            worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY))
-            cells, lowest, value = cells[worth], lowest[worth], value[worth]
-            best, possible = self._looked(cells, value, best)
-            worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY))
-            keep = _most_promising(cells.of, np.where(worth, lowest, np.inf))
-            dropped = worth & ~keep
-            np.minimum.at(left_out, cells.of[dropped], lowest[dropped])
-            cells, lowest = cells[keep], lowest[keep]
-            if len(cells.q) == 0:
-                break
-            cells = self._halved(cells)
-        else:
-            np.minimum.at(left_out, cells.of, np.repeat(lowest, len(cells.q) // len(lowest)))
-        return best, np.minimum(left_out, best * (1 - _ACCURACY))
-
-    def _first(self, some: IntArray) -> _Cells:
-        """Cells around the postures of the charts."""
+        best, left_out = best.copy(), np.full(len(some), np.inf)
+        self._point_of = self._points[some]
         q = np.concatenate([self._nodes[k].chart.q for k in some])
         of = np.repeat(np.arange(len(some)), [len(self._nodes[k].chart.q) for k in some])
-        self._point_of = self._points[some]
-        return _Cells(q, self._tangents(q), np.full(len(q), self._spacing), of)
+        edges = self._null_spaces(q)
+        cells = _Cells(q, edges, np.full(edges.shape[:2], self._spacing), of)
+        for _ in range(_MOST_HALVINGS * edges.shape[1]):
+            content, possible = self._content(cells)
+            worth = possible & (content.lowest < best[cells.of] * (1 - _ACCURACY))
+            cells, content = cells[worth], content[worth]
+            best, possible = self._looked(cells, content.value, best)
+            worth = possible & (content.lowest < best[cells.of] * (1 - _ACCURACY))
+            worth &= best[cells.of] > enough
+            keep = worth & _most_promising(cells.of, np.where(worth, content.lowest, np.inf))
+            dropped = worth & ~keep
+            np.minimum.at(left_out, cells.of[dropped], content.lowest[dropped])
+            cells, content = cells[keep], content[keep]
+            if len(cells.q) == 0:
+                break
+            cells = self._halved(cells, content.fall)
+        else:
+            np.minimum.at(left_out, cells.of, np.tile(content.lowest, 2)[: len(cells.of)])
+        bound = np.minimum(left_out, best * (1 - _ACCURACY))
+        return best, np.where(best > enough, bound, -np.inf)
 
-    def _tangents(self, q: FloatArray) -> FloatArray:
-        task, at = self._setting.task, self._postures.at(q)
-        return null_spaces(task.jacobians(at.tool_rotation, at.jacobian))
+    def _null_spaces(self, q: FloatArray) -> FloatArray:
+        at = self._postures.at(q)
+        return null_spaces(self._setting.task.jacobians(at.tool_rotation, at.jacobian))
 
-    def _bounds(self, cells: _Cells) -> tuple[FloatArray, BoolArray, FloatArray]:
-        """What the objective may fall to in each cell, whether that may be admissible; its value."""
+    def _content(self, cells: _Cells) -> tuple[_Content, BoolArray]:
+        """What the objective may fall to in each cell, and whether anything admissible may be in it."""
         N, d, n = cells.edges.shape
         limits = self._setting.robot.limits
-        extent = np.abs(cells.edges).sum(axis=1) * cells.half[:, None]
+        extent = np.einsum("kd,kdn->kn", cells.half, np.abs(cells.edges))
         possible = ((cells.q + extent >= limits.lower) & (cells.q - extent <= limits.upper)).all(axis=1)
-        shifts = 0.5 * cells.half[:, None, None] * cells.edges
+        shifts = 0.5 * cells.half[:, :, None] * cells.edges
         around = np.stack([cells.q[:, None] + shifts, cells.q[:, None] - shifts], axis=2).reshape(-1, n)
         points = np.repeat(self._point_of[cells.of], 2 * d, axis=0)
         placed, reached = project(self._postures, self._setting.task, around, points)
@@ -166,12 +187,13 @@ class _Search:
         # Where a sample leaves the workspace, its cell counts as if it were as the centre there.
         beside = np.where(reached, value[N:], np.repeat(centre, 2 * d)).reshape(N, d, 2)
         beside_use = np.where(reached, use[N:], np.repeat(centre_use, 2 * d)).reshape(N, d, 2)
-        slope = np.abs(beside[:, :, 0] - beside[:, :, 1]).sum(axis=1)
-        bend = 4 * np.abs(beside.sum(axis=2) - 2 * centre[:, None])
-        fall = slope + 0.5 * np.sqrt(bend).sum(axis=1) ** 2
+        slope = np.abs(beside[:, :, 0] - beside[:, :, 1])
+        bend = np.sqrt(4 * np.abs(beside.sum(axis=2) - 2 * centre[:, None]))
+        # Mixed second differences are taken to be as large as the others allow.
+        fall = slope + 0.5 * bend * bend.sum(axis=1, keepdims=True)
         change = 2 * np.abs(beside_use - centre_use[:, None, None]).max(axis=2).sum(axis=1)
         possible &= centre_use - _DOUBT * change <= 1.0
-        return centre - fall, possible, centre
+        return _Content(centre, fall), possible
 
     def _measured(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Objective at rest and largest share of a joint torque's bound, (N,) each."""
@@ -181,36 +203,38 @@ class _Search:
 
     def _looked(self, cells: _Cells, value: FloatArray, best: FloatArray) -> tuple[FloatArray, BoolArray]:
         """Look at the clearances of cells: the best values then, and which cells may be clear somewhere."""
-        setting = self._setting
-        distance = setting.clearances.smallest(cells.q).distance
-        margin, limits = setting.options.safety_margin_m, setting.robot.limits
-        use = self._measured(cells.q)[1] if len(cells.q) else np.empty(0)
+        setting, limits = self._setting, self._setting.robot.limits
+        margin = setting.options.safety_margin_m
         within = ((cells.q >= limits.lower) & (cells.q <= limits.upper)).all(axis=1)
-        admissible = within & (use <= 1.0) & (distance >= margin)
+        hopeful = within & (value < best[cells.of])
+        hopeful[hopeful] = self._measured(cells.q[hopeful])[1] <= 1.0
+        reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), setting.clearances.reach)
+        # Cells that reach further hold something clear nearly always.
+        look = np.flatnonzero(hopeful | (reach < _WIDE))
+        # How much it is that is missing costs more to know than that something is.
+        near = look[setting.clearances.too_near(cells.q[look], margin)]
+        distance = np.full(len(value), np.inf)
+        distance[near] = setting.clearances.smallest(cells.q[near]).distance
+        admissible = hopeful & (distance >= margin)
         best = best.copy()
         np.minimum.at(best, cells.of[admissible], value[admissible])
-        reach = np.abs(cells.edges).sum(axis=1) @ setting.clearances.reach * cells.half
         return best, distance + reach >= margin
 
-    def _halved(self, cells: _Cells) -> _Cells:
-        """Divide every cell along each of its edges."""
-        _, d, n = cells.edges.shape
-        signs = np.stack(np.meshgrid(*[[-1.0, 1.0]] * d, indexing="ij"), axis=-1).reshape(-1, d)
-        shifts = 0.5 * cells.half[:, None, None] * np.einsum("sd,kdn->ksn", signs, cells.edges)
-        parts = len(signs)
-        of = np.repeat(cells.of, parts)
-        q, reached = project(
-            self._postures,
-            self._setting.task,
-            (cells.q[:, None] + shifts).reshape(-1, n),
-            self._point_of[of],
-        )
-        parent = np.repeat(cells.edges, parts, axis=0)
-        null = self._tangents(q)
+    def _halved(self, cells: _Cells, fall: FloatArray) -> _Cells:
+        """Halve every cell along the edge that matters most; where none does, along the longest."""
+        k = np.arange(len(cells.q))
+        matters = fall.max(axis=1) > _ACCURACY * np.abs(fall).max()
+        edge = np.where(matters, fall.argmax(axis=1), cells.half.argmax(axis=1))
+        shift = 0.5 * cells.half[k, edge, None] * cells.edges[k, edge]
+        half = cells.half.copy()
+        half[k, edge] *= 0.5 * _WIDER
+        of = np.tile(cells.of, 2)
+        around = np.concatenate([cells.q + shift, cells.q - shift])
+        q, reached = project(self._postures, self._setting.task, around, self._point_of[of])
         # The parent's edges, turned the least way into the self-motion here.
-        U, _, V = np.linalg.svd(parent @ null.transpose(0, 2, 1))
-        made = _Cells(q, U @ V @ null, np.repeat(0.5 * _WIDER * cells.half, parts), of)
-        return made[reached]
+        null = self._null_spaces(q)
+        U, _, V = np.linalg.svd(np.tile(cells.edges, (2, 1, 1)) @ null.transpose(0, 2, 1))
+        return _Cells(q, U @ V @ null, np.tile(half, (2, 1)), of)[reached]
 
 
 def _most_promising(of: IntArray, lowest: FloatArray) -> BoolArray:

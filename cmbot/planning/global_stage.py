@@ -14,7 +14,7 @@ import numpy as np
 from cmbot.arrays import BoolArray, FloatArray
 from cmbot.errors import PathNotFound
 from cmbot.planning.chart_nodes import ChartNodes
-from cmbot.planning.dynamic_programming import WayThrough, edges
+from cmbot.planning.dynamic_programming import WayThrough, edges, nearest_turn
 from cmbot.planning.floor import find_floor
 from cmbot.planning.self_motion import ChartMaker
 from cmbot.planning.setting import Setting
@@ -77,12 +77,14 @@ class GlobalStage:
         self._steps = (
             options.step_share * limits.velocity * np.diff(times)[:, None] + 0.5 * options.chart_spacing
         )
+        self._endless = np.isinf(limits.lower)
         self._edges = [
-            edges(a.chart.q, b.chart.q, step)
+            edges(a.chart.q, b.chart.q, step, self._endless)
             for a, b, step in zip(self._nodes, self._nodes[1:], self._steps, strict=False)
         ]
         self.first_chart = charts[0]
-        self._pinned = np.abs(charts[0].q - setting.posture).max(axis=1) < _SAME_POSTURE
+        self._away = np.abs(self._from_the_scenes(charts[0].q)).max(axis=1)
+        self._pinned = self._away < _SAME_POSTURE
 
     def solve(self, *, pinned: bool) -> GlobalSolution:
         """Find the sequence with the smallest peak, then mean square, of the objective at rest.
@@ -120,14 +122,12 @@ class GlobalStage:
         PathNotFound
             When none of `PlannerOptions.other_starts` postures leads to the end.
         """
-        chart = self._nodes[0].chart
-        distance = np.abs(chart.q - self._setting.posture).max(axis=1)
-        others = np.flatnonzero(chart.within & ~self._pinned)
-        nearest = others[np.argsort(distance[others], kind="stable")]
+        others = np.flatnonzero(self._nodes[0].chart.within & ~self._pinned)
+        nearest = others[np.argsort(self._away[others], kind="stable")]
         failures = [failed]
         for k in nearest[: self._setting.options.other_starts]:
             try:
-                return self._solve(np.arange(len(distance)) == k), tuple(failures)
+                return self._solve(np.arange(len(self._away)) == k), tuple(failures)
             except PathNotFound as failure:
                 failures.append(failure)
         raise no_start_left(failures) from failed
@@ -135,7 +135,22 @@ class GlobalStage:
     def _solve(self, starts: BoolArray) -> GlobalSolution:
         way = WayThrough(self._setting, self._nodes, self._edges, self._steps, starts)
         chosen = way.best()
+        q = np.stack([node.chart.q[k] for node, k in zip(self._nodes, chosen, strict=True)])
         return GlobalSolution(
-            q=np.stack([node.chart.q[k] for node, k in zip(self._nodes, chosen, strict=True)]),
+            q=self._unwound(q),
             value=np.array([node.chart.value[k] for node, k in zip(self._nodes, chosen, strict=True)]),
         )
+
+    def _from_the_scenes(self, q: FloatArray) -> FloatArray:
+        """Moves (N, n) from the scene's posture to `q` (N, n), the shorter way round for endless joints."""
+        moves = q - self._setting.posture
+        moves[:, self._endless] = nearest_turn(moves[:, self._endless])
+        return moves
+
+    def _unwound(self, q: FloatArray) -> FloatArray:
+        """The same postures (n, d) on the turns of endless joints that lie nearest to those before."""
+        q = q.copy()
+        before = np.vstack([self._setting.posture, q[:-1]])[:, self._endless]
+        steps = nearest_turn(q[:, self._endless] - before)
+        q[:, self._endless] = self._setting.posture[self._endless] + np.cumsum(steps, axis=0)
+        return q

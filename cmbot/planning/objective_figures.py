@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from cmbot.planning.figures import MotionFigures
 from cmbot.planning.objectives import Objective
 from cmbot.planning.state_functions import States
 from cmbot.scene.options import PlannerOptions
@@ -64,8 +65,8 @@ def objective_figures(
     options: PlannerOptions,
     *,
     own: bool,
-    baseline: States,
-    planned: States,
+    baseline: tuple[MotionFigures, States],
+    planned: tuple[MotionFigures, States],
     floor: float | None,
 ) -> ObjectiveFigures:
     """Evaluate an objective over both motions.
@@ -76,8 +77,8 @@ def objective_figures(
     options : PlannerOptions
     own : bool
         The objective is not the options'.
-    baseline, planned : States
-        The motions, as finely sampled as their other figures.
+    baseline, planned : MotionFigures and States
+        The motions' figures, and the motions as finely sampled as these.
     floor : float or None
     """
     return ObjectiveFigures(
@@ -86,7 +87,11 @@ def objective_figures(
         own=own,
         moment_about=None if own else options.moment_about,
         axis_weights=None if own else options.axis_weights,
-        baseline_peak=float(objective.values(baseline).max()),
-        planned_peak=float(objective.values(planned).max()),
+        baseline_peak=_peak(objective, *baseline),
+        planned_peak=_peak(objective, *planned),
         floor=floor,
     )
+
+
+def _peak(objective: Objective, figures: MotionFigures, states: States) -> float:
+    return figures.peak_guardrail_torque if objective.reported else float(objective.values(states).max())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,10 +17,11 @@ from cmbot.planning.certificate import Certificate, certificate_grid, certify
 from cmbot.planning.compensation import Compensation, compensate
 from cmbot.planning.figures import Samples, figures
 from cmbot.planning.gradient_projection import follow_path
-from cmbot.planning.objective_figures import ObjectiveFigures, objective_figures
+from cmbot.planning.objective_figures import objective_figures
 from cmbot.planning.optimiser import Optimised, PassReport, optimise
 from cmbot.planning.plan import Plan, Seconds, Start
 from cmbot.planning.setting import Setting, prepare
+from cmbot.planning.solvers import solver_of
 from cmbot.planning.state_functions import States
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.ways import Way, fixed_way, sliding_way
@@ -102,6 +103,8 @@ def plan(
         When scene and robot do not fit together.
     InputError
         When an option is out of its bounds, or `objective` is no such function.
+    MissingExtra
+        When the options ask for a solver that is not installed.
     PathNotFound
         When the path ends at an obstacle, a joint's range or out of reach, from the scene's posture and from
         the others that were tried.
@@ -112,6 +115,8 @@ def plan(
     """
     tell = progress or (lambda _: None)
     options = checked(options) if options is not None else scene.planner
+    # What the plan holds then says which solver it was made with.
+    options = replace(options, solver=solver_of(options))
     clock = _Clock()
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
@@ -147,7 +152,15 @@ def _plan(
         setting.robot, setting.task, setting.posture, setting.clearances, options, stop_at_obstacles=False
     )
     baseline = baseline_samples(setting, path)
-    made_small = _made_small(setting, way, baseline, work.optimised.trajectory, own=own is not None)
+    baseline_figures = figures(setting.robot, baseline)
+    made_small = objective_figures(
+        setting.objective,
+        options,
+        own=own is not None,
+        baseline=(baseline_figures, States(baseline.t, baseline.q, baseline.v, baseline.a)),
+        planned=(work.certificate.figures, _states(work.optimised.trajectory, options)),
+        floor=None if way.floor is None else way.floor.value,
+    )
     return Plan(
         scene=scene,
         options=options,
@@ -155,7 +168,7 @@ def _plan(
         task=setting.task,
         start=work.start,
         baseline=baseline,
-        baseline_figures=figures(setting.robot, baseline),
+        baseline_figures=baseline_figures,
         drift=float(path.drift.max()),
         smallest_singular_value=float(path.singular_value.min()),
         trajectory=work.optimised.trajectory,
@@ -223,18 +236,10 @@ def _work(setting: Setting, way: Way, tell: Callable[[Progress], None], clock: _
     )
 
 
-def _made_small(
-    setting: Setting, way: Way, baseline: Samples, trajectory: QuinticTrajectory, *, own: bool
-) -> ObjectiveFigures:
-    grid = certificate_grid(trajectory, setting.options)
-    return objective_figures(
-        setting.objective,
-        setting.options,
-        own=own,
-        baseline=States(baseline.t, baseline.q, baseline.v, baseline.a),
-        planned=States(grid, *trajectory.states(grid)),
-        floor=None if way.floor is None else way.floor.value,
-    )
+def _states(trajectory: QuinticTrajectory, options: PlannerOptions) -> States:
+    """The planned motion as finely sampled as it is certified."""
+    grid = certificate_grid(trajectory, options)
+    return States(grid, *trajectory.states(grid))
 
 
 def _start(setting: Setting, way: Way, posture: FloatArray) -> Start:

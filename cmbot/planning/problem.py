@@ -160,8 +160,8 @@ class TorqueProblem:
 
 def _kinematic_bounds(robot: Robot, inside: float) -> tuple[KinematicBound, ...]:
     limits = robot.limits
-    middle = np.where(np.isfinite(limits.lower), 0.5 * (limits.lower + limits.upper), 0.0)
     half = np.where(np.isfinite(limits.lower), 0.5 * (limits.upper - limits.lower), np.inf)
+    middle = np.where(np.isfinite(half), limits.upper, 0.0) - np.where(np.isfinite(half), half, 0.0)
     low, high = middle - half * inside, middle + half * inside
     symmetric = ((limits.velocity, "velocity"), (limits.acceleration, "acceleration"), (limits.jerk, "jerk"))
     return (

@@ -17,23 +17,22 @@ from scipy.spatial import cKDTree
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.objectives import Objective
+from cmbot.planning.on_task import null_spaces, project
 from cmbot.planning.task import ToolTask
 from cmbot.robot import JointLimits, Postures
 
-__all__ = ["Chart", "ChartMaker", "null_spaces", "project", "without_neighbours"]
+__all__ = ["Chart", "ChartMaker", "without_neighbours"]
 
-_ON_TASK = 1e-10
-# Newton steps onto the task: of neighbours, and of random postures.
-_FEW_STEPS, _MANY_STEPS = 6, 40
-# Random postures far from the task take steps of at most this length a joint, rad.
-_LONGEST_STEP = 0.6
+# Newton steps that put random postures onto the task.
+_MANY_STEPS = 40
 # Accepted postures keep this share of the spacing from each other.
 _APART = 0.7
-# A chart has at most so many postures: where the self-motion has two dimensions or more, its spacing grows.
-_MOST_POSTURES, _COARSER = 600, 1.6
+# The first chart has at most so many postures, those along the path at most so many: where the self-motion
+# has two dimensions or more, the spacing grows.
+_MOST_POSTURES, _TOO_MANY, _COARSER = 600, 1500, 1.6
 # Charts are carried to every so-manieth point first.
 _STRIDE = 6
-# A continuous joint is charted within one turn either way, rad.
+# A joint that passes half a turn is charted within one turn either way, rad.
 _ONE_TURN = 2 * np.pi
 
 
@@ -56,44 +55,6 @@ class Chart:
     value: FloatArray
     joint_use: FloatArray
     within: BoolArray
-
-
-def project(
-    postures: Postures, task: ToolTask, q: FloatArray, point: FloatArray, steps: int = _FEW_STEPS
-) -> tuple[FloatArray, BoolArray]:
-    """Move postures `q` (N, n) the least way onto the task at `point` (3,), or at one (N, 3) each.
-
-    Returns
-    -------
-    q : (N, n), rad
-    reached : (N,)
-        Which of them lie on the task now.
-    """
-    q, points = q.copy(), np.broadcast_to(point, (len(q), 3))
-    reached = np.zeros(len(q), dtype=np.bool_)
-    active = np.arange(len(q))
-    for _ in range(steps):
-        at = postures.at(q[active])
-        error = task.errors(at.tool_point, at.tool_rotation, points[active])
-        done = np.abs(error).max(axis=1) < _ON_TASK
-        reached[active[done]] = True
-        active, error = active[~done], error[~done]
-        if len(active) == 0:
-            break
-        J = task.jacobians(at.tool_rotation, at.jacobian)[~done]
-        gram = J @ J.transpose(0, 2, 1) + 1e-12 * np.eye(J.shape[1])
-        step = (J.transpose(0, 2, 1) @ np.linalg.solve(gram, error[..., None]))[..., 0]
-        longest = np.abs(step).max(axis=1, keepdims=True)
-        q[active] += step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-30))
-    return q, reached
-
-
-def null_spaces(J: FloatArray) -> FloatArray:
-    """Orthonormal bases (N, n - m, n) of what Jacobians `J` (N, m, n) take to nothing."""
-    # The last columns of Q are what the rows of J leave out; four times as quick as a singular value
-    # decomposition.
-    Q = np.linalg.qr(J.transpose(0, 2, 1), mode="complete")[0]
-    return np.asarray(Q[:, :, J.shape[1] :].transpose(0, 2, 1))
 
 
 class ChartMaker:
@@ -125,13 +86,16 @@ class ChartMaker:
         self._task = task
         self._limits = limits
         self._objective = objective
-        # A joint that cannot pass half a turn is charted on the circle, others within their ranges.
-        self._round = (limits.lower >= -np.pi) & (limits.upper <= np.pi)
+        # A joint without a range, or one that cannot pass half a turn, is charted on the circle, others
+        # within their ranges.
+        within_half_a_turn = (limits.lower >= -np.pi) & (limits.upper <= np.pi)
+        self._round = np.isinf(limits.lower) | within_half_a_turn
         self._lower = np.where(self._round, -np.pi, np.maximum(limits.lower, -_ONE_TURN))
         self._upper = np.where(self._round, np.pi, np.minimum(limits.upper, _ONE_TURN))
         self._circle = np.append(np.where(self._round, 2 * np.pi, 0.0), 0.0)
         self.spacing = spacing
         self._seeds = seeds
+        self._wide = max(len(limits.lower) - task.dimension, 2)
 
     def first(self, point: FloatArray, known: FloatArray) -> Chart:
         """Chart the self-motion at `point` (3,) from the postures `known` (k, n) and from random ones."""
@@ -142,7 +106,7 @@ class ChartMaker:
         some = _Postures.of_each([seeds])
         q = self._grown([some], point[None])[0]
         while len(q) > _MOST_POSTURES:
-            self.spacing *= _COARSER
+            self._coarsen()
             q = self._grown([some], point[None])[0]
         return self._charts([q])[0]
 
@@ -155,6 +119,17 @@ class ChartMaker:
         known : (s, n), rad
             Postures at the first of them.
         """
+        each = self._each(points, known)
+        while max(len(q) for q in each) > _TOO_MANY:
+            self._coarsen()
+            each = self._each(points, known)
+        return self._charts(each)
+
+    def _coarsen(self) -> None:
+        self.spacing *= _COARSER ** (2 / self._wide)
+
+    def _each(self, points: FloatArray, known: FloatArray) -> list[FloatArray]:
+        """Postures of the charts at `points` (k, 3)."""
         charts: dict[int, FloatArray] = {0: self.first(points[0], known).q}
         last = len(points) - 1
         # To every so-manieth point one after the other, then to those between from both sides at once.
@@ -164,7 +139,7 @@ class ChartMaker:
         between = [k for k in range(last) if k not in charts]
         sides = [[charts[side] for side in _sides(k, last)] for k in between]
         charts.update(zip(between, self._carried(between, sides, points), strict=True))
-        return self._charts([charts[k] for k in range(len(points))])
+        return [charts[k] for k in range(len(points))]
 
     def _carried(
         self, to: Sequence[int], known: Sequence[Sequence[FloatArray]], points: FloatArray
@@ -201,7 +176,7 @@ class ChartMaker:
         frontier = accepted
         while len(frontier.q):
             tree = self._tree(accepted)
-            growing = np.bincount(accepted.of, minlength=len(points)) <= _MOST_POSTURES
+            growing = np.bincount(accepted.of, minlength=len(points)) <= _TOO_MANY
             frontier = frontier[growing[frontier.of]]
             steps = self.spacing * self._tangents(frontier.q)
             ahead = np.concatenate([frontier.q[:, None] + steps, frontier.q[:, None] - steps], axis=1)

@@ -21,15 +21,15 @@ __all__ = ["SparsePasses"]
 _COARSE_STEPS, _FINE_STEPS = 5, 10
 # A coarse pass need neither end at the optimum nor meet its constraints better than this.
 _COARSE_ACCURACY = 1e-3
-# Finer than this the quadratic programs do not tell.
-_FINEST = 1e-8
+# No pass goes on for less than this: in one step, or with those between two looks.
+_FINEST, _SLOW = 1e-6, 1e-5
 # Constraints of the working set are met so much better than they have to be at the samples.
 _CLOSER = 0.1
 # The first penalty, how far it stays above the sum of the multipliers, the radius that every pass may try again.
 _PENALTY, _ABOVE, _LEAST_RADIUS = 0.1, 2.0, 0.1
 _FIRST_RADIUS = 1.0
 # Quadratic programs of one pass, at most.
-_MOST_STEPS = 100
+_MOST_STEPS = 60
 
 
 class SparsePasses:
@@ -98,7 +98,10 @@ class SparsePasses:
             iterations += ended.iterations
             family, first = ended.place.family, ended.place.first
             peak = float(first.value[: first.peaks].max()) if bound is None else bound
-            if ended.stuck or iterations >= most or ended.settled:
+            gain = start.first.merit(ended.penalty) - first.merit(ended.penalty)
+            met = first.violation <= options.constraint_tolerance
+            slow = met and gain < _SLOW and not coarse
+            if ended.stuck or ended.settled or slow or iterations >= most:
                 break
             self._look(family, peak, effort)
         if ended.stuck and not coarse:
@@ -108,7 +111,6 @@ class SparsePasses:
                 constraint=worst.name,
                 violation=worst.value,
             )
-        gain = start.first.merit(ended.penalty) - first.merit(ended.penalty)
         return family, peak, iterations, gain
 
     def _look(self, family: LocalKnots, bound: float, effort: Effort) -> Violation:

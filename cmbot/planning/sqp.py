@@ -140,7 +140,10 @@ def descend(
         if trial is not None and gained > _TAKEN * promised:
             merits.append((penalty, place.first.merit(penalty), trial.first.merit(penalty)))
             place, multipliers = trial, step.multipliers
-            model = place.second(multipliers)
+        else:
+            # Constraints that the model took for straight may have been in the way: both kinds count now.
+            multipliers = 0.5 * (multipliers + step.multipliers)
+        model = place.second(multipliers)
     return Descent(
         place=place,
         multipliers=multipliers,

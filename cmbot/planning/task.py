@@ -119,7 +119,7 @@ def _rotation_vectors(R: FloatArray) -> FloatArray:
     far = np.flatnonzero(cosine < _NEARLY_HALF_A_TURN)
     if len(far):
         vectors[far] = Rotation.from_matrix(R[far]).as_rotvec()
-    return vectors
+    return np.asarray(vectors)
 
 
 def _all_between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
@@ -127,7 +127,7 @@ def _all_between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
     cross, cosine = np.cross(z, z_goal), z @ z_goal
     sine = np.linalg.norm(cross, axis=1)
     vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
-    for k in np.flatnonzero(sine < _OPPOSITE):
+    for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
         vectors[k] = _between(z[k], z_goal)
     return np.asarray(vectors)
 

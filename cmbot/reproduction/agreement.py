@@ -116,7 +116,7 @@ def _torque(ours: float, theirs: float) -> Finding:
 def _sag(run: Run) -> str:
     shares = [_dynamic_share(motion) for motion in (run.equilibrium.baseline, run.equilibrium.planned)]
     text = (
-        f"Of the mean square of our error {100 * shares[0]:.2f} % (baseline) and {100 * shares[1]:.2f} % "
+        f"Of the mean square of our error {_percent(shares[0])} (baseline) and {_percent(shares[1])} "
         "(planned) is dynamic, the rest the sag of the postures"
     )
     if max(shares) < 0.5:
@@ -165,6 +165,10 @@ def _knots(run: Run, fixed: Run) -> str:
     if not moved and abs(fixed_torque) < 0.5 * abs(sliding_torque):
         return f"{text}: the gain is that of other postures, not of the splines."
     return f"{text}."
+
+
+def _percent(share: float) -> str:
+    return f"{100 * share:.2f} %" if share >= 1e-4 else "less than 0.01 %"
 
 
 def _which(true: BoolArray) -> str:

@@ -65,8 +65,10 @@ def markdown(reproduction: Reproduction) -> str:
         "The paper gives neither the stiffness nor the mounting, the damping or the bridge; every number "
         "that stands in for them is one of these.",
     ]
+    heading = ""
     for table in assumption_tables():
-        lines += ["", f"### {table.heading}", ""]
+        lines += ["", *([f"### {table.heading}", ""] if table.heading != heading else [])]
+        heading = table.heading
         lines += _table(iter([table.columns, *table.rows]), text_columns=len(table.columns))
     return "\n".join(lines) + "\n"
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cmbot.archive import require_free, save, save_tracking, write_file
+from cmbot.archive import add_file, require_free, save, save_tracking, write_file
 from cmbot.archive.strict_json import json_bytes
 from cmbot.errors import ArchiveError
 from cmbot.reproduction.experiment import Reproduction
 from cmbot.reproduction.paper import PAPER
 from cmbot.reproduction.report import as_json, markdown
+from cmbot.views import pages
 
 __all__ = ["require_room", "save_reproduction"]
 
@@ -42,7 +43,7 @@ def require_room(directory: str | Path, *, force: bool = False) -> None:
 def save_reproduction(
     reproduction: Reproduction, directory: str | Path, *, force: bool = False
 ) -> tuple[Path, Path]:
-    """Write both plan directories with their tracking errors, then the comparison.
+    """Write both plan directories with their tracking errors and pages, then the comparison.
 
     Each file and each plan directory appears whole or not at all.
 
@@ -70,6 +71,8 @@ def save_reproduction(
         target = folder / experiment.paper.scene
         save(experiment.planned.plan, target, force=force)
         save_tracking(experiment.planned.equilibrium, target)
+        for name, page in pages(experiment.planned.plan, experiment.planned.equilibrium).items():
+            add_file(target, name, page)
     write_file(folder / _FIGURES, json_bytes(as_json(reproduction), indent=2))
     write_file(folder / _PAGE, markdown(reproduction).encode())
     return folder / _PAGE, folder / _FIGURES

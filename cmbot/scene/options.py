@@ -84,7 +84,8 @@ class PlannerOptions:
         How far the tool point may leave the legs between via-points, m.
     solver : str
         ``sqp``: sequential quadratic programming on sparse matrices, with PIQP (``pip install "cmbot[fast]"``).
-        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``.
+        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``. A
+        plan's options name the one that was used.
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are looked for violations.
     smoothing_weight : float

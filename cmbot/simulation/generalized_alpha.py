@@ -13,7 +13,7 @@ It is of second order, unconditionally stable for linear systems, and damps what
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,8 @@ __all__ = ["ElasticMotion", "GeneralizedAlpha"]
 
 # Bent further than this, m or rad, springs between rigid bodies mean nothing any more.
 _FURTHEST = 1.0
+# Steps from one report of progress to the next.
+_REPORTED = 100
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -80,7 +82,13 @@ class GeneralizedAlpha:
         self._block = (system.elastic[:, None] * n + system.elastic).ravel()
         self._mass, self._force = np.empty((f, f)), np.empty(f)
 
-    def run(self, drives: Sequence[Drive], u: FloatArray, v: FloatArray) -> ElasticMotion:
+    def run(
+        self,
+        drives: Sequence[Drive],
+        u: FloatArray,
+        v: FloatArray,
+        tell: Callable[[float], None] | None = None,
+    ) -> ElasticMotion:
         """Integrate along drives, one after the other.
 
         Each joins the last in position and velocity; acceleration may jump in between, and there the step
@@ -91,6 +99,8 @@ class GeneralizedAlpha:
         drives : sequence of Drive
         u, v : (f,)
             The elastic coordinates and their rates at first.
+        tell : callable, optional
+            Called every so often with the time that has been reached, s.
 
         Raises
         ------
@@ -101,7 +111,7 @@ class GeneralizedAlpha:
         # What overflows on the way is found by the look at every state.
         with np.errstate(over="ignore", invalid="ignore"):
             for drive in drives:
-                part = self._along(drive, u, v, start)
+                part = self._along(drive, u, v, start, tell or (lambda _: None))
                 u, v, start = part.u[-1], part.v[-1], start + drive.duration
                 parts.append(part)
         first, *others = parts
@@ -114,7 +124,9 @@ class GeneralizedAlpha:
             a=np.vstack([first.a, *(part.a[1:] for part in others)]),
         )
 
-    def _along(self, drive: Drive, u: FloatArray, v: FloatArray, start: float) -> ElasticMotion:
+    def _along(
+        self, drive: Drive, u: FloatArray, v: FloatArray, start: float, tell: Callable[[float], None]
+    ) -> ElasticMotion:
         steps = max(int(np.ceil(drive.duration / self._step * (1 - 1e-12))), 1)
         h = drive.duration / steps
         t = np.linspace(0.0, drive.duration, steps + 1)
@@ -151,6 +163,8 @@ class GeneralizedAlpha:
             # False for what is not a number, too.
             if not abs(us[k]).max() < _FURTHEST:
                 raise SimulationDiverged(time=start + float(t[k]), state=us[k].tolist())
+            if k % _REPORTED == 0:
+                tell(start + float(t[k]))
         return ElasticMotion(t=start + t, joints=joints, u=us, v=vs, a=as_)
 
     def _prescribe(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:

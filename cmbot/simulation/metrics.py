@@ -76,8 +76,8 @@ class ErrorFigures:
     total, static, dynamic : Statistics
         Of the error, of the sag of its postures, of the rest, while the joints move.
     path : Statistics
-        Of the bent tool's way from the nearest point of the tool path, while the joints move: what is left
-        where the sag was compensated.
+        Of the bent tool's way from the nearest point of the tool path's leg, while the joints move: what is
+        left where the sag was compensated.
     residual : Residual or None
         None where the arm was not watched after the stop.
     mode_frequencies : (k,), Hz

@@ -46,7 +46,7 @@ def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
 def tracking_remarks(tracking: Tracking) -> Iterator[str]:
     """Yield what should be known of a simulation besides its table, a sentence or two each."""
     yield "Error: the bent tool from where the same joint angles put the rigid one; static: at rest; mm in W."
-    yield "Off the path: the bent tool from the nearest point of its path; what counts where sag is compensated."
+    yield "Off the path: the bent tool from the nearest point of its leg; it is what compensation lowers."
     yield from (_command(name, motion) for name, motion in _named(tracking))
     yield from (_vibration(name, motion) for name, motion in _named(tracking))
     yield from (_decay(name, motion) for name, motion in _named(tracking) if motion.figures.residual)

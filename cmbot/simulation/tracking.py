@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,14 +18,14 @@ from cmbot.elastic.base import elastic_base
 from cmbot.elastic.sag import Sag
 from cmbot.errors import InputError
 from cmbot.planning import Plan, ToolTask, robot_of
-from cmbot.robot import Kinematics
+from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.drive import Drive, drive_along, drive_through, held
 from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha
 from cmbot.simulation.metrics import ErrorFigures, error_figures
 from cmbot.simulation.options import SimulationOptions, checked
 from cmbot.simulation.system import ElasticSystem
 
-__all__ = ["MotionTracking", "Tracking", "elastic_arm_of", "simulate", "track"]
+__all__ = ["MotionTracking", "Tracking", "completed", "elastic_arm_of", "simulate", "track"]
 
 # Sag is computed every so often, s, and a cubic spline in between: on the shipped scenes within 3e-5 mm.
 _SAG_STEP = 0.02
@@ -47,7 +48,7 @@ class MotionTracking:
         Tool point of that rigid arm less where the tool path has it at that time: it comes from the joint
         motion, not from bending. Where the sag was compensated, it is meant to make up for it.
     path_error : (N, 3), m
-        From the nearest point of the tool path to the bending arm's tool point, whenever it is there.
+        From the nearest point of the leg of that time to the bending arm's tool point.
     figures : ErrorFigures
     """
 
@@ -84,7 +85,12 @@ class Tracking:
     seconds: float
 
 
-def simulate(plan: Plan, options: SimulationOptions | None = None) -> Tracking:
+def simulate(
+    plan: Plan,
+    options: SimulationOptions | None = None,
+    *,
+    progress: Callable[[float], None] | None = None,
+) -> Tracking:
     """Drive the elastic arm of a plan's scene with its baseline and with its planned motion.
 
     The joints do exactly what they are told; guardrail and links bend. The planned motion is driven as it is,
@@ -94,6 +100,8 @@ def simulate(plan: Plan, options: SimulationOptions | None = None) -> Tracking:
     ----------
     plan : Plan
     options : SimulationOptions, optional
+    progress : callable, optional
+        Called every so often with the share of the simulated time that is done, 0 to 1.
 
     Raises
     ------
@@ -108,8 +116,15 @@ def simulate(plan: Plan, options: SimulationOptions | None = None) -> Tracking:
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         arm = elastic_arm_of(plan, options)
-        baseline = track(arm, plan.task, drive_through(plan.baseline.t, plan.baseline.q), options)
-        planned = track(arm, plan.task, drive_along(plan.trajectory), options)
+        drives = drive_through(plan.baseline.t, plan.baseline.q), drive_along(plan.trajectory)
+        first, second = (drive.duration + options.settle_s for drive in drives)
+
+        def tell(reached: float) -> None:
+            if progress is not None:
+                progress(reached / (first + second))
+
+        baseline = track(arm, plan.task, drives[0], options, tell)
+        planned = track(arm, plan.task, drives[1], options, lambda reached: tell(first + reached))
     seconds = time.perf_counter() - started
     return Tracking(options=options, baseline=baseline, planned=planned, seconds=seconds)
 
@@ -138,7 +153,13 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
     return arm
 
 
-def track(arm: ElasticArm, task: ToolTask, drive: Drive, options: SimulationOptions) -> MotionTracking:
+def track(
+    arm: ElasticArm,
+    task: ToolTask,
+    drive: Drive,
+    options: SimulationOptions,
+    tell: Callable[[float], None] | None = None,
+) -> MotionTracking:
     """Drive an elastic arm once.
 
     Parameters
@@ -148,6 +169,8 @@ def track(arm: ElasticArm, task: ToolTask, drive: Drive, options: SimulationOpti
         Whose path the tool is to follow.
     drive : Drive
     options : SimulationOptions
+    tell : callable, optional
+        Called every so often with the time that has been reached, s.
 
     Raises
     ------
@@ -165,16 +188,41 @@ def track(arm: ElasticArm, task: ToolTask, drive: Drive, options: SimulationOpti
     integrator = GeneralizedAlpha(
         system, step=options.step_s, rho_inf=options.spectral_radius, corrections=options.corrections
     )
-    motion = integrator.run(drives, start, np.zeros_like(start))
+    motion = integrator.run(drives, start, np.zeros_like(start), tell)
 
     t = _output_times(float(motion.t[-1]), options.output_step_s)
-    moving = int(np.searchsorted(t, drive.duration * (1 + 1e-12), side="right"))
     q = drive.states(t)[0]
     rigid, _ = Kinematics(arm.robot).tool_poses(q)
-    bent = _bent_tool(arm, q, motion, t)
-    error, path_error = bent - rigid, task.path.offset(bent)
-    static = _sag(arm, drive, t)
-    figures = error_figures(t, error, static, path_error, moving, modes.frequencies)
+    error = _bent_tool(arm, q, motion, t) - rigid
+    return completed(arm.robot, task, drive, t, error, _sag(arm, drive, t), modes.frequencies)
+
+
+def completed(
+    robot: Robot,
+    task: ToolTask,
+    drive: Drive,
+    t: FloatArray,
+    error: FloatArray,
+    static: FloatArray,
+    frequencies: FloatArray,
+) -> MotionTracking:
+    """Add to a tracking error what follows from it and from the motion.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+        Whose path the tool is to follow.
+    drive : Drive
+    t : (N,), s
+        Equal steps, from 0 to the stop or beyond.
+    error, static : (N, 3), m
+    frequencies : (f,), Hz
+        Of the modes in the motion's first posture, ascending.
+    """
+    rigid, _ = Kinematics(robot).tool_poses(drive.states(t)[0])
+    path_error = task.path.leg_offset(t, rigid + error)
+    moving = int(np.searchsorted(t, drive.duration * (1 + 1e-12), side="right"))
     return MotionTracking(
         t=t,
         stop=drive.duration,
@@ -182,7 +230,7 @@ def track(arm: ElasticArm, task: ToolTask, drive: Drive, options: SimulationOpti
         static=static,
         command=rigid - task.path.position(t),
         path_error=path_error,
-        figures=figures,
+        figures=error_figures(t, error, static, path_error, moving, frequencies),
     )
 
 

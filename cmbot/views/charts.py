@@ -98,6 +98,7 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
     yield _tool_deviation(plan)
     if tracking is not None:
         yield from _tracking(tracking)
+        yield _off_path(tracking)
 
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:
@@ -166,11 +167,8 @@ def _tool_deviation(plan: Plan) -> Chart:
 
 
 def _tracking(tracking: Tracking) -> Iterator[Chart]:
-    """Yield the tracking error along each axis, all to one scale, and its norm."""
-    motions: tuple[tuple[Motion, MotionTracking], ...] = (
-        ("baseline", tracking.baseline),
-        ("planned", tracking.planned),
-    )
+    """Yield the tracking error along each axis, all to one scale."""
+    motions = _motions(tracking)
     spread = max(float(np.ptp(motion.error, axis=0).max()) for _, motion in motions)
     for number, axis in enumerate("xyz"):
         both = [(motion.error[:, number], motion.static[:, number]) for _, motion in motions]
@@ -191,6 +189,26 @@ def _tracking(tracking: Tracking) -> Iterator[Chart]:
             axis=(1e3 * middle - half, 1e3 * middle + half),
             note="" if number else _ERROR,
         )
+
+
+def _off_path(tracking: Tracking) -> Chart:
+    curves = tuple(
+        Curve(motion=name, t=motion.t, y=1e3 * np.linalg.norm(motion.path_error, axis=1))
+        for name, motion in _motions(tracking)
+    )
+    return Chart(
+        key="tracking",
+        title="Bent tool's distance from its path",
+        unit="mm",
+        digits=2,
+        curves=curves,
+        axis=(0.0, ROOM * _highest(curves)),
+        note="Bending and the joint motion together; from the nearest point of the path.",
+    )
+
+
+def _motions(tracking: Tracking) -> tuple[tuple[Motion, MotionTracking], ...]:
+    return ("baseline", tracking.baseline), ("planned", tracking.planned)
 
 
 def _quantity(
@@ -220,7 +238,9 @@ def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], Float
     return lambda samples: np.asarray(factor * getattr(samples, name)[:, joint])
 
 
-def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, approach: bool = True) -> tuple[Curve, ...]:
+def _curves(
+    plan: Plan, quantity: Callable[[Samples], FloatArray], *, approach: bool = True
+) -> tuple[Curve, ...]:
     """Return a quantity of both motions, the approach before the planned one."""
     planned = plan.samples
     t, y = planned.t, quantity(planned)

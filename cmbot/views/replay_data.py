@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import fields
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -129,9 +129,12 @@ def _rest(
 
 def _last(samples: Samples, ends: FloatArray) -> Samples:
     """Return what a motion is at its end, at two times."""
-    at_end = {field.name: getattr(samples, field.name) for field in fields(Samples)}
-    held = {name: None if x is None else np.repeat(x[-1:], 2, axis=0) for name, x in at_end.items()}
-    return Samples(**{**held, "t": ends})
+    held = {
+        field.name: np.repeat(value[-1:], 2, axis=0)
+        for field in fields(Samples)
+        if (value := getattr(samples, field.name)) is not None
+    }
+    return replace(samples, **{**held, "t": ends})
 
 
 def _error(motion: MotionTracking | None, times: FloatArray) -> FloatArray | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from cmbot.arrays import FloatArray
@@ -31,7 +33,7 @@ def thinned(t: FloatArray, y: FloatArray, most: int) -> tuple[FloatArray, FloatA
     ends = np.linspace(0, len(t), (most - 2) // 2 + 1).astype(np.intp)
     extremes = [
         first + at
-        for first, last in zip(ends[:-1], ends[1:], strict=True)
+        for first, last in pairwise(ends)
         for at in (int(y[first:last].argmin()), int(y[first:last].argmax()))
     ]
     kept = np.unique([0, *extremes, len(t) - 1])

@@ -166,6 +166,8 @@ function start(begin) {
       pause: () => player.pause(),
       compare: (how) => player.compare(how),
       magnify: (factor) => player.magnify(factor),
+      resetView: () => player.stage.resetView(),
+      draw: () => player.stage.render(),
       still: () => player.stage.still(),
       pose: (link, arm = "planned") => player.stage.pose(arm, data.links.indexOf(link)),
     };

@@ -189,7 +189,8 @@ class Stage {
     const { camera, controls } = this.viewer;
     const box = this.view.getBoundingClientRect();
     const bar = document.getElementById("bar").getBoundingClientRect();
-    const height = box.height, free = Math.min(Math.max(bar.top - box.top, 0.3 * height), height);
+    const height = box.height, covered = bar.height > 0 ? box.bottom - bar.top : 0;
+    const free = Math.min(Math.max(height - covered, 0.3 * height), height);
     const width = this.beside ? box.width / 2 : box.width;
     camera.fov = 36;
     const metresPerPixel = (2 * 1.05 * radius) / Math.min(free, width);

@@ -1,0 +1,146 @@
+"""A page's motion as a video: headless Chromium draws the frames, ffmpeg puts them together."""
+
+from __future__ import annotations
+
+import base64
+import shutil
+import subprocess
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cmbot.errors import InputError, MissingExtra
+
+__all__ = ["film"]
+
+FRAME_RATE = 25
+SIZE = (1280, 720)
+_EXTRA = "video"
+# A container's root has no sandbox; SwiftShader draws WebGL without a graphics card; no network is needed.
+_ARGUMENTS = (
+    "--headless=new",
+    "--no-sandbox",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+    "--disable-dev-shm-usage",
+    "--disable-background-networking",
+    "--no-first-run",
+    "--hide-scrollbars",
+    "--host-resolver-rules=MAP * ~NOTFOUND",
+)
+_BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+
+
+def film(
+    page: str,
+    path: str | Path,
+    *,
+    speed: float = 1.0,
+    tell: Callable[[float], None] = lambda _: None,
+) -> None:
+    """Film a replay page from its start to its end.
+
+    Parameters
+    ----------
+    page : str
+        HTML, from `replay_page`.
+    path : str or Path
+        Video to write; ffmpeg knows by its suffix what it is to be, such as ``.mp4``. It appears whole or not
+        at all.
+    speed : float
+        Seconds of motion in a second of video.
+    tell : callable
+        Called with the share that has been filmed, after every tenth.
+
+    Raises
+    ------
+    MissingExtra
+        When selenium, Chromium with its driver, or ffmpeg is not installed.
+    InputError
+        When `speed` is not above 0, or the video cannot be written.
+    """
+    path = Path(path)
+    if not (np.isfinite(speed) and speed > 0):
+        raise InputError("film", "speed", speed, "a number above 0")
+    encoder = _program("ffmpeg", ("ffmpeg",), "apt-get install ffmpeg")
+    browser = _program("chromium", _BROWSERS, "apt-get install chromium chromium-driver")
+    driver = _program("chromedriver", ("chromedriver",), "apt-get install chromium-driver")
+    draft = path.parent / f".{uuid.uuid4().hex}{path.suffix}"
+    try:
+        with _opened(page, browser, driver) as chrome:
+            _encode(encoder, draft, str(path), _frames(chrome, speed, tell))
+        draft.replace(path)
+    except OSError as error:
+        got = f"a file that cannot be written ({error.strerror or error})"
+        raise InputError(str(path), "", got, "a path where a file can be written") from error
+    finally:
+        draft.unlink(missing_ok=True)
+
+
+def _program(name: str, names: tuple[str, ...], command: str) -> str:
+    found = next(filter(None, map(shutil.which, names)), None)
+    if found is None:
+        raise MissingExtra(name, _EXTRA, command)
+    return found
+
+
+@contextmanager
+def _opened(page: str, browser: str, driver: str) -> Iterator[Any]:
+    """Open a page in a browser of its own, without its controls."""
+    try:
+        from selenium import webdriver
+    except ImportError as error:
+        raise MissingExtra("selenium", _EXTRA) from error
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder) / "page.html"
+        place.write_text(page, encoding="utf-8", errors="replace", newline="\n")
+        options = webdriver.ChromeOptions()
+        options.binary_location = browser
+        for argument in (*_ARGUMENTS, f"--user-data-dir={folder}/profile"):
+            options.add_argument(argument)
+        chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
+        try:
+            width, height = SIZE
+            screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
+            chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+            chrome.get(place.as_uri())
+            chrome.execute_script("document.body.classList.add('film'); cmbotReplay.resetView()")
+            yield chrome
+        finally:
+            chrome.quit()
+
+
+def _frames(chrome: Any, speed: float, tell: Callable[[float], None]) -> Iterator[bytes]:
+    start, end = chrome.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
+    count = max(int(np.ceil((end - start) / speed * FRAME_RATE)), 1) + 1
+    for k, time in enumerate(np.linspace(start, end, count)):
+        chrome.execute_script("cmbotReplay.seek(arguments[0]); cmbotReplay.draw()", float(time))
+        shot = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "jpeg", "quality": 92})
+        yield base64.b64decode(shot["data"])
+        if (10 * k) // count > (10 * (k - 1)) // count:
+            tell(k / count)
+
+
+def _encode(encoder: str, draft: Path, target: str, frames: Iterator[bytes]) -> None:
+    words = [encoder, "-loglevel", "error", "-nostdin", "-f", "image2pipe", "-c:v", "mjpeg"]
+    words += ["-framerate", str(FRAME_RATE), "-i", "-", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    with tempfile.TemporaryFile() as said:
+        process = subprocess.Popen([*words, str(draft.absolute())], stdin=subprocess.PIPE, stderr=said)
+        try:
+            with process.stdin or said as pipe:
+                for frame in frames:
+                    pipe.write(frame)
+        except BrokenPipeError:
+            pass  # it says why itself
+        finally:
+            status = process.wait()
+        if status:
+            said.seek(0)
+            reason = said.read().decode("utf-8", "replace").strip().splitlines() or ["no reason given"]
+            expected = "a file that ffmpeg can write, such as FILE.mp4"
+            raise InputError(target, "", f"a refusal of ffmpeg ({reason[-1]})", expected)

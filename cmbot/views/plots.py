@@ -1,0 +1,265 @@
+"""Plots of a plan and of its tracking errors for papers and notebooks, drawn with matplotlib."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from io import BytesIO
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cmbot.arrays import FloatArray
+from cmbot.errors import InputError, MissingExtra
+from cmbot.planning import Plan, Samples
+from cmbot.simulation import MotionTracking, Tracking
+from cmbot.views.charts import Chart, charts
+from cmbot.views.thinning import thinned
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+__all__ = ["figure_files", "plot", "require_matplotlib"]
+
+# Okabe and Ito's colours: told apart with any colour vision, and these two in grey, too.
+_BASELINE, _PLANNED = "#E69F00", "#0072B2"
+_COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}
+_JOINT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")
+_DASHES = ("-", "--", "-.", ":")
+# Inches: as wide as a page's text.
+_WIDTH, _HEIGHT = 6.7, 2.6
+_MOST_POINTS = 1000
+# Keys are literals of matplotlib's own to its type hints.
+_STYLE: dict[Any, Any] = {
+    "font.size": 8.0,
+    "axes.titlesize": 8.0,
+    "axes.labelsize": 8.0,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.fontsize": 7.5,
+    "legend.frameon": False,
+    "lines.linewidth": 1.1,
+    "figure.dpi": 150.0,
+}
+_LABELS = {"torque": "guardrail_torque", "clearance": "clearance", "deviation": "tool_deviation"}
+_QUANTITIES = ("angle", "velocity", "acceleration", "jerk", "torque")
+
+
+def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
+    """Draw a plan or a simulation.
+
+    Of a plan: the torque on the guardrail with its floor; every joint's angle, velocity, acceleration, jerk
+    and torque as shares of their bounds (compare Chang 2021, Figures 9-14 and 19-24); the clearance with its
+    margin; the tool's deviation with its bound. Of a simulation: the tracking error along each axis with its
+    static part (compare Figures 16 and 26), its dynamic part, and what is left of that after the stop.
+
+    Parameters
+    ----------
+    result : Plan or Tracking
+
+    Returns
+    -------
+    tuple of matplotlib.figure.Figure
+        Each one's label names it: ``figure.savefig(f"{figure.get_label()}.pdf")``.
+
+    Raises
+    ------
+    MissingExtra
+        When matplotlib is not installed.
+    InputError
+        When `result` is neither.
+    """
+    if not isinstance(result, Plan | Tracking):
+        raise InputError("cmbot.plot", "result", type(result).__name__, "a Plan or a Tracking")
+    require_matplotlib()
+    import matplotlib as mpl
+
+    with mpl.rc_context(_STYLE):
+        if isinstance(result, Tracking):
+            return _error(result), _dynamic(result), *_residual(result)
+        # Of a clearance that is infinite there is no curve.
+        torque, *others = (_chart(chart) for chart in charts(result, None) if chart.curves)
+        return torque, _joints(result), *others
+
+
+def require_matplotlib() -> None:
+    """Refuse to go on without matplotlib; worth asking before a long computation.
+
+    Raises
+    ------
+    MissingExtra
+        When it is not installed.
+    """
+    try:
+        import matplotlib as mpl
+    except ImportError as error:
+        raise MissingExtra("matplotlib", "plots") from error
+    del mpl
+
+
+def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:
+    """Yield each figure as a PNG and as an SVG file, its name and its content.
+
+    The same figures give the same bytes, as long as matplotlib stays the same.
+
+    Parameters
+    ----------
+    figures : iterable of matplotlib.figure.Figure
+        From `plot`.
+    """
+    import matplotlib as mpl
+
+    with mpl.rc_context({"svg.hashsalt": "cmbot"}):
+        for figure in figures:
+            for suffix, metadata in (("png", {"Software": None}), ("svg", {"Date": None})):
+                content = BytesIO()
+                figure.savefig(content, format=suffix, metadata=metadata)
+                yield f"{figure.get_label()}.{suffix}", content.getvalue()
+
+
+def _chart(chart: Chart) -> Figure:
+    """Draw what the report's page draws, too."""
+    figure = _figure(_LABELS[chart.key], _HEIGHT)
+    axes = figure.subplots()
+    for curve in chart.curves:
+        _line(axes, curve.t, curve.y, curve.motion)
+    # What has to be seen, and no curve beyond it.
+    low, high = chart.axis
+    low = min([low, *(float(curve.y.min()) for curve in chart.curves)])
+    high = max([high, *(float(curve.y.max()) for curve in chart.curves)])
+    axes.set_ylim(low, high)
+    lower, upper = chart.bounds
+    if lower is not None:
+        _forbidden(axes, low, lower)
+    if upper is not None:
+        _forbidden(axes, upper, high)
+    for level, name in chart.marks:
+        axes.axhline(level, color="black", linewidth=0.8, linestyle="--", label=name)
+    if any(curve.t[0] < 0 for curve in chart.curves):
+        axes.axvline(0.0, color="0.6", linewidth=0.6)
+        axes.set_xlabel("time, s (the approach before 0)")
+    else:
+        axes.set_xlabel("time, s")
+    axes.set_ylabel(chart.unit)
+    axes.set_title(chart.title, loc="left")
+    _legend(figure, axes)
+    return figure
+
+
+def _joints(plan: Plan) -> Figure:
+    """Draw both motions' joints, a row a quantity; shares of the bounds, what is beyond them shaded."""
+    figure = _figure("joints", 8.0)
+    grid = figure.subplots(len(_QUANTITIES), 2, sharex=True, squeeze=False)
+    motions = (("baseline", plan.baseline), ("planned", plan.samples))
+    for column, (name, samples) in enumerate(motions):
+        grid[0, column].set_title(name, loc="left")
+        grid[-1, column].set_xlabel("time, s")
+        for row, (quantity, shares) in enumerate(zip(_QUANTITIES, _shares(plan, samples), strict=True)):
+            axes = grid[row, column]
+            if column == 0:
+                axes.set_ylabel(f"{quantity},\nshare of bound")
+            # A joint that turns without end has no range to take a share of.
+            reach = 1.15 * max(1.0, float(np.abs(shares[np.isfinite(shares)]).max(initial=0.0)))
+            axes.set_ylim(-reach, reach)
+            _forbidden(axes, 1.0, reach)
+            _forbidden(axes, -reach, -1.0)
+            for joint in range(plan.robot.dof):
+                t, y = thinned(samples.t, shares[:, joint], _MOST_POINTS)
+                colour = _JOINT_COLOURS[joint % len(_JOINT_COLOURS)]
+                dashes = _DASHES[joint // len(_JOINT_COLOURS) % len(_DASHES)]
+                axes.plot(t, y, color=colour, linestyle=dashes, linewidth=0.9)
+    names = plan.robot.joints
+    lines = grid[0, 1].get_lines()
+    figure.align_ylabels(list(grid[:, 0]))
+    figure.legend(lines, names, loc="outside lower center", ncols=min(len(names), 7))
+    return figure
+
+
+def _shares(plan: Plan, samples: Samples) -> tuple[FloatArray, ...]:
+    """Return angle, velocity, acceleration, jerk and torque, each (N, d), as shares of their bounds."""
+    limits = plan.robot.limits
+    middle, half = 0.5 * (limits.upper + limits.lower), 0.5 * (limits.upper - limits.lower)
+    with np.errstate(invalid="ignore"):
+        angle = np.where(np.isfinite(half), (samples.q - middle) / half, np.nan)
+    return (
+        angle,
+        samples.v / limits.velocity,
+        samples.a / limits.acceleration,
+        samples.j / limits.jerk,
+        samples.joint_torque / limits.torque,
+    )
+
+
+def _error(tracking: Tracking) -> Figure:
+    figure, rows = _axis_rows("tracking_error", "tracking error")
+    for number, axes in enumerate(rows):
+        for name, motion in _motions(tracking):
+            _line(axes, motion.t, 1e3 * motion.error[:, number], name)
+        for _, motion in _motions(tracking):
+            static = 1e3 * motion.static[:, number]
+            axes.plot(motion.t, static, color="black", linewidth=0.7, linestyle=":", label="static part")
+            axes.axvline(motion.stop, color="0.6", linewidth=0.6)
+    _legend(figure, rows[0])
+    return figure
+
+
+def _dynamic(tracking: Tracking) -> Figure:
+    figure, rows = _axis_rows("tracking_dynamic", "dynamic part")
+    for number, axes in enumerate(rows):
+        for name, motion in _motions(tracking):
+            _line(axes, motion.t, 1e3 * motion.dynamic[:, number], name)
+            axes.axvline(motion.stop, color="0.6", linewidth=0.6)
+    _legend(figure, rows[0])
+    return figure
+
+
+def _residual(tracking: Tracking) -> tuple[Figure, ...]:
+    """Draw the dynamic part after the stop; nothing where nobody watched."""
+    if any(motion.figures.residual is None for _, motion in _motions(tracking)):
+        return ()
+    figure, rows = _axis_rows("tracking_residual", "dynamic part", "time after the stop, s")
+    for number, axes in enumerate(rows):
+        for name, motion in _motions(tracking):
+            after = motion.t >= motion.stop
+            _line(axes, motion.t[after] - motion.stop, 1e3 * motion.dynamic[after, number], name)
+    _legend(figure, rows[0])
+    return (figure,)
+
+
+def _motions(tracking: Tracking) -> tuple[tuple[str, MotionTracking], ...]:
+    return ("baseline", tracking.baseline), ("planned", tracking.planned)
+
+
+def _axis_rows(label: str, what: str, time: str = "time, s") -> tuple[Figure, Sequence[Axes]]:
+    """Return a figure with a row for each of x, y and z."""
+    figure = _figure(label, 5.0)
+    rows: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
+    for axis, axes in zip("xyz", rows, strict=True):
+        axes.set_ylabel(f"{what}\nalong {axis}, mm")
+    rows[-1].set_xlabel(time)
+    figure.align_ylabels(list(rows))
+    return figure, rows
+
+
+def _figure(label: str, height: float) -> Figure:
+    # Without pyplot: no window, no state that is shared with the caller's own plots.
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(_WIDTH, height), layout="constrained")
+    figure.set_label(label)
+    return figure
+
+
+def _line(axes: Axes, t: FloatArray, y: FloatArray, motion: str) -> None:
+    t, y = thinned(t, y, _MOST_POINTS)
+    axes.plot(t, y, color=_COLOURS[motion], label=motion)
+
+
+def _forbidden(axes: Axes, low: float, high: float) -> None:
+    axes.axhspan(low, high, color="0.85", linewidth=0, zorder=0)
+
+
+def _legend(figure: Figure, axes: Axes) -> None:
+    # A label that both motions have is named once.
+    handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
+    figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=len(handles))

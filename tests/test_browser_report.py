@@ -1,0 +1,347 @@
+"""The report page in a browser without a network: view, plots and time go together, and nothing else runs."""
+
+import base64
+import dataclasses
+import io
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from browser import chromium
+from PIL import Image
+from selenium import webdriver
+from selenium.webdriver.common.action_chains import ActionChains
+
+from cmbot.planning import Plan
+from cmbot.simulation import Tracking, simulate
+from cmbot.views import report
+
+pytestmark = pytest.mark.browser
+
+EVIL = "</script><script>window.hacked=1</script><img src=x onerror='window.hacked=2'>\"'`${hacked}\u2028"
+
+
+@pytest.fixture(scope="module")
+def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
+        screen = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def tracking(triangle_plan: Plan) -> Tracking:
+    return simulate(triangle_plan)
+
+
+@pytest.fixture(scope="module")
+def page(triangle_plan: Plan, tracking: Tracking, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    report(triangle_plan, path, tracking=tracking)
+    return path
+
+
+@pytest.fixture
+def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
+    """The browser with the page open at time 0, paused, scrolled to its top."""
+    if chrome.current_url != page.as_uri():
+        open_page(chrome, page)
+    chrome.execute_script("cmbotReplay.pause(); cmbotReplay.compare('ghost'); window.scrollTo(0, 0)")
+    chrome.execute_script("cmbotReplay.seek(0)")
+    return chrome
+
+
+def open_page(chrome: webdriver.Chrome, page: Path) -> None:
+    for kind in ("browser", "performance"):
+        chrome.get_log(kind)  # of the page before
+    chrome.get(page.as_uri())
+    next_frame(chrome)
+
+
+def next_frame(chrome: webdriver.Chrome) -> None:
+    chrome.execute_async_script(
+        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
+    )
+
+
+def picture(chrome: webdriver.Chrome) -> np.ndarray:
+    next_frame(chrome)
+    png = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")).astype(int)
+
+
+def console_errors(chrome: webdriver.Chrome) -> list[str]:
+    return [entry["message"] for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def cursors(chrome: webdriver.Chrome) -> np.ndarray:
+    """Where the cursor of every plot is, as a share of the plot's width."""
+    return np.array(
+        chrome.execute_script(
+            """return [...document.querySelectorAll("svg")].map((svg) => {
+                const frame = svg.querySelector(".frame"), left = Number(frame.getAttribute("x"));
+                const x = Number(svg.querySelector(".cursor").getAttribute("x1"));
+                return (x - left) / Number(frame.getAttribute("width"));
+            })"""
+        )
+    )
+
+
+def tool_of(chrome: webdriver.Chrome, arm: str) -> np.ndarray:
+    link = chrome.execute_script("return cmbotReplay.links.at(-1)")
+    pose = chrome.execute_script("return cmbotReplay.pose(...arguments)", link, arm)
+    return np.reshape(pose, (4, 4))[:3, 3]
+
+
+def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
+    chrome: webdriver.Chrome, page: Path
+) -> None:
+    open_page(chrome, page)
+    chrome.execute_script("cmbotReplay.seek(5)")
+    next_frame(chrome)
+    events = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]
+    asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
+    assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page.as_uri()}
+    assert console_errors(chrome) == []
+    assert chrome.find_elements("id", "failure") == []
+    assert page.stat().st_size < 6_000_000
+
+
+def test_there_is_a_plot_of_everything(shown: webdriver.Chrome, triangle_plan: Plan) -> None:
+    labels = shown.execute_script(
+        "return [...document.querySelectorAll('svg')].map((svg) => svg.getAttribute('aria-label'))"
+    )
+    large = ["Torque on the guardrail", "Clearance", "Tool's distance from its path"]
+    large += [f"Tracking error along {axis}" for axis in "xyz"] + ["Bent tool's distance from its path"]
+    small = [
+        f"{quantity} of {joint}"
+        for joint in triangle_plan.robot.joints
+        for quantity in ("angle", "velocity", "acceleration", "jerk", "torque")
+    ]
+    assert [label.split(":")[0] for label in labels] == large + small
+    peaks = [
+        figures.peak_guardrail_torque for figures in (triangle_plan.baseline_figures, triangle_plan.figures)
+    ]
+    approach = triangle_plan.approach
+    assert approach is not None
+    highest = [float(number) for number in re.findall(r"to ([\d.]+) Nm", labels[0])]
+    peaks[1] = max(peaks[1], approach.certificate.figures.peak_guardrail_torque)
+    assert highest == pytest.approx(peaks, abs=0.2)
+    drawn = shown.execute_script(
+        "return [...document.querySelectorAll('path.curve')].map((path) => path.getTotalLength())"
+    )
+    assert len(drawn) == 2 * 4 + 4 * 3 + 2 * 35
+    assert min(drawn) > 20
+
+
+@pytest.mark.parametrize("time", [-5.0, 3.0, 17.5])
+def test_the_slider_moves_arms_and_cursors_together(shown: webdriver.Chrome, time: float) -> None:
+    before = tool_of(shown, "planned")
+    shown.execute_script(
+        """const scrub = document.getElementById("scrub");
+        scrub.value = arguments[0];
+        scrub.dispatchEvent(new Event("input"));""",
+        time,
+    )
+    start, end = shown.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
+    assert end == pytest.approx(22.0)
+    np.testing.assert_allclose(cursors(shown), (time - start) / (end - start), atol=1e-3)
+    assert np.linalg.norm(tool_of(shown, "planned") - before) > 0.05
+    assert shown.find_element("id", "time").text == f"{time:.2f} / {end:.2f} s"
+
+
+def test_a_click_and_a_drag_in_a_plot_move_the_time(shown: webdriver.Chrome) -> None:
+    plot = shown.find_element("css selector", "#charts-clearance svg")
+    start, end = shown.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
+    left, width, whole = shown.execute_script(
+        """const frame = arguments[0].querySelector(".frame");
+        return [Number(frame.getAttribute("x")), Number(frame.getAttribute("width")), arguments[0].clientWidth]""",
+        plot,
+    )
+    offset = round(left + 0.75 * width - 0.5 * whole)
+    expected = start + (offset + 0.5 * whole - left) / width * (end - start)
+    ActionChains(shown, duration=0).move_to_element_with_offset(plot, offset, 0).click_and_hold().perform()
+    assert shown.execute_script("return cmbotReplay.time") == pytest.approx(expected, abs=0.06)
+    ActionChains(shown, duration=0).move_by_offset(-100, 0).release().perform()
+    moved = expected - 100 / width * (end - start)
+    assert shown.execute_script("return cmbotReplay.time") == pytest.approx(moved, abs=0.06)
+    np.testing.assert_allclose(cursors(shown), (moved - start) / (end - start), atol=3e-3)
+
+
+def test_the_values_are_those_of_the_plan(
+    shown: webdriver.Chrome, triangle_plan: Plan, tracking: Tracking
+) -> None:
+    shown.execute_script("cmbotReplay.seek(8)")
+    texts = [caption.text for caption in shown.find_elements("css selector", ".chart figcaption")]
+    values = [[float(x) for x in re.findall(r"(?:planned|baseline) (-?[\d.]+)", text)] for text in texts]
+
+    def both(planned: float, baseline: float, tolerance: float) -> object:
+        return pytest.approx([planned, baseline], abs=tolerance)
+
+    k = int(np.argmin(np.abs(triangle_plan.samples.t - 8.0)))
+    motions = (triangle_plan.samples, triangle_plan.baseline)
+    assert values[0] == both(*(float(np.linalg.norm(m.guardrail_torque[k])) for m in motions), 0.3)
+    assert values[1] == both(*(1e3 * float(m.clearance[k]) for m in motions), 0.3)
+    i = int(np.argmin(np.abs(tracking.planned.t - 8.0)))
+    for axis in range(3):
+        errors = (1e3 * float(m.error[i, axis]) for m in (tracking.planned, tracking.baseline))
+        assert values[3 + axis] == both(*errors, 0.15)
+
+
+def test_both_motions_play(shown: webdriver.Chrome) -> None:
+    before = {arm: tool_of(shown, arm) for arm in ("planned", "baseline")}
+    shown.execute_script("document.activeElement.blur()")
+    shown.find_element("tag name", "body").send_keys(" ")
+    reached = shown.execute_async_script(
+        """const done = arguments[0];
+        const wait = () => (cmbotReplay.time > 1.5 ? done(cmbotReplay.playing) : requestAnimationFrame(wait));
+        wait();"""
+    )
+    assert reached is True
+    shown.find_element("tag name", "body").send_keys(" ")
+    stopped = shown.execute_script("return cmbotReplay.time")
+    next_frame(shown)
+    assert shown.execute_script("return [cmbotReplay.time, cmbotReplay.playing]") == [stopped, False]
+    for arm, start in before.items():
+        assert np.linalg.norm(tool_of(shown, arm) - start) > 0.02
+    shown.find_element("tag name", "body").send_keys("\ue014")  # right
+    assert shown.execute_script("return cmbotReplay.time") == pytest.approx(stopped + 0.1)
+
+
+def test_the_picture_is_not_blank_and_changes_with_time(shown: webdriver.Chrome) -> None:
+    start = picture(shown)
+    shown.execute_script("cmbotReplay.seek(10)")
+    middle = picture(shown)
+    assert len(np.unique(start.reshape(-1, 3), axis=0)) > 500
+    view, plots = np.s_[200:700, 20:480], np.s_[200:700, 560:1240]
+    for part, least in ((view, 1000), (plots, 200)):
+        assert (np.abs(start[part] - middle[part]).max(axis=2) > 60).sum() > least
+
+
+def test_side_by_side_each_half_has_its_arm(shown: webdriver.Chrome) -> None:
+    shown.execute_script("cmbotReplay.compare('beside')")
+    halves = picture(shown)[200:700]
+    left, right = halves[:, 20:250], halves[:, 252:482]
+    assert shown.find_element("css selector", ".half.baseline").is_displayed()
+    assert len(np.unique(right.reshape(-1, 3), axis=0)) > 300
+    assert (np.abs(left - right).max(axis=2) > 60).sum() > 500
+    pose = {arm: tool_of(shown, arm) for arm in ("planned", "baseline")}
+    shown.execute_script("cmbotReplay.compare('ghost')")
+    next_frame(shown)
+    for arm, before in pose.items():  # drawn with a borrowed pose, and given back
+        np.testing.assert_allclose(tool_of(shown, arm), before, atol=1e-9)
+
+
+def test_deflection_is_magnified(shown: webdriver.Chrome) -> None:
+    shown.execute_script("cmbotReplay.seek(5)")
+    pictures = []
+    for factor in (0, 100):
+        shown.execute_script(
+            """const slider = document.getElementById("deflection");
+            slider.value = arguments[0];
+            slider.dispatchEvent(new Event("input"));""",
+            factor,
+        )
+        pictures.append(picture(shown)[200:720, 20:480])
+    assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > 60).sum() > 200
+    assert shown.find_element("id", "factor").text == "× 100"
+
+
+def test_small_plots_can_be_zoomed(shown: webdriver.Chrome) -> None:
+    first = "return document.querySelectorAll('.small path.curve')[1].getBBox().height"
+    before = shown.execute_script(first)
+    shown.execute_script("document.getElementById('zoom').click()")
+    assert shown.execute_script(first) > 2 * before
+    shown.execute_script("document.getElementById('zoom').click()")
+    assert shown.execute_script(first) == pytest.approx(before)
+
+
+def test_it_is_dark_where_the_system_is(shown: webdriver.Chrome) -> None:
+    light = picture(shown)
+    features = [{"name": "prefers-color-scheme", "value": "dark"}]
+    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+    dark = picture(shown)
+    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    assert light.mean() > 190
+    assert dark.mean() < 80
+    assert contrast(shown) > 4.5
+
+
+def contrast(chrome: webdriver.Chrome) -> float:
+    """Smallest contrast (WCAG 2) of a colour of text with the paper, light."""
+    names = ("ink", "faint", "planned-ink", "baseline", "bad", "good", "paper")
+    script = "return arguments[0].map((n) => getComputedStyle(document.documentElement).getPropertyValue(`--${n}`))"
+    colours = [value.strip().lstrip("#") for value in chrome.execute_script(script, names)]
+    *texts, paper = (luminance(c if len(c) == 6 else "".join(2 * x for x in c)) for c in colours)
+    return min((max(text, paper) + 0.05) / (min(text, paper) + 0.05) for text in texts)
+
+
+def luminance(colour: str) -> float:
+    parts = np.array([int(colour[k : k + 2], 16) / 255 for k in (0, 2, 4)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_the_printed_page_is_still_and_shows_every_plot(shown: webdriver.Chrome) -> None:
+    shown.execute_script("cmbotReplay.seek(7)")
+    pdf = base64.b64decode(shown.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 10
+    stills = shown.execute_script("return [...document.querySelectorAll('#stills img')].map((i) => i.src)")
+    assert len(stills) == 4 == len(set(stills))  # the ends of the legs
+    image = Image.open(io.BytesIO(base64.b64decode(stills[0].split(",")[1]))).convert("RGB")
+    assert len(np.unique(np.asarray(image).reshape(-1, 3), axis=0)) > 300
+    assert shown.execute_script("return cmbotReplay.time") == 7
+    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    hidden = shown.execute_script(
+        """const seen = (name) => document.querySelector(name).getBoundingClientRect().height > 0;
+        return [["#bar", "#view", "footer"].filter(seen),
+                [...document.querySelectorAll("svg, .part, #stills")].every((e) => e.getBoundingClientRect().height > 20)]"""
+    )
+    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    assert hidden == [[], True]
+
+
+def test_hostile_names_are_text_and_nothing_else(
+    chrome: webdriver.Chrome, triangle_plan: Plan, tracking: Tracking, tmp_path: Path
+) -> None:
+    scene, robot = triangle_plan.scene, triangle_plan.robot
+    obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
+    scene = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
+    model = robot.model.copy()
+    for number in range(1, model.njoints):
+        model.names[number] = f"{EVIL}{number}"
+    robot = dataclasses.replace(robot, name=EVIL, model=model, visual_model=pin.GeometryModel())  # quick
+    assert robot.joints[0].startswith(EVIL)
+    path = tmp_path / "evil.html"
+    report(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path, tracking=tracking)
+    open_page(chrome, path)
+    chrome.execute_script("cmbotReplay.seek(9)")
+    next_frame(chrome)
+    assert chrome.execute_script("return window.hacked") is None
+    assert chrome.execute_script("return document.querySelector('h1').textContent") == EVIL
+    assert chrome.find_elements("css selector", "img:not(#stills img)") == []
+    joints = chrome.execute_script(
+        "return [...document.querySelectorAll('.joint')].map((e) => e.textContent)"
+    )
+    assert joints == [f"{EVIL}{number}" for number in range(1, 8)]
+    assert EVIL in chrome.execute_script("return document.getElementById('near-label').textContent")
+    assert console_errors(chrome) == []  # the policy had nothing to stop either
+
+
+def test_without_simulation_and_approach_there_is_less(
+    chrome: webdriver.Chrome, short_plan: Plan, tmp_path: Path
+) -> None:
+    bare = dataclasses.replace(short_plan.robot, visual_model=pin.GeometryModel())  # quick
+    path = tmp_path / "short.html"
+    report(dataclasses.replace(short_plan, robot=bare), path)
+    open_page(chrome, path)
+    assert console_errors(chrome) == []
+    assert chrome.execute_script("return [cmbotReplay.start, cmbotReplay.end]") == [0, 4]
+    assert len(chrome.find_elements("css selector", ".chart:not(.small)")) == 3
+    assert not chrome.find_element("id", "bending").is_displayed()
+    assert not chrome.find_element("id", "charts-tracking").is_displayed()
+    assert len(chrome.find_elements("css selector", ".card")) == 5

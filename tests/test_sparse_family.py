@@ -1,0 +1,283 @@
+"""Splines in local unknowns: exact derivatives, exact C3, and the same trajectories as the dense family's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from finite_differences import check_derivative
+from numpy.typing import NDArray
+from scipy import sparse
+from small_scenes import parts, problem_of, short_scene
+
+from cmbot.planning.curvature import convexified, state_curvature
+from cmbot.planning.families import FixedKnots, WhitenedSplines
+from cmbot.planning.local_splines import LocalSplines
+from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.slides import TaskAtViaPoints
+from cmbot.planning.sparse_family import LocalKnots
+from cmbot.planning.sparse_place import TorquePlace
+from cmbot.planning.spline_space import SplineSpace
+from cmbot.planning.state_functions import StateFunction, States
+from cmbot.planning.working_set import WorkingSet
+from cmbot.robot import Postures, Robot
+
+FloatArray = NDArray[np.float64]
+WEIGHT = 1e-3
+
+
+def family_of(kind: str) -> LocalKnots:
+    """A spline that is not that of least jerk, through the via-points of the short scene."""
+    scene = short_scene()
+    robot, task, _, _ = parts(scene)
+    problem, _, _ = problem_of(scene)
+    t, via_points = problem.space.t, problem.family.via_points
+    splines = LocalSplines(SplineSpace(t), robot.limits)
+    wild = 0.1 * splines.unit * np.random.default_rng(1).normal(size=splines.unit.shape)
+    at = TaskAtViaPoints(postures=Postures(robot), task=task, points=task.path.position(t))
+    return LocalKnots(
+        splines,
+        via_points,
+        splines.least_jerk(via_points) + wild,
+        WEIGHT,
+        task=None if kind == "fixed" else at,
+        pinned=kind == "pinned",
+    )
+
+
+@pytest.fixture(scope="module", params=["fixed", "free", "pinned"])
+def family(request: pytest.FixtureRequest) -> LocalKnots:
+    return family_of(request.param)
+
+
+def problem_around(family: LocalKnots) -> TorqueProblem:
+    scene = short_scene()
+    robot, task, _, clearances = parts(scene)
+    return TorqueProblem(robot, task, family, clearances, scene.planner, resting=(0,))
+
+
+def step(family: LocalKnots, rng: np.random.Generator, size: float = 0.05) -> FloatArray:
+    return np.asarray(size * rng.normal(size=family.dimension))
+
+
+@pytest.mark.parametrize("n", [5, 6, 9, 30])
+def test_local_splines_reach_every_spline_once(n: int, cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    space = SplineSpace(np.cumsum(rng.uniform(0.2, 0.6, n)))
+    splines = LocalSplines(space, cmbot_robot.limits)
+    q = rng.normal(size=(n, 7))
+    least = space.least_jerk(q)
+    z = splines.columns @ np.vstack([splines.least_jerk(q), q])
+    np.testing.assert_allclose(z / space.unit[:, None], least / space.unit[:, None], rtol=0, atol=1e-10)
+    u = np.vstack([rng.normal(size=(n - 4, 7)), q])
+    trajectory = space.trajectory(splines.columns @ u)
+    np.testing.assert_array_equal(trajectory.q, q)
+    for order in range(4):
+        scale = np.abs(trajectory.extrema(order).value).max()
+        assert np.abs(trajectory.jumps(order)).max() < 1e-11 * scale
+        if order > 0:
+            assert np.abs(trajectory.evaluate(space.t[[0, -1]], order)).max() < 1e-11 * scale
+
+
+def test_each_spline_lives_on_four_segments(cmbot_robot: Robot) -> None:
+    splines = LocalSplines(SplineSpace(np.linspace(0, 5, 12)), cmbot_robot.limits)
+    for column in splines.columns.toarray().T:
+        knots = np.unique(np.flatnonzero(column) // 3)
+        assert np.ptp(knots) <= 4
+
+
+def test_rows_are_the_splines_and_their_derivatives(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    space = SplineSpace(np.cumsum(rng.uniform(0.2, 0.6, 9)))
+    splines = LocalSplines(space, cmbot_robot.limits)
+    times = np.append(rng.uniform(space.t[0], space.t[-1], 20), space.t)
+    rows = splines.rows(times)
+    for order in range(4):
+        entries = (rows.weight[order], (rows.row, rows.column))
+        got = sparse.csr_array(entries, shape=(len(times), splines.columns.shape[1]))
+        expected = (space.design(times, order) @ splines.columns).toarray()
+        np.testing.assert_allclose(got.toarray(), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_a_unit_uses_up_a_bound(cmbot_robot: Robot) -> None:
+    space = SplineSpace(np.linspace(0, 5, 12))
+    splines, limits = LocalSplines(space, cmbot_robot.limits), cmbot_robot.limits
+    for number in range(splines.count):
+        u = np.zeros((splines.columns.shape[1], 7))
+        u[number] = splines.unit[number]
+        trajectory = space.trajectory(splines.columns @ u)
+        bounds = (limits.velocity, limits.acceleration, limits.jerk)
+        shares = [trajectory.extrema(k).largest()[0] / bound for k, bound in enumerate(bounds, start=1)]
+        assert np.max(shares, axis=0) == pytest.approx(np.ones(7), rel=0.05)
+
+
+def test_the_dense_family_has_the_same_trajectories(rng: np.random.Generator) -> None:
+    """With the same via-points, whatever the numbers: both span all splines through them."""
+    family = family_of("fixed")
+    whitened = WhitenedSplines(family.space, family.splines.limits)
+    moved = family.rebuilt(step(family, rng), WEIGHT)
+    z = moved.knots(moved.start)
+    numbers = np.linalg.lstsq(whitened.basis, z - whitened.response @ moved.via_points, rcond=None)[0]
+    dense = FixedKnots(whitened, moved.via_points, numbers, WEIGHT)
+    np.testing.assert_allclose(dense.knots(dense.start), z, rtol=0, atol=1e-9)
+    least = moved.splines.least_jerk(moved.via_points)
+    still = LocalKnots(moved.splines, moved.via_points, least, WEIGHT)
+    got = moved.smoothing()[0] - still.smoothing()[0]
+    assert got == pytest.approx(dense.smoothing(dense.start)[0], rel=1e-9)
+
+
+def test_steps_keep_the_smoothness_and_the_task(family: LocalKnots, rng: np.random.Generator) -> None:
+    moved = family.rebuilt(step(family, rng, 0.3), WEIGHT)
+    trajectory = family.space.trajectory(moved.knots(moved.start))
+    for order in range(4):
+        scale = np.abs(trajectory.extrema(order).value).max()
+        assert np.abs(trajectory.jumps(order)).max() < 1e-11 * scale
+    robot, task, _, _ = parts(short_scene())
+    at = Postures(robot).at(moved.via_points)
+    points = task.path.position(family.space.t)
+    assert np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max() < 1e-9
+    still = np.abs(moved.via_points - family.via_points).max(axis=1) == 0
+    np.testing.assert_array_equal(still[1:], not family.sliding)
+    assert still[0] == (not family.sliding or family.slides < len(still))
+
+
+def test_knots(family: LocalKnots, rng: np.random.Generator) -> None:
+    """The knots' derivatives by the unknowns, at the start of the family."""
+    A = rng.normal(size=family.knots(family.start).shape)
+    pull = (family.splines.columns.T @ A).ravel()
+    check_derivative(
+        lambda x: np.sum(A * family.knots(x)), family.start, family.map.T @ pull, step=1e-4, rtol=1e-6
+    )
+
+
+def test_chain(family: LocalKnots, rng: np.random.Generator) -> None:
+    times = rng.uniform(0, 4, 5)
+    weights = rng.normal(size=(3, 5, 7))
+    rows, space = family.rows(times), family.space
+
+    def combined(x: FloatArray) -> FloatArray:
+        z = family.knots(x)
+        return sum(np.sum(w * (space.design(times, k) @ z), axis=1) for k, w in enumerate(weights))
+
+    got = family.chain(family.start, rows, *weights) @ family.map
+    check_derivative(combined, family.start, got.toarray(), step=1e-4, rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(
+        (np.hstack(weights)[:, None] @ (family.states(rows).toarray().reshape(5, 21, -1)))[:, 0],
+        family.chain(family.start, rows, *weights).toarray(),
+        rtol=0,
+        atol=1e-12,
+    )
+    joint, factor = rng.integers(0, 7, 5), rng.normal(size=5)
+    for order in range(4):
+
+        def one(x: FloatArray, order: int = order) -> FloatArray:
+            return factor * (space.design(times, order) @ family.knots(x))[np.arange(5), joint]
+
+        got = family.chain_one(family.start, rows, order, joint, factor) @ family.map
+        check_derivative(one, family.start, got.toarray(), step=1e-4, rtol=1e-6, atol=1e-5)
+
+
+def along(function: Callable[[FloatArray], float], d: FloatArray, h: float) -> float:
+    """Second derivative at zero along `d`, by differences of fourth order."""
+    near, far = (function(k * h * d) + function(-k * h * d) - 2 * function(0 * d) for k in (1, 2))
+    return (16 * near - far) / (12 * h**2)
+
+
+def test_smoothing(family: LocalKnots, rng: np.random.Generator) -> None:
+    def smoothing(x: FloatArray) -> float:
+        return family.rebuilt(x, WEIGHT).smoothing()[0]
+
+    value, by_u = family.smoothing()
+    check_derivative(smoothing, family.start, family.map.T @ by_u, step=1e-4, rtol=1e-6, atol=1e-9)
+    H = family.smoothing_curvature + family.bend_curvature(by_u)
+    for _ in range(3):
+        d = step(family, rng, 1.0)
+        assert d @ (H @ d) == pytest.approx(along(smoothing, d, 1e-3), rel=1e-4)
+    jerk = family.space.trajectory(family.knots(family.start)).evaluate(_gauss(family)[0], 3)
+    share = (jerk / family.splines.limits.jerk) ** 2
+    assert value == pytest.approx(0.5 * WEIGHT * _gauss(family)[1] @ share.mean(axis=1))
+
+
+def _gauss(family: LocalKnots) -> tuple[FloatArray, FloatArray]:
+    t = family.space.t
+    nodes, weights = np.polynomial.legendre.leggauss(4)
+    h = np.diff(t)[:, None]
+    return (t[:-1, None] + 0.5 * h * (1 + nodes)).ravel(), (0.5 * h * weights).ravel() / (t[-1] - t[0])
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_curvature_of_the_state_functions(
+    family: LocalKnots, number: int, rng: np.random.Generator
+) -> None:
+    """Of the guardrail torque, a joint's torque and the tool's deviation, slides and all."""
+    problem = problem_around(family)
+    function: StateFunction = (problem.torque, *problem.functions)[number]
+    times, multipliers = np.array([0.3, 1.9, 3.3]), np.array([1.0, 2.0, 0.5])
+    component = np.full(3, 1, dtype=np.intp) if number == 1 else np.zeros(3, dtype=np.intp)
+
+    def value(x: FloatArray) -> float:
+        states = problem.states(family, x, times)
+        return float(multipliers @ function.linearise(states, component).value)
+
+    states = problem.states(family, family.start, times)
+    at = function.linearise(states, component)
+    by_u = family.chain(family.start, family.rows(times), at.d_q, at.d_v, at.d_a).T @ multipliers
+    H = family.map.T @ state_curvature(family, function, states, component, multipliers, 1.0) @ family.map
+    H = H + family.bend_curvature(by_u)
+    for _ in range(3):
+        d = step(family, rng, 1.0)
+        expected = along(value, d, 1e-3)
+        assert d @ (H @ d) == pytest.approx(expected, rel=2e-3, abs=1e-6 * d @ d)
+
+
+def test_the_place_knows_its_derivatives(family: LocalKnots, rng: np.random.Generator) -> None:
+    problem = problem_around(family)
+    working = WorkingSet(problem)
+    working.add_everywhere(np.array([0.4, 1.7, 3.1]))
+    place = TorquePlace(problem, working, family, 0.9)
+    first = place.first
+    check_derivative(lambda x: place.moved(x).first.objective, family.start, first.gradient, rtol=1e-5)
+    check_derivative(
+        lambda x: place.moved(x).first.value, family.start, first.jacobian.toarray(), rtol=1e-5, atol=1e-6
+    )
+    second = place.second(np.ones(len(first.value)))
+    assert np.linalg.eigvalsh(second.hessian.toarray()).min() > 0
+    # What never exceeds the deviation does not, and is equal to it where the tool is off that way.
+    faces = second.face_value.reshape(-1, 3)
+    sizes = np.cumsum(working.sizes)
+    deviation = first.value[sizes[1] : sizes[2]]
+    assert (faces <= deviation + 1e-9).all()
+
+
+def test_convexified(rng: np.random.Generator) -> None:
+    """Positive definite, of the same pattern of blocks, and unchanged where nothing has to be."""
+    blocks = np.repeat(np.arange(12), 5)
+    near = np.abs(blocks[:, None] - blocks) <= 3
+    R = np.where(near, rng.normal(size=(60, 60)), 0.0)
+    H = R + R.T
+    order = rng.permutation(60)
+    shuffled = sparse.csr_array(H[np.ix_(order, order)])
+    got = convexified(shuffled, blocks[order]).toarray()
+    assert np.linalg.eigvalsh(got).min() > 0
+    np.testing.assert_allclose(got, got.T, rtol=0, atol=1e-12 * np.abs(got).max())
+    changed = np.abs(got - shuffled.toarray()) > 1e-12
+    assert (blocks[order][:, None] == blocks[order])[changed].all()
+    definite = sparse.csr_array(H + 2 * np.abs(np.linalg.eigvalsh(H)).max() * np.eye(60))
+    assert convexified(definite, blocks) is definite
+
+
+def test_faces_never_exceed_the_deviation(rng: np.random.Generator) -> None:
+    problem = problem_around(family_of("free"))
+    deviation = problem.functions[1]
+    times = rng.uniform(0, 4, 30)
+    states = problem.states(problem.family, problem.family.start, times)
+    q = states.q + 0.01 * rng.normal(size=states.q.shape)
+    states = States(times, q, states.v, states.a)
+    largest = deviation.values(states)[0][:, 0]
+    faces = deviation.faces(states)
+    assert all((face.value <= largest + 1e-9).all() for face in faces)
+    d = rng.normal(size=q.shape)
+    for number, face in enumerate(faces):
+        assert np.abs(face.d_q).max() > 0
+        # The directions stay where they are, so differences have to be taken near the start only.
+        ahead = deviation.faces(States(times, q + 1e-7 * d, states.v, states.a))[number]
+        del ahead
