@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import sys
 import traceback
-from collections.abc import Iterable
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 import typer.main
@@ -19,9 +20,6 @@ from cmbot.cli_simulation import reproduce, simulate
 from cmbot.cli_views import replay, report
 from cmbot.console import JsonOption, QuietOption, err, flat, out, print_json
 from cmbot.errors import CmbotError, InputError, PlanningError, SceneError
-
-if TYPE_CHECKING:
-    from cmbot.planning import Plan
 
 __all__ = ["app", "main"]
 
@@ -38,10 +36,6 @@ app = typer.Typer(
     "Example: [bold]cmbot plan triangle[/bold], then open out/triangle/report.html in a browser.",
     epilog="Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 1 anything else.",
 )
-SceneArgument = Annotated[
-    str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")
-]
-
 
 # The base of all of Typer's complaints about a command line; Typer does not name it.
 _UsageError: Any = typer.BadParameter.__bases__[0]
@@ -120,15 +114,17 @@ def check(
     file: Annotated[
         str, typer.Argument(metavar="FILE", help="A URDF, a scene file, or a shipped scene's name.")
     ],
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
 ) -> None:
     """Inspect a URDF or a scene before anything is planned with it.
 
     Examples: [bold]cmbot check arm.urdf[/bold], [bold]cmbot check triangle[/bold]
     """
     if Path(file).suffix.lower() in (".urdf", ".xml"):
-        _check_urdf(Path(file))
+        _check_urdf(Path(file), as_json=as_json, quiet=quiet)
     else:
-        _check_scene(file)
+        _check_scene(file, as_json=as_json, quiet=quiet)
 
 
 @app.command()
@@ -148,25 +144,32 @@ def doctor() -> None:
         raise typer.Exit(FAILED)
 
 
-def _check_urdf(path: Path) -> None:
+def _check_urdf(path: Path, *, as_json: bool, quiet: bool) -> None:
     from cmbot.robot import inspect_urdf, overview, parse_urdf
     from cmbot.validation import counted
 
     root = parse_urdf(path)
     findings = inspect_urdf(root)
-    for finding in findings:
-        line = f"{finding.severity}: {path}: {finding.key}: got {finding.got}, expected {finding.expected}"
-        out.print(flat(line))
     errors = sum(finding.severity == "error" for finding in findings)
-    warnings = counted(len(findings) - errors, "warning")
+    found = {} if errors else dict(overview(path, root))
+    if as_json:
+        told = [asdict(finding) for finding in findings]
+        print_json(_check_summary(str(path), "urdf", found, findings=told, usable=not errors))
+    else:
+        for finding in findings:
+            if finding.severity == "error" or not quiet:
+                where = f"{finding.severity}: {path}: {finding.key}"
+                out.print(flat(f"{where}: got {finding.got}, expected {finding.expected}"))
+    if not (as_json or quiet):
+        warnings = counted(len(findings) - errors, "warning")
+        _print_pairs(found)
+        last = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
+        out.print(f"{last}, {warnings}.")
     if errors:
-        out.print(f"Not usable: {counted(errors, 'error')}, {warnings}.")
         raise typer.Exit(BAD_INPUT)
-    _print_pairs(overview(path, root))
-    out.print(f"OK: no error, {warnings}.")
 
 
-def _check_scene(file: str) -> None:
+def _check_scene(file: str, *, as_json: bool, quiet: bool) -> None:
     from cmbot.planning import examine_scene
 
     try:
@@ -177,8 +180,30 @@ def _check_scene(file: str) -> None:
         # Nothing in it could be read as a scene's.
         expected = "a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)"
         raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
-    _print_pairs(examine_scene(scene))
-    out.print(f"The scene can be planned with: cmbot plan {flat(file)}")
+    found = dict(examine_scene(scene))
+    if as_json:
+        print_json(_check_summary(file, "scene", found))
+    elif not quiet:
+        _print_pairs(found)
+        out.print(f"The scene can be planned with: cmbot plan {flat(file)}")
+
+
+def _check_summary(
+    file: str,
+    kind: str,
+    found: Mapping[str, str],
+    *,
+    findings: Sequence[Mapping[str, object]] = (),
+    usable: bool = True,
+) -> dict[str, Any]:
+    return {
+        "verb": "check",
+        "file": file,
+        "kind": kind,
+        "usable": usable,
+        "findings": list(findings),
+        "found": dict(found),
+    }
 
 
 def _is_file(path: Path) -> bool:
@@ -188,6 +213,12 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _print_pairs(pairs: Iterable[tuple[str, str]]) -> None:
-    for name, value in pairs:
+def _print_pairs(found: Mapping[str, str]) -> None:
+    if out.is_terminal and found:
+        table = Table(show_header=False)
+        for name, value in found.items():
+            table.add_row(name, flat(value))
+        out.print(table)
+        return
+    for name, value in found.items():
         out.print(f"{name:<34}{flat(value)}")

@@ -20,23 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["plan"]
 
-# What of plan.json is in the summary: all but what is long.
-_SUMMARISED = (
-    "status",
-    "baseline",
-    "planned",
-    "approach",
-    "torque_floor",
-    "gap_to_floor",
-    "objective",
-    "compensation",
-    "start",
-    "certificate",
-    "seconds",
-    "options",
-    "versions",
-    "hashes",
-)
+# What of plan.json is too long for a summary, or stands there otherwise.
+_LEFT_OUT = ("format", "scene", "files", "floor", "passes")
 
 
 def plan(
@@ -120,7 +105,7 @@ def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
         "scene": planned.scene.name,
         "directory": str(directory),
         "files": sorted(path.name for path in directory.iterdir()),
-        **{name: data[name] for name in _SUMMARISED},
+        **{name: value for name, value in data.items() if name not in _LEFT_OUT},
         "remarks": list(remarks(planned)),
     }
 

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.console import Console
-from rich.progress import BarColumn, SpinnerColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, ProgressColumn, SpinnerColumn, Task, TextColumn
 from rich.progress import Progress as Bars
 from rich.table import Table
+from rich.text import Text
 
 if TYPE_CHECKING:
     from cmbot.planning import Progress
@@ -35,6 +36,8 @@ JsonOption = Annotated[
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors (and JSON).")]
 
+# Characters of a progress line before what is being done.
+_ROOM_OF_BAR = 44
 # Seconds of the past from which the remaining time is estimated.
 _PAST = 600.0
 
@@ -76,6 +79,15 @@ def _aligned(rows: Sequence[Sequence[str]], text_columns: int) -> Iterator[str]:
         yield "  ".join(padded).rstrip()
 
 
+class _Seconds(ProgressColumn):
+    """How long it has taken; where the amount of work is known, about how long it will take still."""
+
+    def render(self, task: Task) -> Text:
+        elapsed, left = task.elapsed or 0.0, task.time_remaining
+        known = task.total is not None and left is not None
+        return Text(f"{elapsed:.0f} s, about {left:.0f} s left" if known else f"{elapsed:.0f} s")
+
+
 class Narrator:
     """Tells what is being done: a moving line on a terminal, plain lines elsewhere, nothing if so wished.
 
@@ -93,11 +105,9 @@ class Narrator:
         if err.is_terminal and not self._quiet:
             self._bars = Bars(
                 SpinnerColumn(),
-                TextColumn("{task.description}", markup=False),
                 BarColumn(bar_width=16),
-                TimeElapsedColumn(),
-                # Empty as long as nobody knows how much there is to do.
-                TimeRemainingColumn(),
+                _Seconds(),
+                TextColumn("{task.description}", markup=False),
                 console=err,
                 transient=True,
                 speed_estimate_period=_PAST,
@@ -118,8 +128,12 @@ class Narrator:
     def say(self, what: str, share: float | None = None) -> None:
         """Show what is being done, and the share of all there is to do that is done, where that is known."""
         if self._bars is not None:
-            known = {} if share is None else {"total": 1.0, "completed": share}
-            self._bars.update(self._task, description=what, refresh=what != self._said, **known)
+            if share is not None:
+                self._bars.update(self._task, total=1.0, completed=share)
+            # Cut here: rich would rather wrap the columns before it.
+            room = max(err.width - _ROOM_OF_BAR, 10)
+            shown = what if len(what) <= room else f"{what[: room - 1]}…"
+            self._bars.update(self._task, description=shown, refresh=what != self._said)
         elif what != self._said and not self._quiet:
             err.print(what)
         self._said = what

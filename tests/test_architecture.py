@@ -21,7 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 FILES = sorted((ROOT / "cmbot").rglob("*.py"))
 LONGEST_FILE = 330
 # The files of the command line.
-PRINTING = {"cli.py", "cli_simulation.py", "console.py"}
+PRINTING = {"cli.py", "cli_planning.py", "cli_simulation.py", "cli_views.py", "console.py"}
 BROAD = {"Exception", "BaseException"}
 
 

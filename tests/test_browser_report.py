@@ -159,7 +159,8 @@ def test_a_click_and_a_drag_in_a_plot_move_the_time(shown: webdriver.Chrome) -> 
     start, end = shown.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
     left, width, whole = shown.execute_script(
         """const frame = arguments[0].querySelector(".frame");
-        return [Number(frame.getAttribute("x")), Number(frame.getAttribute("width")), arguments[0].clientWidth]""",
+        const [x, width] = ["x", "width"].map((name) => Number(frame.getAttribute(name)));
+        return [x, width, arguments[0].clientWidth];""",
         plot,
     )
     offset = round(left + 0.75 * width - 0.5 * whole)
@@ -264,17 +265,18 @@ def test_it_is_dark_where_the_system_is(shown: webdriver.Chrome) -> None:
     light = picture(shown)
     features = [{"name": "prefers-color-scheme", "value": "dark"}]
     shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-    dark = picture(shown)
+    dark, readable = picture(shown), contrast(shown)
     shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
     assert light.mean() > 190
     assert dark.mean() < 80
-    assert contrast(shown) > 4.5
+    assert min(readable, contrast(shown)) > 4.5
 
 
 def contrast(chrome: webdriver.Chrome) -> float:
-    """Smallest contrast (WCAG 2) of a colour of text with the paper, light."""
+    """Smallest contrast (WCAG 2) of a colour of text with the paper."""
     names = ("ink", "faint", "planned-ink", "baseline", "bad", "good", "paper")
-    script = "return arguments[0].map((n) => getComputedStyle(document.documentElement).getPropertyValue(`--${n}`))"
+    script = """const style = getComputedStyle(document.documentElement);
+        return arguments[0].map((name) => style.getPropertyValue(`--${name}`));"""
     colours = [value.strip().lstrip("#") for value in chrome.execute_script(script, names)]
     *texts, paper = (luminance(c if len(c) == 6 else "".join(2 * x for x in c)) for c in colours)
     return min((max(text, paper) + 0.05) / (min(text, paper) + 0.05) for text in texts)
@@ -298,8 +300,9 @@ def test_the_printed_page_is_still_and_shows_every_plot(shown: webdriver.Chrome)
     shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
     hidden = shown.execute_script(
         """const seen = (name) => document.querySelector(name).getBoundingClientRect().height > 0;
-        return [["#bar", "#view", "footer"].filter(seen),
-                [...document.querySelectorAll("svg, .part, #stills")].every((e) => e.getBoundingClientRect().height > 20)]"""
+        const kept = [...document.querySelectorAll("svg, .part, #stills")];
+        const there = kept.every((element) => element.getBoundingClientRect().height > 20);
+        return [["#bar", "#view", "footer"].filter(seen), there];"""
     )
     shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
     assert hidden == [[], True]
@@ -319,7 +322,7 @@ def test_hostile_names_are_text_and_nothing_else(
     path = tmp_path / "evil.html"
     report(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path, tracking=tracking)
     open_page(chrome, path)
-    chrome.execute_script("cmbotReplay.seek(9)")
+    chrome.execute_script("cmbotReplay.seek(3)")
     next_frame(chrome)
     assert chrome.execute_script("return window.hacked") is None
     assert chrome.execute_script("return document.querySelector('h1').textContent") == EVIL

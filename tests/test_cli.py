@@ -53,7 +53,7 @@ def directory(folder: Path, planned: Outcome, tmp_path: Path) -> Path:
 def known(directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> cmbot.Plan:
     """The plan that ``cmbot plan`` finds at once, so that only what is around the planning is tested."""
     known = cmbot.load_plan(directory)
-    monkeypatch.setattr(cmbot, "plan", lambda scene, progress: known)
+    monkeypatch.setattr(cmbot, "plan", lambda scene, options, progress: known)
     monkeypatch.chdir(tmp_path)
     write_scene(Path("short.yaml"), SHORT)
     return known
@@ -91,8 +91,9 @@ def test_without_a_verb_the_help_is_shown() -> None:
 @pytest.mark.parametrize(
     ("verb", "example"),
     [
-        ("plan", "Example: cmbot plan triangle -o out/triangle"),
+        ("plan", "Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=true"),
         ("replay", "Example: cmbot replay out/triangle --html triangle.html"),
+        ("report", "Example: cmbot report out/triangle"),
         ("simulate", "Example: cmbot simulate out/triangle"),
         ("reproduce", "Example: cmbot reproduce -o out/reproduce"),
         ("check", "Examples: cmbot check arm.urdf, cmbot check triangle"),
@@ -216,7 +217,29 @@ def test_replay_writes_a_page_elsewhere(directory: Path, tmp_path: Path) -> None
     assert {path: path.read_bytes() for path in directory.iterdir()} == before
 
 
-@pytest.mark.parametrize("verb", ["plan", "replay"])
+def test_report_writes_the_page_anew(directory: Path) -> None:
+    page = directory / "report.html"
+    before = page.read_bytes()
+    page.unlink()
+    outcome = run("report", directory)
+    assert outcome == Outcome(status=0, out=f"Written to {page}.\n", err="")
+    assert page.read_bytes().startswith(b"<!DOCTYPE html>")
+    assert len(page.read_bytes()) == pytest.approx(len(before), rel=1e-3)
+
+
+def test_report_replaces_no_file_elsewhere_unasked(directory: Path, tmp_path: Path) -> None:
+    page = tmp_path / "mine.html"
+    assert run("report", directory, "--html", page) == Outcome(status=0, out=f"Written to {page}.\n", err="")
+    page.write_text("mine", encoding="utf-8")
+    outcome = run("report", directory, "--html", page)
+    expected = f"error: {page}: got a file that is already there, expected a new file, or --force\n"
+    assert outcome == Outcome(status=2, out="", err=expected)
+    assert page.read_text(encoding="utf-8") == "mine"
+    assert run("report", directory, "--html", page, "--force").status == 0
+    assert page.stat().st_size > 100_000
+
+
+@pytest.mark.parametrize("verb", ["plan", "replay", "report"])
 def test_the_page_in_a_plan_directory_is_added_by_the_archive(
     known: cmbot.Plan, directory: Path, monkeypatch: pytest.MonkeyPatch, verb: str
 ) -> None:
@@ -225,9 +248,14 @@ def test_the_page_in_a_plan_directory_is_added_by_the_archive(
     monkeypatch.setattr(
         cmbot.archive, "add_file", lambda folder, name, _: added.append((folder, name)) or folder / name
     )
-    words = {"plan": ("short.yaml", "-o", directory, "--force"), "replay": (directory,)}[verb]
+    words = {
+        "plan": ("short.yaml", "-o", directory, "--force"),
+        "replay": (directory,),
+        "report": (directory,),
+    }[verb]
     assert run(verb, *words).status == 0
-    assert added == [(directory, "replay.html")]
+    names = {"plan": ["replay.html", "report.html"], "replay": ["replay.html"], "report": ["report.html"]}
+    assert added == [(directory, name) for name in names[verb]]
 
 
 def test_replay_serves_the_page_until_ctrl_c(directory: Path) -> None:

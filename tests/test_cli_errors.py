@@ -219,7 +219,7 @@ def test_debug_shows_where_it_happened() -> None:
 
 
 def test_ctrl_c_ends_planning(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
-    monkeypatch.setattr(cmbot, "plan", lambda scene, progress: signal.raise_signal(signal.SIGINT))
+    monkeypatch.setattr(cmbot, "plan", lambda scene, options, progress: signal.raise_signal(signal.SIGINT))
     assert run("plan", "short.yaml") == Outcome(status=130, out="", err="")
     assert not (folder / "out").exists()
 

@@ -197,7 +197,7 @@ def test_a_folder_without_a_plan_is_refused(tmp_path: Path) -> None:
 
 
 def test_divergence_has_the_status_of_anything_else(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def simulate(*_: object) -> None:
+    def simulate(*_: object, **__: object) -> None:
         raise cmbot.SimulationDiverged(time=1.5, state=[0.1, math.nan])
 
     monkeypatch.setattr(cmbot, "simulate", simulate)

@@ -17,7 +17,7 @@ from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.errors import SceneError
-from cmbot.planning import GlobalStage, Plan, plan, remarks, robot_of, sag_of, task_of
+from cmbot.planning import GlobalStage, Plan, bending_arm, plan, remarks, robot_of, sag_of, task_of
 from cmbot.planning.setting import prepare
 from cmbot.scene import load_scene
 from cmbot.scene.tool_path import ShiftedToolPath
@@ -105,7 +105,7 @@ def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
     scene = short_scene(guardrail={"bays": 0}, planner=options)
     robot = replace(robot_of(scene), elasticity=())
     with pytest.raises(SceneError, match=r"something that bends: guardrail\.bays"):
-        sag_of(scene, robot, scene.planner)
+        sag_of(scene, bending_arm(scene, robot), scene.planner)
 
 
 def test_sag_as_the_objective() -> None:
@@ -117,7 +117,7 @@ def test_sag_as_the_objective() -> None:
     )
     planned = plan(scene)
     torque = plan(scene, options=replace(scene.planner, objective="torque"))
-    sag = sag_of(scene, planned.robot, scene.planner)
+    sag = sag_of(scene, bending_arm(scene, planned.robot), scene.planner)
     assert sag is not None
 
     def largest(of: Plan) -> float:
@@ -135,7 +135,7 @@ def test_sag_as_the_objective() -> None:
 def test_derivative_of_the_sags_length(rng: np.random.Generator) -> None:
     scene = load_scene("triangle")
     robot = robot_of(scene)
-    sag = sag_of(scene, robot, replace(scene.planner, objective="sag"))
+    sag = sag_of(scene, bending_arm(scene, robot), replace(scene.planner, objective="sag"))
     assert sag is not None
     for q in scene.posture + rng.uniform(-0.3, 0.3, (4, robot.dof)):
         gradient = sag.length(q[None])[1][0]

@@ -70,8 +70,9 @@ def planner(
         asked.append((options or scene.planner).knots)
         return short_plan
 
-    def simulated(planned: Plan, options: SimulationOptions) -> Tracking:
+    def simulated(planned: Plan, options: SimulationOptions, *, progress: Any) -> Tracking:
         assert planned is short_plan
+        progress(0.5)
         return {found.options: found for found in (tracking, released)}[options]
 
     monkeypatch.setattr(experiment, "plan", known)
@@ -218,10 +219,21 @@ def test_the_assumptions_are_those_of_the_page() -> None:
 
 
 def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
-    told: list[tuple[str, str]] = []
+    told: list[tuple[str, str, float]] = []
     found = reproduce(tell=lambda *words: told.append(words))
     assert planner == ["sliding", "fixed"] * 2
-    assert [scene for scene, _ in told] == ["triangle"] * 2 + ["line"] * 2
+    assert [scene for scene, *_ in told] == ["triangle"] * 10 + ["line"] * 10
+    assert told[:6] == [
+        ("triangle", "via-points that slide", 0.0),
+        ("triangle", "via-points that slide: simulating", pytest.approx(1 / 12)),
+        ("triangle", "via-points that slide: simulating", pytest.approx(1.5 / 12)),
+        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2 / 12)),
+        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2.5 / 12)),
+        ("triangle", "via-points that are fixed", pytest.approx(3 / 12)),
+    ]
+    shares = [share for *_, share in told]
+    assert shares == sorted(shares)
+    assert shares[-1] == pytest.approx(11.5 / 12)
     for entry in found.experiments:
         for run_ in (entry.planned, entry.fixed):
             assert run_ is not None

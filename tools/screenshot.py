@@ -1,7 +1,8 @@
-"""Take the picture of the README: the replay page of a plan in headless Chromium, as a small PNG.
+"""Take the pictures of the README: a plan's pages in headless Chromium, as small PNGs.
 
-Run it with ``python tools/screenshot.py out/triangle docs/images/replay_triangle.png`` after ``make demo``.
-It needs ``chromium`` on the PATH, and Pillow.
+Run it with ``python tools/screenshot.py out/triangle docs/images`` after ``make demo`` and
+``cmbot simulate out/triangle``. It writes ``replay_NAME.png`` and ``report_NAME.png``, NAME being the plan
+directory's. It needs ``chromium`` on the PATH, and Pillow.
 """
 
 from __future__ import annotations
@@ -15,12 +16,12 @@ from pathlib import Path
 
 from PIL import Image
 
-SIZE = (1280, 720)
+SIZES = {"replay": (1280, 720), "report": (1280, 800)}
 # Time in which the page may load and draw, ms of its own clock.
 BUDGET = 15_000
 
 
-def shoot(page: Path, picture: Path, browser: str) -> None:
+def shoot(page: Path, picture: Path, size: tuple[int, int], browser: str) -> None:
     """Draw `page` in a browser that cannot reach any network, and write it to `picture`."""
     with tempfile.TemporaryDirectory() as profile:
         subprocess.run(
@@ -33,7 +34,7 @@ def shoot(page: Path, picture: Path, browser: str) -> None:
                 "--hide-scrollbars",
                 "--host-resolver-rules=MAP * ~NOTFOUND",
                 f"--user-data-dir={profile}",
-                f"--window-size={SIZE[0]},{SIZE[1]}",
+                f"--window-size={size[0]},{size[1]}",
                 f"--virtual-time-budget={BUDGET}",
                 f"--screenshot={picture}",
                 page.resolve().as_uri(),
@@ -45,22 +46,24 @@ def shoot(page: Path, picture: Path, browser: str) -> None:
 
 
 def main() -> None:
-    """Read the command line, take the picture, make it small."""
-    parser = argparse.ArgumentParser(description="Take a picture of a plan's replay page.")
-    parser.add_argument("plan", type=Path, help="plan directory with a replay.html")
-    parser.add_argument("picture", type=Path, help="PNG file to write")
+    """Read the command line, take the pictures, make them small."""
+    parser = argparse.ArgumentParser(description="Take pictures of a plan's replay and report.")
+    parser.add_argument("plan", type=Path, help="plan directory with its pages")
+    parser.add_argument("pictures", type=Path, help="folder for the PNG files")
     arguments = parser.parse_args()
     browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if browser is None:
         sys.exit("no Chromium on the PATH")
-    with tempfile.TemporaryDirectory() as folder:
-        full = Path(folder) / "full.png"
-        shoot(arguments.plan / "replay.html", full, browser)
-        arguments.picture.parent.mkdir(parents=True, exist_ok=True)
-        with Image.open(full) as image:
-            # 128 colours are enough for a page of flat shades.
-            image.convert("RGB").quantize(128).save(arguments.picture, optimize=True)
-    print(f"{arguments.picture}: {arguments.picture.stat().st_size / 1000:.0f} kB")
+    arguments.pictures.mkdir(parents=True, exist_ok=True)
+    for name, size in SIZES.items():
+        picture = arguments.pictures / f"{name}_{arguments.plan.resolve().name}.png"
+        with tempfile.TemporaryDirectory() as folder:
+            full = Path(folder) / "full.png"
+            shoot(arguments.plan / f"{name}.html", full, size, browser)
+            with Image.open(full) as image:
+                # 256 colours, chosen with care, are enough for a page of flat shades.
+                image.convert("RGB").quantize(256, kmeans=3).save(picture, optimize=True)
+        print(f"{picture}: {picture.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from cmbot.planning import (
     Plan,
     QuinticTrajectory,
     ToolTask,
+    bending_arm,
     certify_approach,
     robot_of,
     sag_of,
@@ -33,8 +34,9 @@ from cmbot.planning.figures import figures, measure
 from cmbot.planning.objective_figures import objective_figures
 from cmbot.planning.objectives import objective_of
 from cmbot.planning.state_functions import States
+from cmbot.planning.tool_sag import ToolSag
 from cmbot.robot import Robot
-from cmbot.scene import Scene, scene_from_file_model
+from cmbot.scene import PlannerOptions, Scene, scene_from_file_model
 from cmbot.scene.clearance import Clearances
 from cmbot.validation import shown, validated
 
@@ -106,7 +108,8 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         choice=None if file.choice is None else file.choice.choice(),
         approach=approach,
         compensation=None if file.compensation is None else file.compensation.compensation(),
-        sag=sag_of(scene, robot, file.options) if file.options.compensate else None,
+        quieting=None if file.quieting is None else file.quieting.quieting(),
+        sag=_sag(scene, robot, file.options) if file.options.compensate else None,
         seconds=file.seconds.seconds(),
     )
     return _verified(plan, clearances, source) if verify else plan
@@ -153,6 +156,10 @@ def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
             f"the robot's files have changed since ({robot.urdf}, SRDF, joint limits or elasticity)",
         )
     return robot
+
+
+def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> ToolSag | None:
+    return sag_of(scene, bending_arm(scene, robot), options)
 
 
 def _changed(source: Path, key: str, got: str, expected: str, what: str) -> ArchiveError:
@@ -209,7 +216,7 @@ def _verify_objective(plan: Plan, source: Path) -> None:
     """Require the objective's peaks to be those of the motions."""
     baseline, grid = plan.baseline, certificate_grid(plan.trajectory, plan.options)
     fresh = objective_figures(
-        objective_of(plan.robot, plan.options, sag=sag_of(plan.scene, plan.robot, plan.options)),
+        objective_of(plan.robot, plan.options, sag=_sag(plan.scene, plan.robot, plan.options)),
         plan.options,
         own=False,
         baseline=(plan.baseline_figures, States(baseline.t, baseline.q, baseline.v, baseline.a)),

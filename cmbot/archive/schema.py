@@ -21,6 +21,7 @@ from cmbot.planning import (
     Start,
 )
 from cmbot.planning.compensation import Compensation
+from cmbot.planning.quieting import Quieting
 from cmbot.planning.ways import Choice
 from cmbot.planning.working_set import Violation
 from cmbot.scene import PlannerOptions, SceneFile
@@ -224,6 +225,21 @@ class CompensationFile(FileModel):
         return Compensation(**self.model_dump())
 
 
+class QuietingFile(FileModel):
+    """What was done about the vibration."""
+
+    modes: Count
+    share: Annotated[float, Field(ge=0, le=1)]
+    before: NonNegative
+    """Amplitude of the tool that these modes leave at the end, as predicted, m: without the change."""
+    after: NonNegative
+    """With it."""
+
+    def quieting(self) -> Quieting:
+        """Return it as the planner has it."""
+        return Quieting(**self.model_dump())
+
+
 class FailureFile(FileModel):
     """Why no path led on from a starting posture."""
 
@@ -319,6 +335,8 @@ class PlanFile(FileModel):
     choice: ChoiceFile | None
     compensation: CompensationFile | None = None
     """null: the sag was not compensated."""
+    quieting: QuietingFile | None = None
+    """null: nothing was done about the vibration."""
     seconds: SecondsFile
     certificate: CertificateFile
     start: StartFile

@@ -87,9 +87,9 @@ def _frequencies(data: dict[str, Any], source: Path, motion: str) -> FloatArray:
     modes = _entry(data, source, motion, "modes")
     if not isinstance(modes, list):
         raise ArchiveError(str(source), f"{motion}.modes", shown(modes), "a list")
-    return np.array(
-        [_number(dict(enumerate(modes)), source, k, "frequency") for k in range(len(modes))], dtype=np.float64
-    )
+    counted_modes = {**data, motion: {"modes": dict(enumerate(modes))}}
+    found = [_number(counted_modes, source, motion, "modes", k, "frequency") for k in range(len(modes))]
+    return np.array(found, dtype=np.float64)
 
 
 def _number(data: Any, source: Path, *path: str | int) -> float:

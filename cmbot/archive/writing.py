@@ -104,6 +104,7 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "baseline": _figures(plan.baseline_figures),
         "planned": _figures(plan.figures),
         "approach": None if approach is None else _approach(approach),
+        "quieting": None if plan.quieting is None else asdict(plan.quieting),
         "compensation": None if plan.compensation is None else asdict(plan.compensation),
         "torque_floor": plan.torque_floor,
         "gap_to_floor": plan.gap_to_floor,

@@ -13,7 +13,7 @@ from cmbot.planning.optimiser import PassReport
 from cmbot.planning.plan import Plan, Seconds, Start
 from cmbot.planning.planner import Progress, plan
 from cmbot.planning.remarks import remarks
-from cmbot.planning.setting import robot_of, sag_of, task_of
+from cmbot.planning.setting import bending_arm, robot_of, sag_of, task_of
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.task import ToolTask
 from cmbot.planning.trajectory import QuinticTrajectory
@@ -45,6 +45,7 @@ __all__ = [
     "WeightedMoment",
     "WrenchFunction",
     "WrenchObjective",
+    "bending_arm",
     "certify_approach",
     "examine_scene",
     "plan",

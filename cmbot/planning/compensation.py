@@ -15,6 +15,7 @@ from scipy.interpolate import CubicSpline
 from cmbot.arrays import FloatArray
 from cmbot.errors import OptimisationFailed
 from cmbot.planning.optimiser import Optimised, PassReport, optimise
+from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.setting import Setting
 from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.ways import Way, shifted_problem
@@ -55,7 +56,7 @@ def compensate(
     optimised: Optimised,
     sag: ToolSag,
     progress: Callable[[PassReport], None] | None = None,
-) -> tuple[Optimised, Compensation]:
+) -> tuple[Optimised, Compensation, TorqueProblem]:
     """Optimise again and again along the path shifted by the sag of the trajectory before.
 
     Parameters
@@ -73,6 +74,8 @@ def compensate(
     -------
     optimised : Optimised
     compensation : Compensation
+    problem : TorqueProblem
+        Whose solution it is.
 
     Raises
     ------
@@ -85,19 +88,21 @@ def compensate(
     options = replace(setting.options, max_tool_deviation_m=_LEFT * allowed)
     times = np.linspace(setting.times[:-1], setting.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
     times = np.append(times.ravel(), setting.times[-1])
-    shift = np.zeros((len(times), 3))
+    shift, problem = np.zeros((len(times), 3)), way.problem
     for rounds in range(_MOST_ROUNDS + 1):
         wanted = -sag.at(optimised.trajectory.evaluate(times))
         change = float(np.linalg.norm(wanted - shift, axis=1).max())
         if change < _SETTLED * allowed:
             largest = float(np.linalg.norm(shift, axis=1).max())
-            return optimised, Compensation(rounds=rounds, largest_shift=largest, last_change=change)
+            done = Compensation(rounds=rounds, largest_shift=largest, last_change=change)
+            return optimised, done, problem
         if rounds == _MOST_ROUNDS:
             break
         shift = wanted
         task = replace(setting.task, path=_shifted(setting, times, shift))
         around = replace(setting, task=task, options=options)
-        optimised = optimise(shifted_problem(around, way, optimised.via_points), progress)
+        problem = shifted_problem(around, way, optimised.via_points)
+        optimised = optimise(problem, progress)
     raise OptimisationFailed(
         f"the compensation of the sag did not settle in {_MOST_ROUNDS} rounds",
         constraint="change of the shift",

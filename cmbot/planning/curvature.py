@@ -16,7 +16,7 @@ __all__ = ["convexified", "state_curvature"]
 # Sites whose multiplier is below this share of all do not bend anything.
 _NEGLIGIBLE = 1e-5
 # Step of the forward differences of exact first derivatives, for states in units of about 1.
-_STEP = 1e-7
+_STEP = 1e-8
 # What is coupled in the local unknowns is at most so many blocks apart.
 _BANDWIDTH = 3
 # Least curvature of a convexified model.

@@ -17,6 +17,7 @@ from cmbot.planning.figures import MotionFigures, Samples, measure
 from cmbot.planning.floor import Floor
 from cmbot.planning.objective_figures import ObjectiveFigures
 from cmbot.planning.optimiser import PassReport
+from cmbot.planning.quieting import Quieting
 from cmbot.planning.task import ToolTask
 from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.trajectory import QuinticTrajectory
@@ -98,6 +99,8 @@ class Plan:
         are fixed.
     compensation : Compensation or None
         How the predicted sag was compensated; None where it was not.
+    quieting : Quieting or None
+        What was done about the vibration; None with fixed knots, where nothing bends, or unasked.
     sag : ToolSag or None
         That sag.
     seconds : Seconds
@@ -120,6 +123,7 @@ class Plan:
     choice: Choice | None
     approach: Approach | None
     compensation: Compensation | None
+    quieting: Quieting | None
     sag: ToolSag | None
     seconds: Seconds
 

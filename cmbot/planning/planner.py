@@ -15,11 +15,12 @@ from cmbot.planning.approach import Approach, plan_approach
 from cmbot.planning.baseline import baseline_samples
 from cmbot.planning.certificate import Certificate, certificate_grid, certify
 from cmbot.planning.compensation import Compensation, compensate
-from cmbot.planning.figures import Samples, figures
+from cmbot.planning.figures import figures
 from cmbot.planning.gradient_projection import follow_path
 from cmbot.planning.objective_figures import objective_figures
 from cmbot.planning.optimiser import Optimised, PassReport, optimise
 from cmbot.planning.plan import Plan, Seconds, Start
+from cmbot.planning.quieting import Quieting, quiet
 from cmbot.planning.setting import Setting, prepare
 from cmbot.planning.solvers import solver_of
 from cmbot.planning.state_functions import States
@@ -179,6 +180,7 @@ def _plan(
         choice=way.choice,
         approach=work.approach,
         compensation=work.compensation,
+        quieting=work.quieting,
         sag=setting.sag,
         seconds=Seconds(
             path=path_seconds,
@@ -195,6 +197,7 @@ class _Work:
 
     optimised: Optimised
     compensation: Compensation | None
+    quieting: Quieting | None
     certificate: Certificate
     start: Start
     approach: Approach | None
@@ -208,9 +211,12 @@ def _work(setting: Setting, way: Way, tell: Callable[[Progress], None], clock: _
     def each_pass(report: PassReport) -> None:
         tell(Progress(stage="optimise", report=report))
 
-    optimised, compensation = optimise(way.problem, each_pass), None
+    problem, optimised = way.problem, optimise(way.problem, each_pass)
+    compensation = quieting = None
     if setting.sag is not None:
-        optimised, compensation = compensate(setting, way, optimised, setting.sag, each_pass)
+        optimised, compensation, problem = compensate(setting, way, optimised, setting.sag, each_pass)
+    if setting.arm is not None and setting.options.knots == "sliding" and setting.options.quiet_modes:
+        optimised, quieting = quiet(setting, setting.arm, problem, optimised)
     optimise_seconds = clock.lap()
 
     tell(Progress(stage="certify"))
@@ -228,6 +234,7 @@ def _work(setting: Setting, way: Way, tell: Callable[[Progress], None], clock: _
     return _Work(
         optimised=optimised,
         compensation=compensation,
+        quieting=quieting,
         certificate=certificate,
         start=start,
         approach=approach,

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.arrays import FloatArray
+from cmbot.elastic import elastic_base
+from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.sag import Sag
 from cmbot.errors import SceneError
 from cmbot.planning.objectives import Objective, objective_of
 from cmbot.planning.task import ToolTask
-from cmbot.planning.tool_sag import ToolSag, tool_sag
+from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene
@@ -18,7 +21,7 @@ from cmbot.scene.clearance import Clearances
 from cmbot.scene.obstacles import pose
 from cmbot.scene.tool_path import ToolPath
 
-__all__ = ["Setting", "prepare", "robot_of", "sag_of", "task_of"]
+__all__ = ["Setting", "bending_arm", "prepare", "robot_of", "sag_of", "task_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,6 +40,8 @@ class Setting:
     options : PlannerOptions
     objective : Objective
         What is made small.
+    arm : ElasticArm or None
+        The arm on its guardrail as it bends; None where nothing does.
     sag : ToolSag or None
         Where it is to be compensated.
     """
@@ -48,6 +53,7 @@ class Setting:
     times: FloatArray
     options: PlannerOptions
     objective: Objective
+    arm: ElasticArm | None
     sag: ToolSag | None
 
 
@@ -71,7 +77,8 @@ def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = 
     robot = robot_of(scene)
     task = task_of(scene, robot)
     posture = np.array(scene.posture)
-    sag = sag_of(scene, robot, options)
+    arm = bending_arm(scene, robot)
+    sag = sag_of(scene, arm, options)
     return Setting(
         robot=robot,
         posture=posture,
@@ -80,19 +87,42 @@ def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = 
         times=task.path.via_times(scene.via_points),
         options=options,
         objective=objective_of(robot, options, own, posture, sag),
+        arm=arm,
         sag=sag if options.compensate else None,
     )
 
 
-def sag_of(scene: Scene, robot: Robot, options: PlannerOptions) -> ToolSag | None:
+def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
+    """Return a scene's arm on its guardrail as it bends; None where nothing does."""
+    arm = elastic_arm(robot, elastic_base(scene.guardrail))
+    return arm if len(arm.elastic) else None
+
+
+def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> ToolSag | None:
     """Return the predicted sag of the tool where the options need it.
+
+    Parameters
+    ----------
+    scene : Scene
+    arm : ElasticArm or None
+        From `bending_arm`.
+    options : PlannerOptions
 
     Raises
     ------
     SceneError
-        When they do, and nothing bends.
+        When they need it, and nothing bends.
     """
-    return tool_sag(scene, robot) if options.compensate or options.objective == "sag" else None
+    if not (options.compensate or options.objective == "sag"):
+        return None
+    if arm is None:
+        raise SceneError(
+            scene.source,
+            "guardrail",
+            "no guardrail, and a robot without link tubes",
+            "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity",
+        )
+    return ToolSag(Sag(arm))
 
 
 def robot_of(scene: Scene) -> Robot:

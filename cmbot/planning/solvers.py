@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from typing import Literal
 
 import numpy as np
 
 from cmbot.arrays import FloatArray
+from cmbot.errors import MissingExtra
 from cmbot.planning.families import FixedKnots, SlidingKnots, WhitenedSplines
 from cmbot.planning.family import Family
 from cmbot.planning.local_splines import LocalSplines
@@ -30,9 +30,14 @@ def solver_of(options: PlannerOptions) -> Literal["sqp", "slsqp"]:
     MissingExtra
         When it is ``sqp`` and PIQP is not installed.
     """
-    if options.solver == "slsqp" or (options.solver == "auto" and find_spec("piqp") is None):
+    if options.solver == "slsqp":
         return "slsqp"
-    piqp_module()
+    try:
+        piqp_module()
+    except MissingExtra:
+        if options.solver == "auto":
+            return "slsqp"
+        raise
     return "sqp"
 
 

@@ -25,11 +25,11 @@ _COARSE_ACCURACY = 1e-3
 _FINEST, _SLOW = 1e-6, 1e-5
 # Constraints of the working set are met so much better than they have to be at the samples.
 _CLOSER = 0.1
-# The first penalty, how far it stays above the sum of the multipliers, the radius that every pass may try again.
+# The first penalty, how far it stays above the sum of multipliers, the radius that a pass may try again.
 _PENALTY, _ABOVE, _LEAST_RADIUS = 0.1, 2.0, 0.1
 _FIRST_RADIUS = 1.0
-# Quadratic programs of one pass, at most.
-_MOST_STEPS = 60
+# Quadratic programs of a pass, at most; one that uses them all has to bring violations down to this share.
+_MOST_STEPS, _STALLED = 60, 0.9
 
 
 class SparsePasses:
@@ -80,6 +80,7 @@ class SparsePasses:
         family = family.rebuilt(family.start, options.smoothing_weight * effort.smoothing)
         coarse = effort is COARSE
         iterations, radius = 0, max(self._radius, _LEAST_RADIUS)
+        violated, lowest = np.inf, np.inf
         while True:
             start = TorquePlace(self._problem, self._working, family, bound)
             ended = descend(
@@ -91,6 +92,7 @@ class SparsePasses:
                 tolerance=_COARSE_ACCURACY if coarse else _CLOSER * options.constraint_tolerance,
                 max_iterations=min(_COARSE_STEPS if coarse else _FINE_STEPS, most - iterations),
             )
+            violated = min(violated, start.first.violation)
             self._keep(ended.multipliers)
             radius = self._radius = ended.radius
             needed = _ABOVE * float(ended.multipliers[ended.place.first.peaks :].sum())
@@ -100,11 +102,15 @@ class SparsePasses:
             peak = float(first.value[: first.peaks].max()) if bound is None else bound
             gain = start.first.merit(ended.penalty) - first.merit(ended.penalty)
             met = first.violation <= options.constraint_tolerance
-            slow = met and gain < _SLOW and not coarse
+            now = first.merit(_PENALTY)
+            slow = met and not coarse and min(gain, lowest - now) < _SLOW
+            lowest = min(lowest, now) if met else lowest
             if ended.stuck or ended.settled or slow or iterations >= most:
                 break
             self._look(family, peak, effort)
-        if ended.stuck and not coarse:
+        # Whoever gets nowhere in so many steps will not get there in many times as many.
+        stalled = not met and not ended.settled and first.violation > _STALLED * violated
+        if (ended.stuck or stalled) and not coarse:
             worst = self._look(family, peak, effort)
             raise OptimisationFailed(
                 "near the trajectory that was found the constraints cannot all be met",

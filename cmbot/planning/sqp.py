@@ -129,8 +129,12 @@ def descend(
                 settled = True
                 break
             if model.linear_violation(step.p) > _STAYS * model.violation:
-                stuck = True
-                break
+                least = model.linear_violation(solve_qp(model, _MOST_PENALTY, radius).p)
+                if penalty >= _MOST_PENALTY or least > _WORTHWHILE * model.violation:
+                    stuck = True
+                    break
+                penalty *= _PENALTY_STEP
+                continue
         trial, gained = _tried(place, model, step, penalty, promised)
         length = float(np.abs(step.p).max())
         if gained < _TOO_LONG * promised:

@@ -131,7 +131,7 @@ class ToolDeviation:
         return Linearisation(distance - 1, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
 
     def faces(self, states: States) -> tuple[Linearisation, ...]:
-        """Return smooth functions that never exceed the distance: offsets across the leg, in several directions.
+        """Return what never exceeds the distance, smoothly: offsets across the leg in several directions.
 
         To first order a distance knows no direction but its own; a step could leave the leg in any other.
         """

@@ -6,14 +6,9 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from cmbot.arrays import FloatArray
-from cmbot.elastic import elastic_base
-from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.sag import Sag
-from cmbot.errors import SceneError
-from cmbot.robot import Robot
-from cmbot.scene import Scene
 
-__all__ = ["ToolSag", "tool_sag"]
+__all__ = ["ToolSag"]
 
 # Along a smooth motion the sag is worked out this often at most, s, and interpolated in between.
 _EVERY = 0.02
@@ -50,22 +45,3 @@ class ToolSag:
         length = np.linalg.norm(at.tool, axis=1)
         unit = at.tool / np.maximum(length, _FLAT)[:, None]
         return np.asarray(length), np.einsum("ki,kij->kj", unit, at.d_tool)
-
-
-def tool_sag(scene: Scene, robot: Robot) -> ToolSag:
-    """Return the sag of a scene's arm on its guardrail.
-
-    Raises
-    ------
-    SceneError
-        When nothing bends: neither a guardrail nor link tubes are given.
-    """
-    arm = elastic_arm(robot, elastic_base(scene.guardrail))
-    if len(arm.elastic) == 0:
-        raise SceneError(
-            scene.source,
-            "guardrail",
-            "no guardrail, and a robot without link tubes",
-            "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity",
-        )
-    return ToolSag(Sag(arm))

@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.family import Family
-from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.problem import KinematicBound, TorqueProblem
 from cmbot.planning.state_functions import StateFunction, States, ToolDeviation
 from cmbot.planning.trajectory import QuinticTrajectory
 
@@ -115,6 +115,11 @@ class WorkingSet:
         """Go through the functions of the state, as in `values`: times and components of their sites."""
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             yield function, sites.times, sites.component
+
+    def bound_sites(self) -> Iterator[tuple[KinematicBound, FloatArray, IntArray]]:
+        """Go through the joints' bounds, as in `values`: times and joints of their sites."""
+        for bound, sites in zip(self._problem.bounds, self._bound_sites, strict=True):
+            yield bound, sites.times, sites.component // 2
 
     def add_everywhere(self, times: FloatArray) -> None:
         """Add the guardrail torque and every constraint with one component at `times`.

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -77,7 +78,7 @@ class Reproduction:
 def reproduce(
     options: SimulationOptions | None = None,
     *,
-    tell: Callable[[str, str], None] | None = None,
+    tell: Callable[[str, str, float], None] | None = None,
     progress: Callable[[str, Progress], None] | None = None,
 ) -> Reproduction:
     """Plan and simulate both of the paper's experiments.
@@ -87,7 +88,7 @@ def reproduce(
     options : SimulationOptions, optional
         Every run is also simulated with ``initial="undeformed"``.
     tell : callable, optional
-        Called with the scene's name and what begins.
+        Called with the scene's name, what is being done, and the share of all steps that is done.
     progress : callable, optional
         Called with the scene's name and the planner's progress.
 
@@ -99,19 +100,17 @@ def reproduce(
         When a motion cannot be integrated.
     """
     options = replace(options or SimulationOptions(), initial="equilibrium")
-    experiments = []
+    steps, experiments = _Steps(tell or (lambda *_: None)), []
     for paper in PAPER:
         scene = load_scene(paper.scene)
-        if tell:
-            tell(paper.scene, "via-points that slide")
         report = None if progress is None else _about(progress, paper.scene)
-        planned = _run(plan(scene, progress=report), options)
-        if tell:
-            tell(paper.scene, "via-points that are fixed")
+        with steps.run(paper.scene, "via-points that slide"):
+            planned = _run(plan(scene, progress=report), options, steps)
         fixed, why_not = None, ""
         try:
-            fixed_plan = plan(scene, options=replace(scene.planner, knots="fixed"), progress=report)
-            fixed = _run(fixed_plan, options)
+            with steps.run(paper.scene, "via-points that are fixed"):
+                fixed_plan = plan(scene, options=replace(scene.planner, knots="fixed"), progress=report)
+                fixed = _run(fixed_plan, options, steps)
         except PlanningError as error:
             why_not = str(error)
         experiments.append(Experiment(paper=paper, planned=planned, fixed=fixed, why_not=why_not))
@@ -123,12 +122,43 @@ def reduction(without: FloatArray, planned: FloatArray) -> FloatArray:
     return np.asarray(100 * (1 - np.abs(planned) / np.abs(without)))
 
 
-def _run(planned: Plan, options: SimulationOptions) -> Run:
-    return Run(
-        plan=planned,
-        equilibrium=simulate(planned, options),
-        undeformed=simulate(planned, replace(options, initial="undeformed")),
-    )
+def _run(planned: Plan, options: SimulationOptions, steps: _Steps) -> Run:
+    steps.next("simulating")
+    equilibrium = simulate(planned, options, progress=steps.within)
+    steps.next("simulating, let go undeformed")
+    undeformed = simulate(planned, replace(options, initial="undeformed"), progress=steps.within)
+    return Run(plan=planned, equilibrium=equilibrium, undeformed=undeformed)
+
+
+class _Steps:
+    """How much of a reproduction is done: each run is a plan and two simulations, and all count the same."""
+
+    _A_RUN = 3
+
+    def __init__(self, tell: Callable[[str, str, float], None]) -> None:
+        self._tell, self._runs, self._step = tell, 0, 0
+        self._scene, self._about, self._what = "", "", ""
+
+    @contextmanager
+    def run(self, scene: str, about: str) -> Iterator[None]:
+        """Begin a run with its plan; it ends with all its steps done, even if some were left out."""
+        self._scene, self._about, self._step = scene, about, -1
+        self.next("")
+        try:
+            yield
+        finally:
+            self._runs += 1
+
+    def next(self, what: str) -> None:
+        """Begin the next step of a run."""
+        self._step += 1
+        self._what = ": ".join(filter(None, (self._about, what)))
+        self.within(0.0)
+
+    def within(self, share: float) -> None:
+        """Tell the share of the present step that is done."""
+        done = self._A_RUN * self._runs + self._step + share
+        self._tell(self._scene, self._what, done / (2 * self._A_RUN * len(PAPER)))
 
 
 def _about(progress: Callable[[str, Progress], None], scene: str) -> Callable[[Progress], None]:

@@ -51,6 +51,9 @@ class PlannerOptions:
         By which the torque's components along x, y and z of W are multiplied before their norm is taken.
     compensate : bool
         Shift the via-points by the tool's predicted sag, so that the bent arm follows the path.
+    quiet_modes : int
+        With sliding knots: so many elastic modes, the slowest first, are brought to rest at the ends of the
+        legs; 0: none. Splines cannot follow modes much faster than their segments.
     avoidance : str
         ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
         near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
@@ -110,6 +113,7 @@ class PlannerOptions:
     moment_about: Literal["foot", "base"] = "foot"
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: bool = False
+    quiet_modes: Annotated[int, Field(ge=0, le=10)] = 2
     avoidance: Literal["smooth", "switch"] = "smooth"
     avoidance_distance_m: PositiveFloat = 0.15
     avoidance_gain: NonNegativeFloat = 2.0

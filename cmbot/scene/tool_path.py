@@ -84,7 +84,9 @@ class ToolPath:
     def leg_directions(self, times: ArrayLike) -> FloatArray:
         """Return unit vectors (N, 3) along the legs at `times`; zero for a leg of no length."""
         leg, _ = self._locate(times)
-        return np.asarray(np.diff(self.corners, axis=0)[leg] / np.maximum(self.lengths[leg], _NO_LENGTH)[:, None])
+        return np.asarray(
+            np.diff(self.corners, axis=0)[leg] / np.maximum(self.lengths[leg], _NO_LENGTH)[:, None]
+        )
 
     def via_times(self, count: int) -> FloatArray:
         """Times t_j (count,) of the via-points: leg ends, and equal steps within each leg (Eq. (23)).

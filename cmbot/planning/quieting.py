@@ -1,0 +1,274 @@
+"""Vibration that is left where the tool comes to rest, taken away by the trajectory's own free numbers.
+
+Guardrail and links answer the joints' motion as a linear system whose matrices change slowly with the
+posture. With y what they move beyond the sag and beyond what the accelerations bend quasi-statically,
+
+    M(t) y'' + D y' + K(t) y = M K^-1 B(t) snap(t),    B = M_fa + M_ff du_sag/dq
+
+so the first modes' displacement and velocity at the end of a leg are linear in the joints' snap, and with it
+in the numbers of the splines. Of all changes that bring them to zero at every end of a leg the one with the
+least mean squared jerk is taken. Via-points, and C3 at the knots, stay what they are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+from scipy.sparse.linalg import splu
+
+from cmbot.arrays import FloatArray
+from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.arm_modes import ArmModes, arm_modes
+from cmbot.planning.optimiser import Optimised
+from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.setting import Setting
+from cmbot.planning.state_functions import States
+from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.planning.working_set import WorkingSet
+
+__all__ = ["Quieting", "quiet"]
+
+# Modes at either end of a leg that together carry the motion in between.
+_CARRIERS = 8
+# Steps a period of the fastest mode that is quieted; the matrices are worked out at least every so often, s.
+_STEPS_A_PERIOD, _MATRICES_EVERY = 60, 0.1
+# Damping ratio of the modes that are quieted, as simulated by default: it hardly matters within a leg.
+_DAMPING = 0.01
+# Conditions that cost this much more than the cheapest are left alone: the splines cannot follow them.
+_TOO_DEAR = 1e-10
+# Times that a change is worked out anew, and sites of a constraint that are added each time, at most.
+_ROUNDS, _MOST_SITES = 8, 400
+# Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
+_SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quieting:
+    """What was done about the vibration.
+
+    Attributes
+    ----------
+    modes : int
+        The first so many are brought to rest.
+    share : float
+        Of the change that would take all of their vibration away; 0 when every change broke a bound.
+    before, after : float, m
+        Amplitude of the tool that these modes leave at the end of the motion, as predicted, without and with
+        the change.
+    """
+
+    modes: int
+    share: float
+    before: float
+    after: float
+
+
+def quiet(
+    setting: Setting, arm: ElasticArm, problem: TorqueProblem, optimised: Optimised
+) -> tuple[Optimised, Quieting]:
+    """Bring the first elastic modes to rest at the ends of the legs.
+
+    Parameters
+    ----------
+    setting : Setting
+    arm : ElasticArm
+    problem : TorqueProblem
+        Whose bounds the trajectory keeps, and goes on keeping.
+    optimised : Optimised
+
+    Returns
+    -------
+    optimised : Optimised
+        With the changed trajectory; what it was, where no change keeps the bounds.
+    quieting : Quieting
+    """
+    trajectory, modes = optimised.trajectory, setting.options.quiet_modes
+    legs = [_Leg(arm, trajectory, start, end, modes) for start, end in pairwise(setting.task.path.leg_times)]
+    changed, share = _quieted(problem, trajectory, legs)
+    before, after = (legs[-1].tool_amplitude(legs[-1].vibration(x)) for x in (trajectory, changed))
+    return (
+        replace(optimised, trajectory=changed),
+        Quieting(modes=modes, share=share, before=before, after=after),
+    )
+
+
+def _quieted(
+    problem: TorqueProblem, trajectory: QuinticTrajectory, legs: list[_Leg]
+) -> tuple[QuinticTrajectory, float]:
+    """Change a trajectory so that its legs end quietly; return it and the share of the change that it took.
+
+    What the change would violate is left as it was, and the change worked out anew.
+    """
+    working, tolerance = WorkingSet(problem), problem.options.constraint_tolerance
+    peak = working.add_violated(trajectory, np.inf, tolerance, 1, 0)[2] * (1 + _PEAK_RISE)
+    conditions, aims = _conditions(problem, trajectory, legs)
+    change = np.zeros((3 * len(trajectory.t), trajectory.q.shape[1]))
+
+    def changed(share: float) -> tuple[QuinticTrajectory, bool, int]:
+        candidate = problem.space.trajectory(_knot_vector(trajectory) + share * change)
+        added, worst, new_peak = working.add_violated(candidate, peak, tolerance, 1, _MOST_SITES)
+        return candidate, worst.value <= tolerance and new_peak <= peak * (1 + tolerance), added
+
+    for _ in range(_ROUNDS):
+        held = _unchanged(problem, trajectory, working)
+        change = _least_jerk_change(problem, [*conditions, *held], np.append(aims, np.zeros(len(held))))
+        candidate, keeps, added = changed(1.0)
+        if keeps:
+            return candidate, 1.0
+        if not added:
+            break
+    for share in _SHARES:
+        candidate, keeps, _ = changed(share)
+        if keeps:
+            return candidate, share
+    return trajectory, 0.0
+
+
+class _Leg:
+    """How the joints' snap along a leg moves the first modes at its end, the arm at rest where it starts."""
+
+    def __init__(
+        self, arm: ElasticArm, trajectory: QuinticTrajectory, start: float, end: float, modes: int
+    ) -> None:
+        postures = trajectory.evaluate(np.array([start, end]))
+        first, last = (arm_modes(arm, q) for q in postures)
+        r = min(modes, last.shapes.shape[1])
+        self._to_tool = _tool_motion(arm, postures[1], last)[:, :r]
+        omega = 2 * np.pi * last.frequencies[:r]
+        knots = trajectory.t[(trajectory.t > start - 1e-9) & (trajectory.t < end + 1e-9)]
+        edges = _steps(knots, 2 * np.pi / omega.max() / _STEPS_A_PERIOD)
+        self.times = 0.5 * (edges[1:] + edges[:-1])
+        V = np.linalg.qr(np.hstack([first.shapes[:, :_CARRIERS], last.shapes[:, :_CARRIERS]]))[0]
+        momenta = V.T @ last.mass @ last.shapes[:, :r]
+        self.weights = _weights(
+            *_matrices(arm, trajectory, V, start, end), self.times, np.diff(edges), momenta, omega
+        )
+
+    def vibration(self, trajectory: QuinticTrajectory) -> FloatArray:
+        """Displacements of the modes at the end, then their velocities over omega, (2r,), kg^(1/2) m."""
+        return np.asarray(np.einsum("kcj,kj->c", self.weights, trajectory.evaluate(self.times, 4)))
+
+    def tool_amplitude(self, vibration: FloatArray) -> float:
+        """Largest amplitude of the tool point, m, when these vibrations coincide."""
+        amplitude = np.hypot(*vibration.reshape(2, -1))
+        return float(np.linalg.norm(self._to_tool, axis=0) @ amplitude)
+
+
+def _conditions(
+    problem: TorqueProblem, trajectory: QuinticTrajectory, legs: list[_Leg]
+) -> tuple[list[FloatArray], FloatArray]:
+    """Derivatives (n - 4, d) of every leg's vibration by the splines' numbers, and what they are to add."""
+    rows: list[FloatArray] = []
+    for leg in legs:
+        by_number = (problem.space.design(leg.times, 4) @ problem.space.basis).T
+        rows += [by_number @ leg.weights[:, c] for c in range(leg.weights.shape[1])]
+    return rows, -np.concatenate([leg.vibration(trajectory) for leg in legs])
+
+
+def _unchanged(
+    problem: TorqueProblem, trajectory: QuinticTrajectory, working: WorkingSet
+) -> list[FloatArray]:
+    """Derivatives (n - 4, d) by the splines' numbers of the constraints of the working set."""
+    space, d = problem.space, trajectory.q.shape[1]
+    rows: list[FloatArray] = []
+    for function, times, component in working.state_sites():
+        if len(times):
+            at = function.linearise(States(times, *trajectory.states(times)), component)
+            designs = [(space.design(times, order) @ space.basis).toarray() for order in range(3)]
+            parts = zip(designs, (at.d_q, at.d_v, at.d_a), strict=True)
+            rows += list(sum(D[:, :, None] * by[:, None, :] for D, by in parts))
+    for bound, times, joints in working.bound_sites():
+        if len(times):
+            design = (space.design(times, bound.order) @ space.basis).toarray()
+            rows += list(design[:, :, None] * (np.eye(d)[joints] / bound.scale[joints, None])[:, None, :])
+    return rows
+
+
+def _least_jerk_change(problem: TorqueProblem, rows: list[FloatArray], aims: FloatArray) -> FloatArray:
+    """Change (3n, d) of the knot vectors with the least jerk that adds `aims` (c,) to c linear quantities."""
+    R = np.stack(rows, axis=-1)
+    # All on one scale, so that none is given up before another.
+    size = np.linalg.norm(R, axis=(0, 1))
+    R, aims = R / size, aims / size
+    gram, J_C = splu(problem.space.jerk_gram.tocsc()), problem.robot.limits.jerk
+    cheapest = np.stack([bound**2 * gram.solve(R[:, joint]) for joint, bound in enumerate(J_C)], axis=1)
+    cost = np.einsum("bjc,bjd->cd", R, cheapest)
+    multipliers = np.linalg.lstsq(cost, aims, rcond=_TOO_DEAR)[0]
+    return np.asarray(problem.space.basis @ (cheapest @ multipliers))
+
+
+def _matrices(
+    arm: ElasticArm, trajectory: QuinticTrajectory, V: FloatArray, start: float, end: float
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Times (g,), and there M (g, k, k), K (g, k, k) and K^-1 B (g, k, n) among the carriers `V` (f, k)."""
+    grid = np.linspace(start, end, max(8, int(np.ceil((end - start) / _MATRICES_EVERY)) + 1))
+    data, M, K, KB = arm.model.createData(), [], [], []
+    for q in trajectory.evaluate(grid):
+        modes = arm_modes(arm, q)
+        configuration = arm.configuration(q, modes.u)
+        gravity = pin.computeGeneralizedGravityDerivatives(arm.model, data, configuration)
+        upper = np.triu(pin.crba(arm.model, data, configuration))
+        coupling = (upper + np.triu(upper, 1).T)[np.ix_(arm.elastic, arm.driven)]
+        sag_slope = -np.linalg.solve(modes.stiffness, gravity[np.ix_(arm.elastic, arm.driven)])
+        B = coupling + modes.mass @ sag_slope
+        M.append(V.T @ modes.mass @ V)
+        K.append(V.T @ modes.stiffness @ V)
+        KB.append(np.linalg.solve(K[-1], V.T @ B))
+    return grid, np.array(M), np.array(K), np.array(KB)
+
+
+def _weights(
+    grid: FloatArray,
+    M: FloatArray,
+    K: FloatArray,
+    KB: FloatArray,
+    times: FloatArray,
+    steps: FloatArray,
+    momenta: FloatArray,
+    omega: FloatArray,
+) -> FloatArray:
+    """Weights (m, 2r, n) of the snaps at `times` in the modes' displacements and velocities at the end.
+
+    The adjoint of the implicit midpoint rule, run backwards from the end: one run serves all trajectories.
+    """
+    k, r = momenta.shape
+    adjoint = np.zeros((2 * k, 2 * r))
+    adjoint[:k, :r], adjoint[k:, r:] = momenta, momenta / omega
+    weights = np.empty((len(times), 2 * r, KB.shape[2]))
+    lower = np.clip(np.searchsorted(grid, times) - 1, 0, len(grid) - 2)
+    share = (times - grid[lower]) / (grid[lower + 1] - grid[lower])
+    A, identity = np.zeros((2 * k, 2 * k)), np.eye(2 * k)
+    A[:k, k:] = np.eye(k)
+    for i in range(len(times) - 1, -1, -1):
+        a, b, h = lower[i], share[i], steps[i]
+        A[k:, :k] = -np.linalg.solve((1 - b) * M[a] + b * M[a + 1], (1 - b) * K[a] + b * K[a + 1])
+        A[k:, k:] = 2 * _DAMPING / omega[0] * A[k:, :k]
+        moved = np.linalg.solve((identity - 0.5 * h * A).T, adjoint)
+        weights[i] = h * moved[k:].T @ ((1 - b) * KB[a] + b * KB[a + 1])
+        adjoint = moved + 0.5 * h * A.T @ moved
+    return weights
+
+
+def _steps(knots: FloatArray, longest: float) -> FloatArray:
+    """Edges of steps, none longer than `longest`, that end at every knot: snap jumps there."""
+    counts = np.ceil(np.diff(knots) / longest).astype(int)
+    pieces = [
+        np.linspace(start, end, count, endpoint=False)
+        for (start, end), count in zip(pairwise(knots), counts, strict=True)
+    ]
+    return np.concatenate([*pieces, knots[-1:]])
+
+
+def _tool_motion(arm: ElasticArm, q: FloatArray, modes: ArmModes) -> FloatArray:
+    """Motion (3, k) of the tool point in each mode."""
+    world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    configuration = arm.configuration(q, modes.u)
+    J = pin.computeFrameJacobian(arm.model, arm.model.createData(), configuration, arm.tool_frame_id, world)
+    return np.asarray(J[:3, arm.elastic] @ modes.shapes)
+
+
+def _knot_vector(trajectory: QuinticTrajectory) -> FloatArray:
+    return np.stack([trajectory.q, trajectory.v, trajectory.a], axis=1).reshape(-1, trajectory.q.shape[1])

@@ -1,0 +1,240 @@
+"""The report without a browser: what stands in it, and how plots are made light."""
+
+import base64
+import dataclasses
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import cmbot
+from cmbot.errors import InputError
+from cmbot.planning import Plan, remarks
+from cmbot.simulation import Tracking, simulate, tracking_rows
+from cmbot.views import pages, report_page
+from cmbot.views.charts import MOST_POINTS, charts, joint_charts
+from cmbot.views.headlines import headlines, use_of
+from cmbot.views.replay_data import replay_data
+from cmbot.views.thinning import thinned
+
+EVIL = "</script></title><img src=x onerror=alert(1)><!--\u2028"
+
+
+@pytest.fixture(scope="module")
+def tracking(triangle_plan: Plan) -> Tracking:
+    return simulate(triangle_plan)
+
+
+@pytest.fixture(scope="module")
+def text(triangle_plan: Plan, tracking: Tracking) -> str:
+    return report_page(triangle_plan, tracking)
+
+
+def floats(packed: str, *shape: int) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(packed), "<f4").astype(float).reshape(-1, *shape)
+
+
+def data_of(text: str) -> dict[str, Any]:
+    found = re.search(r'<script type="application/json" id="replay-data">(.*?)</script>', text, re.DOTALL)
+    assert found
+    data: dict[str, Any] = json.loads(found[1])
+    return data
+
+
+# The page ---------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_light_and_the_same_again(text: str, triangle_plan: Plan, tracking: Tracking) -> None:
+    assert len(text.encode()) < 6_000_000
+    assert report_page(triangle_plan, tracking) == text
+
+
+def test_every_figure_check_and_remark_is_in_it(text: str, triangle_plan: Plan, tracking: Tracking) -> None:
+    cells = set(re.findall(r"<t[dh][^>]*>([^<]*)</t[dh]>", text))
+    for row in (*triangle_plan.rows(), *tracking_rows(tracking)):
+        assert set(row) <= cells
+    for check in triangle_plan.certificate.checks:
+        assert check.quantity.replace("'", "&#x27;") in cells
+    for remark in remarks(triangle_plan):
+        assert f"<li>{remark}</li>".replace("'", "&#x27;") in text
+    for name in dataclasses.asdict(triangle_plan.options):
+        assert name in cells
+    assert cmbot.__version__ in cells
+    assert "NO" not in cells
+
+
+def test_names_are_text(triangle_plan: Plan) -> None:
+    scene = triangle_plan.scene
+    obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
+    evil = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
+    page = report_page(dataclasses.replace(triangle_plan, scene=evil))
+    assert "<img src" not in page
+    assert page.count("</script>") == report_page(triangle_plan).count("</script>")
+    assert data_of(page)["title"] == EVIL
+
+
+def test_both_pages_of_a_directory(triangle_plan: Plan, tracking: Tracking, text: str) -> None:
+    made = pages(triangle_plan, tracking)
+    assert list(made) == ["replay.html", "report.html"]
+    assert made["report.html"].decode() == text
+
+
+def test_it_is_written_whole_or_not_at_all(triangle_plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    cmbot.report(triangle_plan, path)
+    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    with pytest.raises(InputError, match="cannot be written"):
+        cmbot.report(triangle_plan, tmp_path / "missing" / "report.html")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_tracking_of_another_plan_is_refused(short_plan: Plan, tracking: Tracking) -> None:
+    with pytest.raises(InputError, match=r"tracking: planned\.stop: got 20 s, expected 4 s"):
+        report_page(short_plan, tracking)
+
+
+# What is in the plots ---------------------------------------------------------------------------------------
+
+
+def test_peaks_survive_the_thinning(triangle_plan: Plan, tracking: Tracking) -> None:
+    approach = triangle_plan.approach
+    assert approach is not None
+    torque = next(charts(triangle_plan, tracking))
+    baseline, planned = (floats(curve["y"]) for curve in torque.data()["curves"])
+    norms = np.linalg.norm(triangle_plan.baseline.guardrail_torque, axis=1)
+    assert baseline.max() == pytest.approx(norms.max(), rel=1e-6)
+    assert planned.max() == pytest.approx(approach.certificate.figures.peak_guardrail_torque, rel=1e-3)
+    assert len(planned) <= MOST_POINTS
+    for chart in joint_charts(triangle_plan):
+        for curve, entry in zip(chart.curves, chart.data(50)["curves"], strict=True):
+            y = floats(entry["y"])
+            assert [y.min(), y.max()] == pytest.approx([curve.y.min(), curve.y.max()], rel=1e-6, abs=1e-6)
+
+
+def test_joint_plots_reach_from_bound_to_bound(triangle_plan: Plan) -> None:
+    limits, n = triangle_plan.robot.limits, triangle_plan.robot.dof
+    made = list(joint_charts(triangle_plan))
+    assert [chart.title for chart in made[::n]] == ["angle", "velocity", "acceleration", "jerk", "torque"]
+    np.testing.assert_allclose(
+        [chart.bounds for chart in made[:n]], np.rad2deg([limits.lower, limits.upper]).T
+    )
+    np.testing.assert_allclose([chart.bounds[1] for chart in made[4 * n :]], limits.torque)
+    for chart in made:
+        assert chart.bounds[0] is not None
+        assert chart.bounds[1] is not None
+        assert chart.axis[0] < chart.bounds[0] < chart.bounds[1] < chart.axis[1]
+
+
+def test_tracking_errors_share_one_scale(triangle_plan: Plan, tracking: Tracking) -> None:
+    along = [chart for chart in charts(triangle_plan, tracking) if chart.title.startswith("Tracking error")]
+    assert len(along) == 3
+    spans = [chart.axis[1] - chart.axis[0] for chart in along]
+    assert spans == pytest.approx([spans[0]] * 3)
+    for chart in along:
+        for curve in chart.curves:
+            assert chart.axis[0] <= curve.y.min() <= curve.y.max() <= chart.axis[1]
+
+
+@given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=300), st.integers(4, 60))
+def test_thinning_keeps_ends_and_extremes(values: list[float], most: int) -> None:
+    y = np.array(values)
+    t = np.arange(len(y), dtype=float)
+    kept_t, kept_y = thinned(t, y, most)
+    assert len(kept_t) <= max(most, len(y) if len(y) <= most else 0)
+    assert (np.diff(kept_t) > 0).all()
+    np.testing.assert_array_equal(y[kept_t.astype(int)], kept_y)
+    assert {kept_t[0], kept_t[-1]} == {t[0], t[-1]}
+    assert (kept_y.min(), kept_y.max()) == (y.min(), y.max())
+
+
+# Headlines --------------------------------------------------------------------------------------------------
+
+
+def promises(plan: Plan) -> int:
+    assert plan.approach is not None
+    return len(plan.certificate.checks) + len(plan.approach.certificate.checks)
+
+
+def test_headlines_say_what_was_gained(triangle_plan: Plan, tracking: Tracking) -> None:
+    peak, floor, certified, clearance, deviation, error = headlines(triangle_plan, tracking)
+    before, after = triangle_plan.baseline_figures, triangle_plan.figures
+    assert (peak.before, peak.value) == (
+        f"{before.peak_guardrail_torque:.1f}",
+        f"{after.peak_guardrail_torque:.1f} Nm",
+    )
+    assert "Nm on the approach" in peak.detail
+    assert triangle_plan.gap_to_floor is not None
+    assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
+    assert certified.value == f"{promises(triangle_plan)} of {promises(triangle_plan)} hold"
+    assert clearance.value == f"{1e3 * after.min_clearance:.1f} mm"
+    assert deviation.value == f"{1e3 * after.max_tool_deviation:.2f} mm"
+    assert error.value == f"{1e3 * tracking.planned.figures.total.rms[3]:.1f} mm"
+    assert {card.state for card in (peak, certified, clearance, deviation)} == {"good"}
+
+
+def test_what_is_broken_is_said(triangle_plan: Plan) -> None:
+    certificate = triangle_plan.certificate
+    broken = dataclasses.replace(certificate.checks[0], value=2 * certificate.checks[0].bound)
+    figures = dataclasses.replace(certificate.figures, min_clearance=0.01)
+    certificate = dataclasses.replace(certificate, checks=(broken, *certificate.checks[1:]), figures=figures)
+    plan = dataclasses.replace(triangle_plan, certificate=certificate)
+    _, _, certified, clearance, *_ = headlines(plan, None)
+    all_of_them = promises(triangle_plan)
+    assert (certified.value, certified.state) == (f"{all_of_them - 1} of {all_of_them} hold", "bad")
+    assert broken.quantity in certified.detail
+    assert clearance.state == "bad"
+    assert ">NO</td>" in report_page(plan)
+
+
+def test_fixed_knots_have_no_floor(short_plan: Plan) -> None:
+    floor = list(headlines(short_plan, None))[1]
+    assert (floor.value, floor.detail) == ("–", "fixed knots have none")
+
+
+@pytest.mark.parametrize(
+    ("value", "bound", "at_least", "use"),
+    [(0.5, 1.0, False, 0.5), (0.04, 0.02, True, 0.5), (0.0, 0.02, True, np.inf), (2.0, 1.0, False, 2.0)],
+)
+def test_use_of_a_bound(triangle_plan: Plan, value: float, bound: float, at_least: bool, use: float) -> None:
+    check = triangle_plan.certificate.checks[0]
+    assert use_of(dataclasses.replace(check, value=value, bound=bound, at_least=at_least)) == use
+
+
+# What the view shows besides the arms -----------------------------------------------------------------------
+
+
+def test_nearest_points_are_as_far_apart_as_the_clearance(triangle_plan: Plan, tracking: Tracking) -> None:
+    data = replay_data(triangle_plan, tracking)
+    seen = set()
+    for motion in (data["planned"], data["baseline"], data["approach"]["planned"], data["rest"]["planned"]):
+        near, pair, clearance = (
+            floats(motion["near"], 2, 3),
+            floats(motion["pair"]),
+            floats(motion["clearance"]),
+        )
+        shown = pair >= 0
+        far = np.linalg.norm(near[:, 0] - near[:, 1], axis=1)
+        np.testing.assert_allclose(far[shown], clearance[shown], atol=2e-4)
+        assert (clearance[~shown] >= triangle_plan.options.avoidance_distance_m - 2e-4).all()
+        seen |= {data["pairs"][int(k)] for k in pair[shown]}
+    assert "tool – bracket_ab" in seen
+    assert seen == set(data["pairs"])
+
+
+def test_the_error_is_that_of_the_simulation(triangle_plan: Plan, tracking: Tracking) -> None:
+    data = replay_data(triangle_plan, tracking)
+    assert data["end"] == pytest.approx(tracking.planned.t[-1])
+    times = np.linspace(0, data["duration"], len(floats(data["planned"]["clearance"])))
+    for name, motion in (("planned", tracking.planned), ("baseline", tracking.baseline)):
+        expected = np.stack([np.interp(times, motion.t, e) for e in motion.error.T], axis=1)
+        np.testing.assert_allclose(floats(data[name]["error"], 3), expected, atol=1e-8)
+        rest = data["rest"][name]
+        assert np.ptp(floats(rest["tool"], 3), axis=0).max() == 0
+        assert np.ptp(floats(rest["error"], 3), axis=0).max() > 0
+    assert data["approach"]["planned"]["error"] is None
+    assert replay_data(triangle_plan)["rest"] is None
