@@ -37,7 +37,7 @@ def replay(
     ways = {"--html": html is not None, "--serve": serve, "--video": video is not None}
     if sum(ways.values()) > 1:
         given = ", ".join(name for name, wanted in ways.items() if wanted)
-        raise InputError("cmbot replay", given, "more than one", "one of them")
+        raise InputError("cmbot replay", given, "both" if sum(ways.values()) == 2 else "all", "one of them")
     loaded = cmbot.load_plan(directory)
     tracking = cmbot.load_tracking(loaded, directory)
     if serve:

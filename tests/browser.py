@@ -1,5 +1,6 @@
-"""A headless Chromium that cannot reach any network, for the tests of HTML pages."""
+"""A headless Chromium that cannot reach any network, for the tests of HTML pages, and what they ask of it."""
 
+import json
 import os
 import shutil
 from collections.abc import Iterator
@@ -46,6 +47,32 @@ def chromium(folder: Path) -> Iterator[webdriver.Chrome]:
     options.set_capability("goog:loggingPrefs", {"browser": "ALL", "performance": "ALL"})
     chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
     try:
+        chrome.get("about:blank")  # its own first page asks for things of its own
         yield chrome
     finally:
         chrome.quit()
+
+
+def open_page(chrome: webdriver.Chrome, page: Path) -> None:
+    for kind in ("browser", "performance"):
+        chrome.get_log(kind)  # of the page before
+    chrome.get(page.as_uri())
+    next_frame(chrome)
+
+
+def next_frame(chrome: webdriver.Chrome) -> None:
+    chrome.execute_async_script(
+        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
+    )
+
+
+def console_errors(chrome: webdriver.Chrome) -> list[str]:
+    return [entry["message"] for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"]
+
+
+def connections(chrome: webdriver.Chrome) -> set[str]:
+    """What was asked for since the page was opened, but data in the page."""
+    events = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]
+    asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
+    asked |= {e["params"]["url"] for e in events if e["method"] == "Network.webSocketCreated"}
+    return {url for url in asked if not url.startswith(("data:", "blob:"))}

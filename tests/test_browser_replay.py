@@ -2,14 +2,13 @@
 
 import dataclasses
 import io
-import json
 from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import chromium
+from browser import chromium, connections, console_errors, next_frame, open_page
 from PIL import Image
 from selenium import webdriver
 
@@ -45,18 +44,6 @@ def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
     return chrome
 
 
-def open_page(chrome: webdriver.Chrome, page: Path) -> None:
-    for kind in ("browser", "performance"):
-        chrome.get_log(kind)  # of the page before
-    chrome.get(page.as_uri())
-
-
-def next_frame(chrome: webdriver.Chrome) -> None:
-    chrome.execute_async_script(
-        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
-    )
-
-
 def picture(chrome: webdriver.Chrome) -> np.ndarray:
     next_frame(chrome)
     png = chrome.find_element("id", "view").screenshot_as_png
@@ -67,21 +54,13 @@ def drawn_pose(chrome: webdriver.Chrome, link: str, arm: str) -> np.ndarray:
     return np.reshape(chrome.execute_script("return cmbotReplay.pose(...arguments)", link, arm), (4, 4))
 
 
-def console_errors(chrome: webdriver.Chrome) -> list[str]:
-    return [entry["message"] for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"]
-
-
 def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
     chrome: webdriver.Chrome, page: Path
 ) -> None:
     open_page(chrome, page)
     chrome.execute_script("cmbotReplay.seek(5)")
     next_frame(chrome)
-    events = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]
-    asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
-    assert page.as_uri() in asked
-    assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page.as_uri()}
-    assert not [event for event in events if event["method"] == "Network.webSocketCreated"]
+    assert connections(chrome) == {page.as_uri()}
     assert console_errors(chrome) == []
     assert chrome.find_elements("id", "failure") == []
 

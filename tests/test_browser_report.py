@@ -3,7 +3,6 @@
 import base64
 import dataclasses
 import io
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import chromium
+from browser import chromium, connections, console_errors, next_frame, open_page
 from PIL import Image
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
@@ -55,27 +54,10 @@ def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
     return chrome
 
 
-def open_page(chrome: webdriver.Chrome, page: Path) -> None:
-    for kind in ("browser", "performance"):
-        chrome.get_log(kind)  # of the page before
-    chrome.get(page.as_uri())
-    next_frame(chrome)
-
-
-def next_frame(chrome: webdriver.Chrome) -> None:
-    chrome.execute_async_script(
-        "const done = arguments[0]; requestAnimationFrame(() => requestAnimationFrame(() => done()))"
-    )
-
-
 def picture(chrome: webdriver.Chrome) -> np.ndarray:
     next_frame(chrome)
     png = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
     return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")).astype(int)
-
-
-def console_errors(chrome: webdriver.Chrome) -> list[str]:
-    return [entry["message"] for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"]
 
 
 def cursors(chrome: webdriver.Chrome) -> np.ndarray:
@@ -103,9 +85,7 @@ def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
     open_page(chrome, page)
     chrome.execute_script("cmbotReplay.seek(5)")
     next_frame(chrome)
-    events = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]
-    asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
-    assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page.as_uri()}
+    assert connections(chrome) == {page.as_uri()}
     assert console_errors(chrome) == []
     assert chrome.find_elements("id", "failure") == []
     assert page.stat().st_size < 6_000_000
@@ -226,10 +206,10 @@ def test_the_picture_is_not_blank_and_changes_with_time(shown: webdriver.Chrome)
 def test_side_by_side_each_half_has_its_arm(shown: webdriver.Chrome) -> None:
     shown.execute_script("cmbotReplay.compare('beside')")
     halves = picture(shown)[200:700]
-    left, right = halves[:, 20:250], halves[:, 252:482]
-    assert shown.find_element("css selector", ".half.baseline").is_displayed()
-    assert len(np.unique(right.reshape(-1, 3), axis=0)) > 300
-    assert (np.abs(left - right).max(axis=2) > 60).sum() > 500
+    planned, baseline = halves[:250, 20:480], halves[-250:, 20:480]
+    assert shown.find_element("id", "half-baseline").is_displayed()
+    assert len(np.unique(baseline.reshape(-1, 3), axis=0)) > 300
+    assert (np.abs(planned - baseline).max(axis=2) > 60).sum() > 500
     pose = {arm: tool_of(shown, arm) for arm in ("planned", "baseline")}
     shown.execute_script("cmbotReplay.compare('ghost')")
     next_frame(shown)

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from cmbot.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalStage, plan
+from cmbot.planning.refinement import refined, ways_beside
 from cmbot.planning.setting import Setting, prepare
 from cmbot.robot import Dynamics, Postures
 from cmbot.scene import Scene
@@ -108,3 +109,42 @@ def test_joints_that_are_too_slow_are_named() -> None:
 def test_weak_joints_are_named() -> None:
     with pytest.raises(PathNotFound, match="ask too much of a joint's torque"):
         GlobalStage(setting_of(short_scene(robot={"payload_kg": 60.0})))
+
+
+@pytest.mark.parametrize("keep", ["axis", "position"])
+@pytest.mark.parametrize("pinned", [False, True])
+def test_wide_self_motions(keep: str, pinned: bool) -> None:
+    """More freedom costs nothing, and what is done about coarse charts keeps everything that was asked."""
+    pose = setting_of(short_scene())
+    setting = setting_of(short_scene(tool_path={"keep": keep}))
+    stage = GlobalStage(setting)
+    solution = stage.solve(pinned=pinned)
+    test_a_solution_is_admissible(setting, stage, pinned)
+    assert solution.peak <= GlobalStage(pose).solve(pinned=pinned).peak + 1e-9
+    if not pinned:
+        assert solution.peak <= stage.floor.value * (1 + 2e-3)
+
+
+def test_refining_never_raises_the_peak() -> None:
+    setting = setting_of(short_scene(tool_path={"keep": "axis"}))
+    postures, task = Postures(setting.robot), setting.task
+    ways = ways_beside(setting, setting.posture, 0, 0.3)
+    q = np.stack([each[0] for each in ways])
+    np.testing.assert_array_equal(q[0], setting.posture)
+    for each, point in zip(ways, task.path.position(setting.times), strict=True):
+        at = postures.at(each)
+        assert len(each) > 20
+        assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
+    steps = np.full((len(q) - 1, 7), 0.3)
+    before = setting.objective.at_rest(postures.at(q)).max()
+    for stays in (True, False):
+        better = refined(setting, q, steps, 0.3, 0.0, start_stays=stays)
+        at = postures.at(better)
+        points = task.path.position(setting.times)
+        assert np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max() < 1e-9
+        assert (np.abs(np.diff(better, axis=0)) <= steps).all()
+        assert not setting.clearances.too_near(better, setting.options.safety_margin_m).any()
+        peak = setting.objective.at_rest(at).max()
+        assert peak <= before
+        assert (peak < before - 10) != stays
+        assert (better[0] == q[0]).all() == stays

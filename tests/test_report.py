@@ -196,6 +196,38 @@ def test_fixed_knots_have_no_floor(short_plan: Plan) -> None:
     assert (floor.value, floor.detail) == ("–", "fixed knots have none")
 
 
+def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
+    """An infinite clearance and a continuous joint, which JSON has no numbers for."""
+    figures = dataclasses.replace(short_plan.figures, min_clearance=np.inf)
+    checks = tuple(
+        dataclasses.replace(check, value=np.inf) if check.at_least else check
+        for check in short_plan.certificate.checks
+    )
+    certificate = dataclasses.replace(
+        short_plan.certificate, checks=checks, figures=figures, clearance_bound=np.inf
+    )
+    scene = dataclasses.replace(short_plan.scene, obstacles=())
+    limits = short_plan.robot.limits
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    lower[1], upper[1] = -np.inf, np.inf
+    limits = dataclasses.replace(limits, lower=lower, upper=upper)
+    alone = short_plan.robot.collision_model.copy()
+    alone.removeAllCollisionPairs()
+    robot = dataclasses.replace(short_plan.robot, limits=limits, collision_model=alone)
+    baseline = dataclasses.replace(
+        short_plan.baseline, clearance=np.full_like(short_plan.baseline.clearance, np.inf)
+    )
+    parts = {"certificate": certificate, "scene": scene, "robot": robot, "baseline": baseline}
+    page = report_page(dataclasses.replace(short_plan, **parts))
+    data = data_of(page)
+    assert data["planned"]["minClearance"] is None
+    assert data["charts"][1]["curves"] == []
+    assert (floats(data["planned"]["pair"]) == -1).all()
+    assert data["jointCharts"][1]["bounds"] == [None, None]
+    assert "nothing is there to be hit" in page
+    assert ">unbounded</td>" in page
+
+
 @pytest.mark.parametrize(
     ("value", "bound", "at_least", "use"),
     [(0.5, 1.0, False, 0.5), (0.04, 0.02, True, 0.5), (0.0, 0.02, True, np.inf), (2.0, 1.0, False, 2.0)],

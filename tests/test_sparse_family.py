@@ -111,8 +111,8 @@ def test_a_unit_uses_up_a_bound(cmbot_robot: Robot) -> None:
         u = np.zeros((splines.columns.shape[1], 7))
         u[number] = splines.unit[number]
         trajectory = space.trajectory(splines.columns @ u)
-        bounds = (limits.velocity, limits.acceleration, limits.jerk)
-        shares = [trajectory.extrema(k).largest()[0] / bound for k, bound in enumerate(bounds, start=1)]
+        bounds = (np.full(7, 0.02), limits.velocity, limits.acceleration, limits.jerk)
+        shares = [trajectory.extrema(k).largest()[0] / bound for k, bound in enumerate(bounds)]
         assert np.max(shares, axis=0) == pytest.approx(np.ones(7), rel=0.05)
 
 

@@ -8,21 +8,19 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from cmbot.archive.goal_schema import ChoiceFile, Count, FloorFile, NonNegative, ObjectiveFile
 from cmbot.errors import PathNotFound
 from cmbot.planning import (
     Certificate,
     Check,
-    Floor,
     LimitUse,
     MotionFigures,
-    ObjectiveFigures,
     PassReport,
     Seconds,
     Start,
 )
 from cmbot.planning.compensation import Compensation
 from cmbot.planning.quieting import Quieting
-from cmbot.planning.ways import Choice
 from cmbot.planning.working_set import Violation
 from cmbot.scene import PlannerOptions, SceneFile
 from cmbot.validation import FileModel
@@ -31,13 +29,10 @@ __all__ = [
     "ApproachFile",
     "CertificateFile",
     "CheckFile",
-    "ChoiceFile",
     "FailureFile",
     "FiguresFile",
-    "FloorFile",
     "HashesFile",
     "LimitUseFile",
-    "ObjectiveFile",
     "PassFile",
     "PlanFile",
     "SecondsFile",
@@ -46,8 +41,6 @@ __all__ = [
     "or_null",
 ]
 
-NonNegative = Annotated[float, Field(ge=0)]
-Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
 
@@ -161,54 +154,6 @@ class ApproachFile(FiguresFile):
     along_self_motion: bool
     """The tool stays about where it is."""
     certificate: CertificateFile
-
-
-class FloorFile(FileModel):
-    """What of the objective no admissible plan can go below at rest."""
-
-    value: NonNegative
-    error: NonNegative
-    """The true value lies at most so far below it."""
-    via_point: Count
-    """Index, from 0, of the via-point that sets it."""
-    each: tuple[NonNegative, ...]
-    """The smallest value at every via-point."""
-
-    def floor(self) -> Floor:
-        """Return it as the planner has it."""
-        return Floor(value=self.value, error=self.error, via_point=self.via_point, each=np.array(self.each))
-
-
-class ObjectiveFile(FileModel):
-    """What was made small, and how small."""
-
-    name: Annotated[str, Field(min_length=1)]
-    unit: str
-    """Empty: nobody said."""
-    own: bool
-    """A function of someone's own in Python: its figures cannot be checked again."""
-    moment_about: Literal["foot", "base"] | None
-    axis_weights: tuple[NonNegative, NonNegative, NonNegative] | None
-    baseline_peak: NonNegative
-    planned_peak: NonNegative
-    floor: NonNegative | None
-    gap: float | None
-    """How far the planned peak lies above the floor, as a share of it."""
-
-    def figures(self) -> ObjectiveFigures:
-        """Return it as the planner has it."""
-        return ObjectiveFigures(**self.model_dump(exclude={"gap"}))
-
-
-class ChoiceFile(FileModel):
-    """Peak of the objective at rest, by the global stage, for each choice of the start; null: no way."""
-
-    free: NonNegative | None
-    pinned: NonNegative | None
-
-    def choice(self) -> Choice:
-        """Return it as the planner has it."""
-        return Choice(free=self.free, pinned=self.pinned)
 
 
 class CompensationFile(FileModel):

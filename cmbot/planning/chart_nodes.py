@@ -35,11 +35,16 @@ class ChartNodes:
 
     def least(self) -> float:
         """Smallest value of any admissible node; infinite when there is none."""
+        best = self.best()
+        return float(self.chart.value[best]) if best >= 0 else float("inf")
+
+    def best(self) -> int:
+        """Return the index of the admissible node with the smallest value; -1 when there is none."""
         while True:
             value = np.where(self.admissible, self.chart.value, np.inf)
             best = int(value.argmin()) if len(value) else 0
             if not len(value) or not np.isfinite(value[best]):
-                return float("inf")
+                return -1
             if self._looked[best]:
-                return float(value[best])
+                return best
             self.look(np.arange(len(value)) == best)

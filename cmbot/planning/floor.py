@@ -26,6 +26,8 @@ _ACCURACY, _MOST_HALVINGS = 2e-6, 24
 # Via-points that are looked at together where the self-motion is a curve; where it is wider they are looked
 # at one by one, and at most so many cells are kept: the error says what that cost.
 _TOGETHER, _MOST_CELLS = 4, 200
+# Where cells had to be left out the best posture is settled by so many steps, so many tries each.
+_STEPS, _TRIES, _SHORTER = 60, 40, 0.87
 # Halves are taken so much longer than they are, for the curvature of the self-motion.
 _WIDER = 1.1
 # Cells in which the arm moves further than this, m, are not searched for clearances.
@@ -57,7 +59,7 @@ class Floor:
     each: FloatArray
 
 
-def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> Floor:
+def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> tuple[Floor, FloatArray]:
     """Find the floor from charts of the self-motion at all via-points.
 
     Parameters
@@ -66,6 +68,12 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> Flo
     nodes : list of ChartNodes
     spacing : float
         Of the charts, rad.
+
+    Returns
+    -------
+    floor : Floor
+    posture : (d,), rad
+        Admissible, with that value at that via-point.
 
     Raises
     ------
@@ -77,6 +85,7 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> Flo
         if not np.isfinite(least):
             raise blocked(setting, nodes, k)
     search = _Search(setting, nodes, spacing)
+    postures = np.stack([node.chart.q[node.best()] for node in nodes])
     together = _TOGETHER if setting.robot.dof - setting.task.dimension == 1 else 1
     bound = np.full(len(each), -np.inf)
     order = np.argsort(-each)
@@ -86,11 +95,12 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> Flo
         some = order[first : first + together]
         if each[some[0]] <= enough:
             break
-        each[some], bound[some] = search.least(some, each[some], enough)
+        each[some], bound[some] = search.least(some, each[some], enough, postures)
         enough = max(enough, float(each[some].max()))
     looked = np.flatnonzero(np.isfinite(bound))
     where = int(looked[each[looked].argmax()])
-    return Floor(value=float(each[where]), error=float(each[where] - bound.max()), via_point=where, each=each)
+    error = float(each[where] - bound.max())
+    return Floor(value=float(each[where]), error=error, via_point=where, each=each), postures[where]
 
 
 @dataclass(frozen=True)
@@ -131,7 +141,9 @@ class _Search:
         self._postures = Postures(setting.robot)
         self._points = setting.task.path.position(setting.times)
 
-    def least(self, some: IntArray, best: FloatArray, enough: float) -> tuple[FloatArray, FloatArray]:
+    def least(
+        self, some: IntArray, best: FloatArray, enough: float, postures: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
         """Smallest admissible values at the via-points `some`, and what they cannot go below.
 
         Parameters
@@ -142,9 +154,11 @@ class _Search:
         enough : float
             A via-point with an admissible value down here cannot set the floor; it is not looked at any
             closer, and nothing is said of what it cannot go below.
+        postures : (n, d), rad
+            Of all via-points, with the values known; better ones are put there.
         """
         best, left_out = best.copy(), np.full(len(some), np.inf)
-        self._point_of = self._points[some]
+        self._some, self._point_of = some, self._points[some]
         q = np.concatenate([self._nodes[k].chart.q for k in some])
         of = np.repeat(np.arange(len(some)), [len(self._nodes[k].chart.q) for k in some])
         edges = self._null_spaces(q)
@@ -153,7 +167,7 @@ class _Search:
             content, possible = self._content(cells)
             worth = possible & (content.lowest < best[cells.of] * (1 - _ACCURACY))
             cells, content = cells[worth], content[worth]
-            best, possible = self._looked(cells, content.value, best)
+            best, possible = self._looked(cells, content.value, best, postures)
             worth = possible & (content.lowest < best[cells.of] * (1 - _ACCURACY))
             worth &= best[cells.of] > enough
             keep = worth & _most_promising(cells.of, np.where(worth, content.lowest, np.inf))
@@ -165,8 +179,30 @@ class _Search:
             cells = self._halved(cells, content.fall)
         else:
             np.minimum.at(left_out, cells.of, np.tile(content.lowest, 2)[: len(cells.of)])
+        if edges.shape[1] > 1:
+            best = self._settled(best, postures, np.flatnonzero(best > enough))
         bound = np.minimum(left_out, best * (1 - _ACCURACY))
         return best, np.where(best > enough, bound, -np.inf)
+
+    def _settled(self, best: FloatArray, postures: FloatArray, which: IntArray) -> FloatArray:
+        """Values after random steps downwards, ever shorter ones, from the best postures known."""
+        rng, best = np.random.default_rng(0), best.copy()
+        for k in which:
+            reach = self._spacing
+            for _ in range(_STEPS):
+                q = postures[self._some[k]]
+                null = self._null_spaces(q[None])[0]
+                moves = reach * rng.uniform(size=(_TRIES, 1)) * rng.normal(size=(_TRIES, len(null))) @ null
+                placed, reached = project(self._postures, self._setting.task, q + moves, self._point_of[k])
+                some = placed[reached]
+                value, _ = self._measured(some)
+                cells = _Cells(
+                    some, np.zeros((len(some), 1, len(q))), np.zeros((len(some), 1)), np.full(len(some), k)
+                )
+                better = value < best[k]
+                best, _ = self._looked(cells[better], value[better], best, postures)
+                reach *= _SHORTER
+        return best
 
     def _null_spaces(self, q: FloatArray) -> FloatArray:
         at = self._postures.at(q)
@@ -201,7 +237,9 @@ class _Search:
         use = (np.abs(at.joint_torque) / self._setting.robot.limits.torque).max(axis=1)
         return self._setting.objective.at_rest(at), use
 
-    def _looked(self, cells: _Cells, value: FloatArray, best: FloatArray) -> tuple[FloatArray, BoolArray]:
+    def _looked(
+        self, cells: _Cells, value: FloatArray, best: FloatArray, postures: FloatArray
+    ) -> tuple[FloatArray, BoolArray]:
         """Look at the clearances of cells: the best values then, and which cells may be clear somewhere."""
         setting, limits = self._setting, self._setting.robot.limits
         margin = setting.options.safety_margin_m
@@ -217,7 +255,9 @@ class _Search:
         distance[near] = setting.clearances.smallest(cells.q[near]).distance
         admissible = hopeful & (distance >= margin)
         best = best.copy()
-        np.minimum.at(best, cells.of[admissible], value[admissible])
+        for k in np.flatnonzero(admissible):
+            if value[k] < best[cells.of[k]]:
+                best[cells.of[k]], postures[self._some[cells.of[k]]] = value[k], cells.q[k]
         return best, distance + reach >= margin
 
     def _halved(self, cells: _Cells, fall: FloatArray) -> _Cells:

@@ -7,7 +7,7 @@ rest in an admissible posture with a smaller objective.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,15 +16,19 @@ from cmbot.errors import PathNotFound
 from cmbot.planning.chart_nodes import ChartNodes
 from cmbot.planning.dynamic_programming import WayThrough, edges, nearest_turn
 from cmbot.planning.floor import find_floor
-from cmbot.planning.self_motion import ChartMaker
+from cmbot.planning.refinement import refined, ways_beside
+from cmbot.planning.self_motion import Chart, ChartMaker, charts_of
 from cmbot.planning.setting import Setting
 from cmbot.planning.starts import no_start_left
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures
 
 __all__ = ["GlobalSolution", "GlobalStage"]
 
 # Two postures nearer than this in every joint are one, rad.
 _SAME_POSTURE = 1e-9
+# Task coordinates of a whole pose.
+_POSE = 6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,17 +67,14 @@ class GlobalStage:
     def __init__(self, setting: Setting) -> None:
         self._setting = setting
         options, limits, times = setting.options, setting.robot.limits, setting.times
-        maker = ChartMaker(
-            Postures(setting.robot),
-            setting.task,
-            limits,
-            setting.objective,
-            spacing=options.chart_spacing,
-            seeds=options.chart_seeds,
-        )
-        charts = maker.along(setting.task.path.position(times), setting.posture[None])
+        maker, charts = self._charts(setting.task)
         self._nodes = [ChartNodes(chart, setting.clearances, options.safety_margin_m) for chart in charts]
-        self.floor = find_floor(setting, self._nodes, maker.spacing)
+        self.floor, lowest = find_floor(setting, self._nodes, maker.spacing)
+        self._spacing = maker.spacing
+        self._wide = setting.robot.dof - setting.task.dimension > 1
+        if self._wide:
+            charts = self._with_more(charts, lowest)
+            self._nodes = [ChartNodes(chart, setting.clearances, options.safety_margin_m) for chart in charts]
         self._steps = (
             options.step_share * limits.velocity * np.diff(times)[:, None] + 0.5 * options.chart_spacing
         )
@@ -136,10 +137,39 @@ class GlobalStage:
         way = WayThrough(self._setting, self._nodes, self._edges, self._steps, starts)
         chosen = way.best()
         q = np.stack([node.chart.q[k] for node, k in zip(self._nodes, chosen, strict=True)])
-        return GlobalSolution(
-            q=self._unwound(q),
-            value=np.array([node.chart.value[k] for node, k in zip(self._nodes, chosen, strict=True)]),
+        if self._wide:
+            stays = not starts.all()
+            # A start that stays is a floor of its own.
+            floor = max(self.floor.value, float(self._nodes[0].chart.value[chosen[0]]) if stays else 0.0)
+            q = refined(self._setting, q, self._steps, self._spacing, floor, start_stays=stays)
+        value = self._setting.objective.at_rest(Postures(self._setting.robot).at(q))
+        return GlobalSolution(q=self._unwound(q), value=value)
+
+    def _charts(self, task: ToolTask) -> tuple[ChartMaker, list[Chart]]:
+        setting, options = self._setting, self._setting.options
+        maker = ChartMaker(
+            Postures(setting.robot),
+            task,
+            setting.robot.limits,
+            setting.objective,
+            spacing=options.chart_spacing,
+            seeds=options.chart_seeds,
         )
+        return maker, maker.along(task.path.position(setting.times), setting.posture[None])
+
+    def _with_more(self, charts: list[Chart], lowest: FloatArray) -> list[Chart]:
+        """Add to coarse charts the finer ones of the whole pose, and what lies along the way of `lowest`.
+
+        So freedom never costs anything, and the scene's own posture leads somewhere.
+        """
+        setting = self._setting
+        each = [chart.q for chart in charts]
+        more = [ways_beside(setting, lowest, self.floor.via_point, self._spacing)]
+        if setting.robot.dof > _POSE:
+            more.append([chart.q for chart in self._charts(replace(setting.task, keep="pose"))[1]])
+        for some in more:
+            each = [np.vstack([q, others]) for q, others in zip(each, some, strict=True)]
+        return charts_of(Postures(setting.robot), setting.robot.limits, setting.objective, each)
 
     def _from_the_scenes(self, q: FloatArray) -> FloatArray:
         """Moves (N, n) from the scene's posture to `q` (N, n), the shorter way round for endless joints."""

@@ -22,6 +22,8 @@ from cmbot.robot import JointLimits
 __all__ = ["LocalRows", "LocalSplines"]
 
 _ORDERS = 4
+# How far a unit of a basis spline moves a joint at most, rad.
+_FAR = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,15 +68,17 @@ class LocalSplines:
 
     @cached_property
     def unit(self) -> FloatArray:
-        """Multiples (n - 4, d) at which a basis spline uses up a bound of velocity, acceleration or jerk."""
+        """Multiples (n - 4, d) at which a basis spline uses up a bound, or goes far from the via-points."""
         t = self.space.t
-        largest = np.zeros((3, self.count))
-        for order in (1, 2, 3):
+        largest = np.zeros((_ORDERS, self.count))
+        for order in range(_ORDERS):
             for share in np.linspace(0.0, 1.0, 5):
                 rows = self.rows(t[:-1] + share * np.diff(t))
                 inside = rows.column < self.count
-                np.maximum.at(largest[order - 1], rows.column[inside], np.abs(rows.weight[order, inside]))
-        bounds = np.stack([self.limits.velocity, self.limits.acceleration, self.limits.jerk])
+                np.maximum.at(largest[order], rows.column[inside], np.abs(rows.weight[order, inside]))
+        limits = self.limits
+        far = np.full(len(limits.jerk), _FAR)
+        bounds = np.stack([far, limits.velocity, limits.acceleration, limits.jerk])
         return np.asarray((bounds[:, None, :] / largest[:, :, None]).min(axis=0))
 
     def least_jerk(self, q: FloatArray) -> FloatArray:

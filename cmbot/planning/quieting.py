@@ -17,6 +17,7 @@ from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
+from scipy import linalg, optimize
 from scipy.sparse.linalg import splu
 
 from cmbot.arrays import FloatArray
@@ -37,10 +38,14 @@ _CARRIERS = 8
 _STEPS_A_PERIOD, _MATRICES_EVERY = 60, 0.1
 # Damping ratio of the modes that are quieted, as simulated by default: it hardly matters within a leg.
 _DAMPING = 0.01
-# Conditions that cost this much more than the cheapest are left alone: the splines cannot follow them.
-_TOO_DEAR = 1e-10
+# Share of their own size that is added to the conditions' covariance.
+_ALIKE = 1e-5
 # Times that a change is worked out anew, and sites of a constraint that are added each time, at most.
-_ROUNDS, _MOST_SITES = 8, 400
+_ROUNDS, _MOST_SITES = 12, 400
+# Constraints are kept so many tolerances inside their bounds.
+_INSIDE = 3.0
+# What no number changes has a cost of this size, at most.
+_NOTHING = 1e-300
 # Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
 _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 
@@ -100,29 +105,34 @@ def _quieted(
 ) -> tuple[QuinticTrajectory, float]:
     """Change a trajectory so that its legs end quietly; return it and the share of the change that it took.
 
-    What the change would violate is left as it was, and the change worked out anew.
+    Newton's method: what a step violates becomes an equation of the next one, which brings it back.
     """
     working, tolerance = WorkingSet(problem), problem.options.constraint_tolerance
     peak = working.add_violated(trajectory, np.inf, tolerance, 1, 0)[2] * (1 + _PEAK_RISE)
-    conditions, aims = _conditions(problem, trajectory, legs)
-    change = np.zeros((3 * len(trajectory.t), trajectory.q.shape[1]))
 
-    def changed(share: float) -> tuple[QuinticTrajectory, bool, int]:
-        candidate = problem.space.trajectory(_knot_vector(trajectory) + share * change)
-        added, worst, new_peak = working.add_violated(candidate, peak, tolerance, 1, _MOST_SITES)
-        return candidate, worst.value <= tolerance and new_peak <= peak * (1 + tolerance), added
+    def missing(candidate: QuinticTrajectory) -> float:
+        _, worst, new_peak = working.add_violated(candidate, peak, tolerance, 1, _MOST_SITES)
+        return max(worst.value, new_peak - peak)
 
+    space = problem.space
+    here, z = trajectory, _knot_vector(trajectory)
+    X = np.zeros((space.dimension, trajectory.q.shape[1]))
     for _ in range(_ROUNDS):
-        held = _unchanged(problem, trajectory, working)
-        change = _least_jerk_change(problem, [*conditions, *held], np.append(aims, np.zeros(len(held))))
-        candidate, keeps, added = changed(1.0)
-        if keeps:
-            return candidate, 1.0
-        if not added:
-            break
+        wanted, aims = _conditions(problem, here, legs)
+        held, values = _held(problem, here, working, peak)
+        # To first order around here, but for the change as a whole.
+        R = np.stack([*wanted, *held], axis=-1)
+        room = -values - _INSIDE * tolerance
+        # What is at its bound, not beyond it, may stay there: some of it no number can change.
+        room = np.where(values <= tolerance, np.maximum(room, 0.0), room)
+        aims = np.append(aims, room) + np.einsum("bjc,bj->c", R, X)
+        X = _least_jerk_change(problem, R, aims, len(wanted))
+        here = space.trajectory(z + space.basis @ X)
+        if missing(here) <= tolerance:
+            return here, 1.0
     for share in _SHARES:
-        candidate, keeps, _ = changed(share)
-        if keeps:
+        candidate = space.trajectory(z + share * (space.basis @ X))
+        if missing(candidate) <= tolerance:
             return candidate, share
     return trajectory, 0.0
 
@@ -168,36 +178,48 @@ def _conditions(
     return rows, -np.concatenate([leg.vibration(trajectory) for leg in legs])
 
 
-def _unchanged(
-    problem: TorqueProblem, trajectory: QuinticTrajectory, working: WorkingSet
-) -> list[FloatArray]:
-    """Derivatives (n - 4, d) by the splines' numbers of the constraints of the working set."""
+def _held(
+    problem: TorqueProblem, trajectory: QuinticTrajectory, working: WorkingSet, peak: float
+) -> tuple[list[FloatArray], FloatArray]:
+    """Derivatives (n - 4, d) by the splines' numbers of the working set's constraints, and their values."""
     space, d = problem.space, trajectory.q.shape[1]
     rows: list[FloatArray] = []
-    for function, times, component in working.state_sites():
+    values: list[FloatArray] = [np.empty(0)]
+    for number, (function, times, component) in enumerate(working.state_sites()):
         if len(times):
             at = function.linearise(States(times, *trajectory.states(times)), component)
             designs = [(space.design(times, order) @ space.basis).toarray() for order in range(3)]
             parts = zip(designs, (at.d_q, at.d_v, at.d_a), strict=True)
             rows += list(sum(D[:, :, None] * by[:, None, :] for D, by in parts))
-    for bound, times, joints in working.bound_sites():
+            values.append(at.value - (peak if number == 0 else 0.0))
+    for bound, times, component in working.bound_sites():
         if len(times):
+            joint, sign = component // 2, np.where(component % 2 == 0, 1.0, -1.0)
+            limit = np.where(sign > 0, bound.high[joint], bound.low[joint])
+            derivative = trajectory.evaluate(times, bound.order)[np.arange(len(joint)), joint]
+            factor = sign / bound.scale[joint]
             design = (space.design(times, bound.order) @ space.basis).toarray()
-            rows += list(design[:, :, None] * (np.eye(d)[joints] / bound.scale[joints, None])[:, None, :])
-    return rows
+            rows += list(design[:, :, None] * (np.eye(d)[joint] * factor[:, None])[:, None, :])
+            values.append(factor * (derivative - limit))
+    return rows, np.concatenate(values)
 
 
-def _least_jerk_change(problem: TorqueProblem, rows: list[FloatArray], aims: FloatArray) -> FloatArray:
-    """Change (3n, d) of the knot vectors with the least jerk that adds `aims` (c,) to c linear quantities."""
-    R = np.stack(rows, axis=-1)
-    # All on one scale, so that none is given up before another.
-    size = np.linalg.norm(R, axis=(0, 1))
-    R, aims = R / size, aims / size
+def _least_jerk_change(problem: TorqueProblem, R: FloatArray, aims: FloatArray, equations: int) -> FloatArray:
+    """Change X (n - 4, d) of the splines' numbers with the least jerk.
+
+    Of the linear quantities with derivatives `R` (n - 4, d, c), the first `equations` are to change by their
+    `aims` (c,), the others by no more than that. Solved for the multipliers, which are few.
+    """
     gram, J_C = splu(problem.space.jerk_gram.tocsc()), problem.robot.limits.jerk
     cheapest = np.stack([bound**2 * gram.solve(R[:, joint]) for joint, bound in enumerate(J_C)], axis=1)
     cost = np.einsum("bjc,bjd->cd", R, cheapest)
-    multipliers = np.linalg.lstsq(cost, aims, rcond=_TOO_DEAR)[0]
-    return np.asarray(problem.space.basis @ (cheapest @ multipliers))
+    # All on one scale; quantities that are nearly the same share their multiplier.
+    size = np.sqrt(np.maximum(np.diag(cost), _NOTHING))
+    L = np.linalg.cholesky(cost / size[:, None] / size + _ALIKE * np.eye(len(aims)))
+    upper = np.where(np.arange(len(aims)) < equations, np.inf, 0.0)
+    target = linalg.solve_triangular(L, aims / size, lower=True)
+    multipliers = optimize.lsq_linear(L.T, target, bounds=(-np.inf, upper), method="bvls").x
+    return np.asarray(cheapest @ (multipliers / size))
 
 
 def _matrices(

@@ -21,7 +21,7 @@ from cmbot.planning.on_task import null_spaces, project
 from cmbot.planning.task import ToolTask
 from cmbot.robot import JointLimits, Postures
 
-__all__ = ["Chart", "ChartMaker", "without_neighbours"]
+__all__ = ["Chart", "ChartMaker", "charts_of", "without_neighbours"]
 
 # Newton steps that put random postures onto the task.
 _MANY_STEPS = 40
@@ -55,6 +55,21 @@ class Chart:
     value: FloatArray
     joint_use: FloatArray
     within: BoolArray
+
+
+def charts_of(
+    postures: Postures, limits: JointLimits, objective: Objective, each: Sequence[FloatArray]
+) -> list[Chart]:
+    """Return charts of given postures, arrays (M, n)."""
+    q = np.vstack(each)
+    at = postures.at(q)
+    value = objective.at_rest(at)
+    use = (np.abs(at.joint_torque) / limits.torque).max(axis=1)
+    within = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
+    ends = np.cumsum([0, *(len(part) for part in each)])
+    return [
+        Chart(q=q[a:b], value=value[a:b], joint_use=use[a:b], within=within[a:b]) for a, b in pairwise(ends)
+    ]
 
 
 class ChartMaker:
@@ -156,16 +171,7 @@ class ChartMaker:
         return self._grown(seeds, here)
 
     def _charts(self, each: Sequence[FloatArray]) -> list[Chart]:
-        q = np.vstack(each)
-        at = self._postures.at(q)
-        value = self._objective.at_rest(at)
-        use = (np.abs(at.joint_torque) / self._limits.torque).max(axis=1)
-        within = np.all((q >= self._limits.lower) & (q <= self._limits.upper), axis=1)
-        ends = np.cumsum([0, *(len(part) for part in each)])
-        return [
-            Chart(q=q[a:b], value=value[a:b], joint_use=use[a:b], within=within[a:b])
-            for a, b in pairwise(ends)
-        ]
+        return charts_of(self._postures, self._limits, self._objective, each)
 
     def _grown(self, seeds: Sequence[_Postures], points: FloatArray) -> list[FloatArray]:
         """Grow charts at `points` (k, 3) from postures on the task until they have nowhere to grow."""

@@ -109,7 +109,9 @@ class SparsePasses:
                 break
             self._look(family, peak, effort)
         # Whoever gets nowhere in so many steps will not get there in many times as many.
-        stalled = not met and not ended.settled and first.violation > _STALLED * violated
+        stalled = (
+            not met and not ended.settled and first.violation > max(_STALLED * violated, _COARSE_ACCURACY)
+        )
         if (ended.stuck or stalled) and not coarse:
             worst = self._look(family, peak, effort)
             raise OptimisationFailed(

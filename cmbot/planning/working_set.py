@@ -117,9 +117,12 @@ class WorkingSet:
             yield function, sites.times, sites.component
 
     def bound_sites(self) -> Iterator[tuple[KinematicBound, FloatArray, IntArray]]:
-        """Go through the joints' bounds, as in `values`: times and joints of their sites."""
+        """Go through the joints' bounds, as in `values`: times and components of their sites.
+
+        Component 2 j is the upper bound of joint j, 2 j + 1 the lower one.
+        """
         for bound, sites in zip(self._problem.bounds, self._bound_sites, strict=True):
-            yield bound, sites.times, sites.component // 2
+            yield bound, sites.times, sites.component
 
     def add_everywhere(self, times: FloatArray) -> None:
         """Add the guardrail torque and every constraint with one component at `times`.

@@ -86,7 +86,7 @@ class PlannerOptions:
     max_tool_deviation_m : float
         How far the tool point may leave the legs between via-points, m.
     solver : str
-        ``sqp``: sequential quadratic programming on sparse matrices, with PIQP (``pip install "cmbot[fast]"``).
+        ``sqp``: sequential quadratic programming on sparse matrices; needs ``pip install "cmbot[fast]"``.
         ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``. A
         plan's options name the one that was used.
     samples_per_segment : int

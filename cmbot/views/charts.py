@@ -23,6 +23,7 @@ MOST_SMALL_POINTS = 400
 ROOM = 1.06
 """Of the axis beyond what has to be seen."""
 
+_EXPECTED = "Of the planned motion: where the tool is expected with its predicted sag."
 _ERROR = "The bent tool from where the same joint angles put the rigid one. Dashed: the sag at rest."
 
 Motion = Literal["planned", "baseline"]
@@ -163,6 +164,7 @@ def _tool_deviation(plan: Plan) -> Chart:
         axis=(0.0, 1.15 * bound),
         bounds=(None, bound),
         marks=((bound, f"bound {bound:g} mm"),),
+        note=_EXPECTED if plan.samples.expected_tool_point is not None else "",
     )
 
 

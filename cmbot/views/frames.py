@@ -59,7 +59,8 @@ class Frames:
             "tool": pack(Kinematics(self._robot).tool_poses(q)[0]),
             "error": None if error is None else pack(error),
             "peakTorque": figures.peak_guardrail_torque,
-            "minClearance": figures.min_clearance,
+            # Infinite where nothing is there to be hit; JSON cannot say so.
+            "minClearance": figures.min_clearance if np.isfinite(figures.min_clearance) else None,
         }
 
     def _nearest(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from math import inf
 from typing import Literal
 
 from cmbot.planning import Certificate, Check, Plan
@@ -52,7 +53,7 @@ def certificates(plan: Plan) -> dict[str, Certificate]:
 def use_of(check: Check) -> float:
     """Share of its bound that a check's value uses; 1 is at the bound, more is beyond."""
     if check.at_least:
-        return check.bound / check.value if check.value > 0 else float("inf")
+        return check.bound / check.value if check.value > 0 else inf
     return check.value / check.bound if check.bound else 0.0
 
 
@@ -97,6 +98,8 @@ def _certified(plan: Plan) -> Headline:
 
 def _clearance(plan: Plan) -> Headline:
     value, margin = plan.figures.min_clearance, plan.options.safety_margin_m
+    if value == inf:
+        return Headline(title="Smallest clearance", value="–", detail="nothing is there to be hit")
     before, always = plan.baseline_figures.min_clearance, plan.certificate.clearance_bound
     return Headline(
         title="Smallest clearance",

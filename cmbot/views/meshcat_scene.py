@@ -79,7 +79,8 @@ def _backdrop() -> Iterator[Command]:
 
 
 def _robot(robot: Robot) -> Iterator[Command]:
-    shapes = list(robot.visual_model.geometryObjects)
+    # Of a robot that has no shapes to look at, those that it must not hit anything with.
+    shapes = list(robot.visual_model.geometryObjects) or list(robot.collision_model.geometryObjects)
     meshes = simplified([visual_surface(shape, str(robot.urdf)) for shape in shapes], MOST_ROBOT_FACES)
     groups: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
     for shape, mesh in zip(shapes, meshes, strict=True):

@@ -178,11 +178,10 @@ def _joints(plan: Plan) -> Figure:
 def _shares(plan: Plan, samples: Samples) -> tuple[FloatArray, ...]:
     """Return angle, velocity, acceleration, jerk and torque, each (N, d), as shares of their bounds."""
     limits = plan.robot.limits
-    middle, half = 0.5 * (limits.upper + limits.lower), 0.5 * (limits.upper - limits.lower)
-    with np.errstate(invalid="ignore"):
-        angle = np.where(np.isfinite(half), (samples.q - middle) / half, np.nan)
+    ranged = np.isfinite(limits.lower) & np.isfinite(limits.upper)
+    lower, upper = np.where(ranged, limits.lower, np.nan), np.where(ranged, limits.upper, np.nan)
     return (
-        angle,
+        (2 * samples.q - upper - lower) / (upper - lower),
         samples.v / limits.velocity,
         samples.a / limits.acceleration,
         samples.j / limits.jerk,

@@ -38,7 +38,7 @@ def sections(plan: Plan, tracking: Tracking | None, remarks: Iterable[str]) -> s
     if tracking is not None:
         headings = ("mm", "", "x", "y", "z", "norm")
         table = _table(headings, tracking_rows(tracking), text_columns=2)
-        parts.append(_section("Simulation", table + _list(tracking_remarks(tracking)), wide=True))
+        parts.append(_section("Simulation", table + _list(tracking_remarks(tracking))))
     parts += [
         _section("Scene", _table(("", ""), _scene(plan), text_columns=2)),
         _section("Joints", _table(_JOINT_HEADINGS, _joints(plan))),
@@ -126,7 +126,8 @@ def _joints(plan: Plan) -> Iterator[Row]:
     for i, name in enumerate(plan.robot.joints):
         low, high = np.rad2deg([limits.lower[i], limits.upper[i]])
         rates = (np.rad2deg(bound[i]) for bound in (limits.velocity, limits.acceleration, limits.jerk))
-        yield name, f"{low:g} to {high:g}", *(f"{rate:.4g}" for rate in rates), f"{limits.torque[i]:.4g}"
+        reach = f"{low:g} to {high:g}" if np.isfinite([low, high]).all() else "unbounded"
+        yield name, reach, *(f"{rate:.4g}" for rate in rates), f"{limits.torque[i]:.4g}"
 
 
 def _options(options: dict[str, object]) -> Iterator[Row]:

@@ -113,8 +113,8 @@ class Chart {
   draw() {
     const { svg, small } = this;
     this.width = Math.max(this.figure.clientWidth, 60);
-    this.height = small ? 62 : 136;
-    this.inset = small ? { left: 2, right: 2, top: 4, bottom: 4 } : { left: 46, right: 8, top: 6, bottom: 20 };
+    this.height = small ? 62 : 140;
+    this.inset = small ? { left: 2, right: 2, top: 4, bottom: 4 } : { left: 46, right: 8, top: 6, bottom: 24 };
     const [low, high] = this.range;
     this.axis = low < high ? [low, high] : [low - 1, high + 1];
     svg.replaceChildren();
@@ -150,7 +150,8 @@ class Chart {
       make("text", { class: "tick", x: this.inset.left - 6, y: this.y(value) + 3.5, "text-anchor": "end" }, svg, text);
     }
     for (const [value, text] of ticks(start, end, 8)) {
-      make("text", { class: "tick", x: this.x(value), y: this.height - 6, "text-anchor": "middle" }, svg, `${text} s`);
+      const x = this.x(value), anchor = x > this.width - 24 ? "end" : "middle";
+      make("text", { class: "tick", x: anchor === "end" ? this.width - 2 : x, y: this.height - 6, "text-anchor": anchor }, svg, `${text} s`);
     }
     if (start < 0) make("text", { class: "tick", x: this.x(start) + 5, y: this.height - this.inset.bottom - 5 }, svg, "approach");
   }

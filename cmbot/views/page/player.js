@@ -28,7 +28,7 @@ class Player {
     ui.arrow.addEventListener("change", () => { stage.withArrow = ui.arrow.checked; stage.redraw(); });
     ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
     window.addEventListener("keydown", (event) => this.onKey(event));
-    stage.onDrawn = (motion, left, wide) => this.placeLabels(motion, left, wide);
+    stage.onDrawn = (part) => this.placeLabels(part);
   }
 
   compare(how) {
@@ -128,19 +128,21 @@ class Player {
     this.ui.play.setAttribute("aria-label", playing ? "Pause" : "Play");
   }
 
-  // The planned motion's labels, at the arrow's tip and beside the line of the smallest clearance.
-  placeLabels(motion, left, wide) {
+  // What is written on a part of the view: whose it is, and the planned motion's torque and smallest clearance.
+  placeLabels(part) {
+    const { ui, stage } = this, { left, top, wide, motion } = part;
+    ui[`half-${motion}`].style.transform = `translate(${left + wide - 10}px, ${top + 10}px) translateX(-100%)`;
     if (motion !== "planned") return;
-    const { ui, stage } = this, near = stage.marks.near.planned;
+    const near = stage.marks.near.planned;
     this.put("torque-label", newtonMetres(stage.torque.planned.length()));
-    this.placeLabel(ui["torque-label"], stage.arrow.tip, left, wide, stage.withArrow);
-    this.placeLabel(ui["near-label"], near.from.clone().lerp(near.to, 0.5), left, wide, near.on, 34);
+    this.placeLabel(ui["torque-label"], stage.arrow.tip, part, stage.withArrow);
+    this.placeLabel(ui["near-label"], near.from.clone().lerp(near.to, 0.5), part, near.on, 34);
   }
 
-  placeLabel(label, point, left, wide, visible, below = 8) {
+  placeLabel(label, point, part, visible, below = 8) {
     label.hidden = !visible;
-    const [x, y] = this.stage.onScreen(point, left, wide), half = label.offsetWidth / 2 + 4;
-    const within = Math.max(Math.min(x, left + wide - half), left + half);
+    const [x, y] = this.stage.onScreen(point, part), half = label.offsetWidth / 2 + 4;
+    const within = Math.max(Math.min(x, part.left + part.wide - half), part.left + half);
     label.style.transform = `translate(${within.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, ${below}px)`;
   }
 }

@@ -36,6 +36,17 @@ start((data) => {
     });
   }
 
+  // Beside the plots the view ends above the bar, wherever it begins.
+  function fitView() {
+    const view = document.getElementById("view"), bar = document.getElementById("bar");
+    const top = Math.max(view.parentElement.getBoundingClientRect().top, 10);
+    const beside = window.matchMedia("(min-width: 901px)").matches;
+    view.style.height = beside ? `${Math.max(window.innerHeight - bar.offsetHeight - top - 12, 260)}px` : "";
+  }
+  fitView();
+  window.addEventListener("scroll", fitView, { passive: true });
+  window.addEventListener("resize", fitView);
+
   player = new Player(data, (time) => charts.forEach((chart) => chart.show(time)));
   const drawAll = () => charts.forEach((chart) => chart.draw());
   let width = 0;

@@ -4,7 +4,9 @@ const { THREE } = MeshCat;
 
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 const floats = (text) => new Float32Array(bytesOf(text).buffer);
+const degrees = (angle) => (angle * 180) / Math.PI;
 const MOTIONS = ["planned", "baseline"];
+const HALF_ANGLE = Math.tan(Math.PI / 10);  // tangent of half the view's angle, as it is fitted
 
 class Stage {
   constructor(data) {
@@ -65,24 +67,37 @@ class Stage {
   }
 
   setCompare(how) {
+    const before = this.beside;
     this.compare = how;
+    if (this.beside !== before) this.resetView();
     this.redraw();
   }
 
+  // The parts of the view and the motion in each: two of them share its longer side.
+  get parts() {
+    const [wide, high] = [this.view.clientWidth || 1, this.view.clientHeight || 1];
+    const whole = { motion: "planned", left: 0, top: 0, wide, high };
+    if (!this.beside) return [whole];
+    const [w, h] = [Math.floor(wide / 2), Math.floor(high / 2)];
+    return wide > high
+      ? [{ ...whole, wide: w }, { ...whole, motion: "baseline", left: w, wide: wide - w }]
+      : [{ ...whole, high: h }, { ...whole, motion: "baseline", top: h, high: high - h }];
+  }
+
   render() {
-    const { viewer, view } = this, { renderer, camera } = viewer;
-    const [width, height] = [view.clientWidth || 1, view.clientHeight || 1];
+    const { viewer, view, parts } = this, { renderer, camera } = viewer;
     viewer.controls.update();
-    const half = Math.floor(width / 2);
-    const parts = this.beside ? [["planned", 0, half], ["baseline", half, width - half]] : [["planned", 0, width]];
-    renderer.setScissorTest(this.beside);
-    for (const [motion, left, wide] of parts) {
-      renderer.setViewport(left, 0, wide, height);
-      renderer.setScissor(left, 0, wide, height);
-      camera.aspect = wide / height;
+    renderer.setScissorTest(parts.length > 1);
+    for (const part of parts) {
+      const box = [part.left, view.clientHeight - part.top - part.high, part.wide, part.high];
+      renderer.setViewport(...box);
+      renderer.setScissor(...box);
+      camera.aspect = part.wide / part.high;
+      // A view that has grown since shows more, not larger.
+      camera.fov = degrees(2 * Math.atan(HALF_ANGLE * (part.high / this.fitted)));
       camera.updateProjectionMatrix();
-      this.posed(motion, () => renderer.render(viewer.scene, camera));
-      this.onDrawn?.(motion, left, wide);
+      this.posed(part.motion, () => renderer.render(viewer.scene, camera));
+      this.onDrawn?.(part);
     }
     viewer.needs_render = false;
   }
@@ -183,18 +198,17 @@ class Stage {
     sun.shadow.radius = 3;
   }
 
-  // The ball of interest in the middle of the part of the view that a bar in front of it leaves free.
+  // The ball of interest in the middle of what a bar in front of the view leaves free of its first part.
   resetView() {
     const { centre, radius, azimuth } = this.data.focus;
     const { camera, controls } = this.viewer;
-    const box = this.view.getBoundingClientRect();
+    const [{ wide: width, high: height }] = this.parts, box = this.view.getBoundingClientRect();
     const bar = document.getElementById("bar").getBoundingClientRect();
-    const height = box.height, covered = bar.height > 0 ? box.bottom - bar.top : 0;
-    const free = Math.min(Math.max(height - covered, 0.3 * height), height);
-    const width = this.beside ? box.width / 2 : box.width;
-    camera.fov = 36;
+    const covered = bar.height > 0 ? Math.max(box.top + height - bar.top, 0) : 0;
+    const free = Math.max(height - covered, 0.3 * height);
+    this.fitted = height;
     const metresPerPixel = (2 * 1.05 * radius) / Math.min(free, width);
-    const distance = (metresPerPixel * height) / (2 * Math.tan((camera.fov * Math.PI) / 360));
+    const distance = (metresPerPixel * height) / (2 * HALF_ANGLE);
     const toCamera = (x, y, z) => new THREE.Vector3(x, z, -y);  // the camera's up is y
     const target = toCamera(...centre).add(new THREE.Vector3(0, -0.5 * (height - free) * metresPerPixel, 0));
     const outward = toCamera(Math.cos(azimuth), Math.sin(azimuth), 0.24).setLength(distance);
@@ -206,10 +220,10 @@ class Stage {
     this.redraw();
   }
 
-  // Where a point of W is in a part of the view that begins at `left`, px.
-  onScreen(point, left, wide) {
+  // Where a point of W is in a part of the view, px.
+  onScreen(point, { left, top, wide, high }) {
     const p = this.world.localToWorld(point.clone()).project(this.viewer.camera);
-    return [left + (0.5 + 0.5 * p.x) * wide, (0.5 - 0.5 * p.y) * this.view.clientHeight];
+    return [left + (0.5 + 0.5 * p.x) * wide, top + (0.5 - 0.5 * p.y) * high];
   }
 
   // The picture as it is now, as the address of a PNG.
