@@ -3,7 +3,7 @@
 Run it with ``python examples/03_your_own_arm.py``.
 
 The arm is made up here: seven joints, upright on a rigid pedestal, a sanding disc of 1 kg at its end, which
-follows a straight line above a table. Everything is written to a temporary folder, as you would write it to
+follows two straight legs above a table. Everything is written to a temporary folder, as you would write it to
 yours.
 """
 
@@ -86,6 +86,7 @@ tool_path:
   keep: axis  # a disc may spin about its axis
   legs:
     - {by: [0.10, 0.20, 0], seconds: 4}
+    - {by: [0.05, -0.15, 0], seconds: 3}
   speed_profile: {kind: jerk_limited, ramp: 0.3}
   via_points: 12
 
@@ -94,7 +95,7 @@ obstacles:
   - {name: lamp, sphere: 0.10, xyz: [0.40, -0.45, 0.9]}
 
 guardrail: {bays: 0}  # no guardrail: nothing of it to hit, and a rigid hold
-planner: {knots: fixed}  # any option of cmbot.PlannerOptions
+planner: {knots: sliding, start: free}  # the defaults; any option of cmbot.PlannerOptions
 """
 
 with tempfile.TemporaryDirectory() as name:

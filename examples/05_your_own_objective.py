@@ -36,7 +36,7 @@ scene = cmbot.load_scene(
         "name": "stroke",
         "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
         "tool_path": {"keep": "position", "legs": [{"by": [0, -0.2, 0], "seconds": 3}], "via_points": 5},
-        "planner": {"chart_spacing": 0.25},  # rad, coarse: a self-motion of four dimensions is wide
+        "planner": {"chart_spacing": 0.4},  # rad, coarse: a self-motion of four dimensions is wide
     }
 )
 usual = cmbot.plan(scene)  # makes the torque on the guardrail small

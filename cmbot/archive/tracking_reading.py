@@ -15,6 +15,7 @@ from cmbot.archive.tracking import COLUMNS, FORMAT, TRACKING_FILES
 from cmbot.arrays import FloatArray
 from cmbot.errors import ArchiveError
 from cmbot.planning import Plan
+from cmbot.planning.tool_sag import ToolSag
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking
 from cmbot.simulation.drive import Drive, drive_along, drive_through
 from cmbot.simulation.tracking import completed
@@ -59,18 +60,18 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
             raise ArchiveError(str(source), f"files.{name}", f"{got[:16]}… now", why)
     options = validated(SimulationOptions, _entry(data, source, "options"), str(source), ArchiveError)
     drives = {
-        "planned": (_PLANNED, drive_along(plan.trajectory)),
-        "baseline": (_BASELINE, drive_through(plan.baseline.t, plan.baseline.q)),
+        "planned": (_PLANNED, drive_along(plan.trajectory), plan.sag),
+        "baseline": (_BASELINE, drive_through(plan.baseline.t, plan.baseline.q), None),
     }
     motions = {
-        name: _motion(plan, drive, contents[file], folder / file, _frequencies(data, source, name))
-        for name, (file, drive) in drives.items()
+        name: _motion(plan, drive, contents[file], folder / file, _frequencies(data, source, name), sag)
+        for name, (file, drive, sag) in drives.items()
     }
     return Tracking(options=options, seconds=float(_number(data, source, "seconds")), **motions)
 
 
 def _motion(
-    plan: Plan, drive: Drive, content: bytes, source: Path, frequencies: FloatArray
+    plan: Plan, drive: Drive, content: bytes, source: Path, frequencies: FloatArray, sag: ToolSag | None
 ) -> MotionTracking:
     table = np.array(read_rows(content, str(source), COLUMNS))
     if len(table) < 2 or not np.isfinite(table).all() or not (np.diff(table[:, 0]) > 0).all():
@@ -80,7 +81,7 @@ def _motion(
         )
         raise ArchiveError(str(source), "", got, expected)
     t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy()
-    return completed(plan.robot, plan.task, drive, t, error, static, frequencies)
+    return completed(plan.robot, plan.task, drive, t, error, static, frequencies, sag)
 
 
 def _frequencies(data: dict[str, Any], source: Path, motion: str) -> FloatArray:

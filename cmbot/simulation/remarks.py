@@ -45,8 +45,11 @@ def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
 
 def tracking_remarks(tracking: Tracking) -> Iterator[str]:
     """Yield what should be known of a simulation besides its table, a sentence or two each."""
-    yield "Error: the bent tool from where the same joint angles put the rigid one; static: at rest; mm in W."
-    yield "Off the path: the bent tool from the nearest point of its leg; it is what compensation lowers."
+    yield (
+        "Error: the bent tool from where the same joint angles put the rigid one and, with compensation, its "
+        "predicted sag; static: at rest; mm in W."
+    )
+    yield "Off the path: the bent tool from the nearest point of its leg."
     yield from (_command(name, motion) for name, motion in _named(tracking))
     yield from (_vibration(name, motion) for name, motion in _named(tracking))
     yield from (_decay(name, motion) for name, motion in _named(tracking) if motion.figures.residual)

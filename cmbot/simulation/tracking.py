@@ -18,6 +18,7 @@ from cmbot.elastic.base import elastic_base
 from cmbot.elastic.sag import Sag
 from cmbot.errors import InputError
 from cmbot.planning import Plan, ToolTask, robot_of
+from cmbot.planning.tool_sag import ToolSag
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.drive import Drive, drive_along, drive_through, held
 from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha
@@ -41,12 +42,13 @@ class MotionTracking:
     stop : float, s
         When the joints stop; what comes after is what is left of the vibration.
     error : (N, 3), m
-        Tool point of the bending arm less that of a rigid arm with the same joint angles.
+        Tool point of the bending arm less where the motion's maker expects it: where a rigid arm with the
+        same joint angles has it and, where the sag was compensated, the predicted sag from there.
     static : (N, 3), m
-        The same at rest: the sag of the posture at that time.
+        The same at rest: the sag of the posture at that time, or what of it was not predicted.
     command : (N, 3), m
-        Tool point of that rigid arm less where the tool path has it at that time: it comes from the joint
-        motion, not from bending. Where the sag was compensated, it is meant to make up for it.
+        Where the motion's maker expects the tool point less where the tool path has it at that time: it comes
+        from the joint motion, not from bending.
     path_error : (N, 3), m
         From the nearest point of the leg of that time to the bending arm's tool point.
     figures : ErrorFigures
@@ -124,7 +126,9 @@ def simulate(
                 progress(reached / (first + second))
 
         baseline = track(arm, plan.task, drives[0], options, tell)
-        planned = track(arm, plan.task, drives[1], options, lambda reached: tell(first + reached))
+        planned = track(
+            arm, plan.task, drives[1], options, lambda reached: tell(first + reached), plan.sag
+        )
     seconds = time.perf_counter() - started
     return Tracking(options=options, baseline=baseline, planned=planned, seconds=seconds)
 
@@ -159,6 +163,7 @@ def track(
     drive: Drive,
     options: SimulationOptions,
     tell: Callable[[float], None] | None = None,
+    sag: ToolSag | None = None,
 ) -> MotionTracking:
     """Drive an elastic arm once.
 
@@ -194,7 +199,11 @@ def track(
     q = drive.states(t)[0]
     rigid, _ = Kinematics(arm.robot).tool_poses(q)
     error = _bent_tool(arm, q, motion, t) - rigid
-    return completed(arm.robot, task, drive, t, error, _sag(arm, drive, t), modes.frequencies)
+    static = _sag(arm, drive, t)
+    if sag is not None:
+        predicted = sag.along(t, q)
+        error, static = error - predicted, static - predicted
+    return completed(arm.robot, task, drive, t, error, static, modes.frequencies, sag)
 
 
 def completed(
@@ -205,6 +214,7 @@ def completed(
     error: FloatArray,
     static: FloatArray,
     frequencies: FloatArray,
+    sag: ToolSag | None = None,
 ) -> MotionTracking:
     """Add to a tracking error what follows from it and from the motion.
 
@@ -219,16 +229,21 @@ def completed(
     error, static : (N, 3), m
     frequencies : (f,), Hz
         Of the modes in the motion's first posture, ascending.
+    sag : ToolSag, optional
+        What the motion's maker reckoned with.
     """
-    rigid, _ = Kinematics(robot).tool_poses(drive.states(t)[0])
-    path_error = task.path.leg_offset(t, rigid + error)
+    q = drive.states(t)[0]
+    expected, _ = Kinematics(robot).tool_poses(q)
+    if sag is not None:
+        expected = expected + sag.along(t, q)
+    path_error = task.path.leg_offset(t, expected + error)
     moving = int(np.searchsorted(t, drive.duration * (1 + 1e-12), side="right"))
     return MotionTracking(
         t=t,
         stop=drive.duration,
         error=error,
         static=static,
-        command=rigid - task.path.position(t),
+        command=expected - task.path.position(t),
         path_error=path_error,
         figures=error_figures(t, error, static, path_error, moving, frequencies),
     )
