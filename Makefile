@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench models clean
+.PHONY: demo test lint bench docs models clean
 
 demo: .venv/installed
 	$(BIN)/cmbot plan triangle --output out/triangle --force
@@ -21,12 +21,15 @@ lint: .venv/tested
 bench: .venv/installed
 	$(BIN)/python benchmarks/run.py
 
+docs: .venv/tested
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
+
 models: .venv/installed
 	$(BIN)/python tools/build_models.py
 	$(BIN)/python tools/build_schema.py
 
 clean:
-	rm -rf .venv out dist
+	rm -rf .venv out dist site
 
 .venv/bin/python:
 	$(PYTHON) -m venv .venv

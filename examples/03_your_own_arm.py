@@ -95,7 +95,8 @@ obstacles:
   - {name: lamp, sphere: 0.10, xyz: [0.40, -0.45, 0.9]}
 
 guardrail: {bays: 0}  # no guardrail: nothing of it to hit, and a rigid hold
-planner: {knots: sliding, start: free}  # the defaults; any option of cmbot.PlannerOptions
+# Any option of cmbot.PlannerOptions. The sparse solver is the quicker one here: pip install "cmbot[fast]".
+planner: {knots: sliding, solver: auto}
 """
 
 with tempfile.TemporaryDirectory() as name:

@@ -30,8 +30,8 @@ motions = {"baseline": tracking.baseline, "planned": tracking.planned, "compensa
 
 print(f"\n{'RMS while it moves, mm':<28}" + "".join(f"{name:>13}" for name in motions))
 for what, part in (
-    ("bent from rigid tool", "total"),
-    ("  of that the sag", "static"),
+    ("bent from expected tool", "total"),  # a plan without compensation expects no sag
+    ("  of that at rest", "static"),
     ("  of that vibration", "dynamic"),
     ("bent tool off its path", "path"),
 ):

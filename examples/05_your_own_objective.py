@@ -2,9 +2,9 @@
 
 Run it with ``python examples/05_your_own_objective.py``.
 
-Here it is the bending stress where the post is clamped, 1.05 m below the foot, for a post that resists bending
-about y three times as well as about x. The tool may turn as it likes: that leaves the arm enough freedom to
-choose between the two.
+Here it is the bending stress where the post is clamped, 1.05 m below the foot, for a post that resists
+bending about y three times as well as about x. The tool may turn as it likes: that leaves the arm enough
+freedom to choose between the two.
 """
 
 from __future__ import annotations

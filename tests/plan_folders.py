@@ -42,7 +42,8 @@ def triangle_folder(saved_triangle: Path, tmp_path: Path) -> Path:
 def thin_plan(triangle_plan: Plan) -> Plan:
     """The triangle with few samples of the baseline, quick to save."""
     samples = triangle_plan.baseline
-    few = {field.name: getattr(samples, field.name)[::100] for field in fields(samples)}
+    whole = {field.name: getattr(samples, field.name) for field in fields(samples)}
+    few = {name: None if value is None else value[::100] for name, value in whole.items()}
     return replace(triangle_plan, baseline=Samples(**few))
 
 

@@ -21,9 +21,10 @@ if TYPE_CHECKING:
 
 __all__ = ["figure_files", "plot", "require_matplotlib"]
 
-# Okabe and Ito's colours: told apart with any colour vision, and these two in grey, too.
-_BASELINE, _PLANNED = "#E69F00", "#0072B2"
+# Blue and orange as on the pages: told apart with any colour vision, and in grey by their lightness.
+_BASELINE, _PLANNED = "#6AABEC", "#B23F05"
 _COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}
+# Okabe and Ito's.
 _JOINT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B2", "#CC79A7")
 _DASHES = ("-", "--", "-.", ":")
 # Inches: as wide as a page's text.
