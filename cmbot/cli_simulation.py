@@ -84,6 +84,10 @@ def reproduce(
     output: Annotated[
         Path, typer.Option("--output", "-o", help="Folder to write; out/reproduce if left out.")
     ] = Path("out/reproduce"),
+    quick: Annotated[
+        bool,
+        typer.Option("--quick", help="Only the stiffnesses times 1, 0.7 and 1.3, and no plan of least sag."),
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a reproduction that is there.")] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -92,12 +96,14 @@ def reproduce(
 
     Example: [bold]cmbot reproduce -o out/reproduce[/bold]
     """
-    from cmbot.reproduction import findings, reasons, require_room, save_reproduction
+    from cmbot.reproduction import FACTORS, QUICK_FACTORS, findings, reasons, require_room, save_reproduction
     from cmbot.reproduction import reproduce as run
 
     require_room(output, force=force)
     with Narrator(quiet=quiet) as narrator:
         found = run(
+            factors=QUICK_FACTORS if quick else FACTORS,
+            least_sag=not quick,
             tell=lambda scene, what, share: narrator.say(f"{scene}: {what}", share),
             progress=lambda scene, step: narrator.tell(step, about=f"{scene}: "),
         )
@@ -113,6 +119,7 @@ def reproduce(
             out.print(f"{'agrees' if finding.agrees else 'does not agree'}: {finding.text}")
         for reason in reasons(experiment):
             out.print(f"why: {reason}")
+        _print_goals(experiment)
     out.print(f"Written to {' and '.join(flat(path) for path in written)}, with every assumption.")
 
 
@@ -148,6 +155,20 @@ def _print_comparison(experiment: Experiment) -> None:
 
     headings, *rows = comparison(experiment)
     print_table(experiment.paper.title, headings, rows, text_columns=2)
+
+
+def _print_goals(experiment: Experiment) -> None:
+    from cmbot.reproduction import cells, goals
+
+    for goal in goals(experiment):
+        headings, *rows = cells(goal)
+        title = f"{experiment.paper.scene}: {goal.title[0].lower()}{goal.title[1:]}"
+        if rows:
+            print_table(title, headings, rows, text_columns=2)
+        else:
+            out.print(title)
+        for remark in goal.remarks:
+            out.print(f"goal: {remark}")
 
 
 def print_tracking(name: str, tracking: Tracking) -> None:

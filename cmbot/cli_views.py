@@ -27,7 +27,7 @@ def replay(
     ] = None,
     serve: Annotated[bool, typer.Option("--serve", help="Serve the page on 127.0.0.1 instead.")] = False,
     video: Annotated[
-        Path | None, typer.Option("--video", help="Film the page into this file instead, such as FILE.mp4.")
+        Path | None, typer.Option("--video", help="Film it instead, such as FILE.mp4; takes minutes.")
     ] = None,
 ) -> None:
     """Write a page that replays a plan in any browser, without a network.

@@ -280,6 +280,18 @@ def test_progress_is_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Non
     assert "0 s, about 0 s left" in plain
 
 
+def test_a_narrow_terminal_cuts_what_is_told_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
+    file = StringIO()
+    monkeypatch.setattr(cmbot.console, "err", Console(file=file, force_terminal=True, width=70))
+    with Narrator() as narrator:
+        narrator.say("optimising, pass 3 (peak): peak 420.51 Nm, all constraints met", 0.5)
+    lines = without_colours(file.getvalue()).replace("\r", "\n").splitlines()
+    (line,) = {line.rstrip() for line in lines if "optimising" in line}
+    assert "0 s" in line
+    assert line.endswith("…")
+    assert len(line) <= 70
+
+
 def test_progress_is_plain_lines_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     assert told(monkeypatch, terminal=False) == "[red]line[/red]: following the tool path\nsimulating\n"
 

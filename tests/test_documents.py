@@ -4,6 +4,7 @@ import importlib
 import re
 import subprocess
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from cmbot.archive.tables import columns
 from cmbot.cli import app
 from cmbot.planning import Plan, plan, remarks
 from cmbot.scene import load_scene
+from cmbot.simulation import simulate
 
 ROOT = Path(__file__).resolve().parent.parent
 IGNORED = {".git", ".venv", "out", "dist", "build", "__pycache__"}
@@ -68,12 +70,14 @@ def test_readme_python_runs(
     blocks = [code for language, code in FENCE.findall(README.read_text("utf-8")) if language == "python"]
     assert blocks
     monkeypatch.chdir(tmp_path)
-    for code in blocks:
-        names: dict[str, object] = {}
+    names: dict[str, object] = {}
+    for code in blocks:  # they follow on one another
         exec(compile(code, str(README), "exec"), names)
     assert "peak torque on the guardrail" in capsys.readouterr().out
     # The shapes that the comments give.
-    for name, shape in re.findall(r"^(\w+) = .*# \((\d+, \d+)\)", blocks[0], flags=re.MULTILINE):
+    shapes = re.findall(r"^(\w+) = .*# \((\d+, \d+)\)", "".join(blocks), flags=re.MULTILINE)
+    assert len(shapes) == 3
+    for name, shape in shapes:
         assert str(names[name].shape) == f"({shape})"  # type: ignore[attr-defined]
     assert (tmp_path / "triangle" / "plan.json").is_file()
     assert (tmp_path / "triangle.html").stat().st_size > 100_000
@@ -178,6 +182,28 @@ def test_readme_figures_are_the_planners(figures: list[tuple[str, ...]]) -> None
         for column in range(1, 5):
             where = f"{quoted[0]}, share" if "tool" in quoted[0] else quoted[0]
             assert_same(quoted[column], printed[column], where)
+
+
+def test_readme_tracking_is_the_simulations(triangle_plan: Plan) -> None:
+    text = README.read_text("utf-8").split("<!-- tracking of the triangle -->")[1].split("<!-- end of")[0]
+    table = [[cell.strip() for cell in line.strip("|\n ").split("|")] for line in text.strip().splitlines()]
+    scene = triangle_plan.scene
+    compensated = plan(scene, options=replace(scene.planner, compensate=True))
+    plain, other = simulate(triangle_plan), simulate(compensated)
+    found = [motion.figures for motion in (plain.baseline, plain.planned, other.planned)]
+    assert table[0] == ["mm", "baseline", "planned", "planned, compensated"]
+    assert [row[0].split(",")[0] for row in table[2:]] == [
+        "error",
+        "its dynamic part",
+        "off the path",
+        "after the stop",
+    ]
+    for column, figures in enumerate(found, start=1):
+        assert figures.residual is not None
+        rms = [part.rms[3] for part in (figures.total, figures.dynamic, figures.path)]
+        for row, value in zip(table[2:], [*rms, figures.residual.diameter], strict=True):
+            # Where the optimum is flat, vibrations differ a little from machine to machine.
+            assert float(row[column]) == pytest.approx(1e3 * value, rel=0.1, abs=0.02), row
 
 
 def test_readme_output_is_the_commands(triangle_plan: Plan) -> None:

@@ -25,10 +25,13 @@ from cmbot.reproduction import (
     PaperExperiment,
     Reproduction,
     Run,
+    Variant,
     as_json,
+    cells,
     comparison,
     experiment,
     findings,
+    goals,
     markdown,
     reasons,
     reproduce,
@@ -58,21 +61,40 @@ def released(short_plan: Plan) -> Tracking:
     return simulate(short_plan, SimulationOptions(initial="undeformed"))
 
 
+@pytest.fixture(scope="module")
+def compensated() -> Plan:
+    return plan(short_scene(planner={"compensate": True}))
+
+
+@pytest.fixture(scope="module")
+def foreseen(compensated: Plan) -> Tracking:
+    return simulate(compensated)
+
+
 @pytest.fixture
 def planner(
-    short_plan: Plan, tracking: Tracking, released: Tracking, monkeypatch: pytest.MonkeyPatch
+    short_plan: Plan,
+    compensated: Plan,
+    tracking: Tracking,
+    released: Tracking,
+    foreseen: Tracking,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> list[str]:
-    """A planner and a simulation that know one short motion; the knots that were asked for."""
+    """A planner and a simulation that know one short motion, compensated or not; what was asked for."""
     asked: list[str] = []
 
-    def known(scene: Any, *, options: Any = None, progress: Any = None) -> Plan:
+    def known(scene: Any, *, options: Any, progress: Any = None) -> Plan:
         del progress
-        asked.append((options or scene.planner).knots)
-        return short_plan
+        changed = [key for key, value in vars(options).items() if getattr(scene.planner, key) != value]
+        asked.append(", ".join(f"{key}: {getattr(options, key)}" for key in changed))
+        return compensated if options.compensate else short_plan
 
     def simulated(planned: Plan, options: SimulationOptions, *, progress: Any) -> Tracking:
-        assert planned is short_plan
         progress(0.5)
+        if planned is compensated:
+            # Any stiffness is the nominal one here: what it does to the motion is no matter of these tests.
+            return replace(foreseen, options=options)
+        assert planned is short_plan
         return {found.options: found for found in (tracking, released)}[options]
 
     monkeypatch.setattr(experiment, "plan", known)
@@ -123,7 +145,16 @@ def as_the_paper(tracking: Tracking, paper: PaperExperiment, **changes: Any) -> 
         largest_torque_difference=(difference, 0.0), start=SimpleNamespace(moved=0.0)
     )
     same = Run(plan=known, equilibrium=ours, undeformed=ours)
-    return Experiment(paper=paper, planned=same, fixed=None, why_not="no way")
+    none = Variant(plan=None, trackings=(), why_not="no way")
+    return Experiment(
+        paper=paper,
+        planned=same,
+        fixed=None,
+        why_not="no way",
+        compensated=none,
+        loud=none,
+        least_sag=None,
+    )
 
 
 @pytest.mark.parametrize("paper", PAPER, ids=lambda paper: paper.scene)
@@ -220,52 +251,67 @@ def test_the_assumptions_are_those_of_the_page() -> None:
 
 def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
     told: list[tuple[str, str, float]] = []
-    found = reproduce(tell=lambda *words: told.append(words))
-    assert planner == ["sliding", "fixed"] * 2
-    assert [scene for scene, *_ in told] == ["triangle"] * 10 + ["line"] * 10
+    found = reproduce(tell=lambda *words: told.append(words), factors=(1.0, 0.7))
+    assert planner == ["", "knots: fixed", "compensate: True", "quiet_modes: 0", "objective: sag"] * 2
+    assert [scene for scene, *_ in told] == ["triangle"] * 19 + ["line"] * 19
+    # Plans and simulations of an experiment: 3 + 3 + 3 + 2 + 1.
     assert told[:6] == [
         ("triangle", "via-points that slide", 0.0),
-        ("triangle", "via-points that slide: simulating", pytest.approx(1 / 12)),
-        ("triangle", "via-points that slide: simulating", pytest.approx(1.5 / 12)),
-        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2 / 12)),
-        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2.5 / 12)),
-        ("triangle", "via-points that are fixed", pytest.approx(3 / 12)),
+        ("triangle", "via-points that slide: simulating", pytest.approx(1 / 24)),
+        ("triangle", "via-points that slide: simulating", pytest.approx(1.5 / 24)),
+        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2 / 24)),
+        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2.5 / 24)),
+        ("triangle", "via-points that are fixed", pytest.approx(3 / 24)),
     ]
+    assert told[13] == ("triangle", "sag compensated: simulating, stiffness times 0.7", pytest.approx(8 / 24))
     shares = [share for *_, share in told]
     assert shares == sorted(shares)
-    assert shares[-1] == pytest.approx(11.5 / 12)
+    assert told[-1] == ("line", "least sag", pytest.approx(23 / 24))
     for entry in found.experiments:
         for run_ in (entry.planned, entry.fixed):
             assert run_ is not None
             assert run_.equilibrium.options.initial == "equilibrium"
             assert run_.undeformed.options.initial == "undeformed"
+        for softer, factor in zip(entry.compensated.trackings, (1.0, 0.7), strict=True):
+            assert softer.options == SimulationOptions(guardrail_factor=factor, link_factor=factor)
+        assert len(entry.loud.trackings) == 1
     assert [entry.paper for entry in found.experiments] == list(PAPER)
+
+
+def test_least_sag_can_be_left_out(planner: list[str]) -> None:
+    told: list[float] = []
+    found = reproduce(tell=lambda *words: told.append(words[-1]), factors=(1.0,), least_sag=False)
+    assert len(planner) == 8
+    assert all(entry.least_sag is None for entry in found.experiments)
+    assert told[-1] == pytest.approx((20 - 0.5) / 20)
 
 
 @pytest.fixture
 def found(planner: list[str]) -> Reproduction:
     del planner
-    return reproduce()
+    return reproduce(factors=(1.0, 0.7))
 
 
 @pytest.mark.usefixtures("planner")
 def test_without_a_plan_for_fixed_knots_the_reason_is_told(
     short_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def known(scene: Any, *, options: Any = None, progress: Any = None) -> Plan:
-        del scene, progress
-        if options is not None:
+    def known(scene: Any, *, options: Any, progress: Any = None) -> Plan:
+        del progress
+        if options != scene.planner:
             raise OptimisationFailed("too steep", constraint="jerk", violation=0.5)
         return short_plan
 
     monkeypatch.setattr(experiment, "plan", known)
     found = reproduce()
     assert all(entry.fixed is None for entry in found.experiments)
-    text = markdown(found)
-    assert (
-        text.count("there is no plan here: too steep; worst constraint: jerk, 50.00% beyond its bound.") == 2
-    )
-    assert as_json(found)["experiments"][0]["fixed"] is None
+    text, why = markdown(found), "too steep; worst constraint: jerk, 50.00% beyond its bound."
+    assert text.count(f"there is no plan here: {why}") == 2
+    # Compensated, and of least sag.
+    assert text.count(f"- There is no plan: {why}") == 4
+    data = as_json(found)["experiments"][0]
+    assert data["fixed"] is None
+    assert [goal["rows"] == () for goal in data["goals"]] == [False, True, False, True]
 
 
 def test_the_page_shows_the_figures(found: Reproduction) -> None:
@@ -279,6 +325,12 @@ def test_the_page_shows_the_figures(found: Reproduction) -> None:
         assert [float(x) for x in rows[6][2:]] == pytest.approx(mean, abs=6e-3)
         for told in (*findings(entry), *reasons(entry)):
             assert getattr(told, "text", told) in page
+        for goal in goals(entry):
+            assert f"#### {goal.title}\n" in page
+            for row in cells(goal):
+                assert f"| {' | '.join(row)} |" in page
+            for remark in goal.remarks:
+                assert f"- {remark}\n" in page
     for table in assumption_tables():
         assert f"### {table.heading}\n" in page
     assert page.count("### What agrees") == page.count("### What does not") == 2
@@ -305,6 +357,9 @@ def test_json_holds_the_same(found: Reproduction) -> None:
         assert first["sliding"][key]["with"]["mean"] == tracking.planned.figures.total.mean[:3].tolist()
     assert first["sliding"]["torque_difference"] == ours.plan.largest_torque_difference[0]
     assert {"agrees", "text"} == set(first["findings"][0])
+    tables = list(goals(found.experiments[0]))
+    assert [goal["title"] for goal in first["goals"]] == [table.title for table in tables]
+    assert first["goals"][1]["rows"][0]["values"] == list(tables[1].rows[0].values)
     assert len(data["assumptions"]) == len(assumption_tables())
 
 
@@ -339,7 +394,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("planner")
 def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    outcome = run("reproduce", "-o", folder)
+    outcome = run("reproduce", "-o", folder, "--quick")
     assert outcome.status == 0, outcome.err
     lines = outcome.out.splitlines()
     assert TRIANGLE.title in lines
@@ -351,6 +406,13 @@ def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
             assert f"{verdict}: {finding['text']}" in lines
         for reason in entry["reasons"]:
             assert f"why: {reason}" in lines
+        assert len(entry["goals"]) == 3
+        settings = [row["setting"] for row in entry["goals"][1]["rows"]]
+        assert set(settings) == {f"stiffness times {factor}" for factor in (1, 0.7, 1.3)}
+        for goal in entry["goals"]:
+            assert f"{entry['scene']}: {goal['title'][0].lower()}{goal['title'][1:]}" in lines
+            for remark in goal["remarks"]:
+                assert f"goal: {remark}" in lines
     assert lines[-1].startswith(f"Written to {folder / 'reproduce.md'} and {folder / 'reproduce.json'}")
     assert "line: via-points that are fixed" in outcome.err.splitlines()
 

@@ -11,6 +11,7 @@ import re
 import subprocess
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import cmbot
@@ -48,6 +49,28 @@ def table_of_figures() -> str:
     return "\n".join(lines)
 
 
+def table_of_tracking() -> str:
+    """Return what bends under the triangle's motions: RMS of the tracking error, what is left of it."""
+    scene = cmbot.load_scene("triangle")
+    compensate = replace(scene.planner, compensate=True)
+    plain, compensated = (
+        cmbot.simulate(cmbot.plan(scene, options=options)) for options in (scene.planner, compensate)
+    )
+    figures = [motion.figures for motion in (plain.baseline, plain.planned, compensated.planned)]
+    rows = {
+        name: [getattr(each, part).rms[3] for each in figures]
+        for name, part in (
+            ("error, RMS", "total"),
+            ("its dynamic part, RMS", "dynamic"),
+            ("off the path, RMS", "path"),
+        )
+    }
+    rows["after the stop, largest swing"] = [each.residual.diameter for each in figures]
+    lines = ["| mm | baseline | planned | planned, compensated |", "|---|---|---|---|"]
+    lines += [f"| {name} | {' | '.join(f'{1e3 * x:.3f}' for x in row)} |" for name, row in rows.items()]
+    return "\n".join(lines)
+
+
 def sensitivity(scene: str) -> str:
     """Return what ``tools/sensitivity.py`` prints of a scene."""
     command = [sys.executable, str(ROOT / "tools" / "sensitivity.py"), scene]
@@ -61,6 +84,7 @@ def main() -> None:
     arguments = parser.parse_args()
     write_between(ROOT / "README.md", "output of cmbot plan triangle", output_of_plan())
     write_between(ROOT / "README.md", "figures", table_of_figures())
+    write_between(ROOT / "README.md", "tracking of the triangle", table_of_tracking())
     if arguments.sensitivity:
         write_between(ROOT / "docs" / "assumptions.md", "sensitivity of triangle", sensitivity("triangle"))
 

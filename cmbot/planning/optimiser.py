@@ -217,15 +217,17 @@ class _Run:
                     min(effort.iterations, self._problem.options.max_iterations),
                 )
                 iterations += count
-                gain = subproblem.merit(subproblem.problem.start) - subproblem.merit(x)
+                gain = -np.inf
+                if np.isfinite(x).all():
+                    gain = subproblem.merit(subproblem.problem.start) - subproblem.merit(x)
             except (OptimisationFailed, np.linalg.LinAlgError):
                 gain = -np.inf
-            if gain >= 0:
+            if gain >= -effort.accuracy:
                 self.family, self.x = family, subproblem.unknowns(x)
                 return (float(x[-1]) if name == "peak" else bound), iterations, gain
             weight *= _CAUTION
-        self.family, self.x = self.family.rebuilt(self.x, weight), self.family.start
-        return bound, iterations, 0.0
+        look = self._look(bound, effort)
+        raise self._failure("the solver diverges, however cautiously it is asked", look[1])
 
     def _report(self, stage: str, iterations: int, peak: float, worst: Violation) -> None:
         report = PassReport(

@@ -3,22 +3,39 @@
 from __future__ import annotations
 
 from cmbot.reproduction.agreement import Finding, findings, reasons
-from cmbot.reproduction.experiment import Experiment, Reproduction, Run, reproduce
+from cmbot.reproduction.experiment import (
+    FACTORS,
+    QUICK_FACTORS,
+    Experiment,
+    Reproduction,
+    Run,
+    Variant,
+    reproduce,
+)
+from cmbot.reproduction.goal_table import GoalRow, GoalTable, cells
+from cmbot.reproduction.goals import goals
 from cmbot.reproduction.paper import PAPER, PaperError, PaperExperiment
 from cmbot.reproduction.report import as_json, comparison, markdown
 from cmbot.reproduction.writing import require_room, save_reproduction
 
 __all__ = [
+    "FACTORS",
     "PAPER",
+    "QUICK_FACTORS",
     "Experiment",
     "Finding",
+    "GoalRow",
+    "GoalTable",
     "PaperError",
     "PaperExperiment",
     "Reproduction",
     "Run",
+    "Variant",
     "as_json",
+    "cells",
     "comparison",
     "findings",
+    "goals",
     "markdown",
     "reasons",
     "reproduce",

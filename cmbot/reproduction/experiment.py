@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,10 +11,26 @@ from cmbot.arrays import FloatArray
 from cmbot.errors import PlanningError
 from cmbot.planning import Plan, Progress, plan
 from cmbot.reproduction.paper import PAPER, PaperExperiment
-from cmbot.scene import load_scene
+from cmbot.reproduction.steps import Steps
+from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking, simulate
 
-__all__ = ["Experiment", "Reproduction", "Run", "axes", "reduction", "reproduce"]
+__all__ = [
+    "FACTORS",
+    "QUICK_FACTORS",
+    "Experiment",
+    "Reproduction",
+    "Run",
+    "Variant",
+    "axes",
+    "reduction",
+    "reproduce",
+]
+
+FACTORS = (1.0, 0.9, 1.1, 0.8, 1.2, 0.7, 1.3)
+"""Of the stiffness of guardrail and links, with which a compensated plan is simulated."""
+QUICK_FACTORS = (1.0, 0.7, 1.3)
+"""The least that shows how far it goes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -40,6 +55,25 @@ class Run:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Variant:
+    """The scene planned with another option.
+
+    Attributes
+    ----------
+    plan : Plan or None
+        None where there is no such plan.
+    trackings : tuple of Tracking
+        All of them started in equilibrium.
+    why_not : str
+        Why there is no plan.
+    """
+
+    plan: Plan | None
+    trackings: tuple[Tracking, ...]
+    why_not: str
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
     """One experiment: the paper's figures and ours.
 
@@ -52,12 +86,21 @@ class Experiment:
         With the via-points fixed, as the paper's Eq. (30) has it; None where there is no such plan.
     why_not : str
         Why there is none.
+    compensated : Variant
+        With the predicted sag compensated, simulated with other stiffnesses, too.
+    loud : Variant
+        With no elastic mode quieted.
+    least_sag : Variant or None
+        With the sag made small in place of the torque, not simulated; None where it was left out.
     """
 
     paper: PaperExperiment
     planned: Run
     fixed: Run | None
     why_not: str
+    compensated: Variant
+    loud: Variant
+    least_sag: Variant | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -78,6 +121,8 @@ class Reproduction:
 def reproduce(
     options: SimulationOptions | None = None,
     *,
+    factors: Sequence[float] = FACTORS,
+    least_sag: bool = True,
     tell: Callable[[str, str, float], None] | None = None,
     progress: Callable[[str, Progress], None] | None = None,
 ) -> Reproduction:
@@ -87,6 +132,11 @@ def reproduce(
     ----------
     options : SimulationOptions, optional
         Every run is also simulated with ``initial="undeformed"``.
+    factors : sequence of float
+        Of the stiffness of guardrail and links together, in place of the options', with which the
+        compensated plan and the baseline are simulated.
+    least_sag : bool
+        Plan with the sag as the objective, too.
     tell : callable, optional
         Called with the scene's name, what is being done, and the share of all steps that is done.
     progress : callable, optional
@@ -100,20 +150,36 @@ def reproduce(
         When a motion cannot be integrated.
     """
     options = replace(options or SimulationOptions(), initial="equilibrium")
-    steps, experiments = _Steps(tell or (lambda *_: None)), []
+    softer = tuple(replace(options, guardrail_factor=x, link_factor=x) for x in factors)
+    # Plans and simulations: sliding, fixed, compensated, loud, of least sag.
+    steps = Steps(tell or (lambda *_: None), len(PAPER) * (3 + 3 + (1 + len(softer)) + 2 + least_sag))
+    experiments = []
     for paper in PAPER:
         scene = load_scene(paper.scene)
         report = None if progress is None else _about(progress, paper.scene)
-        with steps.run(paper.scene, "via-points that slide"):
-            planned = _run(plan(scene, progress=report), options, steps)
+        bench = _Bench(scene=scene, steps=steps, report=report)
+        with steps.run(paper.scene, "via-points that slide", 3):
+            planned = bench.run(scene.planner, options)
         fixed, why_not = None, ""
         try:
-            with steps.run(paper.scene, "via-points that are fixed"):
-                fixed_plan = plan(scene, options=replace(scene.planner, knots="fixed"), progress=report)
-                fixed = _run(fixed_plan, options, steps)
+            with steps.run(paper.scene, "via-points that are fixed", 3):
+                fixed = bench.run(replace(scene.planner, knots="fixed"), options)
         except PlanningError as error:
             why_not = str(error)
-        experiments.append(Experiment(paper=paper, planned=planned, fixed=fixed, why_not=why_not))
+        compensated = bench.variant("sag compensated", replace(scene.planner, compensate=True), softer)
+        loud = bench.variant("no mode quieted", replace(scene.planner, quiet_modes=0), (options,))
+        sagging = replace(scene.planner, objective="sag")
+        experiments.append(
+            Experiment(
+                paper=paper,
+                planned=planned,
+                fixed=fixed,
+                why_not=why_not,
+                compensated=compensated,
+                loud=loud,
+                least_sag=bench.variant("least sag", sagging, ()) if least_sag else None,
+            )
+        )
     return Reproduction(experiments=tuple(experiments), options=options)
 
 
@@ -122,43 +188,38 @@ def reduction(without: FloatArray, planned: FloatArray) -> FloatArray:
     return np.asarray(100 * (1 - np.abs(planned) / np.abs(without)))
 
 
-def _run(planned: Plan, options: SimulationOptions, steps: _Steps) -> Run:
-    steps.next("simulating")
-    equilibrium = simulate(planned, options, progress=steps.within)
-    steps.next("simulating, let go undeformed")
-    undeformed = simulate(planned, replace(options, initial="undeformed"), progress=steps.within)
-    return Run(plan=planned, equilibrium=equilibrium, undeformed=undeformed)
+@dataclass(frozen=True, kw_only=True)
+class _Bench:
+    """One scene, planned with some options and simulated with others."""
 
+    scene: Scene
+    steps: Steps
+    report: Callable[[Progress], None] | None
 
-class _Steps:
-    """How much of a reproduction is done: each run is a plan and two simulations, and all count the same."""
+    def run(self, planner: PlannerOptions, options: SimulationOptions) -> Run:
+        planned = plan(self.scene, options=planner, progress=self.report)
+        equilibrium = self._simulated(planned, options, "simulating")
+        released = replace(options, initial="undeformed")
+        undeformed = self._simulated(planned, released, "simulating, let go undeformed")
+        return Run(plan=planned, equilibrium=equilibrium, undeformed=undeformed)
 
-    _A_RUN = 3
-
-    def __init__(self, tell: Callable[[str, str, float], None]) -> None:
-        self._tell, self._runs, self._step = tell, 0, 0
-        self._scene, self._about, self._what = "", "", ""
-
-    @contextmanager
-    def run(self, scene: str, about: str) -> Iterator[None]:
-        """Begin a run with its plan; it ends with all its steps done, even if some were left out."""
-        self._scene, self._about, self._step = scene, about, -1
-        self.next("")
+    def variant(
+        self, about: str, planner: PlannerOptions, simulated: tuple[SimulationOptions, ...]
+    ) -> Variant:
         try:
-            yield
-        finally:
-            self._runs += 1
+            with self.steps.run(self.scene.name, about, 1 + len(simulated)):
+                planned = plan(self.scene, options=planner, progress=self.report)
+                trackings = tuple(
+                    self._simulated(planned, options, f"simulating, stiffness times {options.link_factor:g}")
+                    for options in simulated
+                )
+        except PlanningError as error:
+            return Variant(plan=None, trackings=(), why_not=str(error))
+        return Variant(plan=planned, trackings=trackings, why_not="")
 
-    def next(self, what: str) -> None:
-        """Begin the next step of a run."""
-        self._step += 1
-        self._what = ": ".join(filter(None, (self._about, what)))
-        self.within(0.0)
-
-    def within(self, share: float) -> None:
-        """Tell the share of the present step that is done."""
-        done = self._A_RUN * self._runs + self._step + share
-        self._tell(self._scene, self._what, done / (2 * self._A_RUN * len(PAPER)))
+    def _simulated(self, planned: Plan, options: SimulationOptions, what: str) -> Tracking:
+        self.steps.next(what)
+        return simulate(planned, options, progress=self.steps.within)
 
 
 def _about(progress: Callable[[str, Progress], None], scene: str) -> Callable[[Progress], None]:

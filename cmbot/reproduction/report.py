@@ -12,6 +12,8 @@ from cmbot.arrays import FloatArray
 from cmbot.reproduction.agreement import findings, reasons
 from cmbot.reproduction.assumptions import assumption_tables
 from cmbot.reproduction.experiment import Experiment, Reproduction, Run, axes, reduction
+from cmbot.reproduction.goal_table import cells
+from cmbot.reproduction.goals import goals
 from cmbot.reproduction.paper import SOURCE, PaperError
 from cmbot.simulation import MotionTracking, Tracking, tracking_remarks
 from cmbot.version import __version__
@@ -58,6 +60,16 @@ def markdown(reproduction: Reproduction) -> str:
             told = [f"- {finding.text}" for finding in compared if finding.agrees == agrees]
             lines += ["", f"### {heading}", "", *(told or ["- Nothing."])]
         lines += ["", "### Why", "", *(f"- {reason}" for reason in reasons(experiment))]
+        lines += ["", "### The goals", ""]
+        lines += [
+            "Against the baseline in the same simulation; guardrail and links are made softer or stiffer "
+            "together, the plan stays the one made with stiffness 1.",
+        ]
+        for goal in goals(experiment):
+            lines += ["", f"#### {goal.title}", ""]
+            if goal.rows:
+                lines += [*_table(cells(goal), text_columns=2), ""]
+            lines += [f"- {remark}" for remark in goal.remarks]
         lines += ["", "### The simulation", ""]
         lines += [f"- {remark}" for remark in tracking_remarks(experiment.planned.equilibrium)]
     lines += ["", "## Assumptions", ""]
@@ -132,6 +144,7 @@ def _experiment(experiment: Experiment) -> dict[str, Any]:
         "why_not_fixed": experiment.why_not,
         "findings": [asdict(finding) for finding in findings(experiment)],
         "reasons": list(reasons(experiment)),
+        "goals": [asdict(goal) for goal in goals(experiment)],
     }
 
 

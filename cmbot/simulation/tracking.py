@@ -126,9 +126,7 @@ def simulate(
                 progress(reached / (first + second))
 
         baseline = track(arm, plan.task, drives[0], options, tell)
-        planned = track(
-            arm, plan.task, drives[1], options, lambda reached: tell(first + reached), plan.sag
-        )
+        planned = track(arm, plan.task, drives[1], options, lambda reached: tell(first + reached), plan.sag)
     seconds = time.perf_counter() - started
     return Tracking(options=options, baseline=baseline, planned=planned, seconds=seconds)
 
@@ -176,6 +174,9 @@ def track(
     options : SimulationOptions
     tell : callable, optional
         Called every so often with the time that has been reached, s.
+    sag : ToolSag, optional
+        What the motion's maker reckoned with: the error is measured from there. Without it the rigid arm is
+        expected.
 
     Raises
     ------
