@@ -253,20 +253,20 @@ def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
     told: list[tuple[str, str, float]] = []
     found = reproduce(tell=lambda *words: told.append(words), factors=(1.0, 0.7))
     assert planner == ["", "knots: fixed", "compensate: True", "quiet_modes: 0", "objective: sag"] * 2
-    assert [scene for scene, *_ in told] == ["triangle"] * 19 + ["line"] * 19
-    # Plans and simulations of an experiment: 3 + 3 + 3 + 2 + 1.
+    assert [scene for scene, *_ in told] == ["triangle"] * 21 + ["line"] * 21
+    # Plans and simulations of an experiment: 3 + 3 + 3 + 2 + 2.
     assert told[:6] == [
         ("triangle", "via-points that slide", 0.0),
-        ("triangle", "via-points that slide: simulating", pytest.approx(1 / 24)),
-        ("triangle", "via-points that slide: simulating", pytest.approx(1.5 / 24)),
-        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2 / 24)),
-        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2.5 / 24)),
-        ("triangle", "via-points that are fixed", pytest.approx(3 / 24)),
+        ("triangle", "via-points that slide: simulating", pytest.approx(1 / 26)),
+        ("triangle", "via-points that slide: simulating", pytest.approx(1.5 / 26)),
+        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2 / 26)),
+        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2.5 / 26)),
+        ("triangle", "via-points that are fixed", pytest.approx(3 / 26)),
     ]
-    assert told[13] == ("triangle", "sag compensated: simulating, stiffness times 0.7", pytest.approx(8 / 24))
+    assert told[13] == ("triangle", "sag compensated: simulating, stiffness times 0.7", pytest.approx(8 / 26))
     shares = [share for *_, share in told]
     assert shares == sorted(shares)
-    assert told[-1] == ("line", "least sag", pytest.approx(23 / 24))
+    assert told[-1] == ("line", "least sag: simulating, stiffness times 1", pytest.approx(25.5 / 26))
     for entry in found.experiments:
         for run_ in (entry.planned, entry.fixed):
             assert run_ is not None

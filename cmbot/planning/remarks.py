@@ -21,6 +21,7 @@ def remarks(plan: Plan) -> Iterator[str]:
         yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
     yield _gain(plan)
     yield from _floor(plan)
+    yield from _bending(plan)
     checks, passes = len(plan.certificate.checks), counted(len(plan.passes), "pass", "passes")
     yield (
         f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}; clearance stays above "
@@ -31,6 +32,21 @@ def remarks(plan: Plan) -> Iterator[str]:
         f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s "
         f"({passes}), certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
     )
+
+
+def _bending(plan: Plan) -> Iterator[str]:
+    done = plan.compensation
+    if done is not None:
+        rounds = counted(done.rounds, "round")
+        yield (
+            f"Sag compensated in {rounds}: the joints aim up to {1e3 * done.largest_shift:.2f} mm beside the "
+            "path, so that the bent arm follows it; the tool deviation is the bent arm's, as predicted."
+        )
+    quiet = plan.quieting
+    if quiet is not None:
+        modes = counted(quiet.modes, "elastic mode")
+        size = f"{1e3 * quiet.before:.4f} mm to {1e3 * quiet.after:.4f} mm"
+        yield f"Vibration of the first {modes} at the end, as predicted: from {size}."
 
 
 def _start(plan: Plan) -> Iterator[str]:

@@ -67,9 +67,10 @@ class _Case:
 
     @property
     def allowed(self) -> FloatArray:
-        """What the sag leaves room for, (3,), per cent.
+        """What the reduction can be at most, (3,), per cent, if all is sag.
 
-        At stiffness f the sag is 1/f of the predicted one, so the share abs(1/f - 1) of the latter stays.
+        At stiffness f the sag is 1/f of the predicted one, so the share abs(1/f - 1) of the latter stays. It
+        is not quite 1/f, and vibration may make up for some of what stays: a bound of about this size.
         """
         return np.asarray(100 * (1 - abs(1 / self.stiffness - 1) * self.ratio))
 
@@ -94,7 +95,7 @@ class _Case:
         )
         if self.stiffness != 1.0:
             most = self._where_asked(self.allowed)
-            yield GoalRow(setting=setting, what="the sag leaves room for, %", values=most)
+            yield GoalRow(setting=setting, what=f"bound of {self.name}, about, %", values=most)
 
     def reasons(self) -> Iterator[str]:
         for axis in self.missed:
@@ -106,13 +107,13 @@ class _Case:
                 size = self.ratio[axis] / self.stiffness
                 yield (
                     f"{found}: {100 * abs(1 - self.stiffness):.0f} % of the sag was not foreseen, and along "
-                    f"this axis the planned motion's sag has {size:.2f} times the baseline's {self.name}; "
-                    f"that leaves room for {self.allowed[axis]:.1f} %."
+                    f"this axis the planned motion's sag has {size:.2f} times the baseline's {self.name}. "
+                    f"That bounds the reduction at about {self.allowed[axis]:.1f} %."
                 )
             else:
                 yield (
-                    f"{found}, though the sag leaves room for {self.allowed[axis]:.1f} %: vibration has a "
-                    f"{self.name} of {1e3 * abs(self.vibration[axis]):.3f} mm there."
+                    f"{found}, though the sag would let it fall by {self.allowed[axis]:.1f} %: vibration has "
+                    f"a {self.name} of {1e3 * abs(self.vibration[axis]):.3f} mm there."
                 )
 
     def _where_asked(self, numbers: FloatArray) -> tuple[float | None, ...]:

@@ -91,7 +91,7 @@ class Experiment:
     loud : Variant
         With no elastic mode quieted.
     least_sag : Variant or None
-        With the sag made small in place of the torque, not simulated; None where it was left out.
+        With the sag made small in place of the torque; None where it was left out.
     """
 
     paper: PaperExperiment
@@ -152,7 +152,7 @@ def reproduce(
     options = replace(options or SimulationOptions(), initial="equilibrium")
     softer = tuple(replace(options, guardrail_factor=x, link_factor=x) for x in factors)
     # Plans and simulations: sliding, fixed, compensated, loud, of least sag.
-    steps = Steps(tell or (lambda *_: None), len(PAPER) * (3 + 3 + (1 + len(softer)) + 2 + least_sag))
+    steps = Steps(tell or (lambda *_: None), len(PAPER) * (3 + 3 + (1 + len(softer)) + 2 + 2 * least_sag))
     experiments = []
     for paper in PAPER:
         scene = load_scene(paper.scene)
@@ -177,7 +177,7 @@ def reproduce(
                 why_not=why_not,
                 compensated=compensated,
                 loud=loud,
-                least_sag=bench.variant("least sag", sagging, ()) if least_sag else None,
+                least_sag=bench.variant("least sag", sagging, (options,)) if least_sag else None,
             )
         )
     return Reproduction(experiments=tuple(experiments), options=options)

@@ -58,12 +58,14 @@ class GoalTable:
 
 
 def cells(table: GoalTable) -> Iterator[tuple[str, ...]]:
-    """Yield the headings, then the rows, as text."""
-    yield "", "", *table.columns, "goal", "holds"
+    """Yield the headings, then the rows, as text; without a goal in any row there is no column for it."""
+    judged = any(row.goal for row in table.rows)
+    yield "", "", *table.columns, *(("goal", "holds") if judged else ())
     for row in table.rows:
         digits = 1 if row.what.endswith("%") else 2
         verdict = {True: "yes", False: "no", None: ""}[row.holds]
-        yield row.setting, row.what, *(_cell(value, digits) for value in row.values), row.goal, verdict
+        numbers = (_cell(value, digits) for value in row.values)
+        yield row.setting, row.what, *numbers, *((row.goal, verdict) if judged else ())
 
 
 def values(*parts: FloatArray | float) -> tuple[float, ...]:

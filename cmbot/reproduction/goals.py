@@ -25,4 +25,4 @@ def goals(experiment: Experiment) -> Iterator[GoalTable]:
     if rest is not None:
         yield rest
     if experiment.least_sag is not None:
-        yield least_sag(experiment.planned.plan, experiment.least_sag)
+        yield least_sag(experiment.planned, experiment.least_sag)

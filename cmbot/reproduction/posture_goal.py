@@ -44,11 +44,12 @@ def posture_goal(run: Run) -> GoalTable:
 def _rising(run: Run) -> Iterator[str]:
     figures = [motion.figures for motion in (run.equilibrium.baseline, run.equilibrium.planned)]
     means, sags = (
-        1e3 * np.array([getattr(found, part).mean[:3] for found in figures]) for part in ("total", "static")
+        np.array([1e3 * np.abs(getattr(found, part).mean[:3]) for found in figures])
+        for part in ("total", "static")
     )
-    for axis in axes_where(np.abs(means[1]) > np.abs(means[0])):
+    for axis in axes_where(means[1] > means[0]):
         yield (
-            f"Along {'xyz'[axis]} the mean grows, from {means[0, axis]:.2f} to {means[1, axis]:.2f} mm. The "
-            f"sag of the postures alone has the means {sags[0, axis]:.2f} and {sags[1, axis]:.2f} mm there: "
-            "what is made small is the torque on the guardrail, not the sag along an axis."
+            f"Along {'xyz'[axis]} the absolute mean grows from {means[0, axis]:.2f} to {means[1, axis]:.2f} "
+            f"mm. That of the postures' sag is {sags[0, axis]:.2f} and {sags[1, axis]:.2f} mm there: what is made "
+            "small is the torque on the guardrail, not the sag along an axis."
         )
