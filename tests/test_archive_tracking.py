@@ -10,11 +10,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from small_scenes import short_scene
 
 import cmbot
 from cmbot.archive import load_plan, load_tracking, save, save_tracking
 from cmbot.errors import ArchiveError
-from cmbot.planning import Plan
+from cmbot.planning import Plan, plan
 from cmbot.simulation import SimulationOptions, Tracking, simulate, tracking_rows
 
 
@@ -37,6 +38,20 @@ def folder(saved: Path, tmp_path: Path) -> Path:
 
 
 def test_what_was_saved_is_read(saved: Path, tracking: Tracking) -> None:
+    same(saved, tracking)
+
+
+def test_what_a_compensated_plan_errs_is_read_as_such(tmp_path: Path) -> None:
+    """From where the plan expects the tool, after reading as before."""
+    compensated = plan(short_scene(planner={"compensate": True}))
+    tracking = simulate(compensated, SimulationOptions(settle_s=0.5))
+    save(compensated, tmp_path / "short")
+    save_tracking(tracking, tmp_path / "short")
+    same(tmp_path / "short", tracking)
+
+
+def same(saved: Path, tracking: Tracking) -> None:
+    """What is read there is `tracking`."""
     found = cmbot.load_tracking(load_plan(saved), saved)
     assert found is not None
     assert (found.options, found.seconds) == (tracking.options, tracking.seconds)

@@ -86,6 +86,60 @@ def test_off_the_path_is_the_error_across_it(tracking: Tracking, short_plan: Pla
     np.testing.assert_allclose(motion.path_error[middle, 1], 0.0, atol=1e-12)
 
 
+@pytest.fixture(scope="module")
+def compensated() -> Plan:
+    return plan(short_scene(planner={"compensate": True}))
+
+
+@pytest.fixture(scope="module")
+def foreseen(compensated: Plan) -> Tracking:
+    return simulate(compensated)
+
+
+def test_a_compensated_motion_errs_from_where_it_expects_the_tool(
+    compensated: Plan, foreseen: Tracking, tracking: Tracking
+) -> None:
+    """What it errs is vibration; the baseline, which reckons with no sag, is what it always was."""
+    motion = foreseen.planned
+    assert np.abs(motion.static).max() < 1e-6
+    assert np.abs(motion.error - motion.dynamic).max() < 1e-6
+    assert motion.figures.total.rms[3] < 0.05 * foreseen.baseline.figures.total.rms[3]
+    np.testing.assert_array_equal(foreseen.baseline.error, tracking.baseline.error)
+    np.testing.assert_array_equal(foreseen.baseline.command, tracking.baseline.command)
+    # Measured from where a rigid tool would be, the error is the sag, as ever.
+    arm = elastic_arm_of(compensated, OPTIONS)
+    from_rigid = track(arm, compensated.task, drive_along(compensated.trajectory), OPTIONS)
+    sag = Sag(arm).at(compensated.trajectory.evaluate(motion.t[:801:20])).tool
+    np.testing.assert_allclose((from_rigid.error - motion.error)[:801:20], sag, atol=1e-6)
+    assert np.linalg.norm(sag, axis=1).min() > 3e-3
+
+
+def test_a_compensated_motion_expects_the_tool_on_its_path(compensated: Plan, foreseen: Tracking) -> None:
+    motion, path = foreseen.planned, compensated.task.path
+    moving = motion.t <= motion.stop
+    expected = path.position(motion.t) + motion.command
+    allowed = compensated.options.max_tool_deviation_m
+    assert np.linalg.norm(path.leg_offset(motion.t, expected), axis=1)[moving].max() < 1.001 * allowed
+    # And the bent tool is as near, but for what vibrates.
+    bent = path.leg_offset(motion.t, expected + motion.error)
+    np.testing.assert_allclose(motion.path_error, bent, atol=1e-12)
+    largest = np.linalg.norm(motion.error, axis=1).max()
+    assert np.linalg.norm(motion.path_error, axis=1).max() < allowed + largest
+    assert motion.figures.path.rms[3] < 0.15 * foreseen.baseline.figures.path.rms[3]
+
+
+def test_a_sag_that_was_not_foreseen_stays(compensated: Plan, foreseen: Tracking) -> None:
+    """At stiffness f the sag is 1/f of the predicted one, nearly: weights turn with what bends."""
+    assert compensated.sag is not None
+    at = slice(0, 801, 20)
+    predicted = compensated.sag.at(compensated.trajectory.evaluate(foreseen.planned.t[at]))
+    for factor in (0.8, 1.25):
+        options = replace(OPTIONS, guardrail_factor=factor, link_factor=factor)
+        static = simulate(compensated, options).planned.static[at]
+        expected = (1 / factor - 1) * predicted
+        assert np.linalg.norm(static - expected, axis=1).max() < 0.03 * np.linalg.norm(expected, axis=1).max()
+
+
 def test_an_arm_at_rest_stays_at_rest(cmbot_robot: Robot, task: ToolTask) -> None:
     arm = arm_on_its_guardrail(cmbot_robot)
     motion = track(arm, task, held(swing(1.0).states([0.0])[0][0], 1.0), OPTIONS)

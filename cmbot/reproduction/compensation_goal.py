@@ -25,7 +25,7 @@ _QUANTITIES = (("mean", "mean"), ("standard deviation", "standard_deviation"))
 
 def compensation_goal(variant: Variant) -> GoalTable:
     """Compare means and standard deviations at every stiffness that was simulated."""
-    title = "Compensation: the same with the predicted sag compensated"
+    title = "Compensation: the same with the predicted sag compensated, where the baseline has more than 1 mm"
     if variant.plan is None:
         remark = f"There is no plan: {variant.why_not}."
         return GoalTable(title=title, columns=("x", "y", "z"), rows=(), remarks=(remark,))

@@ -50,6 +50,6 @@ def _rising(run: Run) -> Iterator[str]:
     for axis in axes_where(means[1] > means[0]):
         yield (
             f"Along {'xyz'[axis]} the absolute mean grows from {means[0, axis]:.2f} to {means[1, axis]:.2f} "
-            f"mm. That of the postures' sag is {sags[0, axis]:.2f} and {sags[1, axis]:.2f} mm there: what is made "
-            "small is the torque on the guardrail, not the sag along an axis."
+            f"mm. That of the postures' sag is {sags[0, axis]:.2f} and {sags[1, axis]:.2f} mm there: what is "
+            "made small is the torque on the guardrail, not the sag along an axis."
         )

@@ -96,8 +96,8 @@ def _elsewhere(found: list[_Case]) -> Iterator[str]:
         worst = max(others, key=lambda case: case.share[3])
         speed = np.sqrt(worst.stiffness)
         yield (
-            f"At another stiffness the modes are not those that were quieted: up to {worst.share[3]:.1f} % is "
-            f"left, {1e3 * worst.after[3]:.3f} of {1e3 * worst.before[3]:.3f} mm, at stiffness times "
+            f"At another stiffness the modes are not those that were quieted: up to {worst.share[3]:.1f} % "
+            f"is left, {1e3 * worst.after[3]:.3f} of {1e3 * worst.before[3]:.3f} mm, at stiffness times "
             f"{worst.stiffness:g}, where they are about {speed:.2f} times as fast."
         )
 
