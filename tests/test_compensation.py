@@ -108,7 +108,7 @@ def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
         sag_of(scene, bending_arm(scene, robot), scene.planner)
 
 
-def test_sag_as_the_objective() -> None:
+def test_sag_as_the_objective(tmp_path: Path) -> None:
     """From the best posture there is: the global stage's."""
     scene = short_scene(planner={"knots": "sliding", "objective": "sag"})
     best = GlobalStage(prepare(scene, scene.planner)).solve(pinned=False).q[0]
@@ -130,6 +130,9 @@ def test_sag_as_the_objective() -> None:
     assert planned.objective.planned_peak <= planned.objective.floor * 1.002
     assert largest(planned) <= largest(torque) * (1 + 1e-6)
     assert planned.gap_to_floor is None
+    assert any("Made small: the tool's sag" in remark and " mm" in remark for remark in remarks(planned))
+    save(planned, tmp_path / "plan")
+    assert load_plan(tmp_path / "plan", verify=True).objective == planned.objective
 
 
 def test_derivative_of_the_sags_length(rng: np.random.Generator) -> None:

@@ -117,7 +117,9 @@ def _require_objective(file: PlanFile, source: str) -> None:
     if objective.own:
         expected: tuple[object, ...] = (objective.name, None, None)
     else:
-        expected = (options.objective, options.moment_about, options.axis_weights)
+        of_torque = options.objective == "torque"
+        about, weights = (options.moment_about, options.axis_weights) if of_torque else (None, None)
+        expected = (options.objective, about, weights)
     for key, value in zip(("name", "moment_about", "axis_weights"), expected, strict=True):
         if getattr(objective, key) != value:
             got = shown(getattr(objective, key))

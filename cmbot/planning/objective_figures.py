@@ -26,7 +26,7 @@ class ObjectiveFigures:
         It is such a function: a file holds its name only, so its figures cannot be checked again.
     moment_about : str or None
     axis_weights : three floats or None
-        As in the options; None with a function of someone's own.
+        As in the options; None where no torque is made small, and with a function of someone's own.
     baseline_peak, planned_peak : float
         Its largest value over each motion.
     floor : float or None
@@ -81,12 +81,13 @@ def objective_figures(
         The motions' figures, and the motions as finely sampled as these.
     floor : float or None
     """
+    of_torque = not own and options.objective == "torque"
     return ObjectiveFigures(
         name=objective.name,
         unit=objective.unit,
         own=own,
-        moment_about=None if own else options.moment_about,
-        axis_weights=None if own else options.axis_weights,
+        moment_about=options.moment_about if of_torque else None,
+        axis_weights=options.axis_weights if of_torque else None,
         baseline_peak=_peak(objective, *baseline),
         planned_peak=_peak(objective, *planned),
         floor=floor,

@@ -49,11 +49,14 @@ class Progress:
         Starting postures from which no path was found so far.
     report : PassReport or None
         After each pass of the optimiser.
+    unit : str
+        Of its peak: torque unless something else is made small.
     """
 
     stage: str
     failed_starts: int = 0
     report: PassReport | None = None
+    unit: str = "Nm"
 
     def sentence(self) -> str:
         """Return it in words."""
@@ -67,9 +70,13 @@ class Progress:
         met = report.worst.value < 5e-5
         worst = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
         return (
-            f"{text}, pass {report.number} ({report.stage}): peak {report.peak_torque:.2f} Nm, "
+            f"{text}, pass {report.number} ({report.stage}): peak {self._peak(report)}, "
             f"{'all constraints met' if met else worst}"
         )
+
+    def _peak(self, report: PassReport) -> str:
+        digits = ".2f" if self.unit == "Nm" else ".5g"
+        return f"{report.peak_torque:{digits}} {self.unit}".rstrip()
 
 
 def plan(
@@ -209,7 +216,7 @@ def _work(setting: Setting, way: Way, tell: Callable[[Progress], None], clock: _
     tell(Progress(stage="optimise"))
 
     def each_pass(report: PassReport) -> None:
-        tell(Progress(stage="optimise", report=report))
+        tell(Progress(stage="optimise", report=report, unit=setting.objective.unit))
 
     problem, optimised = way.problem, optimise(way.problem, each_pass)
     compensation = quieting = None

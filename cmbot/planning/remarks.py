@@ -91,29 +91,36 @@ def _gain(plan: Plan) -> str:
 
 def _floor(plan: Plan) -> Iterator[str]:
     objective = plan.objective
-    # What has no unit is a function of someone's own.
-    unit = f" {objective.unit}" if objective.unit else ""
     if not objective.is_guardrail_torque:
         yield (
-            f"Made small: {_objective(objective)}, from a peak of {objective.baseline_peak:.2f}{unit} "
-            f"in the baseline to {objective.planned_peak:.2f}{unit}."
+            f"Made small: {_objective(objective)}, from a peak of "
+            f"{_value(objective, objective.baseline_peak)} in the baseline to "
+            f"{_value(objective, objective.planned_peak)}."
         )
     if plan.floor is None or plan.choice is None:
         return
     gap = "" if objective.gap is None else f"; the peak is {100 * objective.gap:+.3f} % from it"
     yield (
-        f"Floor: no admissible plan rests below {plan.floor.value:.2f}{unit} "
-        f"(error {plan.floor.error:.3f}{unit}), set by via-point {plan.floor.via_point + 1}{gap}."
+        f"Floor: no admissible plan rests below {_value(objective, plan.floor.value)} "
+        f"(error {_value(objective, plan.floor.error, 1)}), set by via-point {plan.floor.via_point + 1}{gap}."
     )
     pinned = plan.options.start == "pinned"
     other, peak = ("free", plan.choice.free) if pinned else ("pinned", plan.choice.pinned)
-    found = "no way" if peak is None else f"a peak of {peak:.2f}{unit}"
+    found = "no way" if peak is None else f"a peak of {_value(objective, peak)}"
     yield f"With start: {other} the global stage finds {found}."
 
 
+def _value(objective: ObjectiveFigures, value: float, more_digits: int = 0) -> str:
+    """Write a value of the objective with its unit; what has none is a function of someone's own."""
+    factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
+    return f"{factor * value:.{2 + more_digits}f} {unit}".rstrip()
+
+
 def _objective(objective: ObjectiveFigures) -> str:
-    if objective.own or objective.axis_weights is None:
+    if objective.own:
         return objective.name
+    if objective.axis_weights is None:
+        return f"the tool's {objective.name}"
     weights = ", ".join(f"{weight:g}" for weight in objective.axis_weights)
     return f"the torque about the {objective.moment_about}, axes weighted {weights}"
 
