@@ -52,6 +52,24 @@ def test_a_step_for_the_worse_is_tried_again(monkeypatch: pytest.MonkeyPatch) ->
     assert peak(problem, found) == pytest.approx(peak(problem, expected), rel=2e-3)
 
 
+def test_sliding_alone_may_lead_nowhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first pass only slides via-points; when that diverges all unknowns are tried at once."""
+    refused = []
+
+    def without_slides(
+        subproblem: Subproblem, accuracy: float, max_iterations: int
+    ) -> tuple[NDArray[np.float64], int]:
+        if len(subproblem.start) == 8 + 1:  # one slide a via-point, and the bound
+            refused.append(subproblem)
+            return subproblem.start + 100.0, 1
+        return solve_slsqp(subproblem, accuracy, max_iterations)
+
+    monkeypatch.setattr(optimiser, "solve_slsqp", without_slides)
+    planned = plan(short_scene(planner={"knots": "sliding"}))
+    assert refused
+    assert planned.certificate.holds
+
+
 @pytest.mark.parametrize("answer", [np.nan, np.inf, 1e9])
 def test_a_solver_that_always_diverges_is_given_up(monkeypatch: pytest.MonkeyPatch, answer: float) -> None:
     problem = demanding()

@@ -226,6 +226,9 @@ class _Run:
                 self.family, self.x = family, subproblem.unknowns(x)
                 return (float(x[-1]) if name == "peak" else bound), iterations, gain
             weight *= _CAUTION
+        if effort.slides_only:
+            # Sliding alone may be no way to go on; with all unknowns there may be one.
+            return bound, iterations, 0.0
         look = self._look(bound, effort)
         raise self._failure("the solver diverges, however cautiously it is asked", look[1])
 
