@@ -45,3 +45,18 @@ def test_other_starts_are_counted(short_plan: Plan, failures: int, words: str) -
     start = Start(posture=short_plan.start.posture, moved=0.1, failures=failures * (failure,))
     said = line(replace(short_plan, start=start), "Starts elsewhere: ")
     assert said.startswith(f"Starts elsewhere: from the scene's posture, in the way. {words} the same tool")
+
+
+def test_a_plan_that_gains_nothing_says_so(short_plan: Plan, triangle_plan: Plan) -> None:
+    said = [" ".join(remarks(each)) for each in (short_plan, triangle_plan)]
+    assert "Hardly anything is gained at the peak" in said[0]
+    assert "Hardly anything" not in said[1]
+
+
+def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
+    said = " ".join(remarks(triangle_plan))
+    assert triangle_plan.quieting is not None
+    assert "the first 2 elastic modes are brought to rest" in said
+    assert f"{1e3 * triangle_plan.quieting.before:.4f} mm" in said
+    given_up = replace(triangle_plan, quieting=replace(triangle_plan.quieting, share=0.0))
+    assert "could not be brought to rest" in " ".join(remarks(given_up))

@@ -13,6 +13,9 @@ from cmbot.validation import counted
 
 __all__ = ["remarks"]
 
+# A peak that is lower by less than this share is no gain; a baseline this near to the floor leaves none.
+_GAIN, _NEAR_FLOOR = 5e-3, 1e-2
+
 
 def remarks(plan: Plan) -> Iterator[str]:
     """Yield what should be known of a plan besides its figures, a sentence or two each."""
@@ -20,6 +23,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     if plan.baseline_figures.min_clearance < plan.options.safety_margin_m:
         yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
     yield _gain(plan)
+    yield from _nothing_gained(plan)
     yield from _floor(plan)
     yield from _bending(plan)
     checks, passes = len(plan.certificate.checks), counted(len(plan.passes), "pass", "passes")
@@ -45,8 +49,14 @@ def _bending(plan: Plan) -> Iterator[str]:
     quiet = plan.quieting
     if quiet is not None:
         modes = counted(quiet.modes, "elastic mode")
-        size = f"{1e3 * quiet.before:.4f} mm to {1e3 * quiet.after:.4f} mm"
-        yield f"Vibration of the first {modes} at the end, as predicted: from {size}."
+        swing = f"they would leave the tool swinging by {1e3 * quiet.before:.4f} mm to either side"
+        brought = {1.0: "is brought", 0.0: "could not be brought"}.get(quiet.share, "is in part brought")
+        if quiet.modes != 1:
+            brought = brought.replace("is ", "are ")
+        yield (
+            f"Quieting: the first {modes} {brought} to rest at the ends of the legs; as predicted, {swing} "
+            f"without that, and by {1e3 * quiet.after:.4f} mm with it. It counts on the right stiffness."
+        )
 
 
 def _start(plan: Plan) -> Iterator[str]:
@@ -87,6 +97,16 @@ def _gain(plan: Plan) -> str:
         f"Against the baseline: gravity's peak {change:+.2f} %{why}, the mean {100 * mean:+.2f} %; at most "
         f"{difference:.1f} Nm less, at t = {time:.1f} s."
     )
+
+
+def _nothing_gained(plan: Plan) -> Iterator[str]:
+    """Say so where the plan is no better than the baseline in what was made small, and why it may be."""
+    objective = plan.objective
+    if objective.planned_peak < objective.baseline_peak * (1 - _GAIN):
+        return
+    near = objective.floor is not None and objective.baseline_peak < objective.floor * (1 + _NEAR_FLOOR)
+    why = " The baseline is near the floor already: there is nothing to gain." if near else ""
+    yield f"Hardly anything is gained at the peak; what the plan adds is that limits are kept.{why}"
 
 
 def _floor(plan: Plan) -> Iterator[str]:
