@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from types import TracebackType
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import typer.main
@@ -20,6 +20,9 @@ from cmbot.cli_simulation import reproduce, simulate
 from cmbot.cli_views import replay, report
 from cmbot.console import JsonOption, QuietOption, err, flat, out, print_json
 from cmbot.errors import CmbotError, InputError, PlanningError, SceneError
+
+if TYPE_CHECKING:
+    from cmbot.robot import Finding
 
 __all__ = ["app", "main"]
 
@@ -156,10 +159,7 @@ def _check_urdf(path: Path, *, as_json: bool, quiet: bool) -> None:
         told = [asdict(finding) for finding in findings]
         print_json(_check_summary(str(path), "urdf", found, findings=told, usable=not errors))
     else:
-        for finding in findings:
-            if finding.severity == "error" or not quiet:
-                where = f"{finding.severity}: {path}: {finding.key}"
-                out.print(flat(f"{where}: got {finding.got}, expected {finding.expected}"))
+        _print_findings(str(path), findings, quiet=quiet)
     if not (as_json or quiet):
         warnings = counted(len(findings) - errors, "warning")
         _print_pairs(found)
@@ -171,6 +171,7 @@ def _check_urdf(path: Path, *, as_json: bool, quiet: bool) -> None:
 
 def _check_scene(file: str, *, as_json: bool, quiet: bool) -> None:
     from cmbot.planning import examine_scene
+    from cmbot.validation import counted
 
     try:
         scene = cmbot.load_scene(file)
@@ -180,12 +181,20 @@ def _check_scene(file: str, *, as_json: bool, quiet: bool) -> None:
         # Nothing in it could be read as a scene's.
         expected = "a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)"
         raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
-    found = dict(examine_scene(scene))
+    seen = examine_scene(scene)
     if as_json:
-        print_json(_check_summary(file, "scene", found))
+        told = [asdict(finding) for finding in seen.warnings]
+        print_json(_check_summary(file, "scene", dict(seen.found), findings=told))
     elif not quiet:
-        _print_pairs(found)
-        out.print(f"The scene can be planned with: cmbot plan {flat(file)}")
+        _print_findings(file, seen.warnings, quiet=quiet)
+        _print_pairs(dict(seen.found))
+        verb = f"cmbot plan {flat(file)}"
+        warnings = counted(len(seen.warnings), "warning")
+        out.print(
+            f"{warnings}; {verb} would have to deal with {'it' if len(seen.warnings) == 1 else 'them'}."
+            if seen.warnings
+            else f"Nothing speaks against planning it: {verb}"
+        )
 
 
 def _check_summary(
@@ -211,6 +220,13 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:  # a name that is too long
         return False
+
+
+def _print_findings(file: str, findings: Sequence[Finding], *, quiet: bool) -> None:
+    for finding in findings:
+        if finding.severity == "error" or not quiet:
+            where = f"{finding.severity}: {file}: {finding.key}"
+            out.print(flat(f"{where}: got {finding.got}, expected {finding.expected}"))
 
 
 def _print_pairs(found: Mapping[str, str]) -> None:

@@ -13,7 +13,7 @@ from cmbot.console import JsonOption, Narrator, QuietOption, flat, out, print_js
 
 if TYPE_CHECKING:
     from cmbot.reproduction import Experiment, Reproduction
-    from cmbot.simulation import Tracking
+    from cmbot.simulation import SimulationOptions, Tracking
 
 __all__ = ["reproduce", "simulate"]
 
@@ -45,23 +45,11 @@ def simulate(
 
     Example: [bold]cmbot simulate out/triangle[/bold]
     """
+    options = _options(damping=damping, initial=initial, stiffness=stiffness, segments=segments)
     loaded = cmbot.load_plan(directory)
     from cmbot.archive import require_no_tracking
-    from cmbot.validation import validated
 
     require_no_tracking(directory, force=force)
-    options = validated(
-        cmbot.SimulationOptions,
-        {
-            "damping": damping,
-            "initial": initial,
-            "guardrail_factor": stiffness,
-            "link_factor": stiffness,
-            "segments": segments,
-        },
-        "cmbot simulate",
-        cmbot.InputError,
-    )
     if figures:
         from cmbot.views import require_matplotlib
 
@@ -76,6 +64,9 @@ def simulate(
     if as_json:
         print_json(_tracking_summary(loaded.scene.name, directory, tracking))
     elif not quiet:
+        from cmbot.simulation import tracking_conclusion
+
+        out.print(tracking_conclusion(tracking, compensated=loaded.options.compensate))
         print_tracking(loaded.scene.name, tracking)
         out.print(f"Written to {', '.join(flat(path) for path in written)}.")
 
@@ -121,6 +112,21 @@ def reproduce(
             out.print(f"why: {reason}")
         _print_goals(experiment)
     out.print(f"Written to {' and '.join(flat(path) for path in written)}, with every assumption.")
+
+
+def _options(*, damping: float, initial: str, stiffness: float, segments: int) -> SimulationOptions:
+    """Check the words of the command line; what is wrong is named as it is there."""
+    from cmbot.validation import validated
+
+    given = {"damping": damping, "initial": initial, "segments": segments}
+    factors = dict.fromkeys(("guardrail_factor", "link_factor"), stiffness)
+    try:
+        return validated(cmbot.SimulationOptions, given | factors, "cmbot simulate", cmbot.InputError)
+    except cmbot.InputError as error:
+        word = (
+            "--stiffness" if error.key in factors else f"--{error.key}" if error.key in given else error.key
+        )
+        raise cmbot.InputError(error.source, word, error.got, error.expected, error.choices) from error
 
 
 def _tracking_summary(name: str, directory: Path, tracking: Tracking) -> dict[str, Any]:

@@ -16,6 +16,31 @@ def test_missing_files(triangle_folder, name):
     assert "no such file" in str(refused(triangle_folder, name, ""))
 
 
+def test_a_plan_directory_nearby_is_asked_for(triangle_folder, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ArchiveError, match=r"; did you mean plan\?$") as caught:
+        load_plan(".")
+    assert (caught.value.source, caught.value.got) == ("plan.json", "no such file")
+    triangle_folder.parent.joinpath("out").mkdir()
+    triangle_folder.rename(tmp_path / "out" / "line")
+    with pytest.raises(ArchiveError, match=r"line: no such folder, .*; did you mean out/line\?$"):
+        load_plan("line")
+    with pytest.raises(ArchiveError, match=r"plan\.json: no such file, .*; did you mean out/line\?$"):
+        load_plan("out")
+    for number in range(3):
+        (tmp_path / "out" / f"a{number}").mkdir()
+        (tmp_path / "out" / f"a{number}" / "plan.json").touch()
+    with pytest.raises(ArchiveError, match=r"mean out/a0 or out/a1 or out/a2 or another one there\?$"):
+        load_plan("out")
+
+
+def test_a_file_is_no_folder(triangle_folder):
+    with pytest.raises(
+        ArchiveError, match=r"plan\.json: got a file, not a folder, expected a plan directory"
+    ):
+        load_plan(triangle_folder / "plan.json")
+
+
 @pytest.mark.parametrize("name", sorted(FILES))
 def test_folders_in_place_of_files(triangle_folder, name):
     (triangle_folder / name).unlink()

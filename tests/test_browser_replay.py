@@ -159,6 +159,17 @@ def test_the_plot_shades_the_approach_and_draws_the_floor(
     assert (top == top[20]).all(axis=1).mean() == pytest.approx(-start / (20.0 - start), abs=0.02)
 
 
+def test_the_baseline_has_no_torque_on_the_approach(shown: webdriver.Chrome) -> None:
+    pixels, start = plotted(shown), shown.execute_script("return cmbotReplay.start")
+    end = shown.execute_script("return cmbotReplay.duration")
+    border = round(-start / (end - start) * (pixels.shape[1] - 16)) + 8
+    red, blue = pixels[..., 0], pixels[..., 2]
+    # What is drawn in the baseline's blue, and in the planned motion's orange.
+    for colour, before in ((blue - red > 100, 0.0), (red - blue > 100, 1.0)):
+        assert colour[:, 12 : border - 4].any(axis=0).mean() == pytest.approx(before, abs=0.05)
+        assert colour[:, border + 4 : -12].any(axis=0).mean() > 0.8
+
+
 def test_the_picture_changes_with_time_and_comes_back(shown: webdriver.Chrome) -> None:
     start = picture(shown)
     shown.execute_script("cmbotReplay.seek(10)")

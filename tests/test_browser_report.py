@@ -5,6 +5,7 @@ import dataclasses
 import io
 import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -286,6 +287,87 @@ def test_the_printed_page_is_still_and_shows_every_plot(shown: webdriver.Chrome)
     )
     shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
     assert hidden == [[], True]
+
+
+@pytest.mark.parametrize("width", [1280, 1024, 420, 320])
+def test_what_a_card_says_stays_on_it(shown: webdriver.Chrome, width: int) -> None:
+    with screen(shown, width):
+        spilling = shown.execute_script(
+            """const spills = ({scrollWidth, clientWidth}) => clientWidth > 0 && scrollWidth > clientWidth;
+            const parts = [...document.querySelectorAll(".card, .card *")];
+            const reaches = (card) => Math.max(...[...card.querySelectorAll("*")].map((part) => {
+                return part.getBoundingClientRect().right - card.getBoundingClientRect().right;
+            }));
+            return [parts.filter(spills).map((part) => part.textContent),
+                Math.max(...[...document.querySelectorAll(".card")].map(reaches))];"""
+        )
+    assert spilling[0] == []
+    assert spilling[1] < -8
+
+
+def test_nothing_covers_the_controls(shown: webdriver.Chrome) -> None:
+    with screen(shown, 420):
+        covered = shown.execute_script(
+            """const controls = [...document.querySelectorAll("#bar button, #bar select, #bar input")];
+            return controls.filter((control) => {
+                const { x, y, width, height } = control.getBoundingClientRect();
+                return document.elementFromPoint(x + width / 2, y + height / 2) !== control;
+            }).map((control) => control.id);"""
+        )
+    assert covered == []
+
+
+def test_plots_of_what_bends_say_that_the_approach_is_not_simulated(shown: webdriver.Chrome) -> None:
+    words = """return [...document.querySelectorAll("#charts-tracking svg")].map((svg) => {
+        return [...svg.querySelectorAll("text")].map((text) => text.textContent);
+    })"""
+    said = shown.execute_script(words)
+    assert len(said) == 4
+    assert all({"approach", "not simulated"} <= set(texts) for texts in said)
+    elsewhere = shown.execute_script(words.replace("tracking", "torque"))
+    assert "approach" in elsewhere[0]
+    assert "not simulated" not in elsewhere[0]
+
+
+def test_a_narrow_window_prints_as_a_wide_one(shown: webdriver.Chrome) -> None:
+    printed = []
+    for width in (1280, 860, 420):
+        with screen(shown, width):
+            before = view_and_plots(shown)
+            shown.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+            stills = shown.execute_script(
+                """const stills = [...document.querySelectorAll("#stills img")];
+                return Promise.all(stills.map((image) => image.decode())).then(
+                    () => stills.map((image) => [image.naturalWidth, image.naturalHeight]));"""
+            )
+            printed.append([stills, view_and_plots(shown)[1:]])
+            shown.execute_script("window.dispatchEvent(new Event('afterprint'))")
+            next_frame(shown)
+            assert view_and_plots(shown) == before
+    assert printed[0] == printed[1] == printed[2]
+    assert all(0.7 < wide / high < 1.4 for wide, high in printed[0][0])
+
+
+def view_and_plots(chrome: webdriver.Chrome) -> list[object]:
+    """Size of the view, px, and what the plots are drawn for."""
+    return chrome.execute_script(
+        """const view = document.getElementById("view");
+        const boxes = [...document.querySelectorAll("svg")].map((svg) => svg.getAttribute("viewBox"));
+        return [[view.clientWidth, view.clientHeight], boxes];"""
+    )
+
+
+@contextmanager
+def screen(chrome: webdriver.Chrome, width: int) -> Iterator[None]:
+    """Another width of the window for a while."""
+    metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    next_frame(chrome)
+    try:
+        yield
+    finally:
+        chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics | {"width": 1280})
+        next_frame(chrome)
 
 
 def test_hostile_names_are_text_and_nothing_else(

@@ -3,6 +3,7 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from command_line import ROOT, Outcome, run, write_scene
 from small_scenes import SHORT
@@ -24,7 +25,7 @@ def test_a_shipped_scene() -> None:
     assert found["robot"].startswith("cmbot: 7 joints, ")
     assert found["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
     assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
-    assert outcome.out.splitlines()[-1] == "The scene can be planned with: cmbot plan triangle"
+    assert outcome.out.splitlines()[-1] == "Nothing speaks against planning it: cmbot plan triangle"
 
 
 def test_a_scene_file(tmp_path: Path) -> None:
@@ -35,6 +36,52 @@ def test_a_scene_file(tmp_path: Path) -> None:
     assert f"short ({path})" in outcome.out
     assert "1 leg, 0.300 m in 4 s" in outcome.out
     assert values(outcome)["obstacles"].endswith(", of them 1 workpiece")
+
+
+# The tool, a cylinder of radius 0.04 m, is 0.01 m deep in it, or as far away.
+START = (1.81535, 0.77957, -2.06284)
+
+
+@pytest.mark.parametrize(
+    ("gap", "words"),
+    [(-0.01, "tool reaches 0.0100 m into block"), (0.01, "tool comes within 0.0100 m of block")],
+)
+def test_a_start_that_is_not_clear_is_warned_of(tmp_path: Path, gap: float, words: str) -> None:
+    x, y, z = START
+    block = {"name": "block", "box": [0.1, 0.1, 0.1], "xyz": [x, y + 0.09 + gap, z]}
+    path = write_scene(tmp_path / "short.yaml", {**SHORT, "obstacles": [block]})
+    outcome = run("check", path)
+    assert (outcome.status, outcome.err) == (0, "")
+    first, *_, last = outcome.out.splitlines()
+    assert first.startswith(
+        f"warning: {path}: posture_deg: got {words}, the safety margin is 0.02 m, expected"
+    )
+    assert last == f"1 warning; cmbot plan {path} would have to deal with it."
+    (finding,) = json.loads(run("check", path, "--json").out)["findings"]
+    assert (finding["severity"], finding["key"]) == ("warning", "posture_deg")
+    assert run("check", path, "--quiet").out == ""
+
+
+def test_legs_beyond_the_arms_reach_are_warned_of(tmp_path: Path) -> None:
+    """The shipped arm is 3.78 m long with its tool (Table 2), and its first joint at (0, 0.5, 0)."""
+    legs = [{"by": by, "seconds": 9} for by in ([0, 0.1, 0], [0, 3.0, 0], [0, -3.0, 0], [2.5, 0, -2.0])]
+    path = write_scene(tmp_path / "far.yaml", {**SHORT, "tool_path": {"legs": legs}})
+    *warnings, last = (line for line in run("check", path).out.splitlines() if "warning" in line)
+    distance = np.hypot(np.hypot(START[0], START[1] + 0.1 + 3.0 - 0.5), START[2])
+    assert warnings[0].endswith(
+        f": tool_path.legs[1].by: got an end {distance:.3f} m from the arm's first joint, "
+        "expected at most 3.780 m, the arm with its tool stretched out"
+    )
+    assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1].by", "tool_path.legs[3].by"]
+    assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
+
+
+def test_a_load_too_heavy_at_the_start_is_warned_of(tmp_path: Path) -> None:
+    heavy = {"robot": {"model": "cmbot", "payload_kg": 60.0}}
+    path = write_scene(tmp_path / "heavy.yaml", {**SHORT, **heavy})
+    first, *_ = run("check", path).out.splitlines()
+    assert "of the torque that joint_" in first
+    assert first.startswith(f"warning: {path}: posture_deg: got ")
 
 
 def test_a_scene_file_may_have_any_name(tmp_path: Path) -> None:
@@ -76,6 +123,8 @@ def test_a_urdf_that_lacks_limits(tmp_path: Path) -> None:
         "robot": "bare",
         "links": "4, 2.50 kg in all",
         "movable joints": "2 (1 prismatic, 1 continuous)",
+        "prismatic joints": "1, not between base and tool frame: an arm that is planned has revolute or "
+        "continuous joints only",
         "limits in the URDF": "of 2 movable joints: position 1, velocity 0, effort 1",
         "joint_limits.yaml beside it": "none: the scene has to name one, with acceleration and jerk",
         "SRDF beside it": "none: only neighbouring links may touch",

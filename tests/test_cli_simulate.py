@@ -21,7 +21,7 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.archive import save, save_tracking
 from cmbot.errors import ArchiveError
-from cmbot.simulation import MotionTracking, Tracking, tracking_remarks, tracking_rows
+from cmbot.simulation import MotionTracking, Tracking, tracking_conclusion, tracking_remarks, tracking_rows
 
 TABLES = ("tracking.csv", "tracking_baseline.csv")
 FILES = {*TABLES, "tracking.json"}
@@ -108,17 +108,38 @@ def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], sa
 def test_it_prints_the_figures(simulated: tuple[Path, Outcome], tracking: Tracking) -> None:
     folder, outcome = simulated
     lines = outcome.out.splitlines()
-    assert lines[0] == "short, mm"
-    assert lines[1].split() == ["x", "y", "z", "norm"]
+    assert lines[0] == tracking_conclusion(tracking, compensated=False)
+    assert lines[1] == "short, mm"
+    assert lines[2].split() == ["x", "y", "z", "norm"]
     rows = list(tracking_rows(tracking))
-    assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
+    assert [line.split() for line in lines[3 : 3 + len(rows)]] == [" ".join(row).split() for row in rows]
     remarks = list(tracking_remarks(tracking))
-    told = lines[2 + len(rows) : -1]
+    told = lines[3 + len(rows) : -1]
     assert told[:-1] == remarks[:-1]
     assert re.fullmatch(r"Time: \d+\.\d\d s for 12 s of motion\.", told[-1])
     written = (*TABLES, "tracking.json", "replay.html", "report.html")
     assert lines[-1] == f"Written to {', '.join(str(folder / name) for name in written)}."
     assert outcome.err == "simulating\n"
+
+
+def test_the_conclusion_is_what_was_measured(tracking: Tracking) -> None:
+    motions = (tracking.baseline, tracking.planned)
+    rms = [1e3 * np.sqrt(np.mean(np.sum(m.error[m.t <= m.stop + 1e-9] ** 2, axis=1))) for m in motions]
+    swing = []
+    for motion in motions:
+        moving = (motion.error - motion.static)[motion.t >= motion.stop - 1e-9]
+        swing.append(1e3 * np.linalg.norm(moving[:, None] - moving[None], axis=2).max())
+    said = tracking_conclusion(tracking, compensated=False)
+    found = re.fullmatch(
+        r"Tracking error, RMS: baseline (.*) mm -> planned (.*) mm; "
+        r"swing after the stop: (.*) mm -> (.*) mm\.",
+        said,
+    )
+    assert found is not None
+    np.testing.assert_allclose([float(x) for x in found.groups()], [*rms, *swing], rtol=0, atol=1e-3)
+    assert tracking_conclusion(tracking, compensated=True).startswith(
+        "Bent tool off its path, RMS: baseline "
+    )
 
 
 def test_on_a_terminal_it_draws_a_table(directory: Path) -> None:
@@ -173,11 +194,11 @@ def test_it_replaces_nothing_without_force(directory: Path, name: str) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--damping", "-1"], "cmbot simulate: damping: got -1.0, expected at least 0"),
+        (["--damping", "-1"], "cmbot simulate: --damping: got -1.0, expected at least 0"),
         (["--damping", "nan"], "cmbot simulate: "),
-        (["--initial", "relaxed"], "cmbot simulate: initial: got 'relaxed'"),
-        (["--stiffness", "0"], "guardrail_factor: got 0.0, expected more than 0"),
-        (["--segments", "0"], "cmbot simulate: segments: got 0, expected at least 1"),
+        (["--initial", "relaxed"], "cmbot simulate: --initial: got 'relaxed'"),
+        (["--stiffness", "0"], "cmbot simulate: --stiffness: got 0.0, expected more than 0"),
+        (["--segments", "0"], "cmbot simulate: --segments: got 0, expected at least 1"),
         (["--segments", "two"], "See: cmbot simulate --help"),
         (["--stiffness", "1e-5"], "stiff enough"),
     ],
@@ -189,6 +210,11 @@ def test_what_cannot_be_is_refused_in_one_line(directory: Path, words: list[str]
     assert error.startswith("error: ")
     assert message in error
     assert not FILES & {path.name for path in directory.iterdir()}
+
+
+def test_options_are_checked_before_files(directory: Path) -> None:
+    (directory / "tracking.json").write_text("mine", encoding="utf-8")
+    assert "--stiffness: got 0.0" in run("simulate", directory, "--stiffness", "0").err
 
 
 def test_a_folder_without_a_plan_is_refused(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,7 +18,17 @@ from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.errors import SceneError
-from cmbot.planning import GlobalStage, Plan, bending_arm, plan, remarks, robot_of, sag_of, task_of
+from cmbot.planning import (
+    GlobalStage,
+    Plan,
+    Progress,
+    bending_arm,
+    plan,
+    remarks,
+    robot_of,
+    sag_of,
+    task_of,
+)
 from cmbot.planning.setting import prepare
 from cmbot.scene import load_scene
 from cmbot.scene.tool_path import ShiftedToolPath
@@ -90,6 +101,21 @@ def test_a_compensated_plan_is_read_back(compensated: Plan, tmp_path: Path) -> N
     assert back.compensation == compensated.compensation
     assert back.figures.max_tool_deviation == pytest.approx(compensated.figures.max_tool_deviation, rel=1e-9)
     assert back.samples.expected_tool_point is not None
+
+
+def test_progress_says_which_round() -> None:
+    told: list[Progress] = []
+    planned = plan(short_scene(planner={"compensate": True}), progress=told.append)
+    assert planned.compensation is not None
+    rounds = [step.rounds for step in told if step.report is not None]
+    assert rounds == sorted(rounds)
+    assert set(rounds) == set(range(planned.compensation.rounds + 1))
+    last = [step for step in told if step.report is not None][-1]
+    assert last.sentence().startswith(f"compensating the sag, round {last.rounds}, pass ")
+    assert sum(step.rounds == last.rounds for step in told) == len(planned.passes)
+    (time,) = (remark for remark in remarks(planned) if remark.startswith("Time: "))
+    words = rf"\({len(planned.passes)} pass(es)? in the last of {planned.compensation.rounds} rounds?\)"
+    assert re.search(words, time)
 
 
 def test_without_compensation_nothing_is_expected() -> None:

@@ -123,16 +123,19 @@ def test_damage_is_named(
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        (b"", "no XML"),
-        (b"joints: {}", "no XML"),
-        (b"<robot name='a'>", "no XML"),
+        (b"", "not well-formed XML"),
+        (b"joints: {}", "not well-formed XML"),
+        (b"<robot name='a'>", r"got text that is not well-formed XML \(no element found"),
         (b"<sdf/>", "<sdf>"),
         (b"<robot xmlns='http://example.org' name='a'/>", "<robot>"),
         (b"<robot name='a'/>", "at least one link"),
         (b"<?xml version='1.0' encoding='klingon'?><robot name='a'/>", "klingon"),
-        (b"<?xml version='1.0' encoding='shift_jis'?><robot name='a'/>", "no XML"),
-        (b"<robot name='a'>\xff</robot>", "no XML"),
-        (b'<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/hostname">]><robot name="a">&x;</robot>', "no XML"),
+        (b"<?xml version='1.0' encoding='shift_jis'?><robot name='a'/>", "not well-formed XML"),
+        (b"<robot name='a'>\xff</robot>", "not well-formed XML"),
+        (
+            b'<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/hostname">]><robot name="a">&x;</robot>',
+            "not well-formed XML",
+        ),
     ],
 )
 def test_file_that_is_no_urdf(tmp_path: Path, content: bytes, word: str) -> None:
@@ -167,6 +170,12 @@ def test_impossible_inertia_is_doubtful_only(bare_urdf: str) -> None:
     assert finding.key == "link[link_3].inertial.inertia"
     assert "0.03388" in finding.got
     assert "0.616" in finding.got
+
+
+def test_an_arm_that_only_slides_is_doubtful(bare_urdf: str) -> None:
+    (finding,) = findings(bare_urdf.replace('type="revolute"', 'type="prismatic"'))
+    assert (finding.severity, finding.got) == ("warning", "12 prismatic joints and none that turns")
+    assert findings(bare_urdf.replace('type="revolute"', 'type="prismatic"', 1)) == []
 
 
 def test_everything_is_listed_errors_first(bare_urdf: str) -> None:

@@ -94,3 +94,11 @@ def test_results_do_not_alias_working_memory(cmbot_kinematics: Kinematics) -> No
     now = (X_WT.homogeneous, beside.homogeneous, J, centre, J_c)
     for array, copy in zip(now, kept, strict=True):
         np.testing.assert_array_equal(array, copy)
+
+
+def test_no_posture_exceeds_the_reach(
+    cmbot_robot: Robot, cmbot_kinematics: Kinematics, random_states: States
+) -> None:
+    q, *_ = random_states(cmbot_robot, 200)
+    distances = np.linalg.norm(cmbot_kinematics.tool_poses(q)[0] - cmbot_robot.base_point, axis=1)
+    assert 0.5 * cmbot_robot.reach < distances.max() <= cmbot_robot.reach

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from small_scenes import short_scene
 
 import cmbot
 from cmbot.errors import InputError
-from cmbot.planning import Plan, remarks
-from cmbot.simulation import Tracking, simulate, tracking_rows
+from cmbot.planning import Plan, plan, remarks
+from cmbot.simulation import SimulationOptions, Tracking, simulate, tracking_rows
 from cmbot.views import pages, report_page
 from cmbot.views.charts import MOST_POINTS, charts, joint_charts
 from cmbot.views.headlines import headlines, use_of
@@ -33,6 +34,12 @@ def tracking(triangle_plan: Plan) -> Tracking:
 @pytest.fixture(scope="module")
 def text(triangle_plan: Plan, tracking: Tracking) -> str:
     return report_page(triangle_plan, tracking)
+
+
+@pytest.fixture(scope="module")
+def compensated() -> tuple[Plan, Tracking]:
+    made = plan(short_scene(planner={"compensate": True}))
+    return made, simulate(made, SimulationOptions(settle_s=0.5))
 
 
 def floats(packed: str, *shape: int) -> np.ndarray:
@@ -140,6 +147,21 @@ def test_tracking_errors_share_one_scale(triangle_plan: Plan, tracking: Tracking
             assert chart.axis[0] <= curve.y.min() <= curve.y.max() <= chart.axis[1]
 
 
+def test_it_is_said_where_an_error_is_measured_from(
+    triangle_plan: Plan, tracking: Tracking, compensated: tuple[Plan, Tracking]
+) -> None:
+    for made, words in (((triangle_plan, tracking), "put the rigid one. "), (compensated, "predicted sag")):
+        notes = [chart.note for chart in charts(*made) if chart.title.startswith("Tracking error")]
+        assert words in notes[0]
+        assert notes[1:] == ["", ""]
+        assert ("is expected" in notes[0]) == (made is compensated)
+
+
+def test_plots_without_the_approach_say_why(triangle_plan: Plan, tracking: Tracking) -> None:
+    for chart in charts(triangle_plan, tracking):
+        assert (min(curve.t[0] for curve in chart.curves) < 0) == (chart.approach == "")
+
+
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=300), st.integers(4, 60))
 def test_thinning_keeps_ends_and_extremes(values: list[float], most: int) -> None:
     y = np.array(values)
@@ -155,11 +177,6 @@ def test_thinning_keeps_ends_and_extremes(values: list[float], most: int) -> Non
 # Headlines --------------------------------------------------------------------------------------------------
 
 
-def promises(plan: Plan) -> int:
-    assert plan.approach is not None
-    return len(plan.certificate.checks) + len(plan.approach.certificate.checks)
-
-
 def test_headlines_say_what_was_gained(triangle_plan: Plan, tracking: Tracking) -> None:
     peak, floor, certified, clearance, deviation, error = headlines(triangle_plan, tracking)
     before, after = triangle_plan.baseline_figures, triangle_plan.figures
@@ -170,7 +187,10 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, tracking: Tracking) 
     assert "Nm on the approach" in peak.detail
     assert triangle_plan.gap_to_floor is not None
     assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
-    assert certified.value == f"{promises(triangle_plan)} of {promises(triangle_plan)} hold"
+    assert triangle_plan.approach is not None
+    work, approach = (len(of.certificate.checks) for of in (triangle_plan, triangle_plan.approach))
+    assert certified.value == f"{work} of {work} hold"
+    assert certified.detail.endswith(f"; approach: {approach} of {approach}")
     assert clearance.value == f"{1e3 * after.min_clearance:.1f} mm"
     assert deviation.value == f"{1e3 * after.max_tool_deviation:.2f} mm"
     assert error.value == f"{1e3 * tracking.planned.figures.total.rms[3]:.1f} mm"
@@ -184,11 +204,27 @@ def test_what_is_broken_is_said(triangle_plan: Plan) -> None:
     certificate = dataclasses.replace(certificate, checks=(broken, *certificate.checks[1:]), figures=figures)
     plan = dataclasses.replace(triangle_plan, certificate=certificate)
     _, _, certified, clearance, *_ = headlines(plan, None)
-    all_of_them = promises(triangle_plan)
-    assert (certified.value, certified.state) == (f"{all_of_them - 1} of {all_of_them} hold", "bad")
+    number = len(certificate.checks)
+    assert (certified.value, certified.state) == (f"{number - 1} of {number} hold", "bad")
     assert broken.quantity in certified.detail
     assert clearance.state == "bad"
     assert ">NO</td>" in report_page(plan)
+
+
+def test_a_promise_broken_on_the_approach_is_said(triangle_plan: Plan) -> None:
+    approach = triangle_plan.approach
+    assert approach is not None
+    first, *others = approach.certificate.checks
+    checks = (dataclasses.replace(first, value=2 * first.bound), *others)
+    certificate = dataclasses.replace(approach.certificate, checks=checks)
+    broken = dataclasses.replace(approach, certificate=certificate)
+    certified = list(headlines(dataclasses.replace(triangle_plan, approach=broken), None))[2]
+    assert certified.state == "bad"
+    assert certified.detail.endswith(f"approach: {len(others)} of {len(checks)}")
+
+
+def test_without_an_approach_none_is_named(short_plan: Plan) -> None:
+    assert "approach" not in list(headlines(short_plan, None))[2].detail
 
 
 def test_fixed_knots_have_no_floor(short_plan: Plan) -> None:
@@ -237,6 +273,36 @@ def test_use_of_a_bound(triangle_plan: Plan, value: float, bound: float, at_leas
     assert use_of(dataclasses.replace(check, value=value, bound=bound, at_least=at_least)) == use
 
 
+# Sag and vibration ------------------------------------------------------------------------------------------
+
+
+def test_what_was_done_about_the_sag_is_in_a_table(
+    compensated: tuple[Plan, Tracking], short_plan: Plan
+) -> None:
+    made, tracking = compensated
+    done = made.compensation
+    assert done is not None
+    page = report_page(made, tracking)
+    rows = {"sag compensated, rounds": str(done.rounds)}
+    rows["largest shift of the tool from its path for it, mm"] = f"{1e3 * done.largest_shift:.3f}"
+    assert done.largest_shift > 1e-3
+    for name, value in rows.items():
+        assert f'{name}</th><td class="number">{value}</td>' in page
+        assert name not in report_page(short_plan)
+
+
+def test_what_was_done_about_the_vibration_is_in_a_table(text: str, triangle_plan: Plan) -> None:
+    quiet = triangle_plan.quieting
+    assert quiet is not None
+    for name, value in (
+        ("elastic modes brought to rest", f"{quiet.modes}"),
+        ("share of the change for it that was made", f"{100 * quiet.share:g} %"),
+        ("amplitude that they leave at the tool without it, mm", f"{1e3 * quiet.before:.4f}"),
+        ("with it, mm", f"{1e3 * quiet.after:.4f}"),
+    ):
+        assert f'{name}</th><td class="number">{value}</td>' in text
+
+
 # What the view shows besides the arms -----------------------------------------------------------------------
 
 
@@ -270,3 +336,12 @@ def test_the_error_is_that_of_the_simulation(triangle_plan: Plan, tracking: Trac
         assert np.ptp(floats(rest["error"], 3), axis=0).max() > 0
     assert data["approach"]["planned"]["error"] is None
     assert replay_data(triangle_plan)["rest"] is None
+
+
+def test_the_error_starts_where_the_tool_is_expected(compensated: tuple[Plan, Tracking]) -> None:
+    made, tracking = compensated
+    expected = made.samples.expected_tool_point
+    assert expected is not None
+    shown = floats(replay_data(made, tracking)["planned"]["tool"], 3)
+    np.testing.assert_allclose(shown[[0, -1]], expected[[0, -1]], atol=1e-6)
+    assert np.linalg.norm(shown[0] - made.samples.tool_point[0]) > 1e-3

@@ -255,7 +255,7 @@ def test_missing_joint_limits(urdf_folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "word"),
     [
-        ("</robot>", "", "no XML"),
+        ("</robot>", "", "not well-formed XML"),
         ("robot", "sdf", "<sdf>"),
         ('joint name="climb_2" value', 'joint name="elbow" value', "group_state: got 'elbow'"),
         ('joint name="climb_2" value', 'joint name="universe" value', "group_state: got 'universe'"),

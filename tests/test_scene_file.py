@@ -114,7 +114,22 @@ WRONG = [
     (("guardrail", "rails"), [], "guardrail.foot.offset_m", "0.5", "no rail at height 0"),
     (("guardrail", "post"), {"top_m": -0.5}, "guardrail.post", "-1.05 to -0.5", "pass height 0"),
     (("guardrail", "mass"), UNIT, "guardrail.mass", "a mass alone", "no mass where no stiffness is given"),
-    (("guardrail", "stiffness"), UNIT[:5], "guardrail.stiffness", "[[1.0", "a list of 6 items"),
+    (("guardrail", "stiffness"), UNIT[:5], "guardrail.stiffness", "[[1.0", "6 rows of 6 numbers"),
+    (("guardrail", "stiffness"), -1, "guardrail.stiffness", "-1", "linear then angular (N/m, N/rad, Nm/rad)"),
+    (
+        ("guardrail", "stiffness"),
+        [[1] * 6] * 5 + [[1]],
+        "guardrail.stiffness",
+        "[[1, 1",
+        "6 rows of 6 numbers",
+    ),
+    (
+        ("guardrail", "mass"),
+        [1] * 6,
+        "guardrail.mass",
+        "[1, 1",
+        "6 rows of 6 numbers, linear then angular (kg",
+    ),
     (("guardrail", "stiffness"), [[0] * 6] * 6, "guardrail.stiffness", "the diagonal", "positive definite"),
     (("guardrail", "stiffness"), [[1] * 6] * 6, "guardrail.stiffness", "not positive definite", "symmetric"),
     (
@@ -171,7 +186,11 @@ def test_misspelt_required_key_is_named_before_the_missing_one():
 def test_shipped_robot_takes_no_frames_limits_or_mount(key):
     value = OTHER_ROBOT.get(key, "arm.srdf")
     error = refused({**MINIMAL, "robot": {key: value}})
-    assert (error.key, error.expected) == (f"robot.{key}", "no such key beside model: cmbot")
+    assert error.key == f"robot.{key}"
+    assert str(error.got).startswith("{'xyz': [" if key == "mount" else repr(value))
+    assert (
+        error.expected == "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
+    )
 
 
 @pytest.mark.parametrize("key", ["base_frame", "tool_frame", "limits", "mount"])

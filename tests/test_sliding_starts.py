@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_scenes import short_scene
+from small_scenes import parts, short_scene
 
 from cmbot.errors import PathNotFound
 from cmbot.planning import plan, remarks
@@ -43,6 +43,23 @@ def test_a_pinned_start_with_few_others_to_try(tries: int, words: str) -> None:
     assert "blocked" in str(caught.value)
     assert words in str(caught.value)
     assert ("other starting" in str(caught.value)) == (tries > 0)
+
+
+@pytest.mark.parametrize("start", ["free", "pinned"])
+@pytest.mark.parametrize(
+    ("gap", "words"),
+    [(-0.01, "tool reaches 0.0100 m into block"), (0.01, "tool comes within 0.0100 m of block")],
+)
+def test_a_scenes_posture_that_is_not_clear_is_named(start: str, gap: float, words: str) -> None:
+    """The tool is a cylinder of radius 0.04 m."""
+    at = parts(short_scene())[1].path.corners[0] + np.array([0, 0.05 + 0.04 + gap, 0])
+    block = {"name": "block", "box": [0.1, 0.1, 0.1], "xyz": at.tolist()}
+    with pytest.raises(
+        PathNotFound, match=rf"in the scene's posture {words}, the safety margin is"
+    ) as caught:
+        plan(short_scene(obstacles=[block], planner={"knots": "sliding", "start": start}))
+    assert caught.value.pair == ("tool", "block")
+    assert caught.value.progress == 0
 
 
 def test_a_free_start_stays_where_nothing_is_gained_by_leaving() -> None:

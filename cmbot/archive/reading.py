@@ -12,6 +12,7 @@ import numpy as np
 from cmbot.archive.fitting import require_fit, require_times, require_unchanged
 from cmbot.archive.folder import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES, read_file
 from cmbot.archive.knots import read_knots
+from cmbot.archive.nearby import plans_nearby
 from cmbot.archive.schema import ApproachFile, CertificateFile, FiguresFile, PlanFile
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_motion
@@ -120,10 +121,13 @@ def _plan_file(folder: Path) -> PlanFile:
         is_folder = folder.is_dir()
     except (OSError, ValueError) as error:  # a folder that may not be entered; a name that no file can have
         raise ArchiveError(shown(str(folder)), "", shown(str(error)), "a plan directory") from error
+    expected = "a plan directory, as cmbot plan writes it"
     if not is_folder:
-        expected = "a plan directory, as cmbot plan writes it"
-        raise ArchiveError(str(folder), "", "no such folder", expected)
+        got = "a file, not a folder" if folder.is_file() else "no such folder"
+        raise ArchiveError(str(folder), "", got, f"{expected}{plans_nearby(folder)}")
     source = folder / PLAN_FILE
+    if meant := plans_nearby(folder):
+        raise ArchiveError(str(source), "", "no such file", f"{expected}{meant}")
     data = read_json(read_file(source), str(source))
     # First of all: in another version anything else may differ.
     if data.get("format") != FORMAT:

@@ -2,7 +2,7 @@
 
 from cmbot.planning.approach import Approach, certify_approach
 from cmbot.planning.certificate import Certificate, Check
-from cmbot.planning.examination import examine_scene
+from cmbot.planning.examination import Examination, examine_scene
 from cmbot.planning.figures import LimitUse, MotionFigures, Samples
 from cmbot.planning.floor import Floor
 from cmbot.planning.global_stage import GlobalSolution, GlobalStage
@@ -23,6 +23,7 @@ __all__ = [
     "Approach",
     "Certificate",
     "Check",
+    "Examination",
     "Floor",
     "GlobalSolution",
     "GlobalStage",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -55,7 +56,7 @@ def compensate(
     way: Way,
     optimised: Optimised,
     sag: ToolSag,
-    progress: Callable[[PassReport], None] | None = None,
+    progress: Callable[[PassReport, int], None] | None = None,
 ) -> tuple[Optimised, Compensation, TorqueProblem]:
     """Optimise again and again along the path shifted by the sag of the trajectory before.
 
@@ -68,7 +69,7 @@ def compensate(
         Without compensation.
     sag : ToolSag
     progress : callable, optional
-        Called with a `PassReport` after every pass.
+        Called with a `PassReport` and the number of the round, from 1, after every pass.
 
     Returns
     -------
@@ -102,12 +103,17 @@ def compensate(
         task = replace(setting.task, path=_shifted(setting, times, shift))
         around = replace(setting, task=task, options=options)
         problem = shifted_problem(around, way, optimised.via_points)
-        optimised = optimise(problem, progress)
+        optimised = optimise(problem, partial(_tell, progress, rounds + 1))
     raise OptimisationFailed(
         f"the compensation of the sag did not settle in {_MOST_ROUNDS} rounds",
         constraint="change of the shift",
         violation=change / allowed,
     )
+
+
+def _tell(progress: Callable[[PassReport, int], None] | None, rounds: int, report: PassReport) -> None:
+    if progress is not None:
+        progress(report, rounds)
 
 
 def _shifted(setting: Setting, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:

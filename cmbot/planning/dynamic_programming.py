@@ -74,6 +74,8 @@ class WayThrough:
         """Smallest peak of any sequence of nodes that are not known to be inadmissible."""
         first = self.nodes[0]
         reached = np.where(first.admissible & self.starts, first.chart.value, np.inf)
+        if not np.isfinite(reached).any():
+            raise blocked(self.setting, self.nodes, 0)
         for k, (node, edge) in enumerate(zip(self.nodes[1:], self.edges, strict=True), start=1):
             before = np.where(edge, reached[:, None], np.inf).min(axis=0, initial=np.inf)
             reached = np.where(node.admissible, np.maximum(before, node.chart.value), np.inf)
@@ -106,18 +108,25 @@ def blocked(setting: Setting, nodes: list[ChartNodes], k: int) -> PathNotFound:
     """Say at which via-point the sequence ends, and what excluded most postures there."""
     task, times = setting.task, setting.times
     node = nodes[k]
-    if len(node.chart.q) == 0:
-        why = "no posture within the joint ranges holds the tool there"
+    if not node.chart.within.any():
+        why = "out of reach: no posture within the joint ranges holds the tool there"
     elif not node.admissible.any():
-        weak = int((node.chart.joint_use > 1.0).sum())
+        weak = int((node.chart.within & (node.chart.joint_use > 1.0)).sum())
         near = int(node.too_near.sum())
         why = (
-            f"{near} postures come within the safety margin, {weak} ask too much of a joint's torque"
+            f"{near} postures come within the safety margin, {weak} ask too much of a joint's torque; "
+            "move obstacles or tool path, or lower planner.safety_margin_m"
             if near >= weak
-            else f"{weak} postures ask too much of a joint's torque, {near} come within the safety margin"
+            else f"{weak} postures ask too much of a joint's torque, {near} come within the safety margin; "
+            "move the tool path, or take a lighter payload"
         )
+    elif k == 0:
+        why = "the posture to start in asks too much of a joint's torque or comes within the safety margin"
     else:
-        why = "its admissible postures are too far from those before for the joints' velocities"
+        why = (
+            "its admissible postures are too far from those before for the joints' velocities; "
+            "give the leg more seconds"
+        )
     q = node.chart.q[:1] if len(node.chart.q) else nodes[k - 1].chart.q[:1]
     X_WT, J = Kinematics(setting.robot).tool_jacobian(q[0])
     return PathNotFound(

@@ -3,20 +3,48 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 
+from cmbot.arrays import FloatArray
 from cmbot.planning.setting import robot_of, task_of
-from cmbot.robot import Dynamics, Kinematics
+from cmbot.robot import Dynamics, Finding, Kinematics, Robot
 from cmbot.scene import Scene
-from cmbot.scene.clearance import Clearances
+from cmbot.scene.clearance import Clearances, ShapePair
+from cmbot.scene.tool_path import ToolPath
 from cmbot.validation import counted
 
-__all__ = ["examine_scene"]
+__all__ = ["Examination", "examine_scene"]
+
+# A stretched arm is not out of its own reach.
+_ROUNDING = 1e-9
 
 
-def examine_scene(scene: Scene) -> Iterator[tuple[str, str]]:
-    """Yield what a scene asks for and how it begins, as names and values with units.
+@dataclass(frozen=True, kw_only=True)
+class Examination:
+    """What was seen.
+
+    Attributes
+    ----------
+    found : tuple of (str, str)
+        What the scene asks for and how it begins, as names and values with units.
+    warnings : tuple of Finding
+        What speaks against planning it.
+    """
+
+    found: tuple[tuple[str, str], ...]
+    warnings: tuple[Finding, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Nearest:
+    pair: ShapePair
+    distance: float
+
+
+def examine_scene(scene: Scene) -> Examination:
+    """Look at what a scene asks for and how it begins.
 
     Parameters
     ----------
@@ -28,11 +56,27 @@ def examine_scene(scene: Scene) -> Iterator[tuple[str, str]]:
         When scene and robot do not fit together.
     """
     robot = robot_of(scene)
-    task = task_of(scene, robot)
+    path = task_of(scene, robot).path
+    nearest = _nearest(scene, robot)
+    use = np.abs(Dynamics(robot).static_efforts(scene.posture[None]).joint_torque[0]) / robot.limits.torque
+    return Examination(
+        found=(*_asked(scene, robot, path), *_beginning(scene, robot, path, nearest, use)),
+        warnings=(*_near(scene, nearest), *_weak(robot, use), *_out_of_reach(robot, path)),
+    )
+
+
+def _nearest(scene: Scene, robot: Robot) -> _Nearest | None:
+    clearances = Clearances(robot, scene.obstacles)
+    smallest = clearances.smallest(scene.posture[None])
+    if smallest.pair[0] < 0:
+        return None
+    return _Nearest(pair=clearances.pairs[smallest.pair[0]], distance=float(smallest.distance[0]))
+
+
+def _asked(scene: Scene, robot: Robot, path: ToolPath) -> Iterator[tuple[str, str]]:
     yield "scene", f"{scene.name} ({scene.source})"
     joints, legs = counted(robot.dof, "joint"), counted(len(scene.legs), "leg")
     yield "robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"
-    path = task.path
     yield (
         "tool path",
         f"{legs}, {path.lengths.sum():.3f} m in {path.duration:g} s, keeps the tool's {scene.keep}",
@@ -40,17 +84,46 @@ def examine_scene(scene: Scene) -> Iterator[tuple[str, str]]:
     yield "via-points", str(len(path.via_times(scene.via_points)))
     workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
     yield "obstacles", f"{len(scene.obstacles)}, of them {workpieces}"
-    q = scene.posture
+
+
+def _beginning(
+    scene: Scene, robot: Robot, path: ToolPath, nearest: _Nearest | None, use: FloatArray
+) -> Iterator[tuple[str, str]]:
     point = ", ".join(f"{x:.4f}" for x in path.corners[0])
     yield "tool point at the start", f"({point}) m"
-    clearances = Clearances(robot, scene.obstacles)
-    smallest = clearances.smallest(q[None])
-    if smallest.pair[0] >= 0:
-        pair = clearances.pairs[smallest.pair[0]]
-        yield "clearance at the start", f"{smallest.distance[0]:.4f} m ({pair.link} to {pair.other})"
-    X_WT, J = Kinematics(robot).tool_jacobian(q)
-    yield "smallest singular value there", f"{task.smallest_singular_value(X_WT, J):.4f}"
-    efforts = Dynamics(robot).static_efforts(q[None])
-    share = np.abs(efforts.joint_torque[0]) / robot.limits.torque
+    if nearest is not None:
+        pair = nearest.pair
+        yield "clearance at the start", f"{nearest.distance:.4f} m ({pair.link} to {pair.other})"
+    X_WT, J = Kinematics(robot).tool_jacobian(scene.posture)
+    yield "smallest singular value there", f"{task_of(scene, robot).smallest_singular_value(X_WT, J):.4f}"
+    efforts = Dynamics(robot).static_efforts(scene.posture[None])
     yield "torque on the guardrail there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"
-    yield "largest joint torque there", f"{share.max():.2f} of the bound of {robot.joints[share.argmax()]}"
+    yield "largest joint torque there", f"{use.max():.2f} of the bound of {robot.joints[use.argmax()]}"
+
+
+def _near(scene: Scene, nearest: _Nearest | None) -> Iterator[Finding]:
+    margin = scene.planner.safety_margin_m
+    if nearest is not None and nearest.distance < margin:
+        got = nearest.pair.too_near(nearest.distance, margin)
+        expected = (
+            "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
+        )
+        yield _warning("posture_deg", got, expected)
+
+
+def _weak(robot: Robot, use: FloatArray) -> Iterator[Finding]:
+    if use.max() > 1.0:
+        got = f"{use.max():.2f} of the torque that {robot.joints[use.argmax()]} can bear, at rest"
+        yield _warning("posture_deg", got, "at most 1: another posture or less payload")
+
+
+def _out_of_reach(robot: Robot, path: ToolPath) -> Iterator[Finding]:
+    distances = np.linalg.norm(path.corners - robot.base_point, axis=1)
+    for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
+        got = f"an end {distances[k]:.3f} m from the arm's first joint"
+        expected = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
+        yield _warning(f"tool_path.legs[{k - 1}].by", got, expected)
+
+
+def _warning(key: str, got: str, expected: str) -> Finding:
+    return Finding(severity="warning", key=key, got=got, expected=expected)

@@ -200,11 +200,7 @@ def _obstacle(
     """What keeps the arm from being in posture `q`: a reason and the pair of shapes, or nothing."""
     if not clearance >= options.safety_margin_m:
         shapes = clearances.pairs[pair]
-        margin = f"the safety margin is {options.safety_margin_m:g} m"
-        return (
-            f"{shapes.link} comes within {clearance:.4f} m of {shapes.other}, {margin}",
-            (shapes.link, shapes.other),
-        )
+        return shapes.too_near(clearance, options.safety_margin_m), (shapes.link, shapes.other)
     outside = np.flatnonzero((q < robot.limits.lower) | (q > robot.limits.upper))
     if len(outside):
         i = outside[0]

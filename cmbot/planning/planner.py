@@ -51,12 +51,15 @@ class Progress:
         After each pass of the optimiser.
     unit : str
         Of its peak: torque unless something else is made small.
+    rounds : int
+        Of the compensation of the sag, this one included; 0 before it.
     """
 
     stage: str
     failed_starts: int = 0
     report: PassReport | None = None
     unit: str = "Nm"
+    rounds: int = 0
 
     def sentence(self) -> str:
         """Return it in words."""
@@ -66,6 +69,8 @@ class Progress:
         report = self.report
         if report is None:
             return text
+        if self.rounds:
+            text = f"compensating the sag, round {self.rounds}"
         # What would print as 0.00 % is within the optimiser's tolerance.
         met = report.worst.value < 5e-5
         worst = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
@@ -215,8 +220,8 @@ class _Work:
 def _work(setting: Setting, way: Way, tell: Callable[[Progress], None], clock: _Clock) -> _Work:
     tell(Progress(stage="optimise"))
 
-    def each_pass(report: PassReport) -> None:
-        tell(Progress(stage="optimise", report=report, unit=setting.objective.unit))
+    def each_pass(report: PassReport, rounds: int = 0) -> None:
+        tell(Progress(stage="optimise", report=report, unit=setting.objective.unit, rounds=rounds))
 
     problem, optimised = way.problem, optimise(way.problem, each_pass)
     compensation = quieting = None

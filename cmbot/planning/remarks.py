@@ -31,7 +31,9 @@ def remarks(plan: Plan) -> Iterator[str]:
         f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}; clearance stays above "
         f"{1e3 * plan.certificate.clearance_bound:.1f} mm at all times, between samples too."
     )
-    seconds = plan.seconds
+    seconds, done = plan.seconds, plan.compensation
+    if done is not None and done.rounds:
+        passes += f" in the last of {counted(done.rounds, 'round')}"
     yield (
         f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s "
         f"({passes}), certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."

@@ -108,9 +108,11 @@ def sliding_way(setting: Setting, unreached: PathNotFound | None = None) -> Way:
     Raises
     ------
     PathNotFound
-        When a via-point is blocked, or nothing leads from one to the next.
+        When the scene's posture is in collision or within the safety margin, a via-point is blocked, or
+        nothing leads from one to the next.
     """
     options = setting.options
+    _require_clear_start(setting)
     stage = GlobalStage(setting)
     free, pinned = (_tried(stage, pinned=choice) for choice in (False, True))
     failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
@@ -159,6 +161,26 @@ def shifted_problem(setting: Setting, way: Way, via_points: FloatArray) -> Torqu
     pinned = sliding and 0 in way.resting
     family = family_through(setting, _placed(setting, via_points), sliding=sliding, pinned=pinned)
     return _problem(setting, family, way.resting, way.least)
+
+
+def _require_clear_start(setting: Setting) -> None:
+    """Refuse a scene's posture that nothing can lead out of: neither the work nor an approach."""
+    margin, q = setting.options.safety_margin_m, setting.posture
+    smallest = setting.clearances.smallest(q[None])
+    distance = float(smallest.distance[0])
+    if distance >= margin:
+        return
+    shapes = setting.clearances.pairs[smallest.pair[0]]
+    raise PathNotFound(
+        f"in the scene's posture {shapes.too_near(distance, margin)}; take another posture_deg, move the "
+        "obstacle, or lower planner.safety_margin_m",
+        time=0.0,
+        progress=0.0,
+        smallest_singular_value=setting.task.smallest_singular_value(
+            *Kinematics(setting.robot).tool_jacobian(q)
+        ),
+        pair=(shapes.link, shapes.other),
+    )
 
 
 def _tried(stage: GlobalStage, *, pinned: bool) -> GlobalSolution | PathNotFound:

@@ -104,7 +104,9 @@ def parse_robot_xml(path: Path, kind: str) -> ElementTree.Element:
         got = f"a file that cannot be read ({error.strerror or error})"
         raise ModelError(str(path), "", got, f"{kind} file") from error
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
-        raise ModelError(str(path), "", f"no XML ({error})", f"{kind} file") from error
+        raise ModelError(
+            str(path), "", f"text that is not well-formed XML ({error})", f"{kind} file"
+        ) from error
     if root.tag != "robot":
         raise ModelError(str(path), "", f"<{root.tag}>", f"{kind}, whose root element is <robot>")
     return root
@@ -118,7 +120,7 @@ def inspect_urdf(root: ElementTree.Element) -> list[Finding]:
     root : xml.etree.ElementTree.Element
         From `parse_urdf`.
     """
-    findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root)]
+    findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root), *_turning(root)]
     for link in root.findall("link"):
         findings += _inertial(link)
         findings += _shapes(link)
@@ -217,6 +219,16 @@ def _tree(root: ElementTree.Element) -> Iterator[Finding]:
             above = parents.get(above)
         if above == link:
             yield _error(f"link[{link}]", "a cycle of joints", "a tree")
+
+
+def _turning(root: ElementTree.Element) -> Iterator[Finding]:
+    """Some joint turns: an arm is planned with such joints only."""
+    kinds = [joint.get("type") for joint in root.findall("joint")]
+    sliding = kinds.count("prismatic")
+    if sliding and not {"revolute", "continuous"} & set(kinds):
+        got = f"{counted(sliding, 'prismatic joint')} and none that turns"
+        expected = "an arm of revolute or continuous joints between base and tool frame"
+        yield Finding(severity="warning", key="joint", got=got, expected=expected)
 
 
 def _inertial(link: ElementTree.Element) -> Iterator[Finding]:

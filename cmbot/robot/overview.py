@@ -35,6 +35,12 @@ def overview(path: Path, root: ElementTree.Element) -> Iterator[tuple[str, str]]
     yield "robot", root.get("name", "")
     yield "links", f"{len(links)}, {mass:.2f} kg in all"
     yield "movable joints", _kinds(joints)
+    sliding = sum(joint.get("type") == "prismatic" for joint in joints)
+    if sliding:
+        where = (
+            "not between base and tool frame: an arm that is planned has revolute or continuous joints only"
+        )
+        yield "prismatic joints", f"{sliding}, {where}"
     yield "limits in the URDF", _limits(joints)
     yield "joint_limits.yaml beside it", _joint_limits(path.with_name("joint_limits.yaml"), joints)
     srdf = path.with_suffix(".srdf")

@@ -81,6 +81,18 @@ class Robot:
         return int(self.model.getFrameId(self.tool_frame))
 
     @property
+    def base_point(self) -> FloatArray:
+        """Origin (3,) of the arm's first joint in W, m."""
+        return np.array(self.model.jointPlacements[1].translation)
+
+    @property
+    def reach(self) -> float:
+        """How far from `base_point` the tool point can be at most, m: from joint to joint, all stretched."""
+        steps = [placement.translation for placement in list(self.model.jointPlacements)[2:]]
+        steps.append(self.model.frames[self.tool_frame_id].placement.translation)
+        return float(np.linalg.norm(steps, axis=1).sum())
+
+    @property
     def arm_mass(self) -> float:
         """Mass of everything that the joints move, payload included, kg."""
         return float(sum(inertia.mass for inertia in self.model.inertias[1:]))

@@ -47,6 +47,14 @@ class ShapePair:
     of_arm: bool
     at_work: bool
 
+    def too_near(self, distance: float, margin: float) -> str:
+        """Say that a distance of the two, m, is below the safety margin, m."""
+        if distance < 0:
+            how = f"{self.link} reaches {-distance:.4f} m into {self.other}"
+        else:
+            how = f"{self.link} comes within {distance:.4f} m of {self.other}"
+        return f"{how}, the safety margin is {margin:g} m"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Smallest:

@@ -9,10 +9,10 @@ from __future__ import annotations
 from typing import Annotated, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema
-from cmbot.validation import FileModel, refusal
+from cmbot.validation import FileModel, refusal, shown
 
 __all__ = ["FootFile", "GuardrailFile", "MaterialFile", "PostFile", "RailFile", "SectionFile"]
 
@@ -141,6 +141,19 @@ class GuardrailFile(FileModel):
             return ()
         posts = (f"post_{number}" for number in range(1, self.bays + 2))
         return (*(rail.name for rail in self.rails), *posts)
+
+    @field_validator("stiffness", "mass", mode="before")
+    @classmethod
+    def _check_rows(cls, value: object, info: ValidationInfo) -> object:
+        lists = (list, tuple)
+        rows = value if isinstance(value, lists) else ()
+        if value is None:
+            return None
+        if len(rows) != 6 or not all(isinstance(row, lists) and len(row) == 6 for row in rows):
+            units = "N/m, N/rad, Nm/rad" if info.field_name == "stiffness" else "kg, kg m, kg m2"
+            raise refusal(f"6 rows of 6 numbers, linear then angular ({units})", got=shown(value))
+        # Past here pydantic no longer knows that it came from JSON, and wants tuples.
+        return tuple(map(tuple, rows))
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -68,7 +68,10 @@ class RobotFile(FileModel):
         for name in ("base_frame", "tool_frame", "limits", "mount", "srdf", "elasticity"):
             given = getattr(self, name) is not None
             if self.model == "cmbot" and given:
-                raise refusal("no such key beside model: cmbot", got="a value", key=(name,))
+                value = getattr(self, name)
+                got = shown(value.model_dump(mode="json") if isinstance(value, MountFile) else value)
+                expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
+                raise refusal(expected, got=got, key=(name,))
             if self.model != "cmbot" and not given and name not in ("srdf", "elasticity"):
                 raise refusal(f"a value, as model is {shown(self.model)}", got="nothing", key=(name,))
         return self

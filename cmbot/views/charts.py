@@ -25,6 +25,11 @@ ROOM = 1.06
 
 _EXPECTED = "Of the planned motion: where the tool is expected with its predicted sag."
 _ERROR = "The bent tool from where the same joint angles put the rigid one. Dashed: the sag at rest."
+_COMPENSATED = (
+    "The bent tool from where it is expected: where the joint angles put the rigid one and, for the planned "
+    "motion, its predicted sag from there. Dashed: the same at rest; at zero, the sag is as predicted."
+)
+_NOT_SIMULATED = "not simulated"
 
 Motion = Literal["planned", "baseline"]
 
@@ -70,6 +75,8 @@ class Chart:
         Levels with their names.
     note : str
         What has to be known to read it.
+    approach : str
+        Why the approach has no curve.
     """
 
     key: str
@@ -81,6 +88,7 @@ class Chart:
     bounds: tuple[float | None, float | None] = (None, None)
     marks: tuple[tuple[float, str], ...] = ()
     note: str = ""
+    approach: str = ""
 
     def data(self, most: int = MOST_POINTS) -> dict[str, Any]:
         """Return it as JSON can hold it; arrays are little-endian float32 in base64."""
@@ -88,7 +96,7 @@ class Chart:
         for curve in self.curves:
             t, y = thinned(curve.t, curve.y, most)
             curves.append({"motion": curve.motion, "thin": curve.thin, "t": pack(t), "y": pack(y)})
-        plain = ("key", "title", "unit", "digits", "axis", "bounds", "marks", "note")
+        plain = ("key", "title", "unit", "digits", "axis", "bounds", "marks", "note", "approach")
         return {**{name: getattr(self, name) for name in plain}, "curves": curves}
 
 
@@ -98,7 +106,7 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
     yield _clearance(plan)
     yield _tool_deviation(plan)
     if tracking is not None:
-        yield from _tracking(tracking)
+        yield from _tracking(tracking, _ERROR if plan.compensation is None else _COMPENSATED)
         yield _off_path(tracking)
 
 
@@ -165,10 +173,11 @@ def _tool_deviation(plan: Plan) -> Chart:
         bounds=(None, bound),
         marks=((bound, f"bound {bound:g} mm"),),
         note=_EXPECTED if plan.samples.expected_tool_point is not None else "",
+        approach="no tool path",
     )
 
 
-def _tracking(tracking: Tracking) -> Iterator[Chart]:
+def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
     """Yield the tracking error along each axis, all to one scale."""
     motions = _motions(tracking)
     spread = max(float(np.ptp(motion.error, axis=0).max()) for _, motion in motions)
@@ -189,7 +198,8 @@ def _tracking(tracking: Tracking) -> Iterator[Chart]:
             digits=2,
             curves=curves,
             axis=(1e3 * middle - half, 1e3 * middle + half),
-            note="" if number else _ERROR,
+            note="" if number else note,
+            approach=_NOT_SIMULATED,
         )
 
 
@@ -206,6 +216,7 @@ def _off_path(tracking: Tracking) -> Chart:
         curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
         note="Bending and the joint motion together; from the nearest point of the path.",
+        approach=_NOT_SIMULATED,
     )
 
 

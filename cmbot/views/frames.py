@@ -45,18 +45,21 @@ class Frames:
 
         ``poses`` (F, n, 7) are those of the arm's joint frames in W, as position and quaternion x, y, z, w;
         ``near`` (F, 6) the nearest points on the arm and on the other shape, ``pair`` (F,) an index into
-        `pairs`, -1 where nothing is near; ``tool`` (F, 3) the tool point, ``error`` (F, 3) how far the bent
-        arm's is from it, null when that is not known. All in W and SI units.
+        `pairs`, -1 where nothing is near; ``tool`` (F, 3) where the tool point is expected, its predicted sag
+        counted where that is compensated, ``error`` (F, 3) how far the bent arm's is from there, null when
+        that is not known. All in W and SI units.
         """
         q = resampled(times, samples.t, samples.q)
         near, pair = self._nearest(q)
+        expected = samples.expected_tool_point
+        tool = Kinematics(self._robot).tool_poses(q)[0]
         return {
             "poses": pack(poses_of(self._robot, q)),
             "torque": pack(resampled(times, samples.t, samples.guardrail_torque)),
             "clearance": pack(np.interp(times, samples.t, samples.clearance)),
             "near": pack(near),
             "pair": pack(pair),
-            "tool": pack(Kinematics(self._robot).tool_poses(q)[0]),
+            "tool": pack(tool if expected is None else resampled(times, samples.t, expected)),
             "error": None if error is None else pack(error),
             "peakTorque": figures.peak_guardrail_torque,
             # Infinite where nothing is there to be hit; JSON cannot say so.

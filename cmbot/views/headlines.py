@@ -85,15 +85,21 @@ def _floor(plan: Plan) -> Headline:
 
 
 def _certified(plan: Plan) -> Headline:
-    checks = [check for certificate in certificates(plan).values() for check in certificate.checks]
-    holding = sum(check.holds for check in checks)
+    found = certificates(plan)
+    held = {name: _held(certificate) for name, certificate in found.items()}
     tightest = max(plan.certificate.checks, key=use_of)
+    approach = f"; approach: {held['approach']}" if "approach" in held else ""
+    kept = all(check.holds for certificate in found.values() for check in certificate.checks)
     return Headline(
         title="Certified promises",
-        value=f"{holding} of {len(checks)} hold",
-        detail=f"tightest: {tightest.quantity}, {100 * use_of(tightest):.0f} % of its bound",
-        state="good" if holding == len(checks) else "bad",
+        value=f"{held['work']} hold",
+        detail=f"tightest: {tightest.quantity}, {100 * use_of(tightest):.0f} % of its bound{approach}",
+        state="good" if kept else "bad",
     )
+
+
+def _held(certificate: Certificate) -> str:
+    return f"{sum(check.holds for check in certificate.checks)} of {len(certificate.checks)}"
 
 
 def _clearance(plan: Plan) -> Headline:

@@ -33,6 +33,9 @@ def sections(plan: Plan, tracking: Tracking | None, remarks: Iterable[str]) -> s
         _section("What should be known", _list(remarks), wide=True),
         _section("Figures", _table(("", "baseline", "planned"), plan.rows())),
     ]
+    bending = list(_bending(plan))
+    if bending:
+        parts.append(_section("Sag and vibration, as predicted", _table(("", ""), bending)))
     for name, certificate in certificates(plan).items():
         parts.append(_section(f"Certificate of the {name}", _certificate(certificate)))
     if tracking is not None:
@@ -89,6 +92,20 @@ def _certificate(certificate: Certificate) -> str:
     bound = f"Clearance stays above {1e3 * certificate.clearance_bound:.1f} mm, between samples too."
     headings = ("promise", "at, s", "value", "bound", "unit", "use", "holds")
     return _table(headings, _checks(certificate)) + f"<p>{escape(bound)}</p>"
+
+
+def _bending(plan: Plan) -> Iterator[Row]:
+    """Yield what was done about the sag and about the vibration; nothing where nothing was."""
+    done, quiet = plan.compensation, plan.quieting
+    if done is not None:
+        yield "sag compensated, rounds", str(done.rounds)
+        yield "largest shift of the tool from its path for it, mm", f"{1e3 * done.largest_shift:.3f}"
+        yield "change of the shift in the last round, mm", f"{1e3 * done.last_change:.3f}"
+    if quiet is not None:
+        yield "elastic modes brought to rest", str(quiet.modes)
+        yield "share of the change for it that was made", f"{100 * quiet.share:g} %"
+        yield "amplitude that they leave at the tool without it, mm", f"{1e3 * quiet.before:.4f}"
+        yield "with it, mm", f"{1e3 * quiet.after:.4f}"
 
 
 def _checks(certificate: Certificate) -> Iterator[Row]:

@@ -110,9 +110,10 @@ class Chart {
     return [low - room, high + room];
   }
 
-  draw() {
+  // As wide as there is room for, or as the printer has room for.
+  draw(width = this.figure.clientWidth) {
     const { svg, small } = this;
-    this.width = Math.max(this.figure.clientWidth, 60);
+    this.width = Math.max(width, 60);
     this.height = small ? 62 : 140;
     this.inset = small ? { left: 2, right: 2, top: 4, bottom: 4 } : { left: 46, right: 8, top: 6, bottom: 24 };
     const [low, high] = this.range;
@@ -153,7 +154,14 @@ class Chart {
       const x = this.x(value), anchor = x > this.width - 24 ? "end" : "middle";
       make("text", { class: "tick", x: anchor === "end" ? this.width - 2 : x, y: this.height - 6, "text-anchor": anchor }, svg, `${text} s`);
     }
-    if (start < 0) make("text", { class: "tick", x: this.x(start) + 5, y: this.height - this.inset.bottom - 5 }, svg, "approach");
+    if (start < 0) this.nameApproach(svg);
+  }
+
+  // Its name and, below it, why it has no curve.
+  nameApproach(svg) {
+    const x = this.x(this.timeline.start) + 5, y = this.height - this.inset.bottom - 5, room = this.x(0) - x;
+    const lines = [this.spec.approach, "approach"].filter((words) => words && 6.2 * words.length < room);
+    lines.forEach((words, k) => make("text", { class: "tick", x, y: y - 14 * k }, svg, words));
   }
 
   drawCurve(curve, inside) {

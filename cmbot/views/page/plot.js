@@ -53,6 +53,7 @@ class TorquePlot {
 
   drawPhase(phase) {
     for (const [name, wide] of [["baseline", 1.5], ["planned", 2]]) {
+      if (name === "baseline" && phase.start < 0) continue;  // it has no approach
       const { norms } = phase.motions[name];
       const point = (norm, k) => [this.x(phase.timeOf(k / (norms.length - 1))), this.y(norm)];
       this.line(Array.from(norms, point), this.colour(name), wide);

@@ -69,11 +69,15 @@ start((data) => {
   const { controls } = player.stage.viewer;
   player.stage.view.addEventListener("wheel", (event) => { controls.enableZoom = event.ctrlKey; }, { capture: true });
 
+  // Paper is as wide as it is, whatever the window: pictures and plots get sizes of their own, px.
+  const STILL = [440, 500], PLOT = 690, SMALL_PLOT = 112;
   window.addEventListener("beforeprint", () => {
     const now = player.time, stills = document.getElementById("stills");
     const { legTimes, duration } = data;
     const times = legTimes.length > 2 && legTimes.length <= 5 ? legTimes : [0, duration / 2, duration];
     player.pause();
+    for (const chart of charts) chart.draw(chart.small ? SMALL_PLOT : PLOT);
+    const giveBack = player.stage.borrowSize(...STILL);
     stills.replaceChildren(...times.map((time) => {
       player.seek(time);
       const figure = document.createElement("figure"), image = document.createElement("img"), caption = document.createElement("figcaption");
@@ -82,7 +86,9 @@ start((data) => {
       figure.append(image, caption);
       return figure;
     }));
+    giveBack();
     player.seek(now);
   });
+  window.addEventListener("afterprint", drawAll);
   return player;
 });

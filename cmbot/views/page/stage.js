@@ -37,6 +37,20 @@ class Stage {
     viewer.set_3d_pane_size();
   }
 
+  // Be so large for a while, px, and show on the shorter side what it shows now. Returns what ends it.
+  borrowSize(wide, high) {
+    const { style } = this.view, { width, height } = style, { fitted } = this;
+    const shorter = () => Math.min(this.parts[0].wide, this.parts[0].high), before = shorter();
+    Object.assign(style, { width: `${wide}px`, height: `${high}px` });
+    this.fitted *= shorter() / before;
+    this.viewer.set_3d_pane_size();
+    return () => {
+      Object.assign(style, { width, height });
+      this.fitted = fitted;
+      this.viewer.set_3d_pane_size();
+    };
+  }
+
   // Light or dark, as the page is.
   dress() {
     const dark = window.matchMedia("(prefers-color-scheme: dark)");
