@@ -9,7 +9,8 @@ import pytest
 from small_scenes import parts, short_scene
 
 from cmbot.errors import PathNotFound
-from cmbot.planning import plan, remarks
+from cmbot.planning import GlobalStage, plan, remarks
+from cmbot.planning.setting import prepare
 
 # Beside the elbow: from the scene's posture the arm cannot get past it, from another it can.
 BALL = {"name": "ball", "sphere": 0.0555, "xyz": [0.95, 0.52, -1.0]}
@@ -76,3 +77,12 @@ def test_a_free_start_stays_where_nothing_is_gained_by_leaving() -> None:
     assert stays.approach is None
     leaves = plan(scene, options=replace(scene.planner, gap_target=0.99 * gain))
     assert leaves.start.moved > 0
+
+
+def test_a_pinned_start_that_is_not_admissible_is_what_is_named() -> None:
+    scene = short_scene(obstacles=[{**BALL, "sphere": 0.1}], planner=PINNED)
+    stage = GlobalStage(prepare(scene, scene.planner))
+    assert stage.solve(pinned=False).peak > 0
+    with pytest.raises(PathNotFound, match="via-point 1 of 8 is blocked: the posture to start in") as caught:
+        stage.solve(pinned=True)
+    assert caught.value.progress == 0
