@@ -28,18 +28,24 @@ ARGUMENTS = (
 )
 
 
+def programs(*names: str) -> list[str]:
+    """Paths of programs; without one the test is skipped, or fails where CMBOT_REQUIRE_BROWSER is 1."""
+    found = [shutil.which(name) for name in names]
+    if None in found:
+        reason = f"{' or '.join(names)} is not on the PATH"
+        if os.environ.get("CMBOT_REQUIRE_BROWSER") == "1":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    return [path for path in found if path is not None]
+
+
 @contextmanager
 def chromium(folder: Path) -> Iterator[webdriver.Chrome]:
     """Start a browser with its profile in `folder`, and quit it at the end.
 
     Without Chromium the test is skipped, or fails where CMBOT_REQUIRE_BROWSER is 1.
     """
-    browser, driver = shutil.which("chromium"), shutil.which("chromedriver")
-    if browser is None or driver is None:
-        reason = "chromium or chromedriver is not on the PATH"
-        if os.environ.get("CMBOT_REQUIRE_BROWSER") == "1":
-            pytest.fail(reason)
-        pytest.skip(reason)
+    browser, driver = programs("chromium", "chromedriver")
     options = webdriver.ChromeOptions()
     options.binary_location = browser
     for argument in (*ARGUMENTS, f"--user-data-dir={folder}"):

@@ -11,6 +11,7 @@ from typing import Any
 
 import pinocchio as pin
 import pytest
+from browser import programs
 
 from cmbot.errors import InputError, MissingExtra
 from cmbot.planning import Plan
@@ -67,14 +68,9 @@ def light_page(short_plan: Plan) -> str:
     return replay_page(replace(short_plan, robot=bare))
 
 
-needs_all = pytest.mark.skipif(
-    not all(map(shutil.which, PROGRAMS)), reason="chromium, chromedriver or ffmpeg is not on the PATH"
-)
-
-
 @pytest.mark.browser
-@needs_all
 def test_it_films_from_start_to_end(light_page: str, tmp_path: Path) -> None:
+    programs(*PROGRAMS)
     path, told = tmp_path / "film.mp4", []
     film(light_page, path, speed=10.0, tell=told.append)
     words = ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json"]
@@ -87,9 +83,9 @@ def test_it_films_from_start_to_end(light_page: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.browser
-@needs_all
 @pytest.mark.parametrize("place", ["film.nosuch", "missing/film.mp4"])
 def test_a_video_that_cannot_be_written(light_page: str, tmp_path: Path, place: str) -> None:
+    programs(*PROGRAMS)
     with pytest.raises(InputError, match="a refusal of ffmpeg") as caught:
         film(light_page, tmp_path / place, speed=100.0)
     assert caught.value.source == str(tmp_path / place)
