@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import re
 import subprocess
 import sys
@@ -53,6 +54,29 @@ def run_apart(*words: str | Path, before: str = "") -> Outcome:
         command(*words, before=before), env=environment(), capture_output=True, text=True, check=False
     )
     return Outcome(status=done.returncode, out=done.stdout, err=done.stderr)
+
+
+def on_a_terminal(*words: str | Path, columns: int) -> str:
+    """What ``cmbot WORDS`` shows on a terminal so wide, on all three streams; it has to succeed."""
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        command(*words),
+        env=environment(TERM="xterm-256color", COLUMNS=str(columns)),
+        stdin=theirs,
+        stdout=theirs,
+        stderr=theirs,
+    ) as process:
+        os.close(theirs)
+        shown = b""
+        try:
+            while chunk := os.read(ours, 65536):
+                shown += chunk
+        except OSError:  # how a terminal ends that nobody writes to any longer
+            pass
+        finally:
+            os.close(ours)
+        assert process.wait() == 0, shown
+    return shown.decode()
 
 
 def command(*words: str | Path, before: str = "") -> list[str]:

@@ -1,7 +1,5 @@
 """What the verbs of the command line do, write and print when all goes well."""
 
-import os
-import pty
 import re
 import shutil
 import signal
@@ -11,7 +9,16 @@ from pathlib import Path
 from urllib.request import urlopen
 
 import pytest
-from command_line import Outcome, command, environment, plain, run, without_colours, write_scene
+from command_line import (
+    Outcome,
+    command,
+    environment,
+    on_a_terminal,
+    plain,
+    run,
+    without_colours,
+    write_scene,
+)
 from small_scenes import SHORT
 
 import cmbot
@@ -130,26 +137,7 @@ def test_plan_prints_plain_lines_where_there_is_no_terminal(folder: Path, planne
 
 def test_plan_on_a_terminal_draws_a_table(folder: Path, tmp_path: Path) -> None:
     """A narrow terminal on all three streams."""
-    ours, theirs = pty.openpty()
-    words = ("plan", folder / "short.yaml", "-o", tmp_path / "out")
-    with subprocess.Popen(
-        command(*words),
-        env=environment(TERM="xterm-256color", COLUMNS="70"),
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-    ) as process:
-        os.close(theirs)
-        shown = b""
-        try:
-            while chunk := os.read(ours, 65536):
-                shown += chunk
-        except OSError:  # how a terminal ends that nobody writes to any longer
-            pass
-        finally:
-            os.close(ours)
-        assert process.wait() == 0, shown
-    text = shown.decode()
+    text = on_a_terminal("plan", folder / "short.yaml", "-o", tmp_path / "out", columns=70)
     assert re.search(
         r"│ peak torque on the guardrail, Nm +│ +\d+\.\d\d │ +\d+\.\d\d │", without_colours(text)
     )

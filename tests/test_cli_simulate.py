@@ -6,16 +6,13 @@ import csv
 import hashlib
 import json
 import math
-import os
-import pty
 import re
 import shutil
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
-from command_line import Outcome, command, environment, run, without_colours
+from command_line import Outcome, on_a_terminal, run, without_colours
 from small_scenes import short_scene
 
 import cmbot
@@ -143,25 +140,7 @@ def test_the_conclusion_is_what_was_measured(tracking: Tracking) -> None:
 
 
 def test_on_a_terminal_it_draws_a_table(directory: Path) -> None:
-    ours, theirs = pty.openpty()
-    with subprocess.Popen(
-        command("simulate", directory),
-        env=environment(TERM="xterm-256color", COLUMNS="80"),
-        stdin=theirs,
-        stdout=theirs,
-        stderr=theirs,
-    ) as process:
-        os.close(theirs)
-        shown = b""
-        try:
-            while chunk := os.read(ours, 65536):
-                shown += chunk
-        except OSError:  # how a terminal ends that nobody writes to any longer
-            pass
-        finally:
-            os.close(ours)
-        assert process.wait() == 0, shown
-    text = without_colours(shown.decode())
+    text = without_colours(on_a_terminal("simulate", directory, columns=80))
     assert re.search(r"│ error, mean +│ baseline │ +-?\d+\.\d{3} │", text)
 
 
