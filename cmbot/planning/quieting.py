@@ -28,7 +28,7 @@ from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.setting import Setting
 from cmbot.planning.state_functions import States
 from cmbot.planning.trajectory import QuinticTrajectory
-from cmbot.planning.working_set import WorkingSet
+from cmbot.planning.working_set import WorkingSet, bound_values
 
 __all__ = ["Quieting", "quiet"]
 
@@ -117,8 +117,9 @@ def _quieted(
     space = problem.space
     here, z = trajectory, _knot_vector(trajectory)
     X = np.zeros((space.dimension, trajectory.q.shape[1]))
+    wanted = _conditions(problem, legs)
     for _ in range(_ROUNDS):
-        wanted, aims = _conditions(problem, here, legs)
+        aims = -np.concatenate([leg.vibration(here) for leg in legs])
         held, values = _held(problem, here, working, peak)
         # To first order around here, but for the change as a whole.
         R = np.stack([*wanted, *held], axis=-1)
@@ -167,15 +168,13 @@ class _Leg:
         return float(np.linalg.norm(self._to_tool, axis=0) @ amplitude)
 
 
-def _conditions(
-    problem: TorqueProblem, trajectory: QuinticTrajectory, legs: list[_Leg]
-) -> tuple[list[FloatArray], FloatArray]:
-    """Derivatives (n - 4, d) of every leg's vibration by the splines' numbers, and what they are to add."""
+def _conditions(problem: TorqueProblem, legs: list[_Leg]) -> list[FloatArray]:
+    """Derivatives (n - 4, d) of every leg's vibration by the splines' numbers."""
     rows: list[FloatArray] = []
     for leg in legs:
         by_number = (problem.space.design(leg.times, 4) @ problem.space.basis).T
         rows += [by_number @ leg.weights[:, c] for c in range(leg.weights.shape[1])]
-    return rows, -np.concatenate([leg.vibration(trajectory) for leg in legs])
+    return rows
 
 
 def _held(
@@ -194,13 +193,10 @@ def _held(
             values.append(at.value - (peak if number == 0 else 0.0))
     for bound, times, component in working.bound_sites():
         if len(times):
-            joint, sign = component // 2, np.where(component % 2 == 0, 1.0, -1.0)
-            limit = np.where(sign > 0, bound.high[joint], bound.low[joint])
-            derivative = trajectory.evaluate(times, bound.order)[np.arange(len(joint)), joint]
-            factor = sign / bound.scale[joint]
+            value, joint, factor = bound_values(bound, times, component, trajectory)
             design = (space.design(times, bound.order) @ space.basis).toarray()
             rows += list(design[:, :, None] * (np.eye(d)[joint] * factor[:, None])[:, None, :])
-            values.append(factor * (derivative - limit))
+            values.append(value)
     return rows, np.concatenate(values)
 
 

@@ -14,7 +14,7 @@ from cmbot.planning.problem import KinematicBound, TorqueProblem
 from cmbot.planning.state_functions import StateFunction, States, ToolDeviation
 from cmbot.planning.trajectory import QuinticTrajectory
 
-__all__ = ["Violation", "WorkingSet"]
+__all__ = ["Violation", "WorkingSet", "bound_values"]
 
 
 # Two sites of one component nearer than this share of a grid step are the same.
@@ -89,12 +89,8 @@ class WorkingSet:
                 jacobians.append(family.chain(x, sites.rows, at.d_q, at.d_v, at.d_a))
         for bound, sites in zip(problem.bounds, self._bound_sites, strict=True):
             if len(sites.times):
-                joint, upper = sites.component // 2, sites.component % 2 == 0
-                derivative = trajectory.evaluate(sites.times, bound.order)[np.arange(len(joint)), joint]
-                sign = np.where(upper, 1.0, -1.0)
-                limit = np.where(upper, bound.high[joint], bound.low[joint])
-                values.append(sign * (derivative - limit) / bound.scale[joint])
-                factor = sign / bound.scale[joint]
+                value, joint, factor = bound_values(bound, sites.times, sites.component, trajectory)
+                values.append(value)
                 jacobians.append(family.chain_one(x, sites.rows, bound.order, joint, factor))
         if not values:
             return np.empty(0), family.stacked([]), 0
@@ -205,6 +201,20 @@ class WorkingSet:
             when = extrema.time[segment, joint, at][order]
             added += sites.add(when, (2 * joint + side)[order], self._problem)
         return added, worst, peak
+
+
+def bound_values(
+    bound: KinematicBound, times: FloatArray, component: IntArray, trajectory: QuinticTrajectory
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Values (N,) of a joint's bound at its sites, the joints (N,), and their derivatives' factors (N,).
+
+    Component 2 j is the upper bound of joint j, 2 j + 1 the lower one.
+    """
+    joint, upper = component // 2, component % 2 == 0
+    derivative = trajectory.evaluate(times, bound.order)[np.arange(len(joint)), joint]
+    sign = np.where(upper, 1.0, -1.0)
+    limit = np.where(upper, bound.high[joint], bound.low[joint])
+    return sign * (derivative - limit) / bound.scale[joint], joint, sign / bound.scale[joint]
 
 
 def _local_maxima(value: FloatArray) -> BoolArray:
