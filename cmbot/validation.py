@@ -49,9 +49,7 @@ _PHRASES = {
 class FileModel(BaseModel):
     """Base of every model of a file: strict, closed, frozen, finite."""
 
-    model_config = ConfigDict(
-        strict=True, extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 def validated(model: type[T], data: object, source: str, error_type: type[InputError]) -> T:

@@ -14,11 +14,13 @@ from plan_folders import saved_triangle as saved_triangle
 from plan_folders import short_plan as short_plan
 from plan_folders import thin_plan as thin_plan
 from plan_folders import triangle_folder as triangle_folder
+from small_scenes import short_scene
 
 from cmbot.planning import Plan, plan
 from cmbot.resources import model_folder
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import load_scene
+from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 FloatArray = NDArray[np.float64]
 States = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
@@ -47,6 +49,18 @@ def cmbot_kinematics(cmbot_robot: Robot) -> Kinematics:
 @pytest.fixture(scope="session")
 def triangle_plan() -> Plan:
     return plan(load_scene("triangle"))
+
+
+@pytest.fixture(scope="session")
+def triangle_tracking(triangle_plan: Plan) -> Tracking:
+    return simulate(triangle_plan)
+
+
+@pytest.fixture(scope="session")
+def compensated_short() -> tuple[Plan, Tracking]:
+    """A short motion that makes up for its sag."""
+    made = plan(short_scene(planner={"compensate": True}))
+    return made, simulate(made, SimulationOptions(settle_s=0.5))
 
 
 def _with_fixed_knots(name: str) -> Plan:

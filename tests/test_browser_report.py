@@ -1,64 +1,27 @@
 """The report page in a browser without a network: view, plots and time go together, and nothing else runs."""
 
-import base64
 import dataclasses
-import io
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import chromium, connections, console_errors, next_frame, open_page
-from PIL import Image
+from browser import connections, console_errors, next_frame, open_page
+from browser_report import chrome as chrome
+from browser_report import page as page
+from browser_report import picture
+from browser_report import shown as shown
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 
 from cmbot.planning import Plan
-from cmbot.simulation import Tracking, simulate
+from cmbot.simulation import Tracking
 from cmbot.views import report
 
 pytestmark = pytest.mark.browser
 
 EVIL = "</script><script>window.hacked=1</script><img src=x onerror='window.hacked=2'>\"'`${hacked}\u2028"
-
-
-@pytest.fixture(scope="module")
-def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
-    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
-        screen = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
-        yield driver
-
-
-@pytest.fixture(scope="module")
-def tracking(triangle_plan: Plan) -> Tracking:
-    return simulate(triangle_plan)
-
-
-@pytest.fixture(scope="module")
-def page(triangle_plan: Plan, tracking: Tracking, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("page") / "report.html"
-    report(triangle_plan, path, tracking=tracking)
-    return path
-
-
-@pytest.fixture
-def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
-    """The browser with the page open at time 0, paused, scrolled to its top."""
-    if chrome.current_url != page.as_uri():
-        open_page(chrome, page)
-    chrome.execute_script("cmbotReplay.pause(); cmbotReplay.compare('ghost'); window.scrollTo(0, 0)")
-    chrome.execute_script("cmbotReplay.seek(0)")
-    return chrome
-
-
-def picture(chrome: webdriver.Chrome) -> np.ndarray:
-    next_frame(chrome)
-    png = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
-    return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")).astype(int)
 
 
 def cursors(chrome: webdriver.Chrome) -> np.ndarray:
@@ -155,7 +118,7 @@ def test_a_click_and_a_drag_in_a_plot_move_the_time(shown: webdriver.Chrome) -> 
 
 
 def test_the_values_are_those_of_the_plan(
-    shown: webdriver.Chrome, triangle_plan: Plan, tracking: Tracking
+    shown: webdriver.Chrome, triangle_plan: Plan, triangle_tracking: Tracking
 ) -> None:
     shown.execute_script("cmbotReplay.seek(8)")
     texts = [caption.text for caption in shown.find_elements("css selector", ".chart figcaption")]
@@ -168,9 +131,11 @@ def test_the_values_are_those_of_the_plan(
     motions = (triangle_plan.samples, triangle_plan.baseline)
     assert values[0] == both(*(float(np.linalg.norm(m.guardrail_torque[k])) for m in motions), 0.3)
     assert values[1] == both(*(1e3 * float(m.clearance[k]) for m in motions), 0.3)
-    i = int(np.argmin(np.abs(tracking.planned.t - 8.0)))
+    i = int(np.argmin(np.abs(triangle_tracking.planned.t - 8.0)))
     for axis in range(3):
-        errors = (1e3 * float(m.error[i, axis]) for m in (tracking.planned, tracking.baseline))
+        errors = (
+            1e3 * float(m.error[i, axis]) for m in (triangle_tracking.planned, triangle_tracking.baseline)
+        )
         assert values[3 + axis] == both(*errors, 0.15)
 
 
@@ -242,81 +207,6 @@ def test_small_plots_can_be_zoomed(shown: webdriver.Chrome) -> None:
     assert shown.execute_script(first) == pytest.approx(before)
 
 
-def test_it_is_dark_where_the_system_is(shown: webdriver.Chrome) -> None:
-    light = picture(shown)
-    features = [{"name": "prefers-color-scheme", "value": "dark"}]
-    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-    dark, readable = picture(shown), contrast(shown)
-    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
-    assert light.mean() > 190
-    assert dark.mean() < 80
-    assert min(readable, contrast(shown)) > 4.5
-
-
-def contrast(chrome: webdriver.Chrome) -> float:
-    """Smallest contrast (WCAG 2) of a colour of text with the paper."""
-    names = ("ink", "faint", "planned-ink", "baseline", "bad", "good", "paper")
-    script = """const style = getComputedStyle(document.documentElement);
-        return arguments[0].map((name) => style.getPropertyValue(`--${name}`));"""
-    colours = [value.strip().lstrip("#") for value in chrome.execute_script(script, names)]
-    *texts, paper = (luminance(c if len(c) == 6 else "".join(2 * x for x in c)) for c in colours)
-    return min((max(text, paper) + 0.05) / (min(text, paper) + 0.05) for text in texts)
-
-
-def luminance(colour: str) -> float:
-    parts = np.array([int(colour[k : k + 2], 16) / 255 for k in (0, 2, 4)])
-    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
-    return float(linear @ [0.2126, 0.7152, 0.0722])
-
-
-def test_the_printed_page_is_still_and_shows_every_plot(shown: webdriver.Chrome) -> None:
-    shown.execute_script("cmbotReplay.seek(7)")
-    pdf = base64.b64decode(shown.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
-    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 10
-    stills = shown.execute_script("return [...document.querySelectorAll('#stills img')].map((i) => i.src)")
-    assert len(stills) == 4 == len(set(stills))  # the ends of the legs
-    image = Image.open(io.BytesIO(base64.b64decode(stills[0].split(",")[1]))).convert("RGB")
-    assert len(np.unique(np.asarray(image).reshape(-1, 3), axis=0)) > 300
-    assert shown.execute_script("return cmbotReplay.time") == 7
-    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
-    hidden = shown.execute_script(
-        """const seen = (name) => document.querySelector(name).getBoundingClientRect().height > 0;
-        const kept = [...document.querySelectorAll("svg, .part, #stills")];
-        const there = kept.every((element) => element.getBoundingClientRect().height > 20);
-        return [["#bar", "#view", "footer"].filter(seen), there];"""
-    )
-    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
-    assert hidden == [[], True]
-
-
-@pytest.mark.parametrize("width", [1280, 1024, 420, 320])
-def test_what_a_card_says_stays_on_it(shown: webdriver.Chrome, width: int) -> None:
-    with screen(shown, width):
-        spilling = shown.execute_script(
-            """const spills = ({scrollWidth, clientWidth}) => clientWidth > 0 && scrollWidth > clientWidth;
-            const parts = [...document.querySelectorAll(".card, .card *")];
-            const reaches = (card) => Math.max(...[...card.querySelectorAll("*")].map((part) => {
-                return part.getBoundingClientRect().right - card.getBoundingClientRect().right;
-            }));
-            return [parts.filter(spills).map((part) => part.textContent),
-                Math.max(...[...document.querySelectorAll(".card")].map(reaches))];"""
-        )
-    assert spilling[0] == []
-    assert spilling[1] < -8
-
-
-def test_nothing_covers_the_controls(shown: webdriver.Chrome) -> None:
-    with screen(shown, 420):
-        covered = shown.execute_script(
-            """const controls = [...document.querySelectorAll("#bar button, #bar select, #bar input")];
-            return controls.filter((control) => {
-                const { x, y, width, height } = control.getBoundingClientRect();
-                return document.elementFromPoint(x + width / 2, y + height / 2) !== control;
-            }).map((control) => control.id);"""
-        )
-    assert covered == []
-
-
 def test_plots_of_what_bends_say_that_the_approach_is_not_simulated(shown: webdriver.Chrome) -> None:
     words = """return [...document.querySelectorAll("#charts-tracking svg")].map((svg) => {
         return [...svg.querySelectorAll("text")].map((text) => text.textContent);
@@ -329,49 +219,8 @@ def test_plots_of_what_bends_say_that_the_approach_is_not_simulated(shown: webdr
     assert "not simulated" not in elsewhere[0]
 
 
-def test_a_narrow_window_prints_as_a_wide_one(shown: webdriver.Chrome) -> None:
-    printed = []
-    for width in (1280, 860, 420):
-        with screen(shown, width):
-            before = view_and_plots(shown)
-            shown.execute_script("window.dispatchEvent(new Event('beforeprint'))")
-            stills = shown.execute_script(
-                """const stills = [...document.querySelectorAll("#stills img")];
-                return Promise.all(stills.map((image) => image.decode())).then(
-                    () => stills.map((image) => [image.naturalWidth, image.naturalHeight]));"""
-            )
-            printed.append([stills, view_and_plots(shown)[1:]])
-            shown.execute_script("window.dispatchEvent(new Event('afterprint'))")
-            next_frame(shown)
-            assert view_and_plots(shown) == before
-    assert printed[0] == printed[1] == printed[2]
-    assert all(0.7 < wide / high < 1.4 for wide, high in printed[0][0])
-
-
-def view_and_plots(chrome: webdriver.Chrome) -> list[object]:
-    """Size of the view, px, and what the plots are drawn for."""
-    return chrome.execute_script(
-        """const view = document.getElementById("view");
-        const boxes = [...document.querySelectorAll("svg")].map((svg) => svg.getAttribute("viewBox"));
-        return [[view.clientWidth, view.clientHeight], boxes];"""
-    )
-
-
-@contextmanager
-def screen(chrome: webdriver.Chrome, width: int) -> Iterator[None]:
-    """Another width of the window for a while."""
-    metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
-    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
-    next_frame(chrome)
-    try:
-        yield
-    finally:
-        chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics | {"width": 1280})
-        next_frame(chrome)
-
-
 def test_hostile_names_are_text_and_nothing_else(
-    chrome: webdriver.Chrome, triangle_plan: Plan, tracking: Tracking, tmp_path: Path
+    chrome: webdriver.Chrome, triangle_plan: Plan, triangle_tracking: Tracking, tmp_path: Path
 ) -> None:
     scene, robot = triangle_plan.scene, triangle_plan.robot
     obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
@@ -382,7 +231,7 @@ def test_hostile_names_are_text_and_nothing_else(
     robot = dataclasses.replace(robot, name=EVIL, model=model, visual_model=pin.GeometryModel())  # quick
     assert robot.joints[0].startswith(EVIL)
     path = tmp_path / "evil.html"
-    report(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path, tracking=tracking)
+    report(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path, tracking=triangle_tracking)
     open_page(chrome, path)
     chrome.execute_script("cmbotReplay.seek(3)")
     next_frame(chrome)

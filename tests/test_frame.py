@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.elastic import AngleSection, SectionConstants, section_constants
 from cmbot.elastic.frame import Frame, Member
-from cmbot.elastic.modes import natural_frequencies
+from cmbot.elastic.frame_modes import natural_frequencies
 from cmbot.errors import InputError
 
 FloatArray = NDArray[np.float64]

@@ -17,8 +17,8 @@ from scipy import linalg, sparse
 
 from cmbot.elastic import Guardrail, section_constants
 from cmbot.elastic.frame import Condensed
+from cmbot.elastic.frame_modes import natural_frequencies
 from cmbot.elastic.guardrail_frame import guardrail_frame
-from cmbot.elastic.modes import natural_frequencies
 from cmbot.errors import InputError
 
 FloatArray = NDArray[np.float64]

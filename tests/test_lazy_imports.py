@@ -9,16 +9,40 @@ from pathlib import Path
 
 import pytest
 from command_line import environment
+from small_scenes import SHORT
 
 import cmbot
 
 HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy", "pydantic", "rich", "typer"}
 
 
-def loaded_by(code: str) -> set[str]:
-    """The top-level modules that a fresh process has after `code`."""
+# What planning a scene without meshes and writing its pages can do without.
+NOT_TO_PLAN = {
+    "IPython",
+    "matplotlib",
+    "meshcat",
+    "networkx",
+    "requests",
+    "scipy.integrate",
+    "scipy.interpolate",
+    "scipy.ndimage",
+    "scipy.signal",
+    "scipy.stats",
+    "selenium",
+    "ssl",
+    "tornado",
+    "trimesh",
+    "yourdfpy",
+    "zmq",
+}
+
+
+def loaded_by(code: str, depth: int = 1) -> set[str]:
+    """Modules that a fresh process has after `code`, the first `depth` parts of their names."""
     report = (
-        "\nimport json, sys\nprint('\\n' + json.dumps(sorted({name.split('.')[0] for name in sys.modules})))"
+        "\nimport json, sys\n"
+        f"loaded = {{'.'.join(name.split('.')[:{depth}]) for name in sys.modules}}\n"
+        "print('\\n' + json.dumps(sorted(loaded)))"
     )
     done = subprocess.run(
         [sys.executable, "-c", code + report], env=environment(), capture_output=True, text=True, check=False
@@ -51,6 +75,40 @@ except SystemExit as ended:
     assert "typer" in loaded
     assert not loaded & {"pinocchio", "coal", "meshcat", "trimesh"}
     assert "scipy" not in loaded or "nosuch" in words  # a scene's poses are made with it
+
+
+def test_planning_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
+    scene = tmp_path / "short.json"
+    scene.write_text(
+        json.dumps(SHORT | {"planner": {"knots": "sliding", "path_step_s": 0.02}}), encoding="utf-8"
+    )
+    code = f"""
+import sys
+from cmbot.cli import main
+sys.argv = ["cmbot", "plan", {str(scene)!r}, "-o", {str(tmp_path / "plan")!r}]
+try:
+    main()
+except SystemExit as ended:
+    assert not ended.code
+"""
+    loaded = loaded_by(code, depth=2)
+    assert (tmp_path / "plan" / "report.html").exists()
+    assert loaded >= {"cmbot.views", "pinocchio", "scipy.optimize"}
+    assert not loaded & NOT_TO_PLAN
+
+
+def test_nothing_is_looked_through_at_the_end() -> None:
+    code = """
+import atexit, gc, sys
+atexit.register(lambda: print(gc.get_freeze_count() > 1000))
+sys.argv = ["cmbot", "--version"]
+from cmbot.cli import main
+main()
+"""
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
+    )
+    assert done.stdout.splitlines()[-1] == "True"
 
 
 def test_dir_and_all_are_complete() -> None:

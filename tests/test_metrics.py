@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.signal import welch
 
-from cmbot.simulation.metrics import error_figures, mode_power, residual, statistics
+from cmbot.simulation.metrics import error_figures, mode_power, power_density, residual, statistics
 
 FloatArray = NDArray[np.float64]
 STEP = 0.005
@@ -88,6 +89,15 @@ def test_power_of_two_sines() -> None:
     power = mode_power(STEP, error, np.array([4.0, 7.0, 11.0]))
     np.testing.assert_allclose(power[[0, 2]], [0.5e-6, 2e-6], rtol=0.01)
     assert power[1] < 1e-3 * power[0]
+
+
+@pytest.mark.parametrize(("count", "size"), [(5000, 2048), (301, 301), (300, 300), (7, 4), (2, 2)])
+def test_power_density_is_that_of_scipy(count: int, size: int, rng: np.random.Generator) -> None:
+    dynamic = 1.0 + rng.normal(size=(count, 3))
+    frequencies, density = power_density(STEP, dynamic, size)
+    wanted_at, wanted = welch(dynamic, 1 / STEP, nperseg=size, detrend="constant", axis=0)
+    np.testing.assert_allclose(frequencies, wanted_at, rtol=1e-14)
+    np.testing.assert_allclose(density, wanted.sum(axis=1), rtol=0, atol=1e-13 * wanted.max())
 
 
 def test_near_modes_share_their_bands() -> None:

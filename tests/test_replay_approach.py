@@ -1,12 +1,12 @@
 """What the replay page is told of the approach: where both arms are before the work, and what it asks."""
 
-import base64
 import dataclasses
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from page_data import floats
 from small_scenes import short_scene
 
 from cmbot.planning import Approach, Plan, plan
@@ -23,10 +23,6 @@ def approach(triangle_plan: Plan) -> Approach:
 @pytest.fixture(scope="module")
 def data(triangle_plan: Plan) -> dict[str, Any]:
     return replay_data(triangle_plan)
-
-
-def floats(packed: str, *shape: int) -> np.ndarray:
-    return np.frombuffer(base64.b64decode(packed), "<f4").astype(float).reshape(-1, *shape)
 
 
 def placements(robot: Robot, q: np.ndarray) -> np.ndarray:

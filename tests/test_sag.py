@@ -118,13 +118,17 @@ def test_gravity_is_the_gradient_of_the_potential(random_arm: ElasticArm, rng: n
     q, u = rng.uniform(-2, 2, len(random_arm.driven)), rng.normal(scale=0.05, size=len(random_arm.elastic))
     data = random_arm.model.createData()
 
+    def weight_at(angles: FloatArray, x: FloatArray) -> FloatArray:
+        weight = pin.computeGeneralizedGravity(random_arm.model, data, random_arm.configuration(angles, x))
+        return np.asarray(weight[random_arm.elastic])
+
     def force(x: FloatArray) -> FloatArray:
-        weight = pin.computeGeneralizedGravity(random_arm.model, data, random_arm.configuration(q, x))
-        return np.asarray(weight[random_arm.elastic] + random_arm.stiffness @ x)
+        return np.asarray(weight_at(q, x) + random_arm.stiffness @ x)
 
     check_derivative(potential(random_arm, q), u, force(u), rtol=1e-7)
-    tangent = Sag(random_arm).tangent_stiffness(q, u)
+    tangent, by_joints = Sag(random_arm).balance_derivatives(q, u)
     check_derivative(force, u, tangent, rtol=1e-9)
+    check_derivative(lambda x: weight_at(x, u), q, by_joints, rtol=1e-7)
     np.testing.assert_allclose(tangent, tangent.T, rtol=0, atol=1e-11 * np.abs(tangent).max())
 
 

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 
 import numpy as np
 
+from cmbot.archive.number_text import number_rows
 from cmbot.arrays import FloatArray
 from cmbot.errors import ArchiveError
 from cmbot.planning import Samples
 from cmbot.validation import counted, shown
 
-__all__ = ["columns", "read_motion", "read_rows", "samples_csv"]
+__all__ = ["columns", "read_motion", "read_rows", "samples_csv", "table_csv"]
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
@@ -53,11 +52,13 @@ def samples_csv(samples: Samples, source: str) -> bytes:
     table = np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
     names = columns(samples.q.shape[1], compensated=expected is not None)
     _require_numbers(table, names, source)
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    writer.writerows(table.tolist())
-    return text.getvalue().encode()
+    return table_csv(names, table)
+
+
+def table_csv(names: tuple[str, ...], table: FloatArray) -> bytes:
+    """Return a table (N, k) with its columns' names as CSV."""
+    lines = [",".join(names), *map(",".join, number_rows(table)), ""]
+    return "\n".join(lines).encode()
 
 
 def read_motion(
@@ -115,15 +116,20 @@ def read_rows(content: bytes, source: str, names: tuple[str, ...]) -> list[list[
         if len(cells) != len(names):
             got, expected = (counted(len(row), "cell") for row in (cells, names))
             raise ArchiveError(source, f"line {number}", got, expected)
-        rows.append([_number(*cell, source, number) for cell in zip(cells, names, strict=True)])
+        try:
+            rows.append(list(map(float, cells)))
+        except ValueError as error:
+            column, cell = next(pair for pair in zip(names, cells, strict=True) if not _is_number(pair[1]))
+            raise ArchiveError(source, f"line {number}, {column}", shown(cell), "a number") from error
     return rows
 
 
-def _number(cell: str, column: str, source: str, line: int) -> float:
+def _is_number(cell: str) -> bool:
     try:
-        return float(cell)
-    except ValueError as error:
-        raise ArchiveError(source, f"line {line}, {column}", shown(cell), "a number") from error
+        float(cell)
+    except ValueError:
+        return False
+    return True
 
 
 def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> None:

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
-import io
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,7 @@ import numpy as np
 
 from cmbot.archive.folder import PLAN_FILE, add_file, read_file
 from cmbot.archive.strict_json import json_bytes
+from cmbot.archive.tables import table_csv
 from cmbot.errors import ArchiveError
 from cmbot.simulation import ErrorFigures, MotionTracking, Statistics, Tracking
 from cmbot.version import __version__
@@ -132,8 +131,4 @@ def _table(motion: MotionTracking, name: str) -> bytes:
         row, column = np.argwhere(~np.isfinite(table))[0]
         key = f"line {row + 2}, {COLUMNS[column]}"
         raise ArchiveError(name, key, table[row, column], "a finite number")
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(COLUMNS)
-    writer.writerows(table.tolist())
-    return text.getvalue().encode()
+    return table_csv(COLUMNS, table)

@@ -18,7 +18,7 @@ from cmbot.planning import Plan
 from cmbot.planning.tool_sag import ToolSag
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking
 from cmbot.simulation.drive import Drive, drive_along, drive_through
-from cmbot.simulation.tracking import completed
+from cmbot.simulation.tracking import completed, foreseen
 from cmbot.validation import counted, shown, validated
 
 __all__ = ["load_tracking"]
@@ -81,7 +81,8 @@ def _motion(
         )
         raise ArchiveError(str(source), "", got, expected)
     t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy()
-    return completed(plan.robot, plan.task, drive, t, error, static, frequencies, sag)
+    rigid, predicted = foreseen(plan.robot, drive, t, sag)
+    return completed(plan.task, drive, t, rigid + predicted, error, static, frequencies)
 
 
 def _frequencies(data: dict[str, Any], source: Path, motion: str) -> FloatArray:

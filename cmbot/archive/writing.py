@@ -14,6 +14,7 @@ import numpy as np
 
 from cmbot.archive.folder import FORMAT, PLAN_FILE, write_folder
 from cmbot.archive.knots import knots_npz
+from cmbot.archive.ros import ros_json
 from cmbot.archive.schema import PlanFile, or_null
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import samples_csv
@@ -70,27 +71,7 @@ def _motion_files(
     return {
         f"{name}.csv": samples_csv(samples, f"{name}.csv"),
         f"{name}.npz": knots_npz(trajectory),
-        f"{name}.ros.json": json_bytes(_ros_joint_trajectory(robot, samples)),
-    }
-
-
-def _ros_joint_trajectory(robot: Robot, samples: Samples) -> dict[str, Any]:
-    """Return the samples as a ROS 2 ``trajectory_msgs/JointTrajectory``."""
-    nanoseconds = np.rint(1e9 * (samples.t - samples.t[0])).astype(np.int64).tolist()
-    rows = zip(samples.q, samples.v, samples.a, samples.joint_torque, nanoseconds, strict=True)
-    return {
-        "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
-        "joint_names": list(robot.joints),
-        "points": [
-            {
-                "positions": q.tolist(),
-                "velocities": v.tolist(),
-                "accelerations": a.tolist(),
-                "effort": torque.tolist(),
-                "time_from_start": {"sec": time // 10**9, "nanosec": time % 10**9},
-            }
-            for q, v, a, torque, time in rows
-        ],
+        f"{name}.ros.json": ros_json(robot, samples),
     }
 
 

@@ -6,12 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 from scipy import linalg
 
 from cmbot.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.sag import Sag
+from cmbot.elastic.linearised import linearised
 from cmbot.errors import InputError
 
 __all__ = ["ArmModes", "arm_modes"]
@@ -66,13 +65,8 @@ def arm_modes(arm: ElasticArm, q: FloatArray) -> ArmModes:
     InputError
         When the arm is too soft to carry itself there.
     """
-    sag = Sag(arm)
-    u = sag.at(q[None]).u[0]
-    data = arm.model.createData()
-    upper = np.triu(pin.crba(arm.model, data, arm.configuration(q, u)))
-    M = (upper + np.triu(upper, 1).T)[np.ix_(arm.elastic, arm.elastic)] + arm.added_mass
-    K = sag.tangent_stiffness(q, u)
-    K = (K + K.T) / 2
+    at = linearised(arm, q[None])
+    M, K = at.mass[0], at.stiffness[0]
     # With the roles exchanged a mass that is only semi-definite is no trouble: the eigenvalues are 1/omega^2.
     squares, X = linalg.eigh(M, K)
     squares, X = squares[::-1], X[:, ::-1]
@@ -81,7 +75,7 @@ def arm_modes(arm: ElasticArm, q: FloatArray) -> ArmModes:
     return ArmModes(
         frequencies=1 / (2 * np.pi * np.sqrt(squares)),
         shapes=X / np.sqrt(squares),
-        u=u,
+        u=at.u[0],
         mass=M,
         stiffness=K,
     )

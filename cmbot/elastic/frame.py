@@ -13,7 +13,7 @@ from scipy.sparse.linalg import SuperLU
 
 from cmbot.arrays import FloatArray, IntArray
 from cmbot.elastic.beam import Beams
-from cmbot.elastic.modes import factorised, natural_frequencies, too_far_apart
+from cmbot.elastic.frame_modes import factorised, natural_frequencies, too_far_apart
 from cmbot.elastic.sections import SectionConstants
 from cmbot.errors import InputError
 

@@ -75,27 +75,41 @@ class Sag:
             When the arm is too soft to carry itself in a posture.
         """
         arm, (N, n) = self.arm, q.shape
-        u, d_tool = np.zeros((N, len(arm.elastic))), np.empty((N, 3, n))
-        tool, rotation = np.empty((N, 3)), np.empty((N, 3))
+        u, tangent, by_joints = self.equilibria(q)
+        d_tool, tool, rotation = np.empty((N, 3, n)), np.empty((N, 3)), np.empty((N, 3))
+        # Implicit function theorem on stiffness u + gravity(q, u) = 0.
+        du_dq = -np.linalg.solve(tangent, by_joints)
         for k in range(N):
-            tangent, coupling = self._settle(q[k], u[k], k)
             X_WT, J = self._tool(arm.configuration(q[k], u[k]))
             X_WR, J_rigid = self._rigid.tool_jacobian(q[k])
-            # Implicit function theorem on stiffness u + gravity(q, u) = 0.
-            du_dq = -np.linalg.solve(tangent, coupling)
             tool[k] = X_WT.translation - X_WR.translation
             rotation[k] = pin.log3(X_WT.rotation @ X_WR.rotation.T)
             # pinocchio's Jacobian of a single joint is a vector.
             J_rigid = J_rigid.reshape(6, n)
-            d_tool[k] = J[:3, arm.driven] + J[:3, arm.elastic] @ du_dq - J_rigid[:3]
+            d_tool[k] = J[:3, arm.driven] + J[:3, arm.elastic] @ du_dq[k] - J_rigid[:3]
         return SagStates(u=u, tool=tool, rotation=rotation, d_tool=d_tool)
 
-    def tangent_stiffness(self, q: FloatArray, u: FloatArray) -> FloatArray:
-        """Stiffness (f, f) of the elastic coordinates at `q` (n,) and `u` (f,), N/m, N/rad, Nm/rad.
+    def equilibria(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Find the elastic coordinates (N, f) in N postures `q` (N, n), and their `balance_derivatives`.
 
-        What the springs add to, and what turning weights add or take.
+        Raises
+        ------
+        InputError
+            When the arm is too soft to carry itself in a posture.
         """
-        return self._linearised(self.arm.configuration(q, u))[0]
+        (N, n), f = q.shape, len(self.arm.elastic)
+        u, tangent, by_joints = np.zeros((N, f)), np.empty((N, f, f)), np.empty((N, f, n))
+        for k in range(N):
+            tangent[k], by_joints[k] = self._settle(q[k], u[k], k)
+        return u, tangent, by_joints
+
+    def balance_derivatives(self, q: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the derivatives of springs and weights at `q` (n,) and `u` (f,), N/m, N/rad, Nm/rad.
+
+        With respect to the elastic coordinates (f, f): the tangent stiffness, what the springs add to and
+        what turning weights add or take. With respect to the joint angles (f, n): of the weights alone.
+        """
+        return self._linearised(self.arm.configuration(q, u))
 
     def _settle(self, q: FloatArray, u: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
         """Move `u` to the equilibrium; derivatives of the balance there with respect to `u` and `q`."""

@@ -16,13 +16,12 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-import pinocchio as pin
 from scipy import linalg, optimize
 from scipy.sparse.linalg import splu
 
 from cmbot.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.arm_modes import ArmModes, arm_modes
+from cmbot.planning.leg_vibration import LegVibration
 from cmbot.planning.optimiser import Optimised
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.setting import Setting
@@ -32,12 +31,6 @@ from cmbot.planning.working_set import WorkingSet, bound_values
 
 __all__ = ["Quieting", "quiet"]
 
-# Modes at either end of a leg that together carry the motion in between.
-_CARRIERS = 8
-# Steps a period of the fastest mode that is quieted; the matrices are worked out at least every so often, s.
-_STEPS_A_PERIOD, _MATRICES_EVERY = 60, 0.1
-# Damping ratio of the modes that are quieted, as simulated by default: it hardly matters within a leg.
-_DAMPING = 0.01
 # Share of their own size that is added to the conditions' covariance.
 _ALIKE = 1e-5
 # Times that a change is worked out anew, and sites of a constraint that are added each time, at most.
@@ -91,7 +84,11 @@ def quiet(
     quieting : Quieting
     """
     trajectory, modes = optimised.trajectory, setting.options.quiet_modes
-    legs = [_Leg(arm, trajectory, start, end, modes) for start, end in pairwise(setting.task.path.leg_times)]
+    ends = setting.teller.each(
+        "foreseeing the vibration of every leg", list(pairwise(setting.task.path.leg_times))
+    )
+    legs = [LegVibration(arm, trajectory, start, end, modes) for start, end in ends]
+    setting.teller.step("bringing the slowest vibrations to rest")
     changed, share = _quieted(problem, trajectory, legs)
     before, after = (legs[-1].tool_amplitude(legs[-1].vibration(x)) for x in (trajectory, changed))
     return (
@@ -101,7 +98,7 @@ def quiet(
 
 
 def _quieted(
-    problem: TorqueProblem, trajectory: QuinticTrajectory, legs: list[_Leg]
+    problem: TorqueProblem, trajectory: QuinticTrajectory, legs: list[LegVibration]
 ) -> tuple[QuinticTrajectory, float]:
     """Change a trajectory so that its legs end quietly; return it and the share of the change that it took.
 
@@ -138,37 +135,7 @@ def _quieted(
     return trajectory, 0.0
 
 
-class _Leg:
-    """How the joints' snap along a leg moves the first modes at its end, the arm at rest where it starts."""
-
-    def __init__(
-        self, arm: ElasticArm, trajectory: QuinticTrajectory, start: float, end: float, modes: int
-    ) -> None:
-        postures = trajectory.evaluate(np.array([start, end]))
-        first, last = (arm_modes(arm, q) for q in postures)
-        r = min(modes, last.shapes.shape[1])
-        self._to_tool = _tool_motion(arm, postures[1], last)[:, :r]
-        omega = 2 * np.pi * last.frequencies[:r]
-        knots = trajectory.t[(trajectory.t > start - 1e-9) & (trajectory.t < end + 1e-9)]
-        edges = _steps(knots, 2 * np.pi / omega.max() / _STEPS_A_PERIOD)
-        self.times = 0.5 * (edges[1:] + edges[:-1])
-        V = np.linalg.qr(np.hstack([first.shapes[:, :_CARRIERS], last.shapes[:, :_CARRIERS]]))[0]
-        momenta = V.T @ last.mass @ last.shapes[:, :r]
-        self.weights = _weights(
-            *_matrices(arm, trajectory, V, start, end), self.times, np.diff(edges), momenta, omega
-        )
-
-    def vibration(self, trajectory: QuinticTrajectory) -> FloatArray:
-        """Displacements of the modes at the end, then their velocities over omega, (2r,), kg^(1/2) m."""
-        return np.asarray(np.einsum("kcj,kj->c", self.weights, trajectory.evaluate(self.times, 4)))
-
-    def tool_amplitude(self, vibration: FloatArray) -> float:
-        """Largest amplitude of the tool point, m, when these vibrations coincide."""
-        amplitude = np.hypot(*vibration.reshape(2, -1))
-        return float(np.linalg.norm(self._to_tool, axis=0) @ amplitude)
-
-
-def _conditions(problem: TorqueProblem, legs: list[_Leg]) -> list[FloatArray]:
+def _conditions(problem: TorqueProblem, legs: list[LegVibration]) -> list[FloatArray]:
     """Derivatives (n - 4, d) of every leg's vibration by the splines' numbers."""
     rows: list[FloatArray] = []
     for leg in legs:
@@ -216,76 +183,6 @@ def _least_jerk_change(problem: TorqueProblem, R: FloatArray, aims: FloatArray, 
     target = linalg.solve_triangular(L, aims / size, lower=True)
     multipliers = optimize.lsq_linear(L.T, target, bounds=(-np.inf, upper), method="bvls").x
     return np.asarray(cheapest @ (multipliers / size))
-
-
-def _matrices(
-    arm: ElasticArm, trajectory: QuinticTrajectory, V: FloatArray, start: float, end: float
-) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Times (g,), and there M (g, k, k), K (g, k, k) and K^-1 B (g, k, n) among the carriers `V` (f, k)."""
-    grid = np.linspace(start, end, max(8, int(np.ceil((end - start) / _MATRICES_EVERY)) + 1))
-    data, M, K, KB = arm.model.createData(), [], [], []
-    for q in trajectory.evaluate(grid):
-        modes = arm_modes(arm, q)
-        configuration = arm.configuration(q, modes.u)
-        gravity = pin.computeGeneralizedGravityDerivatives(arm.model, data, configuration)
-        upper = np.triu(pin.crba(arm.model, data, configuration))
-        coupling = (upper + np.triu(upper, 1).T)[np.ix_(arm.elastic, arm.driven)]
-        sag_slope = -np.linalg.solve(modes.stiffness, gravity[np.ix_(arm.elastic, arm.driven)])
-        B = coupling + modes.mass @ sag_slope
-        M.append(V.T @ modes.mass @ V)
-        K.append(V.T @ modes.stiffness @ V)
-        KB.append(np.linalg.solve(K[-1], V.T @ B))
-    return grid, np.array(M), np.array(K), np.array(KB)
-
-
-def _weights(
-    grid: FloatArray,
-    M: FloatArray,
-    K: FloatArray,
-    KB: FloatArray,
-    times: FloatArray,
-    steps: FloatArray,
-    momenta: FloatArray,
-    omega: FloatArray,
-) -> FloatArray:
-    """Weights (m, 2r, n) of the snaps at `times` in the modes' displacements and velocities at the end.
-
-    The adjoint of the implicit midpoint rule, run backwards from the end: one run serves all trajectories.
-    """
-    k, r = momenta.shape
-    adjoint = np.zeros((2 * k, 2 * r))
-    adjoint[:k, :r], adjoint[k:, r:] = momenta, momenta / omega
-    weights = np.empty((len(times), 2 * r, KB.shape[2]))
-    lower = np.clip(np.searchsorted(grid, times) - 1, 0, len(grid) - 2)
-    share = (times - grid[lower]) / (grid[lower + 1] - grid[lower])
-    A, identity = np.zeros((2 * k, 2 * k)), np.eye(2 * k)
-    A[:k, k:] = np.eye(k)
-    for i in range(len(times) - 1, -1, -1):
-        a, b, h = lower[i], share[i], steps[i]
-        A[k:, :k] = -np.linalg.solve((1 - b) * M[a] + b * M[a + 1], (1 - b) * K[a] + b * K[a + 1])
-        A[k:, k:] = 2 * _DAMPING / omega[0] * A[k:, :k]
-        moved = np.linalg.solve((identity - 0.5 * h * A).T, adjoint)
-        weights[i] = h * moved[k:].T @ ((1 - b) * KB[a] + b * KB[a + 1])
-        adjoint = moved + 0.5 * h * A.T @ moved
-    return weights
-
-
-def _steps(knots: FloatArray, longest: float) -> FloatArray:
-    """Edges of steps, none longer than `longest`, that end at every knot: snap jumps there."""
-    counts = np.ceil(np.diff(knots) / longest).astype(int)
-    pieces = [
-        np.linspace(start, end, count, endpoint=False)
-        for (start, end), count in zip(pairwise(knots), counts, strict=True)
-    ]
-    return np.concatenate([*pieces, knots[-1:]])
-
-
-def _tool_motion(arm: ElasticArm, q: FloatArray, modes: ArmModes) -> FloatArray:
-    """Motion (3, k) of the tool point in each mode."""
-    world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    configuration = arm.configuration(q, modes.u)
-    J = pin.computeFrameJacobian(arm.model, arm.model.createData(), configuration, arm.tool_frame_id, world)
-    return np.asarray(J[:3, arm.elastic] @ modes.shapes)
 
 
 def _knot_vector(trajectory: QuinticTrajectory) -> FloatArray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from cmbot.arrays import FloatArray
 from cmbot.elastic.sag import Sag
@@ -37,6 +36,9 @@ class ToolSag:
         some = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
         if every == 1 or len(some) < 4:
             return self.at(q)
+        # Only where sag is compensated: it takes a while to come.
+        from scipy.interpolate import CubicSpline
+
         return np.asarray(CubicSpline(t[some], self.at(q[some]))(t))
 
     def length(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:

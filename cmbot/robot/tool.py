@@ -113,7 +113,9 @@ def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
         elif isinstance(geometry, coal.Cylinder):
             geometry.halfLength *= ratio
         else:
-            shape.meshScale = shape.meshScale * scale  # what viewers draw
+            shape.meshScale = shape.meshScale * scale
+            # The shape in memory does not follow it by itself.
+            shape.geometry = coal.MeshLoader().load(shape.meshPath, shape.meshScale)
         X_FS.translation = X_FS.translation * [1.0, 1.0, ratio]
     shape.placement = X_JF * X_FS
 

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import coal
 import numpy as np
 import pinocchio as pin
-import trimesh
 
 from cmbot.errors import SceneError
 from cmbot.robot.hulls import convex_hull, encloses_volume
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+
+if TYPE_CHECKING:
+    import trimesh
 
 __all__ = ["coal_shapes", "load_mesh"]
 
@@ -78,6 +80,9 @@ def load_mesh(path: Path, name: str) -> trimesh.Trimesh:
     key = f"obstacles[{name}].mesh"
     if path.suffix.lower().removeprefix(".") not in _FORMATS:
         raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)
+    # It takes a while to come, and few scenes have a mesh.
+    import trimesh
+
     try:
         mesh = trimesh.load_mesh(path)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from cmbot.simulation.answer import tracking_answer, tracking_verdict
 from cmbot.simulation.metrics import ErrorFigures, Residual, Statistics
 from cmbot.simulation.options import SimulationOptions
-from cmbot.simulation.remarks import tracking_conclusion, tracking_remarks, tracking_rows
+from cmbot.simulation.remarks import tracking_remarks, tracking_rows
 from cmbot.simulation.tracking import MotionTracking, Tracking, simulate, track
 
 __all__ = [
@@ -16,7 +17,8 @@ __all__ = [
     "Tracking",
     "simulate",
     "track",
-    "tracking_conclusion",
+    "tracking_answer",
     "tracking_remarks",
     "tracking_rows",
+    "tracking_verdict",
 ]

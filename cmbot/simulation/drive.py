@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.interpolate import CubicSpline, PPoly
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
 from cmbot.planning import QuinticTrajectory
+
+# scipy.interpolate takes a while to come, and who only plans has no use for it: it is imported where it is
+# needed.
+if TYPE_CHECKING:
+    from scipy.interpolate import PPoly
 
 __all__ = ["Drive", "drive_along", "drive_through", "held"]
 
@@ -44,6 +49,8 @@ class Drive:
 
 def drive_along(trajectory: QuinticTrajectory) -> Drive:
     """Drive the joints along a trajectory, exactly."""
+    from scipy.interpolate import PPoly
+
     h = np.diff(trajectory.t)
     powers = np.arange(5, -1, -1)
     c = trajectory.coefficients[:, :, powers].transpose(2, 0, 1) / h[:, None] ** powers[:, None, None]
@@ -75,9 +82,13 @@ def drive_through(t: FloatArray, q: FloatArray) -> Drive:
         raise InputError("drive_through", "t", "other times", "two or more finite times, increasing from 0")
     if q.ndim != 2 or len(q) != len(t) or not np.isfinite(q).all():
         raise InputError("drive_through", "q", f"shape {q.shape}", f"finite numbers, ({len(t)}, n)")
+    from scipy.interpolate import CubicSpline
+
     return Drive(CubicSpline(t, q, bc_type="clamped", extrapolate=False))
 
 
 def held(q: FloatArray, seconds: float) -> Drive:
     """Hold the joints at `q` (n,), rad, for `seconds`."""
+    from scipy.interpolate import PPoly
+
     return Drive(PPoly(q[None, None, :], np.array([0.0, seconds]), extrapolate=False))

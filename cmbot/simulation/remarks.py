@@ -10,7 +10,7 @@ from cmbot.arrays import FloatArray
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.tracking import MotionTracking, Tracking
 
-__all__ = ["tracking_conclusion", "tracking_remarks", "tracking_rows"]
+__all__ = ["tracking_remarks", "tracking_rows"]
 
 _QUANTITIES = (
     ("mean", "mean"),
@@ -24,25 +24,6 @@ _PARTS = (
     ("dynamic part", "dynamic"),
     ("off the path", "path"),
 )
-
-
-def tracking_conclusion(tracking: Tracking, *, compensated: bool) -> str:
-    """Return in one line what the plan changes against the baseline, mm.
-
-    Parameters
-    ----------
-    tracking : Tracking
-    compensated : bool
-        The plan compensates the predicted sag: that lowers the distance from the path, not the bending.
-    """
-    motions = tracking.baseline.figures, tracking.planned.figures
-    errors = [1e3 * (each.path if compensated else each.total).rms[3] for each in motions]
-    what = "Bent tool off its path" if compensated else "Tracking error"
-    text = f"{what}, RMS: baseline {errors[0]:.3f} mm -> planned {errors[1]:.3f} mm"
-    swings = [1e3 * each.residual.diameter for each in motions if each.residual is not None]
-    if len(swings) == len(motions):
-        text += f"; swing after the stop: {swings[0]:.3f} mm -> {swings[1]:.3f} mm"
-    return f"{text}."
 
 
 def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:

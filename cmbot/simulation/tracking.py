@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from scipy.interpolate import CubicHermiteSpline, CubicSpline
 from threadpoolctl import threadpool_limits
 
 from cmbot.arrays import FloatArray
@@ -26,7 +25,7 @@ from cmbot.simulation.metrics import ErrorFigures, error_figures
 from cmbot.simulation.options import SimulationOptions, checked
 from cmbot.simulation.system import ElasticSystem
 
-__all__ = ["MotionTracking", "Tracking", "completed", "elastic_arm_of", "simulate", "track"]
+__all__ = ["MotionTracking", "Tracking", "completed", "elastic_arm_of", "foreseen", "simulate", "track"]
 
 # Sag is computed every so often, s, and a cubic spline in between: on the shipped scenes within 3e-5 mm.
 _SAG_STEP = 0.02
@@ -197,46 +196,45 @@ def track(
     motion = integrator.run(drives, start, np.zeros_like(start), tell)
 
     t = _output_times(float(motion.t[-1]), options.output_step_s)
+    rigid, predicted = foreseen(arm.robot, drive, t, sag)
+    error = _bent_tool(arm, drive.states(t)[0], motion, t) - rigid - predicted
+    static = _sag(arm, drive, t) - predicted
+    return completed(task, drive, t, rigid + predicted, error, static, modes.frequencies)
+
+
+def foreseen(
+    robot: Robot, drive: Drive, t: FloatArray, sag: ToolSag | None = None
+) -> tuple[FloatArray, FloatArray]:
+    """Return the rigid arm's tool points at times `t` (N,), and the sag reckoned with, each (N, 3), m."""
     q = drive.states(t)[0]
-    rigid, _ = Kinematics(arm.robot).tool_poses(q)
-    error = _bent_tool(arm, q, motion, t) - rigid
-    static = _sag(arm, drive, t)
-    if sag is not None:
-        predicted = sag.along(t, q)
-        error, static = error - predicted, static - predicted
-    return completed(arm.robot, task, drive, t, error, static, modes.frequencies, sag)
+    rigid, _ = Kinematics(robot).tool_poses(q)
+    return rigid, np.zeros_like(rigid) if sag is None else sag.along(t, q)
 
 
 def completed(
-    robot: Robot,
     task: ToolTask,
     drive: Drive,
     t: FloatArray,
+    expected: FloatArray,
     error: FloatArray,
     static: FloatArray,
     frequencies: FloatArray,
-    sag: ToolSag | None = None,
 ) -> MotionTracking:
     """Add to a tracking error what follows from it and from the motion.
 
     Parameters
     ----------
-    robot : Robot
     task : ToolTask
         Whose path the tool is to follow.
     drive : Drive
     t : (N,), s
         Equal steps, from 0 to the stop or beyond.
+    expected : (N, 3), m
+        Where the motion's maker expects the tool point.
     error, static : (N, 3), m
     frequencies : (f,), Hz
         Of the modes in the motion's first posture, ascending.
-    sag : ToolSag, optional
-        What the motion's maker reckoned with.
     """
-    q = drive.states(t)[0]
-    expected, _ = Kinematics(robot).tool_poses(q)
-    if sag is not None:
-        expected = expected + sag.along(t, q)
     path_error = task.path.leg_offset(t, expected + error)
     moving = int(np.searchsorted(t, drive.duration * (1 + 1e-12), side="right"))
     return MotionTracking(
@@ -256,6 +254,9 @@ def _output_times(duration: float, step: float) -> FloatArray:
 
 def _sag(arm: ElasticArm, drive: Drive, t: FloatArray) -> FloatArray:
     """Displacement (N, 3), m, of the tool at rest in the postures at times `t` (N,)."""
+    # As in `cmbot.simulation.drive`: not for those who only plan.
+    from scipy.interpolate import CubicSpline
+
     steps = max(int(np.ceil(drive.duration / _SAG_STEP * (1 - 1e-12))), 1)
     some = np.linspace(0.0, drive.duration, steps + 1)
     tool = CubicSpline(some, Sag(arm).at(drive.states(some)[0]).tool)
@@ -265,6 +266,8 @@ def _sag(arm: ElasticArm, drive: Drive, t: FloatArray) -> FloatArray:
 
 def _bent_tool(arm: ElasticArm, q: FloatArray, motion: ElasticMotion, t: FloatArray) -> FloatArray:
     """Tool points (N, 3), m, at times `t` (N,), between the steps of the motion too."""
+    from scipy.interpolate import CubicHermiteSpline
+
     # Of fourth order, so finer than the integrator's own error.
     u = CubicHermiteSpline(motion.t, motion.u, motion.v)(t)
     model, data, tool = arm.model, arm.model.createData(), arm.tool_frame_id

@@ -11,13 +11,14 @@ from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
-import trimesh
 import umsgpack
 from numpy.typing import NDArray
 
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Scene, guardrail_obstacles
+from cmbot.views.creases import creased
+from cmbot.views.solids import Surface
 from cmbot.views.surfaces import merged, obstacle_surface, simplified, tube, visual_surface
 
 __all__ = ["reach", "scene_commands"]
@@ -81,10 +82,10 @@ def _backdrop() -> Iterator[Command]:
 def _robot(robot: Robot) -> Iterator[Command]:
     # Of a robot that has no shapes to look at, those that it must not hit anything with.
     shapes = list(robot.visual_model.geometryObjects) or list(robot.collision_model.geometryObjects)
-    meshes = simplified([visual_surface(shape, str(robot.urdf)) for shape in shapes], MOST_ROBOT_FACES)
-    groups: dict[tuple[int, tuple[float, ...]], list[trimesh.Trimesh]] = {}
-    for shape, mesh in zip(shapes, meshes, strict=True):
-        groups.setdefault((int(shape.parentJoint), tuple(shape.meshColor)), []).append(mesh)
+    surfaces = simplified([visual_surface(shape, str(robot.urdf)) for shape in shapes], MOST_ROBOT_FACES)
+    groups: dict[tuple[int, tuple[float, ...]], list[Surface]] = {}
+    for shape, surface in zip(shapes, surfaces, strict=True):
+        groups.setdefault((int(shape.parentJoint), tuple(shape.meshColor)), []).append(surface)
     for number, ((joint, rgba), group) in enumerate(groups.items()):
         red, green, blue = (round(255 * float(np.clip(value, 0, 1))) for value in rgba[:3])
         colour = (red << 16) + (green << 8) + blue
@@ -93,11 +94,11 @@ def _robot(robot: Robot) -> Iterator[Command]:
 
 def _bridge(scene: Scene) -> Iterator[Command]:
     rails = {obstacle.name for obstacle in guardrail_obstacles(scene.guardrail)}
-    meshes = simplified([obstacle_surface(obstacle) for obstacle in scene.obstacles], MOST_OBSTACLE_FACES)
-    groups: dict[int, list[trimesh.Trimesh]] = {}
-    for obstacle, mesh in zip(scene.obstacles, meshes, strict=True):
+    surfaces = simplified([obstacle_surface(obstacle) for obstacle in scene.obstacles], MOST_OBSTACLE_FACES)
+    groups: dict[int, list[Surface]] = {}
+    for obstacle, surface in zip(scene.obstacles, surfaces, strict=True):
         colour = STEEL if obstacle.name in rails else WORKPIECE if obstacle.workpiece else CONCRETE
-        groups.setdefault(colour, []).append(mesh)
+        groups.setdefault(colour, []).append(surface)
     for number, (colour, group) in enumerate(groups.items()):
         yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
 
@@ -111,7 +112,7 @@ def _set_property(path: str, name: str, value: object) -> Command:
 
 
 def _set_mesh(
-    path: str, meshes: list[trimesh.Trimesh], colour: int, *, opacity: float = 1.0, shininess: float = 30.0
+    path: str, surfaces: list[Surface], colour: int, *, opacity: float = 1.0, shininess: float = 30.0
 ) -> Command:
     """Return the command for a three.js object: one geometry, one material, no transform."""
     material = {
@@ -127,7 +128,7 @@ def _set_mesh(
     geometry = {
         "uuid": f"{path} geometry",
         "type": "BufferGeometry",
-        "data": _creased_geometry(merged(meshes)),
+        "data": _creased_geometry(merged(surfaces)),
     }
     thing = {
         "uuid": f"{path} object",
@@ -144,17 +145,14 @@ def _set_mesh(
     return {"type": "set_object", "path": path, "object": lowered}
 
 
-def _creased_geometry(mesh: trimesh.Trimesh) -> dict[str, Any]:
-    """Return a mesh with normals that are smooth but at its edges."""
-    mesh.update_faces(mesh.nondegenerate_faces())
-    if len(mesh.faces):
-        mesh = trimesh.graph.smooth_shade(mesh, angle=CREASE)
-    normals = np.round(32767 * mesh.vertex_normals).astype(np.int16)
+def _creased_geometry(surface: Surface) -> dict[str, Any]:
+    """Return a surface with normals that are smooth but at its edges."""
+    surface, normals = creased(surface, CREASE)
     attributes = {
-        "position": _packed(mesh.vertices.astype(np.float32), 3),
-        "normal": _packed(normals, 3, normalized=True),
+        "position": _packed(surface.vertices.astype(np.float32), 3),
+        "normal": _packed(np.round(32767 * normals).astype(np.int16), 3, normalized=True),
     }
-    return {"attributes": attributes, "index": _packed(mesh.faces.astype(np.uint32), 1)}
+    return {"attributes": attributes, "index": _packed(surface.faces.astype(np.uint32), 1)}
 
 
 def _packed(array: NDArray[Any], item_size: int, *, normalized: bool = False) -> dict[str, Any]:

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views.replay_page import replay_page
-from cmbot.views.report_page import report_page
+from cmbot.views.replay_data import replay_data
+from cmbot.views.replay_page import replay_html
+from cmbot.views.report_page import report_html
 
 __all__ = ["REPLAY", "REPORT", "pages"]
 
@@ -22,5 +23,6 @@ def pages(plan: Plan, tracking: Tracking | None = None) -> dict[str, bytes]:
     ModelError, SceneError
         When a shape cannot be drawn.
     """
-    texts = {REPLAY: replay_page(plan, tracking), REPORT: report_page(plan, tracking)}
+    data = replay_data(plan, tracking)
+    texts = {REPLAY: replay_html(plan, data), REPORT: report_html(plan, tracking, data)}
     return {name: text.encode("utf-8", "replace") for name, text in texts.items()}

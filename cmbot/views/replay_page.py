@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import html
+from typing import Any
 
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
 from cmbot.views.page_parts import assembled
 from cmbot.views.replay_data import replay_data
 
-__all__ = ["STAGE_SCRIPTS", "replay_page"]
+__all__ = ["STAGE_SCRIPTS", "replay_html", "replay_page"]
 
 STAGE_SCRIPTS = ("stage.js", "marks.js", "motions.js", "player.js")
 """The 3-D view and the time: what the report shares with the replay."""
@@ -37,10 +38,15 @@ def replay_page(plan: Plan, tracking: Tracking | None = None) -> str:
     ModelError, SceneError
         When a shape cannot be drawn.
     """
+    return replay_html(plan, replay_data(plan, tracking))
+
+
+def replay_html(plan: Plan, data: dict[str, Any]) -> str:
+    """Return that page for a plan's `replay_data`."""
     return assembled(
         "replay.html",
         styles=("common.css", "replay.css"),
         scripts=(*STAGE_SCRIPTS, "plot.js", "replay.js"),
-        data=replay_data(plan, tracking),
+        data=data,
         texts={"title": html.escape(plan.scene.name)},
     )

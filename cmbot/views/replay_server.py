@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from threading import Event, Thread
 from types import TracebackType
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from cmbot.errors import InputError
+
+# Who only writes pages shall not wait for http.server, which brings OpenSSL: it is imported where it is used.
+if TYPE_CHECKING:
+    from http.server import BaseHTTPRequestHandler
 
 __all__ = ["ReplayServer"]
 
@@ -35,6 +38,8 @@ class ReplayServer:
     """
 
     def __init__(self, page: str, port: int = 0) -> None:
+        from http.server import ThreadingHTTPServer
+
         try:
             self._server = ThreadingHTTPServer((LOOPBACK, port), _handler(page.encode("utf-8", "replace")))
         except (OSError, OverflowError) as error:
@@ -76,6 +81,8 @@ class ReplayServer:
 
 
 def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
+    from http.server import BaseHTTPRequestHandler
+
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:  # the base class asks for this name
             name, _, _ = self.headers.get("Host", "").partition(":")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from html import escape
+from typing import Any
 
 from cmbot.planning import Plan, remarks
 from cmbot.simulation import Tracking
@@ -14,7 +15,7 @@ from cmbot.views.replay_data import replay_data
 from cmbot.views.replay_page import STAGE_SCRIPTS
 from cmbot.views.report_tables import cards, sections
 
-__all__ = ["report_page"]
+__all__ = ["report_html", "report_page"]
 
 
 def report_page(plan: Plan, tracking: Tracking | None = None) -> str:
@@ -36,15 +37,21 @@ def report_page(plan: Plan, tracking: Tracking | None = None) -> str:
     ModelError, SceneError
         When a shape cannot be drawn.
     """
-    data = replay_data(plan, tracking)
-    data["charts"] = [chart.data() for chart in charts(plan, tracking)]
-    data["jointCharts"] = [chart.data(MOST_SMALL_POINTS) for chart in joint_charts(plan)]
-    data["joints"] = list(plan.robot.joints)
+    return report_html(plan, tracking, replay_data(plan, tracking))
+
+
+def report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) -> str:
+    """Return that page for a plan's `replay_data`."""
+    plots = {
+        "charts": [chart.data() for chart in charts(plan, tracking)],
+        "jointCharts": [chart.data(MOST_SMALL_POINTS) for chart in joint_charts(plan)],
+        "joints": list(plan.robot.joints),
+    }
     return assembled(
         "report.html",
         styles=("common.css", "report.css"),
         scripts=(*STAGE_SCRIPTS, "chart.js", "report.js"),
-        data=data,
+        data=data | plots,
         texts={
             "title": escape(plan.scene.name),
             "made": escape(f"Written by cmbot {__version__}."),

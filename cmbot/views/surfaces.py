@@ -1,4 +1,4 @@
-"""Every shape that is drawn, as a triangle mesh."""
+"""Every shape that is drawn, as triangles."""
 
 from __future__ import annotations
 
@@ -8,24 +8,23 @@ from typing import Any
 
 import coal
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
 
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.errors import ModelError
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
 from cmbot.scene.shapes import load_mesh
+from cmbot.views.solids import Surface, ball, box, capsule, cone, cylinder, hull
 
 __all__ = ["merged", "obstacle_surface", "simplified", "tube", "visual_surface"]
 
-FloatArray = NDArray[np.float64]
+TUBE_SECTIONS = 12
+"""About the axis of a tube, thin as it is."""
 
-CAPSULE_RINGS = (12, 24)
-SPHERE_SUBDIVISIONS = 3
 SMALLEST_CELL = 1e-4
 """Share of the largest extent, in `simplified`."""
 
 
-def visual_surface(shape: Any, source: str) -> trimesh.Trimesh:
+def visual_surface(shape: Any, source: str) -> Surface:
     """Return a robot's visual shape in the frame of the joint that carries it.
 
     Parameters
@@ -39,12 +38,10 @@ def visual_surface(shape: Any, source: str) -> trimesh.Trimesh:
     ModelError
         When it is no mesh, box, cylinder, capsule, cone, sphere or ellipsoid.
     """
-    mesh = _coal_surface(shape, source)
-    mesh.apply_transform(shape.placement.homogeneous)
-    return mesh
+    return _coal_surface(shape, source).moved(shape.placement.homogeneous)
 
 
-def obstacle_surface(obstacle: Obstacle) -> trimesh.Trimesh:
+def obstacle_surface(obstacle: Obstacle) -> Surface:
     """Return an obstacle in W.
 
     Raises
@@ -52,103 +49,103 @@ def obstacle_surface(obstacle: Obstacle) -> trimesh.Trimesh:
     SceneError
         When its mesh file has become unreadable since the scene was read.
     """
-    mesh = trimesh.Trimesh()
     match obstacle.shape:
         case Box(size=size):
-            mesh = trimesh.creation.box(size)
+            surface = box(np.asarray(size))
         case Cylinder(radius=radius, length=length):
-            mesh = trimesh.creation.cylinder(radius, length)
+            surface = cylinder(radius, length)
         case Capsule(radius=radius, length=length):
-            mesh = trimesh.creation.capsule(height=length, radius=radius, count=CAPSULE_RINGS)
+            surface = capsule(radius, length)
         case Sphere(radius=radius):
-            mesh = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, radius)
+            surface = ball(radius)
         case Mesh(path=path):
             mesh = load_mesh(path, obstacle.name)
-    mesh.apply_transform(obstacle.X_WO)
-    return mesh
+            surface = Surface(np.array(mesh.vertices), np.array(mesh.faces, dtype=np.intp))
+    return surface.moved(obstacle.X_WO)
 
 
-def tube(points: FloatArray, radius: float) -> trimesh.Trimesh:
+def tube(points: FloatArray, radius: float) -> Surface:
     """Return a tube through `points` (N, 3), m, with a ball at each."""
-    pieces = [trimesh.creation.cylinder(radius, segment=segment, sections=12) for segment in pairwise(points)]
-    for point in points:
-        ball = trimesh.creation.icosphere(2, 1.6 * radius)
-        ball.apply_translation(point)
-        pieces.append(ball)
-    return merged(pieces)
+    pieces = []
+    for start, end in pairwise(points):
+        X = np.eye(4)
+        X[:3, :3], X[:3, 3] = _turned_to(end - start), 0.5 * (start + end)
+        length = float(np.linalg.norm(end - start))
+        pieces.append(cylinder(radius, length, sections=TUBE_SECTIONS).moved(X))
+    joint = ball(1.6 * radius, sections=TUBE_SECTIONS, rings=TUBE_SECTIONS)
+    return merged([*pieces, *(Surface(joint.vertices + point, joint.faces) for point in points)])
 
 
-def merged(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Return several meshes as one, none of their vertices joined."""
-    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes[:-1])])
-    return trimesh.Trimesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate([mesh.faces + start for mesh, start in zip(meshes, starts, strict=True)]),
-        process=False,
+def merged(surfaces: Sequence[Surface]) -> Surface:
+    """Return several surfaces as one, none of their vertices joined."""
+    starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
+    return Surface(
+        np.concatenate([surface.vertices for surface in surfaces]),
+        np.concatenate([surface.faces + start for surface, start in zip(surfaces, starts, strict=True)]),
     )
 
 
-def simplified(meshes: Sequence[trimesh.Trimesh], most_faces: int) -> list[trimesh.Trimesh]:
-    """Return the meshes with at most `most_faces` triangles in all; unchanged when they have no more.
+def simplified(surfaces: Sequence[Surface], most_faces: int) -> list[Surface]:
+    """Return the surfaces with at most `most_faces` triangles in all; unchanged when they have no more.
 
     Vertices in one cell of a grid become one (Rossignac and Borrel 1993); the cell grows until it suffices.
     """
-    coarse = list(meshes)
-    if sum(len(mesh.faces) for mesh in meshes) <= most_faces:
+    coarse = list(surfaces)
+    if sum(len(surface.faces) for surface in surfaces) <= most_faces:
         return coarse
     # A cell of this size keeps about two triangles.
-    cell = np.sqrt(sum(mesh.area for mesh in meshes) / most_faces)
-    cell = max(cell, SMALLEST_CELL * max(mesh.extents.max() for mesh in meshes if len(mesh.faces)))
-    while sum(len(mesh.faces) for mesh in coarse) > most_faces:
-        coarse = [_clustered(mesh, cell) for mesh in meshes]
+    cell = np.sqrt(sum(surface.area for surface in surfaces) / most_faces)
+    extents = [np.ptp(surface.vertices, axis=0).max() for surface in surfaces if len(surface.faces)]
+    cell = max(cell, SMALLEST_CELL * max(extents))
+    while sum(len(surface.faces) for surface in coarse) > most_faces:
+        coarse = [_clustered(surface, cell) for surface in surfaces]
         cell *= 1.2
     return coarse
 
 
-def _clustered(mesh: trimesh.Trimesh, cell: float) -> trimesh.Trimesh:
-    _, cluster = np.unique(np.floor(mesh.vertices / cell).astype(np.int64), axis=0, return_inverse=True)
+def _clustered(surface: Surface, cell: float) -> Surface:
+    _, cluster = np.unique(np.floor(surface.vertices / cell).astype(np.int64), axis=0, return_inverse=True)
     cluster = cluster.ravel()
     members = np.bincount(cluster)
-    centres = np.stack([np.bincount(cluster, axis) / members for axis in mesh.vertices.T], axis=1)
-    faces = cluster[mesh.faces]
+    centres = np.stack([np.bincount(cluster, axis) / members for axis in surface.vertices.T], axis=1)
+    faces = cluster[surface.faces]
     collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
     _, first = np.unique(np.sort(faces[~collapsed], axis=1), axis=0, return_index=True)
-    return trimesh.Trimesh(centres, faces[~collapsed][np.sort(first)])
+    return Surface(centres, faces[~collapsed][np.sort(first)])
 
 
-def _coal_surface(shape: Any, source: str) -> trimesh.Trimesh:
-    geometry, mesh = shape.geometry, trimesh.Trimesh()
+def _turned_to(direction: FloatArray) -> FloatArray:
+    """Return a rotation (3, 3) that takes z along `direction` (3,)."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross(np.eye(3)[np.abs(z).argmin()], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
+def _coal_surface(shape: Any, source: str) -> Surface:
+    geometry = shape.geometry
     match geometry:
         case coal.BVHModelBase():
-            mesh = _mesh_surface(shape)
+            return Surface(geometry.vertices(), _triangles(geometry))
         case coal.ConvexBase():
-            mesh = trimesh.Trimesh([geometry.point(i) for i in range(geometry.num_points)]).convex_hull
+            return hull(np.array([geometry.point(i) for i in range(geometry.num_points)]))
         case coal.Box():
-            mesh = trimesh.creation.box(2 * geometry.halfSide)
+            return box(2 * geometry.halfSide)
         case coal.Cylinder():
-            mesh = trimesh.creation.cylinder(geometry.radius, 2 * geometry.halfLength)
+            return cylinder(geometry.radius, 2 * geometry.halfLength)
         case coal.Capsule():
-            length = 2 * geometry.halfLength
-            mesh = trimesh.creation.capsule(height=length, radius=geometry.radius, count=CAPSULE_RINGS)
+            return capsule(geometry.radius, 2 * geometry.halfLength)
         case coal.Cone():
-            mesh = trimesh.creation.cone(geometry.radius, 2 * geometry.halfLength)
-            mesh.apply_translation([0.0, 0.0, -geometry.halfLength])
+            return cone(geometry.radius, 2 * geometry.halfLength)
         case coal.Sphere():
-            mesh = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS, geometry.radius)
+            return ball(geometry.radius)
         case coal.Ellipsoid():
-            mesh = trimesh.creation.icosphere(SPHERE_SUBDIVISIONS)
-            mesh.apply_scale(geometry.radii)
-        case _:
-            expected = "a mesh, box, cylinder, capsule, cone, sphere or ellipsoid"
-            raise ModelError(source, f"visual {shape.name}", type(geometry).__name__, expected)
-    return mesh
+            unit = ball(1.0)
+            return Surface(unit.vertices * geometry.radii, unit.faces)
+    expected = "a mesh, box, cylinder, capsule, cone, sphere or ellipsoid"
+    raise ModelError(source, f"visual {shape.name}", type(geometry).__name__, expected)
 
 
-def _mesh_surface(shape: Any) -> trimesh.Trimesh:
-    """Read the mesh at its present scale: another tool length leaves the one in memory as it was."""
-    try:
-        mesh = coal.MeshLoader().load(shape.meshPath, shape.meshScale)
-    except (ValueError, RuntimeError):
-        mesh = shape.geometry  # the file is gone; what was first read from it is still good to see
+def _triangles(mesh: Any) -> IntArray:
     triangles = (mesh.tri_indices(i) for i in range(mesh.num_tris))
-    return trimesh.Trimesh(mesh.vertices(), [(t[0], t[1], t[2]) for t in triangles])
+    return np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.intp).reshape(-1, 3)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
-
 import numpy as np
 
 from cmbot.arrays import FloatArray
@@ -31,10 +29,9 @@ def thinned(t: FloatArray, y: FloatArray, most: int) -> tuple[FloatArray, FloatA
     if len(t) <= most:
         return t, y
     ends = np.linspace(0, len(t), (most - 2) // 2 + 1).astype(np.intp)
-    extremes = [
-        first + at
-        for first, last in pairwise(ends)
-        for at in (int(y[first:last].argmin()), int(y[first:last].argmax()))
-    ]
-    kept = np.unique([0, *extremes, len(t) - 1])
+    first, last = ends[:-1], ends[1:]
+    # A shorter stretch repeats its last point.
+    stretches = y[np.minimum(first[:, None] + np.arange((last - first).max()), last[:, None] - 1)]
+    extremes = first + stretches.argmin(axis=1), first + stretches.argmax(axis=1)
+    kept = np.unique([0, *extremes[0], *extremes[1], len(t) - 1])
     return t[kept], y[kept]

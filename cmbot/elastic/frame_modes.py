@@ -1,4 +1,4 @@
-"""Natural frequencies of what bends, from its sparse stiffness and mass."""
+"""Natural frequencies of a frame, from its sparse stiffness and mass."""
 
 from __future__ import annotations
 

@@ -1,0 +1,127 @@
+"""What is drawn, as triangles: solids against closed forms, normals smooth on them and sharp at edges."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from numpy.typing import NDArray
+
+from cmbot.robot import Robot
+from cmbot.views.creases import creased
+from cmbot.views.solids import Surface, ball, box, capsule, cone, cylinder, hull
+from cmbot.views.surfaces import merged, tube, visual_surface
+
+FloatArray = NDArray[np.float64]
+CREASE = np.deg2rad(35.0)
+SIZE = np.array([0.2, 0.3, 0.4])
+CORNERS = box(SIZE).vertices
+
+
+def solid(surface: Surface) -> trimesh.Trimesh:
+    return trimesh.Trimesh(surface.vertices, surface.faces, process=False)
+
+
+@pytest.mark.parametrize(
+    ("surface", "volume", "extents"),
+    [
+        (box(SIZE), 0.024, SIZE),
+        (cylinder(0.1, 0.4), np.pi * 0.1**2 * 0.4, (0.2, 0.2, 0.4)),
+        (cone(0.1, 0.4), np.pi * 0.1**2 * 0.4 / 3, (0.2, 0.2, 0.4)),
+        (ball(0.1), 4 / 3 * np.pi * 0.1**3, (0.2, 0.2, 0.2)),
+        (capsule(0.1, 0.4), np.pi * 0.1**2 * 0.4 + 4 / 3 * np.pi * 0.1**3, (0.2, 0.2, 0.6)),
+        (hull(np.vstack([CORNERS, 0.3 * CORNERS])), 0.024, SIZE),
+    ],
+    ids=("box", "cylinder", "cone", "ball", "capsule", "hull"),
+)
+def test_solids_are_closed_and_as_large_as_they_should_be(
+    surface: Surface, volume: float, extents: FloatArray
+) -> None:
+    mesh = solid(surface)
+    assert mesh.is_watertight
+    assert mesh.is_winding_consistent
+    # What is round is drawn with corners, so it is a little too small.
+    assert 0.97 * volume < mesh.volume < volume * (1 + 1e-9)
+    assert surface.area == pytest.approx(mesh.area)
+    np.testing.assert_allclose(mesh.extents, extents, rtol=1e-9)
+    np.testing.assert_allclose(mesh.bounds.sum(axis=0), 0.0, atol=1e-12)
+    assert set(surface.faces.ravel()) == set(range(len(surface.vertices)))
+
+
+def test_a_tube_follows_its_points() -> None:
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.3, 0.0, -1.0], [0.3, 0.5, -0.4]])
+    surface = tube(points, 0.01)
+    pieces = solid(surface).split()
+    assert len(pieces) == 3 + 4
+    assert all(piece.is_watertight and piece.volume > 0 for piece in pieces)
+    lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
+    for piece, start, end, length in zip(pieces[:3], points, points[1:], lengths, strict=False):
+        np.testing.assert_allclose(piece.centroid, (start + end) / 2, atol=1e-12)
+        assert piece.volume == pytest.approx(np.pi * 0.01**2 * length, rel=0.05)
+
+
+def test_a_box_has_a_normal_for_each_side() -> None:
+    surface, normals = creased(box(SIZE), CREASE)
+    assert len(surface.vertices) == 24
+    np.testing.assert_allclose(np.abs(normals).max(axis=1), 1.0)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+    assert (np.einsum("ki,ki->k", normals, surface.vertices) > 0).all()
+
+
+def test_a_ball_is_smooth() -> None:
+    surface, normals = creased(ball(0.5), CREASE)
+    assert len(surface.vertices) == len(ball(0.5).vertices)
+    np.testing.assert_allclose(normals, surface.vertices / 0.5, atol=0.01)
+
+
+def test_a_cylinder_is_smooth_but_at_its_rims() -> None:
+    surface, normals = creased(cylinder(0.1, 0.4), CREASE)
+    plain = cylinder(0.1, 0.4)
+    assert len(surface.vertices) == 2 * (len(plain.vertices) - 2) + 2
+    level = np.abs(normals[:, 2]) < 1e-9
+    np.testing.assert_allclose(normals[level], surface.vertices[level] * [10, 10, 0], atol=1e-9)
+    np.testing.assert_allclose(np.abs(normals[~level, 2]), 1.0)
+
+
+def test_edges_of_three_triangles_are_sharp_and_lines_are_left_out() -> None:
+    fin = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0.02], [0.5, 1, 0.0], [0.5, 1, -0.02], [0.5, 0, 0]])
+    faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 1, 5], [2, 2, 3]])
+    surface, normals = creased(Surface(fin, faces), CREASE)
+    assert (len(surface.faces), len(surface.vertices)) == (3, 9)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
+
+
+def test_where_two_triangles_are_wound_differently_their_edge_is_sharp_or_folded_flat() -> None:
+    """The one's normal is the other's turned round: only what lies back to back shares it."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0.9, 0.1]])
+    apart, _ = creased(Surface(points, np.array([[0, 1, 2], [0, 1, 3]])), CREASE)
+    assert len(apart.vertices) == 6
+    folded, normals = creased(Surface(points, np.array([[0, 1, 2], [0, 1, 4]])), CREASE)
+    assert len(folded.vertices) == 4
+    at_edge = np.abs(folded.vertices[:, 1]) < 1e-12
+    # Between the triangles' own, which are (0, 0, 1) and turned from it by 6.3 deg.
+    turned = np.degrees(np.arctan2(-normals[at_edge, 1], normals[at_edge, 2]))
+    assert ((turned > 2) & (turned < 4.3)).all()
+
+
+def test_the_robot_is_shaded_as_trimesh_would(cmbot_robot: Robot) -> None:
+    """Trimesh finds the same patches, for the shapes of our robot, and the same normals on them."""
+    for shape in cmbot_robot.visual_model.geometryObjects:
+        plain = visual_surface(shape, "")
+        surface, normals = creased(plain, CREASE)
+        other: Any = trimesh.graph.smooth_shade(solid(plain), angle=CREASE)
+        ours, theirs = (
+            np.hstack([p[f].reshape(-1, 9), n[f].reshape(-1, 9)])
+            for p, n, f in (
+                (surface.vertices, normals, surface.faces),
+                (other.vertices, other.vertex_normals, other.faces),
+            )
+        )
+        order = [np.lexsort(np.round(rows[:, :9], 9).T) for rows in (ours, theirs)]
+        np.testing.assert_allclose(ours[order[0]], theirs[order[1]], atol=1e-6)
+
+
+def test_merged_surfaces_keep_their_triangles() -> None:
+    both = merged([box(SIZE), ball(0.1)])
+    pieces = solid(both).split()
+    assert sorted(len(piece.faces) for piece in pieces) == sorted([12, len(ball(0.1).faces)])
