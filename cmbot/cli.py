@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import gc
 import sys
 import traceback
 from collections.abc import Mapping, Sequence
@@ -47,6 +49,8 @@ _UsageError: Any = typer.BadParameter.__bases__[0]
 def main() -> None:
     """Run the command line; turn errors into one line and an exit status."""
     sys.excepthook = _one_line
+    # What is left at the end goes with the process: nobody has to look for cycles in it first.
+    atexit.register(gc.freeze)
     # Understood before the verb and after it.
     words = [word for word in sys.argv[1:] if word != "--debug"]
     try:
@@ -193,7 +197,8 @@ def _check_scene(file: str, *, as_json: bool, quiet: bool) -> None:
         out.print(
             f"{warnings}; {verb} would have to deal with {'it' if len(seen.warnings) == 1 else 'them'}."
             if seen.warnings
-            else f"Nothing speaks against planning it: {verb}"
+            else "No warning. Looked at: the start, and whether the stretched arm reaches the legs' ends. "
+            f"Not looked at: obstacles, joint ranges and limits on the way; {verb} finds out."
         )
 
 

@@ -12,7 +12,7 @@ import typer
 
 import cmbot
 from cmbot.cli_views import add_figures, add_pages
-from cmbot.console import JsonOption, Narrator, QuietOption, flat, out, print_json, print_table
+from cmbot.console import JsonOption, Narrator, QuietOption, err, flat, out, print_json, print_table
 from cmbot.errors import InputError
 
 if TYPE_CHECKING:
@@ -61,6 +61,10 @@ def plan(
         from cmbot.views import require_matplotlib
 
         require_matplotlib()
+    from cmbot.planning import examine_options
+
+    for finding in () if quiet else examine_options(options):
+        err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
     with Narrator(quiet=quiet) as narrator:
         planned = cmbot.plan(loaded, options=options, progress=narrator.tell)
     cmbot.save(planned, directory, force=force)

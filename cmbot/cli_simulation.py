@@ -12,12 +12,16 @@ from cmbot.cli_views import add_figures, add_pages
 from cmbot.console import JsonOption, Narrator, QuietOption, flat, out, print_json, print_table
 
 if TYPE_CHECKING:
+    from cmbot.planning import Plan
     from cmbot.reproduction import Experiment, Reproduction
     from cmbot.simulation import SimulationOptions, Tracking
 
 __all__ = ["reproduce", "simulate"]
 
 _HEADINGS = ("", "", "x", "y", "z", "norm")
+_REPORT = "report.html"
+
+DetailsOption = Annotated[bool, typer.Option("--details", help="Print all figures, not only the answer.")]
 
 
 def simulate(
@@ -36,6 +40,7 @@ def simulate(
     figures: Annotated[
         bool, typer.Option("--figures", help="Draw plots as PNG and SVG into the plan directory, too.")
     ] = False,
+    details: DetailsOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -64,11 +69,12 @@ def simulate(
     if as_json:
         print_json(_tracking_summary(loaded.scene.name, directory, tracking))
     elif not quiet:
-        from cmbot.simulation import tracking_conclusion
-
-        out.print(tracking_conclusion(tracking, compensated=loaded.options.compensate))
-        print_tracking(loaded.scene.name, tracking)
+        _print_answer(loaded, tracking)
+        if details:
+            _print_tracking(loaded.scene.name, tracking)
         out.print(f"Written to {', '.join(flat(path) for path in written)}.")
+        if not details:
+            out.print(f"All figures: {flat(directory / _REPORT)}, under Simulation; --details prints them.")
 
 
 def reproduce(
@@ -80,6 +86,7 @@ def reproduce(
         typer.Option("--quick", help="Only the stiffnesses times 1, 0.7 and 1.3, and no plan of least sag."),
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a reproduction that is there.")] = False,
+    details: DetailsOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -87,7 +94,7 @@ def reproduce(
 
     Example: [bold]cmbot reproduce -o out/reproduce[/bold]
     """
-    from cmbot.reproduction import FACTORS, QUICK_FACTORS, findings, reasons, require_room, save_reproduction
+    from cmbot.reproduction import FACTORS, QUICK_FACTORS, require_room, save_reproduction
     from cmbot.reproduction import reproduce as run
 
     require_room(output, force=force)
@@ -104,14 +111,13 @@ def reproduce(
         return
     if quiet:
         return
-    for experiment in found.experiments:
+    _print_verdicts(found)
+    for experiment in found.experiments if details else ():
         _print_comparison(experiment)
-        for finding in findings(experiment):
-            out.print(f"{'agrees' if finding.agrees else 'does not agree'}: {finding.text}")
-        for reason in reasons(experiment):
-            out.print(f"why: {reason}")
         _print_goals(experiment)
     out.print(f"Written to {' and '.join(flat(path) for path in written)}, with every assumption.")
+    if not details:
+        out.print(f"All figures, and why: {flat(written[0])}; --details prints them.")
 
 
 def _options(*, damping: float, initial: str, stiffness: float, segments: int) -> SimulationOptions:
@@ -156,11 +162,28 @@ def _reproduction_summary(folder: Path, found: Reproduction) -> dict[str, Any]:
     }
 
 
+def _print_verdicts(found: Reproduction) -> None:
+    from cmbot.reproduction import findings, verdict_rows
+
+    headings, *rows = verdict_rows(found)
+    print_table("Goals", headings, rows, text_columns=2)
+    told = []
+    for experiment in found.experiments:
+        compared = list(findings(experiment))
+        agrees = sum(finding.agrees for finding in compared)
+        told.append(f"{agrees} of {len(compared)} are found again for the {experiment.paper.scene}")
+    out.print(f"Of the paper's own results {', '.join(told)}.")
+
+
 def _print_comparison(experiment: Experiment) -> None:
-    from cmbot.reproduction import comparison
+    from cmbot.reproduction import comparison, findings, reasons
 
     headings, *rows = comparison(experiment)
     print_table(experiment.paper.title, headings, rows, text_columns=2)
+    for finding in findings(experiment):
+        out.print(f"{'agrees' if finding.agrees else 'does not agree'}: {finding.text}")
+    for reason in reasons(experiment):
+        out.print(f"why: {reason}")
 
 
 def _print_goals(experiment: Experiment) -> None:
@@ -177,8 +200,15 @@ def _print_goals(experiment: Experiment) -> None:
             out.print(f"goal: {remark}")
 
 
-def print_tracking(name: str, tracking: Tracking) -> None:
-    """Print the figures of a simulation: a table on a terminal, aligned columns elsewhere."""
+def _print_answer(planned: Plan, tracking: Tracking) -> None:
+    from cmbot.simulation import tracking_answer, tracking_verdict
+
+    rows = list(tracking_answer(tracking, compensated=planned.options.compensate))
+    print_table(f"{planned.scene.name}, mm", ("", "baseline", "planned"), rows, text_columns=1)
+    out.print(tracking_verdict(planned, tracking))
+
+
+def _print_tracking(name: str, tracking: Tracking) -> None:
     from cmbot.simulation import tracking_remarks, tracking_rows
 
     print_table(f"{name}, mm", _HEADINGS, list(tracking_rows(tracking)), text_columns=2)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -12,6 +13,8 @@ from rich.progress import BarColumn, ProgressColumn, SpinnerColumn, Task, TextCo
 from rich.progress import Progress as Bars
 from rich.table import Table
 from rich.text import Text
+
+from cmbot.remaining import Remaining
 
 if TYPE_CHECKING:
     from cmbot.planning import Progress
@@ -36,10 +39,10 @@ JsonOption = Annotated[
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors (and JSON).")]
 
-# Characters of a progress line before what is being done.
-_ROOM_OF_BAR = 44
-# Seconds of the past from which the remaining time is estimated.
-_PAST = 600.0
+# Characters of a progress line before what is being done, but for the time.
+_ROOM_OF_BAR = 19
+# Where there is no terminal: a line at least every so many seconds where it is known how much is done, s.
+_EVERY = 10.0
 
 
 def flat(text: object) -> str:
@@ -80,12 +83,14 @@ def _aligned(rows: Sequence[Sequence[str]], text_columns: int) -> Iterator[str]:
 
 
 class _Seconds(ProgressColumn):
-    """How long it has taken; where the amount of work is known, about how long it will take still."""
+    """How long it has taken; where there is a basis for it, about how long it will take still."""
+
+    def __init__(self, told: Callable[[], str]) -> None:
+        super().__init__()
+        self._told = told
 
     def render(self, task: Task) -> Text:
-        elapsed, left = task.elapsed or 0.0, task.time_remaining
-        known = task.total is not None and left is not None
-        return Text(f"{elapsed:.0f} s, about {left:.0f} s left" if known else f"{elapsed:.0f} s")
+        return Text(f"{self._told()} ·" if task.description else self._told())
 
 
 class Narrator:
@@ -94,23 +99,30 @@ class Narrator:
     Parameters
     ----------
     quiet : bool
+    clock : callable
+        Seconds that do not go back.
     """
 
-    def __init__(self, *, quiet: bool = False) -> None:
+    def __init__(self, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
         self._quiet = quiet
+        self._clock = clock
+        self._began = self._printed = clock()
         self._said = ""
         self._bars: Bars | None = None
+        # Of all there is to do, where that is known: of what is said with a share.
+        self._whole: Remaining | None = None
+        # Of the present step: what the planner told last, and when.
+        self._step: tuple[Progress, float] | None = None
 
     def __enter__(self) -> Narrator:
         if err.is_terminal and not self._quiet:
             self._bars = Bars(
                 SpinnerColumn(),
-                BarColumn(bar_width=16),
-                _Seconds(),
+                BarColumn(bar_width=12),
+                _Seconds(self._seconds),
                 TextColumn("{task.description}", markup=False),
                 console=err,
                 transient=True,
-                speed_estimate_period=_PAST,
             )
             self._task = self._bars.add_task("", total=None)
             self._bars.start()
@@ -122,18 +134,78 @@ class Narrator:
 
     def tell(self, progress: Progress, about: str = "") -> None:
         """Show one step of the planner, after what it is `about`."""
-        if self._bars is not None or progress.failed_starts <= 1:
-            self.say(about + progress.sentence())
+        before = self._step[0] if self._step is not None else None
+        self._step = (progress, self._clock())
+        if self._bars is not None:
+            if self._whole is None:
+                if before is None or progress.step != before.step:
+                    self._bars.remove_task(self._task)
+                    self._task = self._bars.add_task("", total=None)
+                self._show_share(self._bars, progress.share)
+            new_figure = progress.left is not None and (before is None or before.left is None)
+            self._describe(self._bars, about + (progress.step or progress.sentence()), new_figure)
+        elif not self._quiet:
+            # Not every step of a whole, every start that fails, every pass of a round.
+            if self._whole is None and not progress.step and progress.failed_starts <= 1:
+                self._print(about + progress.sentence(passes=not progress.rounds))
+            self._print_share(about + progress.step if self._whole is None else self._said)
 
     def say(self, what: str, share: float | None = None) -> None:
         """Show what is being done, and the share of all there is to do that is done, where that is known."""
+        self._step = None
+        if share is not None:
+            self._whole = self._whole or Remaining(self._began)
+            self._whole.note(share, self._clock())
         if self._bars is not None:
-            if share is not None:
-                self._bars.update(self._task, total=1.0, completed=share)
-            # Cut here: rich would rather wrap the columns before it.
-            room = max(err.width - _ROOM_OF_BAR, 10)
-            shown = what if len(what) <= room else f"{what[: room - 1]}…"
-            self._bars.update(self._task, description=shown, refresh=what != self._said)
-        elif what != self._said and not self._quiet:
-            err.print(what)
+            self._show_share(self._bars, self._share())
+            self._describe(self._bars, what)
+        elif not self._quiet:
+            self._print(what)
+            self._print_share(what)
+
+    def _show_share(self, bars: Bars, share: float | None) -> None:
+        """Draw the bar; as long as no share is known it only moves."""
+        if share is not None:
+            bars.update(self._task, total=1.0, completed=share)
+
+    def _describe(self, bars: Bars, what: str, refresh: bool = False) -> None:
+        # Cut here: rich would rather wrap the columns before it.
+        room = max(err.width - _ROOM_OF_BAR - len(self._seconds()), 10)
+        shown = what if len(what) <= room else f"{what[: room - 1]}…"
+        bars.update(self._task, description=shown, refresh=refresh or what != self._said)
         self._said = what
+
+    def _print(self, what: str) -> None:
+        """Print a line where there is something new to say."""
+        if what != self._said:
+            err.print(what)
+            self._said, self._printed = what, self._clock()
+
+    def _print_share(self, what: str) -> None:
+        """Print every so often how much is done."""
+        share, left = self._share(), self._left()
+        if share is not None and self._clock() - self._printed >= _EVERY:
+            err.print(f"{what}: {share:.0%} done{f', {left}' if left else ''}")
+            self._printed = self._clock()
+
+    def _seconds(self) -> str:
+        """How long it has taken, and about how long it will take still."""
+        elapsed, left = self._clock() - self._began, self._left()
+        return f"{elapsed:.0f} s, {left}" if left else f"{elapsed:.0f} s"
+
+    def _share(self) -> float | None:
+        if self._whole is not None:
+            return self._whole.share
+        return None if self._step is None else self._step[0].share
+
+    def _left(self) -> str:
+        now = self._clock()
+        if self._whole is not None:
+            left = self._whole.left(now)
+            return "" if left is None else left.sentence()
+        if self._step is None or self._step[0].left is None:
+            return ""
+        left = self._step[0].left.after(now - self._step[1])
+        if left is None or left.most is not None:
+            return "" if left is None else left.sentence()
+        return f"step: {left.sentence()}"

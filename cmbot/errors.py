@@ -82,6 +82,19 @@ class ArchiveError(InputError):
     """A plan directory is missing, incomplete, of another version, or in the way."""
 
 
+_TIME = "more seconds for the legs"
+# What most often helps, by a word of the constraint that is furthest from being met.
+_REMEDIES = (
+    ("velocity", _TIME),
+    ("acceleration", _TIME),
+    ("jerk", _TIME),
+    ("joint torque", "a lighter payload, another posture_deg or another place for the tool path"),
+    ("position", "another posture_deg or another place for the tool path"),
+    ("tool deviation", "more tool_path.via_points or a larger planner.max_tool_deviation_m"),
+    ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),
+)
+
+
 class PlanningError(CmbotError, RuntimeError):
     """The input is fine, but no valid plan came out of it."""
 
@@ -134,13 +147,19 @@ class OptimisationFailed(PlanningError):
         The constraint that is furthest from being met.
     violation : float
         By how much, as a share of its bound.
+    undecided : bool
+        The solver gave up; another one may get further.
     """
 
-    def __init__(self, reason: str, *, constraint: str, violation: float) -> None:
+    def __init__(self, reason: str, *, constraint: str, violation: float, undecided: bool = False) -> None:
         self.reason = reason
         self.constraint = constraint
         self.violation = violation
-        super().__init__(f"{reason}; worst constraint: {constraint}, {violation:.2%} beyond its bound")
+        self.undecided = undecided
+        text = f"{reason}; worst constraint: {constraint}, {violation:.2%} beyond its bound"
+        remedy = next((what for name, what in _REMEDIES if name in constraint), "")
+        known = not remedy or ("seconds" in remedy and "seconds" in reason)
+        super().__init__(text if known else f"{text}: {remedy} may help")
 
 
 class LimitViolation(PlanningError):

@@ -114,7 +114,7 @@ def test_its_peak_stands_beside_that_of_the_work(triangle_plan: Plan, short_plan
     peak = triangle_plan.approach.certificate.figures.peak_guardrail_torque
     for planned, shown in ((triangle_plan, f"{peak:.2f}"), (short_plan, "-")):
         names = [row[0] for row in planned.rows()]
-        assert names[:2] == ["peak torque on the guardrail, Nm", "peak torque on the approach, Nm"]
+        assert names[:2] == ["peak torque on the guardrail, Nm", "peak on the way there (approach), Nm"]
         assert list(planned.rows())[1][1:] == ("-", shown)
     assert short_plan.approach_samples is None
 

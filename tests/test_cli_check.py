@@ -9,7 +9,9 @@ from command_line import ROOT, Outcome, run, write_scene
 from small_scenes import SHORT
 
 import cmbot
+from cmbot.planning.objectives import objective_of
 from cmbot.resources import model_folder
+from cmbot.robot import Postures
 
 
 def values(outcome: Outcome) -> dict[str, str]:
@@ -25,7 +27,13 @@ def test_a_shipped_scene() -> None:
     assert found["robot"].startswith("cmbot: 7 joints, ")
     assert found["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
     assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
-    assert outcome.out.splitlines()[-1] == "Nothing speaks against planning it: cmbot plan triangle"
+    last = outcome.out.splitlines()[-1]
+    assert last.startswith(
+        "No warning. Looked at: the start, and whether the stretched arm reaches the legs' ends."
+    )
+    assert last.endswith(
+        "Not looked at: obstacles, joint ranges and limits on the way; cmbot plan triangle finds out."
+    )
 
 
 def test_a_scene_file(tmp_path: Path) -> None:
@@ -82,6 +90,46 @@ def test_a_load_too_heavy_at_the_start_is_warned_of(tmp_path: Path) -> None:
     first, *_ = run("check", path).out.splitlines()
     assert "of the torque that joint_" in first
     assert first.startswith(f"warning: {path}: posture_deg: got ")
+
+
+@pytest.mark.parametrize(
+    ("weights", "warned"), [([0, 0, 1], True), ([0, 0, 0.5], True), ([0, 0.1, 1], False), ([1, 1, 0], False)]
+)
+def test_an_objective_that_gravity_has_no_part_in_is_warned_of(
+    tmp_path: Path, weights: list[float], warned: bool
+) -> None:
+    path = write_scene(tmp_path / "z.yaml", {**SHORT, "planner": {"axis_weights": weights}})
+    found = json.loads(run("check", path, "--json").out)["findings"]
+    assert [finding["key"] for finding in found] == ["planner.axis_weights"] * warned
+    if warned:
+        assert "gravity has no torque about z" in found[0]["got"]
+        assert "a weight above 0 for x or y" in found[0]["expected"]
+
+
+def test_that_gravity_has_no_torque_about_z_is_so() -> None:
+    """Whatever the posture, about the foot or the base."""
+    robot = cmbot.load_robot("cmbot")
+    rng = np.random.default_rng(0)
+    q = rng.uniform(robot.limits.lower, robot.limits.upper, (20, robot.dof))
+    for about in ("foot", "base"):
+        options = cmbot.PlannerOptions(moment_about=about, axis_weights=(0.0, 0.0, 1.0))
+        values = objective_of(robot, options).at_rest(Postures(robot).at(q))
+        np.testing.assert_allclose(values, 0.0, atol=1e-9)
+
+
+def test_the_objective_is_warned_of_before_it_is_planned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def plan(*_: object, **__: object) -> None:
+        raise cmbot.PlanningError("far enough")
+
+    monkeypatch.setattr(cmbot, "plan", plan)
+    path = write_scene(tmp_path / "short.yaml", SHORT)
+    words = ("plan", path, "-o", tmp_path / "out", "--set", "axis_weights=[0, 0, 1]")
+    first, last = run(*words).err.splitlines()
+    assert first.startswith("warning: planner.axis_weights: got [0, 0, 1]: gravity has no torque about z")
+    assert last == "error: far enough"
+    assert run(*words, "--quiet").err == "error: far enough\n"
 
 
 def test_a_scene_file_may_have_any_name(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """Whatever goes wrong on the command line ends in one line on standard error and an exit status."""
 
+import copy
 import json
 import re
 import signal
@@ -298,3 +299,41 @@ def test_doctor_is_content_without_what_is_optional(monkeypatch: pytest.MonkeyPa
     assert outcome.status == 0
     assert 'not installed (optional: pip install "cmbot[test]")' in outcome.out
     assert "none found (any browser opens the pages)" in outcome.out
+
+
+def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) -> None:
+    """Whatever the optimiser ends with."""
+    for knots in ("sliding", "fixed"):
+        hasty = copy.deepcopy(SHORT)
+        hasty["tool_path"]["legs"][0]["seconds"] = 0.9
+        hasty["planner"] |= {"knots": knots, "start": "pinned"}
+        write_scene(folder / "hasty.yaml", hasty)
+        outcome = run("plan", "hasty.yaml", "--quiet")
+        assert outcome.status == 3
+        line = one_line(outcome)
+        assert re.search(r"(velocity|acceleration|jerk) of joint_\d, \d+\.\d\d% beyond its bound", line)
+        assert line.count("more seconds") == 1
+
+
+@pytest.mark.parametrize(
+    ("constraint", "remedy"),
+    [
+        ("velocity of joint_3", "more seconds for the legs"),
+        ("acceleration of joint_3", "more seconds for the legs"),
+        ("jerk of joint_3", "more seconds for the legs"),
+        ("position of joint_4", "another posture_deg"),
+        ("joint torque", "a lighter payload"),
+        ("tool deviation", "planner.max_tool_deviation_m"),
+        ("clearance", "planner.safety_margin_m"),
+    ],
+)
+def test_a_failed_optimisation_says_what_to_do(constraint: str, remedy: str) -> None:
+    error = errors.OptimisationFailed("no way", constraint=constraint, violation=0.25)
+    assert str(error).startswith(f"no way; worst constraint: {constraint}, 25.00% beyond its bound: ")
+    assert remedy in str(error)
+    assert str(error).endswith(" may help")
+
+
+def test_what_nothing_is_known_of_has_no_remedy() -> None:
+    error = errors.OptimisationFailed("no way", constraint="something else", violation=0.25)
+    assert str(error) == "no way; worst constraint: something else, 25.00% beyond its bound"

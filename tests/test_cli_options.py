@@ -4,20 +4,16 @@ from __future__ import annotations
 
 import json
 import shutil
-from io import StringIO
 from pathlib import Path
 from typing import Any
 
 import pytest
-from command_line import Outcome, run, without_colours, write_scene
-from rich.console import Console
+from command_line import Outcome, run, write_scene
 from small_scenes import SHORT
 
 import cmbot
-import cmbot.console
 import cmbot.views.plots
 from cmbot.archive import save
-from cmbot.console import Narrator
 from cmbot.errors import MissingExtra
 from cmbot.planning import Plan, Progress
 
@@ -255,50 +251,6 @@ def test_without_matplotlib_nothing_is_planned(
         assert (outcome.status, outcome.out) == (1, "")
         assert outcome.err == 'error: matplotlib is not installed; run: pip install "cmbot[plots]"\n'
     assert known == []
-
-
-def told(monkeypatch: pytest.MonkeyPatch, *, terminal: bool, quiet: bool = False) -> str:
-    """What a narrator writes of some work."""
-    file = StringIO()
-    console = Console(file=file, force_terminal=terminal, width=100, markup=False)
-    monkeypatch.setattr(cmbot.console, "err", console)
-    with Narrator(quiet=quiet) as narrator:
-        narrator.tell(Progress(stage="path"), about="[red]line[/red]: ")
-        for step in range(5):
-            narrator.say("simulating", step / 4)
-    return file.getvalue()
-
-
-def test_progress_is_a_bar_on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = told(monkeypatch, terminal=True)
-    plain = without_colours(text)
-    assert "\x1b[" in text
-    # Markup is shown as it is.
-    assert "[red]line[/red]: following the tool path" in plain
-    assert "simulating" in plain
-    assert "━" in plain
-    assert "0 s, about 0 s left" in plain
-
-
-def test_a_narrow_terminal_cuts_what_is_told_and_nothing_else(monkeypatch: pytest.MonkeyPatch) -> None:
-    file = StringIO()
-    monkeypatch.setattr(cmbot.console, "err", Console(file=file, force_terminal=True, width=70))
-    with Narrator() as narrator:
-        narrator.say("optimising, pass 3 (peak): peak 420.51 Nm, all constraints met", 0.5)
-    lines = without_colours(file.getvalue()).replace("\r", "\n").splitlines()
-    (line,) = {line.rstrip() for line in lines if "optimising" in line}
-    assert "0 s" in line
-    assert line.endswith("…")
-    assert len(line) <= 70
-
-
-def test_progress_is_plain_lines_elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert told(monkeypatch, terminal=False) == "[red]line[/red]: following the tool path\nsimulating\n"
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_quiet_shows_no_progress(monkeypatch: pytest.MonkeyPatch, terminal: bool) -> None:
-    assert told(monkeypatch, terminal=terminal, quiet=True) == ""
 
 
 def test_the_simulation_tells_how_far_it_is(short_plan: Plan) -> None:

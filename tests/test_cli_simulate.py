@@ -8,6 +8,7 @@ import json
 import math
 import re
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,15 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.archive import save, save_tracking
 from cmbot.errors import ArchiveError
-from cmbot.simulation import MotionTracking, Tracking, tracking_conclusion, tracking_remarks, tracking_rows
+from cmbot.planning import Plan
+from cmbot.simulation import (
+    MotionTracking,
+    Tracking,
+    tracking_answer,
+    tracking_remarks,
+    tracking_rows,
+    tracking_verdict,
+)
 
 TABLES = ("tracking.csv", "tracking_baseline.csv")
 FILES = {*TABLES, "tracking.json"}
@@ -102,50 +111,94 @@ def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], sa
         assert len(data[motion]["modes"]) == 4
 
 
-def test_it_prints_the_figures(simulated: tuple[Path, Outcome], tracking: Tracking) -> None:
+WRITTEN = (*TABLES, "tracking.json", "replay.html", "report.html")
+
+
+def test_it_answers_in_short(simulated: tuple[Path, Outcome], saved: Path, tracking: Tracking) -> None:
     folder, outcome = simulated
     lines = outcome.out.splitlines()
-    assert lines[0] == tracking_conclusion(tracking, compensated=False)
-    assert lines[1] == "short, mm"
-    assert lines[2].split() == ["x", "y", "z", "norm"]
-    rows = list(tracking_rows(tracking))
-    assert [line.split() for line in lines[3 : 3 + len(rows)]] == [" ".join(row).split() for row in rows]
-    remarks = list(tracking_remarks(tracking))
-    told = lines[3 + len(rows) : -1]
-    assert told[:-1] == remarks[:-1]
-    assert re.fullmatch(r"Time: \d+\.\d\d s for 12 s of motion\.", told[-1])
-    written = (*TABLES, "tracking.json", "replay.html", "report.html")
-    assert lines[-1] == f"Written to {', '.join(str(folder / name) for name in written)}."
+    rows = list(tracking_answer(tracking, compensated=False))
+    assert lines[0] == "short, mm"
+    assert lines[1].split() == ["baseline", "planned"]
+    assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
+    assert lines[2 + len(rows) :] == [
+        tracking_verdict(cmbot.load_plan(saved), tracking),
+        f"Written to {', '.join(str(folder / name) for name in WRITTEN)}.",
+        f"All figures: {folder / 'report.html'}, under Simulation; --details prints them.",
+    ]
     assert outcome.err == "simulating\n"
 
 
-def test_the_conclusion_is_what_was_measured(tracking: Tracking) -> None:
+def test_with_details_it_prints_all_figures(directory: Path, tracking: Tracking) -> None:
+    lines = run("simulate", directory, "--details").out.splitlines()
+    first = lines.index("short, mm", 1)
+    assert lines[first + 1].split() == ["x", "y", "z", "norm"]
+    rows = list(tracking_rows(tracking))
+    table = lines[first + 2 : first + 2 + len(rows)]
+    assert [line.split() for line in table] == [" ".join(row).split() for row in rows]
+    *told, time, written = lines[first + 2 + len(rows) :]
+    assert told == list(tracking_remarks(tracking))[:-1]
+    assert re.fullmatch(r"Time: \d+\.\d\d s for 12 s of motion\.", time)
+    assert written == f"Written to {', '.join(str(directory / name) for name in WRITTEN)}."
+
+
+def test_the_answer_is_what_was_measured(tracking: Tracking) -> None:
+    rows = {name: [float(x) for x in pair] for name, *pair in tracking_answer(tracking, compensated=False)}
     motions = (tracking.baseline, tracking.planned)
-    rms = [1e3 * np.sqrt(np.mean(np.sum(m.error[m.t <= m.stop + 1e-9] ** 2, axis=1))) for m in motions]
-    swing = []
+    norms = {
+        part: [1e3 * np.linalg.norm(getattr(m, part)[m.t <= m.stop + 1e-9], axis=1) for m in motions]
+        for part in ("static", "dynamic", "path_error")
+    }
+    swings = []
     for motion in motions:
-        moving = (motion.error - motion.static)[motion.t >= motion.stop - 1e-9]
-        swing.append(1e3 * np.linalg.norm(moving[:, None] - moving[None], axis=2).max())
-    said = tracking_conclusion(tracking, compensated=False)
-    found = re.fullmatch(
-        r"Tracking error, RMS: baseline (.*) mm -> planned (.*) mm; "
-        r"swing after the stop: (.*) mm -> (.*) mm\.",
-        said,
+        moving = motion.dynamic[motion.t >= motion.stop - 1e-9]
+        swings.append(1e3 * np.linalg.norm(moving[:, None] - moving[None], axis=2).max())
+    assert rows == {
+        "tool sags, mean": pytest.approx([x.mean() for x in norms["static"]], abs=1e-3),
+        "tool sways beside its sag, at most": pytest.approx([x.max() for x in norms["dynamic"]], abs=1e-3),
+        "bent tool off its path, at most": pytest.approx([x.max() for x in norms["path_error"]], abs=1e-3),
+        "tool swings after the stop": pytest.approx(swings, abs=1e-3),
+    }
+    (first, *_), *_ = tracking_answer(tracking, compensated=True)
+    assert first == "tool sags beyond what was foreseen, mean"
+
+
+def test_the_verdict_follows_the_margin(saved: Path, tracking: Tracking) -> None:
+    def verdict(allowed_mm: float, *, compensate: bool = False) -> str:
+        options = replace(plan.options, max_tool_deviation_m=1e-3 * allowed_mm, compensate=compensate)
+        return tracking_verdict(replace(plan, options=options), tracking)
+
+    plan: Plan = cmbot.load_plan(saved)
+    rows = {name: float(planned) for name, _, planned in tracking_answer(tracking, compensated=False)}
+    off, sways = rows["bent tool off its path, at most"], rows["tool sways beside its sag, at most"]
+    assert verdict(1.01 * off).startswith("Within the margin: bent as it is, the tool stays within ")
+    assert verdict(0.5 * (off + sways)).endswith("compensate: true the plan makes up for it.")
+    assert verdict(0.9 * sways).endswith("makes up for the sag, not for the swaying.")
+    missed = verdict(0.9 * off, compensate=True)
+    assert missed.startswith(
+        f"Not within the margin: bent as it is, the tool leaves its path by more than {0.9 * off:g}"
     )
-    assert found is not None
-    np.testing.assert_allclose([float(x) for x in found.groups()], [*rms, *swing], rtol=0, atol=1e-3)
-    assert tracking_conclusion(tracking, compensated=True).startswith(
-        "Bent tool off its path, RMS: baseline "
-    )
+    assert missed.endswith("what bends here is not what was planned with.")
 
 
 def test_on_a_terminal_it_draws_a_table(directory: Path) -> None:
-    text = without_colours(on_a_terminal("simulate", directory, columns=80))
+    text = without_colours(on_a_terminal("simulate", directory, "--details", columns=80))
+    assert re.search(r"│ bent tool off its path, at most +│ +\d+\.\d{3} │", text)
     assert re.search(r"│ error, mean +│ baseline │ +-?\d+\.\d{3} │", text)
 
 
 def test_options_reach_the_simulation(directory: Path) -> None:
-    words = ("--damping", "0.02", "--initial", "undeformed", "--stiffness", "0.8", "--segments", "2")
+    words = (
+        "--details",
+        "--damping",
+        "0.02",
+        "--initial",
+        "undeformed",
+        "--stiffness",
+        "0.8",
+        "--segments",
+        "2",
+    )
     outcome = run("simulate", directory, *words)
     assert outcome.status == 0, outcome.err
     options = json.loads((directory / "tracking.json").read_text(encoding="utf-8"))["options"]

@@ -100,12 +100,17 @@ def only_rows(table: GoalTable, what: str) -> list[Any]:
     return [row for row in table.rows if row.what == what]
 
 
+def verdicts(table: GoalTable) -> list[tuple[str, str, bool]]:
+    return [(verdict.asked, verdict.found, verdict.holds) for verdict in table.verdicts]
+
+
 def test_postures_are_judged_by_the_norm_and_the_rising_axis_is_named() -> None:
     table = posture_goal(run_of(tracking(motion([-3, 0.5, 4]), motion([0, -1, 3]))))
     *_, row = table.rows
     assert row.values == pytest.approx((100, -100, 25, 100 * (1 - np.sqrt(10 / 25.25))))
     assert row.holds is True
     assert "5.02 to 3.16 mm, 37.1 % less: the goal holds" in table.remarks[0]
+    assert verdicts(table) == [("better postures: a smaller mean error", "5.02 -> 3.16 mm", True)]
     assert len(table.remarks) == 2
     assert table.remarks[1].startswith("Along y the absolute mean grows from 0.50 to 1.00 mm.")
 
@@ -113,6 +118,7 @@ def test_postures_are_judged_by_the_norm_and_the_rising_axis_is_named() -> None:
 def test_postures_that_sag_more_miss_the_goal() -> None:
     table = posture_goal(run_of(tracking(motion([1, 2, 2]), motion([2, 2, 3]))))
     assert table.rows[-1].holds is False
+    assert [verdict.holds for verdict in table.verdicts] == [False]
     assert "the goal does not hold" in table.remarks[0]
     assert [remark[:7] for remark in table.remarks[1:]] == ["Along x", "Along z"]
 
@@ -166,6 +172,9 @@ def test_the_goal_depends_on_the_stiffness(factor: float, left: float, holds: bo
     assert row.goal == ("at least 90" if factor == 1.0 else "at least 65")
     verdict = "the goal holds" if holds else "the goal does not hold"
     assert f"so it is for {3 if holds else 2} of 3 figures; {verdict}" in table.remarks[0]
+    asked = "90 % less" if factor == 1.0 else "65 % less, stiffness up to 30 % off"
+    count = f"{3 if holds else 2} of 3 figures"
+    assert verdicts(table) == [(f"sag compensated: errors {asked}", count, holds)]
 
 
 def test_beyond_what_the_goal_speaks_of_nothing_is_judged() -> None:
@@ -174,6 +183,7 @@ def test_beyond_what_the_goal_speaks_of_nothing_is_judged() -> None:
     # But for how far the tool is off its path.
     assert len(table.remarks) == 1
     assert "goal" not in table.remarks[0]
+    assert table.verdicts == ()
 
 
 def test_small_figures_are_not_asked_for() -> None:
@@ -204,6 +214,7 @@ def test_otherwise_vibration_is_the_reason() -> None:
 def test_without_a_plan_the_reason_is_told() -> None:
     assert compensation_goal(NONE).remarks == ("There is no plan: no way.",)
     assert compensation_goal(NONE).rows == ()
+    assert verdicts(compensation_goal(NONE)) == [("sag compensated: errors 90 % less", "no plan", False)]
 
 
 def resting(
@@ -237,6 +248,7 @@ def test_rest_is_a_share_of_the_baselines() -> None:
     assert (third.setting, third.goal, third.holds) == ("compensation, stiffness times 1.3", "", None)
     assert "4.8000 mm instead of 120.0000 mm (largest distance), 4.00 %" in table.remarks[0]
     assert "along no axis more than 5.00 %: the goal holds" in table.remarks[0]
+    assert verdicts(table) == [("after the stop at most 5 % of the swing left", "5.0 %", True)]
     assert "30.0000 of 100.000 mm (x), 10.0000 of 50.000 mm (y), 36.0000 of 120.000" in table.remarks[1]
     assert table.remarks[1].endswith("No mode was quieted.")
     assert "up to 50.0 % is left, 60.000 of 120.000 mm, at stiffness times 1.3" in table.remarks[2]
@@ -254,6 +266,7 @@ def test_why_the_tool_does_not_rest(plan_: Any, cause: str) -> None:
     table = resting((4, 1, 0.6, 4.8), (1, 1, 0.1, 1), plan_=plan_)
     assert table is not None
     assert table.rows[0].holds is False
+    assert [verdict.holds for verdict in table.verdicts] == [False]
     assert "the goal does not hold" in table.remarks[0]
     assert "0.6000 of 10.000 mm (z)" in table.remarks[1]
     assert cause in table.remarks[1]

@@ -31,10 +31,10 @@ def test_passes_are_counted(short_plan: Plan, number: int, passes: str) -> None:
 
 
 def test_checks_are_counted(short_plan: Plan) -> None:
-    assert line(short_plan, "Certified: ").startswith("Certified: 9 checks hold; ")
+    assert line(short_plan, "Certified: ").startswith("Certified: 9 checks hold, worked out again ")
     certificate = replace(short_plan.certificate, checks=short_plan.certificate.checks[:1])
     one = replace(short_plan, certificate=certificate)
-    assert line(one, "Certified: ").startswith("Certified: 1 check holds; ")
+    assert line(one, "Certified: ").startswith("Certified: 1 check holds, worked out again ")
 
 
 @pytest.mark.parametrize(
@@ -56,7 +56,37 @@ def test_a_plan_that_gains_nothing_says_so(short_plan: Plan, triangle_plan: Plan
 def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
     said = " ".join(remarks(triangle_plan))
     assert triangle_plan.quieting is not None
-    assert "the first 2 elastic modes are brought to rest" in said
+    assert "the 2 slowest vibrations of guardrail and links are brought to rest" in said
     assert f"{1e3 * triangle_plan.quieting.before:.4f} mm" in said
     given_up = replace(triangle_plan, quieting=replace(triangle_plan.quieting, share=0.0))
     assert "could not be brought to rest" in " ".join(remarks(given_up))
+    one = replace(triangle_plan, quieting=replace(triangle_plan.quieting, modes=1))
+    assert "the slowest vibration of guardrail and links is brought to rest" in " ".join(remarks(one))
+
+
+def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Plan) -> None:
+    assert triangle_plan.floor is not None
+    at = triangle_plan.floor.via_point + 1
+    assert f"at via-point {at} of the 50 that the motion passes through, no posture asks less" in line(
+        triangle_plan, "Floor: "
+    )
+    approach = line(triangle_plan, "Approach: ")
+    assert approach.startswith("Approach: before the work the arm goes there from the scene's posture, in ")
+    assert approach.endswith("All other figures are of the work alone.")
+    assert line(triangle_plan, "Against the baseline, the paper's motion without optimisation: ")
+    assert line(triangle_plan, "Started in the scene's posture (start: pinned), the peak at rest is ")
+
+
+def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> None:
+    assert triangle_plan.floor is not None
+    floor = replace(triangle_plan.floor, error=0.3 * triangle_plan.floor.value)
+    said = line(replace(triangle_plan, floor=floor), "Floor, not settled: ")
+    assert f"the search was given up with {floor.error:.3f} Nm open" in said
+    assert "no admissible plan" not in said
+
+
+def test_a_plan_that_gravity_has_no_part_in_says_so(triangle_plan: Plan) -> None:
+    assert "Gravity has no part" not in " ".join(remarks(triangle_plan))
+    objective = replace(triangle_plan.objective, axis_weights=(0.0, 0.0, 1.0), floor=0.0)
+    said = line(replace(triangle_plan, objective=objective), "Gravity has no part in what was made small")
+    assert "axis_weights with x or y above 0" in said

@@ -36,6 +36,7 @@ from cmbot.reproduction import (
     reasons,
     reproduce,
     save_reproduction,
+    verdict_rows,
 )
 from cmbot.reproduction.assumptions import assumption_tables
 from cmbot.reproduction.experiment import reduction
@@ -296,16 +297,18 @@ def found(planner: list[str]) -> Reproduction:
 def test_without_a_plan_for_fixed_knots_the_reason_is_told(
     short_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    error = OptimisationFailed("too steep", constraint="jerk", violation=0.5)
+
     def known(scene: Any, *, options: Any, progress: Any = None) -> Plan:
         del progress
         if options != scene.planner:
-            raise OptimisationFailed("too steep", constraint="jerk", violation=0.5)
+            raise error
         return short_plan
 
     monkeypatch.setattr(experiment, "plan", known)
     found = reproduce()
     assert all(entry.fixed is None for entry in found.experiments)
-    text, why = markdown(found), "too steep; worst constraint: jerk, 50.00% beyond its bound."
+    text, why = markdown(found), f"{error}."
     assert text.count(f"there is no plan here: {why}") == 2
     # Compensated, and of least sag.
     assert text.count(f"- There is no plan: {why}") == 4
@@ -316,6 +319,9 @@ def test_without_a_plan_for_fixed_knots_the_reason_is_told(
 
 def test_the_page_shows_the_figures(found: Reproduction) -> None:
     page = markdown(found)
+    assert page.index("## Goals") < page.index("### ")
+    for row in verdict_rows(found):
+        assert f"| {' | '.join(row)} |" in page
     for entry in found.experiments:
         _, *rows = comparison(entry)
         assert len(rows) == 30
@@ -394,9 +400,10 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("planner")
 def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    outcome = run("reproduce", "-o", folder, "--quick")
+    outcome = run("reproduce", "-o", folder, "--quick", "--details")
     assert outcome.status == 0, outcome.err
     lines = outcome.out.splitlines()
+    assert lines[0] == "Goals"
     assert TRIANGLE.title in lines
     assert LINE.title in lines
     told = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
@@ -427,6 +434,34 @@ def test_the_command_refuses_what_is_in_the_way_before_it_plans(tmp_path: Path, 
     outcome = run("reproduce", "-o", tmp_path, "--force")
     assert (outcome.status, planner) == (2, [])
     assert "nothing else is replaced" in outcome.err
+
+
+@pytest.mark.usefixtures("planner")
+def test_the_command_answers_in_short(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    outcome = run("reproduce", "-o", folder, "--quick")
+    assert outcome.status == 0, outcome.err
+    lines = outcome.out.splitlines()
+    told = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
+    verdicts = [
+        (entry["scene"], verdict)
+        for entry in told["experiments"]
+        for goal in entry["goals"]
+        for verdict in goal["verdicts"]
+    ]
+    assert len(verdicts) >= 6
+    assert lines[0] == "Goals"
+    assert re.split(r"  +", lines[1].strip()) == ["goal, against the baseline", "found", "met"]
+    for line, (scene, verdict) in zip(lines[2:], verdicts, strict=False):
+        met = "yes" if verdict["holds"] else "no"
+        assert re.split(r"  +", line) == [scene, verdict["asked"], verdict["found"], met]
+    paper, written, more = lines[2 + len(verdicts) :]
+    assert paper.startswith("Of the paper's own results ")
+    for entry in told["experiments"]:
+        agreeing = sum(finding["agrees"] for finding in entry["findings"])
+        assert f"{agreeing} of {len(entry['findings'])} are found again for the {entry['scene']}" in paper
+    assert written.startswith("Written to ")
+    assert more == f"All figures, and why: {folder / 'reproduce.md'}; --details prints them."
 
 
 @pytest.mark.usefixtures("planner")

@@ -1,4 +1,4 @@
-"""Take the pictures of the README: a plan's pages in headless Chromium, as small PNGs.
+"""Take the pictures of the README: a plan's pages in headless Chromium, as PNGs.
 
 Run it with ``python tools/screenshot.py out/triangle docs/images`` after ``make demo`` and
 ``cmbot simulate out/triangle``. It writes ``replay_NAME.png`` and ``report_NAME.png``, NAME being the plan
@@ -46,7 +46,7 @@ def shoot(page: Path, picture: Path, size: tuple[int, int], browser: str) -> Non
 
 
 def main() -> None:
-    """Read the command line, take the pictures, make them small."""
+    """Read the command line, take the pictures."""
     parser = argparse.ArgumentParser(description="Take pictures of a plan's replay and report.")
     parser.add_argument("plan", type=Path, help="plan directory with its pages")
     parser.add_argument("pictures", type=Path, help="folder for the PNG files")
@@ -61,8 +61,9 @@ def main() -> None:
             full = Path(folder) / "full.png"
             shoot(arguments.plan / f"{name}.html", full, size, browser)
             with Image.open(full) as image:
-                # 256 colours, chosen with care, are enough for a page of flat shades.
-                image.convert("RGB").quantize(256, kmeans=3).save(picture, optimize=True)
+                # No palette: the many shades of the sky take all 256 colours, and what is small, such as the
+                # green bracket, gets one of another hue.
+                image.convert("RGB").save(picture, optimize=True)
         print(f"{picture}: {picture.stat().st_size / 1000:.0f} kB")
 
 

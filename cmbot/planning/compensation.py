@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import OptimisationFailed
@@ -22,10 +21,13 @@ from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.ways import Way, shifted_problem
 from cmbot.scene.tool_path import ShiftedToolPath
 
-__all__ = ["Compensation", "compensate"]
+__all__ = ["MOST_ROUNDS", "Compensation", "compensate"]
 
-# Rounds at most, and the change of the shift, as a share of the tool deviation allowed, that ends them.
-_MOST_ROUNDS, _SETTLED = 8, 0.02
+MOST_ROUNDS = 8
+"""Rounds at most."""
+
+# The change of the shift, as a share of the tool deviation allowed, that ends them.
+_SETTLED = 0.02
 # Share of the tool deviation that is left to the optimiser; the rest is for what the shift misses.
 _LEFT = 0.95
 # Times per spline segment at which the sag is worked out.
@@ -90,14 +92,14 @@ def compensate(
     times = np.linspace(setting.times[:-1], setting.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
     times = np.append(times.ravel(), setting.times[-1])
     shift, problem = np.zeros((len(times), 3)), way.problem
-    for rounds in range(_MOST_ROUNDS + 1):
+    for rounds in range(MOST_ROUNDS + 1):
         wanted = -sag.at(optimised.trajectory.evaluate(times))
         change = float(np.linalg.norm(wanted - shift, axis=1).max())
         if change < _SETTLED * allowed:
             largest = float(np.linalg.norm(shift, axis=1).max())
             done = Compensation(rounds=rounds, largest_shift=largest, last_change=change)
             return optimised, done, problem
-        if rounds == _MOST_ROUNDS:
+        if rounds == MOST_ROUNDS:
             break
         shift = wanted
         task = replace(setting.task, path=_shifted(setting, times, shift))
@@ -105,7 +107,7 @@ def compensate(
         problem = shifted_problem(around, way, optimised.via_points)
         optimised = optimise(problem, partial(_tell, progress, rounds + 1))
     raise OptimisationFailed(
-        f"the compensation of the sag did not settle in {_MOST_ROUNDS} rounds",
+        f"the compensation of the sag did not settle in {MOST_ROUNDS} rounds",
         constraint="change of the shift",
         violation=change / allowed,
     )
@@ -117,6 +119,9 @@ def _tell(progress: Callable[[PassReport, int], None] | None, rounds: int, repor
 
 
 def _shifted(setting: Setting, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:
+    # Few plans have use for it, and it takes a while to come.
+    from scipy.interpolate import CubicSpline
+
     path = setting.task.path
     return ShiftedToolPath(
         corners=path.corners,

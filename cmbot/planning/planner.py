@@ -5,21 +5,24 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cmbot.arrays import FloatArray
-from cmbot.errors import InputError, PathNotFound
+from cmbot.errors import InputError, OptimisationFailed, PathNotFound
 from cmbot.planning.approach import Approach, plan_approach
 from cmbot.planning.baseline import baseline_samples
 from cmbot.planning.certificate import Certificate, certificate_grid, certify
-from cmbot.planning.compensation import Compensation, compensate
+from cmbot.planning.compensation import MOST_ROUNDS, Compensation, compensate
 from cmbot.planning.figures import figures
 from cmbot.planning.gradient_projection import follow_path
 from cmbot.planning.objective_figures import objective_figures
 from cmbot.planning.optimiser import Optimised, PassReport, optimise
 from cmbot.planning.plan import Plan, Seconds, Start
+from cmbot.planning.problem_size import require_reasonable_size
+from cmbot.planning.progress import Progress, Teller
 from cmbot.planning.quieting import Quieting, quiet
 from cmbot.planning.setting import Setting, prepare
 from cmbot.planning.solvers import solver_of
@@ -30,58 +33,12 @@ from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.validation import validated
 
-__all__ = ["Progress", "checked", "plan"]
+__all__ = ["checked", "plan"]
 
 # The arm starts in the scene's posture when no joint is further from it than this, rad.
 _SAME_POSTURE = 1e-9
-_STAGES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
-
-
-@dataclass(frozen=True, kw_only=True)
-class Progress:
-    """What the planner is doing.
-
-    Attributes
-    ----------
-    stage : str
-        ``path``, ``optimise`` or ``certify``.
-    failed_starts : int
-        Starting postures from which no path was found so far.
-    report : PassReport or None
-        After each pass of the optimiser.
-    unit : str
-        Of its peak: torque unless something else is made small.
-    rounds : int
-        Of the compensation of the sag, this one included; 0 before it.
-    """
-
-    stage: str
-    failed_starts: int = 0
-    report: PassReport | None = None
-    unit: str = "Nm"
-    rounds: int = 0
-
-    def sentence(self) -> str:
-        """Return it in words."""
-        text = _STAGES[self.stage]
-        if self.failed_starts:
-            text += f" from another start ({self.failed_starts} failed)"
-        report = self.report
-        if report is None:
-            return text
-        if self.rounds:
-            text = f"compensating the sag, round {self.rounds}"
-        # What would print as 0.00 % is within the optimiser's tolerance.
-        met = report.worst.value < 5e-5
-        worst = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
-        return (
-            f"{text}, pass {report.number} ({report.stage}): peak {self._peak(report)}, "
-            f"{'all constraints met' if met else worst}"
-        )
-
-    def _peak(self, report: PassReport) -> str:
-        digits = ".2f" if self.unit == "Nm" else ".5g"
-        return f"{report.peak_torque:{digits}} {self.unit}".rstrip()
+# Via-points up to which it is worth waiting for SLSQP where the sparse solver gave up.
+_BEARABLE = 100
 
 
 def plan(
@@ -126,43 +83,56 @@ def plan(
     LimitViolation
         When the certificate does not hold.
     """
-    tell = progress or (lambda _: None)
     options = checked(options) if options is not None else scene.planner
     # What the plan holds then says which solver it was made with.
-    options = replace(options, solver=solver_of(options))
-    clock = _Clock()
+    asked, options = options.solver, replace(options, solver=solver_of(options))
+    teller, clock = Teller(progress), _Clock()
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
-        return _plan(scene, options, objective, tell, clock)
+        try:
+            return _plan(scene, options, objective, teller, clock)
+        except OptimisationFailed as failure:
+            bearable = scene.via_points <= _BEARABLE
+            if not (failure.undecided and asked == "auto" and options.solver == "sqp" and bearable):
+                raise
+            teller.step("sqp gave up; trying slsqp")
+            return _plan(scene, replace(options, solver="slsqp"), objective, teller, clock)
 
 
 def _plan(
     scene: Scene,
     options: PlannerOptions,
     own: WrenchFunction | None,
-    tell: Callable[[Progress], None],
+    teller: Teller,
     clock: _Clock,
 ) -> Plan:
-    tell(Progress(stage="path"))
-    setting = prepare(scene, options, own)
+    teller.stage("path")
+    setting = prepare(scene, options, own, teller)
+    require_reasonable_size(scene, setting.robot.dof, options)
     if options.knots == "sliding":
         way = sliding_way(setting)
     else:
-        way = fixed_way(setting, lambda failed: tell(Progress(stage="path", failed_starts=failed)))
+        way = fixed_way(setting, lambda failed: teller.stage("path", failed_starts=failed))
     path_seconds = clock.lap()
     try:
-        work = _work(setting, way, tell, clock)
+        work = _work(setting, way, clock)
     except PathNotFound as failure:
         if way.choice is None or 0 in way.resting:
             raise
         # No approach leads to the better start: the work begins where the arm is.
-        tell(Progress(stage="path"))
+        teller.stage("path")
         way = sliding_way(setting, unreached=failure)
         path_seconds += clock.lap()
-        work = _work(setting, way, tell, clock)
+        work = _work(setting, way, clock)
     # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
     path = follow_path(
-        setting.robot, setting.task, setting.posture, setting.clearances, options, stop_at_obstacles=False
+        setting.robot,
+        setting.task,
+        setting.posture,
+        setting.clearances,
+        options,
+        stop_at_obstacles=False,
+        tell=partial(teller.part, "following the tool path as the baseline does"),
     )
     baseline = baseline_samples(setting, path)
     baseline_figures = figures(setting.robot, baseline)
@@ -217,11 +187,13 @@ class _Work:
     certify_seconds: float
 
 
-def _work(setting: Setting, way: Way, tell: Callable[[Progress], None], clock: _Clock) -> _Work:
-    tell(Progress(stage="optimise"))
+def _work(setting: Setting, way: Way, clock: _Clock) -> _Work:
+    teller = setting.teller
+    teller.stage("optimise")
 
     def each_pass(report: PassReport, rounds: int = 0) -> None:
-        tell(Progress(stage="optimise", report=report, unit=setting.objective.unit, rounds=rounds))
+        most = setting.options.max_passes
+        teller.passed(report, setting.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
 
     problem, optimised = way.problem, optimise(way.problem, each_pass)
     compensation = quieting = None
@@ -231,15 +203,23 @@ def _work(setting: Setting, way: Way, tell: Callable[[Progress], None], clock: _
         optimised, quieting = quiet(setting, setting.arm, problem, optimised)
     optimise_seconds = clock.lap()
 
-    tell(Progress(stage="certify"))
+    teller.stage("certify")
     robot, task, clearances, options = setting.robot, setting.task, setting.clearances, setting.options
     certificate = certify(
-        robot, task, optimised.trajectory, optimised.via_points, clearances, options, sag=setting.sag
+        robot,
+        task,
+        optimised.trajectory,
+        optimised.via_points,
+        clearances,
+        options,
+        sag=setting.sag,
+        tell=partial(teller.part, "certifying"),
     )
     certificate.require()
     start = _start(setting, way, optimised.via_points[0])
     approach = None
     if way.chart is not None and start.moved > _SAME_POSTURE:
+        teller.step("planning the approach to the start")
         approach = plan_approach(
             robot, task, setting.posture, start.posture, way.chart.q, clearances, options
         )

@@ -15,6 +15,10 @@ __all__ = ["remarks"]
 
 # A peak that is lower by less than this share is no gain; a baseline this near to the floor leaves none.
 _GAIN, _NEAR_FLOOR = 5e-3, 1e-2
+# A floor is settled when its error is at most this share of it.
+_SETTLED = 1e-2
+# A floor below this share of the baseline's peak is none.
+_NOTHING = 1e-9
 
 
 def remarks(plan: Plan) -> Iterator[str]:
@@ -26,9 +30,11 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _nothing_gained(plan)
     yield from _floor(plan)
     yield from _bending(plan)
+    yield from _of_motion_alone(plan)
     checks, passes = len(plan.certificate.checks), counted(len(plan.passes), "pass", "passes")
     yield (
-        f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}; clearance stays above "
+        f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}, worked out again from "
+        "the finished motion by code that the optimiser does not use; clearance stays above "
         f"{1e3 * plan.certificate.clearance_bound:.1f} mm at all times, between samples too."
     )
     seconds, done = plan.seconds, plan.compensation
@@ -50,14 +56,15 @@ def _bending(plan: Plan) -> Iterator[str]:
         )
     quiet = plan.quieting
     if quiet is not None:
-        modes = counted(quiet.modes, "elastic mode")
+        modes = "slowest vibration" if quiet.modes == 1 else f"{quiet.modes} slowest vibrations"
         swing = f"they would leave the tool swinging by {1e3 * quiet.before:.4f} mm to either side"
         brought = {1.0: "is brought", 0.0: "could not be brought"}.get(quiet.share, "is in part brought")
         if quiet.modes != 1:
             brought = brought.replace("is ", "are ")
         yield (
-            f"Quieting: the first {modes} {brought} to rest at the ends of the legs; as predicted, {swing} "
-            f"without that, and by {1e3 * quiet.after:.4f} mm with it. It counts on the right stiffness."
+            f"Quieting: the {modes} of guardrail and links {brought} to rest at the ends of the legs, by how "
+            f"the joints move; as predicted, {swing} without that, and by {1e3 * quiet.after:.4f} mm with "
+            "it. It counts on the right stiffness."
         )
 
 
@@ -82,9 +89,11 @@ def _start(plan: Plan) -> Iterator[str]:
         figures = plan.approach.certificate.figures
         how = "along the self-motion, the tool stays" if plan.approach.along_self_motion else "tool off"
         yield (
-            f"Approach: {plan.approach.trajectory.duration:.1f} s ({how}), "
+            f"Approach: before the work the arm goes there from the scene's posture, in "
+            f"{plan.approach.trajectory.duration:.1f} s ({how}), "
             f"peak torque {figures.peak_guardrail_torque:.2f} Nm, "
-            f"clearance {1e3 * figures.min_clearance:.1f} mm, certified."
+            f"clearance {1e3 * figures.min_clearance:.1f} mm, certified. "
+            "All other figures are of the work alone."
         )
 
 
@@ -94,10 +103,11 @@ def _gain(plan: Plan) -> str:
     mean = plan.figures.mean_guardrail_torque / plan.baseline_figures.mean_guardrail_torque - 1
     difference, time = plan.largest_torque_difference
     fixed = plan.options.knots == "fixed" and plan.start.moved == 0
-    why = " (fixed knots cannot lower it at the via-points)" if fixed else ""
+    why = " (fixed via-points cannot lower it)" if fixed else ""
     return (
-        f"Against the baseline: gravity's peak {change:+.2f} %{why}, the mean {100 * mean:+.2f} %; at most "
-        f"{difference:.1f} Nm less, at t = {time:.1f} s."
+        "Against the baseline, the paper's motion without optimisation: gravity's peak "
+        f"{change:+.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
+        f"at t = {time:.1f} s."
     )
 
 
@@ -122,14 +132,35 @@ def _floor(plan: Plan) -> Iterator[str]:
     if plan.floor is None or plan.choice is None:
         return
     gap = "" if objective.gap is None else f"; the peak is {100 * objective.gap:+.3f} % from it"
-    yield (
-        f"Floor: no admissible plan rests below {_value(objective, plan.floor.value)} "
-        f"(error {_value(objective, plan.floor.error, 1)}), set by via-point {plan.floor.via_point + 1}{gap}."
-    )
+    value, error = _value(objective, plan.floor.value), _value(objective, plan.floor.error, 1)
+    at, all_ = plan.floor.via_point + 1, len(plan.floor.each)
+    where = f"at via-point {at} of the {all_} that the motion passes through, no posture"
+    if plan.floor.error <= _SETTLED * plan.floor.value:
+        yield (f"Floor: no admissible plan rests below {value} (error {error}): {where} asks less{gap}.")
+    else:
+        yield (
+            f"Floor, not settled: {where} was found that asks less than {value}, but the search was given up "
+            f"with {error} open{gap}."
+        )
     pinned = plan.options.start == "pinned"
-    other, peak = ("free", plan.choice.free) if pinned else ("pinned", plan.choice.pinned)
-    found = "no way" if peak is None else f"a peak of {_value(objective, peak)}"
-    yield f"With start: {other} the global stage finds {found}."
+    other, peak = (
+        ("in another posture (start: free)", plan.choice.free)
+        if pinned
+        else ("in the scene's posture (start: pinned)", plan.choice.pinned)
+    )
+    found = "there is no way" if peak is None else f"the peak at rest is {_value(objective, peak)}"
+    yield f"Started {other}, {found}."
+
+
+def _of_motion_alone(plan: Plan) -> Iterator[str]:
+    """Say so where gravity has no part in what was made small: there was nothing to choose postures by."""
+    objective = plan.objective
+    if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:
+        yield (
+            "Gravity has no part in what was made small: at rest that is 0 everywhere, so no posture was "
+            "chosen by it, and only the motion's own share could be lowered. More seconds for the legs lower "
+            "that; axis_weights with x or y above 0 count gravity's torque, too."
+        )
 
 
 def _value(objective: ObjectiveFigures, value: float, more_digits: int = 0) -> str:

@@ -12,10 +12,10 @@ from cmbot.reproduction.experiment import (
     Variant,
     reproduce,
 )
-from cmbot.reproduction.goal_table import GoalRow, GoalTable, cells
+from cmbot.reproduction.goal_table import GoalRow, GoalTable, Verdict, cells
 from cmbot.reproduction.goals import goals
 from cmbot.reproduction.paper import PAPER, PaperError, PaperExperiment
-from cmbot.reproduction.report import as_json, comparison, markdown
+from cmbot.reproduction.report import as_json, comparison, markdown, verdict_rows
 from cmbot.reproduction.writing import require_room, save_reproduction
 
 __all__ = [
@@ -31,6 +31,7 @@ __all__ = [
     "Reproduction",
     "Run",
     "Variant",
+    "Verdict",
     "as_json",
     "cells",
     "comparison",
@@ -41,4 +42,5 @@ __all__ = [
     "reproduce",
     "require_room",
     "save_reproduction",
+    "verdict_rows",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from cmbot.arrays import FloatArray
 
-__all__ = ["GoalRow", "GoalTable", "axes_where", "cells", "values"]
+__all__ = ["GoalRow", "GoalTable", "Verdict", "axes_where", "cells", "values"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +38,21 @@ class GoalRow:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Verdict:
+    """One thing that is asked, and whether it is so.
+
+    Attributes
+    ----------
+    asked, found : str
+    holds : bool
+    """
+
+    asked: str
+    found: str
+    holds: bool
+
+
+@dataclass(frozen=True, kw_only=True)
 class GoalTable:
     """The figures of one goal.
 
@@ -49,12 +64,15 @@ class GoalTable:
     rows : tuple of GoalRow
     remarks : tuple of str
         Whether the goal holds and, where it does not, why.
+    verdicts : tuple of Verdict
+        The same in short; none where nothing is asked.
     """
 
     title: str
     columns: tuple[str, ...]
     rows: tuple[GoalRow, ...]
     remarks: tuple[str, ...]
+    verdicts: tuple[Verdict, ...] = ()
 
 
 def cells(table: GoalTable) -> Iterator[tuple[str, ...]]:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from cmbot.reproduction.experiment import Run, axes, reduction
-from cmbot.reproduction.goal_table import GoalRow, GoalTable, axes_where, values
+from cmbot.reproduction.goal_table import GoalRow, GoalTable, Verdict, axes_where, values
 
 __all__ = ["posture_goal"]
 
@@ -38,6 +38,13 @@ def posture_goal(run: Run) -> GoalTable:
         columns=("x", "y", "z", "norm"),
         rows=rows,
         remarks=(text, *_rising(run)),
+        verdicts=(
+            Verdict(
+                asked="better postures: a smaller mean error",
+                found=f"{1e3 * norms[0]:.2f} -> {1e3 * norms[1]:.2f} mm",
+                holds=bool(cut > 0),
+            ),
+        ),
     )
 
 

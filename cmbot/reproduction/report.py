@@ -18,12 +18,22 @@ from cmbot.reproduction.paper import SOURCE, PaperError
 from cmbot.simulation import MotionTracking, Tracking, tracking_remarks
 from cmbot.version import __version__
 
-__all__ = ["FORMAT", "as_json", "comparison", "markdown"]
+__all__ = ["FORMAT", "as_json", "comparison", "markdown", "verdict_rows"]
 
 FORMAT = "cmbot-reproduction/1"
 
 Row = tuple[str, ...]
 Pair = tuple[FloatArray, FloatArray]
+
+
+def verdict_rows(reproduction: Reproduction) -> Iterator[Row]:
+    """Yield all goals in short: scene, what is asked, what was found, whether it is met."""
+    yield "", "goal, against the baseline", "found", "met"
+    for experiment in reproduction.experiments:
+        for goal in goals(experiment):
+            for verdict in goal.verdicts:
+                met = "yes" if verdict.holds else "no"
+                yield experiment.paper.scene, verdict.asked, verdict.found, met
 
 
 def comparison(experiment: Experiment) -> Iterator[Row]:
@@ -50,6 +60,10 @@ def markdown(reproduction: Reproduction) -> str:
         "",
         "Error: the bent tool from where the same joint angles put the rigid one, in W, over the motion. "
         "Reduction: of the absolute mean, and of the standard deviation.",
+        "",
+        "## Goals",
+        "",
+        *_table(verdict_rows(reproduction), text_columns=2),
     ]
     for experiment in reproduction.experiments:
         lines += ["", f"## {experiment.paper.title[0].upper()}{experiment.paper.title[1:]}", ""]

@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.reproduction.experiment import Experiment
-from cmbot.reproduction.goal_table import GoalRow, GoalTable, axes_where, values
+from cmbot.reproduction.goal_table import GoalRow, GoalTable, Verdict, axes_where, values
 from cmbot.simulation import Tracking
 
 __all__ = ["rest_goal"]
@@ -87,6 +87,13 @@ def rest_goal(experiment: Experiment) -> GoalTable | None:
         columns=_COLUMNS,
         rows=tuple(case.row() for case in found),
         remarks=(told, *missed, *_elsewhere(found)),
+        verdicts=(
+            Verdict(
+                asked=f"after the stop at most {_GOAL:g} % of the swing left",
+                found=f"{first.share.max():.1f} %",
+                holds=not first.missed,
+            ),
+        ),
     )
 
 

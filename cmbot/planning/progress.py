@@ -1,0 +1,194 @@
+"""What the planner tells of its work while it goes on."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, TypeVar
+
+from cmbot.remaining import Left, Remaining
+
+if TYPE_CHECKING:
+    from cmbot.planning.optimiser import PassReport
+
+__all__ = ["Progress", "Teller"]
+
+_STAGES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
+# A step's share is told when it has risen by so much.
+_WORTH_TELLING = 0.01
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Progress:
+    """What the planner is doing.
+
+    Attributes
+    ----------
+    stage : str
+        ``path``, ``optimise`` or ``certify``.
+    failed_starts : int
+        Starting postures from which no path was found so far.
+    report : PassReport or None
+        After each pass of the optimiser.
+    unit : str
+        Of its peak: torque unless something else is made small.
+    rounds : int
+        Of the compensation of the sag, this one included; 0 before it.
+    step : str
+        What of the stage is being done, in words; empty where the stage says all.
+    share : float or None
+        Of the step, 0 to 1: how much of it is done. It never falls until another step begins; None where
+        nobody knows how much there is to do.
+    left : Left or None
+        Of the step: how long it will still take, judged by how long it took so far; None where there is no
+        basis for that.
+    """
+
+    stage: str
+    failed_starts: int = 0
+    report: PassReport | None = None
+    unit: str = "Nm"
+    rounds: int = 0
+    step: str = ""
+    share: float | None = None
+    left: Left | None = None
+
+    def sentence(self, *, passes: bool = True) -> str:
+        """Return the stage in words, and after a pass of the optimiser, if wished, what it has come to."""
+        text = _STAGES[self.stage]
+        if self.failed_starts:
+            text += f" from another start ({self.failed_starts} failed)"
+        report = self.report
+        if report is None:
+            return text
+        if self.rounds:
+            text = f"compensating the sag, round {self.rounds}"
+        if not passes:
+            return text
+        # What would print as 0.00 % is within the optimiser's tolerance.
+        met = report.worst.value < 5e-5
+        worst = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
+        return (
+            f"{text}, pass {report.number} ({report.stage}): peak {self._peak(report)}, "
+            f"{'all constraints met' if met else worst}"
+        )
+
+    def _peak(self, report: PassReport) -> str:
+        digits = ".2f" if self.unit == "Nm" else ".5g"
+        return f"{report.peak_torque:{digits}} {self.unit}".rstrip()
+
+
+class Teller:
+    """Tells whoever wants to know what the planner is doing, and how long it will still take.
+
+    Parameters
+    ----------
+    progress : callable, optional
+        Called with a `Progress`.
+    clock : callable
+        Seconds that do not go back.
+    """
+
+    def __init__(
+        self,
+        progress: Callable[[Progress], None] | None = None,
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> None:
+        self._progress = progress or (lambda _: None)
+        self._clock = clock
+        self._now = Progress(stage="path")
+        self._remaining = Remaining(clock())
+        self._told = 0.0
+        # When the optimisation began, and when the passes before compensation and each round of it ended.
+        self._ends = [clock()]
+
+    def stage(self, stage: str, *, failed_starts: int = 0) -> None:
+        """Begin a stage."""
+        self._ends = [self._clock()]
+        self._begin(Progress(stage=stage, failed_starts=failed_starts))
+
+    def step(self, step: str) -> None:
+        """Begin a step of the stage, of which nobody knows how long it takes."""
+        if step != self._now.step:
+            self._begin(Progress(stage=self._now.stage, failed_starts=self._now.failed_starts, step=step))
+
+    def part(self, step: str, done: float, total: float, *, at_most: bool = False) -> None:
+        """Tell how much of a step is done; its first part begins it.
+
+        Parameters
+        ----------
+        step : str
+        done, total : float
+            Parts of about the same cost.
+        at_most : bool
+            The step may end before all of them are done.
+        """
+        if step != self._now.step:
+            now = self._now
+            self._begin(
+                Progress(
+                    stage=now.stage, failed_starts=now.failed_starts, step=step, share=min(done / total, 1.0)
+                ),
+                at_most=at_most,
+            )
+        self._remaining.note(done / total, self._clock())
+        share = self._remaining.share
+        if share >= self._told + _WORTH_TELLING or self._told < share == 1.0:
+            self._told = share
+            self._tell(share)
+
+    def each(self, step: str, things: Sequence[T]) -> Iterator[T]:
+        """Yield things whose turn it is in a step, one after the other."""
+        for done, thing in enumerate(things):
+            self.part(step, done, len(things))
+            yield thing
+        self.part(step, 1, 1)
+
+    def passed(self, report: PassReport, unit: str, most: int, rounds: int = 0, most_rounds: int = 0) -> None:
+        """Tell of a pass of the optimiser.
+
+        Parameters
+        ----------
+        report : PassReport
+        unit : str
+            Of its peak.
+        most : int
+            Passes at most.
+        rounds, most_rounds : int
+            Of the compensation: this one's number, from 1, and rounds at most.
+        """
+        now = self._clock()
+        del self._ends[rounds + 1 :]
+        began = self._ends[-1]
+        if rounds:
+            # The round before, or the passes before compensation, began where those before them ended.
+            left = Left(
+                seconds=began - self._ends[-2], most=most_rounds - rounds + 1, part="round", parts="rounds"
+            )
+        else:
+            seconds = (now - began) / report.number
+            left = Left(seconds=seconds, most=most - report.number, part="pass", parts="passes")
+        self._ends.append(now)
+        self._now = Progress(
+            stage="optimise", report=report, unit=unit, rounds=rounds, left=left if left.most else None
+        )
+        self._progress(self._now)
+
+    def _begin(self, progress: Progress, *, at_most: bool = False) -> None:
+        self._now, self._told = progress, progress.share or 0.0
+        self._remaining = Remaining(self._clock(), share=self._told, at_most=at_most)
+        self._progress(progress)
+
+    def _tell(self, share: float) -> None:
+        now = self._now
+        self._now = Progress(
+            stage=now.stage,
+            failed_starts=now.failed_starts,
+            step=now.step,
+            share=share,
+            left=self._remaining.left(self._clock()),
+        )
+        self._progress(self._now)
