@@ -229,6 +229,26 @@ def test_clearance_bound(name: str, request: pytest.FixtureRequest) -> None:
     assert certificate.clearance_bound > smallest - 2e-3
 
 
+def test_samples_that_are_not_looked_at_change_nothing(
+    short_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    some = again(short_plan)
+    monkeypatch.setattr(Clearances, "along", lambda self, q, spare: self.smallest(q).distance)
+    every = again(short_plan)
+    assert some.clearance_bound == pytest.approx(every.clearance_bound, abs=1e-9)
+    assert some.figures.min_clearance == pytest.approx(every.figures.min_clearance, abs=1e-9)
+    checks = [
+        next(check for check in certificate.checks if check.quantity == "clearance")
+        for certificate in (some, every)
+    ]
+    assert checks[0].value == pytest.approx(checks[1].value, abs=1e-9)
+    # Several samples may be as near.
+    x = short_plan.trajectory
+    clearances = Clearances(short_plan.robot, short_plan.scene.obstacles)
+    distance = clearances.smallest(x.evaluate([checks[0].time])).distance[0]
+    assert distance == pytest.approx(checks[0].value, abs=1e-9)
+
+
 def test_certificate_of_an_arm_without_shapes(short_plan: Plan) -> None:
     """Nothing can be hit, so no distance is small."""
     bare: Robot = replace(short_plan.robot, collision_model=type(short_plan.robot.collision_model)())

@@ -13,13 +13,13 @@ def test_a_batch_equals_pinocchio(rng: np.random.Generator) -> None:
     q = rng.uniform(-3, 3, (200, robot.dof))
     batch, kinematics = Postures(robot).at(q), Kinematics(robot)
     efforts = Dynamics(robot).static_efforts(q)
-    points, rotations = kinematics.tool_poses(q)
-    np.testing.assert_allclose(batch.tool_point, points, atol=1e-13)
-    np.testing.assert_allclose(batch.tool_rotation, rotations, atol=1e-13)
     np.testing.assert_allclose(batch.guardrail_torque, efforts.guardrail_torque, atol=1e-11)
     np.testing.assert_allclose(batch.joint_torque, efforts.joint_torque, atol=1e-11)
-    for q_k, J in zip(q, batch.jacobian, strict=True):
-        np.testing.assert_allclose(J, kinematics.tool_jacobian(q_k)[1], atol=1e-13)
+    for k, q_k in enumerate(q):
+        X_WT, J = kinematics.tool_jacobian(q_k)
+        np.testing.assert_allclose(batch.tool_point[k], X_WT.translation, atol=1e-13)
+        np.testing.assert_allclose(batch.tool_rotation[k], X_WT.rotation, atol=1e-13)
+        np.testing.assert_allclose(batch.jacobian[k], J, atol=1e-13)
 
 
 def test_the_torques_derivative(cmbot_robot: Robot, rng: np.random.Generator) -> None:

@@ -29,9 +29,8 @@ def baseline_samples(setting: Setting, path: JointPath) -> Samples:
     # The trapezoid sets off and stops with a jump of acceleration. Half a jump is what no instant has: the
     # first and the last sample are those of the arm at rest, so that its rest counts among the torques.
     acceleration[[0, -1]] = 0.0
-    return measure(
-        setting.robot, setting.task, setting.clearances, path.t, (path.q, path.v, acceleration, jerk)
-    )
+    motion = (path.q, path.v, acceleration, jerk)
+    return measure(setting.robot, setting.task, setting.clearances, path.t, motion, clearance=path.clearance)
 
 
 def _central_difference(x: FloatArray, step: float) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.arrays import FloatArray
 from cmbot.planning.task import ToolTask
 from cmbot.planning.tool_sag import ToolSag
-from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 from cmbot.scene.clearance import Clearances
 
 __all__ = ["LimitUse", "MotionFigures", "Samples", "figures", "measure"]
@@ -97,6 +97,8 @@ def measure(
     t: FloatArray,
     motion: Sequence[FloatArray],
     sag: ToolSag | None = None,
+    *,
+    clearance: FloatArray | None = None,
 ) -> Samples:
     """Measure a motion at its samples.
 
@@ -110,6 +112,8 @@ def measure(
         Position, velocity, acceleration and jerk.
     sag : ToolSag, optional
         Where it is compensated: the tool's predicted displacement.
+    clearance : (N,), m, optional
+        Where it is known already.
     """
     q, v, a, j = motion
     efforts = Dynamics(robot).efforts(q, v, a)
@@ -128,7 +132,7 @@ def measure(
         expected_tool_point=expected,
         tool_deviation=_lengths(task.path.offset(p_WT if expected is None else expected)),
         tool_rotation=task.rotation(R_WT),
-        clearance=clearances.smallest(q).distance,
+        clearance=clearances.smallest(q).distance if clearance is None else clearance,
     )
 
 
@@ -162,7 +166,7 @@ def figures(
     else:
         velocity, acceleration, jerk = kinematic_use
     torque = np.linalg.norm(samples.guardrail_torque, axis=1)
-    static = Dynamics(robot).static_efforts(samples.q).guardrail_torque
+    static = Postures(robot).at(samples.q).guardrail_torque
     duration = float(samples.t[-1] - samples.t[0])
     return MotionFigures(
         peak_guardrail_torque=float(torque.max()),

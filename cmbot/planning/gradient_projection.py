@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -62,6 +63,7 @@ def follow_path(
     options: PlannerOptions,
     *,
     stop_at_obstacles: bool = True,
+    tell: Callable[[int, int], None] | None = None,
 ) -> JointPath:
     """Follow a tool path from a posture, away from obstacles.
 
@@ -78,6 +80,8 @@ def follow_path(
     options : PlannerOptions
     stop_at_obstacles : bool
         False carries on whatever happens, to show what the motion would be.
+    tell : callable, optional
+        Called with the number of steps that are done, and of all.
 
     Raises
     ------
@@ -97,19 +101,21 @@ def follow_path(
         J = task.jacobian(X_WT, J)
         U, s, Vt = np.linalg.svd(J, full_matrices=False)
         error = task.error(X_WT, points[k])
-        smallest = clearances.smallest(q[k : k + 1])
-        clearance[k], singular_value[k] = smallest.distance[0], s[-1]
+        singular_value[k] = s[-1]
         drift[k] = np.linalg.norm(X_WT.translation - points[k])
-        obstacle = _obstacle(robot, clearances, smallest.pair[0], q[k], clearance[k], error, options)
-        if obstacle is not None and stop_at_obstacles:
-            reason, pair = obstacle
-            raise PathNotFound(
-                reason,
-                time=float(t[k]),
-                progress=task.path.progress(float(t[k])),
-                smallest_singular_value=float(s[-1]),
-                pair=pair,
-            )
+        if stop_at_obstacles:
+            smallest = clearances.smallest(q[k : k + 1])
+            clearance[k] = smallest.distance[0]
+            obstacle = _obstacle(robot, clearances, smallest.pair[0], q[k], clearance[k], error, options)
+            if obstacle is not None:
+                reason, pair = obstacle
+                raise PathNotFound(
+                    reason,
+                    time=float(t[k]),
+                    progress=task.path.progress(float(t[k])),
+                    smallest_singular_value=float(s[-1]),
+                    pair=pair,
+                )
         ahead = points[min(k + 1, steps)] - points[k]
         command = np.zeros(len(error))
         command[:3] = ahead / dt
@@ -120,6 +126,11 @@ def follow_path(
         v[k] = _damped_inverse(U, s, Vt, options) @ command + options.avoidance_gain * aside
         if k < steps:
             q[k + 1] = q[k] + dt * v[k]
+        if tell is not None:
+            tell(k + 1, steps + 1)
+    if not stop_at_obstacles:
+        # All at once is quicker.
+        clearance = clearances.smallest(q).distance
     return JointPath(t=t, q=q, v=v, clearance=clearance, singular_value=singular_value, drift=drift)
 
 

@@ -1,5 +1,6 @@
 """What moves: the robot, its kinematics and its dynamics."""
 
+from cmbot.robot.chain import Chain
 from cmbot.robot.dynamics import Dynamics, EffortDerivatives, Efforts, WrenchDerivatives
 from cmbot.robot.elasticity import LinkTube
 from cmbot.robot.inspection import Finding, inspect_urdf, parse_urdf
@@ -11,6 +12,7 @@ from cmbot.robot.postures import PostureBatch, Postures
 from cmbot.robot.robot import Robot
 
 __all__ = [
+    "Chain",
     "Dynamics",
     "EffortDerivatives",
     "Efforts",

@@ -71,6 +71,10 @@ class WrenchDerivatives:
 class Dynamics:
     """Inverse dynamics of a robot whose base is held still.
 
+    Values come from one call for all states, `pinocchio.rneaInParallel`; derivatives from one call a state. A
+    compiled closed form is quicker, but importing its compiler takes longer than all the derivatives of a
+    plan: ``benchmarks/kernels.py`` measures both.
+
     It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
 
     Parameters
@@ -80,8 +84,8 @@ class Dynamics:
 
     def __init__(self, robot: Robot) -> None:
         self.robot = robot
+        self._pool = pin.ModelPool(robot.floating_model, 1)
         self._data = robot.model.createData()
-        self._floating_data = robot.floating_model.createData()
 
     def efforts(self, q: FloatArray, v: FloatArray, a: FloatArray) -> Efforts:
         """Evaluate joint torques and guardrail wrench at N states.
@@ -90,13 +94,18 @@ class Dynamics:
         ----------
         q, v, a : (N, n), rad, rad/s, rad/s2
         """
-        model, data = self.robot.model, self._data
-        tau, wrench = np.empty(q.shape), np.empty((len(q), 6))
-        for k in range(len(q)):
-            tau[k] = pin.rnea(model, data, q[k], v[k], a[k])
-            # What the base exerts on joint 1's subtree, moved from joint 1 to W; data.f[0] stays zero.
-            wrench[k] = data.liMi[1].act(data.f[1]).vector
-        return Efforts(joint_torque=tau, guardrail_force=-wrench[:, :3], guardrail_torque=-wrench[:, 3:])
+        N, n = q.shape
+        # The free-flyer is held at W: position zero with identity quaternion, no velocity, no acceleration.
+        q_f, v_f, a_f = np.zeros((N, 7 + n)), np.zeros((N, 6 + n)), np.zeros((N, 6 + n))
+        q_f[:, 6] = 1.0
+        q_f[:, 7:], v_f[:, 6:], a_f[:, 6:] = q, v, a
+        # A call is short: one thread, which waits for no other.
+        tau = pin.rneaInParallel(1, self._pool, q_f.T, v_f.T, a_f.T)
+        # It returns a single state as a vector. The first six rows are the wrench of the base on the arm.
+        tau = tau.reshape(6 + n, N).T
+        return Efforts(
+            joint_torque=tau[:, 6:].copy(), guardrail_force=-tau[:, :3], guardrail_torque=-tau[:, 3:6]
+        )
 
     def static_efforts(self, q: FloatArray) -> Efforts:
         """Evaluate joint torques and guardrail wrench at rest in postures `q` (N, n), rad."""
@@ -110,7 +119,15 @@ class Dynamics:
         ----------
         q, v, a : (N, n), rad, rad/s, rad/s2
         """
-        value, d_q, d_v, d_a = self._derivatives(q, v, a, slice(3, 6 + q.shape[1]))
+        N, n = q.shape
+        model, data = self.robot.model, self._data
+        dF_dq, dF_dv, dF_da = data.dFdq[3:], data.dFdv[3:], data.dFda[3:]
+        value = np.empty((N, 3 + n))
+        d_q, d_v, d_a = (np.empty((N, 3 + n, n)) for _ in range(3))
+        for k in range(N):
+            d_q[k, 3:], d_v[k, 3:], d_a[k, 3:] = pin.computeRNEADerivatives(model, data, q[k], v[k], a[k])
+            d_q[k, :3], d_v[k, :3], d_a[k, :3] = dF_dq, dF_dv, dF_da
+            value[k, :3], value[k, 3:] = data.of[1].angular, data.tau
         for array in (value, d_q, d_v, d_a):
             array[:, :3] *= -1.0
         return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)
@@ -122,27 +139,19 @@ class Dynamics:
         ----------
         q, v, a : (N, n), rad, rad/s, rad/s2
         """
-        value, d_q, d_v, d_a = self._derivatives(q, v, a, slice(0, 6))
-        return WrenchDerivatives(value=-value, d_q=-d_q, d_v=-d_v, d_a=-d_a)
-
-    def _derivatives(
-        self, q: FloatArray, v: FloatArray, a: FloatArray, rows: slice
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """Rows of the free-flyer model's inverse dynamics (N, k), and their derivatives (N, k, n).
-
-        The first six are the wrench of the base on the arm, the others the joint torques.
-        """
-        model, data = self.robot.floating_model, self._floating_data
         N, n = q.shape
-        k = rows.stop - rows.start
-        value = np.empty((N, k))
-        d_q, d_v, d_a = (np.empty((N, k, n)) for _ in range(3))
-        # The free-flyer is held at W: position zero with identity quaternion, no velocity, no acceleration.
-        q_f, v_f, a_f = np.zeros(7 + n), np.zeros(6 + n), np.zeros(6 + n)
-        q_f[6] = 1.0
-        for i in range(N):
-            q_f[7:], v_f[6:], a_f[6:] = q[i], v[i], a[i]
-            dtau_dq, dtau_dv, M = pin.computeRNEADerivatives(model, data, q_f, v_f, a_f)
-            value[i] = data.tau[rows]
-            d_q[i], d_v[i], d_a[i] = dtau_dq[rows, 6:], dtau_dv[rows, 6:], M[rows, 6:]
-        return value, d_q, d_v, d_a
+        model, data = self.robot.model, self._data
+        # On the way to the joint torques pinocchio works out what every joint adds to the forces in W, one
+        # column a joint: for a chain these are the columns of the wrench's derivatives, of which dtau/dq and
+        # its like are projections. Its arrays run along columns: turned, they are copied in one go.
+        dF_dq, dF_dv, dF_da = data.dFdq.T, data.dFdv.T, data.dFda.T
+        value = np.empty((N, 6))
+        d_q, d_v, d_a = (np.empty((N, n, 6)) for _ in range(3))
+        for k in range(N):
+            pin.computeRNEADerivatives(model, data, q[k], v[k], a[k])
+            value[k] = data.of[1].vector
+            d_q[k], d_v[k], d_a[k] = dF_dq, dF_dv, dF_da
+        for array in (value, d_q, d_v, d_a):
+            array *= -1.0
+        d_q, d_v, d_a = (array.transpose(0, 2, 1) for array in (d_q, d_v, d_a))
+        return WrenchDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)

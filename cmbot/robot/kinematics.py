@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from cmbot.arrays import FloatArray
+from cmbot.robot.postures import Postures
 from cmbot.robot.robot import Robot
 
 __all__ = ["Kinematics"]
+
+# From this many postures on all together are quicker than one after the other: benchmarks/kernels.py.
+_MANY = 64
 
 
 class Kinematics:
@@ -28,6 +33,10 @@ class Kinematics:
         self._data = robot.model.createData()
         self._tool = robot.tool_frame_id
 
+    @cached_property
+    def _postures(self) -> Postures:
+        return Postures(self.robot)
+
     def tool_pose(self, q: FloatArray) -> Any:
         """Pose X_WT of the tool frame, a `pinocchio.SE3`, at posture `q` (n,)."""
         pin.forwardKinematics(self.robot.model, self._data, q)
@@ -35,6 +44,9 @@ class Kinematics:
 
     def tool_poses(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and orientations R_WT (N, 3, 3) at postures `q` (N, n)."""
+        if len(q) >= _MANY:
+            at = self._postures.at(q)
+            return at.tool_point, at.tool_rotation
         p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
         model, data = self.robot.model, self._data
         for k, q_k in enumerate(q):
@@ -55,6 +67,9 @@ class Kinematics:
 
     def tool_point_jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and their Jacobians (N, 3, n), m/rad, at postures `q` (N, n)."""
+        if len(q) >= _MANY:
+            at = self._postures.at(q)
+            return at.tool_point, at.jacobian[:, :3]
         p, J = np.empty((len(q), 3)), np.empty((len(q), 3, q.shape[1]))
         for k, q_k in enumerate(q):
             X_WT, J_k = self.tool_jacobian(q_k)

@@ -7,12 +7,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from cmbot.arrays import FloatArray
+from cmbot.robot.chain import Chain
 from cmbot.robot.robot import Robot
 
 __all__ = ["PostureBatch", "Postures"]
@@ -32,16 +31,8 @@ class Postures:
     """
 
     def __init__(self, robot: Robot) -> None:
-        model, data = robot.model, robot.model.createData()
-        n = robot.dof
-        pin.computeJointJacobians(model, data, pin.neutral(model))
-        axes = [
-            pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[3:, i - 1] for i in range(1, n + 1)
-        ]
-        self._steps = [
-            _step(model.jointPlacements[i], axis, model.inertias[i].lever)
-            for i, axis in enumerate(axes, start=1)
-        ]
+        model, n = robot.model, robot.dof
+        self._chain = Chain(model, [model.inertias[i].lever[None] for i in range(1, n + 1)])
         self._mass = np.array([model.inertias[i].mass for i in range(1, n + 1)])
         X_JT = model.frames[robot.tool_frame_id].placement
         self._tool = np.column_stack([X_JT.rotation, X_JT.translation]).T
@@ -72,32 +63,11 @@ class Postures:
     def _evaluate(
         self, q: FloatArray, tool: FloatArray, axis: FloatArray, origin: FloatArray, centre: FloatArray
     ) -> None:
-        N = q.shape[1]
-        sine, cosine = np.sin(q), np.cos(q)
-        # Columns of the rotation to the frame before the joint, one after the other, (3, 3 N).
-        columns = np.repeat(np.eye(3)[:, :, None], N, axis=2).reshape(3, -1)
-        p = np.zeros((3, N))
-        for i, step in enumerate(self._steps):
-            moved = (step @ columns).reshape(-1, 3, N)
-            p = p + moved[0]
-            axis[i], origin[i] = moved[1], p
-            turned = moved[2:6] + sine[i] * moved[6:10] + cosine[i] * moved[10:14]
+        for i, (p, along, turned) in enumerate(self._chain.walk(q)):
+            axis[i], origin[i] = along, p
             centre[i] = p + turned[3]
-            columns = turned[:3].reshape(3, -1)
-        tool[:] = (self._tool @ columns).reshape(4, 3, N)
+        tool[:] = (self._tool @ turned[:3].reshape(3, -1)).reshape(4, 3, -1)
         tool[3] += p
-
-
-def _step(placement: Any, axis: FloatArray, lever: FloatArray) -> FloatArray:
-    """Vectors (14, 3) of one joint in the frame of the one before.
-
-    Its origin, its axis, and then what is constant, what goes with the sine and what with the cosine in
-    Rodrigues' formula I + sin K + (1 - cos) K^2: the joint's three axes and its lever.
-    """
-    R, K = placement.rotation, pin.skew(axis)
-    body = np.column_stack([np.eye(3), lever])
-    parts = [R @ M @ body for M in (np.eye(3) + K @ K, K, -K @ K)]
-    return np.column_stack([placement.translation, R @ axis, *parts]).T
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,102 +2,38 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 import pinocchio as pin
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Robot
+from cmbot.scene.broad_phase import BroadPhase, LowerBounds
+from cmbot.scene.distance_memory import DistanceMemory
+from cmbot.scene.distances import Nearest, ShapePair, Smallest
 from cmbot.scene.obstacles import Obstacle
-from cmbot.scene.shapes import coal_shapes
+from cmbot.scene.paired_shapes import PairedShapes
+from cmbot.scene.reach import pair_reach, shape_reach
 
 __all__ = ["Clearances", "Nearest", "ShapePair", "Smallest"]
 
 
-# When some point of the arm may have moved further than this, m, all pairs are looked at again.
-_LOOK_AGAIN = 0.05
+# In fewer postures the broad phase is not worth its calls: benchmarks/kernels.py.
+_FEW = 24
+# Of so many neighbouring postures one is looked at first.
+_TOGETHER = 8
+# Samples of a path from one look to the next, from coarse to fine; of fewer than these all are looked at.
+_STRIDES, _SHORT = (16, 4, 1), 200
 # Rounding that the choice of near pairs allows for, m.
 _SLACK = 1e-9
 # GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured. EPA, which
 # takes over in deep overlaps, keeps its default: asked for more it fails now and then.
 _GJK_TOLERANCE = 1e-10
 
-
-@dataclass(frozen=True, kw_only=True)
-class ShapePair:
-    """Two shapes whose distance counts.
-
-    Attributes
-    ----------
-    link : str
-        Link of the arm.
-    other : str
-        Obstacle, or second link of the robot.
-    of_arm : bool
-        Both belong to the robot.
-    at_work : bool
-        The tool, which is all that the last joint carries, and a workpiece: expected to be near each other.
-    """
-
-    link: str
-    other: str
-    of_arm: bool
-    at_work: bool
-
-    def too_near(self, distance: float, margin: float) -> str:
-        """Say that a distance of the two, m, is below the safety margin, m."""
-        if distance < 0:
-            how = f"{self.link} reaches {-distance:.4f} m into {self.other}"
-        else:
-            how = f"{self.link} comes within {distance:.4f} m of {self.other}"
-        return f"{how}, the safety margin is {margin:g} m"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Smallest:
-    """The smallest distance in each of N postures.
-
-    Attributes
-    ----------
-    distance : (N,), m
-        Negative where shapes overlap.
-    pair : (N,)
-        Index into `Clearances.pairs`; -1 where no pair counts (the distance is then infinite) or the posture
-        is no number (the distance is then NaN).
-    """
-
-    distance: FloatArray
-    pair: IntArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class Nearest:
-    """The nearest points of one pair in one posture.
-
-    Attributes
-    ----------
-    distance : float, m
-    point, other_point : (3,), m
-        On the arm (C of Chang 2021, Eq. (17)) and on the other shape, in W.
-    direction : (3,)
-        u of Eq. (17): from the other shape to the arm, unit length, also where shapes touch or overlap.
-    jacobian : (3, n), m/rad
-        J_C of the point on the arm, less that of the other point where it moves with the arm.
-    """
-
-    distance: float
-    point: FloatArray
-    other_point: FloatArray
-    direction: FloatArray
-    jacobian: FloatArray
-
-    @property
-    def gradient(self) -> FloatArray:
-        """Derivative of the distance with respect to the joints, (n,), m/rad."""
-        return np.asarray(self.direction @ self.jacobian)
+_T = TypeVar("_T")
 
 
 class Clearances:
@@ -115,44 +51,28 @@ class Clearances:
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
         self._model = robot.model
-        self._geometry = pin.GeometryModel(robot.collision_model)
+        paired = PairedShapes(robot, obstacles)
+        self.pairs = paired.pairs
+        self._geometry, self._shapes, self._joints = paired.geometry, paired.shapes, paired.joints
         self._data = robot.model.createData()
-        own_pairs = [(pair.first, pair.second) for pair in self._geometry.collisionPairs]
-        moving = [i for i, shape in enumerate(self._geometry.geometryObjects) if shape.parentJoint > 0]
-        self._geometry.removeAllCollisionPairs()
-        self.pairs: list[ShapePair] = []
-        self._shapes: list[tuple[int, int]] = []
-        for i, j in own_pairs:
-            # The link further out is the one that moves.
-            first, second = sorted((i, j), key=self._joint_of, reverse=True)
-            if self._joint_of(first) != self._joint_of(second):
-                self._add_pair(first, second, self._link_of(second), of_arm=True, at_work=False)
-        tool_joint = self._model.frames[robot.tool_frame_id].parentJoint
-        for obstacle in obstacles:
-            for k, (shape, X_OS) in enumerate(coal_shapes(obstacle.shape, obstacle.name)):
-                X_WS = pin.SE3(np.array(obstacle.X_WO)) * X_OS
-                j = self._geometry.addGeometryObject(
-                    pin.GeometryObject(f"obstacle {obstacle.name} {k}", 0, X_WS, shape)
-                )
-                for i in moving:
-                    at_work = obstacle.workpiece and self._joint_of(i) == tool_joint
-                    self._add_pair(i, j, obstacle.name, of_arm=False, at_work=at_work)
         self._geometry_data = pin.GeometryData(self._geometry)
         for request in self._geometry_data.distanceRequests:
             request.gjk_tolerance = _GJK_TOLERANCE
-        self.reach = self._reach(moving)
-        self._all = np.ones(len(self.pairs), dtype=np.bool_)
-        kept_away_from = [not (pair.of_arm or pair.at_work) for pair in self.pairs]
-        self._avoidable = np.array(kept_away_from, dtype=np.bool_)
-        # Where all pairs were last looked at, and their distances there: nowhere yet.
-        self._seen_at, self._seen = np.full(robot.dof, np.nan), np.empty(0)
-        # The same pairs, the nearest first, all of them and the avoidable ones.
-        self._ranked: dict[bool, tuple[list[int], list[float]]] = {}
+        shapes = list(self._geometry.geometryObjects)
+        reach = shape_reach(self._model, shapes)
+        self.reach = reach.max(axis=0, initial=0.0)
+        self._broad_phase = BroadPhase(robot, shapes, self._shapes)
+        between = pair_reach(reach, self._joints, self._shapes)
+        self._memory = DistanceMemory(self._model, self._geometry, self._geometry_data, between)
+        self._nothing = np.zeros(len(self.pairs), dtype=np.bool_)
+        self._unavoidable = np.array([pair.of_arm or pair.at_work for pair in self.pairs], dtype=np.bool_)
+        self._any_avoidable = not self._unavoidable.all()
+        self._margin = np.nan
 
     def smallest(self, q: FloatArray, *, avoidable_only: bool = False) -> Smallest:
         """Return the smallest distance in each of the postures `q` (N, n).
 
-        Quick where neighbouring postures are near each other: most pairs are then known to be too far.
+        Quickest for many postures in one call, or for one that is near the last.
 
         Parameters
         ----------
@@ -160,32 +80,80 @@ class Clearances:
         avoidable_only : bool
             Leave out the arm with itself and the tool with a workpiece, as H of Eq. (17) does here.
         """
-        counted = self._avoidable if avoidable_only else self._all
-        distance, pair = np.full(len(q), np.inf), np.full(len(q), -1, dtype=np.intp)
-        if counted.any():
-            # Of shapes that are nowhere coal would say that they touch.
-            known = np.isfinite(q).all(axis=1)
-            distance[~known] = np.nan
-            for k in np.flatnonzero(known):
-                distance[k], pair[k] = self._smallest(q[k], avoidable_only)
+        left_out = self._unavoidable if avoidable_only else self._nothing
+        if len(self._unavoidable) == 0 or (avoidable_only and not self._any_avoidable):
+            return Smallest(distance=np.full(len(q), np.inf), pair=np.full(len(q), -1, dtype=np.intp))
+        # Of shapes that are nowhere coal would say that they touch.
+        distance, pair = np.full(len(q), np.nan), np.full(len(q), -1, dtype=np.intp)
+        if len(q) < _FEW:
+            for k, q_k in enumerate(q):
+                if np.isfinite(q_k).all():
+                    distance[k], pair[k] = self._least_at(q_k, left_out)
+        else:
+            known: BoolArray = np.all(np.isfinite(q), axis=1)
+            distance[known], pair[known] = self._least_of(q[known], left_out)
         return Smallest(distance=distance, pair=pair)
+
+    def along(self, q: FloatArray, spare: float) -> FloatArray:
+        """Return the smallest distance at every sample of a path, (N,), m, exactly where it matters.
+
+        Where it is certainly more than `spare`, m, above the path's smallest, a lower bound that is so, too,
+        stands in its place: no distance changes faster than the joints move times their reach.
+
+        Parameters
+        ----------
+        q : (N, n), rad
+        spare : float, m
+        """
+        N = len(q)
+        if N < _SHORT:
+            return self.smallest(q).distance
+        moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ self.reach)])
+        distance, looked = np.full(N, -np.inf), np.zeros(N, dtype=np.bool_)
+        for stride in _STRIDES:
+            # Not "<=": what is no number is looked at, too.
+            least = distance[looked].min(initial=np.inf)
+            asked = np.flatnonzero(~looked & ~(distance > least + spare))
+            asked = asked[(asked % stride == 0) | (asked == N - 1)]
+            looked[asked] = True
+            known = np.flatnonzero(looked)
+            distance[asked] = self.smallest(q[asked]).distance
+            after = np.minimum(np.searchsorted(known, np.arange(N)), len(known) - 1)
+            for near in (known[np.maximum(after - 1, 0)], known[after]):
+                lower = distance[near] - np.abs(moved - moved[near])
+                distance = np.where(looked, distance, np.maximum(distance, lower))
+        return distance
 
     def too_near(self, q: FloatArray, margin: float) -> BoolArray:
         """Return which of the postures `q` (N, n) have any distance below `margin`, m, in any order."""
-        for request in self._geometry_data.collisionRequests:
-            request.security_margin = margin
+        if margin != self._margin:
+            for request in self._geometry_data.collisionRequests:
+                request.security_margin = margin
+            self._margin = margin
         arguments = (self._model, self._data, self._geometry, self._geometry_data)
-        return np.array([pin.computeCollisions(*arguments, q_k, True) for q_k in q], dtype=np.bool_)
+        if len(q) < _FEW:
+            return np.array([pin.computeCollisions(*arguments, q_k, True) for q_k in q], dtype=np.bool_)
+        # As coal says of shapes that are nowhere.
+        near: BoolArray = ~np.all(np.isfinite(q), axis=1)
+        known = np.flatnonzero(~near)
+        for bounds in self._broad_phase.look(q[known]):
+            row, pair = np.nonzero((bounds.value <= margin + _SLACK).T)
+            for k, pairs in _grouped(known[bounds.some][row], pair.tolist()):
+                self._put(q[k])
+                near[k] = any(pin.computeCollision(self._geometry, self._geometry_data, p) for p in pairs)
+        return near
 
     def within(self, q: FloatArray, distance: float) -> list[Nearest]:
         """Return every avoidable pair (see `smallest`) that is nearer than `distance` at `q`."""
-        moved = self._moved(q)
-        candidates = np.flatnonzero(self._avoidable & (self._seen <= distance + moved + _SLACK))
+        if not self._any_avoidable:
+            return []
+        lower = self._memory.lower_bounds(q)
+        candidates = np.flatnonzero(~self._unavoidable & (lower <= distance + _SLACK))
         if len(candidates) == 0:
             return []
         self._place(q)
-        found = (self._nearest(int(pair)) for pair in candidates)
-        return [near for near in found if near.distance < distance]
+        found = [pair for pair in candidates.tolist() if self._distance(pair) < distance]
+        return [self._nearest(pair) for pair in found]
 
     def nearest(self, q: FloatArray, pair: int) -> Nearest:
         """Return the nearest points of pair number `pair` at posture `q` (n,)."""
@@ -200,9 +168,9 @@ class Clearances:
         result = pin.computeDistance(self._geometry, self._geometry_data, pair)
         first, second = self._shapes[pair]
         point, other_point = result.getNearestPoint1(), result.getNearestPoint2()
-        jacobian = self._point_jacobian(self._joint_of(first), point)
+        jacobian = self._point_jacobian(self._joints[first], point)
         if self.pairs[pair].of_arm:
-            jacobian = jacobian - self._point_jacobian(self._joint_of(second), other_point)
+            jacobian = jacobian - self._point_jacobian(self._joints[second], other_point)
         return Nearest(
             distance=result.min_distance,
             point=np.array(point),
@@ -211,63 +179,99 @@ class Clearances:
             jacobian=jacobian,
         )
 
-    def _add_pair(self, i: int, j: int, other: str, *, of_arm: bool, at_work: bool) -> None:
-        self._geometry.addCollisionPair(pin.CollisionPair(i, j))
-        self._shapes.append((i, j))
-        pair = ShapePair(link=self._link_of(i), other=other, of_arm=of_arm, at_work=at_work)
-        self.pairs.append(pair)
-
-    def _joint_of(self, shape: int) -> int:
-        return int(self._geometry.geometryObjects[shape].parentJoint)
-
-    def _link_of(self, shape: int) -> str:
-        return str(self._model.frames[self._geometry.geometryObjects[shape].parentFrame].name)
-
     def _point_jacobian(self, joint: int, point: FloatArray) -> FloatArray:
         """Jacobian (3, n) of a point of W that is fixed to `joint`."""
         J = pin.getJointJacobian(self._model, self._data, joint, pin.ReferenceFrame.WORLD)
         return np.asarray(J[:3] - pin.skew(point) @ J[3:])
 
-    def _smallest(self, q: FloatArray, avoidable_only: bool) -> tuple[float, int]:
-        """Smallest distance among all or the avoidable pairs at `q`, and its pair."""
-        moved = self._moved(q)
-        pairs, seen = self._ranked[avoidable_only]
-        candidates = pairs[: bisect_right(seen, seen[0] + 2 * moved + _SLACK)]
-        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, q)
-        return min(
-            (pin.computeDistance(self._geometry, self._geometry_data, pair).min_distance, pair)
-            for pair in candidates
-        )
+    def _least_at(self, q: FloatArray, left_out: BoolArray) -> tuple[float, int]:
+        """Smallest distance and its pair in posture `q` (n,), by what is remembered."""
+        lower = self._memory.lower_bounds(q)
+        if left_out is not self._nothing:
+            lower[left_out] = np.inf
+        self._put(q)
+        first = int(lower.argmin())
+        least = self._distance(first)
+        lower[first] = np.inf
+        near = np.flatnonzero(lower <= least + _SLACK)
+        if len(near) == 0:
+            return least, first
+        near = near[lower[near].argsort()]
+        return self._least((least, first), list(zip(near.tolist(), lower[near].tolist(), strict=True)))
 
-    def _moved(self, q: FloatArray) -> float:
-        """How much any distance can have changed since all pairs were looked at, m; looks again if by much.
+    def _least_of(self, q: FloatArray, left_out: BoolArray) -> tuple[FloatArray, IntArray]:
+        """Smallest distances (N,) and their pairs (N,) in postures `q` (N, n)."""
+        distance, pair = np.full(len(q), np.inf), np.full(len(q), -1, dtype=np.intp)
+        if self._memory.serves(q):
+            for some, lower, upper in self._memory.stretches(q):
+                lower[:, left_out] = upper[:, left_out] = np.inf
+                row, near = np.nonzero(lower <= upper.min(axis=1, keepdims=True) + _SLACK)
+                self._try(q[some], row, near, lower[row, near], distance[some], pair[some])
+            return distance, pair
+        for bounds in self._broad_phase.look(q):
+            bounds.value[left_out] = np.inf
+            number = np.arange(bounds.value.shape[1])
+            # What is nearest in one posture often is in those after it, too: tried first, it saves others.
+            guides = number[::_TOGETHER]
+            least, guided = self._settled(
+                q[bounds.some], bounds, guides, bounds.value[:, guides].argmin(axis=0)
+            )
+            others = number[number % _TOGETHER > 0]
+            distance[bounds.some][guides], pair[bounds.some][guides] = least, guided
+            least, found = self._settled(q[bounds.some], bounds, others, guided[others // _TOGETHER])
+            distance[bounds.some][others], pair[bounds.some][others] = least, found
+        return distance, pair
 
-        No point of the arm moves further than the joints' moves times their reach, and two shapes of the arm
-        move against each other only by the joints between them.
+    def _settled(
+        self, q: FloatArray, bounds: LowerBounds, which: IntArray, first: IntArray
+    ) -> tuple[FloatArray, IntArray]:
+        """Smallest distances and their pairs in the postures `which` of `q`; `first` are tried first."""
+        pair, least = first.copy(), np.empty(len(first))
+        for k, (at, p) in enumerate(zip(which.tolist(), first.tolist(), strict=True)):
+            self._put(q[at])
+            least[k] = self._distance(p)
+        row, near = np.nonzero((bounds.value[:, which] <= least + _SLACK).T)
+        lower = bounds.tightened(near, which[row])
+        doubtful = (lower <= least[row] + _SLACK) & (near != first[row])
+        self._try(q[which], row[doubtful], near[doubtful], lower[doubtful], least, pair)
+        return least, pair
+
+    def _try(
+        self,
+        q: FloatArray,
+        row: IntArray,
+        candidate: IntArray,
+        lower: FloatArray,
+        least: FloatArray,
+        pair: IntArray,
+    ) -> None:
+        """Take what is smaller among candidates, pairs (M,) in rows (M,) of `q`, for the least so far."""
+        order = np.lexsort((lower, row))
+        found = list(zip(candidate[order].tolist(), lower[order].tolist(), strict=True))
+        for k, candidates in _grouped(row[order], found):
+            self._put(q[k])
+            least[k], pair[k] = self._least((least[k], pair[k]), candidates)
+
+    def _least(self, best: tuple[float, int], candidates: list[tuple[int, float]]) -> tuple[float, int]:
+        """Smallest distance and its pair: the best so far or one of the candidates, with their lower bounds.
+
+        The most promising ones come first; as soon as one cannot be better, none can.
         """
-        moved = float(np.abs(q - self._seen_at) @ self.reach)
-        if moved <= _LOOK_AGAIN:
-            return moved
-        pin.computeDistances(self._model, self._data, self._geometry, self._geometry_data, q)
-        self._seen_at = q.copy()
-        self._seen = np.array([result.min_distance for result in self._geometry_data.distanceResults])
-        ranked = np.argsort(self._seen, kind="stable")
-        for avoidable_only, pairs in ((False, ranked), (True, ranked[self._avoidable[ranked]])):
-            self._ranked[avoidable_only] = (pairs.tolist(), self._seen[pairs].tolist())
-        return 0.0
+        for pair, lower in candidates:
+            if lower > best[0] + _SLACK:
+                break
+            best = min(best, (self._distance(pair), pair))
+        return best
 
-    def _reach(self, moving: Sequence[int]) -> FloatArray:
-        """Largest distance (n,) that any point of the arm can have from each joint's origin, m."""
-        model = self._model
-        radius = np.zeros(model.njoints)
-        for i in moving:
-            shape = self._geometry.geometryObjects[i]
-            shape.geometry.computeLocalAABB()
-            centre = shape.placement.act(shape.geometry.aabb_center)
-            extent = float(np.linalg.norm(centre)) + float(shape.geometry.aabb_radius)
-            radius[shape.parentJoint] = max(radius[shape.parentJoint], extent)
-        for joint in range(model.njoints - 1, 1, -1):
-            offset = float(np.linalg.norm(model.jointPlacements[joint].translation))
-            parent = model.parents[joint]
-            radius[parent] = max(radius[parent], offset + radius[joint])
-        return radius[1:]
+    def _put(self, q: FloatArray) -> None:
+        pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data, q)
+
+    def _distance(self, pair: int) -> float:
+        return float(pin.computeDistance(self._geometry, self._geometry_data, pair).min_distance)
+
+
+def _grouped(row: IntArray, values: list[_T]) -> Iterator[tuple[int, list[_T]]]:
+    """Go through the numbers that occur in `row`, which ascends, with the `values` that belong to each."""
+    ends = np.flatnonzero(np.diff(row, prepend=-1, append=-1))
+    for start, end in pairwise(ends.tolist()):
+        yield int(row[start]), values[start:end]

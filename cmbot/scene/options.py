@@ -87,8 +87,8 @@ class PlannerOptions:
         How far the tool point may leave the legs between via-points, m.
     solver : str
         ``sqp``: sequential quadratic programming on sparse matrices; needs ``pip install "cmbot[fast]"``.
-        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``. A
-        plan's options name the one that was used.
+        ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``, and
+        also where ``sqp`` gives up. A plan's options name the one that was used.
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are looked for violations.
     smoothing_weight : float
@@ -128,7 +128,7 @@ class PlannerOptions:
     step_share: Annotated[float, Field(gt=0, le=1)] = 0.6
     safety_margin_m: NonNegativeFloat = 0.02
     max_tool_deviation_m: PositiveFloat = 0.001
-    solver: Literal["auto", "sqp", "slsqp"] = "slsqp"
+    solver: Literal["auto", "sqp", "slsqp"] = "auto"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
     smoothing_weight: Annotated[float, Field(gt=0, le=1)] = 1e-4
     gap_target: NonNegativeFloat = 2e-3

@@ -105,9 +105,9 @@ class ToolPathFile(FileModel):
 
     keep: Literal["pose", "axis", "position"] = "pose"
     """What of the tool is prescribed."""
-    legs: Annotated[tuple[LegFile, ...], Field(min_length=1, max_length=200)]
+    legs: Annotated[tuple[LegFile, ...], Field(min_length=1, max_length=2000)]
     speed_profile: SpeedProfileFile = SpeedProfileFile()
-    via_points: Annotated[int, Field(ge=5, le=2000)] = 50
+    via_points: Annotated[int, Field(ge=5, le=20000)] = 50
     """Via-points in all; the ends of the legs are among them."""
 
     @model_validator(mode="after")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from heapq import heapify, heapreplace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +17,8 @@ from cmbot.scene.speed_profile import SpeedProfile
 __all__ = ["ShiftedToolPath", "ToolPath", "share_out_segments"]
 
 _NO_LENGTH = 1e-300
+# So many points are held against the legs at once.
+_BLOCK = 512
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,10 +75,20 @@ class ToolPath:
 
     def offset(self, p: FloatArray) -> FloatArray:
         """Return the vector from the nearest point of the legs to each of `p` (N, 3), (N, 3), m."""
-        every = [self._offset_from(np.full(len(p), leg), p) for leg in range(len(self.seconds))]
-        offsets = np.stack(every, axis=1)
-        leg = np.einsum("nld,nld->nl", offsets, offsets).argmin(axis=1)
-        return np.asarray(offsets[np.arange(len(p)), leg])
+        blocks = [self._nearest_offset(p[k : k + _BLOCK]) for k in range(0, len(p), _BLOCK)]
+        return np.concatenate([np.empty((0, 3)), *blocks])
+
+    def _nearest_offset(self, p: FloatArray) -> FloatArray:
+        """The same for few points near each other: most legs are then too far from all of them."""
+        every = np.arange(len(self.seconds))
+        centre = p.mean(axis=0)
+        radius = np.linalg.norm(p - centre, axis=1).max()
+        away = np.linalg.norm(self._offset_from(every, np.tile(centre, (len(every), 1))), axis=1)
+        # Not ">": what is no number leaves nothing out.
+        some = every[~(away - radius > away.min() + radius)]
+        offsets = np.stack([self._offset_from(np.full(len(p), leg), p) for leg in some], axis=1)
+        nearest = np.einsum("nld,nld->nl", offsets, offsets).argmin(axis=1)
+        return np.asarray(offsets[np.arange(len(p)), nearest])
 
     def leg_offset(self, times: ArrayLike, p: FloatArray) -> FloatArray:
         """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the leg at `times`."""
@@ -154,7 +167,10 @@ def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> 
     if segments < len(seconds):
         raise InputError("via_points", "", segments + 1, f"at least {len(seconds) + 1}, one per leg end")
     shares = [1] * len(seconds)
+    longest = [(-0.5 * float(duration), leg) for leg, duration in enumerate(seconds)]
+    heapify(longest)
     for _ in range(segments - len(seconds)):
-        longest = max(range(len(seconds)), key=lambda leg: float(seconds[leg]) / (shares[leg] + 1))
-        shares[longest] += 1
+        leg = longest[0][1]
+        shares[leg] += 1
+        heapreplace(longest, (-float(seconds[leg]) / (shares[leg] + 1), leg))
     return shares

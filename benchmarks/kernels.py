@@ -1,0 +1,280 @@
+"""What one evaluation of the inner functions costs, each way of doing it beside the others.
+
+    python benchmarks/kernels.py
+
+Processor times of one thread. What cmbot does is marked; all answers are compared before any is timed.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+from closed_form import arm_of, batched, compiled
+from measure import process_time
+from numpy.typing import NDArray
+from rich.console import Console
+from rich.table import Table
+from threadpoolctl import threadpool_limits
+
+from cmbot import load_scene
+from cmbot.planning import robot_of
+from cmbot.robot import Dynamics, Kinematics, Postures, Robot
+from cmbot.scene import Scene
+from cmbot.scene.clearance import Clearances
+from cmbot.scene.paired_shapes import PairedShapes
+
+__all__ = ["Kernel", "compiler", "kernels", "measured"]
+
+FloatArray = NDArray[np.float64]
+Way = tuple[str, bool, Callable[[], FloatArray]]
+SIZES = (50, 500, 2000)
+# The path whose clearances are looked at swings by so much, rad; nearer than the margin, m, is too near.
+_SWING, _MARGIN = 0.3, 0.02
+_ROUNDING, _GJK = 1e-9, 1e-7
+# In a process of its own, as in every command.
+_COMPILING = """
+import time
+import numpy as np, closed_form, kernels
+robot = kernels.shipped()[1]
+states = kernels.states(robot, 1)
+arm, begin = closed_form.arm_of(robot), time.process_time()
+import numba
+run, loaded = closed_form.compiled(), time.process_time()
+run(arm, *states)
+print(loaded - begin, time.process_time() - loaded)
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kernel:
+    """One way of evaluating something.
+
+    Attributes
+    ----------
+    what, way : str
+    used : bool
+        By cmbot, where there are many.
+    number : int
+        States or postures in one call.
+    microseconds : float
+        Each of them.
+    """
+
+    what: str
+    way: str
+    used: bool
+    number: int
+    microseconds: float
+
+
+def kernels(number: int = 500) -> list[dict[str, Any]]:
+    """Measure all ways for one size of a call; the first row is what the others are compared with."""
+    return [
+        {"kernel": f"{row.what}: {row.way}" + (" (used)" if row.used else ""), **asdict(row)}
+        for row in measured(number)
+    ]
+
+
+def measured(number: int) -> Iterator[Kernel]:
+    """Measure all ways of evaluating `number` states or postures."""
+    scene, robot = shipped()
+    for what, tolerance, ways in (
+        ("wrench and joint torques", _ROUNDING, _values(robot, number)),
+        ("their derivatives", _ROUNDING, _derivatives(robot, number)),
+        ("tool poses", _ROUNDING, _tool_poses(robot, number)),
+        ("smallest clearance", _GJK, _smallest(robot, scene, number)),
+        ("smallest along a path", _GJK, _smallest_of_a_path(robot, scene, number)),
+        ("too near", 0.0, _too_near(robot, scene, number)),
+    ):
+        expected = ways[0][2]()
+        for way, used, run in ways:
+            off = np.abs(run() - expected).max() / max(1.0, np.abs(expected).max())
+            if not off <= tolerance:
+                sys.exit(f"error: {what}: {way} is off by {off:.1e}")
+            microseconds = 1e6 * process_time(run, repeats=5)[0] / number
+            yield Kernel(what=what, way=way, used=used, number=number, microseconds=microseconds)
+
+
+def compiler() -> dict[str, float]:
+    """Seconds that a fresh process spends on numba: its import, and the first call, compiled before or not.
+
+    Empty without numba.
+    """
+    with tempfile.TemporaryDirectory() as cache:
+        first, again = (_fresh(Path(cache)) for _ in range(2))
+    if not first or not again:
+        return {}
+    return {"import": again[0], "first call": first[1], "first call, compiled before": again[1]}
+
+
+def shipped() -> tuple[Scene, Robot]:
+    """Return the triangle and its robot."""
+    scene = load_scene("triangle")
+    return scene, robot_of(scene)
+
+
+def states(robot: Robot, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Random positions, velocities and accelerations (N, n)."""
+    q, v, a = np.random.default_rng(0).normal(size=(3, number, robot.dof))
+    return q, v, a
+
+
+def _values(robot: Robot, number: int) -> list[Way]:
+    dynamics, (q, v, a) = Dynamics(robot), states(robot, number)
+    data = robot.model.createData()
+
+    def loop() -> FloatArray:
+        rows = np.empty((number, 6 + robot.dof))
+        for k in range(number):
+            rows[k, 6:] = pin.rnea(robot.model, data, q[k], v[k], a[k])
+            rows[k, :6] = -data.liMi[1].act(data.f[1]).vector
+        return rows
+
+    def parallel() -> FloatArray:
+        at = dynamics.efforts(q, v, a)
+        return np.hstack([at.guardrail_force, at.guardrail_torque, at.joint_torque])
+
+    return [("pinocchio in a loop", False, loop), ("pinocchio.rneaInParallel", True, parallel)]
+
+
+def _derivatives(robot: Robot, number: int) -> list[Way]:
+    dynamics, (q, v, a), arm = Dynamics(robot), states(robot, number), arm_of(robot)
+    floating, data = robot.floating_model, robot.floating_model.createData()
+    still = np.zeros(6)
+
+    def free_flyer() -> FloatArray:
+        rows = np.empty((number, 6, robot.dof))
+        for k in range(number):
+            at = (np.append(still, [1.0, *q[k]]), np.append(still, v[k]), np.append(still, a[k]))
+            rows[k] = pin.computeRNEADerivatives(floating, data, *at)[0][:6, 6:]
+        return rows
+
+    ways: list[Way] = [
+        ("pinocchio in a loop, free-flyer", False, free_flyer),
+        ("pinocchio in a loop, forces in W", True, lambda: -dynamics.wrench_derivatives(q, v, a).d_q),
+        ("closed form, NumPy", False, lambda: batched(arm, q, v, a)[1][:, :6]),
+    ]
+    try:
+        run = compiled()
+    except ImportError:
+        return ways
+    return [*ways, ("closed form, numba", False, lambda: run(arm, q, v, a)[1][:, :6])]
+
+
+def _tool_poses(robot: Robot, number: int) -> list[Way]:
+    kinematics, postures, (q, _, _) = Kinematics(robot), Postures(robot), states(robot, number)
+
+    def loop() -> FloatArray:
+        return np.array([kinematics.tool_pose(q_k).translation for q_k in q])
+
+    return [
+        ("pinocchio in a loop", False, loop),
+        ("all together", True, lambda: postures.at(q).tool_point),
+    ]
+
+
+def _path(scene: Scene, number: int) -> FloatArray:
+    """A smooth path of postures about the scene's own."""
+    rng = np.random.default_rng(1)
+    t = np.linspace(0.0, 2 * np.pi, number)[:, None]
+    return np.asarray(scene.posture + _SWING * rng.uniform(-1, 1, 7) * np.sin(t + rng.uniform(0, 6, 7)))
+
+
+def _smallest(robot: Robot, scene: Scene, number: int) -> list[Way]:
+    clearances, q = Clearances(robot, scene.obstacles), _path(scene, number)
+    model, data = robot.model, robot.model.createData()
+    geometry = PairedShapes(robot, scene.obstacles).geometry
+    found = pin.GeometryData(geometry)
+
+    def all_pairs() -> FloatArray:
+        least = np.empty(number)
+        for k, q_k in enumerate(q):
+            pin.computeDistances(model, data, geometry, found, q_k)
+            least[k] = min(result.min_distance for result in found.distanceResults)
+        return least
+
+    def one_by_one() -> FloatArray:
+        return np.array([clearances.smallest(q_k[None]).distance[0] for q_k in q])
+
+    return [
+        ("coal on all pairs", False, all_pairs),
+        ("one by one, remembering", False, one_by_one),
+        ("many in one call", True, lambda: clearances.smallest(q).distance),
+    ]
+
+
+def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[Way]:
+    clearances, q = Clearances(robot, scene.obstacles), _path(scene, number)
+    return [
+        ("every posture", False, lambda: clearances.smallest(q).distance.min(keepdims=True)),
+        ("where it matters", True, lambda: clearances.along(q, 0.0).min(keepdims=True)),
+    ]
+
+
+def _too_near(robot: Robot, scene: Scene, number: int) -> list[Way]:
+    clearances, (q, _, _) = Clearances(robot, scene.obstacles), states(robot, number)
+    return [
+        (
+            "coal until a pair is",
+            False,
+            lambda: np.hstack([clearances.too_near(q_k[None], _MARGIN) for q_k in q]).astype(float),
+        ),
+        ("many in one call", True, lambda: clearances.too_near(q, _MARGIN).astype(float)),
+    ]
+
+
+def _fresh(cache: Path) -> tuple[float, ...]:
+    folder = Path(__file__).parent
+    paths = (str(folder), str(folder.parent))
+    done = subprocess.run(
+        [sys.executable, "-c", _COMPILING],
+        cwd=folder,
+        env={
+            **os.environ,
+            "NUMBA_CACHE_DIR": str(cache),
+            "PYTHONPATH": os.pathsep.join(paths),
+        },
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    return tuple(map(float, done.stdout.split())) if done.returncode == 0 else ()
+
+
+def main() -> None:
+    """Measure and print."""
+    sizes = " / ".join(map(str, SIZES))
+    table = Table(title=f"Kernels, {sizes} in one call; * what cmbot does with many")
+    for heading in ("what", "how", "times the first", "us each"):
+        table.add_column(heading, justify="left" if heading in ("what", "how") else "right")
+    with threadpool_limits(limits=1):
+        columns = [list(measured(number)) for number in SIZES]
+        compiling = compiler()
+    first: dict[tuple[str, int], float] = {}
+    for rows in zip(*columns, strict=True):
+        units = [first.setdefault((row.what, row.number), row.microseconds) for row in rows]
+        ratios = (f"{row.microseconds / unit:.2f}" for row, unit in zip(rows, units, strict=True))
+        table.add_row(
+            rows[0].what,
+            rows[0].way + (" *" if rows[-1].used else ""),
+            " / ".join(ratios),
+            " / ".join(f"{row.microseconds:.1f}" for row in rows),
+        )
+    console = Console(soft_wrap=True)
+    console.print(table)
+    if compiling:
+        seconds = ", ".join(f"{what} {taken:.2f} s" for what, taken in compiling.items())
+        console.print(f"numba in a fresh process: {seconds}.")
+
+
+if __name__ == "__main__":
+    main()
