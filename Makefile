@@ -18,7 +18,7 @@ lint: .venv/tested
 	$(BIN)/python tools/build_models.py --check
 	$(BIN)/python tools/build_schema.py --check
 
-bench: .venv/installed
+bench: .venv/benched
 	$(BIN)/python benchmarks/run.py
 
 docs: .venv/tested
@@ -35,7 +35,11 @@ clean:
 	$(PYTHON) -m venv .venv
 
 .venv/installed: pyproject.toml | .venv/bin/python
-	$(BIN)/python -m pip install --quiet --editable .
+	$(BIN)/python -m pip install --quiet --editable '.[fast]'
+	touch $@
+
+.venv/benched: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	touch $@
 
 .venv/tested: pyproject.toml | .venv/bin/python

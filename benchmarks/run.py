@@ -1,142 +1,99 @@
-"""One table, one run: what planning and simulating cost, ratios first.
+"""One run of all benchmarks: a table per theme, ratios first, then every goal beside what was measured.
 
     python benchmarks/run.py            # or: make bench
+    python benchmarks/run.py --quick    # what takes a minute
 
-Times are wall times of this machine; only their ratios mean something elsewhere. Results go to
-benchmarks/results/latest.json.
+Results go to benchmarks/results/latest.json, their figure beside it; ``--document`` makes them those that the
+documentation shows. Processor times but for whole commands; only ratios mean something on another machine.
 """
 
 from __future__ import annotations
 
+import argparse
 import json
-import os
-import platform
-import subprocess
 import sys
-import tempfile
-import time
 from collections.abc import Callable
-from pathlib import Path
+from dataclasses import asdict
+from typing import Any
 
-import numpy as np
+from document import LATEST, RESULTS, make_reference
+from goals import goals
+from growth import in_a_process
+from kernels import kernels
+from measure import machine
+from planning import planned, start_up
+from plot import draw
 from rich.console import Console
-from rich.table import Table
+from solvers import compared
+from tables import goal_sheet, print_sheets, sheets
+from threadpoolctl import threadpool_limits
 
-from cmbot import load_scene
-from cmbot.planning import Plan, plan, robot_of
-from cmbot.robot import Dynamics
-from cmbot.simulation import simulate
+from cmbot.errors import CmbotError
 
-RESULTS = Path(__file__).parent / "results" / "latest.json"
 SCENES = ("triangle", "line")
-STATES = 2000
+_SIZES, _QUICK_SIZES = (50, 200, 1000, 5000), (50, 200)
+_LITERAL_SECONDS, _IPOPT_SECONDS = 300.0, 45.0
+FORMAT = "cmbot-benchmarks/1"
+# The widest table; what is narrower would cut its cells.
+_WIDTH = 170
 
 
-def best_of(action: Callable[[], object], repeats: int = 3) -> float:
-    """Shortest of several wall times, s."""
-    times = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        action()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-def command(*words: str) -> Callable[[], object]:
-    """Return a call that runs Python with `words` in a fresh process."""
-    return lambda: subprocess.run([sys.executable, *words], check=True, capture_output=True)
-
-
-def whole_command(scene: str) -> float:
-    """From command to finished plan directory, imports and replay page included, s."""
-    with tempfile.TemporaryDirectory() as folder:
-        call = "from cmbot.cli import main; main()"
-        return best_of(command("-c", call, "plan", scene, "-o", f"{folder}/{scene}", "--force"), repeats=2)
-
-
-def kernels() -> dict[str, float]:
-    """Seconds per state of the guardrail wrench, and of all its derivatives."""
-    robot = robot_of(load_scene("triangle"))
-    dynamics = Dynamics(robot)
-    q, v, a = np.random.default_rng(0).normal(size=(3, STATES, robot.dof))
-    return {
-        "values": best_of(lambda: dynamics.efforts(q, v, a)) / STATES,
-        "derivatives": best_of(lambda: dynamics.derivatives(q, v, a)) / STATES,
-    }
-
-
-def simulation(planned: Plan) -> dict[str, float]:
-    """Seconds that the elastic simulation of both motions takes, and how many it simulates."""
-    tracking = simulate(planned)
-    return {
-        "simulate": best_of(lambda: simulate(planned)),
-        "simulated": float(tracking.baseline.t[-1] + tracking.planned.t[-1]),
-    }
+def measured(arguments: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
+    """Measure everything that the arguments ask for."""
+    quick = arguments.quick
+    results: dict[str, Any] = {"format": FORMAT, "quick": quick, "machine": machine()}
+    # First: a fresh process inherits the peak of the memory of the one that starts it.
+    results["growth"] = []
+    for size in _QUICK_SIZES if quick else _SIZES:
+        tell(f"growth: {size} via-points")
+        results["growth"].append(asdict(in_a_process(size)))
+    tell("start-up")
+    results["start_up"] = start_up()
+    tell("kernels")
+    results["kernels"] = kernels()
+    results["planned"] = []
+    for name in SCENES:
+        tell(f"planning and simulating: {name}")
+        results["planned"].append(asdict(planned(name, repeats=2 if quick else 3)))
+    results["solvers"] = [
+        asdict(solved)
+        for solved in compared(
+            quick=quick,
+            literal_seconds=0.0 if quick else arguments.literal_seconds,
+            ipopt_seconds=0.0 if arguments.no_ipopt else _IPOPT_SECONDS,
+            tell=tell,
+        )
+    ]
+    results["goals"] = [asdict(goal) for goal in goals(results)]
+    return results
 
 
 def main() -> None:
     """Measure, print, write."""
-    results: dict[str, dict[str, float]] = {"kernels": kernels()}
-    results["start-up"] = {
-        "python": best_of(command("-c", "pass")),
-        "import cmbot": best_of(command("-c", "import cmbot")),
-        "import cmbot.planning": best_of(command("-c", "import cmbot.planning")),
-    }
-    for name in SCENES:
-        scene = load_scene(name)
-        planned = plan(scene)
-        seconds = planned.seconds
-        results[name] = {
-            "motion": planned.trajectory.duration,
-            "command": whole_command(name),
-            "path": seconds.path,
-            "optimise": seconds.optimise,
-            "certify": seconds.certify,
-            "passes": float(len(planned.passes)),
-            "peak_guardrail_torque": planned.figures.peak_guardrail_torque,
-            **simulation(planned),
-        }
-    results_text = {
-        "machine": {
-            "python": platform.python_version(),
-            "cores": os.cpu_count(),
-            "system": platform.machine(),
-        },
-        "seconds": results,
-    }
-    RESULTS.parent.mkdir(exist_ok=True)
-    RESULTS.write_text(json.dumps(results_text, indent=2) + "\n")
-    _print(results)
-
-
-def _print(results: dict[str, dict[str, float]]) -> None:
-    console = Console(soft_wrap=True)
-    table = Table(title="Planning, as a share of the time the motion takes")
-    for heading in ("scene", "command / motion", "path", "optimise", "certify", "command, s"):
-        table.add_column(heading, justify="left" if heading == "scene" else "right")
-    for name in SCENES:
-        r = results[name]
-        shares = (f"{r[key] / r['motion']:.3f}" for key in ("command", "path", "optimise", "certify"))
-        table.add_row(name, *shares, f"{r['command']:.2f}")
-    console.print(table)
-    table = Table(title="Simulating, wall time per second simulated")
-    for heading in ("scene", "seconds per second", "both motions, s"):
-        table.add_column(heading, justify="left" if heading == "scene" else "right")
-    for name in SCENES:
-        r = results[name]
-        table.add_row(name, f"{r['simulate'] / r['simulated']:.4f}", f"{r['simulate']:.2f}")
-    console.print(table)
-    kernel, start = results["kernels"], results["start-up"]
-    console.print(
-        f"Derivatives of the wrench cost {kernel['derivatives'] / kernel['values']:.1f} times its value "
-        f"({1e6 * kernel['derivatives']:.1f} and {1e6 * kernel['values']:.1f} us a state)."
+    parser = argparse.ArgumentParser(description="Measure what cmbot costs.")
+    parser.add_argument("--quick", action="store_true", help="leave out what takes long")
+    parser.add_argument(
+        "--literal-seconds",
+        type=float,
+        default=_LITERAL_SECONDS,
+        help="when the literal problem is cut (default: %(default)g); 0 leaves it out",
     )
-    console.print(
-        f"import cmbot takes {start['import cmbot'] / start['python']:.1f} times as long as Python alone, "
-        f"import cmbot.planning {start['import cmbot.planning'] / start['python']:.1f} times "
-        f"({start['import cmbot.planning']:.2f} s)."
-    )
-    console.print(f"Written to {RESULTS}.")
+    parser.add_argument("--no-ipopt", action="store_true", help="leave out Ipopt, which needs casadi")
+    parser.add_argument("--document", action="store_true", help="put the results into the documentation, too")
+    arguments = parser.parse_args()
+    console, progress = Console(width=max(_WIDTH, Console().width)), Console(stderr=True)
+    try:
+        with threadpool_limits(limits=1):
+            results = measured(arguments, lambda what: progress.print(what, style="dim"))
+        RESULTS.mkdir(exist_ok=True)
+        LATEST.write_text(json.dumps(results, indent=2) + "\n", encoding="utf-8")
+        print_sheets([*sheets(results), goal_sheet(goals(results))], console)
+        draw(results, LATEST.with_suffix(".png"))
+    except CmbotError as error:
+        sys.exit(f"error: {error}")
+    console.print(f"Written to {LATEST}.")
+    if arguments.document:
+        make_reference()
 
 
 if __name__ == "__main__":

@@ -1,56 +1,143 @@
-"""Both solvers on the same problems, one table: what the sparse one costs as a share of SLSQP.
-
-    python benchmarks/solvers.py
-
-Times are process times of this machine; only their ratios mean something elsewhere.
-"""
+"""Solvers beside one another on the very same problems: cmbot's two, Ipopt, the literal one."""
 
 from __future__ import annotations
 
-import time
-from dataclasses import replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
-from rich.console import Console
-from rich.table import Table
-from threadpoolctl import threadpool_limits
+from cases import Case, fixed_case, judged, random_scene, sliding_case
+from ipopt import Answer, solve_sampled, solve_working_set
+from literal import solve_literal
+from measure import process_time
 
 from cmbot import load_scene
 from cmbot.planning.optimiser import optimise
-from cmbot.planning.setting import prepare
-from cmbot.planning.ways import fixed_way, sliding_way
+from cmbot.planning.trajectory import QuinticTrajectory
 
-CASES = [
-    (scene, knots, start)
-    for scene in ("triangle", "line")
-    for knots, start in (("sliding", "free"), ("sliding", "pinned"), ("fixed", "free"))
-]
+__all__ = ["Solved", "compared", "solved_by_cmbot", "solved_by_other", "to_the_letter"]
 
-
-def measured(scene: str, solver: str, knots: str, start: str) -> tuple[float, float, int]:
-    """Seconds of optimisation, peak torque in Nm, and iterations."""
-    loaded = load_scene(scene)
-    setting = prepare(loaded, replace(loaded.planner, solver=solver, knots=knots, start=start))
-    way = sliding_way(setting) if knots == "sliding" else fixed_way(setting, lambda _: None)
-    begin = time.process_time()
-    optimised = optimise(way.problem)
-    seconds = time.process_time() - begin
-    return seconds, optimised.passes[-1].peak_torque, sum(report.iterations for report in optimised.passes)
+FAST, SLSQP, LITERAL, WORKING_SET = "sqp", "slsqp", "literal slsqp", "ipopt, working set"
+# With all samples as rows; the better of them is what "Ipopt" means.
+IPOPT = {"ipopt, l-bfgs": False, "ipopt, exact": True}
 
 
-def main() -> None:
-    """Measure and print."""
-    table = Table(title="sqp beside slsqp")
-    for heading in ("problem", "time ratio", "sqp, s", "iterations", "peak, Nm", "slsqp, s", "peak, Nm"):
-        table.add_column(heading, justify="left" if heading == "problem" else "right")
-    with threadpool_limits(limits=1, user_api="blas"):
-        for scene, knots, start in CASES:
-            fast, peak, iterations = measured(scene, "sqp", knots, start)
-            slow, other, _ = measured(scene, "slsqp", knots, start)
-            name = f"{scene}, {knots}" + (f", {start}" if knots == "sliding" else "")
-            cells = (f"{fast / slow:.2f}", f"{fast:.2f}", str(iterations), f"{peak:.3f}", f"{slow:.2f}")
-            table.add_row(name, *cells, f"{other:.3f}")
-    Console(soft_wrap=True).print(table)
+@dataclass(frozen=True, kw_only=True)
+class Solved:
+    """What a solver made of a problem.
+
+    Attributes
+    ----------
+    problem, knots, solver : str
+    seconds : float
+        Processor time from the via-points to the trajectory.
+    peak : float, Nm
+    objective : float
+        Peak in units of the start's, and smoothing; judged on all samples.
+    violation : float
+        Largest, as a share of the bound.
+    iterations, rows : int
+        Of all passes together; constraints of the last.
+    status : str
+        How it ended, in the solver's words.
+    """
+
+    problem: str
+    knots: str
+    solver: str
+    seconds: float
+    peak: float
+    objective: float
+    violation: float
+    iterations: int
+    rows: int
+    status: str
 
 
-if __name__ == "__main__":
-    main()
+def compared(
+    *, quick: bool, literal_seconds: float, ipopt_seconds: float, tell: Callable[[str], None]
+) -> Iterator[Solved]:
+    """Solve every problem with every solver.
+
+    Parameters
+    ----------
+    quick : bool
+        Only the random path, cmbot's solvers and the working set.
+    literal_seconds, ipopt_seconds : float
+        When they are cut; 0: left out.
+    tell : callable
+        Called with what is being measured.
+
+    Raises
+    ------
+    MissingExtra
+        When PIQP, or with Ipopt casadi, is not installed.
+    """
+    random = fixed_case(random_scene())
+    fixed = [random] if quick else [random, *(fixed_case(load_scene(name)) for name in ("line", "triangle"))]
+    sliding = [sliding_case(load_scene(name)) for name in ("line", "triangle")]
+    for case in (*fixed, *sliding):
+        for solver in (FAST, SLSQP):
+            tell(f"{case.name}, {_knots(case)}: {solver}")
+            yield solved_by_cmbot(case, solver)
+        if not ipopt_seconds:
+            continue
+        if not case.sliding:
+            tell(f"{case.name}, {_knots(case)}: {WORKING_SET}")
+            yield solved_by_other(case, WORKING_SET, solve_working_set(case))
+        for solver, exact in () if quick else IPOPT.items():
+            tell(f"{case.name}, {_knots(case)}: {solver}")
+            yield solved_by_other(case, solver, solve_sampled(case, exact=exact, seconds=ipopt_seconds))
+    if literal_seconds:
+        tell(f"{random.name}, fixed: {LITERAL}, {literal_seconds:.0f} s at most")
+        yield to_the_letter(random, literal_seconds)
+
+
+def to_the_letter(case: Case, seconds: float) -> Solved:
+    """Solve the literal problem once."""
+    taken, answer = process_time(lambda: solve_literal(case, seconds=seconds), repeats=1)
+    status = f"cut after {seconds:.0f} s" if answer.cut else answer.status
+    return _solved(case, LITERAL, taken, answer.trajectory, answer.iterations, answer.rows, status)
+
+
+def solved_by_cmbot(case: Case, solver: str, repeats: int = 3) -> Solved:
+    """Solve a case with ``sqp`` or ``slsqp``."""
+    seconds, optimised = process_time(lambda: optimise(case.problem(solver)), repeats)
+    iterations = sum(report.iterations for report in optimised.passes)
+    rows = optimised.passes[-1].constraints
+    status = f"{len(optimised.passes)} passes"
+    return _solved(case, solver, seconds, optimised.trajectory, iterations, rows, status)
+
+
+def solved_by_other(case: Case, solver: str, answer: Answer) -> Solved:
+    """Judge what another solver found."""
+    return _solved(
+        case, solver, answer.seconds, answer.trajectory, answer.iterations, answer.rows, answer.status
+    )
+
+
+def _solved(
+    case: Case,
+    solver: str,
+    seconds: float,
+    trajectory: QuinticTrajectory,
+    iterations: int,
+    rows: int,
+    status: str,
+) -> Solved:
+    found = judged(case, case.problem(SLSQP), trajectory)
+    return Solved(
+        problem=case.name,
+        knots=_knots(case),
+        solver=solver,
+        seconds=seconds,
+        peak=found.peak,
+        objective=found.objective,
+        violation=found.violation,
+        iterations=iterations,
+        rows=rows,
+        status=status,
+    )
+
+
+def _knots(case: Case) -> str:
+    return "sliding" if case.sliding else "fixed"

@@ -1,0 +1,71 @@
+"""Make the latest results those of the documentation: its tables, its figure, and the file they come from.
+
+    python benchmarks/document.py       # after a run; or in one go: python benchmarks/run.py --document
+
+Results become benchmarks/results/reference.json, tables go between their markers in docs/performance.md.
+tests/test_benchmarks.py holds the page to that file.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from goals import goals
+from tables import KEYS, goal_sheet, markdown, sheets
+
+ROOT = Path(__file__).resolve().parent.parent
+RESULTS = ROOT / "benchmarks" / "results"
+LATEST, REFERENCE = RESULTS / "latest.json", RESULTS / "reference.json"
+PAGE, FIGURE = ROOT / "docs" / "performance.md", ROOT / "docs" / "images" / "performance.png"
+
+
+def blocks(results: Mapping[str, Any]) -> dict[str, str]:
+    """Return what goes between the markers, by marker."""
+    made = [goal_sheet(goals(results)), *sheets(results)]
+    # A theme that was left out keeps its place.
+    kept = dict.fromkeys(KEYS, "Not measured in this run.")
+    return {**kept, **{sheet.key: markdown(sheet) for sheet in made}, "machine": _machine(results)}
+
+
+def page(text: str, found: Mapping[str, str]) -> str:
+    """Put blocks between ``<!-- key -->`` and ``<!-- end of key -->``.
+
+    Raises
+    ------
+    SystemExit
+        When a marker is missing.
+    """
+    for key, block in found.items():
+        start, end = f"<!-- {key} -->\n", f"<!-- end of {key} -->"
+        before, opened, rest = text.partition(start)
+        _, closed, after = rest.partition(end)
+        if not (opened and closed):
+            sys.exit(f"{PAGE}: no place marked {key}")
+        text = f"{before}{start}{block}\n{end}{after}"
+    return text
+
+
+def _machine(results: Mapping[str, Any]) -> str:
+    machine = results["machine"]
+    packages = ", ".join(f"{name} {version}" for name, version in machine["packages"].items())
+    system = f"Python {machine['python']} on {machine['system']}, {machine['cores']} cores"
+    quick = " A quick run, which leaves out what takes long." if results["quick"] else ""
+    return f"Measured with {system}; {packages}.{quick}"
+
+
+def make_reference() -> None:
+    """Make the latest results those of the documentation."""
+    results = json.loads(LATEST.read_text(encoding="utf-8"))
+    shutil.copy(LATEST, REFERENCE)
+    shutil.copy(LATEST.with_suffix(".png"), FIGURE)
+    PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), blocks(results)), encoding="utf-8")
+    print(f"Written: {REFERENCE}, {FIGURE}, {PAGE}.")
+
+
+if __name__ == "__main__":
+    make_reference()

@@ -1,0 +1,158 @@
+"""A sparse nonlinear program with derivatives in NumPy, handed to Ipopt through casadi."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from extras import required
+from scipy import sparse
+
+from cmbot.arrays import FloatArray
+
+__all__ = ["Ended", "Program", "solve"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Program:
+    """``min f(x), low <= g(x) <= high, lowest <= x <= highest``.
+
+    Attributes
+    ----------
+    start, lowest, highest : (D,)
+    low, high : (K,)
+    objective : callable
+        x to f and its gradient (D,).
+    values : callable
+        x to g (K,).
+    jacobian : callable
+        x to the nonzeros of the Jacobian, in the order of `pattern`.
+    pattern : csc array (K, D)
+    hessian : callable, optional
+        x, the objective's weight and multipliers (K,) to the nonzeros of the Lagrangian's upper triangle, in
+        the order of its own `pattern` (D, D); without it Ipopt approximates it (L-BFGS).
+    """
+
+    start: FloatArray
+    lowest: FloatArray
+    highest: FloatArray
+    low: FloatArray
+    high: FloatArray
+    objective: Callable[[FloatArray], tuple[float, FloatArray]]
+    values: Callable[[FloatArray], FloatArray]
+    jacobian: Callable[[FloatArray], FloatArray]
+    pattern: sparse.csc_array
+    hessian: Any = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Ended:
+    """Where Ipopt ended, after how many iterations, and what it says."""
+
+    x: FloatArray
+    iterations: int
+    status: str
+
+
+def solve(program: Program, options: dict[str, Any]) -> Ended:
+    """Solve a program with Ipopt.
+
+    Raises
+    ------
+    MissingExtra
+        When casadi is not installed.
+    """
+    ca = required("casadi")
+    n, rows = len(program.start), len(program.low)
+    dense, column = ca.Sparsity.dense, ca.Sparsity.dense(rows, 1)
+    inputs = (dense(n, 1), dense(0, 0))
+    J = _sparsity(program.pattern)
+
+    def objective_and_rows(x: FloatArray) -> list[Any]:
+        return [program.objective(x)[0], program.values(x)]
+
+    def gradient(x: FloatArray) -> list[Any]:
+        value, slope = program.objective(x)
+        return [value, slope]
+
+    def jacobian(x: FloatArray) -> list[Any]:
+        # Ipopt takes the values from elsewhere.
+        return [np.zeros(rows), ca.DM(J, program.jacobian(x))]
+
+    functions = {
+        "f": _Function("f", objective_and_rows, inputs, (dense(1, 1), column)),
+        "grad_f": _Function("grad_f", gradient, inputs, (dense(1, 1), dense(n, 1))),
+        "jac_g": _Function("jac_g", jacobian, inputs, (column, J)),
+    }
+    settings: dict[str, Any] = {"print_level": 0, "sb": "yes", **options}
+    if program.hessian is None:
+        settings["hessian_approximation"] = "limited-memory"
+    else:
+        H = _sparsity(program.hessian.pattern)
+
+        def hessian(x: FloatArray, _: Any, of_objective: FloatArray, multipliers: FloatArray) -> list[Any]:
+            return [ca.DM(H, program.hessian(x, float(of_objective[0]), multipliers))]
+
+        of_lagrangian = (*inputs, dense(1, 1), column)
+        functions["hess_lag"] = _Function("hess_lag", hessian, of_lagrangian, (H,))
+    f = functions.pop("f")
+    x = ca.MX.sym("x", n)
+    p = ca.MX.sym("p", 0, 0)
+    value, g = f.function(x, p)
+    own = {name: function.function for name, function in functions.items()}
+    # What would need derivatives of the callbacks, and what Ipopt itself does not.
+    without = {"no_nlp_grad": True, "calc_lam_p": False, "print_time": False}
+    nlp = {"x": x, "p": p, "f": value, "g": g}
+    solver = ca.nlpsol("ipopt", "ipopt", nlp, {"ipopt": settings, **without, **own})
+    found = solver(
+        x0=program.start, lbx=program.lowest, ubx=program.highest, lbg=program.low, ubg=program.high
+    )
+    stats = solver.stats()
+    return Ended(
+        x=np.array(found["x"]).ravel(), iterations=int(stats["iter_count"]), status=stats["return_status"]
+    )
+
+
+def _sparsity(pattern: sparse.csc_array) -> Any:
+    return required("casadi").Sparsity(*pattern.shape, pattern.indptr.tolist(), pattern.indices.tolist())
+
+
+@dataclass
+class _Function:
+    """A casadi Callback around a NumPy function; casadi does not keep it alive, this does."""
+
+    name: str
+    call: Callable[..., list[Any]]
+    inputs: tuple[Any, ...]
+    outputs: tuple[Any, ...]
+    function: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        ca, own = required("casadi"), self
+
+        class External(ca.Callback):  # type: ignore[misc, name-defined]
+            def __init__(self) -> None:
+                ca.Callback.__init__(self)
+                self.construct(own.name, {"enable_fd": False})
+
+            def get_n_in(self) -> int:
+                return len(own.inputs)
+
+            def get_n_out(self) -> int:
+                return len(own.outputs)
+
+            def get_sparsity_in(self, i: int) -> Any:
+                return own.inputs[i]
+
+            def get_sparsity_out(self, i: int) -> Any:
+                return own.outputs[i]
+
+            def eval(self, arguments: Any) -> list[Any]:
+                arrays = [np.array(a, dtype=float).ravel() for a in arguments]
+                if len(arrays) == 2:
+                    arrays = arrays[:1]
+                return own.call(*arrays)
+
+        self.function = External()

@@ -1,0 +1,57 @@
+"""How time is taken: processor time inside one process, wall time of whole commands; the best of several."""
+
+from __future__ import annotations
+
+import os
+import platform
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from importlib import metadata
+from typing import TypeVar
+
+__all__ = ["command", "machine", "process_time", "wall_time"]
+
+Result = TypeVar("Result")
+_PACKAGES = ("pin", "numpy", "scipy", "piqp", "casadi")
+
+
+def process_time(action: Callable[[], Result], repeats: int = 3) -> tuple[float, Result]:
+    """Shortest of several processor times, s, and what the last call returned."""
+    return _shortest(action, repeats, time.process_time)
+
+
+def wall_time(action: Callable[[], Result], repeats: int = 3) -> tuple[float, Result]:
+    """Shortest of several wall times, s, and what the last call returned."""
+    return _shortest(action, repeats, time.perf_counter)
+
+
+def _shortest(action: Callable[[], Result], repeats: int, clock: Callable[[], float]) -> tuple[float, Result]:
+    shortest = float("inf")
+    for _ in range(repeats):
+        begin = clock()
+        result = action()
+        shortest = min(shortest, clock() - begin)
+    return shortest, result
+
+
+def command(*words: str) -> Callable[[], object]:
+    """Return a call that runs Python with `words` in a fresh process."""
+    return lambda: subprocess.run([sys.executable, *words], check=True, capture_output=True)
+
+
+def machine() -> dict[str, object]:
+    """What the figures depend on, and no name of a machine or a folder."""
+    versions = {}
+    for package in _PACKAGES:
+        try:
+            versions[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            continue
+    return {
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.machine()}",
+        "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
+        "packages": versions,
+    }

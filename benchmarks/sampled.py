@@ -1,0 +1,251 @@
+"""The torque problem with every sample of the grid as a row: what a solver without an exchange is given.
+
+The unknowns are the local splines' (`cmbot.planning.local_splines`): no equality keeps them C3, and a row
+touches a few of them only. Sliding via-points are unknowns themselves, kept on the tool task by equalities.
+Last comes the bound b of the peak. Rows, in this order::
+
+    f(t) - b <= 0                       the peak
+    -1 <= tau(t) / tau_C <= 1           joint torques
+    |offset(t)| <= bound                the tool's deviation, made smooth
+    low <= q, v, a, j(t) <= high        joint limits, linear
+    task(q_k) = 0                       sliding via-points only
+
+The clearance is left out: where it would matter, `cases.judged` says so.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from cases import Case
+from scipy import sparse
+
+from cmbot.arrays import FloatArray, IntArray
+from cmbot.planning.local_splines import LocalSplines
+from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.slides import LONGEST_SLIDE
+from cmbot.planning.state_functions import JointTorque, States, ToolDeviation
+from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.robot import Kinematics, Postures
+
+__all__ = ["FAR", "ROUND", "SampledProblem"]
+
+FAR = 1e19
+# Of a via-point that is an unknown, rad: about as far as they slide.
+_UNIT = 0.1
+# They go no further than cmbot lets them before it looks again, in these units.
+_LONGEST = LONGEST_SLIDE / _UNIT
+# A distance d in units of its bound has a kink at 0; sqrt(d^2 + ROUND^2) has none, and is as steep far away.
+ROUND = 0.3
+_TASK = 6
+
+
+@dataclass(frozen=True)
+class _Entries:
+    """Splines at the samples, where they are not zero: weights (4, E), samples (E,) and columns (E,)."""
+
+    weight: FloatArray
+    row: IntArray
+    column: IntArray
+
+
+class SampledProblem:
+    """A case with all samples as rows; only for tasks that keep the whole pose.
+
+    Parameters
+    ----------
+    case : Case
+    problem : TorqueProblem
+        The same, posed for either solver.
+
+    Attributes
+    ----------
+    start : (D,)
+        The spline of least jerk, and its peak.
+    lowest, highest : (D,)
+        Of the unknowns.
+    low, high : (K,)
+        Of the rows.
+    torque_bound : (d,), Nm
+    deviation_bound : float, m
+    """
+
+    def __init__(self, case: Case, problem: TorqueProblem) -> None:
+        self.case, self.problem = case, problem
+        self.local = LocalSplines(problem.space, problem.robot.limits)
+        (n, d), count = case.via_points.shape, self.local.count
+        # All of u: numbers, then via-points; where these stay, the last columns are no unknowns.
+        self._u = np.vstack([self.local.least_jerk(case.via_points), case.via_points])
+        self.columns = len(self._u) if case.sliding else count
+        self.size = self.columns * d
+        self.unit = np.vstack([self.local.unit, np.full((n, d), _UNIT)])[: self.columns].ravel()
+        self.start = np.append(np.zeros(self.size), 1.0)
+        self.lowest, self.highest = np.full(self.size + 1, -FAR), np.full(self.size + 1, FAR)
+        if case.sliding:
+            self.lowest[count * d : -1], self.highest[count * d : -1] = -_LONGEST, _LONGEST
+        if case.pinned:
+            first = slice(count * d, (count + 1) * d)
+            self.lowest[first] = self.highest[first] = 0.0
+        for function in problem.functions:
+            if isinstance(function, JointTorque):
+                self.torque_bound = function.bound
+            elif isinstance(function, ToolDeviation):
+                self.deviation_bound = function.bound
+        self._kinematics, self._postures = Kinematics(problem.robot), Postures(problem.robot)
+        N = len(problem.grid)
+        blocks = [(-FAR, 0.0, N), (-1.0, 1.0, N * d), (-FAR, float(np.hypot(1.0, ROUND)), N)]
+        low, high = ([np.full(block[2], block[side]) for block in blocks] for side in (0, 1))
+        for bound in problem.bounds:
+            low.append(np.tile(bound.low / bound.scale, N))
+            high.append(np.tile(bound.high / bound.scale, N))
+        task = np.zeros(_TASK * n if case.sliding else 0)
+        self.low = np.maximum(np.concatenate([*low, task]), -FAR)
+        self.high = np.minimum(np.concatenate([*high, task]), FAR)
+
+    def u(self, x: FloatArray) -> FloatArray:
+        """Numbers and via-points (2n - 4, d) of the unknowns `x` (D,)."""
+        u = self._u.copy()
+        u[: self.columns] += (x[:-1] * self.unit).reshape(self.columns, -1)
+        return u
+
+    def trajectory(self, x: FloatArray) -> QuinticTrajectory:
+        """Return the trajectory of the unknowns."""
+        return self.problem.space.trajectory(np.asarray(self.local.columns @ self.u(x)))
+
+    def objective(self, x: FloatArray) -> tuple[float, FloatArray]:
+        """Bound and smoothing, and the gradient (D,)."""
+        u = self.u(x)
+        pull = (self.local.gram @ u) * self._jerk_weights
+        gradient = pull[: self.columns].ravel() * self.unit
+        return float(x[-1]) + 0.5 * float(np.sum(u * pull)), np.append(gradient, 1.0)
+
+    @cached_property
+    def smoothing_curvature(self) -> sparse.csr_array:
+        """Hessian (D - 1, D - 1) of the smoothing by the unknowns but b."""
+        gram = self.local.gram[: self.columns, : self.columns]
+        unit = sparse.diags_array(self.unit)
+        return sparse.csr_array(unit @ sparse.kron(gram, sparse.diags_array(self._jerk_weights)) @ unit)
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Return all rows (K,)."""
+        u, problem = self.u(x), self.problem
+        states = [W @ u for W in self.weights]
+        at = States(problem.grid, *states[:3])
+        peak = problem.torque.values(at)[0][:, 0] - x[-1]
+        joint = problem.dynamics.efforts(at.q, at.v, at.a).joint_torque / self.torque_bound
+        point = self._kinematics.tool_poses(at.q)[0]
+        away = self.case.setting.task.path.leg_offset(at.t, point) / self.deviation_bound
+        linear = [states[bound.order] / bound.scale for bound in problem.bounds]
+        distance = np.sqrt((away**2).sum(axis=1) + ROUND**2)
+        parts = [peak, joint, distance, *linear, self._task(u)[0]]
+        return np.concatenate([part.ravel() for part in parts])
+
+    def jacobian(self, x: FloatArray) -> FloatArray:
+        """Nonzeros of the Jacobian, in the order of `pattern`."""
+        u, problem = self.u(x), self.problem
+        at = States(problem.grid, *(W @ u for W in self.weights[:3]))
+        N, d = at.q.shape
+        D = np.zeros((3, N, d + 2, d))
+        rows = problem.dynamics.derivatives(at.q, at.v, at.a)
+        value = np.linalg.norm(rows.value[:, :3], axis=1)
+        direction = rows.value[:, :3] / (value * problem.scale)[:, None]
+        for order, by in enumerate((rows.d_q, rows.d_v, rows.d_a)):
+            D[order, :, 0] = np.einsum("ki,kij->kj", direction, by[:, :3])
+            D[order, :, 1:-1] = by[:, 3:] / self.torque_bound[:, None]
+        p, J = self._kinematics.tool_point_jacobians(at.q)
+        away = self.case.setting.task.path.leg_offset(at.t, p) / self.deviation_bound
+        distance = np.sqrt((away**2).sum(axis=1) + ROUND**2)[:, None]
+        D[0, :, -1] = np.einsum("ki,kij->kj", away / distance, J) / self.deviation_bound
+        entries = self._entries
+        data = sum(entries.weight[o][:, None, None] * D[o][entries.row] for o in range(3))
+        data = (data * self.unit.reshape(self.columns, d)[entries.column][:, None, :]).ravel()
+        task = _UNIT * self._task(u)[1]
+        return np.concatenate([data, self._constant, task.ravel()])[self._order]
+
+    @cached_property
+    def pattern(self) -> sparse.csc_array:
+        """Where the Jacobian (K, D) may be other than zero."""
+        row, column = self._places
+        shape = (len(self.low), self.size + 1)
+        return sparse.csc_array(sparse.coo_array((np.ones(len(row)), (row, column)), shape=shape))
+
+    @cached_property
+    def states_by_unknowns(self) -> sparse.csr_array:
+        """Derivatives (N 3d, D - 1) of positions, velocities and accelerations."""
+        entries, d = self._entries, self.problem.robot.dof
+        part, joint = np.arange(3)[:, None, None], np.arange(d)
+        row = (3 * entries.row[:, None] + part) * d + joint
+        column = np.broadcast_to(d * entries.column[:, None] + joint, row.shape)
+        unit = self.unit.reshape(self.columns, d)[entries.column]
+        data = entries.weight[:3, :, None] * unit
+        shape = (3 * d * len(self.problem.grid), self.size)
+        return sparse.csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=shape)
+
+    @cached_property
+    def _order(self) -> IntArray:
+        row, column = self._places
+        return np.lexsort((row, column))
+
+    @cached_property
+    def _places(self) -> tuple[IntArray, IntArray]:
+        """Rows and columns of the Jacobian's entries, in the order in which `jacobian` fills them."""
+        entries, (n, d), N = self._entries, self.case.via_points.shape, len(self.problem.grid)
+        joint = np.arange(d)
+        column = d * entries.column[:, None] + joint
+        first = np.concatenate([[0], N + joint, [N * (d + 1)]])
+        step = np.concatenate([[1], np.full(d, d), [1]])
+        of_state = first + step * entries.row[:, None]
+        rows = [np.repeat(of_state, d, axis=1).ravel(), np.arange(N)]
+        columns = [np.tile(column, (1, d + 2)).ravel(), np.full(N, self.size)]
+        for k in range(len(self.problem.bounds)):
+            rows.append((N * (d + 2 + k * d) + d * entries.row[:, None] + joint).ravel())
+            columns.append(column.ravel())
+        if self.case.sliding:
+            shape = (n, _TASK, d)
+            task = N * (d + 2 + len(self.problem.bounds) * d) + np.arange(n * _TASK).reshape(n, _TASK, 1)
+            rows.append(np.broadcast_to(task, shape).ravel())
+            via = d * (self.local.count + np.arange(n))[:, None, None] + joint
+            columns.append(np.broadcast_to(via, shape).ravel())
+        return np.concatenate(rows), np.concatenate(columns)
+
+    @cached_property
+    def _constant(self) -> FloatArray:
+        """Entries of the peak's bound and of the joint limits."""
+        entries, d = self._entries, self.problem.robot.dof
+        unit = self.unit.reshape(self.columns, d)[entries.column]
+        limits = (entries.weight[b.order][:, None] * unit / b.scale for b in self.problem.bounds)
+        return np.concatenate([np.full(len(self.problem.grid), -1.0), *(x.ravel() for x in limits)])
+
+    @property
+    def _jerk_weights(self) -> FloatArray:
+        limits = self.problem.robot.limits
+        return np.asarray(self.case.weight / len(limits.jerk) / limits.jerk**2)
+
+    @cached_property
+    def weights(self) -> list[sparse.csr_array]:
+        """Matrices (N, 2n - 4) from u to positions, velocities, accelerations and jerks at the samples."""
+        rows = self.local.rows(self.problem.grid)
+        shape = (rows.size, self.local.columns.shape[1])
+        return [sparse.csr_array((w, (rows.row, rows.column)), shape=shape) for w in rows.weight]
+
+    @cached_property
+    def _entries(self) -> _Entries:
+        rows = self.local.rows(self.problem.grid)
+        inside = rows.column < self.columns
+        return _Entries(rows.weight[:, inside], rows.row[inside], rows.column[inside])
+
+    def _task(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Task residuals (n, 6) at sliding via-points, and their derivatives (n, 6, d)."""
+        n, d = self.case.via_points.shape
+        if not self.case.sliding:
+            return np.empty((0, _TASK)), np.empty((0, _TASK, d))
+        setting = self.case.setting
+        at = self._postures.at(np.ascontiguousarray(u[-n:]))
+        E = at.tool_rotation @ setting.task.path.orientation.T
+        off = at.tool_point - setting.task.path.position(setting.times)
+        turn = 0.5 * np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]], 1)
+        by_turn = 0.5 * (np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(3) - E)
+        J = np.concatenate([at.jacobian[:, :3], by_turn @ at.jacobian[:, 3:]], axis=1)
+        return np.hstack([off, turn]), J
