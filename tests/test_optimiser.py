@@ -68,6 +68,7 @@ def test_peak_is_that_of_the_papers_own_formulation() -> None:
             "smoothing_weight": 1e-2,
             "max_tool_deviation_m": 0.01,
             "samples_per_segment": 20,
+            "solver": "slsqp",
         },
     )
     given, task, clearances = problem_of(scene)
@@ -94,7 +95,8 @@ def test_mean_square_is_that_of_the_papers_own_formulation() -> None:
     In this stage the smoothing weighs a thousand times what it does where a peak has to be lowered.
     """
     scene = short_scene(
-        tool_path={"via_points": 6}, planner={"smoothing_weight": 1e-5, "max_tool_deviation_m": 0.01}
+        tool_path={"via_points": 6},
+        planner={"smoothing_weight": 1e-5, "max_tool_deviation_m": 0.01, "solver": "slsqp"},
     )
     problem, task, _ = problem_of(scene)
     optimised = optimise(problem)

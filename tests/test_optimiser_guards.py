@@ -22,7 +22,7 @@ def demanding() -> TorqueProblem:
     """Its peak is in the motion, and nothing says that it is low enough."""
     scene = short_scene(
         tool_path={"legs": OUT_AND_BACK, "via_points": 7},
-        planner={"smoothing_weight": 1e-2, "max_tool_deviation_m": 0.01},
+        planner={"smoothing_weight": 1e-2, "max_tool_deviation_m": 0.01, "solver": "slsqp"},
     )
     given, task, clearances = problem_of(scene)
     return TorqueProblem(given.robot, task, given.family, clearances, scene.planner, resting=(0, -1))
@@ -65,7 +65,7 @@ def test_sliding_alone_may_lead_nowhere(monkeypatch: pytest.MonkeyPatch) -> None
         return solve_slsqp(subproblem, accuracy, max_iterations)
 
     monkeypatch.setattr(optimiser, "solve_slsqp", without_slides)
-    planned = plan(short_scene(planner={"knots": "sliding"}))
+    planned = plan(short_scene(planner={"knots": "sliding", "solver": "slsqp"}))
     assert refused
     assert planned.certificate.holds
 

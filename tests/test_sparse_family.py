@@ -14,6 +14,7 @@ from small_scenes import parts, problem_of, short_scene
 
 from cmbot.planning.curvature import convexified, state_curvature
 from cmbot.planning.families import FixedKnots, WhitenedSplines
+from cmbot.planning.known_constraints import KnownConstraints
 from cmbot.planning.local_splines import LocalSplines
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.slides import TaskAtViaPoints
@@ -242,19 +243,73 @@ def test_the_place_knows_its_derivatives(family: LocalKnots, rng: np.random.Gene
     problem = problem_around(family)
     working = WorkingSet(problem)
     working.add_everywhere(np.array([0.4, 1.7, 3.1]))
-    place = TorquePlace(problem, working, family, 0.9)
+    known = KnownConstraints(problem, working)
+
+    def at(x: FloatArray) -> TorquePlace:
+        return TorquePlace(known, family.rebuilt(x, family.weight), 0.9, known.count())
+
+    place = TorquePlace(known, family, 0.9, known.count())
     first = place.first
-    check_derivative(lambda x: place.moved(x).first.objective, family.start, first.gradient, rtol=1e-5)
+    check_derivative(lambda x: at(x).first.objective, family.start, first.gradient, rtol=1e-5)
     check_derivative(
-        lambda x: place.moved(x).first.value, family.start, first.jacobian.toarray(), rtol=1e-5, atol=1e-6
+        lambda x: at(x).first.value, family.start, first.jacobian.toarray(), rtol=1e-5, atol=1e-6
     )
-    second = place.second(np.ones(len(first.value)))
-    assert np.linalg.eigvalsh(second.hessian.toarray()).min() > 0
+    assert np.linalg.eigvalsh(place.curvature(np.ones(len(first.value))).toarray()).min() > 0
     # What never exceeds the deviation does not, and is equal to it where the tool is off that way.
-    faces = second.face_value.reshape(-1, 3)
+    faces = first.face_value.reshape(-1, 3)
     sizes = np.cumsum(working.sizes)
     deviation = first.value[sizes[1] : sizes[2]]
     assert (faces <= deviation + 1e-9).all()
+    assert (first.face_kind == 2).all()
+    assert (np.bincount(first.kind, minlength=len(working.sizes)) == working.sizes).all()
+
+
+def test_a_step_adds_what_it_violates_and_multipliers_follow() -> None:
+    problem = problem_around(family_of("free"))
+    working = WorkingSet(problem)
+    working.add_everywhere(np.array([0.4, 1.7, 3.1]))
+    known = KnownConstraints(problem, working)
+    family = problem.family
+    assert isinstance(family, LocalKnots)
+    place = TorquePlace(known, family, None, known.count())
+    multipliers = np.arange(1.0, len(working) + 1)
+    before = np.split(multipliers, np.cumsum(working.sizes)[:-1])
+    trial = place.moved(np.full(family.dimension, 0.5))
+    assert len(trial.first.value) == len(working) > len(multipliers)
+    # All that a full look finds is known already.
+    assert known.look(trial.family, trial.first.peak).value == pytest.approx(trial.first.violation, rel=1e-2)
+    after = np.split(place.lifted(multipliers), np.cumsum(working.sizes)[:-1])
+    for old, new in zip(before, after, strict=True):
+        np.testing.assert_array_equal(new[: len(old)], old)
+        assert not new[len(old) :].any()
+    assert place.renewed().first.merit(np.ones(len(before))) >= place.first.merit(np.ones(len(before)))
+
+
+def test_thinning_keeps_multipliers_and_the_worst() -> None:
+    problem = problem_around(family_of("free"))
+    working = WorkingSet(problem)
+    known = KnownConstraints(problem, working)
+    dense = np.linspace(0.5, 3.5, 400)
+    working.add_everywhere(dense)
+    family = problem.family
+    assert isinstance(family, LocalKnots)
+    place = TorquePlace(known, family, None, known.count())
+    multipliers = np.zeros(len(working))
+    multipliers[[7, 8, 430]] = [1.0, 2.0, 3.0]
+    thinner, left = place.thinned(multipliers)
+    assert len(left) == len(working) == len(thinner.first.value) < len(multipliers)
+    assert sorted(left[left > 0]) == [1.0, 2.0, 3.0]
+    assert thinner.first.peak == place.first.peak
+    # Few are left alone.
+    assert thinner.thinned(left)[0] is thinner
+
+
+def test_directions_of_slides_stay_what_they_were_as_far_as_they_can() -> None:
+    family = family_of("free")
+    x = np.zeros(family.dimension)
+    x[-family.slides :] = 0.1
+    there = family.rebuilt(x, family.weight)
+    assert (np.einsum("kai,kai->ka", family._null, there._null) > 0.9).all()
 
 
 def test_convexified(rng: np.random.Generator) -> None:

@@ -176,7 +176,8 @@ class _Run:
             if effort is COARSE:
                 return bound, peak
             if worst.value <= options.constraint_tolerance:
-                if effort is LIGHTER[-1] and gain > _SETTLED:
+                sparse = isinstance(self.family, LocalKnots)
+                if gain > _SETTLED and (sparse or effort is LIGHTER[-1]):
                     continue
                 return bound, peak
             if stalls == _MOST_STALLS:
@@ -246,4 +247,4 @@ class _Run:
             self._progress(report)
 
     def _failure(self, reason: str, worst: Violation) -> OptimisationFailed:
-        return OptimisationFailed(reason, constraint=worst.name, violation=worst.value)
+        return OptimisationFailed(reason, constraint=worst.name, violation=worst.value, undecided=True)

@@ -38,6 +38,8 @@ class LocalKnots:
         What sliding via-points keep; without it they stay.
     pinned : bool
         The first via-point stays anyway.
+    directions : (k, a, d), optional
+        In which the k via-points slide that may; those that are taken lie as near to them as they can.
     """
 
     def __init__(
@@ -49,6 +51,7 @@ class LocalKnots:
         *,
         task: TaskAtViaPoints | None = None,
         pinned: bool = False,
+        directions: FloatArray | None = None,
     ) -> None:
         self.splines = splines
         self.via_points = via_points
@@ -59,6 +62,8 @@ class LocalKnots:
         self._free = np.arange(1 if pinned else 0, len(via_points) if self.sliding else 0)
         if task is not None:
             self._null = task.null_spaces(via_points)[self._free]
+            if directions is not None:
+                self._null = _turned(self._null, directions)
         else:
             self._null = np.empty((0, 0, via_points.shape[1]))
 
@@ -130,6 +135,7 @@ class LocalKnots:
             weight,
             task=self._task,
             pinned=self._pinned,
+            directions=self._null,
         )
 
     def rows(self, times: FloatArray) -> LocalRows:
@@ -241,3 +247,9 @@ class LocalKnots:
     def _sparse(self, data: FloatArray, row: IntArray, column: IntArray, rows: int) -> sparse.csr_array:
         size = self._numbers.size + self.via_points.size
         return sparse.csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=(rows, size))
+
+
+def _turned(null: FloatArray, directions: FloatArray) -> FloatArray:
+    """Orthonormal bases (k, a, d) of the same spaces as `null`, as near as they can be to `directions`."""
+    U, _, Vt = np.linalg.svd(directions @ null.transpose(0, 2, 1))
+    return np.asarray(U @ Vt @ null)

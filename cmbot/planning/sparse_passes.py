@@ -1,39 +1,36 @@
-"""The sparse solver's side of the exchange: descend a little, look, descend on."""
+"""The sparse solver's side of the exchange: what it keeps from pass to pass."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
 from cmbot.errors import OptimisationFailed
 from cmbot.planning.efforts import COARSE, Effort
+from cmbot.planning.known_constraints import KnownConstraints
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.sparse_family import LocalKnots
 from cmbot.planning.sparse_place import TorquePlace
-from cmbot.planning.sqp import descend
-from cmbot.planning.working_set import Violation, WorkingSet
+from cmbot.planning.sqp import Descent, descend
+from cmbot.planning.working_set import WorkingSet
 
 __all__ = ["SparsePasses"]
 
 
-# So few quadratic programs, coarsely and on all samples, before new violations are looked for: long steps are
-# only safe where there are constraints to hold them.
-_COARSE_STEPS, _FINE_STEPS = 5, 10
-# A coarse pass need neither end at the optimum nor meet its constraints better than this.
-_COARSE_ACCURACY = 1e-3
-# No pass goes on for less than this: in one step, or with those between two looks.
-_FINEST, _SLOW = 1e-6, 1e-5
-# Constraints of the working set are met so much better than they have to be at the samples.
-_CLOSER = 0.1
-# The first penalty, how far it stays above the sum of multipliers, the radius that a pass may try again.
-_PENALTY, _ABOVE, _LEAST_RADIUS = 0.1, 2.0, 0.1
-_FIRST_RADIUS = 1.0
-# Quadratic programs of a pass, at most; one that uses them all has to bring violations down to this share.
-_MOST_STEPS, _STALLED = 60, 0.9
+# A coarse pass need neither end at the optimum nor meet its constraints better than this; no pass goes on for
+# less than this.
+_COARSE_ACCURACY, _FINEST = 1e-3, 1e-5
+# Constraints of the working set are met so much better than they have to be.
+_CLOSER = 0.5
+# The first penalties, the least later ones, and how far they stay above the sums of multipliers.
+_PENALTY, _LEAST_PENALTY, _ABOVE = 1e-2, 1e-3, 2.0
+# A pass starts with no more damping than this.
+_DAMPING = 1e-4
+# Steps of a pass, at most.
+_MOST_STEPS = 60
 
 
 class SparsePasses:
-    """Solves the subproblems of an exchange; multipliers and radius are kept from pass to pass.
+    """Solves the subproblems of an exchange; multipliers and damping are kept from pass to pass.
 
     Parameters
     ----------
@@ -43,14 +40,17 @@ class SparsePasses:
 
     def __init__(self, problem: TorqueProblem, working: WorkingSet) -> None:
         self._problem = problem
-        self._working = working
-        self._multipliers: tuple[FloatArray, ...] = ()
-        self._radius, self._penalty = _FIRST_RADIUS, _PENALTY
+        self._known = KnownConstraints(problem, working)
+        self._multipliers = np.empty(0)
+        self._penalty = np.full(len(working.sizes), _PENALTY)
+        self._damping = _DAMPING
 
     def solve(
         self, family: LocalKnots, bound: float | None, effort: Effort
     ) -> tuple[LocalKnots, float, int, float]:
         """Lower the peak, or with a `bound` on it the mean square.
+
+        Every step is looked at in full: the working set grows as it goes.
 
         Parameters
         ----------
@@ -68,70 +68,47 @@ class SparsePasses:
             Largest scaled torque at the working times.
         iterations : int
         gain : float
-            How far the merit fell since the working set was last added to.
+            How far the merit fell; 0 when nothing more is to be gained.
 
         Raises
         ------
         OptimisationFailed
             When the constraints cannot be met near where it ended.
         """
-        options = self._problem.options
-        most = min(effort.iterations, options.max_iterations, _MOST_STEPS)
-        family = family.rebuilt(family.start, options.smoothing_weight * effort.smoothing)
-        coarse = effort is COARSE
-        iterations, radius = 0, max(self._radius, _LEAST_RADIUS)
-        violated, lowest = np.inf, np.inf
-        while True:
-            start = TorquePlace(self._problem, self._working, family, bound)
-            ended = descend(
-                start,
-                self._guess(),
-                penalty=self._penalty,
-                radius=radius,
-                accuracy=_COARSE_ACCURACY if coarse else max(effort.accuracy, _FINEST),
-                tolerance=_COARSE_ACCURACY if coarse else _CLOSER * options.constraint_tolerance,
-                max_iterations=min(_COARSE_STEPS if coarse else _FINE_STEPS, most - iterations),
-            )
-            violated = min(violated, start.first.violation)
-            self._keep(ended.multipliers)
-            radius = self._radius = ended.radius
-            needed = _ABOVE * float(ended.multipliers[ended.place.first.peaks :].sum())
-            self._penalty = min(max(_PENALTY, needed), ended.penalty)
-            iterations += ended.iterations
-            family, first = ended.place.family, ended.place.first
-            peak = float(first.value[: first.peaks].max()) if bound is None else bound
-            gain = start.first.merit(ended.penalty) - first.merit(ended.penalty)
-            met = first.violation <= options.constraint_tolerance
-            now = first.merit(_PENALTY)
-            slow = met and not coarse and min(gain, lowest - now) < _SLOW
-            lowest = min(lowest, now) if met else lowest
-            if ended.stuck or ended.settled or slow or iterations >= most:
-                break
-            self._look(family, peak, effort)
-        # Whoever gets nowhere in so many steps will not get there in many times as many.
-        stalled = (
-            not met and not ended.settled and first.violation > max(_STALLED * violated, _COARSE_ACCURACY)
+        options, coarse = self._problem.options, effort is COARSE
+        self._known.stride = effort.stride
+        start = TorquePlace(
+            self._known,
+            family.rebuilt(family.start, options.smoothing_weight * effort.smoothing),
+            bound,
+            self._known.count(),
         )
-        if (ended.stuck or stalled) and not coarse:
-            worst = self._look(family, peak, effort)
+        ended = descend(
+            start,
+            self._known.lifted(self._multipliers),
+            penalty=self._penalty,
+            damping=min(self._damping, _DAMPING),
+            accuracy=_COARSE_ACCURACY if coarse else max(effort.accuracy, _FINEST),
+            tolerance=_COARSE_ACCURACY if coarse else _CLOSER * options.constraint_tolerance,
+            max_iterations=min(effort.iterations, options.max_iterations, _MOST_STEPS),
+        )
+        self._keep(ended)
+        family, first = ended.place.family, ended.place.first
+        if ended.stuck and not coarse:
+            worst = self._known.look(family, first.peak if bound is None else bound)
             raise OptimisationFailed(
                 "near the trajectory that was found the constraints cannot all be met",
                 constraint=worst.name,
                 violation=worst.value,
             )
-        return family, peak, iterations, gain
+        done = ended.settled or ended.slow
+        gain = 0.0 if done else sum(before - after for _, before, after in ended.merits)
+        return family, first.peak if bound is None else bound, ended.iterations, gain
 
-    def _look(self, family: LocalKnots, bound: float, effort: Effort) -> Violation:
-        trajectory = self._problem.trajectory(family, family.start)
-        tolerance = self._problem.options.constraint_tolerance
-        return self._working.add_violated(trajectory, bound, tolerance, effort.stride, effort.most)[1]
-
-    def _guess(self) -> FloatArray:
-        """Multipliers of the working set: those of old sites, none for new ones."""
-        sizes = self._working.sizes
-        known = self._multipliers or tuple(np.empty(0) for _ in sizes)
-        parts = [np.append(old, np.zeros(size - len(old))) for old, size in zip(known, sizes, strict=True)]
-        return np.concatenate(parts)
-
-    def _keep(self, multipliers: FloatArray) -> None:
-        self._multipliers = tuple(np.split(multipliers, np.cumsum(self._working.sizes)[:-1]))
+    def _keep(self, ended: Descent[TorquePlace]) -> None:
+        """Keep what the next pass starts from; penalties may fall again to what multipliers ask for."""
+        first = ended.place.first
+        needed = np.zeros_like(ended.penalty)
+        np.add.at(needed, first.kind[first.peaks :], _ABOVE * ended.multipliers[first.peaks :])
+        self._penalty = np.minimum(np.maximum(_LEAST_PENALTY, needed), ended.penalty)
+        self._multipliers, self._damping = ended.multipliers, ended.damping

@@ -1,20 +1,18 @@
-"""The torque problem on a working set, as the sparse solver sees it: a place with its derivatives."""
+"""The torque problem as the sparse solver sees it: a place with its derivatives."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
 from scipy import sparse
 
 from cmbot.arrays import FloatArray
 from cmbot.planning.curvature import convexified, state_curvature
-from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.known_constraints import KnownConstraints
 from cmbot.planning.sparse_family import LocalKnots
 from cmbot.planning.sparse_qp import LocalModel
 from cmbot.planning.state_functions import States
-from cmbot.planning.working_set import WorkingSet
 
 __all__ = ["TorquePlace"]
 
@@ -25,26 +23,45 @@ class TorquePlace:
 
     Attributes
     ----------
-    problem : TorqueProblem
-    working : WorkingSet
+    known : KnownConstraints
     family : LocalKnots
         Built around the spline.
     bound : float or None
         What the scaled torque is held below while its mean square is lowered; None where the peak is lowered.
+    count : int
+        Number of constraints that were known when the place was made.
     """
 
-    problem: TorqueProblem
-    working: WorkingSet
+    known: KnownConstraints
     family: LocalKnots
     bound: float | None
+    count: int
 
     def moved(self, p: FloatArray) -> TorquePlace:
-        """Step by the unknowns `p`."""
-        return TorquePlace(self.problem, self.working, self.family.rebuilt(p, self.family.weight), self.bound)
+        """Step by the unknowns `p`; what is violated there is known from then on."""
+        trial = self._with(self.family.rebuilt(p, self.family.weight))
+        self.known.look(trial.family, trial.first.peak if self.bound is None else self.bound)
+        return trial.renewed()
+
+    def renewed(self) -> TorquePlace:
+        """Return the same spline with the constraints that are known by now."""
+        return self if self.known.count() == self.count else self._with(self.family)
+
+    def lifted(self, multipliers: FloatArray) -> FloatArray:
+        """Multipliers of the constraints known by now, from those of constraints known some time before."""
+        return self.known.lifted(multipliers)
+
+    def thinned(self, multipliers: FloatArray) -> tuple[TorquePlace, FloatArray]:
+        """Return the same spline with fewer constraints, where they were many, and their multipliers."""
+        left = self.known.thinned(self.first.value, multipliers)
+        return self.renewed(), left
+
+    def _with(self, family: LocalKnots) -> TorquePlace:
+        return TorquePlace(self.known, family, self.bound, self.known.count())
 
     @cached_property
     def first(self) -> LocalModel:
-        """Values and first derivatives; Hessian and faces are left empty."""
+        """Values and first derivatives; the Hessian is left empty."""
         family = self.family
         value, jacobian, torques = self._constraints
         objective, gradient = family.smoothing()
@@ -53,6 +70,8 @@ class TorquePlace:
             value[:torques] -= self.bound
             torque, by_u = self._torque
             objective, gradient = objective + 0.5 * float(torque @ torque), gradient + by_u.T @ torque
+        face_value, faces = self.known.working.faces(family, family.start)
+        kind, face_kind = self.known.kinds(len(face_value))
         return LocalModel(
             objective=objective,
             gradient=family.map.T @ gradient,
@@ -60,13 +79,15 @@ class TorquePlace:
             value=value,
             jacobian=sparse.csr_array(jacobian @ family.map),
             peaks=torques if self.bound is None else 0,
-            face_value=np.empty(0),
-            face_jacobian=sparse.csr_array((0, family.dimension)),
+            kind=kind,
+            face_value=face_value,
+            face_jacobian=sparse.csr_array(faces @ family.map),
+            face_kind=face_kind,
         )
 
-    def second(self, multipliers: FloatArray) -> LocalModel:
-        """The same with a positive definite Hessian of the Lagrangian."""
-        family, first = self.family, self.first
+    def curvature(self, multipliers: FloatArray) -> sparse.csr_array:
+        """Positive definite Hessian of the Lagrangian."""
+        family, problem = self.family, self.known.problem
         H = family.smoothing_curvature
         gradient = family.smoothing()[1]
         if self.bound is not None:
@@ -77,22 +98,20 @@ class TorquePlace:
         if multipliers.any():
             gradient = gradient + self._constraints[1].T @ multipliers
             total, done = float(multipliers.sum()), 0
-            trajectory = self.problem.trajectory(family, family.start)
+            trajectory = problem.trajectory(family, family.start)
             by_u = sparse.csr_array((family.map.shape[0],) * 2)
-            for function, times, component in self.working.state_sites():
+            for function, times, component in self.known.working.state_sites():
                 share = multipliers[done : done + len(times)]
                 done += len(times)
                 states = States(times, *trajectory.states(times))
                 by_u = by_u + state_curvature(family, function, states, component, share, total)
             H = H + family.map.T @ by_u @ family.map
-        H = convexified(sparse.csr_array(H + family.bend_curvature(gradient)), family.blocks)
-        value, faces = self.working.faces(family, family.start)
-        return replace(first, hessian=H, face_value=value, face_jacobian=sparse.csr_array(faces @ family.map))
+        return convexified(sparse.csr_array(H + family.bend_curvature(gradient)), family.blocks)
 
     @cached_property
     def _constraints(self) -> tuple[FloatArray, sparse.csr_array, int]:
-        return self.working.values(self.family, self.family.start)
+        return self.known.working.values(self.family, self.family.start)
 
     @cached_property
     def _torque(self) -> tuple[FloatArray, sparse.csr_array]:
-        return self.problem.weighted_parts(self.family, self.family.start)
+        return self.known.problem.weighted_parts(self.family, self.family.start)

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 from scipy import sparse
 
-from cmbot.arrays import FloatArray
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.errors import MissingExtra
 
 __all__ = ["LocalModel", "Step", "piqp_module", "solve_qp"]
 
 # What PIQP is asked for, and what is still good enough to step by: the step is judged by what it brings.
-_ACCURACY = 1e-9
+_ACCURACY = 1e-8
 
 
 def piqp_module() -> Any:
@@ -49,10 +49,14 @@ class LocalModel:
         Sparse.
     peaks : int
         How many of c, the first ones, are compared with b. Without any there is no b.
+    kind : (K,)
+        What kind of constraint each of c is; each kind has a penalty of its own.
     face_value : (F,)
         Of functions that never exceed some of c, but reach what these overlook to first order.
     face_jacobian : (F, n)
         Sparse.
+    face_kind : (F,)
+        What kind of constraint they belong to.
     """
 
     objective: float
@@ -61,30 +65,39 @@ class LocalModel:
     value: FloatArray
     jacobian: sparse.csr_array
     peaks: int
+    kind: IntArray
     face_value: FloatArray
     face_jacobian: sparse.csr_array
+    face_kind: IntArray
+
+    @property
+    def peak(self) -> float:
+        """Largest of the constraints that are compared with b; 0 without any."""
+        return float(self.value[: self.peaks].max()) if self.peaks else 0.0
 
     @property
     def violation(self) -> float:
         """Largest of the constraints that are violated, or 0."""
         return float(self.value[self.peaks :].max(initial=0.0))
 
-    def linear_violation(self, p: FloatArray) -> float:
-        """Largest violation after the step `p` (n,), to first order."""
-        others = slice(self.peaks, None)
-        return float((self.value[others] + self.jacobian[others] @ p).max(initial=0.0))
+    def violations(self, p: FloatArray | None = None, *, kinds: int) -> FloatArray:
+        """Largest violation (kinds,) of each kind, here or to first order after the step `p` (n,)."""
+        value = self.value if p is None else self.value + self.jacobian @ p
+        largest = np.zeros(kinds)
+        np.maximum.at(largest, self.kind[self.peaks :], value[self.peaks :])
+        return largest
 
-    def merit(self, penalty: float) -> float:
-        """Objective and peak, and the largest violation times `penalty`."""
-        peak = float(self.value[: self.peaks].max()) if self.peaks else 0.0
-        return self.objective + peak + penalty * self.violation
+    def merit(self, penalty: FloatArray) -> float:
+        """Objective and peak, and the largest violation of each kind times its `penalty` (kinds,)."""
+        return self.objective + self.peak + float(penalty @ self.violations(kinds=len(penalty)))
 
-    def after(self, p: FloatArray, penalty: float) -> float:
+    def after(self, p: FloatArray, penalty: FloatArray) -> float:
         """What the merit would be after the step `p` (n,), to this order."""
         value = self.value + self.jacobian @ p
         peak = float(value[: self.peaks].max()) if self.peaks else 0.0
         quadratic = float(self.gradient @ p + 0.5 * p @ (self.hessian @ p))
-        return self.objective + quadratic + peak + penalty * float(value[self.peaks :].max(initial=0.0))
+        left = self.violations(p, kinds=len(penalty))
+        return self.objective + quadratic + peak + float(penalty @ left)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,24 +118,30 @@ class Step:
     solved: bool
 
 
-def solve_qp(model: LocalModel, penalty: float, radius: float) -> Step:
-    """Minimise the model with violations weighed by `penalty`, no entry of p larger than `radius`."""
+def solve_qp(model: LocalModel, penalty: FloatArray, radius: float, damping: float = 0.0) -> Step:
+    """Minimise the model with violations weighed by `penalty`, no entry of p larger than `radius`.
+
+    Half of `damping` times the square of p is added.
+    """
     piqp = piqp_module()
+    n, peaks, kinds = len(model.gradient), model.peaks, len(penalty)
     value = np.concatenate([model.value, model.face_value])
-    n, peaks, rows = len(model.gradient), model.peaks, len(value)
-    bound = (np.arange(rows) < peaks)[:, None]
-    # Behind p come the peak b and the largest violation e.
-    J = sparse.vstack([model.jacobian, model.face_jacobian])
-    G = sparse.hstack([J, np.where(bound, -1.0, 0.0), np.where(bound, 0.0, -1.0)], format="csc")
-    P = sparse.block_diag([model.hessian, sparse.csc_array((2, 2))], format="csc")
-    c = np.concatenate([model.gradient, [1.0 if peaks else 0.0, penalty]])
+    # Behind p come the peak b and the largest violation of each kind.
+    column = np.concatenate([np.zeros(peaks, dtype=np.intp), 1 + model.kind[peaks:], 1 + model.face_kind])
+    rows = len(value)
+    less = sparse.csr_array((np.full(rows, -1.0), (np.arange(rows), column)), shape=(rows, 1 + kinds))
+    G = sparse.hstack([sparse.vstack([model.jacobian, model.face_jacobian]), less], format="csc")
+    H = model.hessian + damping * sparse.eye_array(n)
+    P = sparse.block_diag([H, sparse.csc_array((1 + kinds, 1 + kinds))], format="csc")
+    c = np.concatenate([model.gradient, [1.0 if peaks else 0.0], penalty])
     highest = float(np.abs(model.value).max(initial=1.0))
-    low = np.concatenate([np.full(n, -radius), [-10 * highest, 0.0]])
-    high = np.concatenate([np.full(n, radius), [10 * highest, np.inf]])
+    low = np.concatenate([np.full(n, -radius), [-10 * highest], np.zeros(kinds)])
+    high = np.concatenate([np.full(n, radius), [10 * highest], np.full(kinds, np.inf)])
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = _ACCURACY
     solver.settings.eps_rel = _ACCURACY
     solver.settings.check_duality_gap = False
+    solver.settings.kkt_solver = piqp.KKTSolver.sparse_multistage
     solver.setup(
         sparse.csc_matrix(P),
         c,
