@@ -159,7 +159,9 @@ def test_knots_need_no_pickle(saved_triangle, triangle_plan, name):
 @pytest.mark.parametrize("name", MOTIONS)
 def test_ros_joint_trajectory(saved_triangle, triangle_plan, approach_samples, name):
     samples = approach_samples if name == "approach" else triangle_plan.samples
-    data = json.loads((saved_triangle / f"{name}.ros.json").read_text())
+    text = (saved_triangle / f"{name}.ros.json").read_text()
+    data = json.loads(text)
+    assert text == json.dumps(data) + "\n"
     assert set(data) == {"header", "joint_names", "points"}
     assert data["joint_names"] == list(triangle_plan.robot.joints)
     points = data["points"]

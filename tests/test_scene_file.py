@@ -69,7 +69,7 @@ WRONG = [
     (("tool_path",), [], "tool_path", "[]", "a mapping of keys to values"),
     (("tool_path", "keep"), "axes", "tool_path.keep", "'axes'", "did you mean axis?"),
     (("tool_path", "legs"), [], "tool_path.legs", "[]", "1 or more items"),
-    (("tool_path", "legs"), [LEG] * 201, "tool_path.legs", "[{", "at most 200 items"),
+    (("tool_path", "legs"), [LEG] * 2001, "tool_path.legs", "[{", "at most 2000 items"),
     (("tool_path", "legs", 1, "by"), [0, 1], "tool_path.legs[1].by", "[0, 1]", "a list of 3 items"),
     (("tool_path", "legs", 1, "by"), [0] * 4, "tool_path.legs[1].by", "[0, 0, 0, 0]", "a list of 3 items"),
     (("tool_path", "legs", 1, "by"), [0, 0, 0], "tool_path.legs[1].by", "(0.0, 0.0, 0.0)", "a leg longer"),

@@ -2,7 +2,7 @@
 
 from cmbot.planning.approach import Approach, certify_approach
 from cmbot.planning.certificate import Certificate, Check
-from cmbot.planning.examination import Examination, examine_scene
+from cmbot.planning.examination import Examination, examine_options, examine_scene
 from cmbot.planning.figures import LimitUse, MotionFigures, Samples
 from cmbot.planning.floor import Floor
 from cmbot.planning.global_stage import GlobalSolution, GlobalStage
@@ -11,7 +11,8 @@ from cmbot.planning.objective_figures import ObjectiveFigures
 from cmbot.planning.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
 from cmbot.planning.optimiser import PassReport
 from cmbot.planning.plan import Plan, Seconds, Start
-from cmbot.planning.planner import Progress, plan
+from cmbot.planning.planner import plan
+from cmbot.planning.progress import Progress
 from cmbot.planning.remarks import remarks
 from cmbot.planning.setting import bending_arm, robot_of, sag_of, task_of
 from cmbot.planning.spline_space import SplineSpace
@@ -48,6 +49,7 @@ __all__ = [
     "WrenchObjective",
     "bending_arm",
     "certify_approach",
+    "examine_options",
     "examine_scene",
     "plan",
     "remarks",

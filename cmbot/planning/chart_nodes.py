@@ -33,6 +33,10 @@ class ChartNodes:
         self.admissible[new] = ~near
         return bool(near.any())
 
+    def look_at(self, node: int) -> bool:
+        """Find out the clearance of one node; return whether it turned out inadmissible."""
+        return self.look(np.arange(len(self.admissible)) == node)
+
     def least(self) -> float:
         """Smallest value of any admissible node; infinite when there is none."""
         best = self.best()
@@ -47,4 +51,4 @@ class ChartNodes:
                 return -1
             if self._looked[best]:
                 return best
-            self.look(np.arange(len(value)) == best)
+            self.look_at(best)

@@ -5,22 +5,55 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from cmbot.arrays import BoolArray, FloatArray
+from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.errors import PathNotFound
 from cmbot.planning.chart_nodes import ChartNodes
 from cmbot.planning.setting import Setting
 from cmbot.robot import Kinematics
 
-__all__ = ["WayThrough", "blocked", "edges", "nearest_turn"]
+__all__ = ["Edges", "WayThrough", "blocked", "edges", "nearest_turn"]
 
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.
 _STEP_WEIGHT = 0.02
+# A step in units of itself, a little more for rounding.
+_A_STEP = 1 + 1e-9
 
 
-def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray) -> BoolArray:
-    """Which postures of `q_b` (N, n) can follow which of `q_a` (M, n), (M, N).
+@dataclass(frozen=True)
+class Edges:
+    """Which postures of one via-point can follow which of the one before, few of all pairs.
+
+    Attributes
+    ----------
+    before, after : (E,)
+        Indices of the postures; ascending in `after`, then in `before`.
+    number : int
+        Of the postures after.
+    """
+
+    before: IntArray
+    after: IntArray
+    number: int
+
+    def smallest(self, value: FloatArray) -> tuple[FloatArray, IntArray]:
+        """Return the smallest of the edges' values (E,) that leads to each posture, and which edge it is.
+
+        Infinite where none does; of equal ones the first.
+        """
+        least, which = np.full(self.number, np.inf), np.zeros(self.number, dtype=np.intp)
+        if len(value):
+            first = np.flatnonzero(np.diff(self.after, prepend=-1))
+            least[self.after[first]] = np.minimum.reduceat(value, first)
+            best = np.flatnonzero(value == least[self.after])[::-1]
+            which[self.after[best]] = best
+        return least, which
+
+
+def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray) -> Edges:
+    """Find which postures of `q_b` (N, n) can follow which of `q_a` (M, n).
 
     Parameters
     ----------
@@ -30,25 +63,30 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray
     endless : (n,)
         Which joints have no range: a turn more or less is the same to them.
     """
-    reachable = np.ones((len(q_a), len(q_b)), dtype=np.bool_)
-    for joint in range(q_a.shape[1]):
-        move = q_a[:, None, joint] - q_b[None, :, joint]
-        reachable &= np.abs(nearest_turn(move) if endless[joint] else move) <= step[joint]
-    return reachable
+    turn = np.where(endless, 2 * np.pi / step, 0.0)
+    trees = (cKDTree(_in_steps(q, step, turn), boxsize=turn) for q in (q_a, q_b))
+    near = next(trees).sparse_distance_matrix(next(trees), _A_STEP, p=np.inf, output_type="ndarray")
+    before, after = near["i"], near["j"]
+    moves = q_a[before] - q_b[after]
+    moves[:, endless] = nearest_turn(moves[:, endless])
+    reachable = (np.abs(moves) <= step).all(axis=1)
+    before, after = before[reachable], after[reachable]
+    order = np.lexsort((before, after))
+    return Edges(before[order], after[order], len(q_b))
+
+
+def _in_steps(q: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
+    """Postures (N, n) in units of steps, on the circle where a turn has a length."""
+    q = q / step
+    round_ = turn > 0
+    q[:, round_] %= turn[round_]
+    # A tiny negative angle rounds up to a whole turn.
+    return np.where(round_ & (q >= turn), 0.0, q)
 
 
 def nearest_turn(angle: FloatArray) -> FloatArray:
     """Angles less whole turns, from half a turn back to half a turn forth, rad."""
     return np.asarray(angle - 2 * np.pi * np.round(angle / (2 * np.pi)))
-
-
-def _squared_moves(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray) -> FloatArray:
-    """Squared distances (M, N) between postures (M, n) and (N, n), joints counted in steps."""
-    a, b = (q[:, ~endless] / step[~endless] for q in (q_a, q_b))
-    moves = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
-    for joint in np.flatnonzero(endless):
-        moves += (nearest_turn(q_a[:, None, joint] - q_b[None, :, joint]) / step[joint]) ** 2
-    return np.asarray(moves)
 
 
 @dataclass(frozen=True)
@@ -57,18 +95,26 @@ class WayThrough:
 
     setting: Setting
     nodes: list[ChartNodes]
-    edges: list[BoolArray]
+    edges: list[Edges]
     steps: FloatArray
     starts: BoolArray
 
     def best(self) -> list[int]:
         """Indices of the nodes with the smallest peak; among those, with the smallest sum of squares."""
+        around = 0
         while True:
             peak = self._smallest_peak()
-            # Clearances are looked at only where a way may pass; one that is too near sends it round again.
-            refused = [node.look(node.admissible & (node.chart.value <= peak)) for node in self.nodes]
-            if not any(refused):
-                return self._smallest_squares(peak)
+            chosen = self._smallest_squares(peak)
+            # Clearances cost most: at first only those of the best way are looked at. If they hold, no way
+            # is better, whatever the clearances beside it.
+            refused = [k for k, node in enumerate(self.nodes) if node.look_at(chosen[k])]
+            if not refused:
+                return chosen
+            # Where one was refused its neighbours will be, too. Going further in every round, there are few.
+            for k in _neighbourhood(refused, around, len(self.nodes)):
+                node = self.nodes[k]
+                node.look(node.admissible & (node.chart.value <= peak))
+            around = 2 * around + 1
 
     def _smallest_peak(self) -> float:
         """Smallest peak of any sequence of nodes that are not known to be inadmissible."""
@@ -77,7 +123,7 @@ class WayThrough:
         if not np.isfinite(reached).any():
             raise blocked(self.setting, self.nodes, 0)
         for k, (node, edge) in enumerate(zip(self.nodes[1:], self.edges, strict=True), start=1):
-            before = np.where(edge, reached[:, None], np.inf).min(axis=0, initial=np.inf)
+            before, _ = edge.smallest(reached[edge.before])
             reached = np.where(node.admissible, np.maximum(before, node.chart.value), np.inf)
             if not np.isfinite(reached).any():
                 raise blocked(self.setting, self.nodes, k)
@@ -85,23 +131,32 @@ class WayThrough:
 
     def _smallest_squares(self, peak: float) -> list[int]:
         """Nodes with no value above `peak` and the smallest sum of squared values and steps."""
-        allowed = [node.admissible & (node.chart.value <= peak) for node in self.nodes]
-        allowed[0] = allowed[0] & self.starts
-        some = [np.flatnonzero(each) for each in allowed]
-        cost = self.nodes[0].chart.value[some[0]] ** 2
+        first = self.nodes[0]
+        cost = np.where(
+            first.admissible & (first.chart.value <= peak) & self.starts, first.chart.value**2, np.inf
+        )
+        endless = np.isinf(self.setting.robot.limits.lower)
         came_from = []
-        for k, (edge, step) in enumerate(zip(self.edges, self.steps, strict=True)):
-            before, after = (self.nodes[i].chart.q[some[i]] for i in (k, k + 1))
-            moves = _squared_moves(before, after, step, np.isinf(self.setting.robot.limits.lower))
-            way = cost[:, None] + _STEP_WEIGHT * peak**2 * moves
-            total = np.where(edge[np.ix_(some[k], some[k + 1])], way, np.inf)
-            origin = total.argmin(axis=0)
-            came_from.append(origin)
-            cost = total[origin, np.arange(len(origin))] + self.nodes[k + 1].chart.value[some[k + 1]] ** 2
+        for node, last, edge, step in zip(self.nodes[1:], self.nodes, self.edges, self.steps, strict=False):
+            moves = last.chart.q[edge.before] - node.chart.q[edge.after]
+            moves[:, endless] = nearest_turn(moves[:, endless])
+            way = cost[edge.before] + _STEP_WEIGHT * peak**2 * ((moves / step) ** 2).sum(axis=1)
+            cost, which = edge.smallest(way)
+            came_from.append(edge.before[which] if len(way) else which)
+            allowed = node.admissible & (node.chart.value <= peak)
+            cost = np.where(allowed, cost + node.chart.value**2, np.inf)
         chosen = [int(cost.argmin())]
         for origin in reversed(came_from):
-            chosen.insert(0, int(origin[chosen[0]]))
-        return [int(nodes[i]) for nodes, i in zip(some, chosen, strict=True)]
+            chosen.append(int(origin[chosen[-1]]))
+        return chosen[::-1]
+
+
+def _neighbourhood(some: list[int], around: int, number: int) -> IntArray:
+    """Those of `number` things in a row that are at most `around` places from one of `some`."""
+    near = np.zeros(number, dtype=np.bool_)
+    for k in some:
+        near[max(k - around, 0) : k + around + 1] = True
+    return np.flatnonzero(near)
 
 
 def blocked(setting: Setting, nodes: list[ChartNodes], k: int) -> PathNotFound:

@@ -8,14 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.arrays import FloatArray
+from cmbot.planning.problem_size import oversized
 from cmbot.planning.setting import robot_of, task_of
 from cmbot.robot import Dynamics, Finding, Kinematics, Robot
-from cmbot.scene import Scene
+from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.clearance import Clearances, ShapePair
 from cmbot.scene.tool_path import ToolPath
 from cmbot.validation import counted
 
-__all__ = ["Examination", "examine_scene"]
+__all__ = ["Examination", "examine_options", "examine_scene"]
 
 # A stretched arm is not out of its own reach.
 _ROUNDING = 1e-9
@@ -61,8 +62,31 @@ def examine_scene(scene: Scene) -> Examination:
     use = np.abs(Dynamics(robot).static_efforts(scene.posture[None]).joint_torque[0]) / robot.limits.torque
     return Examination(
         found=(*_asked(scene, robot, path), *_beginning(scene, robot, path, nearest, use)),
-        warnings=(*_near(scene, nearest), *_weak(robot, use), *_out_of_reach(robot, path)),
+        warnings=(
+            *_near(scene, nearest),
+            *_weak(robot, use),
+            *_out_of_reach(robot, path),
+            *_too_large(scene, robot),
+            *examine_options(scene.planner),
+        ),
     )
+
+
+def examine_options(options: PlannerOptions) -> Iterator[Finding]:
+    """Yield what speaks against planning with some options.
+
+    Parameters
+    ----------
+    options : PlannerOptions
+    """
+    if options.objective == "torque" and not any(options.axis_weights[:2]):
+        weights = ", ".join(f"{weight:g}" for weight in options.axis_weights)
+        yield _warning(
+            "planner.axis_weights",
+            f"[{weights}]: gravity has no torque about z, so only what the motion itself asks would be made "
+            "small, and slowly",
+            "a weight above 0 for x or y, as in [1, 1, 1]; or start: pinned and more seconds for the legs",
+        )
 
 
 def _nearest(scene: Scene, robot: Robot) -> _Nearest | None:
@@ -123,6 +147,12 @@ def _out_of_reach(robot: Robot, path: ToolPath) -> Iterator[Finding]:
         got = f"an end {distances[k]:.3f} m from the arm's first joint"
         expected = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
         yield _warning(f"tool_path.legs[{k - 1}].by", got, expected)
+
+
+def _too_large(scene: Scene, robot: Robot) -> Iterator[Finding]:
+    found = oversized(scene, robot.dof, scene.planner)
+    if found is not None:
+        yield found
 
 
 def _warning(key: str, got: str, expected: str) -> Finding:

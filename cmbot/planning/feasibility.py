@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from scipy import optimize, sparse
 
+from cmbot.arrays import BoolArray
 from cmbot.errors import OptimisationFailed
-from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.problem import KinematicBound, TorqueProblem
 from cmbot.planning.state_functions import ClearanceMargin, States
+from cmbot.planning.trajectory import QuinticTrajectory
 
 __all__ = ["check_feasible"]
 
 _SAMPLES_PER_SEGMENT = 6
+# Segments beside one that breaks a bound: what is further away does nothing for it.
+_AROUND = 10
 
 
 def check_feasible(problem: TorqueProblem) -> None:
@@ -20,9 +26,9 @@ def check_feasible(problem: TorqueProblem) -> None:
     At the ends, where the arm rests, joint torques and the clearance are given; at the other via-points the
     clearance is.
 
-    A small linear program per joint minimises the largest share of velocity, acceleration and jerk bounds at
-    samples. Above 1 no trajectory through the via-points exists, whatever the torque; an optimisation would
-    find out slowly. Joints whose least-jerk spline keeps its bounds need no program.
+    Where a joint's least-jerk spline breaks its velocity, acceleration or jerk bounds, a small linear program
+    minimises the largest share of them at samples, there and a little around. Above 1 no trajectory through
+    the via-points exists, whatever the torque; an optimisation would find out slowly.
 
     Raises
     ------
@@ -31,31 +37,66 @@ def check_feasible(problem: TorqueProblem) -> None:
     """
     _check_via_points(problem)
     least_jerk = problem.trajectory(problem.family, problem.family.start)
-    t = problem.space.t
+    bounds = [bound for bound in problem.bounds if bound.order > 0]
+    for joint, broken in enumerate(_broken_segments(least_jerk, bounds).T):
+        for first, last in _stretches(broken):
+            share = _least_share(problem, least_jerk, bounds, joint, first, last)
+            if share > 1.0:
+                raise OptimisationFailed(
+                    "the via-points are too far apart for the time between them: give the legs more seconds",
+                    constraint=f"velocity, acceleration or jerk of {problem.robot.joints[joint]}",
+                    violation=share - 1.0,
+                )
+
+
+def _broken_segments(trajectory: QuinticTrajectory, bounds: Sequence[KinematicBound]) -> BoolArray:
+    """On which segments joints exceed one of their bounds, (m, n)."""
+    broken = np.zeros(trajectory.coefficients.shape[:2], dtype=np.bool_)
+    for bound in bounds:
+        low, high = trajectory.hull(bound.order)
+        # What keeps the bound by the hull keeps it; elsewhere extrema have to say so.
+        segment, joint = np.nonzero(np.maximum(high, -low) > bound.scale)
+        largest = np.abs(trajectory.extrema_at(bound.order, segment, joint).value).max(axis=1, initial=0.0)
+        over = largest > bound.scale[joint]
+        broken[segment[over], joint[over]] = True
+    return broken
+
+
+def _stretches(broken: BoolArray) -> list[tuple[int, int]]:
+    """First and last segments of stretches around the `broken` ones (m,), which do not touch each other."""
+    near = np.convolve(broken, np.ones(2 * _AROUND + 1))[_AROUND : _AROUND + len(broken)] > 0
+    edges = np.flatnonzero(np.diff(near.astype(int), prepend=0, append=0))
+    return [(int(first), int(end) - 1) for first, end in edges.reshape(-1, 2)]
+
+
+def _least_share(
+    problem: TorqueProblem,
+    least_jerk: QuinticTrajectory,
+    bounds: Sequence[KinematicBound],
+    joint: int,
+    first: int,
+    last: int,
+) -> float:
+    """Smallest possible largest share of a joint's bounds on the segments `first` to `last`."""
+    t = problem.space.t[first : last + 2]
     grid = np.linspace(t[:-1], t[1:], _SAMPLES_PER_SEGMENT, endpoint=False, axis=1)
     times = np.append(grid.ravel(), t[-1])
-    bounds = [bound for bound in problem.bounds if bound.order > 0]
-    for joint, name in enumerate(problem.robot.joints):
-        if all(least_jerk.extrema(b.order).largest()[0][joint] <= b.scale[joint] for b in bounds):
-            continue
-        A = sparse.vstack(
+    A = sparse.csc_array(
+        sparse.vstack(
             [problem.space.design(times, b.order) @ problem.space.basis / b.scale[joint] for b in bounds]
         )
-        c = np.concatenate([least_jerk.evaluate(times, b.order)[:, joint] / b.scale[joint] for b in bounds])
-        share = -np.ones((len(c), 1))
-        result = optimize.linprog(
-            np.append(np.zeros(A.shape[1]), 1.0),
-            A_ub=sparse.block_array([[A, share], [-A, share]], format="csr"),
-            b_ub=np.concatenate([-c, c]),
-            bounds=(None, None),
-            method="highs",
-        )
-        if result.x is not None and result.x[-1] > 1.0:
-            raise OptimisationFailed(
-                "the via-points are too far apart for the time between them: give the legs more seconds",
-                constraint=f"velocity, acceleration or jerk of {name}",
-                violation=float(result.x[-1] - 1.0),
-            )
+    )
+    A = A[:, np.flatnonzero(np.diff(A.indptr))]
+    c = np.concatenate([least_jerk.evaluate(times, b.order)[:, joint] / b.scale[joint] for b in bounds])
+    share = -np.ones((len(c), 1))
+    result = optimize.linprog(
+        np.append(np.zeros(A.shape[1]), 1.0),
+        A_ub=sparse.block_array([[A, share], [-A, share]], format="csr"),
+        b_ub=np.concatenate([-c, c]),
+        bounds=(None, None),
+        method="highs",
+    )
+    return -np.inf if result.x is None else float(result.x[-1])
 
 
 def _check_via_points(problem: TorqueProblem) -> None:

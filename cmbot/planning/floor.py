@@ -95,6 +95,9 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> tup
         some = order[first : first + together]
         if each[some[0]] <= enough:
             break
+        # Those still open, at most: those looked at may close some of them.
+        open_ = int((each[order[first:]] > enough).sum())
+        setting.teller.part("finding the least torque at rest", first, first + open_, at_most=True)
         each[some], bound[some] = search.least(some, each[some], enough, postures)
         enough = max(enough, float(each[some].max()))
     looked = np.flatnonzero(np.isfinite(bound))
@@ -162,6 +165,9 @@ class _Search:
         q = np.concatenate([self._nodes[k].chart.q for k in some])
         of = np.repeat(np.arange(len(some)), [len(self._nodes[k].chart.q) for k in some])
         edges = self._null_spaces(q)
+        if edges.shape[1] == 0:
+            # Without self-motion the postures that are known are all there are.
+            return best, np.where(best > enough, best * (1 - _ACCURACY), -np.inf)
         cells = _Cells(q, edges, np.full(edges.shape[:2], self._spacing), of)
         for _ in range(_MOST_HALVINGS * edges.shape[1]):
             content, possible = self._content(cells)

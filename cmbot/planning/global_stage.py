@@ -8,6 +8,7 @@ rest in an admissible posture with a smaller objective.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -134,6 +135,7 @@ class GlobalStage:
         raise no_start_left(failures) from failed
 
     def _solve(self, starts: BoolArray) -> GlobalSolution:
+        self._setting.teller.step("choosing the postures of least torque")
         way = WayThrough(self._setting, self._nodes, self._edges, self._steps, starts)
         chosen = way.best()
         q = np.stack([node.chart.q[k] for node, k in zip(self._nodes, chosen, strict=True)])
@@ -155,7 +157,8 @@ class GlobalStage:
             spacing=options.chart_spacing,
             seeds=options.chart_seeds,
         )
-        return maker, maker.along(task.path.position(setting.times), setting.posture[None])
+        tell = partial(setting.teller.part, f"charting the postures that hold the tool's {task.keep}")
+        return maker, maker.along(task.path.position(setting.times), setting.posture[None], tell)
 
     def _with_more(self, charts: list[Chart], lowest: FloatArray) -> list[Chart]:
         """Add to coarse charts the finer ones of the whole pose, and what lies along the way of `lowest`.

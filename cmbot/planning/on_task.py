@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures
 
-__all__ = ["null_spaces", "project"]
+__all__ = ["Leaning", "null_spaces", "project"]
 
 _ON_TASK = 1e-10
 # Newton steps onto the task, enough for postures near it.
@@ -40,11 +42,50 @@ def project(
         if len(active) == 0:
             break
         J = task.jacobians(at.tool_rotation, at.jacobian)[~done]
-        gram = J @ J.transpose(0, 2, 1) + 1e-12 * np.eye(J.shape[1])
-        step = (J.transpose(0, 2, 1) @ np.linalg.solve(gram, error[..., None]))[..., 0]
-        longest = np.abs(step).max(axis=1, keepdims=True)
-        q[active] += step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-30))
+        step = J.transpose(0, 2, 1) @ np.linalg.solve(_gram(J), error[..., None])
+        q[active] += _shortened(step[..., 0])
     return q, reached
+
+
+@dataclass(frozen=True)
+class Leaning:
+    """Postures on the task, and where they lean when the tool is to move.
+
+    Attributes
+    ----------
+    q : (N, n), rad
+    point : (3,), m
+        Where they hold the tool.
+    slope : (N, n, 3), rad/m
+        The least way that they move as the tool does.
+    """
+
+    q: FloatArray
+    point: FloatArray
+    slope: FloatArray
+
+    @staticmethod
+    def of(postures: Postures, task: ToolTask, q: FloatArray, point: FloatArray) -> Leaning:
+        """Return how postures `q` (N, n) lean, which hold the tool at `point` (3,)."""
+        at = postures.at(q)
+        J = task.jacobians(at.tool_rotation, at.jacobian)
+        along = np.broadcast_to(np.eye(J.shape[1])[:, :3], (len(J), J.shape[1], 3))
+        return Leaning(q, point, J.transpose(0, 2, 1) @ np.linalg.solve(_gram(J), along))
+
+    def towards(self, point: FloatArray) -> FloatArray:
+        """Postures (N, n) that hold the tool at `point` (3,) to first order: what `project` does first."""
+        return self.q + _shortened(self.slope @ (point - self.point))
+
+
+def _gram(J: FloatArray) -> FloatArray:
+    """Matrices (N, m, m) ``J J^T``, regular where Jacobians `J` (N, m, n) are singular, too."""
+    return np.asarray(J @ J.transpose(0, 2, 1) + 1e-12 * np.eye(J.shape[1]))
+
+
+def _shortened(step: FloatArray) -> FloatArray:
+    """Steps (N, n), none of them longer than the longest that a joint may take."""
+    longest = np.abs(step).max(axis=1, keepdims=True)
+    return np.asarray(step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-30)))
 
 
 def null_spaces(J: FloatArray) -> FloatArray:

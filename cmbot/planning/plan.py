@@ -192,7 +192,7 @@ class Plan:
             yield f"{name}, {unit}", left, right
             if attribute == "peak_guardrail_torque":
                 # It may ask more than the work: nobody should take the work's peak for all there is.
-                yield "peak torque on the approach, Nm", "-", self._approach_peak()
+                yield "peak on the way there (approach), Nm", "-", self._approach_peak()
         for limit in ("velocity", "acceleration", "jerk", "torque"):
             left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in pair)
             yield f"joint {limit}, share of its bound", left, right

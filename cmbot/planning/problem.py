@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.planning.family import Family
 from cmbot.planning.objectives import Objective, ObjectiveShare, objective_of
 from cmbot.planning.spline_space import SplineSpace
@@ -44,6 +44,7 @@ _EXACT_SHARE_IN_TOLERANCES = 10.0
 _CLEARANCE_ROOM = 1e-5
 # Gauss points per segment at which the mean square of the torque is taken.
 _MEAN_SAMPLES = 3
+_ALL = slice(None)
 
 
 @dataclass(frozen=True)
@@ -55,6 +56,14 @@ class KinematicBound:
     high: FloatArray
     scale: FloatArray
     name: str
+
+    def above(self, value: FloatArray, joint: IntArray | slice = _ALL) -> FloatArray:
+        """How far values (..., n), or those of some joints, exceed the upper bound, as shares."""
+        return np.asarray((value - self.high[joint]) / self.scale[joint])
+
+    def below(self, value: FloatArray, joint: IntArray | slice = _ALL) -> FloatArray:
+        """How far values (..., n), or those of some joints, fall short of the lower bound, as shares."""
+        return np.asarray((self.low[joint] - value) / self.scale[joint])
 
 
 class TorqueProblem:

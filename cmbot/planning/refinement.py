@@ -89,7 +89,8 @@ def refined(
     """
     rng, postures = np.random.default_rng(0), Postures(setting.robot)
     endless, margin = np.isinf(setting.robot.limits.lower), setting.options.safety_margin_m
-    for _ in range(_ROUNDS):
+    for done in range(_ROUNDS):
+        setting.teller.part("refining the choice", done, _ROUNDS, at_most=True)
         each = _candidates(setting, postures, q, reach, rng)
         if start_stays:
             each[0] = q[:1]

@@ -8,7 +8,7 @@ Any two of its postures keep a distance, and every posture of the self-motion ha
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -17,7 +17,7 @@ from scipy.spatial import cKDTree
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.objectives import Objective
-from cmbot.planning.on_task import null_spaces, project
+from cmbot.planning.on_task import Leaning, null_spaces, project
 from cmbot.planning.task import ToolTask
 from cmbot.robot import JointLimits, Postures
 
@@ -32,6 +32,8 @@ _APART = 0.7
 _MOST_POSTURES, _TOO_MANY, _COARSER = 600, 1500, 1.6
 # Charts are carried to every so-manieth point first.
 _STRIDE = 6
+# So many charts are evaluated at once: more only ask for memory, and lose its nearness.
+_TOGETHER = 10
 # A joint that passes half a turn is charted within one turn either way, rad.
 _ONE_TURN = 2 * np.pi
 
@@ -61,15 +63,20 @@ def charts_of(
     postures: Postures, limits: JointLimits, objective: Objective, each: Sequence[FloatArray]
 ) -> list[Chart]:
     """Return charts of given postures, arrays (M, n)."""
-    q = np.vstack(each)
-    at = postures.at(q)
-    value = objective.at_rest(at)
-    use = (np.abs(at.joint_torque) / limits.torque).max(axis=1)
-    within = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
-    ends = np.cumsum([0, *(len(part) for part in each)])
-    return [
-        Chart(q=q[a:b], value=value[a:b], joint_use=use[a:b], within=within[a:b]) for a, b in pairwise(ends)
-    ]
+    charts: list[Chart] = []
+    for first in range(0, len(each), _TOGETHER):
+        some = each[first : first + _TOGETHER]
+        q = np.vstack(some)
+        at = postures.at(q)
+        value = objective.at_rest(at)
+        use = (np.abs(at.joint_torque) / limits.torque).max(axis=1)
+        within = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
+        ends = np.cumsum([0, *(len(part) for part in some)])
+        charts += [
+            Chart(q=q[a:b], value=value[a:b], joint_use=use[a:b], within=within[a:b])
+            for a, b in pairwise(ends)
+        ]
+    return charts
 
 
 class ChartMaker:
@@ -110,6 +117,7 @@ class ChartMaker:
         self._circle = np.append(np.where(self._round, 2 * np.pi, 0.0), 0.0)
         self.spacing = spacing
         self._seeds = seeds
+        self._none = _Postures.of_each([np.empty((0, len(limits.lower)))])
         self._wide = max(len(limits.lower) - task.dimension, 2)
 
     def first(self, point: FloatArray, known: FloatArray) -> Chart:
@@ -118,14 +126,15 @@ class ChartMaker:
         random = rng.uniform(self._lower, self._upper, (self._seeds, len(self._lower)))
         placed, reached = project(self._postures, self._task, random, point, _MANY_STEPS)
         seeds = np.vstack([known, placed[reached]])
-        some = _Postures.of_each([seeds])
-        q = self._grown([some], point[None])[0]
+        q = self._grown_from(seeds, point)
         while len(q) > _MOST_POSTURES:
             self._coarsen()
-            q = self._grown([some], point[None])[0]
+            q = self._grown_from(seeds, point)
         return self._charts([q])[0]
 
-    def along(self, points: FloatArray, known: FloatArray) -> list[Chart]:
+    def along(
+        self, points: FloatArray, known: FloatArray, tell: Callable[[int, int], None] | None = None
+    ) -> list[Chart]:
         """Chart the self-motion at every one of `points` (k, 3), each near the one before.
 
         Parameters
@@ -133,52 +142,64 @@ class ChartMaker:
         points : (k, 3), m
         known : (s, n), rad
             Postures at the first of them.
+        tell : callable, optional
+            Called with the number of points that are charted, and of all.
         """
-        each = self._each(points, known)
+        tell = tell or (lambda *_: None)
+        each = self._each(points, known, tell)
         while max(len(q) for q in each) > _TOO_MANY:
             self._coarsen()
-            each = self._each(points, known)
+            each = self._each(points, known, tell)
         return self._charts(each)
 
     def _coarsen(self) -> None:
         self.spacing *= _COARSER ** (2 / self._wide)
 
-    def _each(self, points: FloatArray, known: FloatArray) -> list[FloatArray]:
+    def _each(
+        self, points: FloatArray, known: FloatArray, tell: Callable[[int, int], None]
+    ) -> list[FloatArray]:
         """Postures of the charts at `points` (k, 3)."""
-        charts: dict[int, FloatArray] = {0: self.first(points[0], known).q}
         last = len(points) - 1
-        # To every so-manieth point one after the other, then to those between from both sides at once.
         stations = [*range(0, last, _STRIDE), last]
+        charts: dict[int, FloatArray] = {0: self.first(points[0], known).q}
+        # To every so-manieth point one after the other, then to those between from both sides at once.
+        leaning = {0: self._leaning(charts[0], points[0])}
+        tell(1, len(points))
         for before, here in pairwise(stations):
-            charts[here] = self._carried([here], [[charts[before]]], points)[0]
-        between = [k for k in range(last) if k not in charts]
-        sides = [[charts[side] for side in _sides(k, last)] for k in between]
-        charts.update(zip(between, self._carried(between, sides, points), strict=True))
+            charts[here] = self._carried([[leaning[before]]], points[[here]])[0]
+            leaning[here] = self._leaning(charts[here], points[here])
+            between = range(before + 1, here)
+            sides = [[leaning[side] for side in _sides(k, before, here)] for k in between]
+            charts.update(zip(between, self._carried(sides, points[before + 1 : here]), strict=True))
+            del leaning[before]
+            tell(len(charts), len(points))
         return [charts[k] for k in range(len(points))]
 
-    def _carried(
-        self, to: Sequence[int], known: Sequence[Sequence[FloatArray]], points: FloatArray
-    ) -> list[FloatArray]:
-        """Grow charts at the points numbered `to` from postures at others."""
-        if not to:
-            return []
-        here = points[list(to)]
-        seeds = []
+    def _leaning(self, q: FloatArray, point: FloatArray) -> Leaning:
+        return Leaning.of(self._postures, self._task, q, point)
+
+    def _carried(self, known: Sequence[Sequence[Leaning]], points: FloatArray) -> list[FloatArray]:
+        """Grow charts at `points` (k, 3), each from the `known` ones beside it, the nearer first."""
+        accepted = self._none
         for charts in zip(*known, strict=True):
-            some = _Postures.of_each(charts)
-            placed, reached = project(self._postures, self._task, some.q, here[some.of])
-            seeds.append(_Postures(placed, some.of)[reached])
-        return self._grown(seeds, here)
+            some = _Postures.of_each([chart.towards(p) for chart, p in zip(charts, points, strict=True)])
+            # What leads to where there is a posture already need not be placed.
+            some = some[self._far(self._tree(accepted), some.q, some.of)]
+            placed, reached = project(self._postures, self._task, some.q, points[some.of])
+            found = self._apart(self._tree(accepted), placed[reached], some.of[reached])
+            accepted = accepted.and_those(found)
+        return self._grown(accepted, points)
+
+    def _grown_from(self, seeds: FloatArray, point: FloatArray) -> FloatArray:
+        """Grow the chart at `point` (3,) from postures (N, n) on the task."""
+        of_point = np.zeros(len(seeds), dtype=np.intp)
+        return self._grown(self._apart(self._tree(self._none), seeds, of_point), point[None])[0]
 
     def _charts(self, each: Sequence[FloatArray]) -> list[Chart]:
         return charts_of(self._postures, self._limits, self._objective, each)
 
-    def _grown(self, seeds: Sequence[_Postures], points: FloatArray) -> list[FloatArray]:
+    def _grown(self, accepted: _Postures, points: FloatArray) -> list[FloatArray]:
         """Grow charts at `points` (k, 3) from postures on the task until they have nowhere to grow."""
-        accepted = _Postures.of_each([np.empty((0, len(self._lower)))])
-        for some in seeds:
-            tree = self._tree(accepted)
-            accepted = accepted.and_those(self._apart(tree, some.q, some.of))
         frontier = accepted
         while len(frontier.q):
             tree = self._tree(accepted)
@@ -230,10 +251,9 @@ class ChartMaker:
         return null_spaces(self._task.jacobians(at.tool_rotation, at.jacobian))
 
 
-def _sides(k: int, last: int) -> list[int]:
+def _sides(k: int, before: int, after: int) -> tuple[int, int]:
     """The stations on both sides of via-point `k`, the nearer one first."""
-    before = k - k % _STRIDE
-    return sorted((before, min(before + _STRIDE, last)), key=lambda station: abs(station - k))
+    return (before, after) if k - before <= after - k else (after, before)
 
 
 def without_neighbours(number: int, pairs: IntArray) -> BoolArray:

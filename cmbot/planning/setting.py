@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.errors import SceneError
 from cmbot.planning.objectives import Objective, objective_of
+from cmbot.planning.progress import Teller
 from cmbot.planning.task import ToolTask
 from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.wrench_functions import WrenchFunction
@@ -44,6 +45,8 @@ class Setting:
         The arm on its guardrail as it bends; None where nothing does.
     sag : ToolSag or None
         Where it is to be compensated.
+    teller : Teller
+        What is told of the work while it goes on.
     """
 
     robot: Robot
@@ -55,9 +58,15 @@ class Setting:
     objective: Objective
     arm: ElasticArm | None
     sag: ToolSag | None
+    teller: Teller = field(default_factory=Teller)
 
 
-def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = None) -> Setting:
+def prepare(
+    scene: Scene,
+    options: PlannerOptions,
+    own: WrenchFunction | None = None,
+    teller: Teller | None = None,
+) -> Setting:
     """Bring a scene and its robot together.
 
     Parameters
@@ -66,6 +75,8 @@ def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = 
     options : PlannerOptions
     own : WrenchFunction, optional
         What is made small, in place of what the options say.
+    teller : Teller, optional
+        Of the work that will be done; by default nobody is told.
 
     Raises
     ------
@@ -89,6 +100,7 @@ def prepare(scene: Scene, options: PlannerOptions, own: WrenchFunction | None = 
         objective=objective_of(robot, options, own, posture, sag),
         arm=arm,
         sag=sag if options.compensate else None,
+        teller=teller or Teller(),
     )
 
 

@@ -38,6 +38,7 @@ def find_path(
     clearances: Clearances,
     options: PlannerOptions,
     tell: Callable[[int], None],
+    steps: Callable[[int, int], None] | None = None,
 ) -> tuple[JointPath, tuple[PathNotFound, ...]]:
     """Follow the tool path from `posture`; where that fails, from others at the same tool pose.
 
@@ -51,6 +52,8 @@ def find_path(
         ``other_starts`` bounds how many others are tried, the nearest first.
     tell : callable
         Called with the number of failures so far before each further try.
+    steps : callable, optional
+        Called with the number of steps of the path that are done, and of all.
 
     Returns
     -------
@@ -64,7 +67,7 @@ def find_path(
         As from `posture`, when no start leads to the end of the path.
     """
     try:
-        path = follow_path(robot, task, posture, clearances, options)
+        path = follow_path(robot, task, posture, clearances, options, tell=steps)
     except PathNotFound as error:
         failures = [error]
     else:
@@ -74,7 +77,7 @@ def find_path(
         tell(len(failures))
         try:
             follow_path(robot, task, start, clearances, coarse)
-            path = follow_path(robot, task, start, clearances, options)
+            path = follow_path(robot, task, start, clearances, options, tell=steps)
         except PathNotFound as error:
             failures.append(error)
         else:

@@ -13,7 +13,7 @@ from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
 from cmbot.scene.tool_path import ToolPath
 
-__all__ = ["ToolTask"]
+__all__ = ["ToolTask", "task_dimension"]
 
 # Sines of angles below which a rotation vector is zero, two unit vectors are parallel or opposite, and the
 # cosine below which a turn counts as nearly half a one.
@@ -94,7 +94,7 @@ class ToolTask:
     @property
     def dimension(self) -> int:
         """Number m of task coordinates."""
-        return {"pose": 6, "axis": 5, "position": 3}[self.keep]
+        return task_dimension(self.keep)
 
     def rotation(self, R_WT: FloatArray) -> FloatArray:
         """Angles (N,), rad, by which orientations `R_WT` (N, 3, 3) miss what is prescribed."""
@@ -107,6 +107,11 @@ class ToolTask:
         # |R_goal - R| = 2 sqrt(2) sin(angle/2), exact for small angles where the trace is not.
         chord = np.linalg.norm(R_WT - R_goal, axis=(1, 2)) / (2 * np.sqrt(2))
         return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
+
+
+def task_dimension(keep: Literal["pose", "axis", "position"]) -> int:
+    """Return the number m of task coordinates."""
+    return {"pose": 6, "axis": 5, "position": 3}[keep]
 
 
 def _rotation_vectors(R: FloatArray) -> FloatArray:

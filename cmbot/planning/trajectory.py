@@ -8,14 +8,16 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmbot.arrays import FloatArray
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.errors import InputError
-from cmbot.planning.polynomials import derivative, roots_in_unit_interval, values
+from cmbot.planning.polynomials import derivative, hull, roots_in_unit_interval, values
 
 __all__ = ["Extrema", "QuinticTrajectory", "hermite_coefficients"]
 
 # By how much times may miss the ends, as a share of the duration: they come from sums of steps.
 _TIME_ROUNDING = 1e-9
+# So many times are evaluated at once: more only ask for memory, and lose its nearness.
+_BLOCK = 2048
 
 POSITION, VELOCITY, ACCELERATION, JERK = range(4)
 
@@ -61,9 +63,9 @@ class Extrema:
 
     Attributes
     ----------
-    time : (m, n, k), s
+    time : (m, n, k), s, or (..., k)
         Ends and stationary points of each segment and joint.
-    value : (m, n, k)
+    value : (m, n, k), or (..., k)
         The derivative there; its largest magnitude bounds it at *all* times of the segment.
     """
 
@@ -155,11 +157,22 @@ class QuinticTrajectory:
         InputError
             When a time is not one of the trajectory's.
         """
+        return self._evaluated(times, (order,))[0]
+
+    def _evaluated(self, times: ArrayLike, orders: tuple[int, ...]) -> tuple[FloatArray, ...]:
+        """Evaluate several derivatives at the same times (N,), each (N, n)."""
         t = self._own(np.asarray(times, dtype=np.float64))
         segment = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
-        h = np.diff(self.t)[segment]
-        u = ((t - self.t[segment]) / h)[:, None, None]
-        return values(derivative(self.coefficients, order)[segment], u)[..., 0] / h[:, None] ** order
+        h = self.t[segment + 1] - self.t[segment]
+        u = (t - self.t[segment]) / h
+        each = tuple(np.empty((len(t), self.q.shape[1])) for _ in orders)
+        for first in range(0, len(t), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            c = self.coefficients[segment[block]]
+            for order, out in zip(orders, each, strict=True):
+                here = values(derivative(c, order), u[block, None, None])[..., 0]
+                out[block] = here / h[block, None] ** order
+        return each
 
     def _own(self, t: FloatArray) -> FloatArray:
         """Return times (N,) when they are the trajectory's, rounding at its ends taken off."""
@@ -173,15 +186,27 @@ class QuinticTrajectory:
 
     def states(self, times: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return position, velocity and acceleration at `times` (N,), each (N, n)."""
-        return self.evaluate(times), self.evaluate(times, VELOCITY), self.evaluate(times, ACCELERATION)
+        q, v, a = self._evaluated(times, (POSITION, VELOCITY, ACCELERATION))
+        return q, v, a
 
     def extrema(self, order: int) -> Extrema:
         """Return the exact extremes of derivative `order` (0 to 4) on every segment and joint."""
-        h = np.diff(self.t)[:, None, None]
-        c = derivative(self.coefficients, order)
+        every = np.indices(self.coefficients.shape[:2])
+        return self.extrema_at(order, np.asarray(every[0]), np.asarray(every[1]))
+
+    def extrema_at(self, order: int, segment: IntArray, joint: IntArray) -> Extrema:
+        """Return the exact extremes of derivative `order` (0 to 4) on some segments (...) of joints (...)."""
+        h = (self.t[segment + 1] - self.t[segment])[..., None]
+        c = derivative(self.coefficients[segment, joint], order)
         u = roots_in_unit_interval(derivative(c))
         u = np.concatenate([np.zeros_like(u[..., :1]), u, np.ones_like(u[..., :1])], axis=-1)
-        return Extrema(time=self.t[:-1, None, None] + u * h, value=values(c, u) / h**order)
+        return Extrema(time=self.t[segment][..., None] + u * h, value=values(c, u) / h**order)
+
+    def hull(self, order: int) -> tuple[FloatArray, FloatArray]:
+        """Return bounds (m, n) below and above derivative `order` on every segment; not exact ones."""
+        h = np.diff(self.t)[:, None]
+        low, high = hull(derivative(self.coefficients, order))
+        return low / h**order, high / h**order
 
     def jumps(self, order: int) -> FloatArray:
         """Return how far derivative `order` jumps at each inner knot, (m - 1, n)."""

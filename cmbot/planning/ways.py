@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -82,7 +83,13 @@ def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
         When no start leads to the end of the path.
     """
     path, failures = find_path(
-        setting.robot, setting.task, setting.posture, setting.clearances, setting.options, tell
+        setting.robot,
+        setting.task,
+        setting.posture,
+        setting.clearances,
+        setting.options,
+        tell,
+        partial(setting.teller.part, "following the tool path"),
     )
     rough = np.stack([np.interp(setting.times, path.t, joint) for joint in path.q.T], axis=1)
     family = family_through(setting, _placed(setting, rough), sliding=False)

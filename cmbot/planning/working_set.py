@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.clearance_looks import ClearanceLooks
 from cmbot.planning.family import Family
 from cmbot.planning.problem import KinematicBound, TorqueProblem
-from cmbot.planning.state_functions import StateFunction, States, ToolDeviation
+from cmbot.planning.state_functions import ClearanceMargin, StateFunction, States, ToolDeviation
 from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.planning.violations import NEAR, Broken, broken_between_samples, broken_bound, values_of
 
 __all__ = ["Violation", "WorkingSet", "bound_values"]
 
@@ -21,8 +23,6 @@ __all__ = ["Violation", "WorkingSet", "bound_values"]
 _SAME_SITE = 0.005
 # The peak is the objective: what exceeds it counts at this share of the constraints' tolerance.
 _PEAK = 0.1
-# Sampled constraints within this of their bound are looked at between the samples, too.
-_NEAR = 0.02
 
 
 @dataclass(frozen=True)
@@ -43,14 +43,29 @@ class _Sites:
 
     def add(self, times: FloatArray, component: IntArray, problem: TorqueProblem) -> int:
         """Add the sites that are not there yet; return how many."""
-        step = _SAME_SITE * (problem.grid[1] - problem.grid[0])
-        known = (np.abs(self.times - times[:, None]) < step) & (self.component == component[:, None])
-        new = ~known.any(axis=1)
+        new = ~self._there(times, component, _SAME_SITE * (problem.grid[1] - problem.grid[0]))
         if new.any():
             self.times = np.append(self.times, times[new])
             self.component = np.append(self.component, component[new])
             self.rows = problem.family.rows(self.times)
         return int(new.sum())
+
+    def keep(self, which: BoolArray, problem: TorqueProblem) -> None:
+        """Forget all sites but some."""
+        if not which.all():
+            self.times, self.component = self.times[which], self.component[which]
+            self.rows = problem.family.rows(self.times)
+
+    def _there(self, times: FloatArray, component: IntArray, step: float) -> BoolArray:
+        """Which sites (K,) lie less than `step` from one that is known, and look at the same component."""
+        if len(self.times) == 0 or len(times) == 0:
+            return np.zeros(len(times), dtype=np.bool_)
+        # Components one after the other, as if they were later times.
+        far = 3.0 * max(float(np.abs(self.times).max()), float(np.abs(times).max()), step)
+        known, new = np.sort(self.times + far * self.component), times + far * component
+        after = np.searchsorted(known, new)
+        before = np.abs(new - known[np.maximum(after - 1, 0)])
+        return np.asarray(np.minimum(before, np.abs(new - known[np.minimum(after, len(known) - 1)])) < step)
 
 
 class WorkingSet:
@@ -68,6 +83,11 @@ class WorkingSet:
         self._functions: tuple[StateFunction, ...] = (problem.torque, *problem.functions)
         self._state_sites = [_Sites() for _ in self._functions]
         self._bound_sites = [_Sites() for _ in problem.bounds]
+        self._looks = {
+            number: ClearanceLooks(function, len(problem.grid), problem.robot.dof)
+            for number, function in enumerate(self._functions)
+            if isinstance(function, ClearanceMargin)
+        }
 
     def __len__(self) -> int:
         return sum(self.sizes)
@@ -120,6 +140,12 @@ class WorkingSet:
         for bound, sites in zip(self._problem.bounds, self._bound_sites, strict=True):
             yield bound, sites.times, sites.component
 
+    def keep(self, which: BoolArray) -> None:
+        """Forget all sites but some of the K, in the order of `values`."""
+        parts = np.split(which, np.cumsum(self.sizes)[:-1])
+        for sites, part in zip((*self._state_sites, *self._bound_sites), parts, strict=True):
+            sites.keep(part, self._problem)
+
     def add_everywhere(self, times: FloatArray) -> None:
         """Add the guardrail torque and every constraint with one component at `times`.
 
@@ -156,51 +182,39 @@ class WorkingSet:
         """
         times = self._problem.grid[::stride]
         states = States(times, *trajectory.states(times))
-        added, worst, peak = 0, Violation("none", -np.inf), 0.0
+        peak = self._broken(0, trajectory, states, torque_bound, _PEAK * tolerance, stride)
+        added, worst = self._added(self._state_sites[0], peak, most), Violation("none", -np.inf)
         for number, (function, sites) in enumerate(zip(self._functions, self._state_sites, strict=True)):
-            value, component = function.values(states)
-            row, column = np.nonzero(_local_maxima(value))
-            top, limit = value[row, column], torque_bound if number == 0 else 0.0
-            if number == 0:
-                peak = float(top.max())
-            # What is near its bound between samples is looked at where it is largest.
-            near = top > limit - _NEAR
-            row, column, top = row[near], column[near], top[near]
-            when, where = times[row], component[row, column]
-            if len(when):
-                when = when + _shifts(times, value, row, column)
-                again, which = function.values(States(when, *trajectory.states(when)))
-                k = np.arange(len(when))
-                better = again[k, column] > top
-                when = np.where(better, when, times[row])
-                where = np.where(better, which[k, column], where)
-                top = np.maximum(again[k, column], top)
-            if number == 0:
-                peak = max(peak, float(top.max(initial=0.0)))
-            else:
-                largest = float(value.max()) if len(top) == 0 else float(top.max())
-                if largest > worst.value:
-                    worst = Violation(function.name, largest)
-            order = np.argsort(-top)
-            order = order[top[order] > limit + (_PEAK if number == 0 else 1.0) * tolerance][:most]
-            added += sites.add(when[order], where[order], self._problem)
+            if number > 0:
+                broken = self._broken(number, trajectory, states, 0.0, tolerance, stride)
+                added += self._added(sites, broken, most)
+                worst = max(worst, Violation(function.name, broken.largest), key=lambda each: each.value)
         for bound, sites in zip(self._problem.bounds, self._bound_sites, strict=True):
-            extrema = trajectory.extrema(bound.order)
-            over = (extrema.value - bound.high[:, None]) / bound.scale[:, None]
-            under = (bound.low[:, None] - extrema.value) / bound.scale[:, None]
-            value = np.stack([over, under], axis=2)
-            if value.max() > worst.value:
-                name = self._problem.robot.joints[np.unravel_index(value.argmax(), value.shape)[1]]
-                worst = Violation(f"{bound.name} of {name}", float(value.max()))
-            # The worst time of each segment, joint and side.
-            segment, joint, side = np.nonzero(value.max(axis=3) > tolerance)
-            if len(segment) == 0:
-                continue
-            at = value[segment, joint, side].argmax(axis=1)
-            order = np.argsort(-value[segment, joint, side, at])[:most]
-            when = extrema.time[segment, joint, at][order]
-            added += sites.add(when, (2 * joint + side)[order], self._problem)
-        return added, worst, peak
+            broken = broken_bound(trajectory, bound, tolerance)
+            added += self._added(sites, broken, most)
+            name = f"{bound.name} of {self._problem.robot.joints[broken.joint]}"
+            worst = max(worst, Violation(name, broken.largest), key=lambda each: each.value)
+        return added, worst, peak.largest
+
+    def _broken(
+        self,
+        number: int,
+        trajectory: QuinticTrajectory,
+        states: States,
+        limit: float,
+        tolerance: float,
+        stride: int,
+    ) -> Broken:
+        """Find where the function of that number is broken."""
+        function = self._functions[number]
+        if number in self._looks:
+            sampled = self._looks[number].values(states, stride, limit - NEAR)
+        else:
+            sampled = values_of(function, states)
+        return broken_between_samples(trajectory, states.t, sampled, function.values, limit, tolerance)
+
+    def _added(self, sites: _Sites, broken: Broken, most: int) -> int:
+        return sites.add(broken.times[:most], broken.component[:most], self._problem)
 
 
 def bound_values(
@@ -215,22 +229,3 @@ def bound_values(
     sign = np.where(upper, 1.0, -1.0)
     limit = np.where(upper, bound.high[joint], bound.low[joint])
     return sign * (derivative - limit) / bound.scale[joint], joint, sign / bound.scale[joint]
-
-
-def _local_maxima(value: FloatArray) -> BoolArray:
-    """Where each column of `value` (N, c) is not exceeded by its neighbours."""
-    padded = np.pad(value, ((1, 1), (0, 0)), constant_values=-np.inf)
-    return np.asarray((value >= padded[:-2]) & (value >= padded[2:]))
-
-
-def _shifts(times: FloatArray, value: FloatArray, row: IntArray, column: IntArray) -> FloatArray:
-    """Times from local maxima to the tops of the parabolas through them and their neighbours."""
-    before, after = np.maximum(row - 1, 0), np.minimum(row + 1, len(times) - 1)
-    inner = (before < row) & (row < after)
-    a = np.where(inner, times[row] - times[before], 1.0)
-    b = np.where(inner, times[after] - times[row], 1.0)
-    middle = value[row, column]
-    rise, fall = (middle - value[before, column]) / a, (middle - value[after, column]) / b
-    slope, bend = (rise * b - fall * a) / (a + b), (rise + fall) / (a + b)
-    inner &= bend > 0
-    return np.where(inner, 0.5 * slope / np.where(inner, bend, 1.0), 0.0)
