@@ -68,6 +68,7 @@ class Ripples:
             face_value=np.empty(0),
             face_jacobian=sparse.csr_array((0, n)),
             face_kind=np.empty(0, dtype=np.intp),
+            along=np.arange(len(self.x))[::-1],
         )
 
     def curvature(self, multipliers: FloatArray) -> sparse.csr_array:
@@ -209,6 +210,7 @@ class Rim(Ripples):
             face_value=np.empty(0),
             face_jacobian=sparse.csr_array((0, 2)),
             face_kind=np.empty(0, dtype=np.intp),
+            along=np.arange(len(self.x))[::-1],
         )
 
     def curvature(self, multipliers: FloatArray) -> sparse.csr_array:

@@ -222,6 +222,11 @@ class LocalKnots:
         slides = np.repeat(np.clip(self._free - 2, 0, n - 5), self._null.shape[1])
         return np.concatenate([numbers, slides])
 
+    @property
+    def along(self) -> IntArray:
+        """Unknowns (dimension,) in the order of the path."""
+        return np.argsort(self.blocks, kind="stable")
+
     @cached_property
     def map(self) -> sparse.csr_array:
         """Derivatives (size of u, dimension) of u by the unknowns."""

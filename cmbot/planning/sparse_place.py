@@ -83,6 +83,7 @@ class TorquePlace:
             face_value=face_value,
             face_jacobian=sparse.csr_array(faces @ family.map),
             face_kind=face_kind,
+            along=family.along,
         )
 
     def curvature(self, multipliers: FloatArray) -> sparse.csr_array:

@@ -34,7 +34,7 @@ _LEAST_PROMISE = 1e-15
 # The box that steps stay in, at first and at most: it doubles where steps reach its sides and keep their
 # promise. How far a promise is made when it tells whether the end is reached.
 _BOX, _LARGEST_BOX, _UNIT = 4.0, 1e3, 1.0
-_LEAST_DAMPING, _MOST_DAMPING, _DAMPING_STEP = 1e-8, 1e6, 4.0
+_LEAST_DAMPING, _MOST_DAMPING, _DAMPING_STEP, _RELEASE = 1e-8, 1e6, 4.0, 16.0
 _MOST_PENALTY, _PENALTY_STEP = 1e4, 10.0
 # A step that leaves this share of the violations does little about them; a larger penalty is worthwhile if it
 # brings that down to this share; where none brings violations down to this share they cannot be met.
@@ -242,7 +242,7 @@ class _Walk(Generic[AnyPlace]):
             self.damping = max(_DAMPING_STEP * self.damping, halving)
             self._box = max(0.5 * self._box, _BOX)
         elif gained > _LONGER * promised:
-            self.damping = max(self.damping / _DAMPING_STEP, _LEAST_DAMPING)
+            self.damping = max(self.damping / _RELEASE, _LEAST_DAMPING)
             if float(np.abs(step.p).max()) > 0.9 * self._box:
                 self._box = min(2.0 * self._box, _LARGEST_BOX)
         if trial is not None and gained > _TAKEN * promised:

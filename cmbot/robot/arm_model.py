@@ -55,9 +55,18 @@ def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
     """Build the full model with its collision and visual geometry.
 
     Collision meshes become their convex hulls. A continuous joint has two coordinates in pinocchio; read as a
-    revolute one without limits it has one, as the splines need.
+    revolute one without limits it has one, as the splines need. A fixed joint may share its name with a link
+    in a URDF, not in pinocchio; nobody asks for it by name, so it is given another.
     """
+    names = {element.get("name", "") for tag in ("link", "joint") for element in root.findall(tag)}
+    links = {link.get("name", "") for link in root.findall("link")}
     for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        if name in links:
+            while name in names:
+                name += "_"
+            names.add(name)
+            joint.set("name", name)
         if joint.get("type") == "continuous":
             joint.set("type", "revolute")
             limit = joint.find("limit")
@@ -106,8 +115,6 @@ def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[in
         if not model.existFrame(name, pin.FrameType.BODY):
             choices = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
             raise ModelError(source, key, repr(name), "a link of the URDF", choices)
-        if [frame.name for frame in model.frames].count(name) > 1:
-            raise ModelError(source, key, repr(name), "a link that shares its name with no joint")
     base = model.frames[model.getFrameId(base_frame)].parentJoint
     joint = model.frames[model.getFrameId(tool_frame)].parentJoint
     chain: list[int] = []
