@@ -87,7 +87,11 @@ _TIME = "more seconds for the legs"
 _REMEDIES = (
     ("velocity", _TIME),
     ("acceleration", _TIME),
-    ("jerk", _TIME),
+    (
+        "jerk",
+        f"{_TIME}, tool_path.speed_profile.kind jerk_limited or, where they are close, "
+        "fewer tool_path.via_points",
+    ),
     ("joint torque", "a lighter payload, another posture_deg or another place for the tool path"),
     ("position", "another posture_deg or another place for the tool path"),
     ("tool deviation", "more tool_path.via_points or a larger planner.max_tool_deviation_m"),

@@ -321,6 +321,7 @@ def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) 
         ("velocity of joint_3", "more seconds for the legs"),
         ("acceleration of joint_3", "more seconds for the legs"),
         ("jerk of joint_3", "more seconds for the legs"),
+        ("jerk of joint_3", "tool_path.speed_profile.kind jerk_limited"),
         ("position of joint_4", "another posture_deg"),
         ("joint torque", "a lighter payload"),
         ("tool deviation", "planner.max_tool_deviation_m"),

@@ -170,9 +170,7 @@ def test_no_arm_between_the_frames(urdf_folder: Path, base: str, tool: str) -> N
 
 
 @pytest.mark.parametrize("link", ["tool0", "arm_base", "link_4", "foot_2"])
-def test_fixed_joint_may_share_its_name_with_a_link(
-    urdf_folder: Path, cmbot_robot: Robot, link: str
-) -> None:
+def test_fixed_joint_may_share_its_name_with_a_link(urdf_folder: Path, cmbot_robot: Robot, link: str) -> None:
     """URDF allows it, and the Z1's has such a joint; pinocchio finds no frame then."""
     replace(urdf_folder / "cmbot.urdf", 'joint name="tool_tip_joint"', f'joint name="{link}"')
     robot = load_copy(urdf_folder)

@@ -88,7 +88,7 @@ def test_only_the_scenes_posture() -> None:
         plan(scene, options=replace(scene.planner, knots="fixed", other_starts=0), progress=told.append)
     assert caught.value.pair == ("link_5", "link_2")
     assert "other starting posture" not in str(caught.value)
-    assert [(report.stage, report.failed_starts) for report in told] == [("path", 0)]
+    assert {(report.stage, report.failed_starts) for report in told} == {("path", 0)}
 
 
 @pytest.mark.parametrize(

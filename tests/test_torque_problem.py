@@ -18,12 +18,12 @@ FloatArray = NDArray[np.float64]
 
 @pytest.fixture(scope="module")
 def fixed() -> TorqueProblem:
-    return problem_of(short_scene())[0]
+    return problem_of(short_scene(planner={"solver": "slsqp"}))[0]
 
 
 @pytest.fixture(scope="module", params=["fixed", "sliding", "sliding but the first"])
 def problem(request: pytest.FixtureRequest) -> TorqueProblem:
-    scene = short_scene()
+    scene = short_scene(planner={"solver": "slsqp"})
     fixed, task, clearances = problem_of(scene)
     if request.param == "fixed":
         return fixed

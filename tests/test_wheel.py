@@ -108,7 +108,7 @@ def test_the_wheel_says_what_it_is(wheel: Path) -> None:
     assert (metadata["Name"], metadata["Version"]) == ("cmbot", cmbot.__version__)
     assert metadata["License-Expression"] == "BSD-3-Clause"
     assert metadata["Requires-Python"] == ">=3.11"
-    assert set(metadata.get_all("Provides-Extra", [])) == {"docs", "fast", "plots", "test", "video"}
+    assert set(metadata.get_all("Provides-Extra", [])) == {"bench", "docs", "fast", "plots", "test", "video"}
     assert "[console_scripts]\ncmbot = cmbot.cli:main\n" in found[f"{info}/entry_points.txt"].decode()
     assert b"Root-Is-Purelib: true" in found[f"{info}/WHEEL"]
 

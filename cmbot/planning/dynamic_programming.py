@@ -164,7 +164,10 @@ def blocked(setting: Setting, nodes: list[ChartNodes], k: int) -> PathNotFound:
     task, times = setting.task, setting.times
     node = nodes[k]
     if not node.chart.within.any():
-        why = "out of reach: no posture within the joint ranges holds the tool there"
+        why = (
+            "out of reach: no posture within the joint ranges holds the tool there; "
+            "take another posture_deg, move the tool path, or keep less of the pose (tool_path.keep)"
+        )
     elif not node.admissible.any():
         weak = int((node.chart.within & (node.chart.joint_use > 1.0)).sum())
         near = int(node.too_near.sum())

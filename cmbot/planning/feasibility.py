@@ -43,7 +43,8 @@ def check_feasible(problem: TorqueProblem) -> None:
             share = _least_share(problem, least_jerk, bounds, joint, first, last)
             if share > 1.0:
                 raise OptimisationFailed(
-                    "the via-points are too far apart for the time between them: give the legs more seconds",
+                    "the via-points are too far apart for the time between them: give the legs more seconds, "
+                    "a speed_profile of kind jerk_limited, or fewer via-points where these are close",
                     constraint=f"velocity, acceleration or jerk of {problem.robot.joints[joint]}",
                     violation=share - 1.0,
                 )

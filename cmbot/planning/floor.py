@@ -102,7 +102,8 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> tup
         enough = max(enough, float(each[some].max()))
     looked = np.flatnonzero(np.isfinite(bound))
     where = int(looked[each[looked].argmax()])
-    error = float(each[where] - bound.max())
+    # No objective is ever negative, whatever samples of a wide self-motion leave open.
+    error = float(each[where] - max(bound.max(), 0.0))
     return Floor(value=float(each[where]), error=error, via_point=where, each=each), postures[where]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -17,6 +17,7 @@ from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.slsqp import solve_slsqp
 from cmbot.planning.sparse_family import LocalKnots
 from cmbot.planning.sparse_passes import SparsePasses
+from cmbot.planning.stretches import joined, stretch_of, stretches
 from cmbot.planning.subproblems import mean_square_subproblem, peak_subproblem
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.working_set import Violation, WorkingSet
@@ -100,10 +101,48 @@ def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | No
     OptimisationFailed
         When the via-points admit no trajectory within the limits, or none was found.
     """
+    at_rest = problem.peak_at_rest * (1 + _AT_REST)
+    parts = stretches(problem)
+    if len(parts) > 1:
+        try:
+            return _stretch_by_stretch(problem, parts, at_rest, progress)
+        except OptimisationFailed:
+            # To rest at every end of a stretch may be too much to ask; the path as a whole does not ask it.
+            pass
+    return _whole(problem, at_rest, progress)
+
+
+def _stretch_by_stretch(
+    problem: TorqueProblem,
+    parts: list[tuple[int, int]],
+    at_rest: float,
+    progress: Callable[[PassReport], None] | None,
+) -> Optimised:
+    """Solve a long path's problem in parts; passes are counted through."""
+    done: list[Optimised] = []
+    passes: list[PassReport] = []
+
+    def tell(report: PassReport) -> None:
+        passes.append(replace(report, number=len(passes) + 1))
+        if progress is not None:
+            progress(passes[-1])
+
+    for first, last in parts:
+        done.append(_whole(stretch_of(problem, first, last), at_rest, tell))
+    return Optimised(
+        trajectory=joined([each.trajectory for each in done]),
+        via_points=np.concatenate([*(each.via_points[:-1] for each in done[:-1]), done[-1].via_points]),
+        passes=tuple(passes),
+    )
+
+
+def _whole(
+    problem: TorqueProblem, at_rest: float, progress: Callable[[PassReport], None] | None
+) -> Optimised:
+    """Solve a problem at once; `at_rest` is what a posture asks that the arm cannot help resting in."""
     if not problem.family.sliding:
         check_feasible(problem)
     run = _Run(problem, progress)
-    at_rest = problem.peak_at_rest * (1 + _AT_REST)
     # Where a resting end that cannot change asks the most, there is nothing to lower but the mean square.
     # With sliding knots that is known beforehand.
     peak = problem.via_point_peak if problem.family.slides else problem.scale
@@ -183,6 +222,9 @@ class _Run:
             if stalls == _MOST_STALLS:
                 raise self._failure("the solver stopped before the constraints were met", worst)
             stalls += 1
+            # What is violated can lie so near to what is known that it counted as known.
+            self._working.sharpen()
+            self._look(bound, effort)
 
     def _look(self, bound: float, effort: Effort) -> tuple[int, Violation, float]:
         """Add what the present trajectory violates."""

@@ -81,6 +81,8 @@ class TorqueProblem:
         Indices of the via-points where the arm rests in a posture that the family cannot change.
     floor : float
         What the peak cannot fall below, but for what motion takes off; near it the peak is low enough.
+    content : float
+        The peak need not fall below this: elsewhere as much is asked anyway.
     objective : Objective, optional
         What is made small; left out, as the options say.
     """
@@ -95,23 +97,29 @@ class TorqueProblem:
         *,
         resting: tuple[int, ...],
         floor: float = 0.0,
+        content: float = 0.0,
         objective: Objective | None = None,
     ) -> None:
         self.robot = robot
+        self.task = task
+        self.clearances = clearances
         self.options = options
         self.family = family
+        self.floor = floor
         self.dynamics = Dynamics(robot)
         t = self.space.t
         grid = np.linspace(t[:-1], t[1:], options.samples_per_segment, endpoint=False, axis=1)
         self.grid = np.append(grid.ravel(), t[-1])
         self.objective = objective_of(robot, options) if objective is None else objective
         still = np.zeros_like(family.via_points)
-        at_via_points = self.objective.values(States(t, family.via_points, still, still))
-        self.via_point_peak = float(at_via_points.max())
-        self.peak_at_rest = float(at_via_points[list(resting)].max(initial=0.0))
+        self.at_via_points = self.objective.values(States(t, family.via_points, still, still))
+        """What is made small at rest in each of the via-points, (n,)."""
+        self.via_point_peak = float(self.at_via_points.max())
+        self.peak_at_rest = float(self.at_via_points[list(resting)].max(initial=0.0))
         states = self.states(family, family.start, self.grid)
         self.scale = float(self.objective.values(states).max())
         self.low_enough = floor * (1 + options.gap_target) / self.scale
+        self.content = content / self.scale
         self.torque = ObjectiveShare(self.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2

@@ -8,37 +8,36 @@ posture. With y what they move beyond the sag and beyond what the accelerations 
 so the first modes' displacement and velocity at the end of a leg are linear in the joints' snap, and with it
 in the numbers of the splines. Of all changes that bring them to zero at every end of a leg the one with the
 least mean squared jerk is taken. Via-points, and C3 at the knots, stay what they are.
+
+A long path is divided into windows of a few legs: splines that live in two of them stay what they are, so
+that every window is a small problem of its own.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
-from scipy import linalg, optimize
-from scipy.sparse.linalg import splu
+from scipy import sparse
 
-from cmbot.arrays import FloatArray
+from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.planning.leg_vibration import LegVibration
 from cmbot.planning.optimiser import Optimised
 from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.quiet_windows import QuietWindow, legs_by_window, slopes
 from cmbot.planning.setting import Setting
-from cmbot.planning.state_functions import States
+from cmbot.planning.state_functions import States, ToolDeviation
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.working_set import WorkingSet, bound_values
 
 __all__ = ["Quieting", "quiet"]
 
-# Share of their own size that is added to the conditions' covariance.
-_ALIKE = 1e-5
-# Times that a change is worked out anew, and sites of a constraint that are added each time, at most.
+# Times that a change is worked out anew, and sites of a constraint that are added each time for each window,
+# at most.
 _ROUNDS, _MOST_SITES = 12, 400
 # Constraints are kept so many tolerances inside their bounds.
-_INSIDE = 3.0
-# What no number changes has a cost of this size, at most.
-_NOTHING = 1e-300
+_INSIDE = 1.0
 # Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
 _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 
@@ -52,7 +51,8 @@ class Quieting:
     modes : int
         The first so many are brought to rest.
     share : float
-        Of the change that would take all of their vibration away; 0 when every change broke a bound.
+        Of the change that would take all of their vibration away; 0 when every change broke a bound. On a
+        long path the smallest of those of its windows.
     before, after : float, m
         Amplitude of the tool that these modes leave at the end of the motion, as predicted, without and with
         the change.
@@ -83,106 +83,128 @@ def quiet(
         With the changed trajectory; what it was, where no change keeps the bounds.
     quieting : Quieting
     """
-    trajectory, modes = optimised.trajectory, setting.options.quiet_modes
-    ends = setting.teller.each(
-        "foreseeing the vibration of every leg", list(pairwise(setting.task.path.leg_times))
-    )
-    legs = [LegVibration(arm, trajectory, start, end, modes) for start, end in ends]
+    trajectory, modes, t = optimised.trajectory, setting.options.quiet_modes, problem.space.t
+    groups = legs_by_window(problem.space, setting.task.path.leg_times)
+    windows = [QuietWindow(problem, group) for group in groups]
+    ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
+    for window, (first, last) in setting.teller.each("foreseeing the vibration of every leg", ends):
+        leg = LegVibration(arm, trajectory, t[first], t[last], modes)
+        window.bring_to_rest(leg, trajectory)
     setting.teller.step("bringing the slowest vibrations to rest")
-    changed, share = _quieted(problem, trajectory, legs)
-    before, after = (legs[-1].tool_amplitude(legs[-1].vibration(x)) for x in (trajectory, changed))
+    changed, share = _Search(problem, trajectory, windows).changed()
+    before, after = (leg.tool_amplitude(leg.vibration(x)) for x in (trajectory, changed))
     return (
         replace(optimised, trajectory=changed),
         Quieting(modes=modes, share=share, before=before, after=after),
     )
 
 
-def _quieted(
-    problem: TorqueProblem, trajectory: QuinticTrajectory, legs: list[LegVibration]
-) -> tuple[QuinticTrajectory, float]:
-    """Change a trajectory so that its legs end quietly; return it and the share of the change that it took.
+@dataclass(frozen=True)
+class _Held:
+    """Times (K,), values (K,) and derivatives (K, (n - 4) d) by the splines' numbers of what is held."""
 
-    Newton's method: what a step violates becomes an equation of the next one, which brings it back.
+    times: FloatArray
+    value: FloatArray
+    rows: sparse.csr_array
+
+
+class _Search:
+    """A change of all windows that keeps the bounds.
+
+    Newton's method: what a step violates becomes a bound of the next one, which brings it back.
+
+    Parameters
+    ----------
+    problem : TorqueProblem
+    trajectory : QuinticTrajectory
+    windows : list of QuietWindow
     """
-    working, tolerance = WorkingSet(problem), problem.options.constraint_tolerance
-    peak = working.add_violated(trajectory, np.inf, tolerance, 1, 0)[2] * (1 + _PEAK_RISE)
 
-    def missing(candidate: QuinticTrajectory) -> float:
-        _, worst, new_peak = working.add_violated(candidate, peak, tolerance, 1, _MOST_SITES)
-        return max(worst.value, new_peak - peak)
+    def __init__(
+        self, problem: TorqueProblem, trajectory: QuinticTrajectory, windows: list[QuietWindow]
+    ) -> None:
+        self._problem, self._windows, self._given = problem, windows, trajectory
+        self._tolerance = problem.options.constraint_tolerance
+        self._z = _knot_vector(trajectory)
+        self._starts = np.array([window.start for window in windows])
+        self._working = WorkingSet(problem)
+        _, worst, peak = self._working.add_violated(trajectory, np.inf, self._tolerance, 1, 0)
+        self._peak, self._allowed = peak * (1 + _PEAK_RISE), max(worst.value, self._tolerance)
+        self._X = np.zeros((problem.space.dimension, trajectory.q.shape[1]))
+        self._shares, self._hopeless = np.zeros(len(windows)), np.zeros(len(windows), dtype=np.bool_)
+        self._here, self._broken = trajectory, 0.0
+        self._held = self._held_here()
 
-    space = problem.space
-    here, z = trajectory, _knot_vector(trajectory)
-    X = np.zeros((space.dimension, trajectory.q.shape[1]))
-    wanted = _conditions(problem, legs)
-    for _ in range(_ROUNDS):
-        aims = -np.concatenate([leg.vibration(here) for leg in legs])
-        held, values = _held(problem, here, working, peak)
-        # To first order around here, but for the change as a whole.
-        R = np.stack([*wanted, *held], axis=-1)
-        room = -values - _INSIDE * tolerance
+    def changed(self) -> tuple[QuinticTrajectory, float]:
+        """Return the changed trajectory, and the smallest share of a window's change that it took."""
+        unfit = ~self._hopeless
+        for _ in range(_ROUNDS):
+            self._step(unfit)
+            unfit = self._unfit()
+            if not unfit.any():
+                break
+        whole, shares = self._X.copy(), self._shares.copy()
+        for share in (*_SHARES, 0.0):
+            if unfit.any():
+                for k in np.flatnonzero(unfit):
+                    own = self._windows[k].numbers
+                    self._X[own], self._shares[k] = share * whole[own], share * shares[k]
+                unfit = self._unfit() & (self._shares > 0)
+        if self._broken > self._allowed:
+            return self._given, 0.0
+        return self._here, float(self._shares.min())
+
+    def _unfit(self) -> BoolArray:
+        """Which of the windows break a bound, or have not been changed yet."""
+        space, most = self._problem.space, _MOST_SITES * len(self._windows)
+        self._here = space.trajectory(self._z + space.basis @ self._X)
+        _, worst, peak = self._working.add_violated(self._here, self._peak, self._tolerance, 1, most)
+        self._broken, self._held = max(worst.value, peak - self._peak), self._held_here()
+        unfit = self._shares == 0
+        np.logical_or.at(unfit, self._window_at(self._held.times), self._held.value > self._tolerance)
+        return np.asarray(unfit & ~self._hopeless)
+
+    def _step(self, unfit: BoolArray) -> None:
+        """Work out the change of the windows that are unfit, to first order around the trajectory here."""
+        value, rows = self._held.value, self._held.rows
+        room = -value - _INSIDE * self._tolerance
         # What is at its bound, not beyond it, may stay there: some of it no number can change.
-        room = np.where(values <= tolerance, np.maximum(room, 0.0), room)
-        aims = np.append(aims, room) + np.einsum("bjc,bj->c", R, X)
-        X = _least_jerk_change(problem, R, aims, len(wanted))
-        here = space.trajectory(z + space.basis @ X)
-        if missing(here) <= tolerance:
-            return here, 1.0
-    for share in _SHARES:
-        candidate = space.trajectory(z + share * (space.basis @ X))
-        if missing(candidate) <= tolerance:
-            return candidate, share
-    return trajectory, 0.0
+        room = np.where(value <= self._tolerance, np.maximum(room, 0.0), room)
+        # For the change as a whole.
+        room += rows @ self._X.ravel()
+        at = self._window_at(self._held.times)
+        for k in np.flatnonzero(unfit):
+            window, here = self._windows[k], at == k
+            found = window.change(rows[here], room[here])
+            # Without a change that keeps to the room here, one is looked for from the start, once.
+            self._hopeless[k] = found is None and self._shares[k] == 0
+            self._X[window.numbers] = 0.0 if found is None else found.x
+            self._shares[k] = 0.0 if found is None else found.share
 
+    def _window_at(self, times: FloatArray) -> IntArray:
+        return np.asarray(np.searchsorted(self._starts[1:], times, side="right"))
 
-def _conditions(problem: TorqueProblem, legs: list[LegVibration]) -> list[FloatArray]:
-    """Derivatives (n - 4, d) of every leg's vibration by the splines' numbers."""
-    rows: list[FloatArray] = []
-    for leg in legs:
-        by_number = (problem.space.design(leg.times, 4) @ problem.space.basis).T
-        rows += [by_number @ leg.weights[:, c] for c in range(leg.weights.shape[1])]
-    return rows
-
-
-def _held(
-    problem: TorqueProblem, trajectory: QuinticTrajectory, working: WorkingSet, peak: float
-) -> tuple[list[FloatArray], FloatArray]:
-    """Derivatives (n - 4, d) by the splines' numbers of the working set's constraints, and their values."""
-    space, d = problem.space, trajectory.q.shape[1]
-    rows: list[FloatArray] = []
-    values: list[FloatArray] = [np.empty(0)]
-    for number, (function, times, component) in enumerate(working.state_sites()):
-        if len(times):
-            at = function.linearise(States(times, *trajectory.states(times)), component)
-            designs = [(space.design(times, order) @ space.basis).toarray() for order in range(3)]
-            parts = zip(designs, (at.d_q, at.d_v, at.d_a), strict=True)
-            rows += list(sum(D[:, :, None] * by[:, None, :] for D, by in parts))
-            values.append(at.value - (peak if number == 0 else 0.0))
-    for bound, times, component in working.bound_sites():
-        if len(times):
-            value, joint, factor = bound_values(bound, times, component, trajectory)
-            design = (space.design(times, bound.order) @ space.basis).toarray()
-            rows += list(design[:, :, None] * (np.eye(d)[joint] * factor[:, None])[:, None, :])
-            values.append(value)
-    return rows, np.concatenate(values)
-
-
-def _least_jerk_change(problem: TorqueProblem, R: FloatArray, aims: FloatArray, equations: int) -> FloatArray:
-    """Change X (n - 4, d) of the splines' numbers with the least jerk.
-
-    Of the linear quantities with derivatives `R` (n - 4, d, c), the first `equations` are to change by their
-    `aims` (c,), the others by no more than that. Solved for the multipliers, which are few.
-    """
-    gram, J_C = splu(problem.space.jerk_gram.tocsc()), problem.robot.limits.jerk
-    cheapest = np.stack([bound**2 * gram.solve(R[:, joint]) for joint, bound in enumerate(J_C)], axis=1)
-    cost = np.einsum("bjc,bjd->cd", R, cheapest)
-    # All on one scale; quantities that are nearly the same share their multiplier.
-    size = np.sqrt(np.maximum(np.diag(cost), _NOTHING))
-    L = np.linalg.cholesky(cost / size[:, None] / size + _ALIKE * np.eye(len(aims)))
-    upper = np.where(np.arange(len(aims)) < equations, np.inf, 0.0)
-    target = linalg.solve_triangular(L, aims / size, lower=True)
-    multipliers = optimize.lsq_linear(L.T, target, bounds=(-np.inf, upper), method="bvls").x
-    return np.asarray(cheapest @ (multipliers / size))
+    def _held_here(self) -> _Held:
+        space, here, d = self._problem.space, self._here, self._X.shape[1]
+        when, values, rows = [np.empty(0)], [np.empty(0)], [sparse.csr_array((0, space.dimension * d))]
+        for number, (function, times, component) in enumerate(self._working.state_sites()):
+            if len(times):
+                states = States(times, *here.states(times))
+                faces = function.faces(states) if isinstance(function, ToolDeviation) else ()
+                for at in (function.linearise(states, component), *faces):
+                    parts = enumerate((at.d_q, at.d_v, at.d_a))
+                    by_number = (slopes(space.design(times, order) @ space.basis, by) for order, by in parts)
+                    rows.append(sum(by_number))
+                    values.append(at.value - (self._peak if number == 0 else 0.0))
+                    when.append(times)
+        for bound, times, component in self._working.bound_sites():
+            if len(times):
+                value, joint, factor = bound_values(bound, times, component, here)
+                by = np.eye(d)[joint] * factor[:, None]
+                rows.append(slopes(space.design(times, bound.order) @ space.basis, by))
+                values.append(value)
+                when.append(times)
+        return _Held(np.concatenate(when), np.concatenate(values), sparse.csr_array(sparse.vstack(rows)))
 
 
 def _knot_vector(trajectory: QuinticTrajectory) -> FloatArray:

@@ -7,6 +7,7 @@ via-points slide, their slides along the self-motion.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -36,8 +37,8 @@ class LocalKnots:
         Of the smoothing term.
     task : TaskAtViaPoints, optional
         What sliding via-points keep; without it they stay.
-    pinned : bool
-        The first via-point stays anyway.
+    pinned, held : bool
+        The first via-point stays anyway, or the last.
     directions : (k, a, d), optional
         In which the k via-points slide that may; those that are taken lie as near to them as they can.
     """
@@ -51,15 +52,16 @@ class LocalKnots:
         *,
         task: TaskAtViaPoints | None = None,
         pinned: bool = False,
+        held: bool = False,
         directions: FloatArray | None = None,
     ) -> None:
         self.splines = splines
         self.via_points = via_points
         self.weight = weight
         self._numbers = numbers
-        self._task, self._pinned = task, pinned
+        self._task, self._pinned, self._held = task, pinned, held
         self.sliding = task is not None
-        self._free = np.arange(1 if pinned else 0, len(via_points) if self.sliding else 0)
+        self._free = np.arange(1 if pinned else 0, len(via_points) - held if self.sliding else 0)
         if task is not None:
             self._null = task.null_spaces(via_points)[self._free]
             if directions is not None:
@@ -135,7 +137,23 @@ class LocalKnots:
             weight,
             task=self._task,
             pinned=self._pinned,
+            held=self._held,
             directions=self._null,
+        )
+
+    def stretch(self, first: int, last: int) -> LocalKnots:
+        """Return the splines of least jerk between two via-points, at rest there; inner ones of them stay."""
+        some = slice(first, last + 1)
+        splines = LocalSplines(SplineSpace(self.space.t[some]), self.splines.limits)
+        via_points = self.via_points[some]
+        return LocalKnots(
+            splines,
+            via_points,
+            splines.least_jerk(via_points),
+            self.weight,
+            task=None if self._task is None else replace(self._task, points=self._task.points[some]),
+            pinned=self._pinned or (first > 0 and self.sliding),
+            held=self._held or (last < len(self.via_points) - 1 and self.sliding),
         )
 
     def rows(self, times: FloatArray) -> LocalRows:

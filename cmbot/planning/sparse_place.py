@@ -84,6 +84,7 @@ class TorquePlace:
             face_jacobian=sparse.csr_array(faces @ family.map),
             face_kind=face_kind,
             along=family.along,
+            least=self.known.problem.content,
         )
 
     def curvature(self, multipliers: FloatArray) -> sparse.csr_array:

@@ -49,6 +49,8 @@ class LocalModel:
         Sparse.
     peaks : int
         How many of c, the first ones, are compared with b. Without any there is no b.
+    least : float
+        b is not lowered below this.
     kind : (K,)
         What kind of constraint each of c is; each kind has a penalty of its own.
     face_value : (F,)
@@ -72,11 +74,12 @@ class LocalModel:
     face_jacobian: sparse.csr_array
     face_kind: IntArray
     along: IntArray
+    least: float = -np.inf
 
     @property
     def peak(self) -> float:
-        """Largest of the constraints that are compared with b; 0 without any."""
-        return float(self.value[: self.peaks].max()) if self.peaks else 0.0
+        """Largest of the constraints that are compared with b, or the least that counts; 0 without any."""
+        return float(self.value[: self.peaks].max(initial=self.least)) if self.peaks else 0.0
 
     @property
     def violation(self) -> float:
@@ -97,7 +100,7 @@ class LocalModel:
     def after(self, p: FloatArray, penalty: FloatArray) -> float:
         """What the merit would be after the step `p` (n,), to this order."""
         value = self.value + self.jacobian @ p
-        peak = float(value[: self.peaks].max()) if self.peaks else 0.0
+        peak = float(value[: self.peaks].max(initial=self.least)) if self.peaks else 0.0
         quadratic = float(self.gradient @ p + 0.5 * p @ (self.hessian @ p))
         left = self.violations(p, kinds=len(penalty))
         return self.objective + quadratic + peak + float(penalty @ left)
@@ -138,7 +141,7 @@ def solve_qp(model: LocalModel, penalty: FloatArray, radius: float, damping: flo
     P = sparse.block_diag([H, sparse.csc_array((1 + kinds, 1 + kinds))], format="csc")
     c = np.concatenate([model.gradient, [1.0 if peaks else 0.0], penalty])
     highest = float(np.abs(model.value).max(initial=1.0))
-    low = np.concatenate([np.full(n, -radius), [-10 * highest], np.zeros(kinds)])
+    low = np.concatenate([np.full(n, -radius), [max(-10 * highest, model.least)], np.zeros(kinds)])
     high = np.concatenate([np.full(n, radius), [10 * highest], np.full(kinds, np.inf)])
     # What is coupled side by side is what makes PIQP's multistage solver quick, and b and e last.
     along = np.append(model.along, np.arange(n, n + 1 + kinds))

@@ -82,11 +82,12 @@ def find_path(
             failures.append(error)
         else:
             return path, tuple(failures)
-    raise no_start_left(failures) from failures[0]
+    moved = "the obstacle or the tool path" if failures[0].pair else "the tool path"
+    raise no_start_left(failures, f"take another posture_deg, or move {moved}") from failures[0]
 
 
-def no_start_left(failures: Sequence[PathNotFound]) -> PathNotFound:
-    """Return the first failure, with a word on the others."""
+def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNotFound:
+    """Return the first failure, with a word on the others, and on what to do where it does not say so."""
     first, others = failures[0], len(failures) - 1
     furthest = max(failure.progress for failure in failures)
     reason = first.reason
@@ -94,6 +95,8 @@ def no_start_left(failures: Sequence[PathNotFound]) -> PathNotFound:
         postures = counted(others, "other starting posture")
         fail = "fails" if others == 1 else "fail"
         reason += f"; {postures} {fail} as well (the best at {furthest:.0%} of the path)"
+    if remedy:
+        reason += f"; {remedy}"
     return PathNotFound(
         reason,
         time=first.time,

@@ -178,9 +178,14 @@ def _require_clear_start(setting: Setting) -> None:
     if distance >= margin:
         return
     shapes = setting.clearances.pairs[smallest.pair[0]]
+    other = (
+        "where they are always that near, let robot.srdf disable the pair"
+        if setting.robot.model.existFrame(shapes.other)
+        else "move the obstacle"
+    )
     raise PathNotFound(
-        f"in the scene's posture {shapes.too_near(distance, margin)}; take another posture_deg, move the "
-        "obstacle, or lower planner.safety_margin_m",
+        f"in the scene's posture {shapes.too_near(distance, margin)}; take another posture_deg, lower "
+        f"planner.safety_margin_m, or {other}",
         time=0.0,
         progress=0.0,
         smallest_singular_value=setting.task.smallest_singular_value(

@@ -23,6 +23,8 @@ __all__ = ["Violation", "WorkingSet", "bound_values"]
 _SAME_SITE = 0.005
 # The peak is the objective: what exceeds it counts at this share of the constraints' tolerance.
 _PEAK = 0.1
+# Sharpened, sites are told apart at this share of the distance.
+_SHARPER = 0.1
 
 
 @dataclass(frozen=True)
@@ -41,9 +43,9 @@ class _Sites:
     component: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
     rows: Any = None
 
-    def add(self, times: FloatArray, component: IntArray, problem: TorqueProblem) -> int:
-        """Add the sites that are not there yet; return how many."""
-        new = ~self._there(times, component, _SAME_SITE * (problem.grid[1] - problem.grid[0]))
+    def add(self, times: FloatArray, component: IntArray, problem: TorqueProblem, apart: float) -> int:
+        """Add the sites that are not there yet, within so many grid steps; return how many."""
+        new = ~self._there(times, component, apart * (problem.grid[1] - problem.grid[0]))
         if new.any():
             self.times = np.append(self.times, times[new])
             self.component = np.append(self.component, component[new])
@@ -83,6 +85,7 @@ class WorkingSet:
         self._functions: tuple[StateFunction, ...] = (problem.torque, *problem.functions)
         self._state_sites = [_Sites() for _ in self._functions]
         self._bound_sites = [_Sites() for _ in problem.bounds]
+        self._apart = _SAME_SITE
         self._looks = {
             number: ClearanceLooks(function, len(problem.grid), problem.robot.dof)
             for number, function in enumerate(self._functions)
@@ -153,7 +156,11 @@ class WorkingSet:
         """
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             if function.components == 1:
-                sites.add(times, np.zeros(len(times), dtype=np.intp), self._problem)
+                sites.add(times, np.zeros(len(times), dtype=np.intp), self._problem, self._apart)
+
+    def sharpen(self) -> None:
+        """From now on tell sites apart that are nearer to each other than before."""
+        self._apart *= _SHARPER
 
     def add_violated(
         self, trajectory: QuinticTrajectory, torque_bound: float, tolerance: float, stride: int, most: int
@@ -214,7 +221,7 @@ class WorkingSet:
         return broken_between_samples(trajectory, states.t, sampled, function.values, limit, tolerance)
 
     def _added(self, sites: _Sites, broken: Broken, most: int) -> int:
-        return sites.add(broken.times[:most], broken.component[:most], self._problem)
+        return sites.add(broken.times[:most], broken.component[:most], self._problem, self._apart)
 
 
 def bound_values(
