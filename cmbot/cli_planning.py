@@ -22,6 +22,8 @@ __all__ = ["plan"]
 
 # What of plan.json is too long for a summary, or stands there otherwise.
 _LEFT_OUT = ("format", "scene", "files", "floor", "passes")
+# Keys that one may look for among the options.
+_IN_THE_SCENE = ("via_points", "legs", "keep", "ramp", "posture_deg", "obstacles", "guardrail")
 
 
 def plan(
@@ -93,6 +95,9 @@ def _changed(options: dict[str, Any], changes: Sequence[str]) -> cmbot.PlannerOp
             raise InputError("--set", "", shown(change), "NAME=VALUE, such as start=pinned")
         if name in given:
             raise InputError("--set", flat(name), "the same option again", "each option once")
+        if name in _IN_THE_SCENE:
+            expected = "one of the planner's options; it is part of the scene: change it in the scene file"
+            raise InputError("--set", name, "a key of the scene", expected)
         given[name] = yaml_value(text, f"--set: {flat(name)}", InputError)
     return validated(PlannerOptions, options | given, "--set", InputError)
 

@@ -74,7 +74,8 @@ def simulate(
             _print_tracking(loaded.scene.name, tracking)
         out.print(f"Written to {', '.join(flat(path) for path in written)}.")
         if not details:
-            out.print(f"All figures: {flat(directory / _REPORT)}, under Simulation; --details prints them.")
+            page = flat(directory / _REPORT)
+            out.print(f"All figures: {page}, under Simulation; --details --force prints them.")
 
 
 def reproduce(

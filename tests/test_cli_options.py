@@ -119,6 +119,10 @@ def test_what_was_set_is_planned_and_kept(folder: Path) -> None:
             "--set: start: got 'fre', expected a known value; did you mean free? (one of: free, p",
         ),
         (("start=",), "--set: start: got None, expected a known value"),
+        (
+            ("via_points=3000",),
+            "--set: via_points: got a key of the scene, expected one of the planner's options; it is part",
+        ),
         (("compensate=yes",), "--set: compensate: got 'yes', expected true or false"),
         (("max_passes=many",), "--set: max_passes: got 'many', expected a whole number"),
         (("max_passes=0",), "--set: max_passes: got 0, expected at least 1"),

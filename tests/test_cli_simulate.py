@@ -124,7 +124,7 @@ def test_it_answers_in_short(simulated: tuple[Path, Outcome], saved: Path, track
     assert lines[2 + len(rows) :] == [
         tracking_verdict(cmbot.load_plan(saved), tracking),
         f"Written to {', '.join(str(folder / name) for name in WRITTEN)}.",
-        f"All figures: {folder / 'report.html'}, under Simulation; --details prints them.",
+        f"All figures: {folder / 'report.html'}, under Simulation; --details --force prints them.",
     ]
     assert outcome.err == "simulating\n"
 

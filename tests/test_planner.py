@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from small_scenes import short_scene
 
-from cmbot.errors import LimitViolation, ModelError, OptimisationFailed, PathNotFound, SceneError
+from cmbot.errors import InputError, LimitViolation, ModelError, OptimisationFailed, PathNotFound, SceneError
 from cmbot.planning import Plan, Progress, plan, planner
 from cmbot.robot import Kinematics
 from cmbot.scene import load_scene
@@ -50,6 +50,11 @@ def check_promises(planned: Plan) -> None:
         assert (np.abs(value) <= bound).all()
     assert (samples.q >= limits.lower).all()
     assert (samples.q <= limits.upper).all()
+
+
+def test_what_is_no_scene_is_refused() -> None:
+    with pytest.raises(InputError, match=r"cmbot\.load_scene"):
+        plan("triangle")  # type: ignore[arg-type]
 
 
 def test_triangle_with_fixed_knots(fixed_triangle_plan: Plan) -> None:

@@ -83,6 +83,8 @@ def plan(
     LimitViolation
         When the certificate does not hold.
     """
+    if not isinstance(scene, Scene):
+        raise InputError("plan", "scene", type(scene).__name__, "a Scene, as cmbot.load_scene returns it")
     options = checked(options) if options is not None else scene.planner
     # What the plan holds then says which solver it was made with.
     asked, options = options.solver, replace(options, solver=solver_of(options))

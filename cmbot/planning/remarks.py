@@ -58,9 +58,15 @@ def _bending(plan: Plan) -> Iterator[str]:
     if quiet is not None:
         modes = "slowest vibration" if quiet.modes == 1 else f"{quiet.modes} slowest vibrations"
         swing = f"they would leave the tool swinging by {1e3 * quiet.before:.4f} mm to either side"
-        brought = {1.0: "is brought", 0.0: "could not be brought"}.get(quiet.share, "is in part brought")
+        brought = "is brought" if quiet.share == 1 else "is in part brought"
         if quiet.modes != 1:
             brought = brought.replace("is ", "are ")
+        if quiet.share == 0:
+            yield (
+                f"Quieting: the {modes} of guardrail and links could not be brought to rest at the ends of "
+                f"the legs: no change of the motion that was tried keeps every bound. As predicted, {swing}."
+            )
+            return
         yield (
             f"Quieting: the {modes} of guardrail and links {brought} to rest at the ends of the legs, by how "
             f"the joints move; as predicted, {swing} without that, and by {1e3 * quiet.after:.4f} mm with "

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from cmbot.simulation.answer import tracking_answer, tracking_verdict
+from cmbot.simulation.answer import off_path, tracking_answer, tracking_verdict
 from cmbot.simulation.metrics import ErrorFigures, Residual, Statistics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.remarks import tracking_remarks, tracking_rows
@@ -15,6 +15,7 @@ __all__ = [
     "SimulationOptions",
     "Statistics",
     "Tracking",
+    "off_path",
     "simulate",
     "track",
     "tracking_answer",

@@ -10,7 +10,7 @@ from cmbot.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.simulation.tracking import MotionTracking, Tracking
 
-__all__ = ["tracking_answer", "tracking_verdict"]
+__all__ = ["off_path", "tracking_answer", "tracking_verdict"]
 
 
 def tracking_answer(tracking: Tracking, *, compensated: bool) -> Iterator[tuple[str, str, str]]:
@@ -26,7 +26,7 @@ def tracking_answer(tracking: Tracking, *, compensated: bool) -> Iterator[tuple[
     sag = "tool sags beyond what was foreseen, mean" if compensated else "tool sags, mean"
     yield _row(sag, [motion.figures.static.mean[3] for motion in both])
     yield _row("tool sways beside its sag, at most", [_largest(motion.dynamic, motion) for motion in both])
-    yield _row("bent tool off its path, at most", [_off_path(motion) for motion in both])
+    yield _row("bent tool off its path, at most", [off_path(motion) for motion in both])
     swings = [motion.figures.residual.diameter for motion in both if motion.figures.residual is not None]
     if len(swings) == len(both):
         yield _row("tool swings after the stop", swings)
@@ -41,7 +41,7 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     tracking : Tracking
         Of that plan.
     """
-    allowed, off = plan.options.max_tool_deviation_m, _off_path(tracking.planned)
+    allowed, off = plan.options.max_tool_deviation_m, off_path(tracking.planned)
     bound = f"{1e3 * allowed:g} mm (max_tool_deviation_m)"
     if off <= allowed:
         return f"Within the margin: bent as it is, the tool stays within {bound} of its path."
@@ -55,7 +55,8 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     return f"{text}. With compensate: true the plan makes up for the sag, not for the swaying."
 
 
-def _off_path(motion: MotionTracking) -> float:
+def off_path(motion: MotionTracking) -> float:
+    """Largest distance of the bent tool from its path while the joints move, m."""
     return _largest(motion.path_error, motion)
 
 

@@ -11,7 +11,7 @@ from importlib import metadata
 import numpy as np
 
 from cmbot.planning import Certificate, Plan
-from cmbot.simulation import Tracking, tracking_remarks, tracking_rows
+from cmbot.simulation import Tracking, tracking_remarks, tracking_rows, tracking_verdict
 from cmbot.version import __version__
 from cmbot.views.headlines import Headline, certificates, use_of
 
@@ -41,7 +41,11 @@ def sections(plan: Plan, tracking: Tracking | None, remarks: Iterable[str]) -> s
     if tracking is not None:
         headings = ("mm", "", "x", "y", "z", "norm")
         table = _table(headings, tracking_rows(tracking), text_columns=2)
-        parts.append(_section("Simulation", table + _list(tracking_remarks(tracking))))
+        parts.append(
+            _section(
+                "Simulation", table + _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
+            )
+        )
     parts += [
         _section("Scene", _table(("", ""), _scene(plan), text_columns=2)),
         _section("Joints", _table(_JOINT_HEADINGS, _joints(plan))),
