@@ -10,7 +10,7 @@ import pytest
 from small_scenes import short_scene
 
 from cmbot.errors import OptimisationFailed
-from cmbot.planning import optimiser, stretches
+from cmbot.planning import Progress, optimiser, plan, stretches
 from cmbot.planning.certificate import certify
 from cmbot.planning.optimiser import PassReport, optimise
 from cmbot.planning.problem import TorqueProblem
@@ -95,6 +95,20 @@ def test_the_peak_is_that_of_the_path_as_a_whole(monkeypatch: pytest.MonkeyPatch
     whole = optimise(way.problem)
     peaks = [peak_of(way.problem, each.trajectory) for each in (parted, whole)]
     assert peaks[0] <= peaks[1] * (1 + 1e-3)
+
+
+def test_passes_left_are_those_of_all_stretches() -> None:
+    scene = short_scene(
+        tool_path={"legs": LEGS, "via_points": 33},
+        planner={"solver": "sqp", "knots": "sliding", "quiet_modes": 0, "max_passes": 3},
+    )
+    told: list[Progress] = []
+    planned = plan(scene, progress=told.append)
+    passed = [progress for progress in told if progress.report is not None]
+    assert len(passed) == len(planned.passes) > 3
+    left = [progress.left.most for progress in passed if progress.left is not None]
+    # When none is left, nothing is said of it.
+    assert left == [most for most in range(11, 11 - len(passed), -1) if most > 0]
 
 
 def test_where_a_stretch_fails_the_path_is_solved_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:

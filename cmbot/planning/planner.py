@@ -27,6 +27,7 @@ from cmbot.planning.quieting import Quieting, quiet
 from cmbot.planning.setting import Setting, prepare
 from cmbot.planning.solvers import solver_of
 from cmbot.planning.state_functions import States
+from cmbot.planning.stretches import stretches
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.ways import Way, fixed_way, sliding_way
 from cmbot.planning.wrench_functions import WrenchFunction
@@ -193,8 +194,10 @@ def _work(setting: Setting, way: Way, clock: _Clock) -> _Work:
     teller = setting.teller
     teller.stage("optimise")
 
+    # Every stretch of a long path may have as many.
+    most = setting.options.max_passes * len(stretches(way.problem))
+
     def each_pass(report: PassReport, rounds: int = 0) -> None:
-        most = setting.options.max_passes
         teller.passed(report, setting.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
 
     problem, optimised = way.problem, optimise(way.problem, each_pass)
