@@ -16,14 +16,13 @@ import numpy as np
 from cases import Case
 from ipopt_problem import Program, solve
 from lagrangian import LagrangianHessian
-from literal import Remembered
 from sampled import FAR, SampledProblem
 from scipy import sparse
 
 from cmbot.arrays import FloatArray
 from cmbot.planning import optimiser
 from cmbot.planning.families import FixedKnots
-from cmbot.planning.slsqp import Subproblem, solve_slsqp
+from cmbot.planning.slsqp import Remembered, Subproblem, solve_slsqp
 from cmbot.planning.trajectory import QuinticTrajectory
 
 __all__ = ["Answer", "solve_sampled", "solve_working_set"]

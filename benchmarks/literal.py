@@ -19,11 +19,12 @@ from scipy import optimize
 
 from cmbot.arrays import FloatArray
 from cmbot.planning.problem import TorqueProblem
+from cmbot.planning.slsqp import Remembered
 from cmbot.planning.state_functions import JointTorque, States, ToolDeviation
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.robot import Kinematics
 
-__all__ = ["LiteralAnswer", "LiteralProblem", "Remembered", "solve_literal"]
+__all__ = ["LiteralAnswer", "LiteralProblem", "solve_literal"]
 
 # As many samples a segment as make the row count of the paper's problem bearable for a dense solver.
 PER_SEGMENT = 10
@@ -206,18 +207,3 @@ def solve_literal(
         cut=cut,
         status=status,
     )
-
-
-class Remembered:
-    """SLSQP asks for values and Jacobian apart; both come from one evaluation."""
-
-    def __init__(self, function: Callable[[FloatArray], tuple[FloatArray, FloatArray]]) -> None:
-        self._function = function
-        self._x: FloatArray | None = None
-        self._result: tuple[FloatArray, FloatArray]
-
-    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Evaluate, unless `x` is what it was the last time."""
-        if self._x is None or not np.array_equal(x, self._x):
-            self._x, self._result = x.copy(), self._function(x)
-        return self._result

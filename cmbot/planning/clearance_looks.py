@@ -10,6 +10,7 @@ import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.state_functions import ClearanceMargin, States
+from cmbot.scene.reach import spread, way_covered
 
 __all__ = ["ClearanceLooks"]
 
@@ -59,24 +60,13 @@ class ClearanceLooks:
             distance[here], pair[here], measured[here] = smallest.distance, smallest.pair, True
 
         near = margin.margin - margin.scale * matters
-        covered = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(states.q, axis=0)) @ reach)])
+        covered = way_covered(states.q, reach)
         for every in _STRIDES:
             # Not "<=": what is no number is measured, too.
             measure(~(distance > near) & (np.arange(len(distance)) % every == 0))
-            _spread(distance, measured, covered)
+            spread(distance, measured, covered)
         wanted = ~(distance > near)
         measure(wanted | np.append(wanted[1:], False) | np.append(False, wanted[:-1]))
         self._q[some], self._at_least[some] = states.q, distance
         value = np.where(measured, (margin.margin - distance) / margin.scale, -np.inf)
         return value[:, None], pair[:, None]
-
-
-def _spread(distance: FloatArray, measured: BoolArray, covered: FloatArray) -> None:
-    """Raise lower bounds on distances (N,) by what was measured beside them; `covered` is the way (N,)."""
-    known = np.flatnonzero(measured)
-    if len(known) == 0:
-        return
-    after = np.searchsorted(known, np.arange(len(distance)))
-    for beside in (known[np.maximum(after - 1, 0)], known[np.minimum(after, len(known) - 1)]):
-        lower = distance[beside] - np.abs(covered - covered[beside])
-        np.maximum(distance, lower, out=distance, where=~measured)

@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.arrays import FloatArray
 from cmbot.planning.problem_size import oversized
 from cmbot.planning.setting import robot_of, task_of
-from cmbot.robot import Dynamics, Finding, Kinematics, Robot
+from cmbot.robot import Dynamics, Efforts, Finding, Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.clearance import Clearances, ShapePair
 from cmbot.scene.tool_path import ToolPath
@@ -59,9 +59,10 @@ def examine_scene(scene: Scene) -> Examination:
     robot = robot_of(scene)
     path = task_of(scene, robot).path
     nearest = _nearest(scene, robot)
-    use = np.abs(Dynamics(robot).static_efforts(scene.posture[None]).joint_torque[0]) / robot.limits.torque
+    efforts = Dynamics(robot).static_efforts(scene.posture[None])
+    use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
     return Examination(
-        found=(*_asked(scene, robot, path), *_beginning(scene, robot, path, nearest, use)),
+        found=(*_asked(scene, robot, path), *_beginning(scene, robot, path, nearest, efforts, use)),
         warnings=(
             *_near(scene, nearest),
             *_weak(robot, use),
@@ -111,7 +112,12 @@ def _asked(scene: Scene, robot: Robot, path: ToolPath) -> Iterator[tuple[str, st
 
 
 def _beginning(
-    scene: Scene, robot: Robot, path: ToolPath, nearest: _Nearest | None, use: FloatArray
+    scene: Scene,
+    robot: Robot,
+    path: ToolPath,
+    nearest: _Nearest | None,
+    efforts: Efforts,
+    use: FloatArray,
 ) -> Iterator[tuple[str, str]]:
     point = ", ".join(f"{x:.4f}" for x in path.corners[0])
     yield "tool point at the start", f"({point}) m"
@@ -120,7 +126,6 @@ def _beginning(
         yield "clearance at the start", f"{nearest.distance:.4f} m ({pair.link} to {pair.other})"
     X_WT, J = Kinematics(robot).tool_jacobian(scene.posture)
     yield "smallest singular value there", f"{task_of(scene, robot).smallest_singular_value(X_WT, J):.4f}"
-    efforts = Dynamics(robot).static_efforts(scene.posture[None])
     yield "torque on the guardrail there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"
     yield "largest joint torque there", f"{use.max():.2f} of the bound of {robot.joints[use.argmax()]}"
 

@@ -10,6 +10,7 @@ import importlib.util
 
 from cmbot.errors import MissingExtra, SceneError
 from cmbot.planning.solvers import solver_of
+from cmbot.planning.spline_space import SUPPORT
 from cmbot.planning.task import task_dimension
 from cmbot.robot import Finding
 from cmbot.scene import PlannerOptions, Scene
@@ -18,9 +19,6 @@ __all__ = ["MOST_UNKNOWNS", "oversized", "require_reasonable_size"]
 
 MOST_UNKNOWNS = 3000
 """Of a problem for SLSQP: at these a pass takes one to two minutes, at 4,000 more than three."""
-
-# Of the splines' numbers a joint has four fewer than there are via-points (`SplineSpace.dimension`).
-_BOUND_BY_ENDS = 4
 
 
 def oversized(scene: Scene, joints: int, options: PlannerOptions) -> Finding | None:
@@ -39,10 +37,11 @@ def oversized(scene: Scene, joints: int, options: PlannerOptions) -> Finding | N
     except MissingExtra:
         return None
     slides = max(joints - task_dimension(scene.keep), 0) if options.knots == "sliding" else 0
-    unknowns = (scene.via_points - _BOUND_BY_ENDS) * joints + scene.via_points * slides
+    # As many numbers a joint as `SplineSpace.dimension` says, and the slides.
+    unknowns = (scene.via_points - SUPPORT) * joints + scene.via_points * slides
     if solver == "sqp" or unknowns <= MOST_UNKNOWNS:
         return None
-    most = (MOST_UNKNOWNS + _BOUND_BY_ENDS * joints) // (joints + slides)
+    most = (MOST_UNKNOWNS + SUPPORT * joints) // (joints + slides)
     installed = importlib.util.find_spec("piqp") is not None
     how = "" if installed else " (pip install 'cmbot[fast]')"
     return Finding(

@@ -11,15 +11,13 @@ from cmbot.arrays import FloatArray
 from cmbot.planning.least_change import LeastChange, least_change
 from cmbot.planning.leg_vibration import LegVibration
 from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.spline_space import SplineSpace
+from cmbot.planning.spline_space import SUPPORT, SplineSpace
 from cmbot.planning.trajectory import QuinticTrajectory
 
 __all__ = ["Leg", "QuietWindow", "legs_by_window", "slopes"]
 
 # Legs share a window up to so many segments, and as long as it has fewer than so many.
 _MOST, _FEWEST = 64, 12
-# Segments that a basis spline lives on.
-_SUPPORT = 4
 # By how much times may miss their knots, s.
 _SAME_TIME = 1e-9
 
@@ -82,7 +80,7 @@ class QuietWindow:
         self.start = float(space.t[legs[0][0]])
         near = [np.arange(max(first, last - _MOST), last) for first, last in legs]
         numbers = np.concatenate(near)
-        self.numbers = numbers[numbers <= legs[-1][1] - _SUPPORT]
+        self.numbers = numbers[numbers <= legs[-1][1] - SUPPORT]
         self._basis = space.basis[:, self.numbers]
         # With y = L' X / jerk bound the mean squared jerk, in units of its bounds, is |y|^2.
         gram = space.jerk_gram[self.numbers][:, self.numbers].toarray()

@@ -10,7 +10,7 @@ from scipy import optimize
 
 from cmbot.arrays import FloatArray
 
-__all__ = ["Subproblem", "solve_slsqp"]
+__all__ = ["Remembered", "Subproblem", "solve_slsqp"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,7 +50,7 @@ def solve_slsqp(subproblem: Subproblem, accuracy: float, max_iterations: int) ->
         Where it ended.
     iterations : int
     """
-    constraints = _Remembered(subproblem.constraints)
+    constraints = Remembered(subproblem.constraints)
     result = optimize.minimize(
         subproblem.objective,
         subproblem.start,
@@ -66,7 +66,7 @@ def solve_slsqp(subproblem: Subproblem, accuracy: float, max_iterations: int) ->
     return np.asarray(result.x), int(result.nit)
 
 
-class _Remembered:
+class Remembered:
     """SLSQP asks for values and Jacobian apart; both come from one evaluation."""
 
     def __init__(self, function: Callable[[FloatArray], tuple[FloatArray, FloatArray]]) -> None:
@@ -75,6 +75,7 @@ class _Remembered:
         self._result: tuple[FloatArray, FloatArray]
 
     def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Evaluate, unless `x` is what it was the last time."""
         if self._x is None or not np.array_equal(x, self._x):
             self._x, self._result = x.copy(), self._function(x)
         return self._result

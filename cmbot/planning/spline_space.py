@@ -26,12 +26,13 @@ from cmbot.errors import InputError
 from cmbot.planning.polynomials import derivative
 from cmbot.planning.trajectory import QuinticTrajectory, hermite_coefficients
 
-__all__ = ["SplineSpace"]
+__all__ = ["SUPPORT", "SplineSpace"]
 
 
-# A basis spline lives on this many segments: the fewest on which a C3 quintic spline that vanishes at the
-# knots between them, and joins zero with C3 on both sides, exists; it is then unique up to its scale.
-_SUPPORT = 4
+SUPPORT = 4
+"""A basis spline lives on this many segments: the fewest on which a C3 quintic spline that vanishes at the
+knots between them, and joins zero with C3 on both sides, exists; it is then unique up to its scale.
+"""
 
 
 @dataclass(frozen=True)
@@ -52,15 +53,15 @@ class SplineSpace:
     t: FloatArray
 
     def __post_init__(self) -> None:
-        if self.t.ndim != 1 or len(self.t) <= _SUPPORT or not np.all(np.diff(self.t) > 0):
+        if self.t.ndim != 1 or len(self.t) <= SUPPORT or not np.all(np.diff(self.t) > 0):
             raise InputError(
-                "SplineSpace", "t", f"shape {self.t.shape}", f"{_SUPPORT + 1} or more increasing times"
+                "SplineSpace", "t", f"shape {self.t.shape}", f"{SUPPORT + 1} or more increasing times"
             )
 
     @property
     def dimension(self) -> int:
         """Free numbers a joint: n - 4."""
-        return len(self.t) - _SUPPORT
+        return len(self.t) - SUPPORT
 
     @cached_property
     def basis(self) -> sparse.csr_array:
@@ -81,7 +82,7 @@ class SplineSpace:
         """Knot vectors (3n, n) of splines that are 1 at one knot, 0 at the others, on four segments each."""
         free, conditions, jumps = self._windows
         knots = np.arange(len(self.t))
-        window = np.clip(knots - _SUPPORT // 2, 0, self.dimension - 1)
+        window = np.clip(knots - SUPPORT // 2, 0, self.dimension - 1)
         rhs = -np.take_along_axis(jumps[window], (knots - window)[:, None, None], axis=2)
         y = (np.linalg.pinv(conditions[window]) @ rhs)[..., 0] / self.unit[free[window]]
         where = np.broadcast_to(knots[:, None], y.shape)
@@ -170,8 +171,8 @@ class SplineSpace:
         the positions of the five knots, (n - 4, 5, 5).
         """
         first = np.arange(self.dimension)[:, None]
-        free = np.stack([_velocity_and_acceleration(k + np.arange(1, _SUPPORT)) for k in first])
-        knots = first + np.arange(_SUPPORT + 1)
+        free = np.stack([_velocity_and_acceleration(k + np.arange(1, SUPPORT)) for k in first])
+        knots = first + np.arange(SUPPORT + 1)
         scaled = (self._jerk_jumps @ sparse.diags_array(1 / self.unit)).tocsr()
 
         def blocks(columns: IntArray) -> FloatArray:

@@ -23,8 +23,6 @@ LONGEST_WHOLE = 300
 
 # Longer ones are parted at the first corner after so many via-points, or a better one soon after.
 _LEAST, _MOST = 100, 200
-# Via-points are where legs meet to this accuracy, s.
-_SAME_TIME = 1e-9
 
 
 def stretches(problem: TorqueProblem) -> list[tuple[int, int]]:
@@ -81,8 +79,5 @@ def joined(trajectories: list[QuinticTrajectory]) -> QuinticTrajectory:
 
 
 def _corners(problem: TorqueProblem) -> IntArray:
-    """Inner via-points at which legs meet."""
-    t, ends = problem.space.t, problem.task.path.leg_times
-    nearest = np.abs(t[:, None] - ends[None, 1:-1]).min(axis=1, initial=np.inf)
-    corners = np.flatnonzero(nearest <= _SAME_TIME)
-    return corners[(corners > 0) & (corners < len(t) - 1)]
+    """Inner via-points at which legs meet; `ToolPath.via_times` puts one exactly there."""
+    return np.flatnonzero(np.isin(problem.space.t, problem.task.path.leg_times[1:-1]))

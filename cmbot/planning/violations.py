@@ -31,8 +31,8 @@ class Broken:
     component : (K,)
     largest : float
         The constraint's largest value anywhere, broken or not.
-    joint : int or None
-        With the largest value, of a joint's bound.
+    joint : int
+        With the largest value, of a joint's bound; -1 for other constraints.
     """
 
     times: FloatArray

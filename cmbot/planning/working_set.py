@@ -233,6 +233,5 @@ def bound_values(
     """
     joint, upper = component // 2, component % 2 == 0
     derivative = trajectory.evaluate(times, bound.order)[np.arange(len(joint)), joint]
-    sign = np.where(upper, 1.0, -1.0)
-    limit = np.where(upper, bound.high[joint], bound.low[joint])
-    return sign * (derivative - limit) / bound.scale[joint], joint, sign / bound.scale[joint]
+    value = np.where(upper, bound.above(derivative, joint), bound.below(derivative, joint))
+    return value, joint, np.where(upper, 1.0, -1.0) / bound.scale[joint]

@@ -16,7 +16,7 @@ from cmbot.scene.distance_memory import DistanceMemory
 from cmbot.scene.distances import Nearest, ShapePair, Smallest
 from cmbot.scene.obstacles import Obstacle
 from cmbot.scene.paired_shapes import PairedShapes
-from cmbot.scene.reach import pair_reach, shape_reach
+from cmbot.scene.reach import pair_reach, shape_reach, spread, way_covered
 
 __all__ = ["Clearances", "Nearest", "ShapePair", "Smallest"]
 
@@ -108,7 +108,7 @@ class Clearances:
         N = len(q)
         if N < _SHORT:
             return self.smallest(q).distance
-        moved = np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ self.reach)])
+        covered = way_covered(q, self.reach)
         distance, looked = np.full(N, -np.inf), np.zeros(N, dtype=np.bool_)
         for stride in _STRIDES:
             # Not "<=": what is no number is looked at, too.
@@ -116,12 +116,8 @@ class Clearances:
             asked = np.flatnonzero(~looked & ~(distance > least + spare))
             asked = asked[(asked % stride == 0) | (asked == N - 1)]
             looked[asked] = True
-            known = np.flatnonzero(looked)
             distance[asked] = self.smallest(q[asked]).distance
-            after = np.minimum(np.searchsorted(known, np.arange(N)), len(known) - 1)
-            for near in (known[np.maximum(after - 1, 0)], known[after]):
-                lower = distance[near] - np.abs(moved - moved[near])
-                distance = np.where(looked, distance, np.maximum(distance, lower))
+            spread(distance, looked, covered)
         return distance
 
     def too_near(self, q: FloatArray, margin: float) -> BoolArray:

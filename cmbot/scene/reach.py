@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.arrays import BoolArray, FloatArray
 
-__all__ = ["pair_reach", "shape_reach"]
+__all__ = ["pair_reach", "shape_reach", "spread", "way_covered"]
 
 
 def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
@@ -55,3 +55,35 @@ def pair_reach(reach: FloatArray, joints: Sequence[int], pairs: Sequence[tuple[i
     first = np.array([reach[i] for i, _ in pairs]).reshape(-1, reach.shape[1])
     still = np.array([joints[j] for _, j in pairs]).reshape(-1, 1)
     return np.where(np.arange(reach.shape[1]) >= still, first, 0.0)
+
+
+def way_covered(q: FloatArray, reach: FloatArray) -> FloatArray:
+    """Way (N,) from the first posture of a path to each, m: no distance changes by more between two of them.
+
+    Parameters
+    ----------
+    q : (N, n), rad
+    reach : (n,), m
+        Of the joints, for all that counts.
+    """
+    return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ reach)])
+
+
+def spread(distance: FloatArray, measured: BoolArray, covered: FloatArray) -> None:
+    """Raise lower bounds on distances along a path by what was measured beside them.
+
+    Parameters
+    ----------
+    distance : (N,), m
+        As measured, lower bounds elsewhere: these are raised.
+    measured : (N,)
+    covered : (N,), m
+        See `way_covered`.
+    """
+    known = np.flatnonzero(measured)
+    if len(known) == 0:
+        return
+    after = np.searchsorted(known, np.arange(len(distance)))
+    for beside in (known[np.maximum(after - 1, 0)], known[np.minimum(after, len(known) - 1)]):
+        lower = distance[beside] - np.abs(covered - covered[beside])
+        np.maximum(distance, lower, out=distance, where=~measured)
