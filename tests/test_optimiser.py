@@ -207,7 +207,7 @@ def test_feasibility_is_exact_to_its_samples() -> None:
 
 
 def test_passes_run_out() -> None:
-    problem, _, _ = problem_of(short_scene(planner={"max_passes": 1}))
+    problem, _, _ = problem_of(short_scene(planner={"max_passes": 1, "solver": "slsqp"}))
     with pytest.raises(OptimisationFailed, match="no solution in 1 passes") as caught:
         optimise(problem)
     assert caught.value.constraint

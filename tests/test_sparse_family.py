@@ -21,7 +21,7 @@ from cmbot.planning.slides import TaskAtViaPoints
 from cmbot.planning.sparse_family import LocalKnots
 from cmbot.planning.sparse_place import TorquePlace
 from cmbot.planning.spline_space import SplineSpace
-from cmbot.planning.state_functions import StateFunction, States
+from cmbot.planning.state_functions import StateFunction
 from cmbot.planning.working_set import WorkingSet
 from cmbot.robot import Postures, Robot
 
@@ -99,10 +99,12 @@ def test_rows_are_the_splines_and_their_derivatives(cmbot_robot: Robot, rng: np.
     times = np.append(rng.uniform(space.t[0], space.t[-1], 20), space.t)
     rows = splines.rows(times)
     for order in range(4):
-        entries = (rows.weight[order], (rows.row, rows.column))
-        got = sparse.csr_array(entries, shape=(len(times), splines.columns.shape[1]))
+        got = np.zeros((len(times), splines.columns.shape[1] + 1))
+        # What fills up ends in the last column.
+        np.add.at(got, (np.arange(len(times))[:, None], splines.living[rows.segment]), rows.weight[:, order])
         expected = (space.design(times, order) @ splines.columns).toarray()
-        np.testing.assert_allclose(got.toarray(), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        np.testing.assert_allclose(got[:, :-1], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        assert not got[:, -1].any()
 
 
 def test_a_unit_uses_up_a_bound(cmbot_robot: Robot) -> None:
@@ -156,31 +158,63 @@ def test_knots(family: LocalKnots, rng: np.random.Generator) -> None:
     )
 
 
-def test_chain(family: LocalKnots, rng: np.random.Generator) -> None:
+def test_jacobians(family: LocalKnots, rng: np.random.Generator) -> None:
     times = rng.uniform(0, 4, 5)
-    weights = rng.normal(size=(3, 5, 7))
+    weights = rng.normal(size=(4, 5, 7))
     rows, space = family.rows(times), family.space
+    for orders in (1, 3, 4):
 
-    def combined(x: FloatArray) -> FloatArray:
-        z = family.knots(x)
-        return sum(np.sum(w * (space.design(times, k) @ z), axis=1) for k, w in enumerate(weights))
+        def combined(x: FloatArray, orders: int = orders) -> FloatArray:
+            z = family.knots(x)
+            return sum(
+                np.sum(w * (space.design(times, k) @ z), axis=1) for k, w in enumerate(weights[:orders])
+            )
 
-    got = family.chain(family.start, rows, *weights) @ family.map
-    check_derivative(combined, family.start, got.toarray(), step=1e-4, rtol=1e-6, atol=1e-6)
-    np.testing.assert_allclose(
-        (np.hstack(weights)[:, None] @ (family.states(rows).toarray().reshape(5, 21, -1)))[:, 0],
-        family.chain(family.start, rows, *weights).toarray(),
-        rtol=0,
-        atol=1e-12,
+        got = family.assembly.jacobian(rows, weights[:orders])
+        check_derivative(combined, family.start, got.toarray(), step=1e-4, rtol=1e-6, atol=1e-5)
+        pull = family.map.T @ family.pulled(rows, weights[:orders])
+        np.testing.assert_allclose(got.sum(axis=0), pull, rtol=0, atol=1e-12 * np.abs(pull).max())
+
+
+def test_rows_of_one_joint_have_entries_for_that_joint_alone(rng: np.random.Generator) -> None:
+    family, times = family_of("fixed"), rng.uniform(0, 4, 7)
+    by_state = np.zeros((4, 7, 7))
+    by_state[2, np.arange(7), np.arange(7)] = 1.0
+    J = family.assembly.jacobian(family.rows(times), by_state)
+    row, column = J.tocoo().coords
+    joint = np.nonzero(family.number_index == np.arange(family.dimension)[:, None, None])[2]
+    np.testing.assert_array_equal(joint[column], row)
+
+
+def test_no_rows_make_an_empty_jacobian_and_no_curvature(family: LocalKnots) -> None:
+    rows = family.rows(np.empty(0))
+    assert family.assembly.jacobian(rows, np.empty((4, 0, 7))).shape == (0, family.dimension)
+    assert family.assembly.hessian(rows, np.empty((0, 21, 21))).nnz == 0
+
+
+def test_curvatures_are_what_jacobians_make_of_them(family: LocalKnots, rng: np.random.Generator) -> None:
+    rows = family.rows(rng.uniform(0, 4, 3))
+    M = rng.normal(size=(3, 21, 21))
+    J = [
+        family.assembly.jacobian(rows, by_state) for by_state in np.eye(21).reshape(21, 3, 1, 7).repeat(3, 2)
+    ]
+    states = np.stack([each.toarray() for each in J], axis=1)
+    expected = (states.transpose(0, 2, 1) @ M @ states).sum(axis=0)
+    got = family.assembly.hessian(rows, M).toarray()
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_unknowns_are_sorted_along_the_path(family: LocalKnots) -> None:
+    index = np.sort(np.concatenate([family.number_index.ravel(), family.slide_index.ravel()]))
+    np.testing.assert_array_equal(index, np.arange(family.dimension))
+    block = np.searchsorted(family.block_ends, np.arange(family.dimension), side="right")
+    assert family.block_ends[-1] == family.dimension
+    number = np.arange(len(family.number_index))[:, None]
+    np.testing.assert_array_equal(
+        block[family.number_index], np.broadcast_to(number, family.number_index.shape)
     )
-    joint, factor = rng.integers(0, 7, 5), rng.normal(size=5)
-    for order in range(4):
-
-        def one(x: FloatArray, order: int = order) -> FloatArray:
-            return factor * (space.design(times, order) @ family.knots(x))[np.arange(5), joint]
-
-        got = family.chain_one(family.start, rows, order, joint, factor) @ family.map
-        check_derivative(one, family.start, got.toarray(), step=1e-4, rtol=1e-6, atol=1e-5)
+    H = family.smoothing_curvature.tocoo()
+    assert np.abs(block[H.coords[0]] - block[H.coords[1]]).max() <= 3
 
 
 def along(function: Callable[[FloatArray], float], d: FloatArray, h: float) -> float:
@@ -229,9 +263,11 @@ def test_curvature_of_the_state_functions(family: LocalKnots, number: int, rng: 
 
     states = problem.states(family, family.start, times)
     at = function.linearise(states, component)
-    by_u = family.chain(family.start, family.rows(times), at.d_q, at.d_v, at.d_a).T @ multipliers
-    H = family.map.T @ state_curvature(family, function, states, component, multipliers, 1.0) @ family.map
-    H = H + family.bend_curvature(by_u)
+    rows = family.rows(times)
+    by_u = family.pulled(rows, multipliers[:, None] * np.stack([at.d_q, at.d_v, at.d_a]))
+    active, curvature = state_curvature(function, states, component, multipliers, 1.0)
+    np.testing.assert_array_equal(active, np.arange(3))
+    H = family.assembly.hessian(rows, curvature) + family.bend_curvature(by_u)
     for _ in range(3):
         d = step(family, rng, 1.0)
         # The tool's deviation magnifies what Newton's method leaves of the task.
@@ -246,13 +282,13 @@ def test_the_place_knows_its_derivatives(family: LocalKnots, rng: np.random.Gene
     known = KnownConstraints(problem, working)
 
     def at(x: FloatArray) -> TorquePlace:
-        return TorquePlace(known, family.rebuilt(x, family.weight), 0.9, known.count())
+        return TorquePlace.on(known, family.rebuilt(x, family.weight), 0.9)
 
-    place = TorquePlace(known, family, 0.9, known.count())
+    place = TorquePlace.on(known, family, 0.9)
     first = place.first
-    check_derivative(lambda x: at(x).first.objective, family.start, first.gradient, rtol=1e-5)
+    check_derivative(lambda x: at(x).values.objective, family.start, first.gradient, rtol=1e-5)
     check_derivative(
-        lambda x: at(x).first.value, family.start, first.jacobian.toarray(), rtol=1e-5, atol=1e-6
+        lambda x: at(x).values.value, family.start, first.jacobian.toarray(), rtol=1e-5, atol=1e-6
     )
     assert np.linalg.eigvalsh(place.curvature(np.ones(len(first.value))).toarray()).min() > 0
     # What never exceeds the deviation does not, and is equal to it where the tool is off that way.
@@ -271,13 +307,15 @@ def test_a_step_adds_what_it_violates_and_multipliers_follow() -> None:
     known = KnownConstraints(problem, working)
     family = problem.family
     assert isinstance(family, LocalKnots)
-    place = TorquePlace(known, family, None, known.count())
+    place = TorquePlace.on(known, family, None)
     multipliers = np.arange(1.0, len(working) + 1)
     before = np.split(multipliers, np.cumsum(working.sizes)[:-1])
     trial = place.moved(np.full(family.dimension, 0.5))
     assert len(trial.first.value) == len(working) > len(multipliers)
     # All that a full look finds is known already.
-    assert known.look(trial.family, trial.first.peak).value == pytest.approx(trial.first.violation, rel=1e-2)
+    assert known.look(trial.trajectory, trial.first.peak).value == pytest.approx(
+        trial.first.violation, rel=1e-2
+    )
     after = np.split(place.lifted(multipliers), np.cumsum(working.sizes)[:-1])
     for old, new in zip(before, after, strict=True):
         np.testing.assert_array_equal(new[: len(old)], old)
@@ -293,7 +331,7 @@ def test_thinning_keeps_multipliers_and_the_worst() -> None:
     working.add_everywhere(dense)
     family = problem.family
     assert isinstance(family, LocalKnots)
-    place = TorquePlace(known, family, None, known.count())
+    place = TorquePlace.on(known, family, None)
     multipliers = np.zeros(len(working))
     multipliers[[7, 8, 430]] = [1.0, 2.0, 3.0]
     thinner, left = place.thinned(multipliers)
@@ -307,38 +345,22 @@ def test_thinning_keeps_multipliers_and_the_worst() -> None:
 def test_directions_of_slides_stay_what_they_were_as_far_as_they_can() -> None:
     family = family_of("free")
     x = np.zeros(family.dimension)
-    x[-family.slides :] = 0.1
+    x[family.slide_index] = 0.1
     there = family.rebuilt(x, family.weight)
     assert (np.einsum("kai,kai->ka", family._null, there._null) > 0.9).all()
 
 
 def test_convexified(rng: np.random.Generator) -> None:
     """Positive definite, of the same pattern of blocks, and unchanged where nothing has to be."""
-    blocks = np.repeat(np.arange(12), 5)
+    sizes = rng.integers(2, 8, 12)
+    blocks, ends = np.repeat(np.arange(12), sizes), np.cumsum(sizes)
     near = np.abs(blocks[:, None] - blocks) <= 3
-    R = np.where(near, rng.normal(size=(60, 60)), 0.0)
+    R = np.where(near, rng.normal(size=near.shape), 0.0)
     H = R + R.T
-    order = rng.permutation(60)
-    shuffled = sparse.csr_array(H[np.ix_(order, order)])
-    got = convexified(shuffled, blocks[order]).toarray()
+    got = convexified(sparse.csr_array(H), ends).toarray()
     assert np.linalg.eigvalsh(got).min() > 0
     np.testing.assert_allclose(got, got.T, rtol=0, atol=1e-12 * np.abs(got).max())
-    changed = np.abs(got - shuffled.toarray()) > 1e-12
-    assert (blocks[order][:, None] == blocks[order])[changed].all()
-    definite = sparse.csr_array(H + 2 * np.abs(np.linalg.eigvalsh(H)).max() * np.eye(60))
-    assert convexified(definite, blocks) is definite
-
-
-def test_faces_never_exceed_the_deviation(rng: np.random.Generator) -> None:
-    problem = problem_around(family_of("free"))
-    deviation = problem.functions[1]
-    times = rng.uniform(1, 3, 30)
-    states = problem.states(problem.family, problem.family.start, times)
-    q = states.q + 0.01 * rng.normal(size=states.q.shape)
-    states = States(times, q, states.v, states.a)
-    largest = deviation.values(states)[0][:, 0]
-    faces = deviation.faces(states)
-    assert all((face.value <= largest + 1e-9).all() for face in faces)
-    # In the plane across the leg they come near it: a regular octagon.
-    nearest = np.max([face.value for face in faces], axis=0)
-    assert (nearest + 1 >= (largest + 1) * np.cos(np.pi / 4) - 1e-9).all()
+    changed = np.abs(got - H) > 1e-12
+    assert (blocks[:, None] == blocks)[changed].all()
+    definite = sparse.csr_array(H + 2 * np.abs(np.linalg.eigvalsh(H)).max() * np.eye(len(H)))
+    assert convexified(definite, ends) is definite

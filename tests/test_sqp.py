@@ -26,7 +26,7 @@ from cmbot.planning.setting import prepare
 from cmbot.planning.solvers import solver_of
 from cmbot.planning.sparse_family import LocalKnots
 from cmbot.planning.sparse_passes import SparsePasses
-from cmbot.planning.sparse_qp import LocalModel, solve_qp
+from cmbot.planning.sparse_qp import LocalModel, LocalValues, solve_qp
 from cmbot.planning.ways import Way, fixed_way, sliding_way
 from cmbot.scene import PlannerOptions, Scene
 
@@ -68,8 +68,11 @@ class Ripples:
             face_value=np.empty(0),
             face_jacobian=sparse.csr_array((0, n)),
             face_kind=np.empty(0, dtype=np.intp),
-            along=np.arange(len(self.x))[::-1],
         )
+
+    @property
+    def values(self) -> LocalValues:
+        return self.first
 
     def curvature(self, multipliers: FloatArray) -> sparse.csr_array:
         curvature = 12 * (self.x - 1) ** 2 + 2 * multipliers.sum() + 1e-6
@@ -210,7 +213,6 @@ class Rim(Ripples):
             face_value=np.empty(0),
             face_jacobian=sparse.csr_array((0, 2)),
             face_kind=np.empty(0, dtype=np.intp),
-            along=np.arange(len(self.x))[::-1],
         )
 
     def curvature(self, multipliers: FloatArray) -> sparse.csr_array:

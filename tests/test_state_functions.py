@@ -19,7 +19,7 @@ from cmbot.planning.state_functions import (
     ToolDeviation,
 )
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene.clearance import Clearances
 
 FloatArray = NDArray[np.float64]
@@ -143,3 +143,23 @@ def test_states_can_be_picked(states: States) -> None:
     for name in ("t", "q", "v", "a"):
         np.testing.assert_array_equal(getattr(picked, name), getattr(states, name)[[4, 1]])
     np.testing.assert_array_equal(states[1:3].q, states.q[1:3])
+
+
+def test_what_a_motion_asks_is_worked_out_once_for_every_robot(
+    cmbot_robot: Robot, states: States, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Robot] = []
+    efforts = Dynamics.efforts
+
+    def counted(self: Dynamics, q: FloatArray, v: FloatArray, a: FloatArray) -> Efforts:
+        asked.append(self.robot)
+        return efforts(self, q, v, a)
+
+    monkeypatch.setattr(Dynamics, "efforts", counted)
+    loaded = parts(short_scene(robot={"payload_kg": 3.0}))[0]
+    for robot in (cmbot_robot, loaded, cmbot_robot, loaded):
+        got = states.efforts(Dynamics(robot)).joint_torque
+        np.testing.assert_array_equal(
+            got, efforts(Dynamics(robot), states.q, states.v, states.a).joint_torque
+        )
+    assert asked == [cmbot_robot, loaded]

@@ -121,7 +121,7 @@ def test_chain(problem: TorqueProblem, rng: np.random.Generator) -> None:
         return np.asarray(np.sum(A * np.sin(states.q) + B * states.v**2 + C * states.a, axis=1))
 
     at = problem.states(problem.family, x, times)
-    got = problem.family.chain(x, problem.rows(times), A * np.cos(at.q), 2 * B * at.v, C)
+    got = problem.family.chain(x, problem.family.rows(times), A * np.cos(at.q), 2 * B * at.v, C)
     check_derivative(value, x, got, rtol=1e-6, atol=1e-9)
 
 
@@ -143,6 +143,15 @@ def test_working_set(problem: TorqueProblem, rng: np.random.Generator) -> None:
     assert torques >= 3
     # Torques and polynomials are smooth; the clearance's rounding bounds the rest.
     check_derivative(lambda y: working.values(family, y)[0], x, jacobian, step=1e-4, rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("stride", [1, 4, 7, 10])
+def test_samples_are_the_states_at_every_so_manieth_time(fixed: TorqueProblem, stride: int) -> None:
+    trajectory = fixed.trajectory(fixed.family, fixed.family.start)
+    got = fixed.sampled(trajectory, stride)
+    np.testing.assert_array_equal(got.t, fixed.grid[::stride])
+    for ours, states in zip((got.q, got.v, got.a), trajectory.states(got.t), strict=True):
+        np.testing.assert_allclose(ours, states, rtol=0, atol=1e-11 * np.abs(states).max())
 
 
 @pytest.mark.parametrize("order", range(4))

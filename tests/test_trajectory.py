@@ -91,6 +91,14 @@ def test_evaluate_agrees_with_bernstein_polynomials(x: QuinticTrajectory, order:
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-11 * magnitude(x, order))
 
 
+@given(trajectories, st.integers(1, 7))
+def test_even_samples_are_the_states_there(x: QuinticTrajectory, samples: int) -> None:
+    times = np.linspace(x.t[:-1], x.t[1:], samples, endpoint=False, axis=1).ravel()
+    expected = x.states(np.append(times, x.t[-1]))
+    for order, (got, states) in enumerate(zip(x.sampled(samples), expected, strict=True)):
+        np.testing.assert_allclose(got, states, rtol=0, atol=1e-12 * magnitude(x, order))
+
+
 def test_every_derivative_beyond_the_fifth_is_zero() -> None:
     x = random_trajectory(0)
     assert not x.evaluate(x.t, 6).any()

@@ -55,8 +55,9 @@ def test_blocks_of_states_change_nothing(setting: Setting, monkeypatch: pytest.M
     clearance = ClearanceMargin(setting.clearances, 0.1)
     whole = clearance.values(states)
     monkeypatch.setattr(violations, "_BLOCK", 9)
-    for here, there in zip(whole, values_of(clearance, states), strict=True):
-        np.testing.assert_allclose(here, there, atol=1e-9)
+    for blocks in values_of([clearance, clearance], states):
+        for here, there in zip(whole, blocks, strict=True):
+            np.testing.assert_allclose(here, there, atol=1e-9)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 4))

@@ -8,7 +8,6 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cmbot.arrays import FloatArray, IntArray
-from cmbot.planning.sparse_family import LocalKnots
 from cmbot.planning.state_functions import StateFunction, States
 
 __all__ = ["convexified", "state_curvature"]
@@ -17,25 +16,19 @@ __all__ = ["convexified", "state_curvature"]
 _NEGLIGIBLE = 1e-5
 # Step of the forward differences of exact first derivatives, for states in units of about 1.
 _STEP = 1e-8
-# What is coupled in the local unknowns is at most so many blocks apart.
+# What is coupled is at most so many blocks apart.
 _BANDWIDTH = 3
 # Least curvature of a convexified model.
 _LEAST = 1e-9
 
 
 def state_curvature(
-    family: LocalKnots,
-    function: StateFunction,
-    states: States,
-    component: IntArray,
-    multipliers: FloatArray,
-    total: float,
-) -> sparse.csr_array:
-    """Hessian (size of u, size of u) of ``sum_k multipliers_k f(state_k)``, the splines' u varied.
+    function: StateFunction, states: States, component: IntArray, multipliers: FloatArray, total: float
+) -> tuple[IntArray, FloatArray]:
+    """Curvatures of ``multipliers_k f(state_k)`` by the state, where they matter.
 
     Parameters
     ----------
-    family : LocalKnots
     function : StateFunction
     states : States
         N of them.
@@ -44,10 +37,16 @@ def state_curvature(
     multipliers : (N,)
     total : float
         What multipliers are compared with.
+
+    Returns
+    -------
+    active : (A,)
+        Which of the N bend anything.
+    curvature : (A, 3 d, 3 d)
+        By position, velocity and acceleration.
     """
     active = np.flatnonzero(multipliers > _NEGLIGIBLE * total)
     states, component, multipliers = states[active], component[active], multipliers[active]
-    S = family.states(family.rows(states.t))
     N, d = states.q.shape
     M = np.zeros((N, 3 * d, 3 * d))
     if N:
@@ -62,8 +61,7 @@ def state_curvature(
         gradients = _gradients(function, there, np.tile(component, len(columns)))
         M[:, columns] = ((gradients.reshape(len(columns), N, -1) - here) / _STEP).transpose(1, 0, 2)
         M = 0.5 * multipliers[:, None, None] * (M + M.transpose(0, 2, 1))
-    M_sparse = sparse.bsr_array((M, np.arange(N), np.arange(N + 1)), shape=(3 * d * N, 3 * d * N))
-    return sparse.csr_array(S.T @ (M_sparse.tocsr() @ S))
+    return active, M
 
 
 def _gradients(function: StateFunction, states: States, component: IntArray) -> FloatArray:
@@ -71,7 +69,7 @@ def _gradients(function: StateFunction, states: States, component: IntArray) -> 
     return np.hstack([at.d_q, at.d_v, at.d_a])
 
 
-def convexified(H: sparse.csr_array, blocks: IntArray) -> sparse.csr_array:
+def convexified(H: sparse.csr_array, ends: IntArray) -> sparse.csr_array:
     """Return a positive definite matrix near the symmetric `H`, equal to it if that is so already.
 
     Block by block along the path, as a Cholesky factorisation would go: what is left of a diagonal block once
@@ -80,47 +78,44 @@ def convexified(H: sparse.csr_array, blocks: IntArray) -> sparse.csr_array:
     Parameters
     ----------
     H : (n, n)
-    blocks : (n,)
-        Which block an unknown belongs to; entries of H couple blocks at most three apart.
+        Entries couple blocks at most three apart.
+    ends : (b,)
+        Where blocks of neighbouring unknowns end.
     """
-    order = np.argsort(blocks, kind="stable")
-    ends = np.searchsorted(blocks[order], np.arange(blocks.max(initial=-1) + 2))
-    width = int(
-        (ends[np.minimum(np.arange(len(ends)) + _BANDWIDTH + 1, len(ends) - 1)] - ends).max(initial=1)
-    )
-    band = _banded(H, order, width)
+    starts = np.concatenate([[0], ends])
+    far = starts[np.minimum(np.arange(len(starts)) + _BANDWIDTH + 1, len(ends))]
+    width = int((far - starts).max(initial=1))
+    band = _banded(H, width)
     if linalg.lapack.dpbtrf(band.T, lower=1)[1] == 0:
         return H
-    return sparse.csr_array(H + _corrections(band, order, ends))
+    return sparse.csr_array(H + _corrections(band, starts))
 
 
-def _banded(H: sparse.csr_array, order: IntArray, width: int) -> FloatArray:
-    """Rows (n, width) of the upper triangle of `H`, reordered: entry (i, k) couples i and i + k."""
-    place = np.empty_like(order)
-    place[order] = np.arange(len(order))
-    entries = H.tocoo()
-    row, column = place[entries.coords[0]], place[entries.coords[1]]
-    upper = column >= row
-    band = np.zeros((len(order), width))
-    np.add.at(band, (row[upper], (column - row)[upper]), entries.data[upper])
+def _banded(H: sparse.csr_array, width: int) -> FloatArray:
+    """Rows (n, width) of the upper triangle of `H`: entry (i, k) couples i and i + k."""
+    H.sum_duplicates()
+    row = np.repeat(np.arange(H.shape[0]), np.diff(H.indptr))
+    upper = row <= H.indices
+    band = np.zeros((H.shape[0], width))
+    band[row[upper], H.indices[upper] - row[upper]] = H.data[upper]
     return band
 
 
-def _corrections(band: FloatArray, order: IntArray, ends: IntArray) -> sparse.csr_array:
+def _corrections(band: FloatArray, starts: IntArray) -> sparse.csr_array:
     n, width = band.shape
     padded = np.pad(band, ((0, width), (0, 0)))
     offset = np.arange(width)
     above = offset[None, :] - offset[:, None]
     rows, columns, values = [], [], []
     schur = np.zeros((width, width))
-    for start, end in pairwise(ends):
+    for start, end in pairwise(starts):
         m = end - start
         upper = np.where(above >= 0, padded[start + offset[:, None], np.maximum(above, 0)], 0.0)
         A = upper + np.triu(upper, 1).T - schur
         eigenvalues, V = np.linalg.eigh(A[:m, :m])
         wanted = np.maximum(np.abs(eigenvalues), _LEAST)
         if eigenvalues[0] < _LEAST:
-            index = order[start:end]
+            index = np.arange(start, end)
             rows.append(np.repeat(index, m))
             columns.append(np.tile(index, m))
             values.append(((V * (wanted - eigenvalues)) @ V.T).ravel())

@@ -112,10 +112,6 @@ class FixedKnots:
         """Splines at `times`, for `chain`."""
         return self.splines.rows(times, sliding=self.sliding)
 
-    def stacked(self, jacobians: list[FloatArray]) -> FloatArray:
-        """Put derivatives (., dimension) one below the other."""
-        return np.vstack([np.empty((0, self.dimension)), *jacobians])
-
     def chain(
         self, x: FloatArray, rows: FloatArray, d_q: FloatArray, d_v: FloatArray, d_a: FloatArray
     ) -> FloatArray:

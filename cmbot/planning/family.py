@@ -1,20 +1,17 @@
-"""What a family of splines offers the torque problem, dense or sparse."""
+"""What every family of splines offers the torque problem."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, Self
+from typing import Protocol, Self
 
-from cmbot.arrays import FloatArray, IntArray
+from cmbot.arrays import FloatArray
 from cmbot.planning.spline_space import SplineSpace
 
 __all__ = ["Family"]
 
 
 class Family(Protocol):
-    """C3 splines as functions of a vector x of unknowns, built around one of them.
-
-    Derivatives are matrices, dense or sparse, of a width of the family's own.
-    """
+    """C3 splines as functions of a vector x of unknowns, built around one of them."""
 
     @property
     def space(self) -> SplineSpace:
@@ -48,15 +45,3 @@ class Family(Protocol):
 
     def rebuilt(self, x: FloatArray, weight: float) -> Self:
         """Build the family anew around `x`, with another weight of the smoothing term."""
-
-    def rows(self, times: FloatArray) -> Any:
-        """Splines at `times`, for `chain`."""
-
-    def stacked(self, jacobians: list[Any]) -> Any:
-        """Put derivatives one below the other."""
-
-    def chain(self, x: FloatArray, rows: Any, d_q: FloatArray, d_v: FloatArray, d_a: FloatArray) -> Any:
-        """Take derivatives (N, d) by the states to those of the family's own."""
-
-    def chain_one(self, x: FloatArray, rows: Any, order: int, joint: IntArray, factor: FloatArray) -> Any:
-        """Derivatives of ``factor`` times derivative `order` of one `joint` each."""

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmbot.arrays import FloatArray, IntArray
+from cmbot.arrays import BoolArray, FloatArray
+from cmbot.planning.local_splines import LocalSplines
 from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.sparse_family import LocalKnots
-from cmbot.planning.state_functions import ToolDeviation
+from cmbot.planning.site_values import Sites
+from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.working_set import Violation, WorkingSet
 
 __all__ = ["KnownConstraints"]
@@ -33,33 +34,25 @@ class KnownConstraints:
 
     def __init__(self, problem: TorqueProblem, working: WorkingSet) -> None:
         self.problem, self.working = problem, working
-        self.stride = 1
-        """Every which sample a step is looked at."""
+        self._sites: Sites | None = None
         self._sizes: dict[int, tuple[int, ...]] = {}
         self._were = len(working)
 
-    def count(self) -> int:
-        """Number of constraints."""
-        sizes = self.working.sizes
-        # Between two thinnings their number tells which ones there were.
-        self._sizes[sum(sizes)] = sizes
-        return sum(sizes)
+    def sites(self, splines: LocalSplines) -> Sites:
+        """Where constraints are looked at now; the same object as long as there are no more of them."""
+        if self._sites is None or self._sites.sizes != self.working.sizes:
+            self._sites = Sites(self.working, splines)
+            # Between two thinnings their number tells which ones there were.
+            self._sizes[sum(self._sites.sizes)] = self._sites.sizes
+        return self._sites
 
-    def kinds(self, faces: int) -> tuple[IntArray, IntArray]:
-        """What kind of constraint each one is, and each of so many `faces`."""
-        sizes = self.working.sizes
-        deviation = [isinstance(function, ToolDeviation) for function, _, _ in self.working.state_sites()]
-        return np.repeat(np.arange(len(sizes)), sizes), np.full(faces, np.argmax(deviation))
-
-    def look(self, family: LocalKnots, bound: float) -> Violation:
-        """Add what a spline violates, with the scaled torque compared with `bound`."""
-        trajectory = self.problem.trajectory(family, family.start)
+    def look(self, trajectory: QuinticTrajectory, bound: float) -> Violation:
+        """Add what a trajectory violates, with the scaled torque compared with `bound`."""
         tolerance = self.problem.options.constraint_tolerance
-        return self.working.add_violated(trajectory, bound, tolerance, self.stride, _MOST)[1]
+        return self.working.add_violated(trajectory, bound, tolerance, 1, _MOST)[1]
 
     def lifted(self, multipliers: FloatArray) -> FloatArray:
         """Multipliers of the constraints that are known now from those of fewer, known some time before."""
-        self.count()
         now = self.working.sizes
         before = self._sizes.get(len(multipliers), (0,) * len(now))
         parts = np.split(multipliers, np.cumsum(before)[:-1])
@@ -67,17 +60,22 @@ class KnownConstraints:
             [np.append(part, np.zeros(size - len(part))) for part, size in zip(parts, now, strict=True)]
         )
 
-    def thinned(self, value: FloatArray, multipliers: FloatArray) -> FloatArray:
-        """Forget constraints that do not matter where they have become many; return the multipliers left.
+    def needed(self, value: FloatArray, multipliers: FloatArray) -> BoolArray | None:
+        """Forget constraints that do not matter where they have become many.
 
         Parameters
         ----------
         value, multipliers : (K,)
+
+        Returns
+        -------
+        (K,) or None
+            Which are left; None when all are.
         """
-        if self.count() < _MANY * self._were + _MORE:
-            return multipliers
+        if len(value) < _MANY * self._were + _MORE:
+            return None
         sites = [*self.working.state_sites(), *self.working.bound_sites()]
-        kind = self.kinds(0)[0]
+        kind = np.repeat(np.arange(len(sites)), self.working.sizes)
         times, component = (np.concatenate([each[part] for each in sites]) for part in (1, 2))
         window = np.floor(times / (_WINDOW * (self.problem.grid[1] - self.problem.grid[0])))
         idle = multipliers <= _NEGLIGIBLE * multipliers.sum()
@@ -89,5 +87,5 @@ class KnownConstraints:
         needless |= (value < _FAR) & (kind > 0)
         needless &= idle
         self.working.keep(~needless)
-        self._were = self.count()
-        return multipliers[~needless]
+        self._were, self._sites = len(self.working), None
+        return ~needless

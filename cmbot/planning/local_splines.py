@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
-from cmbot.arrays import BoolArray, FloatArray, IntArray
+from cmbot.arrays import FloatArray, IntArray
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.robot import JointLimits
 
@@ -26,24 +26,23 @@ _ORDERS = 4
 _FAR = 0.02
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True)
 class LocalRows:
-    """Local splines and their first three derivatives at N times, where they are not zero.
+    """Local splines and their first three derivatives at N times, as far as they live there.
 
     Attributes
     ----------
-    weight : (4, E)
-        Of each entry, for position, velocity, acceleration and jerk.
-    row, column : (E,)
-        Which time, and which of u.
-    size : int
-        Number N of times.
+    segment : (N,)
+        Of each time; what lives on it is in `LocalSplines.living`.
+    weight : (N, 4, w)
+        Position, velocity, acceleration and jerk of the splines that live there.
     """
 
+    segment: IntArray
     weight: FloatArray
-    row: IntArray
-    column: IntArray
-    size: int
+
+    def __getitem__(self, index: IntArray | slice) -> LocalRows:
+        return LocalRows(self.segment[index], self.weight[index])
 
 
 class LocalSplines:
@@ -71,15 +70,22 @@ class LocalSplines:
         """Multiples (n - 4, d) at which a basis spline uses up a bound, or goes far from the via-points."""
         t = self.space.t
         largest = np.zeros((_ORDERS, self.count))
-        for order in range(_ORDERS):
-            for share in np.linspace(0.0, 1.0, 5):
-                rows = self.rows(t[:-1] + share * np.diff(t))
-                inside = rows.column < self.count
-                np.maximum.at(largest[order], rows.column[inside], np.abs(rows.weight[order, inside]))
+        for share in np.linspace(0.0, 1.0, 5):
+            rows = self.rows(t[:-1] + share * np.diff(t))
+            column = self.living[rows.segment]
+            inside = (column >= 0) & (column < self.count)
+            for order in range(_ORDERS):
+                np.maximum.at(largest[order], column[inside], np.abs(rows.weight[:, order][inside]))
         limits = self.limits
         far = np.full(len(limits.jerk), _FAR)
         bounds = np.stack([far, limits.velocity, limits.acceleration, limits.jerk])
         return np.asarray((bounds[:, None, :] / largest[:, :, None]).min(axis=0))
+
+    @cached_property
+    def jerk_curvature(self) -> sparse.csr_array:
+        """Hessian (size of u, size of u) of half the time mean of squared jerk, joints' bounds as units."""
+        weights = 1.0 / (len(self.limits.jerk) * self.limits.jerk**2)
+        return sparse.csr_array(sparse.kron(self.gram, sparse.diags_array(weights), format="csr"))
 
     def least_jerk(self, q: FloatArray) -> FloatArray:
         """Multiples (n - 4, d) of the basis splines in the splines of least jerk through `q` (n, d)."""
@@ -96,19 +102,19 @@ class LocalSplines:
     def rows(self, times: FloatArray) -> LocalRows:
         """Evaluate at `times` (N,)."""
         segment, hermite = self.space.hermite_weights(times, _ORDERS)
-        columns, local, there = self._segments
-        weight = np.einsum("oth,thw->otw", hermite, local[segment])
-        here = there[segment]
-        return LocalRows(
-            weight=weight[:, here],
-            row=np.nonzero(here)[0],
-            column=columns[segment][here],
-            size=len(times),
-        )
+        return LocalRows(segment, hermite.transpose(1, 0, 2) @ self._segments[1][segment])
+
+    @property
+    def living(self) -> IntArray:
+        """Which of the splines, the basis first, then those of the via-points, live on each segment: (m, w).
+
+        In ascending order; -1 fills up where there are fewer than w.
+        """
+        return self._segments[0]
 
     @cached_property
-    def _segments(self) -> tuple[IntArray, FloatArray, BoolArray]:
-        """What lives on each segment: columns (m, w), knot values (m, 6, w), which are there (m, w)."""
+    def _segments(self) -> tuple[IntArray, FloatArray]:
+        """What lives on each segment, (m, w), and its values at the knots of both ends, (m, 6, w)."""
         m = len(self.space.t) - 1
         entries = self.columns.tocoo()
         knot, part = np.divmod(entries.coords[0], 3)
@@ -122,10 +128,8 @@ class LocalSplines:
         of_segment, of_column = np.divmod(keys, self.columns.shape[1])
         slot = np.arange(len(keys)) - np.searchsorted(of_segment, of_segment)
         width = int(slot.max()) + 1
-        columns = np.zeros((m, width), dtype=np.intp)
-        there = np.zeros((m, width), dtype=np.bool_)
+        columns = np.full((m, width), -1, dtype=np.intp)
         local = np.zeros((m, 6, width))
         columns[of_segment, slot] = of_column
-        there[of_segment, slot] = True
         local[segment, place, slot[index]] = value
-        return columns, local, there
+        return columns, local

@@ -81,7 +81,7 @@ class WrenchObjective:
 
     def values(self, states: States) -> FloatArray:
         """Return its values (N,) at N states."""
-        efforts = self._dynamics.efforts(states.q, states.v, states.a)
+        efforts = states.efforts(self._dynamics)
         return self.function(np.hstack([efforts.guardrail_force, efforts.guardrail_torque]))[0]
 
     def linearise(self, states: States) -> Linearisation:

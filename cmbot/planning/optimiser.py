@@ -166,6 +166,9 @@ class _Run:
         self._working = WorkingSet(problem)
         t = problem.space.t
         self._working.add_everywhere(0.5 * (t[1:] + t[:-1]))
+        if isinstance(problem.family, LocalKnots):
+            # Few more rows for it, and its first steps need not find out that the peak moves.
+            self._working.add_torque(t)
         self._sparse = SparsePasses(problem, self._working)
         self.family = problem.family
         self.x = problem.family.start
@@ -177,9 +180,9 @@ class _Run:
         A lighter smoothing that leads nowhere is given up for what was found with the heavier one: its last
         report then has a violated constraint.
         """
-        # The sparse solver needs no sketch: it takes no step for the worse, however rough the way.
-        sketched = self.family.slides and isinstance(self.family, FixedKnots)
-        first = (SKETCH, COARSE, SMOOTH) if sketched else (COARSE, SMOOTH)
+        # The sparse solver takes no step for the worse, however rough the way: it needs no sketch of one.
+        sketches = (SKETCH, COARSE) if self.family.slides else (COARSE,)
+        first = (SMOOTH,) if isinstance(self.family, LocalKnots) else (*sketches, SMOOTH)
         self._look(bound, first[0])
         peak = bound
         for effort in first:

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from math import comb
+from functools import cache
+from math import comb, perm
 
 import numpy as np
-from numpy.polynomial import polynomial
 
 from cmbot.arrays import FloatArray
 
 __all__ = ["derivative", "hull", "roots_in_unit_interval", "values"]
 
 
-# Halving [0, 1] this often leaves an interval below the spacing of doubles near 1.
-_BISECTIONS = 54
+# A root is found once the next step is no longer than this; so many steps are enough, even if every other one
+# only halves what is left of [0, 1].
+_NEXT, _STEPS = 2.0**-51, 110
 
 
 def derivative(c: FloatArray, order: int = 1) -> FloatArray:
@@ -27,8 +28,11 @@ def derivative(c: FloatArray, order: int = 1) -> FloatArray:
     Returns
     -------
     (..., k + 1 - order)
+        At least one coefficient: zero, where nothing is left.
     """
-    return np.asarray(polynomial.polyder(c, order, axis=-1))
+    if order >= c.shape[-1]:
+        return np.zeros((*c.shape[:-1], 1))
+    return np.asarray(c[..., order:] * [perm(k, order) for k in range(order, c.shape[-1])])
 
 
 def hull(c: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -46,20 +50,22 @@ def hull(c: FloatArray) -> tuple[FloatArray, FloatArray]:
     -------
     low, high : (...)
     """
-    degree = c.shape[-1] - 1
-    to_bernstein = np.array(
-        [[comb(i, j) / comb(degree, j) for i in range(degree + 1)] for j in range(degree + 1)]
-    )
-    b = c @ to_bernstein
+    b = c @ _to_bernstein(c.shape[-1] - 1)
     return b.min(axis=-1), b.max(axis=-1)
+
+
+@cache
+def _to_bernstein(degree: int) -> FloatArray:
+    every = range(degree + 1)
+    return np.array([[comb(i, j) / comb(degree, j) for i in every] for j in every])
 
 
 def roots_in_unit_interval(c: FloatArray) -> FloatArray:
     """Find the real roots in [0, 1] of many polynomials of one degree.
 
-    Between neighbouring roots of its derivative a polynomial is monotone, so bisection there finds every
-    root, whether it changes sign there or only touches zero. No leading coefficient is divided by:
-    degenerate polynomials are harmless.
+    Between neighbouring roots of its derivative a polynomial is monotone, so Newton's method, kept within an
+    interval that halves where it is slow, finds every root there, whether the polynomial changes sign or only
+    touches zero. No leading coefficient is divided by: degenerate polynomials are harmless.
 
     Parameters
     ----------
@@ -76,14 +82,40 @@ def roots_in_unit_interval(c: FloatArray) -> FloatArray:
     ends = (np.zeros((*c.shape[:-1], 1)), np.ones((*c.shape[:-1], 1)))
     stationary = [roots_in_unit_interval(derivative(c))] if degree > 1 else []
     edges = np.concatenate([ends[0], *stationary, ends[1]], axis=-1)
-    low, high = edges[..., :-1].copy(), edges[..., 1:].copy()
-    sign_low = np.sign(values(c, low))
-    crosses = sign_low * np.sign(values(c, high)) <= 0
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (low + high)
-        left = np.sign(values(c, middle)) == sign_low
-        low, high = np.where(left, middle, low), np.where(left, high, middle)
-    return np.where(crosses, 0.5 * (low + high), edges[..., :-1])
+    sign = np.sign(values(c, edges))
+    low, high = edges[..., :-1], edges[..., 1:]
+    roots = np.where((sign[..., :-1] != 0) & (sign[..., 1:] == 0), high, low)
+    crossed = sign[..., :-1] * sign[..., 1:] < 0
+    of = np.broadcast_to(c[..., None, :], (*crossed.shape, degree + 1))[crossed]
+    roots[crossed] = _crossings(of, low[crossed], high[crossed], sign[..., :-1][crossed])
+    return roots
+
+
+def _crossings(c: FloatArray, low: FloatArray, high: FloatArray, sign: FloatArray) -> FloatArray:
+    """Roots (K,) of polynomials (K, k + 1) that are monotone from `low` to `high` and change `sign` there.
+
+    Press et al., "Numerical Recipes", 2007, Section 9.4: Newton's method with bisection.
+    """
+    slope = derivative(c)
+    u, last, before = 0.5 * (low + high), high - low, high - low
+    roots, left = u.copy(), np.arange(len(u))
+    for _ in range(_STEPS):
+        if len(left) == 0:
+            break
+        value, rate = values(c, u[:, None])[:, 0], values(slope, u[:, None])[:, 0]
+        lower = np.sign(value) == sign
+        low, high = np.where(lower, u, low), np.where(lower, high, u)
+        # Where the slope vanishes a step of Newton's leads nowhere.
+        step = -value / np.where(rate == 0.0, np.nan, rate)
+        quick = (low <= u + step) & (u + step <= high) & (2 * np.abs(step) <= before)
+        step = np.where(quick, step, 0.5 * (low + high) - u)
+        u, last, before = u + step, np.abs(step), last
+        roots[left] = u
+        on = (last > _NEXT) & (value != 0)
+        c, slope, u, low, high, sign, last, before, left = (
+            each[on] for each in (c, slope, u, low, high, sign, last, before, left)
+        )
+    return roots
 
 
 def values(c: FloatArray, u: FloatArray) -> FloatArray:

@@ -11,18 +11,18 @@ Two stages share the constraints of Eqs. (31)-(32), the tool's deviation and the
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
 
 import numpy as np
 
 from cmbot.arrays import FloatArray, IntArray
+from cmbot.planning.families import FixedKnots
 from cmbot.planning.family import Family
 from cmbot.planning.objectives import Objective, ObjectiveShare, objective_of
 from cmbot.planning.spline_space import SplineSpace
 from cmbot.planning.state_functions import (
     ClearanceMargin,
     JointTorque,
+    Linearisation,
     StateFunction,
     States,
     ToolDeviation,
@@ -116,7 +116,7 @@ class TorqueProblem:
         """What is made small at rest in each of the via-points, (n,)."""
         self.via_point_peak = float(self.at_via_points.max())
         self.peak_at_rest = float(self.at_via_points[list(resting)].max(initial=0.0))
-        states = self.states(family, family.start, self.grid)
+        states = self.sampled(self.trajectory(family, family.start))
         self.scale = float(self.objective.values(states).max())
         self.low_enough = floor * (1 + options.gap_target) / self.scale
         self.content = content / self.scale
@@ -130,8 +130,10 @@ class TorqueProblem:
         )
         nodes, weights = np.polynomial.legendre.leggauss(_MEAN_SAMPLES)
         h = np.diff(t)[:, None]
-        self._mean_times = (t[:-1, None] + 0.5 * h * (1 + nodes)).ravel()
+        self.mean_times = (t[:-1, None] + 0.5 * h * (1 + nodes)).ravel()
+        """Gauss points at which time means are taken."""
         self._mean_weights = (0.5 * h * weights).ravel() / (t[-1] - t[0])
+        self._mean_rows: FloatArray | None = None
 
     @property
     def space(self) -> SplineSpace:
@@ -146,33 +148,40 @@ class TorqueProblem:
         """Return the joints' states at `times` (N,)."""
         return States(times, *self.trajectory(family, x).states(times))
 
-    def rows(self, times: FloatArray) -> Any:
-        """Rows of the family's splines at `times`, for its `chain`."""
-        return self.family.rows(times)
+    def sampled(self, trajectory: QuinticTrajectory, stride: int = 1) -> States:
+        """Return a trajectory's states at every so-manieth time of `grid`."""
+        times, samples = self.grid[::stride], self.options.samples_per_segment
+        if samples % stride:
+            return States(times, *trajectory.states(times))
+        return States(times, *trajectory.sampled(samples // stride))
 
-    def mean_square(self, family: Family, x: FloatArray) -> tuple[float, FloatArray]:
+    def mean_square(self, family: FixedKnots, x: FloatArray) -> tuple[float, FloatArray]:
         """Half the time mean of the squared objective in units of scale, and its gradient (dimension,)."""
-        part, J = self.weighted_parts(family, x)
+        part, J = self._parts(family, x)
         return 0.5 * float(part @ part), np.asarray(part @ J)
 
-    def mean_square_curvature(self, family: Family, x: FloatArray) -> FloatArray:
+    def mean_square_curvature(self, family: FixedKnots, x: FloatArray) -> FloatArray:
         """Gauss-Newton Hessian (dimension, dimension) of `mean_square` at `x`."""
-        J = self.weighted_parts(family, x)[1]
+        J = self._parts(family, x)[1]
         return np.asarray(J.T @ J)
 
-    @cached_property
-    def _mean_rows(self) -> Any:
-        return self.rows(self._mean_times)
-
-    def weighted_parts(self, family: Family, x: FloatArray) -> tuple[FloatArray, Any]:
-        """The objective's parts at the Gauss points, whose squares sum to the mean; their Jacobian."""
-        parts = self.objective.parts(self.states(family, x, self._mean_times))
-        weight = np.sqrt(self._mean_weights) / self.scale
-        J = [
-            family.chain(x, self._mean_rows, *(weight[:, None] * d for d in (part.d_q, part.d_v, part.d_a)))
+    def mean_parts(self, trajectory: QuinticTrajectory) -> tuple[Linearisation, ...]:
+        """Parts of the objective at `mean_times`, weighted: their squares sum to its mean, scale as unit."""
+        parts = self.objective.parts(States(self.mean_times, *trajectory.states(self.mean_times)))
+        w = np.sqrt(self._mean_weights) / self.scale
+        column = w[:, None]
+        return tuple(
+            Linearisation(w * part.value, column * part.d_q, column * part.d_v, column * part.d_a)
             for part in parts
-        ]
-        return np.concatenate([weight * part.value for part in parts]), family.stacked(J)
+        )
+
+    def _parts(self, family: FixedKnots, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """All the parts in a row, and their Jacobian."""
+        parts = self.mean_parts(self.trajectory(family, x))
+        if self._mean_rows is None:
+            self._mean_rows = family.rows(self.mean_times)
+        J = [family.chain(x, self._mean_rows, part.d_q, part.d_v, part.d_a) for part in parts]
+        return np.concatenate([part.value for part in parts]), np.vstack(J)
 
 
 def _kinematic_bounds(robot: Robot, inside: float) -> tuple[KinematicBound, ...]:

@@ -1,8 +1,8 @@
 """The families of C3 splines in local unknowns: every derivative is sparse.
 
 Unknowns x are steps from the spline that the family was built around, each about 1 when it goes as far as a
-step sensibly may: multiples of the local basis splines, knot by knot and joint by joint, then, where
-via-points slide, their slides along the self-motion.
+step sensibly may: multiples of the local basis splines, joint by joint, and, where via-points slide, their
+slides along the self-motion. They are sorted along the path, so what is coupled lies side by side.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.arrays import FloatArray, IntArray
+from cmbot.planning.assembly import Assembly
 from cmbot.planning.local_splines import LocalRows, LocalSplines
 from cmbot.planning.slides import LONGEST_SLIDE, TaskAtViaPoints
 from cmbot.planning.spline_space import SplineSpace
@@ -71,7 +72,7 @@ class LocalKnots:
 
     @property
     def slides(self) -> int:
-        """Number of unknowns, the last ones, that slide via-points."""
+        """Number of unknowns that slide via-points."""
         return int(self._null.shape[0] * self._null.shape[1])
 
     @property
@@ -105,11 +106,10 @@ class LocalKnots:
         """
         if not x.any():
             return self.via_points, self._numbers
-        size = self._numbers.size
-        numbers = self._numbers + x[:size].reshape(self._numbers.shape) * self.splines.unit
-        if self._task is None or not x[size:].any():
+        numbers = self._numbers + x[self.number_index] * self.splines.unit
+        u = LONGEST_SLIDE * x[self.slide_index]
+        if self._task is None or not u.any():
             return self.via_points, numbers
-        u = LONGEST_SLIDE * x[size:].reshape(self._null.shape[:2])
         slid, _ = self._task.slid(self.via_points, self._null, u, self._free)
         tangential = self.via_points[self._free] + np.einsum("ka,kai->ki", u, self._null)
         q, bend = self.via_points.copy(), np.zeros_like(self.via_points)
@@ -160,51 +160,44 @@ class LocalKnots:
         """Splines at `times`, for `chain`."""
         return self.splines.rows(times)
 
-    def stacked(self, jacobians: list[sparse.csr_array]) -> sparse.csr_array:
-        """Put derivatives (., size of u) one below the other."""
-        empty = sparse.csr_array((0, self.map.shape[0]))
-        return sparse.csr_array(sparse.vstack([empty, *jacobians], format="csr"))
+    @cached_property
+    def assembly(self) -> Assembly:
+        """How the unknowns move the splines on every segment."""
+        splines, living = self.splines, self.splines.living
+        joints, a = self.via_points.shape[1], self._null.shape[1]
+        basis = ((living >= 0) & (living < splines.count))[:, :, None]
+        # Those that do not slide, and what is no via-point's, find the last entries: none.
+        nth = np.full(len(self.via_points) + 1, -1)
+        nth[self._free] = np.arange(len(self._free))
+        of = nth[np.where(living < splines.count, -1, living - splines.count)]
+        slide_index = np.vstack([self.slide_index, np.full((1, a), -1)])
+        tangent = np.concatenate([LONGEST_SLIDE * self._null, np.zeros((1, a, joints))])
+        return Assembly(
+            size=self.dimension,
+            number=np.where(basis, self.number_index[np.where(basis[:, :, 0], living, 0)], -1),
+            unit=np.where(basis, splines.unit[np.where(basis[:, :, 0], living, 0)], 0.0),
+            slide=slide_index[of],
+            tangent=tangent[of],
+        )
 
-    def chain(
-        self, x: FloatArray, rows: LocalRows, d_q: FloatArray, d_v: FloatArray, d_a: FloatArray
-    ) -> sparse.csr_array:
-        """Take derivatives (N, d) by the states to those (N, size of u) by u; `map` leads on."""
-        del x
-        weight = rows.weight[:, :, None]
-        data = weight[0] * d_q[rows.row] + weight[1] * d_v[rows.row] + weight[2] * d_a[rows.row]
-        joints = self.via_points.shape[1]
-        column = joints * rows.column[:, None] + np.arange(joints)
-        return self._sparse(data, np.broadcast_to(rows.row[:, None], column.shape), column, rows.size)
-
-    def chain_one(
-        self, x: FloatArray, rows: LocalRows, order: int, joint: IntArray, factor: FloatArray
-    ) -> sparse.csr_array:
-        """Derivatives (N, size of u) of ``factor`` times derivative `order` of one `joint` each."""
-        del x
-        column = self.via_points.shape[1] * rows.column + joint[rows.row]
-        return self._sparse(rows.weight[order] * factor[rows.row], rows.row, column, rows.size)
-
-    def states(self, rows: LocalRows) -> sparse.csr_array:
-        """Derivatives (N 3d, size of u) of position, velocity and acceleration of all joints."""
-        joints = self.via_points.shape[1]
-        part = np.arange(3)[:, None, None]
-        joint = np.arange(joints)
-        row = (3 * rows.row[:, None] + part) * joints + joint
-        column = np.broadcast_to(joints * rows.column[:, None] + joint, row.shape)
-        data = np.broadcast_to(rows.weight[:3, :, None], row.shape)
-        return self._sparse(data, row, column, 3 * joints * rows.size)
+    def pulled(self, rows: LocalRows, derivative: FloatArray) -> FloatArray:
+        """Gradient (size of u,) by u of a sum of functions, from derivatives (k, N, d) by the states."""
+        living = self.splines.living[rows.segment]
+        by_spline = rows.weight[:, : len(derivative)].transpose(0, 2, 1) @ derivative.transpose(1, 0, 2)
+        pull = np.zeros((self.splines.columns.shape[1], self.via_points.shape[1]))
+        np.add.at(pull, living[living >= 0], by_spline[living >= 0])
+        return pull.ravel()
 
     def smoothing(self) -> tuple[float, FloatArray]:
         """Value of the smoothing term, and its gradient (size of u,) by u."""
-        u = np.vstack([self._numbers, self.via_points])
-        pull = (self.splines.gram @ u) * self._jerk_weights
-        return 0.5 * float(np.sum(u * pull)), np.asarray(pull.ravel())
+        u = np.vstack([self._numbers, self.via_points]).ravel()
+        pull = self.weight * (self.splines.jerk_curvature @ u)
+        return 0.5 * float(u @ pull), np.asarray(pull)
 
     @cached_property
     def smoothing_curvature(self) -> sparse.csr_array:
         """Hessian (dimension, dimension) of the smoothing term along the tangents."""
-        G = sparse.kron(self.splines.gram, sparse.diags_array(self._jerk_weights), format="csr")
-        return sparse.csr_array(self.map.T @ G @ self.map)
+        return sparse.csr_array(self.weight * (self.map.T @ self.splines.jerk_curvature @ self.map))
 
     def bend_curvature(self, gradient: FloatArray) -> sparse.csr_array:
         """Hessian (dimension, dimension) of a function with `gradient` by u, as far as it is due to bends.
@@ -225,51 +218,60 @@ class LocalKnots:
                 bend = (ahead - behind) / (2 * _DIFFERENCE)
                 blocks[:, along] = LONGEST_SLIDE**2 * np.einsum("kai,ki->ka", bend, by_bend)
             blocks = 0.5 * (blocks + blocks.transpose(0, 2, 1))
-        index = self._numbers.size + np.arange(self.slides).reshape(self._null.shape[:2])
-        row = np.broadcast_to(index[:, :, None], blocks.shape)
-        column = np.broadcast_to(index[:, None, :], blocks.shape)
+        row = np.broadcast_to(self.slide_index[:, :, None], blocks.shape)
+        column = np.broadcast_to(self.slide_index[:, None, :], blocks.shape)
         return sparse.csr_array(
             (blocks.ravel(), (row.ravel(), column.ravel())), shape=(self.dimension, self.dimension)
         )
 
     @cached_property
-    def blocks(self) -> IntArray:
-        """Numbers (dimension,) that order the unknowns along the path; what is coupled is 3 apart at most."""
+    def block_ends(self) -> IntArray:
+        """Where blocks of unknowns end, (n - 4,); those more than three blocks apart are not coupled."""
+        return np.asarray(np.cumsum(np.bincount(self._blocks, minlength=len(self._numbers))))
+
+    @cached_property
+    def number_index(self) -> IntArray:
+        """Which unknowns are multiples of the basis splines, (n - 4, d)."""
+        return self._place[: self._numbers.size].reshape(self._numbers.shape)
+
+    @cached_property
+    def slide_index(self) -> IntArray:
+        """Which unknowns slide via-points, (k, a)."""
+        return self._place[self._numbers.size :].reshape(self._null.shape[:2])
+
+    @cached_property
+    def _blocks(self) -> IntArray:
+        """Block (dimension,) of each multiple of a basis spline, then of each slide."""
         n, d = self.via_points.shape
         numbers = np.repeat(np.arange(n - 4), d)
         slides = np.repeat(np.clip(self._free - 2, 0, n - 5), self._null.shape[1])
         return np.concatenate([numbers, slides])
 
-    @property
-    def along(self) -> IntArray:
-        """Unknowns (dimension,) in the order of the path."""
-        return np.argsort(self.blocks, kind="stable")
+    @cached_property
+    def _place(self) -> IntArray:
+        """Where each of them is among the unknowns, (dimension,)."""
+        place = np.empty(self.dimension, dtype=np.intp)
+        place[np.argsort(self._blocks, kind="stable")] = np.arange(self.dimension)
+        return place
 
     @cached_property
     def map(self) -> sparse.csr_array:
         """Derivatives (size of u, dimension) of u by the unknowns."""
         n, d = self.via_points.shape
         size = self._numbers.size
-        own = np.arange(size)
         row = size + d * self._free[:, None, None] + np.arange(d)
-        column = size + np.arange(self.slides).reshape(*self._null.shape[:2], 1)
-        row, column = np.broadcast_to(row, self._null.shape), np.broadcast_to(column, self._null.shape)
+        row = np.broadcast_to(row, self._null.shape)
+        column = np.broadcast_to(self.slide_index[:, :, None], self._null.shape)
         return sparse.csr_array(
             (
                 np.concatenate([self.splines.unit.ravel(), LONGEST_SLIDE * self._null.ravel()]),
-                (np.concatenate([own, row.ravel()]), np.concatenate([own, column.ravel()])),
+                (
+                    np.concatenate([np.arange(size), row.ravel()]),
+                    np.concatenate([self.number_index.ravel(), column.ravel()]),
+                ),
             ),
             shape=(size + n * d, self.dimension),
         )
-
-    @property
-    def _jerk_weights(self) -> FloatArray:
-        limits = self.splines.limits
-        return np.asarray(self.weight / len(limits.jerk) / limits.jerk**2)
-
-    def _sparse(self, data: FloatArray, row: IntArray, column: IntArray, rows: int) -> sparse.csr_array:
-        size = self._numbers.size + self.via_points.size
-        return sparse.csr_array((data.ravel(), (row.ravel(), column.ravel())), shape=(rows, size))
 
 
 def _turned(null: FloatArray, directions: FloatArray) -> FloatArray:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from cmbot.errors import OptimisationFailed
-from cmbot.planning.efforts import COARSE, Effort
+from cmbot.planning.efforts import Effort
 from cmbot.planning.known_constraints import KnownConstraints
 from cmbot.planning.problem import TorqueProblem
 from cmbot.planning.sparse_family import LocalKnots
@@ -16,9 +16,8 @@ from cmbot.planning.working_set import WorkingSet
 __all__ = ["SparsePasses"]
 
 
-# A coarse pass need neither end at the optimum nor meet its constraints better than this; no pass goes on for
-# less than this.
-_COARSE_ACCURACY, _FINEST = 1e-3, 1e-5
+# No pass goes on for less than this.
+_FINEST = 1e-5
 # Constraints of the working set are met so much better than they have to be.
 _CLOSER = 0.5
 # The first penalties, the least later ones, and how far they stay above the sums of multipliers.
@@ -75,27 +74,22 @@ class SparsePasses:
         OptimisationFailed
             When the constraints cannot be met near where it ended.
         """
-        options, coarse = self._problem.options, effort is COARSE
-        self._known.stride = effort.stride
-        start = TorquePlace(
-            self._known,
-            family.rebuilt(family.start, options.smoothing_weight * effort.smoothing),
-            bound,
-            self._known.count(),
-        )
+        options = self._problem.options
+        family = family.rebuilt(family.start, options.smoothing_weight * effort.smoothing)
+        start = TorquePlace.on(self._known, family, bound)
         ended = descend(
             start,
             self._known.lifted(self._multipliers),
             penalty=self._penalty,
             damping=min(self._damping, _DAMPING),
-            accuracy=_COARSE_ACCURACY if coarse else max(effort.accuracy, _FINEST),
-            tolerance=_COARSE_ACCURACY if coarse else _CLOSER * options.constraint_tolerance,
+            accuracy=max(effort.accuracy, _FINEST),
+            tolerance=_CLOSER * options.constraint_tolerance,
             max_iterations=min(effort.iterations, options.max_iterations, _MOST_STEPS),
         )
         self._keep(ended)
-        family, first = ended.place.family, ended.place.first
-        if ended.stuck and not coarse:
-            worst = self._known.look(family, first.peak if bound is None else bound)
+        peak = ended.place.values.peak if bound is None else bound
+        if ended.stuck:
+            worst = self._known.look(ended.place.trajectory, peak)
             raise OptimisationFailed(
                 "near the trajectory that was found the constraints cannot all be met",
                 constraint=worst.name,
@@ -103,12 +97,12 @@ class SparsePasses:
             )
         done = ended.settled or ended.slow
         gain = 0.0 if done else sum(before - after for _, before, after in ended.merits)
-        return family, first.peak if bound is None else bound, ended.iterations, gain
+        return ended.place.family, peak, ended.iterations, gain
 
     def _keep(self, ended: Descent[TorquePlace]) -> None:
         """Keep what the next pass starts from; penalties may fall again to what multipliers ask for."""
-        first = ended.place.first
+        values = ended.place.values
         needed = np.zeros_like(ended.penalty)
-        np.add.at(needed, first.kind[first.peaks :], _ABOVE * ended.multipliers[first.peaks :])
+        np.add.at(needed, values.kind[values.peaks :], _ABOVE * ended.multipliers[values.peaks :])
         self._penalty = np.minimum(np.maximum(_LEAST_PENALTY, needed), ended.penalty)
         self._multipliers, self._damping = ended.multipliers, ended.damping

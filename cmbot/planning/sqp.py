@@ -20,7 +20,7 @@ from scipy import sparse
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import OptimisationFailed
-from cmbot.planning.sparse_qp import LocalModel, Step, solve_qp
+from cmbot.planning.sparse_qp import LocalModel, LocalValues, Step, solve_qp
 
 __all__ = ["Descent", "Place", "descend"]
 
@@ -45,6 +45,10 @@ _SLOW = 5
 
 class Place(Protocol):
     """A point of the problem, with the constraints that were known when it was made."""
+
+    @property
+    def values(self) -> LocalValues:
+        """Values alone."""
 
     @property
     def first(self) -> LocalModel:
@@ -183,7 +187,7 @@ class _Walk(Generic[AnyPlace]):
         """The last steps together gained no more than the accuracy."""
         last = self.merits[-_SLOW:]
         gained = sum(before - after for _, before, after in last)
-        met = self.place.first.violation <= self._tolerance
+        met = self.place.values.violation <= self._tolerance
         return met and len(last) == _SLOW and gained <= self._accuracy
 
     def model(self) -> LocalModel:
@@ -247,7 +251,7 @@ class _Walk(Generic[AnyPlace]):
                 self._box = min(2.0 * self._box, _LARGEST_BOX)
         if trial is not None and gained > _TAKEN * promised:
             trial = trial.renewed()
-            before, after = (at.first.merit(self.penalty) for at in (self.place, trial))
+            before, after = (at.values.merit(self.penalty) for at in (self.place, trial))
             self.merits.append((self.penalty, before, after))
             self.place, self.multipliers = trial.thinned(trial.lifted(step.multipliers))
             self._hessian = self.place.curvature(self.multipliers)
@@ -265,7 +269,7 @@ class _Walk(Generic[AnyPlace]):
             if trial is None:
                 break
             here, trial = self.place.renewed(), trial.renewed()
-            gained = here.first.merit(self.penalty) - trial.first.merit(self.penalty)
+            gained = here.values.merit(self.penalty) - trial.values.merit(self.penalty)
             if gained > best[1]:
                 best = trial, gained
             if gained >= _CORRECTED * promised or correction == _CORRECTIONS:
@@ -281,5 +285,5 @@ def _moved(place: AnyPlace, p: FloatArray) -> AnyPlace | None:
         trial = place.moved(p)
     except OptimisationFailed:
         return None
-    first = trial.first
-    return trial if np.isfinite(first.objective + first.peak + first.violation) else None
+    at = trial.values
+    return trial if np.isfinite(at.objective + at.peak + at.violation) else None

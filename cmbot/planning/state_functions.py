@@ -6,14 +6,14 @@ optimiser works.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 import numpy as np
 
 from cmbot.arrays import FloatArray, IntArray
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Dynamics, Kinematics
+from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene.clearance import Clearances
 
 __all__ = [
@@ -40,9 +40,19 @@ class States:
     q: FloatArray
     v: FloatArray
     a: FloatArray
+    _efforts: list[tuple[Robot, Efforts]] = field(default_factory=list, compare=False, repr=False)
 
     def __getitem__(self, index: IntArray | slice) -> States:
         return States(self.t[index], self.q[index], self.v[index], self.a[index])
+
+    def efforts(self, dynamics: Dynamics) -> Efforts:
+        """Return what the motion asks of a robot: worked out once, whichever functions ask for it."""
+        for robot, efforts in self._efforts:
+            if robot is dynamics.robot:
+                return efforts
+        efforts = dynamics.efforts(self.q, self.v, self.a)
+        self._efforts.append((dynamics.robot, efforts))
+        return efforts
 
 
 @dataclass(frozen=True)
@@ -88,7 +98,7 @@ class JointTorque:
 
     def values(self, states: States) -> tuple[FloatArray, IntArray]:
         """Return tau/tau_C - 1 and -tau/tau_C - 1, (N, 2n)."""
-        share = self.dynamics.efforts(states.q, states.v, states.a).joint_torque / self.bound
+        share = states.efforts(self.dynamics).joint_torque / self.bound
         value = np.hstack([share - 1, -share - 1])
         return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
 
@@ -124,32 +134,40 @@ class ToolDeviation:
     def linearise(self, states: States, component: IntArray) -> Linearisation:
         """Linearise the distance."""
         del component
-        p_WT, J = self.kinematics.tool_point_jacobians(states.q)
-        offset = self.task.path.leg_offset(states.t, p_WT) / self.bound
-        distance = np.linalg.norm(offset, axis=1)
-        d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _FLAT)[:, None] / self.bound, J)
-        return Linearisation(distance - 1, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
+        return self._distance(*self._offsets(states))
 
     def faces(self, states: States) -> tuple[Linearisation, ...]:
         """Return what never exceeds the distance, smoothly: offsets across the leg in several directions.
 
         To first order a distance knows no direction but its own; a step could leave the leg in any other.
         """
-        p_WT, J = self.kinematics.tool_point_jacobians(states.q)
-        offset = self.task.path.leg_offset(states.t, p_WT) / self.bound
+        return self.linearise_with_faces(states)[1:]
+
+    def linearise_with_faces(self, states: States) -> tuple[Linearisation, ...]:
+        """Return the distance, and behind it what `faces` returns."""
+        offset, J = self._offsets(states)
         leg = self.task.path.leg_directions(states.t)
         across = np.cross(leg, np.eye(3)[np.abs(leg).argmin(axis=1)])
         away = offset - np.einsum("ki,ki->k", offset, leg)[:, None] * leg
         u = np.where(np.linalg.norm(away, axis=1, keepdims=True) > _FLAT, away, across)
         u /= np.linalg.norm(u, axis=1, keepdims=True)
-        w = np.cross(leg, u)
-        faces = []
-        for angle in np.arange(1, _FACES) * (2 * np.pi / _FACES):
-            direction = np.cos(angle) * u + np.sin(angle) * w
-            d_q = np.einsum("ki,kij->kj", direction / self.bound, J)
-            still = np.zeros_like(d_q)
-            faces.append(Linearisation(np.einsum("ki,ki->k", direction, offset) - 1, d_q, still, still))
-        return tuple(faces)
+        angle = np.arange(1, _FACES) * (2 * np.pi / _FACES)
+        directions = np.cos(angle)[:, None, None] * u + np.sin(angle)[:, None, None] * np.cross(leg, u)
+        value = (directions * offset).sum(axis=2) - 1
+        d_q = directions.transpose(1, 0, 2) @ J / self.bound
+        still = np.zeros(d_q[:, 0].shape)
+        faces = (Linearisation(value[k], d_q[:, k], still, still) for k in range(len(angle)))
+        return self._distance(offset, J), *faces
+
+    def _offsets(self, states: States) -> tuple[FloatArray, FloatArray]:
+        """Offsets (N, 3) from the leg, the bound as their unit, and the tool's Jacobians (N, 3, n)."""
+        p_WT, J = self.kinematics.tool_point_jacobians(states.q)
+        return self.task.path.leg_offset(states.t, p_WT) / self.bound, J
+
+    def _distance(self, offset: FloatArray, J: FloatArray) -> Linearisation:
+        distance = np.linalg.norm(offset, axis=1)
+        d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _FLAT)[:, None] / self.bound, J)
+        return Linearisation(distance - 1, d_q, np.zeros_like(d_q), np.zeros_like(d_q))
 
 
 @dataclass(frozen=True)

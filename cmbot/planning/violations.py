@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,7 +30,7 @@ class Broken:
     times : (K,), s
     component : (K,)
     largest : float
-        The constraint's largest value anywhere, broken or not.
+        The constraint's largest value anywhere; where it is not broken, the largest that was seen.
     joint : int
         With the largest value, of a joint's bound; -1 for other constraints.
     """
@@ -41,11 +41,14 @@ class Broken:
     joint: int = -1
 
 
-def values_of(function: StateFunction, states: States) -> tuple[FloatArray, IntArray]:
-    """Return a function's values and components at N states, block by block."""
-    blocks = [function.values(states[k : k + _BLOCK]) for k in range(0, len(states.t), _BLOCK)]
-    value, component = zip(*blocks, strict=True)
-    return np.concatenate(value), np.concatenate(component)
+def values_of(functions: Sequence[StateFunction], states: States) -> list[tuple[FloatArray, IntArray]]:
+    """Return values and components of functions at N states, block by block: what they share is shared."""
+    each: list[list[tuple[FloatArray, IntArray]]] = [[] for _ in functions]
+    for k in range(0, len(states.t), _BLOCK):
+        block = states[k : k + _BLOCK]
+        for parts, function in zip(each, functions, strict=True):
+            parts.append(function.values(block))
+    return [(np.concatenate([v for v, _ in parts]), np.concatenate([c for _, c in parts])) for parts in each]
 
 
 def broken_between_samples(
@@ -93,10 +96,10 @@ def broken_bound(trajectory: QuinticTrajectory, bound: KinematicBound, tolerance
     at_knots = trajectory.evaluate(trajectory.t, bound.order)
     attained = np.maximum(bound.above(at_knots), bound.below(at_knots))
     joint, largest = int(attained.max(axis=0).argmax()), float(attained.max())
-    # Extrema are worked out only where one may be broken, or larger than all that is known.
+    # Extrema are worked out only where one may be broken.
     low, high = trajectory.hull(bound.order)
     possible = np.maximum(bound.above(high), bound.below(low))
-    segment, joints = np.nonzero(possible > min(largest, tolerance))
+    segment, joints = np.nonzero(possible > tolerance)
     if len(segment) == 0:
         return Broken(times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=largest, joint=joint)
     extrema = trajectory.extrema_at(bound.order, segment, joints)

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.clearance_looks import ClearanceLooks
-from cmbot.planning.family import Family
+from cmbot.planning.families import FixedKnots
 from cmbot.planning.problem import KinematicBound, TorqueProblem
-from cmbot.planning.state_functions import ClearanceMargin, StateFunction, States, ToolDeviation
+from cmbot.planning.state_functions import ClearanceMargin, StateFunction, States
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.violations import NEAR, Broken, broken_between_samples, broken_bound, values_of
 
-__all__ = ["Violation", "WorkingSet", "bound_values"]
+__all__ = ["Violation", "WorkingSet", "bound_values", "signed_bound"]
 
 
 # Two sites of one component nearer than this share of a grid step are the same.
@@ -37,11 +36,11 @@ class Violation:
 
 @dataclass
 class _Sites:
-    """Times at which one constraint is looked at, which component of it, and the splines' rows there."""
+    """Times at which one constraint is looked at, and which component of it: grown and thinned by copies."""
 
     times: FloatArray = field(default_factory=lambda: np.empty(0))
     component: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.intp))
-    rows: Any = None
+    _rows: FloatArray | None = None
 
     def add(self, times: FloatArray, component: IntArray, problem: TorqueProblem, apart: float) -> int:
         """Add the sites that are not there yet, within so many grid steps; return how many."""
@@ -49,14 +48,20 @@ class _Sites:
         if new.any():
             self.times = np.append(self.times, times[new])
             self.component = np.append(self.component, component[new])
-            self.rows = problem.family.rows(self.times)
+            self._rows = None
         return int(new.sum())
 
-    def keep(self, which: BoolArray, problem: TorqueProblem) -> None:
+    def keep(self, which: BoolArray) -> None:
         """Forget all sites but some."""
         if not which.all():
             self.times, self.component = self.times[which], self.component[which]
-            self.rows = problem.family.rows(self.times)
+            self._rows = None
+
+    def rows(self, family: FixedKnots) -> FloatArray:
+        """The splines' rows there, which are the same for all members of a family."""
+        if self._rows is None:
+            self._rows = family.rows(self.times)
+        return self._rows
 
     def _there(self, times: FloatArray, component: IntArray, step: float) -> BoolArray:
         """Which sites (K,) lie less than `step` from one that is known, and look at the same component."""
@@ -100,35 +105,22 @@ class WorkingSet:
         """Numbers of sites, function after function, then bound after bound, as in `values`."""
         return tuple(len(sites.times) for sites in (*self._state_sites, *self._bound_sites))
 
-    def values(self, family: Family, x: FloatArray) -> tuple[FloatArray, Any, int]:
-        """Return values (K,), Jacobian (K, .), and how many leading rows are guardrail torques."""
+    def values(self, family: FixedKnots, x: FloatArray) -> tuple[FloatArray, FloatArray, int]:
+        """Return values (K,), Jacobian (K, n), and how many leading rows are guardrail torques."""
         problem = self._problem
-        values, jacobians = [], []
+        values, jacobians = [np.empty(0)], [np.empty((0, family.dimension))]
         trajectory = problem.trajectory(family, x)
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             if len(sites.times):
                 at = function.linearise(States(sites.times, *trajectory.states(sites.times)), sites.component)
                 values.append(at.value)
-                jacobians.append(family.chain(x, sites.rows, at.d_q, at.d_v, at.d_a))
+                jacobians.append(family.chain(x, sites.rows(family), at.d_q, at.d_v, at.d_a))
         for bound, sites in zip(problem.bounds, self._bound_sites, strict=True):
             if len(sites.times):
                 value, joint, factor = bound_values(bound, sites.times, sites.component, trajectory)
                 values.append(value)
-                jacobians.append(family.chain_one(x, sites.rows, bound.order, joint, factor))
-        if not values:
-            return np.empty(0), family.stacked([]), 0
-        return np.concatenate(values), family.stacked(jacobians), len(self._state_sites[0].times)
-
-    def faces(self, family: Family, x: FloatArray) -> tuple[FloatArray, Any]:
-        """Return values (F,) and derivatives (F, .) of what never exceeds the tool's deviations: offsets."""
-        values, jacobians = [], []
-        trajectory = self._problem.trajectory(family, x)
-        for function, sites in zip(self._functions, self._state_sites, strict=True):
-            if isinstance(function, ToolDeviation) and len(sites.times):
-                for at in function.faces(States(sites.times, *trajectory.states(sites.times))):
-                    values.append(at.value)
-                    jacobians.append(family.chain(x, sites.rows, at.d_q, at.d_v, at.d_a))
-        return np.concatenate([np.empty(0), *values]), family.stacked(jacobians)
+                jacobians.append(family.chain_one(x, sites.rows(family), bound.order, joint, factor))
+        return np.concatenate(values), np.vstack(jacobians), len(self._state_sites[0].times)
 
     def state_sites(self) -> Iterator[tuple[StateFunction, FloatArray, IntArray]]:
         """Go through the functions of the state, as in `values`: times and components of their sites."""
@@ -147,7 +139,7 @@ class WorkingSet:
         """Forget all sites but some of the K, in the order of `values`."""
         parts = np.split(which, np.cumsum(self.sizes)[:-1])
         for sites, part in zip((*self._state_sites, *self._bound_sites), parts, strict=True):
-            sites.keep(part, self._problem)
+            sites.keep(part)
 
     def add_everywhere(self, times: FloatArray) -> None:
         """Add the guardrail torque and every constraint with one component at `times`.
@@ -157,6 +149,10 @@ class WorkingSet:
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             if function.components == 1:
                 sites.add(times, np.zeros(len(times), dtype=np.intp), self._problem, self._apart)
+
+    def add_torque(self, times: FloatArray) -> None:
+        """Add the guardrail torque at `times`."""
+        self._state_sites[0].add(times, np.zeros(len(times), dtype=np.intp), self._problem, self._apart)
 
     def sharpen(self) -> None:
         """From now on tell sites apart that are nearer to each other than before."""
@@ -187,38 +183,33 @@ class WorkingSet:
         peak : float
             Largest scaled guardrail torque seen.
         """
-        times = self._problem.grid[::stride]
-        states = States(times, *trajectory.states(times))
-        peak = self._broken(0, trajectory, states, torque_bound, _PEAK * tolerance, stride)
-        added, worst = self._added(self._state_sites[0], peak, most), Violation("none", -np.inf)
+        states = self._problem.sampled(trajectory, stride)
+        sampled = self._sampled(states, stride, torque_bound)
+        added, peak, worst = 0, -np.inf, Violation("none", -np.inf)
         for number, (function, sites) in enumerate(zip(self._functions, self._state_sites, strict=True)):
-            if number > 0:
-                broken = self._broken(number, trajectory, states, 0.0, tolerance, stride)
-                added += self._added(sites, broken, most)
+            limit, room = (0.0, tolerance) if number else (torque_bound, _PEAK * tolerance)
+            broken = broken_between_samples(
+                trajectory, states.t, sampled[number], function.values, limit, room
+            )
+            added += self._added(sites, broken, most)
+            if number == 0:
+                peak = broken.largest
+            else:
                 worst = max(worst, Violation(function.name, broken.largest), key=lambda each: each.value)
         for bound, sites in zip(self._problem.bounds, self._bound_sites, strict=True):
             broken = broken_bound(trajectory, bound, tolerance)
             added += self._added(sites, broken, most)
             name = f"{bound.name} of {self._problem.robot.joints[broken.joint]}"
             worst = max(worst, Violation(name, broken.largest), key=lambda each: each.value)
-        return added, worst, peak.largest
+        return added, worst, peak
 
-    def _broken(
-        self,
-        number: int,
-        trajectory: QuinticTrajectory,
-        states: States,
-        limit: float,
-        tolerance: float,
-        stride: int,
-    ) -> Broken:
-        """Find where the function of that number is broken."""
-        function = self._functions[number]
-        if number in self._looks:
-            sampled = self._looks[number].values(states, stride, limit - NEAR)
-        else:
-            sampled = values_of(function, states)
-        return broken_between_samples(trajectory, states.t, sampled, function.values, limit, tolerance)
+    def _sampled(self, states: States, stride: int, torque_bound: float) -> list[tuple[FloatArray, IntArray]]:
+        """Values and components of every function of the state, where they matter."""
+        every = [number for number in range(len(self._functions)) if number not in self._looks]
+        found = dict(zip(every, values_of([self._functions[k] for k in every], states), strict=True))
+        for number, looks in self._looks.items():
+            found[number] = looks.values(states, stride, (0.0 if number else torque_bound) - NEAR)
+        return [found[number] for number in range(len(self._functions))]
 
     def _added(self, sites: _Sites, broken: Broken, most: int) -> int:
         return sites.add(broken.times[:most], broken.component[:most], self._problem, self._apart)
@@ -231,7 +222,14 @@ def bound_values(
 
     Component 2 j is the upper bound of joint j, 2 j + 1 the lower one.
     """
+    return signed_bound(bound, trajectory.evaluate(times, bound.order), component)
+
+
+def signed_bound(
+    bound: KinematicBound, derivative: FloatArray, component: IntArray
+) -> tuple[FloatArray, IntArray, FloatArray]:
+    """Return what `bound_values` does, from the bounded `derivative` (N, n) of all joints."""
     joint, upper = component // 2, component % 2 == 0
-    derivative = trajectory.evaluate(times, bound.order)[np.arange(len(joint)), joint]
-    value = np.where(upper, bound.above(derivative, joint), bound.below(derivative, joint))
+    own = derivative[np.arange(len(joint)), joint]
+    value = np.where(upper, bound.above(own, joint), bound.below(own, joint))
     return value, joint, np.where(upper, 1.0, -1.0) / bound.scale[joint]
