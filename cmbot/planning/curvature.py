@@ -105,22 +105,24 @@ def _corrections(band: FloatArray, starts: IntArray) -> sparse.csr_array:
     n, width = band.shape
     padded = np.pad(band, ((0, width), (0, 0)))
     offset = np.arange(width)
-    above = offset[None, :] - offset[:, None]
+    row, beyond = np.minimum.outer(offset, offset), np.abs(np.subtract.outer(offset, offset))
     rows, columns, values = [], [], []
     schur = np.zeros((width, width))
     for start, end in pairwise(starts):
         m = end - start
-        upper = np.where(above >= 0, padded[start + offset[:, None], np.maximum(above, 0)], 0.0)
-        A = upper + np.triu(upper, 1).T - schur
-        eigenvalues, V = np.linalg.eigh(A[:m, :m])
-        wanted = np.maximum(np.abs(eigenvalues), _LEAST)
-        if eigenvalues[0] < _LEAST:
+        A = padded[start + row, beyond] - schur
+        L, failed = linalg.lapack.dpotrf(A[:m, :m], lower=1)
+        if failed or L.diagonal().min() ** 2 < _LEAST:
+            eigenvalues, V = np.linalg.eigh(A[:m, :m])
+            wanted = np.maximum(np.abs(eigenvalues), _LEAST)
             index = np.arange(start, end)
             rows.append(np.repeat(index, m))
             columns.append(np.tile(index, m))
             values.append(((V * (wanted - eigenvalues)) @ V.T).ravel())
-        L = A[m:, :m] @ (V / np.sqrt(wanted))
-        rest = schur[m:, m:] + L @ L.T
+            X = (V / np.sqrt(wanted)).T @ A[:m, m:]
+        else:
+            X = linalg.lapack.dtrtrs(L, A[:m, m:], lower=1)[0]
+        rest = schur[m:, m:] + X.T @ X
         schur = np.zeros((width, width))
         schur[: width - m, : width - m] = rest
     if not rows:
