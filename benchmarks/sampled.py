@@ -226,15 +226,22 @@ class SampledProblem:
     @cached_property
     def weights(self) -> list[sparse.csr_array]:
         """Matrices (N, 2n - 4) from u to positions, velocities, accelerations and jerks at the samples."""
-        rows = self.local.rows(self.problem.grid)
-        shape = (rows.size, self.local.columns.shape[1])
-        return [sparse.csr_array((w, (rows.row, rows.column)), shape=shape) for w in rows.weight]
+        every, shape = self._splines, (len(self.problem.grid), self.local.columns.shape[1])
+        return [sparse.csr_array((w, (every.row, every.column)), shape=shape) for w in every.weight]
 
     @cached_property
     def _entries(self) -> _Entries:
+        every = self._splines
+        inside = every.column < self.columns
+        return _Entries(every.weight[:, inside], every.row[inside], every.column[inside])
+
+    @cached_property
+    def _splines(self) -> _Entries:
+        """All of them, those of via-points that stay too."""
         rows = self.local.rows(self.problem.grid)
-        inside = rows.column < self.columns
-        return _Entries(rows.weight[:, inside], rows.row[inside], rows.column[inside])
+        column = self.local.living[rows.segment]
+        sample, place = np.nonzero(column >= 0)
+        return _Entries(rows.weight[sample, :, place].T, sample, column[sample, place])
 
     def _task(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Task residuals (n, 6) at sliding via-points, and their derivatives (n, 6, d)."""
