@@ -157,9 +157,7 @@ def random_scene(via_points: int = 50) -> Scene:
         corners = rng.uniform(-_REACH, _REACH, (len(_SECONDS) - 1, 3))
         steps = np.diff(np.vstack([np.zeros(3), corners, np.zeros(3)]), axis=0)
         legs = tuple(Leg(by=tuple(by), seconds=s) for by, s in zip(steps.tolist(), _SECONDS, strict=True))
-        drawn = replace(
-            scene, name="random", posture=tuple(posture), legs=legs, obstacles=(), via_points=via_points
-        )
+        drawn = replace(scene, name="random", posture=posture, legs=legs, obstacles=(), via_points=via_points)
         try:
             _, way = way_of(replace(drawn, planner=replace(drawn.planner, other_starts=0)), "fixed")
             check_feasible(way.problem)

@@ -88,7 +88,6 @@ def measured(via_points: int) -> Costs:
     laps.append(time.process_time())
     optimised = optimise(way.problem)
     laps.append(time.process_time())
-    memory = peak_memory()
     certificate = certify(
         setting.robot,
         setting.task,
@@ -106,7 +105,7 @@ def measured(via_points: int) -> Costs:
         global_stage=global_stage,
         optimisation=optimisation,
         certificate=certifying,
-        memory=memory,
+        memory=peak_memory(),
         iterations=sum(report.iterations for report in optimised.passes),
         peak=certificate.figures.peak_guardrail_torque,
     )

@@ -23,7 +23,21 @@ __all__ = ["plan"]
 # What of plan.json is too long for a summary, or stands there otherwise.
 _LEFT_OUT = ("format", "scene", "files", "floor", "passes")
 # Keys that one may look for among the options.
-_IN_THE_SCENE = ("via_points", "legs", "keep", "ramp", "posture_deg", "obstacles", "guardrail")
+_IN_THE_SCENE = (
+    "posture_deg",
+    "robot",
+    "payload_kg",
+    "tool_length_m",
+    "obstacles",
+    "guardrail",
+    "tool_path",
+    "via_points",
+    "legs",
+    "seconds",
+    "keep",
+    "speed_profile",
+    "ramp",
+)
 
 
 def plan(

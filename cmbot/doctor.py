@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
 
+from cmbot.extras import install_command
 from cmbot.resources import model_folder, scene_folder
 from cmbot.version import __version__
 
@@ -57,7 +58,7 @@ def examine() -> list[Symptom]:
     symptoms += [_package(name, module) for name, module in _REQUIRED.items()]
     for name, extra in _OPTIONAL:
         version = _version(name)
-        missing = f'not installed (optional: pip install "cmbot[{extra}]")'
+        missing = f"not installed (optional: {install_command(extra)})"
         symptoms.append(Symptom(name=name, found=version or missing))
     for name, path in (
         ("model", model_folder() / "urdf" / "cmbot.urdf"),

@@ -20,6 +20,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from cmbot.extras import install_command
+
 __all__ = [
     "ArchiveError",
     "CmbotError",
@@ -160,6 +162,9 @@ class OptimisationFailed(PlanningError):
         self.constraint = constraint
         self.violation = violation
         self.undecided = undecided
+        if violation <= 0:
+            super().__init__(f"{reason}; every constraint is met, {constraint} with the least room")
+            return
         text = f"{reason}; worst constraint: {constraint}, {violation:.2%} beyond its bound"
         remedy = next((what for name, what in _REMEDIES if name in constraint), "")
         known = not remedy or ("seconds" in remedy and "seconds" in reason)
@@ -225,11 +230,11 @@ class MissingExtra(CmbotError, ImportError):
     extra : str
         The extra of cmbot that it belongs to.
     command : str, optional
-        What installs it, if pip and that extra do not.
+        What installs it, where that is not the extra's own: see `cmbot.extras.install_command`.
     """
 
     def __init__(self, package: str, extra: str, command: str = "") -> None:
         self.package = package
         self.extra = extra
-        self.command = command or f'pip install "cmbot[{extra}]"'
+        self.command = command or install_command(extra)
         super().__init__(f"{package} is not installed; run: {self.command}")

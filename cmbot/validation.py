@@ -6,6 +6,7 @@ import difflib
 import json
 import re
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
@@ -13,7 +14,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 
 from cmbot.errors import InputError
 
-__all__ = ["FileModel", "counted", "input_error", "key_path", "refusal", "shown", "validated"]
+__all__ = ["FileModel", "counted", "hint", "input_error", "key_path", "refusal", "shown", "validated"]
 
 T = TypeVar("T")
 
@@ -78,9 +79,15 @@ def validated(model: type[T], data: object, source: str, error_type: type[InputE
         expected = "plain text, numbers, lists and mappings, not nested too deeply"
         raise error_type(source, "", f"something else ({error})", expected) from error
     try:
-        return TypeAdapter(model).validate_json(text)
+        checked: T = _adapter(model).validate_json(text)  # type: ignore[arg-type]
     except ValidationError as error:
         raise input_error(source, error, error_type, model) from error
+    return checked
+
+
+@cache
+def _adapter(model: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(model)
 
 
 def input_error(source: str, error: ValidationError, error_type: type[InputError], model: Any) -> InputError:
@@ -105,7 +112,7 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         return error_type(source, key, context["got"], context["expected"], context["choices"])
     if kind in _UNKNOWN_KEY:
         keys = tuple(_schema_at(schema, loc[:-1]).get("properties", {}))
-        expected = f"a known key{_hint(loc[-1], keys)}"
+        expected = f"a known key{hint(loc[-1], keys)}"
         return error_type(source, key_path(loc), "an unknown key", expected, keys)
     if kind == "literal_error":
         return _wrong_choice(source, detail, error_type, _schema_at(schema, loc))
@@ -171,6 +178,12 @@ def counted(number: int, noun: str, plural: str = "") -> str:
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
+def hint(word: object, choices: Sequence[str]) -> str:
+    """Return ``; did you mean X?`` for a slip of the pen; nothing where no choice is near."""
+    close = difflib.get_close_matches(str(word), choices, n=1)
+    return f"; did you mean {close[0]}?" if close else ""
+
+
 def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:
     """Return the first error; but where a required key is missing, an unknown one beside it first."""
     first = errors[0]
@@ -188,12 +201,7 @@ def _wrong_choice(
     key, value = key_path(detail["loc"]), detail["input"]
     if len(choices) == 1:
         return error_type(source, key, shown(value), repr(choices[0]))
-    return error_type(source, key, shown(value), f"a known value{_hint(value, choices)}", choices)
-
-
-def _hint(word: object, choices: Sequence[str]) -> str:
-    close = difflib.get_close_matches(str(word), choices, n=1)
-    return f"; did you mean {close[0]}?" if close else ""
+    return error_type(source, key, shown(value), f"a known value{hint(value, choices)}", choices)
 
 
 def _got(kind: str, value: object) -> str:

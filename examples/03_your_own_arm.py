@@ -95,7 +95,7 @@ obstacles:
   - {name: lamp, sphere: 0.10, xyz: [0.40, -0.45, 0.9]}
 
 guardrail: {bays: 0}  # no guardrail: nothing of it to hit, and a rigid hold
-# Any option of cmbot.PlannerOptions. The sparse solver is the quicker one here: pip install "cmbot[fast]".
+# Any option of cmbot.PlannerOptions. The sparse solver, of the extra "fast", is the quicker one here.
 planner: {knots: sliding, solver: auto}
 """
 

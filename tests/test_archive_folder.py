@@ -123,6 +123,25 @@ def test_what_is_free(folder):
     require_free(folder, force=True)
 
 
+def test_where_nothing_can_be_made_is_said_before_the_work(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for below in ("plan.json/new", "plan.json/new/below"):
+        with pytest.raises(ArchiveError, match=r"got a place below .*plan\.json, which is a file"):
+            require_free(folder / below)
+    looked: list[Path] = []
+
+    def locked(place: Path, _: int) -> bool:
+        looked.append(Path(place))
+        return False
+
+    monkeypatch.setattr(os, "access", locked)
+    for directory, force in ((folder.parent / "new" / "below", False), (folder, True)):
+        with pytest.raises(ArchiveError, match="which must not be written to, expected a place that can be"):
+            require_free(directory, force=force)
+    assert looked == [folder.parent, folder.parent]
+
+
 def test_force_replaces_a_plan_and_what_was_added_to_it(folder):
     write_folder(CONTENTS, folder, force=True)
     assert names(folder) == FILES

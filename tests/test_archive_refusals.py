@@ -27,6 +27,14 @@ def test_a_plan_directory_nearby_is_asked_for(triangle_folder, tmp_path, monkeyp
         load_plan("line")
     with pytest.raises(ArchiveError, match=r"plan\.json: no such file, .*; did you mean out/line\?$"):
         load_plan("out")
+    for slip in ("out/lien", "lien"):
+        with pytest.raises(ArchiveError, match=r"lien: no such folder, .*; did you mean out/line\?$"):
+            load_plan(slip)
+    with pytest.raises(ArchiveError, match=r"^elsewhere: no such folder, .*cmbot plan writes it$"):
+        load_plan("elsewhere")
+    (tmp_path / "bare").mkdir()
+    with pytest.raises(ArchiveError, match=r"^bare/plan\.json: no such file, expected a plan directory, as"):
+        load_plan("bare")
     for number in range(3):
         (tmp_path / "out" / f"a{number}").mkdir()
         (tmp_path / "out" / f"a{number}" / "plan.json").touch()

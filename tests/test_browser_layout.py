@@ -66,6 +66,45 @@ def test_the_printed_page_is_still_and_shows_every_plot(shown: webdriver.Chrome)
     assert hidden == [[], True]
 
 
+def test_what_belongs_together_is_printed_on_one_page(shown: webdriver.Chrome) -> None:
+    """Nothing but a long table is parted, and what must not be parted is shorter than a page of A4."""
+    with screen(shown, 703):  # 186 mm
+        shown.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+        shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+        kept = shown.execute_script(
+            """const names = ".card, .chart, #stills, #joints, .part:not(.long)";
+            const kept = [...document.querySelectorAll(names)];
+            return kept.map((one) => {
+                return [getComputedStyle(one).breakInside, one.getBoundingClientRect().height];
+            });"""
+        )
+        parted = shown.execute_script(
+            "return [...document.querySelectorAll('.part.long h2')].map((heading) => heading.textContent)"
+        )
+        shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+        shown.execute_script("window.dispatchEvent(new Event('afterprint'))")
+    assert {how for how, _ in kept} == {"avoid"}
+    assert max(height for _, height in kept) < 273 / 25.4 * 96
+    assert parted == ["Simulation"]
+
+
+@pytest.mark.parametrize("width", [1280, 420])
+def test_nothing_is_written_over_the_curves_of_a_small_plot(shown: webdriver.Chrome, width: int) -> None:
+    with screen(shown, width):
+        overlaps = shown.execute_script(
+            """const box = (element) => element.getBoundingClientRect();
+            const meets = (a, b) => a.left < b.right && b.left < a.right
+                && a.top < b.bottom - 2 && b.top < a.bottom - 2;
+            return [...document.querySelectorAll(".small svg")].filter((svg) => {
+                const all = [...svg.querySelectorAll(".corner")].map(box);
+                const frame = box(svg.querySelector(".frame")), whole = box(svg);
+                const out = all.some(({ left, right }) => left < whole.left - 1 || right > whole.right + 1);
+                return out || all.some((text) => meets(text, frame)) || meets(all[0], all[2]);
+            }).map((svg) => svg.getAttribute("aria-label"));"""
+        )
+    assert overlaps == []
+
+
 @pytest.mark.parametrize("width", [1280, 1024, 420, 320])
 def test_what_a_card_says_stays_on_it(shown: webdriver.Chrome, width: int) -> None:
     with screen(shown, width):

@@ -189,3 +189,25 @@ def test_joints_that_move_both_shapes_alike_do_not_count(cmbot_robot: Robot, ran
         )
         np.testing.assert_allclose(with_link.gradient[:2], 0, rtol=0, atol=1e-12)
         assert np.abs(with_base.gradient[:2]).max() > 1e-3
+
+
+def test_distances_do_not_depend_on_what_was_asked_before(
+    cmbot_robot: Robot, random_states: States, rng: np.random.Generator
+) -> None:
+    """Bit by bit, also in overlaps: so a certificate can be made again."""
+    shape, _ = SHAPES["cylinder"]
+    clearances = Clearances(cmbot_robot, [obstacle(shape, turned_pose(rng))])
+    q = random_states(cmbot_robot, 60)[0]
+    pairs = range(len(clearances.pairs))
+
+    def distances(order: range) -> FloatArray:
+        found = np.empty((len(q), len(pairs)))
+        for k in order:
+            for pair in pairs:
+                found[k, pair] = clearances.nearest(q[k], pair).distance
+        return found
+
+    once, again = distances(range(60)), distances(range(59, -1, -1))
+    assert once.min() < 0
+    np.testing.assert_array_equal(once, again)
+    np.testing.assert_array_equal(clearances.smallest(q).distance, once.min(axis=1))

@@ -15,8 +15,18 @@ from small_scenes import SHORT
 import cmbot
 import cmbot.doctor
 from cmbot import cli, errors
+from cmbot.extras import install_command
+from cmbot.resources import model_folder
 
 URDF_WITHOUT_LINKS = '<robot name="none"></robot>'
+MODELS = model_folder() / "urdf"
+FRAMES = {
+    "model": str(MODELS / "cmbot.urdf"),
+    "base_frame": "arm_base",
+    "tool_frame": "tool0",
+    "limits": str(MODELS / "joint_limits.yaml"),
+    "mount": {"xyz": [0, 0.5, 0], "rpy_deg": [180, 0, 0]},
+}
 FILES = {
     "short.yaml": json.dumps(SHORT),
     "broken.yaml": "format: [cmbot-scene/1\nname: x",
@@ -26,6 +36,8 @@ FILES = {
     "slip.yaml": json.dumps({**SHORT, "tool_path": {**SHORT["tool_path"], "via_point": 8}}),
     "type.yaml": json.dumps({**SHORT, "tool_path": {**SHORT["tool_path"], "via_points": "many"}}),
     "option.yaml": json.dumps({**SHORT, "planner": {"knots": "slidin"}}),
+    "model.yaml": json.dumps({**SHORT, "robot": {"model": "cmbto"}}),
+    "frame.yaml": json.dumps({**SHORT, "robot": {**FRAMES, "base_frame": "arm_bas"}}),
     "joints.yaml": json.dumps({**SHORT, "posture_deg": [0, 0]}),
     "binary.yaml": b"\xff\xfe\x00",
     "broken.urdf": "<robot",
@@ -38,6 +50,13 @@ FILES = {
 # The words after cmbot, and what the error has to name.
 BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("plan nosuch", ("nosuch: no such file, expected a scene", "shipped scene (one of: line, triangle)")),
+    ("plan triangel", ("triangel: no such file", "shipped scene; did you mean triangle? (one of: line")),
+    ("check triangel", ("triangel: no such file", "shipped scene; did you mean triangle?")),
+    ("plan model.yaml", ("model.yaml: robot.base_frame: got nothing", "'cmbto'; did you mean cmbot?")),
+    ("check frame.yaml", ("frame.yaml: robot.base_frame: got 'arm_bas'", "did you mean arm_base? (one of: ")),
+    ("plan short.yaml -o empty.yaml/plan", ("empty.yaml/plan: got a place below ", "which is a file")),
+    ("reproduce -o empty.yaml", ("empty.yaml/triangle: got a place below ", "which is a file")),
+    ("plan short.yaml --set seconds=3", ("--set: seconds: got a key of the scene", "in the scene file")),
     ("check nosuch.yaml", ("nosuch.yaml: no such file", "one of: line, triangle")),
     ("plan no_plan", ("no_plan: got a folder",)),
     ("plan broken.yaml", ("broken.yaml: got ", "expected valid YAML")),
@@ -297,7 +316,7 @@ def test_doctor_is_content_without_what_is_optional(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(cmbot.doctor, "_OPTIONAL", (("not-a-package-of-anyone", "test"),))
     outcome = run("doctor")
     assert outcome.status == 0
-    assert 'not installed (optional: pip install "cmbot[test]")' in outcome.out
+    assert f"not installed (optional: {install_command('test')})" in outcome.out
     assert "none found (any browser opens the pages)" in outcome.out
 
 
@@ -333,6 +352,11 @@ def test_a_failed_optimisation_says_what_to_do(constraint: str, remedy: str) -> 
     assert str(error).startswith(f"no way; worst constraint: {constraint}, 25.00% beyond its bound: ")
     assert remedy in str(error)
     assert str(error).endswith(" may help")
+
+
+def test_where_every_constraint_is_met_none_is_blamed() -> None:
+    error = errors.OptimisationFailed("no solution in 1 pass", constraint="jerk of joint_3", violation=-0.15)
+    assert str(error) == "no solution in 1 pass; every constraint is met, jerk of joint_3 with the least room"
 
 
 def test_what_nothing_is_known_of_has_no_remedy() -> None:

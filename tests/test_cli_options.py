@@ -15,6 +15,7 @@ import cmbot
 import cmbot.views.plots
 from cmbot.archive import save
 from cmbot.errors import MissingExtra
+from cmbot.extras import install_command
 from cmbot.planning import Plan, Progress
 
 FIGURES = {"guardrail_torque", "joints", "clearance", "tool_deviation"}
@@ -253,7 +254,7 @@ def test_without_matplotlib_nothing_is_planned(
     for words in (("plan", "short.yaml"), ("simulate", directory)):
         outcome = run(*words, "--figures")
         assert (outcome.status, outcome.out) == (1, "")
-        assert outcome.err == 'error: matplotlib is not installed; run: pip install "cmbot[plots]"\n'
+        assert outcome.err == f"error: matplotlib is not installed; run: {install_command('plots')}\n"
     assert known == []
 
 

@@ -164,14 +164,22 @@ def figures(triangle_plan: Plan) -> list[tuple[str, ...]]:
     return [(*triangle, *others[1:]) for triangle, others in pairs]
 
 
+# Figures that no optimum settles, and by how much they may differ; vibrations most of all.
+FLAT = {"swing": 0.1, "share": 0.02, "tool": 0.02, "mean": 0.02}
+
+
 def assert_same(quoted: str, printed: str, where: str) -> None:
-    """Numbers agree to two of their last digits, or 2 % where an optimum is flat; a dash stands for none."""
+    """Numbers agree to two of their last digits, or to a share where an optimum is flat; a dash is for none.
+
+    Peaks are what is optimised. Of the motions with one peak the smoothest one is taken, and among those that
+    are as smooth to the solver's accuracy the mean torque differs by up to 1 %.
+    """
     if "-" in (quoted, printed):
         assert quoted == printed, where
         return
     last_digit = 10.0 ** -len(quoted.partition(".")[2])
-    expected = pytest.approx(float(printed), abs=2 * last_digit, rel=0.02 if "share" in where else 0)
-    assert float(quoted) == expected, where
+    flat = next((share for word, share in FLAT.items() if word in where), 0.0)
+    assert float(quoted) == pytest.approx(float(printed), abs=2 * last_digit, rel=flat), where
 
 
 def test_readme_figures_are_the_planners(figures: list[tuple[str, ...]]) -> None:
@@ -180,8 +188,7 @@ def test_readme_figures_are_the_planners(figures: list[tuple[str, ...]]) -> None
     assert [row[0] for row in table[2:]] == [row[0] for row in figures]
     for quoted, printed in zip(table[2:], figures, strict=True):
         for column in range(1, 5):
-            where = f"{quoted[0]}, share" if "tool" in quoted[0] else quoted[0]
-            assert_same(quoted[column], printed[column], where)
+            assert_same(quoted[column], printed[column], quoted[0])
 
 
 def test_readme_tracking_is_the_simulations(triangle_plan: Plan) -> None:
@@ -217,7 +224,7 @@ def test_readme_output_is_the_commands(triangle_plan: Plan) -> None:
         assert number.sub("#", left).split() == number.sub("#", right).split()
         if not left.startswith("Time:"):
             for a, b in zip(number.findall(left), number.findall(right), strict=True):
-                assert_same(a, b, f"{left} share" if "tool" in left else left)
+                assert_same(a, b, left)
     assert [line.split()[0] for line in quoted[len(printed) :]] == ["Written", "Look"]
 
 

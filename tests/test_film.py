@@ -52,7 +52,7 @@ def test_missing_selenium_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPat
         return real(name, *rest, **more)
 
     monkeypatch.setattr(builtins, "__import__", without_selenium)
-    with pytest.raises(MissingExtra, match=r'selenium is not installed; run: pip install "cmbot\[video\]"'):
+    with pytest.raises(MissingExtra, match=r"selenium is not installed; run: pip install .*\[video\]"):
         film("<p>page</p>", tmp_path / "film.mp4")
 
 

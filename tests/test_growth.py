@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import growth
 import numpy as np
@@ -13,6 +14,7 @@ from scipy import sparse
 from small_scenes import short_scene
 
 from cmbot.errors import SceneError
+from cmbot.extras import install_command
 from cmbot.planning import plan, problem_size, self_motion
 from cmbot.planning.chart_nodes import ChartNodes
 from cmbot.planning.dynamic_programming import WayThrough, edges
@@ -58,11 +60,19 @@ def test_matrices_grow_in_proportion(cmbot_robot: Robot) -> None:
 
 
 def test_edges_grow_in_proportion_and_are_all_there_are(stage: GlobalStage) -> None:
+    """Of postures that are not known to be inadmissible: the others lead nowhere."""
+
+    def pairs(reachable: np.ndarray, before: np.ndarray, after: np.ndarray) -> set[tuple[int, int]]:
+        return {(int(i), int(j)) for j, i in np.argwhere(reachable.T & before & after[:, None])}
+
     for a, b, step, found in zip(stage._nodes, stage._nodes[1:], stage._steps, stage._edges, strict=False):
-        moves = np.abs(a.chart.q[:, None] - b.chart.q)
-        np.testing.assert_array_equal(
-            np.argwhere((moves <= step).all(axis=2).T), np.stack([found.after, found.before], 1)
-        )
+        reachable = (np.abs(a.chart.q[:, None] - b.chart.q) <= step).all(axis=2)
+        got = set(zip(found.before.tolist(), found.after.tolist(), strict=True))
+        assert len(got) == len(found.before)
+        # Some may have turned out to be too near since.
+        assert pairs(reachable, a.admissible, b.admissible) <= got
+        might_do = ((node.chart.within & (node.chart.joint_use <= 1.0)) for node in (a, b))
+        assert got <= pairs(reachable, *might_do)
         # A chart is a curve: a posture has a few neighbours, however long the curve is.
         assert len(found.before) < 20 * len(a.chart.q)
 
@@ -78,8 +88,11 @@ def test_edges_go_round_where_joints_do(seed: int, some: int, others: int) -> No
     expected = np.argwhere((np.abs(moves) <= step).all(axis=2).T)
     found = edges(q_a, q_b, step, endless)
     np.testing.assert_array_equal(np.stack([found.after, found.before], axis=1), expected)
+    length = ((moves[found.before, found.after] / step) ** 2).sum(axis=1)
+    np.testing.assert_allclose(found.length, length, rtol=1e-12, atol=1e-12)
     cost = rng.integers(0, 5, len(found.before)).astype(float)
     least, which = found.smallest(cost)
+    np.testing.assert_array_equal(found.least(cost), least)
     for k in range(others):
         mine = np.flatnonzero(found.after == k)
         assert least[k] == cost[mine].min(initial=np.inf)
@@ -97,7 +110,7 @@ def test_the_best_way_is_the_same_when_all_clearances_are_looked_at(every: int) 
     starts = np.arange(len(stage._pinned)) % every == 0
 
     def way(nodes: list[ChartNodes]) -> list[int]:
-        return WayThrough(setting, nodes, stage._edges, stage._steps, starts).best()
+        return WayThrough(setting, nodes, stage._edges, starts).best()
 
     lazily = way(stage._nodes)
     eagerly = [
@@ -154,6 +167,24 @@ def test_nearest_legs_are_found_among_few(seed: int, legs: int, points: int) -> 
     np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), np.min(every, axis=0), atol=1e-12)
 
 
+@given(st.lists(st.integers(0, 4), min_size=2, max_size=30), st.integers(0, 2**32 - 1))
+def test_strokes_to_and_fro_are_one_leg(corners: list[int], seed: int) -> None:
+    """Corners that adding up steps has put a rounding aside are the same."""
+    rng = np.random.default_rng(seed)
+    places = rng.normal(size=(5, 3))
+    path = ToolPath(
+        corners=places[corners] + rng.uniform(-1e-15, 1e-15, (len(corners), 3)),
+        orientation=np.eye(3),
+        seconds=np.ones(len(corners) - 1),
+        profile=SpeedProfile(),
+    )
+    assert len(path._different) <= len({frozenset(pair) for pair in pairwise(corners)}) + 2
+    p = rng.normal(size=(40, 3))
+    every = [path._offset_from(np.full(40, leg), p) for leg in range(len(corners) - 1)]
+    nearest = np.linalg.norm(every, axis=2).min(axis=0)
+    np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), nearest, atol=1e-12)
+
+
 @given(st.lists(st.floats(0.1, 20), min_size=1, max_size=12), st.integers(0, 60))
 def test_segments_go_to_the_leg_whose_are_longest(seconds: list[float], more: int) -> None:
     shares = [1] * len(seconds)
@@ -199,7 +230,7 @@ def test_without_the_sparse_solver_it_says_how_to_get_it(monkeypatch: pytest.Mon
     scene = large(1000, solver="auto")
     found = oversized(scene, 7, scene.planner)
     assert found is not None
-    assert "pip install 'cmbot[fast]'" in found.expected
+    assert install_command("fast") in found.expected
 
 
 def test_the_sparse_solver_takes_long_paths() -> None:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from small_scenes import short_scene
 
-from cmbot.errors import InputError, LimitViolation, ModelError, OptimisationFailed, PathNotFound, SceneError
+from cmbot.errors import InputError, LimitViolation, OptimisationFailed, PathNotFound, SceneError
 from cmbot.planning import Plan, Progress, plan, planner
 from cmbot.robot import Kinematics
 from cmbot.scene import load_scene
@@ -235,5 +235,5 @@ def test_another_arm(panda_scene: dict[str, Any]) -> None:
 
 def test_another_arm_with_a_wrong_frame(panda_scene: dict[str, Any]) -> None:
     panda_scene["robot"]["tool_frame"] = "panda_thumb"
-    with pytest.raises(ModelError, match="tool_frame: got 'panda_thumb', expected a link of the URDF"):
+    with pytest.raises(SceneError, match=r"robot\.tool_frame: got 'panda_thumb', expected a link"):
         plan(load_scene(panda_scene))

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
-from cmbot.planning import Plan, plan
+from cmbot.archive.schema import QuietingFile
+from cmbot.planning import Plan, plan, remarks
+from cmbot.planning.least_change import LeastChange
+from cmbot.planning.quiet_windows import QuietWindow
 from cmbot.simulation import SimulationOptions, simulate
 
 THERE_AND_BACK = {
@@ -98,6 +102,29 @@ def test_links_alone_are_quieted_too() -> None:
     rigid_hold = plan(scene)
     assert rigid_hold.quieting is not None
     assert rigid_hold.quieting.share > 0
+
+
+def test_a_window_that_cannot_be_quieted_leaves_the_others_theirs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Of a path with two windows the first finds no change; the last leg comes to rest all the same."""
+    change = QuietWindow.change
+
+    def first_in_vain(window: QuietWindow, *rows: Any) -> LeastChange | None:
+        return None if window.start == 0 else change(window, *rows)
+
+    monkeypatch.setattr(QuietWindow, "change", first_in_vain)
+    made = planned(2, via_points=81)
+    assert made.quieting is not None
+    assert made.quieting.shares == (0.0, 1.0)
+    assert made.quieting.after < 1e-3 * made.quieting.before
+    assert made.certificate.holds
+    assert "at the ends of 1 of the 2 legs, and at those of 1 not" in " ".join(remarks(made))
+    save(made, tmp_path / "plan")
+    assert load_plan(tmp_path / "plan").quieting == made.quieting
+    # Files of before do not tell the legs apart.
+    file = QuietingFile(modes=2, share=0.5, before=1e-3, after=5e-4)
+    assert file.quieting().shares == (0.5,)
 
 
 def test_it_is_kept_in_the_plan_directory(quiet: Plan, tmp_path: Path) -> None:

@@ -58,10 +58,30 @@ def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
     assert triangle_plan.quieting is not None
     assert "the 2 slowest vibrations of guardrail and links are brought to rest" in said
     assert f"{1e3 * triangle_plan.quieting.before:.4f} mm" in said
-    given_up = replace(triangle_plan, quieting=replace(triangle_plan.quieting, share=0.0))
+    given_up = replace(triangle_plan, quieting=replace(triangle_plan.quieting, shares=(0.0, 0.0)))
     assert "could not be brought to rest" in " ".join(remarks(given_up))
     one = replace(triangle_plan, quieting=replace(triangle_plan.quieting, modes=1))
     assert "the slowest vibration of guardrail and links is brought to rest" in " ".join(remarks(one))
+
+
+@pytest.mark.parametrize(
+    ("shares", "words"),
+    [
+        ((1.0, 1.0, 1.0), "are brought to rest at the ends of the legs, by how"),
+        ((0.5, 0.75), "are in part brought to rest at the ends of the legs, by how"),
+        ((1.0, 0.5), "are brought to rest at the ends of 1 of the 2 legs, in part at those of 1, by how"),
+        ((1.0, 1.0, 0.0), "rest at the ends of 2 of the 3 legs, and at those of 1 not, where no change"),
+        ((0.5, 0.0), "are in part brought to rest at the ends of 1 of the 2 legs, and at those of 1 not"),
+        ((1.0, 0.5, 0.0), "at the ends of 1 of the 3 legs, in part at those of 1, and at those of 1 not"),
+    ],
+)
+def test_one_leg_that_cannot_be_quieted_does_not_hide_the_others(
+    triangle_plan: Plan, shares: tuple[float, ...], words: str
+) -> None:
+    assert triangle_plan.quieting is not None
+    quieting = replace(triangle_plan.quieting, shares=shares)
+    assert words in line(replace(triangle_plan, quieting=quieting), "Quieting: ")
+    assert quieting.share == pytest.approx(sum(shares) / len(shares))
 
 
 def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Plan) -> None:

@@ -127,7 +127,7 @@ def test_what_was_done_about_the_vibration_is_in_a_table(text: str, triangle_pla
     assert quiet is not None
     for name, value in (
         ("elastic modes brought to rest", f"{quiet.modes}"),
-        ("share of the change for it that was made", f"{100 * quiet.share:g} %"),
+        ("share of the change for it that was made", f"{100 * quiet.share:.4g} %"),
         ("amplitude that they leave at the tool without it, mm", f"{1e3 * quiet.before:.4f}"),
         ("with it, mm", f"{1e3 * quiet.after:.4f}"),
     ):

@@ -100,6 +100,11 @@ def test_impossible_path(path):
     assert str(caught.value).isprintable()
 
 
+def test_an_empty_name_is_no_folder():
+    with pytest.raises(SceneError, match="got nothing, expected a scene file or the name of a shipped scene"):
+        load_scene("")
+
+
 @pytest.mark.parametrize("source", ["no_such_scene", "no/such.yaml", "a\0b", "x" * 5000])
 def test_unknown_scene_lists_the_shipped_ones(source):
     with pytest.raises(SceneError) as caught:

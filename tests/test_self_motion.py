@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 
 from cmbot.planning import robot_of, task_of
+from cmbot.planning.crowds import Crowds, without_neighbours
 from cmbot.planning.objectives import objective_of
 from cmbot.planning.on_task import null_spaces, project
-from cmbot.planning.self_motion import ChartMaker, without_neighbours
+from cmbot.planning.self_motion import ChartMaker
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
@@ -168,10 +169,83 @@ def test_thinning_goes_from_the_first_to_the_last(case: tuple[int, list[tuple[in
     np.testing.assert_array_equal(got, keep)
 
 
-def test_null_spaces(rng: np.random.Generator) -> None:
-    J = rng.normal(size=(20, 5, 7))
-    J[0, 4] = J[0, 3]
-    N = null_spaces(J)
-    assert N.shape == (20, 2, 7)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 4))
+def test_crowds_take_in_what_is_apart(seed: int, number: int, rounds: int) -> None:
+    rng = np.random.default_rng(seed)
+    round_, apart = np.array([True, False]), 0.8
+    crowds = Crowds(number, apart, round_)
+    taken: list[list[np.ndarray]] = [[] for _ in range(number)]
+
+    def distance(a: np.ndarray, b: np.ndarray) -> float:
+        move = a - b
+        move[round_] -= 2 * np.pi * np.round(move[round_] / (2 * np.pi))
+        return float(np.linalg.norm(move))
+
+    def is_far(q: np.ndarray, of: int) -> bool:
+        return all(distance(q, other) >= apart for other in taken[of])
+
+    for _ in range(rounds):
+        of = np.sort(rng.integers(0, number, 12))
+        q = rng.uniform(-4, 4, (12, 2))
+        far = [is_far(each, k) for each, k in zip(q, of, strict=True)]
+        np.testing.assert_array_equal(crowds.far(q, of), far)
+        expected = []
+        for each, k in zip(q, of, strict=True):
+            expected.append(is_far(each, k))
+            if expected[-1]:
+                taken[k].append(each)
+        np.testing.assert_array_equal(crowds.take(q, of), expected)
+    assert crowds.sizes.tolist() == [len(each) for each in taken]
+    for postures, each in zip(crowds.postures, taken, strict=True):
+        np.testing.assert_array_equal(postures, np.reshape(each, (-1, 2)))
+
+
+@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+def test_null_spaces_leave_the_task_alone(cmbot_robot: Robot, keep: str, rng: np.random.Generator) -> None:
+    limits, postures = cmbot_robot.limits, Postures(cmbot_robot)
+    q = rng.uniform(limits.lower, limits.upper, (20, 7))
+    task = task_at(cmbot_robot, q[0], keep)
+    N, at = null_spaces(postures, task, q), postures.at(q)
+    J = task.jacobians(at.tool_rotation, at.jacobian)
+    d = 7 - task.dimension
+    assert N.shape == (20, d, 7)
     np.testing.assert_allclose(J @ N.transpose(0, 2, 1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(N @ N.transpose(0, 2, 1), np.broadcast_to(np.eye(2), (20, 2, 2)), atol=1e-12)
+    np.testing.assert_allclose(N @ N.transpose(0, 2, 1), np.broadcast_to(np.eye(d), (20, d, d)), atol=1e-12)
+
+
+@pytest.mark.parametrize("make", [None, panda_scene, endless_scene])
+@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+def test_what_is_put_onto_the_task_lies_on_it(
+    make: Callable[..., Scene] | None, keep: str, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Also where the last step was so short that nobody looked."""
+    robot = cmbot_robot if make is None else robot_of(make(tmp_path))
+    postures = Postures(robot)
+    q = rng.uniform(-2.0, 2.0, (400, robot.dof))
+    task = task_at(robot, q[0], keep)
+    point = task.path.corners[0]
+    placed = q[0] + rng.normal(size=q.shape) * 10.0 ** rng.uniform(-9, -1, (400, 1))
+    placed, reached = project(postures, task, placed, point)
+    assert reached.sum() > 350
+    at = postures.at(placed[reached])
+    assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-10
+
+
+@pytest.mark.parametrize("make", [None, panda_scene, endless_scene])
+@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+def test_steps_bend_no_more_than_postures_say(
+    make: Callable[..., Scene] | None, keep: str, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    robot = cmbot_robot if make is None else robot_of(make(tmp_path))
+    postures = Postures(robot)
+    q = rng.uniform(-2.0, 2.0, (300, robot.dof))
+    moves = rng.normal(size=q.shape) * (rng.uniform(size=q.shape) < 0.5)
+    moves[np.arange(300), rng.integers(0, robot.dof, 300)] = 1.0
+    moves *= 1e-3 / np.abs(moves).sum(axis=1, keepdims=True)
+    for q_k, move in zip(q, moves, strict=True):
+        task = task_at(robot, q_k, keep)
+        at = postures.at(np.stack([q_k, q_k - move]))
+        error = task.errors(at.tool_point, at.tool_rotation, task.path.corners[0])
+        J = task.jacobians(at.tool_rotation, at.jacobian)[1]
+        left = np.abs(error[1] - J @ move).max()
+        assert left <= postures.bend * np.abs(move).sum() ** 2

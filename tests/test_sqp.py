@@ -356,7 +356,7 @@ def test_without_piqp(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "piqp", None)
     assert solver_of(PlannerOptions(solver="auto")) == "slsqp"
     assert solver_of(PlannerOptions(solver="slsqp")) == "slsqp"
-    with pytest.raises(MissingExtra, match=r'piqp is not installed; run: pip install "cmbot\[fast\]"'):
+    with pytest.raises(MissingExtra, match=r"piqp is not installed; run: pip install .*\[fast\]"):
         plan(short_scene(planner={"solver": "sqp"}))
 
 

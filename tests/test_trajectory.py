@@ -204,6 +204,12 @@ def test_times_outside_are_refused(order: int, miss: float) -> None:
         x.evaluate([x.t[0], end + miss * x.duration], order)
 
 
+@pytest.mark.parametrize("times", ["soon", ["0.1", "later"], [[0.1], [0.2, 0.3]], [object()]])
+def test_times_that_are_no_numbers_are_refused(times: Any) -> None:
+    with pytest.raises(InputError, match="times: got .*expected a row of numbers, s"):
+        random_trajectory(0).evaluate(times)
+
+
 def test_no_times_give_no_rows() -> None:
     assert random_trajectory(0).evaluate([]).shape == (0, 3)
 

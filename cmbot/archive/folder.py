@@ -85,11 +85,12 @@ def require_free(directory: str | Path, *, force: bool = False) -> None:
     Raises
     ------
     ArchiveError
-        When something is in the way.
+        When something is in the way, or no folder can be made there.
     """
     directory = Path(directory)
     with _refusals(directory):
         target = _resolved(directory)
+        _require_writable(directory, target)
         if not target.exists():
             return
         if not target.is_dir():
@@ -186,6 +187,16 @@ def _resolved(directory: Path) -> Path:
         return directory.resolve()
     except (RuntimeError, ValueError) as error:  # links in a circle; a name that no file can have
         raise ArchiveError(shown(str(directory)), "", shown(str(error)), "the path of a folder") from error
+
+
+def _require_writable(directory: Path, target: Path) -> None:
+    """Refuse a directory where the nearest folder above it is none, or must not be written to."""
+    above = next(parent for parent in target.parents if parent.exists())
+    expected = "a place that can be written to"
+    if not above.is_dir():
+        raise ArchiveError(str(directory), "", f"a place below {above}, which is a file", expected)
+    if not os.access(above, os.W_OK | os.X_OK):
+        raise ArchiveError(str(directory), "", f"a place in {above}, which must not be written to", expected)
 
 
 def _is_plan_directory(folder: Path) -> bool:

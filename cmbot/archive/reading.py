@@ -16,6 +16,7 @@ from cmbot.archive.nearby import plans_nearby
 from cmbot.archive.schema import ApproachFile, CertificateFile, FiguresFile, PlanFile
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_motion
+from cmbot.arguments import given_path
 from cmbot.errors import ArchiveError, InputError
 from cmbot.planning import (
     Approach,
@@ -64,6 +65,8 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
 
     Raises
     ------
+    InputError
+        When `directory` is no path.
     ArchiveError
         When a file is missing, damaged, of another version, or does not belong to the others; when approach
         and work do not join; when robot, scene or meshes have changed since; with `verify`, when the file's
@@ -71,7 +74,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     LimitViolation
         With `verify`, when trajectory or approach breaks a promise.
     """
-    folder = Path(directory)
+    folder = given_path(directory, "cmbot.load_plan", "directory", "the path of a plan directory")
     file = _plan_file(folder)
     source = folder / PLAN_FILE
     certificate = _certificate(file.certificate, file.planned, source, "certificate")
@@ -111,6 +114,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         compensation=None if file.compensation is None else file.compensation.compensation(),
         quieting=None if file.quieting is None else file.quieting.quieting(),
         sag=_sag(scene, robot, file.options) if file.options.compensate else None,
+        fallbacks=file.fallbacks,
         seconds=file.seconds.seconds(),
     )
     return _verified(plan, clearances, source) if verify else plan
@@ -126,8 +130,8 @@ def _plan_file(folder: Path) -> PlanFile:
         got = "a file, not a folder" if folder.is_file() else "no such folder"
         raise ArchiveError(str(folder), "", got, f"{expected}{plans_nearby(folder)}")
     source = folder / PLAN_FILE
-    if meant := plans_nearby(folder):
-        raise ArchiveError(str(source), "", "no such file", f"{expected}{meant}")
+    if not source.exists():
+        raise ArchiveError(str(source), "", "no such file", f"{expected}{plans_nearby(folder)}")
     data = read_json(read_file(source), str(source))
     # First of all: in another version anything else may differ.
     if data.get("format") != FORMAT:

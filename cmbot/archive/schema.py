@@ -174,7 +174,10 @@ class QuietingFile(FileModel):
     """What was done about the vibration."""
 
     modes: Count
-    share: Annotated[float, Field(ge=0, le=1)]
+    share: Share
+    """Mean over the legs of how much of it was taken away."""
+    shares: tuple[Share, ...] = ()
+    """That of each leg; empty in files that do not tell them apart."""
     before: NonNegative
     """Amplitude of the tool that these modes leave at the end, as predicted, m: without the change."""
     after: NonNegative
@@ -182,7 +185,8 @@ class QuietingFile(FileModel):
 
     def quieting(self) -> Quieting:
         """Return it as the planner has it."""
-        return Quieting(**self.model_dump())
+        shares = self.shares or (self.share,)
+        return Quieting(modes=self.modes, shares=shares, before=self.before, after=self.after)
 
 
 class FailureFile(FileModel):
@@ -282,6 +286,8 @@ class PlanFile(FileModel):
     """null: the sag was not compensated."""
     quieting: QuietingFile | None = None
     """null: nothing was done about the vibration."""
+    fallbacks: tuple[str, ...] = ()
+    """What did not work, and was done in another way."""
     seconds: SecondsFile
     certificate: CertificateFile
     start: StartFile

@@ -12,6 +12,7 @@ import numpy as np
 from cmbot.archive.folder import PLAN_FILE, add_file, read_file
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import table_csv
+from cmbot.arguments import given_path, require_type
 from cmbot.errors import ArchiveError
 from cmbot.simulation import ErrorFigures, MotionTracking, Statistics, Tracking
 from cmbot.version import __version__
@@ -46,11 +47,15 @@ def save_tracking(tracking: Tracking, directory: str | Path, *, force: bool = Fa
 
     Raises
     ------
+    InputError
+        When `tracking` is none, or `directory` no path.
     ArchiveError
         When `directory` is no plan directory, holds tracking errors already, a number is not finite, or the
         system refuses.
     """
-    folder = Path(directory)
+    expected = "a Tracking, as cmbot.simulate returns it"
+    require_type(tracking, Tracking, "cmbot.save_tracking", "tracking", expected)
+    folder = given_path(directory, "cmbot.save_tracking", "directory", "the path of a plan directory")
     require_no_tracking(folder, force=force)
     tables = {
         name: _table(motion, name)

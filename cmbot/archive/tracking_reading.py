@@ -12,9 +12,10 @@ from cmbot.archive.folder import PLAN_FILE, read_file
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_rows
 from cmbot.archive.tracking import COLUMNS, FORMAT, TRACKING_FILES
+from cmbot.arguments import given_path
 from cmbot.arrays import FloatArray
 from cmbot.errors import ArchiveError
-from cmbot.planning import Plan
+from cmbot.planning import Plan, require_plan
 from cmbot.planning.tool_sag import ToolSag
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking
 from cmbot.simulation.drive import Drive, drive_along, drive_through
@@ -42,10 +43,13 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
 
     Raises
     ------
+    InputError
+        When `plan` is none, or `directory` no path.
     ArchiveError
         When a file is missing, damaged, of another version, or does not belong to the others.
     """
-    folder = Path(directory)
+    require_plan(plan, "cmbot.load_tracking")
+    folder = given_path(directory, "cmbot.load_tracking", "directory", "the path of a plan directory")
     if not any((folder / name).exists() for name in TRACKING_FILES):
         return None
     source = folder / _FIGURES

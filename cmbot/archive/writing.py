@@ -18,10 +18,20 @@ from cmbot.archive.ros import ros_json
 from cmbot.archive.schema import PlanFile, or_null
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import samples_csv
+from cmbot.arguments import given_path
 from cmbot.errors import ArchiveError
-from cmbot.planning import Approach, Certificate, MotionFigures, Plan, QuinticTrajectory, Samples, Start
+from cmbot.planning import (
+    Approach,
+    Certificate,
+    MotionFigures,
+    Plan,
+    QuinticTrajectory,
+    Samples,
+    Start,
+    require_plan,
+)
 from cmbot.robot import Robot
-from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file_model
+from cmbot.scene import Mesh, Scene, SceneFile, filed, scene_from_file_model
 from cmbot.validation import validated
 from cmbot.version import __version__
 
@@ -49,12 +59,16 @@ def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
 
     Raises
     ------
+    InputError
+        When `plan` is none, or `directory` no path.
     ArchiveError
         When something is in the way, the system refuses, or the plan holds a number that is not finite.
     SceneError
-        When a file that the scene names has gone since.
+        When a file that the scene names has gone since, or Python changed the scene into one that no scene
+        file describes.
     """
-    directory = Path(directory)
+    require_plan(plan, "cmbot.save")
+    directory = given_path(directory, "cmbot.save", "directory", "the path of a new folder")
     contents = _motion_files("trajectory", plan.robot, plan.trajectory, plan.samples)
     contents["baseline.csv"] = samples_csv(plan.baseline, "baseline.csv")
     if plan.approach is not None and plan.approach_samples is not None:
@@ -76,8 +90,9 @@ def _motion_files(
 
 
 def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
-    scene = _resolved(plan.scene)
-    approach, floor, choice = plan.approach, plan.floor, plan.choice
+    given = filed(plan.scene)
+    scene = _resolved(given)
+    approach, floor, choice, quieting = plan.approach, plan.floor, plan.choice, plan.quieting
     holds = plan.certificate.holds and (approach is None or approach.certificate.holds)
     data = {
         "format": FORMAT,
@@ -85,13 +100,14 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "baseline": _figures(plan.baseline_figures),
         "planned": _figures(plan.figures),
         "approach": None if approach is None else _approach(approach),
-        "quieting": None if plan.quieting is None else asdict(plan.quieting),
+        "quieting": None if quieting is None else {**asdict(quieting), "share": quieting.share},
         "compensation": None if plan.compensation is None else asdict(plan.compensation),
         "torque_floor": plan.torque_floor,
         "gap_to_floor": plan.gap_to_floor,
         "objective": {**asdict(plan.objective), "gap": plan.objective.gap},
         "floor": None if floor is None else {**asdict(floor), "each": floor.each.tolist()},
         "choice": None if choice is None else asdict(choice),
+        "fallbacks": plan.fallbacks,
         "seconds": asdict(plan.seconds),
         "certificate": _certificate(plan.certificate),
         "start": _start(plan.start),
@@ -102,7 +118,7 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "versions": _versions(),
         "hashes": {
             "robot": plan.robot.content_hash,
-            "scene": plan.scene.content_hash,
+            "scene": given.content_hash,
             "resolved_scene": scene_from_file_model(scene, Path.cwd(), plan.scene.source).content_hash,
         },
         "files": {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},

@@ -10,7 +10,7 @@ from cmbot.planning.gradient_projection import JointPath
 from cmbot.planning.objective_figures import ObjectiveFigures
 from cmbot.planning.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
 from cmbot.planning.optimiser import PassReport
-from cmbot.planning.plan import Plan, Seconds, Start
+from cmbot.planning.plan import Plan, Seconds, Start, require_plan
 from cmbot.planning.planner import plan
 from cmbot.planning.progress import Progress
 from cmbot.planning.remarks import remarks
@@ -53,6 +53,7 @@ __all__ = [
     "examine_scene",
     "plan",
     "remarks",
+    "require_plan",
     "robot_of",
     "sag_of",
     "task_of",

@@ -15,7 +15,7 @@ import numpy as np
 
 from cmbot.arrays import FloatArray
 from cmbot.errors import LimitViolation
-from cmbot.planning.figures import MotionFigures, figures, measure
+from cmbot.planning.figures import MotionFigures, figures, measure, together
 from cmbot.planning.task import ToolTask
 from cmbot.planning.tool_sag import ToolSag
 from cmbot.planning.trajectory import QuinticTrajectory
@@ -32,6 +32,8 @@ _FINER = 10
 # joint's bound, and via-point errors in rad.
 _JUMP = 1e-9
 _VIA_POINT = 1e-10
+# So many samples are measured at once: more only ask for memory, and lose its nearness.
+_BLOCK = 1 << 14
 _DERIVATIVES = (("velocity", "rad/s"), ("acceleration", "rad/s2"), ("jerk", "rad/s3"))
 
 
@@ -135,29 +137,40 @@ def certify(
     grid = certificate_grid(trajectory, options)
     if tell is not None:
         tell(0, len(grid))
-    motion = tuple(trajectory.evaluate(grid, order) for order in range(4))
+    q = trajectory.evaluate(grid)
     approach = _approach(trajectory, grid, clearances.reach)
     # Where no interval beside a sample can hold the smallest bound, its clearance need not be exact.
-    clearance = clearances.along(motion[0], 2 * float(approach.max()))
-    samples = measure(robot, task, clearances, grid, motion, sag, clearance=clearance)
+    clearance = clearances.along(q, 2 * float(approach.max()))
     rates = _rate_checks(robot, trajectory)
+    velocity, acceleration, jerk = (check.value / check.bound for check in rates)
+    torques, deviations, parts = [], [], []
+    # Sag that is compensated is interpolated along the motion as a whole.
+    block = _BLOCK if sag is None else len(grid)
+    for first in range(0, len(grid) - 1, block):
+        # Each block ends where the next one begins, so that means are over all times.
+        some = slice(first, first + block + 1)
+        motion = (q[some], *(trajectory.evaluate(grid[some], order) for order in (1, 2, 3)))
+        samples = measure(robot, task, clearances, grid[some], motion, sag, clearance=clearance[some])
+        torques.append(_torque_check(robot, grid[some], samples.joint_torque))
+        if at_work:
+            bound = options.max_tool_deviation_m
+            quantity = "tool deviation" if sag is None else "expected tool deviation"
+            deviations.append(_grid_check(quantity, grid[some], samples.tool_deviation, bound, "m"))
+        parts.append((grid[some][-1] - grid[first], figures(robot, samples, (velocity, acceleration, jerk))))
     checks = [
         _range_check(robot, trajectory),
         *rates,
-        _torque_check(robot, grid, samples.joint_torque),
+        _worst(torques),
         _continuity_check(robot, trajectory),
         _via_point_check(trajectory, via_points),
-        _grid_check("clearance", grid, samples.clearance, options.safety_margin_m, "m", at_least=True),
+        _grid_check("clearance", grid, clearance, options.safety_margin_m, "m", at_least=True),
     ]
     if at_work:
-        bound = options.max_tool_deviation_m
-        quantity = "tool deviation" if sag is None else "expected tool deviation"
-        checks.append(_grid_check(quantity, grid, samples.tool_deviation, bound, "m"))
-    velocity, acceleration, jerk = (check.value / check.bound for check in rates)
+        checks.append(_worst(deviations))
     return Certificate(
         checks=tuple(checks),
-        figures=figures(robot, samples, (velocity, acceleration, jerk)),
-        clearance_bound=float((0.5 * (samples.clearance[:-1] + samples.clearance[1:]) - approach).min()),
+        figures=together(parts),
+        clearance_bound=float((0.5 * (clearance[:-1] + clearance[1:]) - approach).min()),
     )
 
 
@@ -256,6 +269,11 @@ def _grid_check(
         unit=unit,
         at_least=at_least,
     )
+
+
+def _worst(checks: list[Check]) -> Check:
+    """The check, of several with upper bounds, that uses most of it; one that is no number is worst."""
+    return checks[int(np.argmax([check.value / check.bound for check in checks]))]
 
 
 def _approach(trajectory: QuinticTrajectory, grid: FloatArray, reach: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -13,7 +14,7 @@ from cmbot.planning.chart_nodes import ChartNodes
 from cmbot.planning.setting import Setting
 from cmbot.robot import Kinematics
 
-__all__ = ["Edges", "WayThrough", "blocked", "edges", "nearest_turn"]
+__all__ = ["Edges", "WayThrough", "blocked", "edges", "edges_between", "nearest_turn"]
 
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.
@@ -30,12 +31,15 @@ class Edges:
     ----------
     before, after : (E,)
         Indices of the postures; ascending in `after`, then in `before`.
+    length : (E,)
+        Sum of the squared joints' moves, in units of the longest they can make.
     number : int
         Of the postures after.
     """
 
     before: IntArray
     after: IntArray
+    length: FloatArray
     number: int
 
     def smallest(self, value: FloatArray) -> tuple[FloatArray, IntArray]:
@@ -43,13 +47,22 @@ class Edges:
 
         Infinite where none does; of equal ones the first.
         """
-        least, which = np.full(self.number, np.inf), np.zeros(self.number, dtype=np.intp)
-        if len(value):
-            first = np.flatnonzero(np.diff(self.after, prepend=-1))
-            least[self.after[first]] = np.minimum.reduceat(value, first)
-            best = np.flatnonzero(value == least[self.after])[::-1]
-            which[self.after[best]] = best
+        least, which = self.least(value), np.zeros(self.number, dtype=np.intp)
+        best = np.flatnonzero(value == least[self.after])[::-1]
+        which[self.after[best]] = best
         return least, which
+
+    def least(self, value: FloatArray) -> FloatArray:
+        """Return the smallest of the edges' values (E,) to each posture; infinite where no edge leads."""
+        least = np.full(self.number, np.inf)
+        if len(value):
+            least[self.after[self._first]] = np.minimum.reduceat(value, self._first)
+        return least
+
+    @cached_property
+    def _first(self) -> IntArray:
+        """The first edge to each posture that any leads to."""
+        return np.flatnonzero(np.diff(self.after, prepend=-1))
 
 
 def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray) -> Edges:
@@ -64,15 +77,29 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray
         Which joints have no range: a turn more or less is the same to them.
     """
     turn = np.where(endless, 2 * np.pi / step, 0.0)
-    trees = (cKDTree(_in_steps(q, step, turn), boxsize=turn) for q in (q_a, q_b))
+    # A box without periods is searched through more slowly than none.
+    box = turn if endless.any() else None
+    trees = (cKDTree(_in_steps(q, step, turn), boxsize=box) for q in (q_a, q_b))
     near = next(trees).sparse_distance_matrix(next(trees), _A_STEP, p=np.inf, output_type="ndarray")
     before, after = near["i"], near["j"]
     moves = q_a[before] - q_b[after]
-    moves[:, endless] = nearest_turn(moves[:, endless])
-    reachable = (np.abs(moves) <= step).all(axis=1)
-    before, after = before[reachable], after[reachable]
-    order = np.lexsort((before, after))
-    return Edges(before[order], after[order], len(q_b))
+    if box is not None:
+        moves[:, endless] = nearest_turn(moves[:, endless])
+    moves /= step
+    reachable = (np.abs(moves) <= 1.0).all(axis=1)
+    order = np.flatnonzero(reachable)
+    order = order[np.lexsort((before[order], after[order]))]
+    return Edges(before[order], after[order], (moves[order] ** 2).sum(axis=1), len(q_b))
+
+
+def edges_between(before: ChartNodes, after: ChartNodes, step: FloatArray, endless: BoolArray) -> Edges:
+    """Find which nodes of one via-point can follow which of the one before; see `edges`.
+
+    Those that are known to be inadmissible lead nowhere.
+    """
+    i, j = np.flatnonzero(before.admissible), np.flatnonzero(after.admissible)
+    found = edges(before.chart.q[i], after.chart.q[j], step, endless)
+    return Edges(i[found.before], j[found.after], found.length, len(after.chart.q))
 
 
 def _in_steps(q: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
@@ -96,7 +123,6 @@ class WayThrough:
     setting: Setting
     nodes: list[ChartNodes]
     edges: list[Edges]
-    steps: FloatArray
     starts: BoolArray
 
     def best(self) -> list[int]:
@@ -123,7 +149,7 @@ class WayThrough:
         if not np.isfinite(reached).any():
             raise blocked(self.setting, self.nodes, 0)
         for k, (node, edge) in enumerate(zip(self.nodes[1:], self.edges, strict=True), start=1):
-            before, _ = edge.smallest(reached[edge.before])
+            before = edge.least(reached[edge.before])
             reached = np.where(node.admissible, np.maximum(before, node.chart.value), np.inf)
             if not np.isfinite(reached).any():
                 raise blocked(self.setting, self.nodes, k)
@@ -135,12 +161,9 @@ class WayThrough:
         cost = np.where(
             first.admissible & (first.chart.value <= peak) & self.starts, first.chart.value**2, np.inf
         )
-        endless = np.isinf(self.setting.robot.limits.lower)
         came_from = []
-        for node, last, edge, step in zip(self.nodes[1:], self.nodes, self.edges, self.steps, strict=False):
-            moves = last.chart.q[edge.before] - node.chart.q[edge.after]
-            moves[:, endless] = nearest_turn(moves[:, endless])
-            way = cost[edge.before] + _STEP_WEIGHT * peak**2 * ((moves / step) ** 2).sum(axis=1)
+        for node, edge in zip(self.nodes[1:], self.edges, strict=True):
+            way = cost[edge.before] + _STEP_WEIGHT * peak**2 * edge.length
             cost, which = edge.smallest(way)
             came_from.append(edge.before[which] if len(way) else which)
             allowed = node.admissible & (node.chart.value <= peak)

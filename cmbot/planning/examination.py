@@ -10,6 +10,7 @@ import numpy as np
 from cmbot.arrays import FloatArray
 from cmbot.planning.problem_size import oversized
 from cmbot.planning.setting import robot_of, task_of
+from cmbot.planning.tool_reach import beyond_reach
 from cmbot.robot import Dynamics, Efforts, Finding, Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.clearance import Clearances, ShapePair
@@ -17,9 +18,6 @@ from cmbot.scene.tool_path import ToolPath
 from cmbot.validation import counted
 
 __all__ = ["Examination", "examine_options", "examine_scene"]
-
-# A stretched arm is not out of its own reach.
-_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,11 +145,9 @@ def _weak(robot: Robot, use: FloatArray) -> Iterator[Finding]:
 
 
 def _out_of_reach(robot: Robot, path: ToolPath) -> Iterator[Finding]:
-    distances = np.linalg.norm(path.corners - robot.base_point, axis=1)
-    for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
-        got = f"an end {distances[k]:.3f} m from the arm's first joint"
-        expected = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
-        yield _warning(f"tool_path.legs[{k - 1}].by", got, expected)
+    for leg in beyond_reach(robot, path):
+        got = f"an end {leg.distance:.3f} m from the arm's first joint"
+        yield _warning(leg.key, got, f"at most {leg.reach:.3f} m, the arm with its tool stretched out")
 
 
 def _too_large(scene: Scene, robot: Robot) -> Iterator[Finding]:

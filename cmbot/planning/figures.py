@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from cmbot.planning.tool_sag import ToolSag
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 from cmbot.scene.clearance import Clearances
 
-__all__ = ["LimitUse", "MotionFigures", "Samples", "figures", "measure"]
+__all__ = ["LimitUse", "MotionFigures", "Samples", "figures", "measure", "together"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -180,5 +180,34 @@ def figures(
             acceleration=acceleration,
             jerk=jerk,
             torque=float((np.abs(samples.joint_torque) / limits.torque).max()),
+        ),
+    )
+
+
+def together(parts: Sequence[tuple[float, MotionFigures]]) -> MotionFigures:
+    """Put together the figures of a motion's parts, one after the other, and their durations, s."""
+    each = [part for _, part in parts]
+
+    # Unlike Python's own, NumPy's extremes keep what is no number.
+    def most(name: str) -> float:
+        return float(np.max([getattr(part, name) for part in each]))
+
+    uses = [part.limit_use for part in each]
+    return MotionFigures(
+        peak_guardrail_torque=most("peak_guardrail_torque"),
+        mean_guardrail_torque=float(
+            np.average(
+                [part.mean_guardrail_torque for part in each], weights=[duration for duration, _ in parts]
+            )
+        ),
+        peak_static_guardrail_torque=most("peak_static_guardrail_torque"),
+        min_clearance=float(np.min([part.min_clearance for part in each])),
+        max_tool_deviation=most("max_tool_deviation"),
+        max_tool_rotation=most("max_tool_rotation"),
+        limit_use=LimitUse(
+            **{
+                use.name: float(np.max([getattr(part, use.name) for part in uses]))
+                for use in fields(LimitUse)
+            }
         ),
     )

@@ -212,8 +212,7 @@ class _Search:
         return best
 
     def _null_spaces(self, q: FloatArray) -> FloatArray:
-        at = self._postures.at(q)
-        return null_spaces(self._setting.task.jacobians(at.tool_rotation, at.jacobian))
+        return null_spaces(self._postures, self._setting.task, q)
 
     def _content(self, cells: _Cells) -> tuple[_Content, BoolArray]:
         """What the objective may fall to in each cell, and whether anything admissible may be in it."""

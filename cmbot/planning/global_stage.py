@@ -7,15 +7,17 @@ rest in an admissible posture with a smaller objective.
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray
 from cmbot.errors import PathNotFound
 from cmbot.planning.chart_nodes import ChartNodes
-from cmbot.planning.dynamic_programming import WayThrough, edges, nearest_turn
+from cmbot.planning.dynamic_programming import WayThrough, edges_between, nearest_turn
 from cmbot.planning.floor import find_floor
 from cmbot.planning.refinement import refined, ways_beside
 from cmbot.planning.self_motion import Chart, ChartMaker, charts_of
@@ -67,7 +69,7 @@ class GlobalStage:
 
     def __init__(self, setting: Setting) -> None:
         self._setting = setting
-        options, limits, times = setting.options, setting.robot.limits, setting.times
+        options, limits = setting.options, setting.robot.limits
         maker, charts = self._charts(setting.task)
         self._nodes = [ChartNodes(chart, setting.clearances, options.safety_margin_m) for chart in charts]
         self.floor, lowest = find_floor(setting, self._nodes, maker.spacing)
@@ -76,17 +78,17 @@ class GlobalStage:
         if self._wide:
             charts = self._with_more(charts, lowest)
             self._nodes = [ChartNodes(chart, setting.clearances, options.safety_margin_m) for chart in charts]
-        self._steps = (
-            options.step_share * limits.velocity * np.diff(times)[:, None] + 0.5 * options.chart_spacing
-        )
         self._endless = np.isinf(limits.lower)
-        self._edges = [
-            edges(a.chart.q, b.chart.q, step, self._endless)
-            for a, b, step in zip(self._nodes, self._nodes[1:], self._steps, strict=False)
-        ]
+        self._allow(options.step_share)
         self.first_chart = charts[0]
         self._away = np.abs(self._from_the_scenes(charts[0].q)).max(axis=1)
         self._pinned = self._away < _SAME_POSTURE
+
+    def halved(self) -> GlobalStage:
+        """Return the same charts with half the steps between via-points: its ways are calmer."""
+        half = copy.copy(self)
+        half._allow(0.5 * self.step_share)
+        return half
 
     def solve(self, *, pinned: bool) -> GlobalSolution:
         """Find the sequence with the smallest peak, then mean square, of the objective at rest.
@@ -134,9 +136,22 @@ class GlobalStage:
                 failures.append(failure)
         raise no_start_left(failures) from failed
 
+    def _allow(self, step_share: float) -> None:
+        """Let joints use that share of their velocity bounds between via-points."""
+        setting = self._setting
+        self.step_share = step_share
+        self._steps = (
+            step_share * setting.robot.limits.velocity * np.diff(setting.times)[:, None]
+            + 0.5 * setting.options.chart_spacing
+        )
+        self._edges = [
+            edges_between(a, b, step, self._endless)
+            for (a, b), step in zip(pairwise(self._nodes), self._steps, strict=True)
+        ]
+
     def _solve(self, starts: BoolArray) -> GlobalSolution:
         self._setting.teller.step("choosing the postures of least torque")
-        way = WayThrough(self._setting, self._nodes, self._edges, self._steps, starts)
+        way = WayThrough(self._setting, self._nodes, self._edges, starts)
         chosen = way.best()
         q = np.stack([node.chart.q[k] for node, k in zip(self._nodes, chosen, strict=True)])
         if self._wide:

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.arrays import BoolArray, FloatArray
+from cmbot.planning.many_systems import gram, null_directions, solved
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Postures
+from cmbot.robot import Postures, ToolBatch
 
 __all__ = ["Leaning", "null_spaces", "project"]
 
@@ -17,6 +18,8 @@ _ON_TASK = 1e-10
 _FEW_STEPS = 6
 # Postures far from the task take steps of at most this length a joint, rad.
 _LONGEST_STEP = 0.6
+# Added to what is singular where Jacobians are.
+_REGULAR = 1e-12
 
 
 def project(
@@ -30,21 +33,29 @@ def project(
     reached : (N,)
         Which of them lie on the task now.
     """
-    q, points = q.copy(), np.broadcast_to(point, (len(q), 3))
+    # Components lead and postures trail here, so that operations run along postures.
+    x, points = q.T.copy(), np.broadcast_to(point, (len(q), 3))
     reached = np.zeros(len(q), dtype=np.bool_)
-    active = np.arange(len(q))
+    active, sure = np.arange(len(q)), reached
     for _ in range(steps):
-        at = postures.at(q[active])
-        error = task.errors(at.tool_point, at.tool_rotation, points[active])
-        done = np.abs(error).max(axis=1) < _ON_TASK
-        reached[active[done]] = True
-        active, error = active[~done], error[~done]
+        reached[active[sure]] = True
+        active = active[~sure]
+        at = postures.tool_at(x[:, active].T)
+        error = task.errors(at.tool_point, at.tool_rotation, points[active]).T
+        J = _leading(task, at)
+        done = np.abs(error).max(axis=0, initial=0.0) < _ON_TASK
+        if done.any():
+            reached[active[done]] = True
+            active, error, J = active[~done], error[:, ~done], J[:, :, ~done]
         if len(active) == 0:
             break
-        J = task.jacobians(at.tool_rotation, at.jacobian)[~done]
-        step = J.transpose(0, 2, 1) @ np.linalg.solve(_gram(J), error[..., None])
-        q[active] += _shortened(step[..., 0])
-    return q, reached
+        y = solved(gram(J, _REGULAR), error[:, None])[:, 0]
+        step = _shortened(np.einsum("ikn,in->kn", J, y))
+        x[:, active] += step
+        # What a short step leaves need not be looked at: it is no more than curvature times its square.
+        left = _REGULAR * np.abs(y).max(axis=0) + postures.bend * np.abs(step).sum(axis=0) ** 2
+        sure = left < _ON_TASK
+    return np.ascontiguousarray(x.T), reached
 
 
 @dataclass(frozen=True)
@@ -56,7 +67,7 @@ class Leaning:
     q : (N, n), rad
     point : (3,), m
         Where they hold the tool.
-    slope : (N, n, 3), rad/m
+    slope : (n, 3, N), rad/m
         The least way that they move as the tool does.
     """
 
@@ -67,30 +78,27 @@ class Leaning:
     @staticmethod
     def of(postures: Postures, task: ToolTask, q: FloatArray, point: FloatArray) -> Leaning:
         """Return how postures `q` (N, n) lean, which hold the tool at `point` (3,)."""
-        at = postures.at(q)
-        J = task.jacobians(at.tool_rotation, at.jacobian)
-        along = np.broadcast_to(np.eye(J.shape[1])[:, :3], (len(J), J.shape[1], 3))
-        return Leaning(q, point, J.transpose(0, 2, 1) @ np.linalg.solve(_gram(J), along))
+        J = _leading(task, postures.tool_at(q))
+        along = np.broadcast_to(np.eye(len(J))[:, :3, None], (len(J), 3, len(q)))
+        return Leaning(q, point, np.einsum("ikn,ijn->kjn", J, solved(gram(J, _REGULAR), along)))
 
     def towards(self, point: FloatArray) -> FloatArray:
         """Postures (N, n) that hold the tool at `point` (3,) to first order: what `project` does first."""
-        return self.q + _shortened(self.slope @ (point - self.point))
+        step = np.einsum("kjn,j->kn", self.slope, point - self.point)
+        return np.asarray(self.q + _shortened(step).T)
 
 
-def _gram(J: FloatArray) -> FloatArray:
-    """Matrices (N, m, m) ``J J^T``, regular where Jacobians `J` (N, m, n) are singular, too."""
-    return np.asarray(J @ J.transpose(0, 2, 1) + 1e-12 * np.eye(J.shape[1]))
+def _leading(task: ToolTask, at: ToolBatch) -> FloatArray:
+    """Task Jacobians (m, n, N)."""
+    J = task.jacobians(at.tool_rotation, at.leading_jacobian.transpose(2, 0, 1))
+    return np.ascontiguousarray(J.transpose(1, 2, 0))
 
 
 def _shortened(step: FloatArray) -> FloatArray:
-    """Steps (N, n), none of them longer than the longest that a joint may take."""
-    longest = np.abs(step).max(axis=1, keepdims=True)
-    return np.asarray(step * np.minimum(1.0, _LONGEST_STEP / np.maximum(longest, 1e-30)))
+    """Steps (n, N), none of them longer than the longest that a joint may take."""
+    return np.asarray(step * np.minimum(1.0, _LONGEST_STEP / np.maximum(np.abs(step).max(axis=0), 1e-30)))
 
 
-def null_spaces(J: FloatArray) -> FloatArray:
-    """Orthonormal bases (N, n - m, n) of what Jacobians `J` (N, m, n) take to nothing."""
-    # The last columns of Q are what the rows of J leave out; four times as quick as a singular value
-    # decomposition.
-    Q = np.linalg.qr(J.transpose(0, 2, 1), mode="complete")[0]
-    return np.asarray(Q[:, :, J.shape[1] :].transpose(0, 2, 1))
+def null_spaces(postures: Postures, task: ToolTask, q: FloatArray) -> FloatArray:
+    """Orthonormal bases (N, n - m, n) of the moves from postures `q` (N, n) that leave the task alone."""
+    return null_directions(_leading(task, postures.tool_at(q))).transpose(2, 0, 1)

@@ -21,6 +21,7 @@ from cmbot.planning.stretches import joined, stretch_of, stretches
 from cmbot.planning.subproblems import mean_square_subproblem, peak_subproblem
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.working_set import Violation, WorkingSet
+from cmbot.validation import counted
 
 __all__ = ["Optimised", "PassReport", "optimise"]
 
@@ -80,11 +81,14 @@ class Optimised:
     via_points : (n, d), rad
         What it was to pass through: those given, or where they slid to.
     passes : tuple of PassReport
+    whole_because : str
+        Of a long path that had to be solved whole: why its stretches could not be; else empty.
     """
 
     trajectory: QuinticTrajectory
     via_points: FloatArray
     passes: tuple[PassReport, ...]
+    whole_because: str = ""
 
 
 def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | None = None) -> Optimised:
@@ -106,9 +110,9 @@ def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | No
     if len(parts) > 1:
         try:
             return _stretch_by_stretch(problem, parts, at_rest, progress)
-        except OptimisationFailed:
+        except OptimisationFailed as failure:
             # To rest at every end of a stretch may be too much to ask; the path as a whole does not ask it.
-            pass
+            return replace(_whole(problem, at_rest, progress), whole_because=failure.reason)
     return _whole(problem, at_rest, progress)
 
 
@@ -146,10 +150,18 @@ def _whole(
     # Where a resting end that cannot change asks the most, there is nothing to lower but the mean square.
     # With sliding knots that is known beforehand.
     peak = problem.via_point_peak if problem.family.slides else problem.scale
-    if peak > at_rest:
+    lowered = peak > at_rest
+    if lowered:
         peak = problem.scale * run.stage("peak", 1.0)
     if peak <= at_rest:
-        run.stage("mean square", at_rest / problem.scale)
+        try:
+            run.stage("mean square", at_rest / problem.scale)
+        except OptimisationFailed:
+            if lowered:
+                raise
+            # The arm may be unable to set off without asking more than at rest: then that is made small.
+            run = _Run(problem, progress)
+            run.stage("peak", 1.0)
     return Optimised(
         trajectory=problem.trajectory(run.family, run.x),
         via_points=run.family.via_points_at(run.x),
@@ -207,7 +219,9 @@ class _Run:
         options, stalls = self._problem.options, 0
         while True:
             if len(self.reports) >= options.max_passes:
-                raise self._failure(f"no solution in {options.max_passes} passes", self.reports[-1].worst)
+                passes = counted(options.max_passes, "pass", "passes")
+                reason = f"no solution in {passes}, and planner.max_passes allows no more"
+                raise self._failure(reason, self.reports[-1].worst)
             bound, iterations, gain = self._solve(name, bound, effort)
             added, worst, peak = self._look(bound, effort)
             self._report(name, iterations, peak, worst)

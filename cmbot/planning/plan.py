@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from cmbot.arguments import require_type
 from cmbot.arrays import FloatArray
 from cmbot.errors import PathNotFound
 from cmbot.planning.approach import Approach
@@ -26,7 +27,7 @@ from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.clearance import Clearances
 
-__all__ = ["Plan", "Seconds", "Start"]
+__all__ = ["Plan", "Seconds", "Start", "require_plan"]
 
 # Step of the sampled motions, s.
 _SAMPLE_STEP = 0.01
@@ -103,6 +104,8 @@ class Plan:
         What was done about the vibration; None with fixed knots, where nothing bends, or unasked.
     sag : ToolSag or None
         That sag.
+    fallbacks : tuple of str
+        What did not work, and was done in another way, a sentence each.
     seconds : Seconds
     """
 
@@ -125,6 +128,7 @@ class Plan:
     compensation: Compensation | None
     quieting: Quieting | None
     sag: ToolSag | None
+    fallbacks: tuple[str, ...]
     seconds: Seconds
 
     @property
@@ -201,6 +205,22 @@ class Plan:
         if self.approach is None:
             return "-"
         return f"{self.approach.certificate.figures.peak_guardrail_torque:.2f}"
+
+
+def require_plan(value: object, source: str) -> None:
+    """Refuse what is no plan, such as the path of a plan directory.
+
+    Parameters
+    ----------
+    value : object
+    source : str
+        What it was handed to.
+
+    Raises
+    ------
+    InputError
+    """
+    require_type(value, Plan, source, "plan", "a Plan, as cmbot.plan and cmbot.load_plan return it")
 
 
 _ROWS = (

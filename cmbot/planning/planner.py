@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
+from cmbot.arguments import checked_options, require_type
 from cmbot.arrays import FloatArray
 from cmbot.errors import InputError, OptimisationFailed, PathNotFound
 from cmbot.planning.approach import Approach, plan_approach
 from cmbot.planning.baseline import baseline_samples
+from cmbot.planning.calmer_ways import followed
 from cmbot.planning.certificate import Certificate, certificate_grid, certify
 from cmbot.planning.compensation import MOST_ROUNDS, Compensation, compensate
 from cmbot.planning.figures import figures
@@ -28,11 +30,11 @@ from cmbot.planning.setting import Setting, prepare
 from cmbot.planning.solvers import solver_of
 from cmbot.planning.state_functions import States
 from cmbot.planning.stretches import stretches
+from cmbot.planning.tool_reach import require_within_reach
 from cmbot.planning.trajectory import QuinticTrajectory
 from cmbot.planning.ways import Way, fixed_way, sliding_way
 from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.validation import validated
 
 __all__ = ["checked", "plan"]
 
@@ -84,8 +86,10 @@ def plan(
     LimitViolation
         When the certificate does not hold.
     """
-    if not isinstance(scene, Scene):
-        raise InputError("plan", "scene", type(scene).__name__, "a Scene, as cmbot.load_scene returns it")
+    require_type(scene, Scene, "cmbot.plan", "scene", "a Scene, as cmbot.load_scene returns it")
+    for key, value in (("objective", objective), ("progress", progress)):
+        if not (value is None or callable(value)):
+            raise InputError("cmbot.plan", key, type(value).__name__, "something to call, or None")
     options = checked(options) if options is not None else scene.planner
     # What the plan holds then says which solver it was made with.
     asked, options = options.solver, replace(options, solver=solver_of(options))
@@ -99,7 +103,9 @@ def plan(
             if not (failure.undecided and asked == "auto" and options.solver == "sqp" and bearable):
                 raise
             teller.step("sqp gave up; trying slsqp")
-            return _plan(scene, replace(options, solver="slsqp"), objective, teller, clock)
+            made = _plan(scene, replace(options, solver="slsqp"), objective, teller, clock)
+            gave_up = f"The solver sqp gave up ({failure.reason}): planned with slsqp instead."
+            return replace(made, fallbacks=(gave_up, *made.fallbacks))
 
 
 def _plan(
@@ -112,13 +118,14 @@ def _plan(
     teller.stage("path")
     setting = prepare(scene, options, own, teller)
     require_reasonable_size(scene, setting.robot.dof, options)
+    require_within_reach(setting)
     if options.knots == "sliding":
         way = sliding_way(setting)
     else:
         way = fixed_way(setting, lambda failed: teller.stage("path", failed_starts=failed))
     path_seconds = clock.lap()
     try:
-        work = _work(setting, way, clock)
+        way, work = followed(setting, way, partial(_work, setting, clock))
     except PathNotFound as failure:
         if way.choice is None or 0 in way.resting:
             raise
@@ -126,7 +133,7 @@ def _plan(
         teller.stage("path")
         way = sliding_way(setting, unreached=failure)
         path_seconds += clock.lap()
-        work = _work(setting, way, clock)
+        way, work = followed(setting, way, partial(_work, setting, clock))
     # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
     path = follow_path(
         setting.robot,
@@ -149,7 +156,7 @@ def _plan(
     )
     return Plan(
         scene=scene,
-        options=options,
+        options=options if way.stage is None else replace(options, step_share=way.stage.step_share),
         robot=setting.robot,
         task=setting.task,
         start=work.start,
@@ -167,6 +174,7 @@ def _plan(
         compensation=work.compensation,
         quieting=work.quieting,
         sag=setting.sag,
+        fallbacks=_fallbacks(way, work.optimised),
         seconds=Seconds(
             path=path_seconds,
             optimise=work.optimise_seconds,
@@ -190,7 +198,7 @@ class _Work:
     certify_seconds: float
 
 
-def _work(setting: Setting, way: Way, clock: _Clock) -> _Work:
+def _work(setting: Setting, clock: _Clock, way: Way) -> _Work:
     teller = setting.teller
     teller.stage("optimise")
 
@@ -240,6 +248,14 @@ def _work(setting: Setting, way: Way, clock: _Clock) -> _Work:
     )
 
 
+def _fallbacks(way: Way, optimised: Optimised) -> tuple[str, ...]:
+    done = [way.instead_of] if way.instead_of else []
+    if optimised.whole_because:
+        why = f"not stretch by stretch, as a stretch failed ({optimised.whole_because}): that took longer."
+        done.append(f"The path was optimised as a whole, {why}")
+    return tuple(done)
+
+
 def _states(trajectory: QuinticTrajectory, options: PlannerOptions) -> States:
     """The planned motion as finely sampled as it is certified."""
     grid = certificate_grid(trajectory, options)
@@ -261,7 +277,7 @@ def checked(options: PlannerOptions) -> PlannerOptions:
     InputError
         Naming the option, what it is and what it may be.
     """
-    return validated(PlannerOptions, asdict(options), "PlannerOptions", InputError)
+    return checked_options(PlannerOptions, options, "PlannerOptions")
 
 
 class _Clock:

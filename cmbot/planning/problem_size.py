@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 
 from cmbot.errors import MissingExtra, SceneError
+from cmbot.extras import install_command
 from cmbot.planning.solvers import solver_of
 from cmbot.planning.spline_space import SUPPORT
 from cmbot.planning.task import task_dimension
@@ -43,7 +44,7 @@ def oversized(scene: Scene, joints: int, options: PlannerOptions) -> Finding | N
         return None
     most = (MOST_UNKNOWNS + SUPPORT * joints) // (joints + slides)
     installed = importlib.util.find_spec("piqp") is not None
-    how = "" if installed else " (pip install 'cmbot[fast]')"
+    how = "" if installed else f" ({install_command('fast')})"
     return Finding(
         severity="warning",
         key="tool_path.via_points",

@@ -50,18 +50,23 @@ class Quieting:
     ----------
     modes : int
         The first so many are brought to rest.
-    share : float
-        Of the change that would take all of their vibration away; 0 when every change broke a bound. On a
-        long path the smallest of those of its windows.
+    shares : tuple of float
+        For each leg, of the change that would take all of their vibration at its end away; 0 where every
+        change broke a bound. Short legs that follow on one another have theirs in common.
     before, after : float, m
         Amplitude of the tool that these modes leave at the end of the motion, as predicted, without and with
         the change.
     """
 
     modes: int
-    share: float
+    shares: tuple[float, ...]
     before: float
     after: float
+
+    @property
+    def share(self) -> float:
+        """Mean of the legs' shares."""
+        return sum(self.shares) / len(self.shares)
 
 
 def quiet(
@@ -91,11 +96,16 @@ def quiet(
         leg = LegVibration(arm, trajectory, t[first], t[last], modes)
         window.bring_to_rest(leg, trajectory)
     setting.teller.step("bringing the slowest vibrations to rest")
-    changed, share = _Search(problem, trajectory, windows).changed()
+    changed, shares = _Search(problem, trajectory, windows).changed()
     before, after = (leg.tool_amplitude(leg.vibration(x)) for x in (trajectory, changed))
     return (
         replace(optimised, trajectory=changed),
-        Quieting(modes=modes, share=share, before=before, after=after),
+        Quieting(
+            modes=modes,
+            shares=tuple(share for share, group in zip(shares, groups, strict=True) for _ in group),
+            before=before,
+            after=after,
+        ),
     )
 
 
@@ -135,8 +145,8 @@ class _Search:
         self._here, self._broken = trajectory, 0.0
         self._held = self._held_here()
 
-    def changed(self) -> tuple[QuinticTrajectory, float]:
-        """Return the changed trajectory, and the smallest share of a window's change that it took."""
+    def changed(self) -> tuple[QuinticTrajectory, list[float]]:
+        """Return the changed trajectory, and the share of each window's change that it took."""
         unfit = ~self._hopeless
         for _ in range(_ROUNDS):
             self._step(unfit)
@@ -151,8 +161,8 @@ class _Search:
                     self._X[own], self._shares[k] = share * whole[own], share * shares[k]
                 unfit = self._unfit() & (self._shares > 0)
         if self._broken > self._allowed:
-            return self._given, 0.0
-        return self._here, float(self._shares.min())
+            return self._given, [0.0] * len(self._windows)
+        return self._here, [float(share) for share in self._shares]
 
     def _unfit(self) -> BoolArray:
         """Which of the windows break a bound, or have not been changed yet."""

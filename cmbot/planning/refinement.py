@@ -14,7 +14,7 @@ import numpy as np
 
 from cmbot.arrays import FloatArray
 from cmbot.planning.chart_nodes import ChartNodes
-from cmbot.planning.dynamic_programming import WayThrough, edges
+from cmbot.planning.dynamic_programming import WayThrough, edges_between
 from cmbot.planning.on_task import null_spaces, project
 from cmbot.planning.self_motion import charts_of
 from cmbot.planning.setting import Setting
@@ -96,9 +96,11 @@ def refined(
             each[0] = q[:1]
         charts = charts_of(postures, setting.robot.limits, setting.objective, each)
         nodes = [ChartNodes(chart, setting.clearances, margin) for chart in charts]
-        links = [edges(a, b, step, endless) for (a, b), step in zip(pairwise(each), steps, strict=True)]
+        links = [
+            edges_between(a, b, step, endless) for (a, b), step in zip(pairwise(nodes), steps, strict=True)
+        ]
         starts = np.ones(len(each[0]), dtype=np.bool_)
-        chosen = WayThrough(setting, nodes, links, steps, starts).best()
+        chosen = WayThrough(setting, nodes, links, starts).best()
         q = np.stack([chart.q[k] for chart, k in zip(charts, chosen, strict=True)])
         if max(chart.value[k] for chart, k in zip(charts, chosen, strict=True)) <= floor * (
             1 + _NEAR_THE_FLOOR
@@ -114,8 +116,7 @@ def _candidates(
     """Postures at every via-point: those of the way, what its neighbours become there, and others around."""
     n, d = q.shape
     points = setting.task.path.position(setting.times)
-    at = postures.at(q)
-    null = null_spaces(setting.task.jacobians(at.tool_rotation, at.jacobian))
+    null = null_spaces(postures, setting.task, q)
     directions = rng.normal(size=(n, _AROUND, null.shape[1]))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     # As many far as near: the square of the share counts.

@@ -9,6 +9,7 @@ import numpy as np
 from cmbot.arrays import FloatArray
 from cmbot.planning.objective_figures import ObjectiveFigures
 from cmbot.planning.plan import Plan
+from cmbot.planning.quieting import Quieting
 from cmbot.validation import counted
 
 __all__ = ["remarks"]
@@ -29,6 +30,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield _gain(plan)
     yield from _nothing_gained(plan)
     yield from _floor(plan)
+    yield from plan.fallbacks
     yield from _bending(plan)
     yield from _of_motion_alone(plan)
     checks, passes = len(plan.certificate.checks), counted(len(plan.passes), "pass", "passes")
@@ -54,24 +56,39 @@ def _bending(plan: Plan) -> Iterator[str]:
             f"Sag compensated in {rounds}: the joints aim up to {1e3 * done.largest_shift:.2f} mm beside the "
             "path, so that the bent arm follows it; the tool deviation is the bent arm's, as predicted."
         )
-    quiet = plan.quieting
-    if quiet is not None:
-        modes = "slowest vibration" if quiet.modes == 1 else f"{quiet.modes} slowest vibrations"
-        swing = f"they would leave the tool swinging by {1e3 * quiet.before:.4f} mm to either side"
-        brought = "is brought" if quiet.share == 1 else "is in part brought"
-        if quiet.modes != 1:
-            brought = brought.replace("is ", "are ")
-        if quiet.share == 0:
-            yield (
-                f"Quieting: the {modes} of guardrail and links could not be brought to rest at the ends of "
-                f"the legs: no change of the motion that was tried keeps every bound. As predicted, {swing}."
-            )
-            return
-        yield (
-            f"Quieting: the {modes} of guardrail and links {brought} to rest at the ends of the legs, by how "
-            f"the joints move; as predicted, {swing} without that, and by {1e3 * quiet.after:.4f} mm with "
-            "it. It counts on the right stiffness."
+    if plan.quieting is not None:
+        yield _quieting(plan.quieting)
+
+
+def _quieting(quiet: Quieting) -> str:
+    modes = "slowest vibration" if quiet.modes == 1 else f"{quiet.modes} slowest vibrations"
+    swing = f"they would leave the tool swinging by {1e3 * quiet.before:.4f} mm to either side"
+    if not any(quiet.shares):
+        return (
+            f"Quieting: the {modes} of guardrail and links could not be brought to rest at the ends of "
+            f"the legs: no change of the motion that was tried keeps every bound. As predicted, {swing}."
         )
+    brought = ("is " if quiet.modes == 1 else "are ") + ("" if 1.0 in quiet.shares else "in part ")
+    return (
+        f"Quieting: the {modes} of guardrail and links {brought}brought to rest at the ends of "
+        f"{_quiet_legs(quiet.shares)}, by how the joints move; as predicted, {swing} without that, and by "
+        f"{1e3 * quiet.after:.4f} mm with it. It counts on the right stiffness."
+    )
+
+
+def _quiet_legs(shares: tuple[float, ...]) -> str:
+    """Name the legs that are quieted, those in part, and those that are not."""
+    legs, whole, none = len(shares), shares.count(1.0), shares.count(0.0)
+    part = legs - whole - none
+    first = whole or part
+    if first == legs:
+        return "the legs"
+    words = f"{first} of the {legs} legs"
+    if whole and part:
+        words += f", in part at those of {part}"
+    if none:
+        words += f", and at those of {none} not, where no change that was tried keeps every bound"
+    return words
 
 
 def _start(plan: Plan) -> Iterator[str]:

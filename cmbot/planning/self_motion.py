@@ -13,15 +13,15 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from cmbot.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.crowds import Crowds
 from cmbot.planning.objectives import Objective
 from cmbot.planning.on_task import Leaning, null_spaces, project
 from cmbot.planning.task import ToolTask
 from cmbot.robot import JointLimits, Postures
 
-__all__ = ["Chart", "ChartMaker", "charts_of", "without_neighbours"]
+__all__ = ["Chart", "ChartMaker", "charts_of"]
 
 # Newton steps that put random postures onto the task.
 _MANY_STEPS = 40
@@ -30,8 +30,9 @@ _APART = 0.7
 # The first chart has at most so many postures, those along the path at most so many: where the self-motion
 # has two dimensions or more, the spacing grows.
 _MOST_POSTURES, _TOO_MANY, _COARSER = 600, 1500, 1.6
-# Charts are carried to every so-manieth point first.
-_STRIDE = 6
+# Charts are carried to every so-manieth point first, and between so many pairs of these at once: more only
+# ask for memory.
+_STRIDE, _PAIRS = 6, 4
 # So many charts are evaluated at once: more only ask for memory, and lose its nearness.
 _TOGETHER = 10
 # A joint that passes half a turn is charted within one turn either way, rad.
@@ -114,10 +115,8 @@ class ChartMaker:
         self._round = np.isinf(limits.lower) | within_half_a_turn
         self._lower = np.where(self._round, -np.pi, np.maximum(limits.lower, -_ONE_TURN))
         self._upper = np.where(self._round, np.pi, np.minimum(limits.upper, _ONE_TURN))
-        self._circle = np.append(np.where(self._round, 2 * np.pi, 0.0), 0.0)
         self.spacing = spacing
         self._seeds = seeds
-        self._none = _Postures.of_each([np.empty((0, len(limits.lower)))])
         self._wide = max(len(limits.lower) - task.dimension, 2)
 
     def first(self, point: FloatArray, known: FloatArray) -> Chart:
@@ -160,18 +159,22 @@ class ChartMaker:
     ) -> list[FloatArray]:
         """Postures of the charts at `points` (k, 3)."""
         last = len(points) - 1
-        stations = [*range(0, last, _STRIDE), last]
+        stations = list(pairwise([*range(0, last, _STRIDE), last]))
         charts: dict[int, FloatArray] = {0: self.first(points[0], known).q}
         # To every so-manieth point one after the other, then to those between from both sides at once.
         leaning = {0: self._leaning(charts[0], points[0])}
         tell(1, len(points))
-        for before, here in pairwise(stations):
-            charts[here] = self._carried([[leaning[before]]], points[[here]])[0]
-            leaning[here] = self._leaning(charts[here], points[here])
-            between = range(before + 1, here)
-            sides = [[leaning[side] for side in _sides(k, before, here)] for k in between]
-            charts.update(zip(between, self._carried(sides, points[before + 1 : here]), strict=True))
-            del leaning[before]
+        for first in range(0, len(stations), _PAIRS):
+            some = stations[first : first + _PAIRS]
+            for before, here in some:
+                charts[here] = self._carried([[leaning[before]]], points[[here]])[0]
+                leaning[here] = self._leaning(charts[here], points[here])
+                tell(len(charts), len(points))
+            sides = {k: _sides(k, *pair) for pair in some for k in range(pair[0] + 1, pair[1])}
+            if sides:
+                beside = [[leaning[side] for side in each] for each in sides.values()]
+                charts.update(zip(sides, self._carried(beside, points[list(sides)]), strict=True))
+            leaning = {some[-1][1]: leaning[some[-1][1]]}
             tell(len(charts), len(points))
         return [charts[k] for k in range(len(points))]
 
@@ -180,75 +183,52 @@ class ChartMaker:
 
     def _carried(self, known: Sequence[Sequence[Leaning]], points: FloatArray) -> list[FloatArray]:
         """Grow charts at `points` (k, 3), each from the `known` ones beside it, the nearer first."""
-        accepted = self._none
+        crowds = self._crowds(len(points))
         for charts in zip(*known, strict=True):
             some = _Postures.of_each([chart.towards(p) for chart, p in zip(charts, points, strict=True)])
             # What leads to where there is a posture already need not be placed.
-            some = some[self._far(self._tree(accepted), some.q, some.of)]
-            placed, reached = project(self._postures, self._task, some.q, points[some.of])
-            found = self._apart(self._tree(accepted), placed[reached], some.of[reached])
-            accepted = accepted.and_those(found)
-        return self._grown(accepted, points)
+            some = some[crowds.far(some.q, some.of)]
+            self._place(some, points, crowds)
+        return self._grown(crowds, points)
 
     def _grown_from(self, seeds: FloatArray, point: FloatArray) -> FloatArray:
         """Grow the chart at `point` (3,) from postures (N, n) on the task."""
-        of_point = np.zeros(len(seeds), dtype=np.intp)
-        return self._grown(self._apart(self._tree(self._none), seeds, of_point), point[None])[0]
+        crowds = self._crowds(1)
+        self._take(_Postures(seeds, np.zeros(len(seeds), dtype=np.intp)), crowds)
+        return self._grown(crowds, point[None])[0]
 
     def _charts(self, each: Sequence[FloatArray]) -> list[Chart]:
         return charts_of(self._postures, self._limits, self._objective, each)
 
-    def _grown(self, accepted: _Postures, points: FloatArray) -> list[FloatArray]:
+    def _crowds(self, number: int) -> Crowds:
+        return Crowds(number, _APART * self.spacing, self._round)
+
+    def _grown(self, crowds: Crowds, points: FloatArray) -> list[FloatArray]:
         """Grow charts at `points` (k, 3) from postures on the task until they have nowhere to grow."""
-        frontier = accepted
+        frontier = _Postures.of_each(crowds.postures)
         while len(frontier.q):
-            tree = self._tree(accepted)
-            growing = np.bincount(accepted.of, minlength=len(points)) <= _TOO_MANY
-            frontier = frontier[growing[frontier.of]]
+            frontier = frontier[(crowds.sizes <= _TOO_MANY)[frontier.of]]
             steps = self.spacing * self._tangents(frontier.q)
             ahead = np.concatenate([frontier.q[:, None] + steps, frontier.q[:, None] - steps], axis=1)
-            of = np.repeat(frontier.of, ahead.shape[1])
-            q = ahead.reshape(-1, frontier.q.shape[1])
+            some = _Postures(ahead.reshape(-1, frontier.q.shape[1]), np.repeat(frontier.of, ahead.shape[1]))
             # Where there is a posture already nothing has to be placed.
-            new = self._far(tree, q, of)
-            placed, reached = project(self._postures, self._task, q[new], points[of[new]])
-            frontier = self._apart(tree, placed[reached], of[new][reached])
-            accepted = accepted.and_those(frontier)
-        order = np.argsort(accepted.of, kind="stable")
-        ends = np.searchsorted(accepted.of[order], np.arange(len(points) + 1))
-        return [accepted.q[order[a:b]] for a, b in pairwise(ends)]
+            frontier = self._place(some[crowds.far(some.q, some.of)], points, crowds)
+        return crowds.postures
 
-    def _apart(self, tree: cKDTree, q: FloatArray, of: IntArray) -> _Postures:
-        """Those of `q` that are apart from those in a tree and from each other."""
-        q = np.where(self._round, (q + np.pi) % (2 * np.pi) - np.pi, q)
-        inside = ((q >= self._lower) & (q <= self._upper)).all(axis=1)
-        some = _Postures(q[inside], of[inside])
-        some = some[self._far(tree, some.q, some.of)]
-        if len(some.q) < 2:
-            return some
-        pairs = self._tree(some).query_pairs(_APART * self.spacing, output_type="ndarray")
-        return some[without_neighbours(len(some.q), pairs)]
+    def _place(self, some: _Postures, points: FloatArray, crowds: Crowds) -> _Postures:
+        """Put postures onto the task at their points and take in what is apart there; return that."""
+        placed, reached = project(self._postures, self._task, some.q, points[some.of])
+        return self._take(_Postures(placed[reached], some.of[reached]), crowds)
 
-    def _far(self, tree: cKDTree, q: FloatArray, of: IntArray) -> BoolArray:
-        """Which of `q` are apart from those in a tree."""
-        apart = _APART * self.spacing
-        return np.asarray(tree.query(self._on_circle(q, of), distance_upper_bound=apart)[0] >= apart)
-
-    def _tree(self, some: _Postures) -> cKDTree:
-        """Tree of postures in which angles beyond half a turn are near those on the other side."""
-        return cKDTree(self._on_circle(some.q, some.of), boxsize=self._circle)
-
-    def _on_circle(self, q: FloatArray, of: IntArray) -> FloatArray:
-        # The tree wants angles from 0 to below a whole turn; a tiny negative one would round up to it. Charts
-        # of different points are far from each other.
-        turned = np.where(self._round, q % (2 * np.pi), q)
-        turned = np.where(self._round & (turned >= 2 * np.pi), 0.0, turned)
-        return np.column_stack([turned, 2.0 * self.spacing * of])
+    def _take(self, some: _Postures, crowds: Crowds) -> _Postures:
+        """Take in what is in the chart's range and apart from others; return that."""
+        q = np.where(self._round, (some.q + np.pi) % (2 * np.pi) - np.pi, some.q)
+        some = _Postures(q, some.of)[np.all((q >= self._lower) & (q <= self._upper), axis=1)]
+        return some[crowds.take(some.q, some.of)]
 
     def _tangents(self, q: FloatArray) -> FloatArray:
         """Orthonormal directions (N, d, n) that leave the task alone."""
-        at = self._postures.at(q)
-        return null_spaces(self._task.jacobians(at.tool_rotation, at.jacobian))
+        return null_spaces(self._postures, self._task, q)
 
 
 def _sides(k: int, before: int, after: int) -> tuple[int, int]:
@@ -256,23 +236,9 @@ def _sides(k: int, before: int, after: int) -> tuple[int, int]:
     return (before, after) if k - before <= after - k else (after, before)
 
 
-def without_neighbours(number: int, pairs: IntArray) -> BoolArray:
-    """Which of so many things remain when each removes its later neighbours, the first one first."""
-    keep, open_ = np.ones(number, dtype=np.bool_), np.ones(number, dtype=np.bool_)
-    while len(pairs):
-        # What has no earlier neighbour left stays, and those beside it go.
-        waiting = np.zeros(number, dtype=np.bool_)
-        waiting[pairs[:, 1]] = True
-        settled = open_ & ~waiting
-        keep[pairs[settled[pairs[:, 0]], 1]] = False
-        open_ = keep & waiting
-        pairs = pairs[open_[pairs].all(axis=1)]
-    return keep
-
-
 @dataclass(frozen=True)
 class _Postures:
-    """Postures (N, n), and to which of several charts each belongs (N,)."""
+    """Postures (N, n), and to which of several charts each belongs (N,); that ascends."""
 
     q: FloatArray
     of: IntArray
@@ -281,9 +247,6 @@ class _Postures:
     def of_each(charts: Sequence[FloatArray]) -> _Postures:
         """Put together the postures of charts."""
         return _Postures(np.vstack(charts), np.repeat(np.arange(len(charts)), [len(q) for q in charts]))
-
-    def and_those(self, others: _Postures) -> _Postures:
-        return _Postures(np.vstack([self.q, others.q]), np.append(self.of, others.of))
 
     def __getitem__(self, index: BoolArray) -> _Postures:
         return _Postures(self.q[index], self.of[index])

@@ -10,7 +10,7 @@ from cmbot.arrays import FloatArray
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
-from cmbot.errors import SceneError
+from cmbot.errors import ModelError, SceneError
 from cmbot.planning.objectives import Objective, objective_of
 from cmbot.planning.progress import Teller
 from cmbot.planning.task import ToolTask
@@ -144,22 +144,31 @@ def robot_of(scene: Scene) -> Robot:
     ------
     ModelError
         When its files cannot be used.
+    SceneError
+        When the scene names a frame that is none of its robot's.
     """
     source = scene.robot
     mount = None
     if source.mount_xyz is not None and source.mount_rpy is not None:
         mount = pose(source.mount_xyz, source.mount_rpy)
-    return load_robot(
-        source.model,
-        base_frame=source.base_frame,
-        tool_frame=source.tool_frame,
-        limits=source.limits,
-        srdf=source.srdf,
-        elasticity=source.elasticity,
-        mount=mount,
-        tool_length=source.tool_length,
-        payload=source.payload,
-    )
+    try:
+        return load_robot(
+            source.model,
+            base_frame=source.base_frame,
+            tool_frame=source.tool_frame,
+            limits=source.limits,
+            srdf=source.srdf,
+            elasticity=source.elasticity,
+            mount=mount,
+            tool_length=source.tool_length,
+            payload=source.payload,
+        )
+    except ModelError as error:
+        if error.key not in ("base_frame", "tool_frame"):
+            raise
+        # What has to be changed stands in the scene.
+        key = f"robot.{error.key}"
+        raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
 
 
 def task_of(scene: Scene, robot: Robot) -> ToolTask:

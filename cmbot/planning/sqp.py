@@ -39,8 +39,10 @@ _MOST_PENALTY, _PENALTY_STEP = 1e4, 10.0
 # A step that leaves this share of the violations does little about them; a larger penalty is worthwhile if it
 # brings that down to this share; where none brings violations down to this share they cannot be met.
 _STAYS, _WORTHWHILE, _HOPELESS = 0.5, 0.5, 0.9
-# So many steps that together gain less than the accuracy are enough.
+# So many steps that together gain less than the accuracy are enough; so many that leave this share of what is
+# violated by more than that lead nowhere.
 _SLOW = 5
+_LONG, _LEFT, _FAR = 30, 0.8, 2e-2
 
 
 class Place(Protocol):
@@ -97,7 +99,7 @@ class Descent(Generic[AnyPlace]):
     settled : bool
         No step promises more than the accuracy, and the constraints are met.
     stuck : bool
-        Constraints are violated, and no step makes that better.
+        Constraints are violated, and no step makes that better, or many have done little about it.
     slow : bool
         Constraints are met, and the last steps together gained no more than the accuracy.
     """
@@ -181,6 +183,7 @@ class _Walk(Generic[AnyPlace]):
         self._accuracy, self._tolerance = accuracy, tolerance
         self._hessian = place.curvature(multipliers)
         self._excused, self._box = False, _BOX
+        self._violations = [place.values.violation]
 
     @property
     def slow(self) -> bool:
@@ -258,6 +261,9 @@ class _Walk(Generic[AnyPlace]):
         elif self.damping > _MOST_DAMPING:
             self.settled = model.violation <= self._tolerance
             self.stuck = not self.settled
+        self._violations.append(self.place.values.violation)
+        last = self._violations[-1 - _LONG :]
+        self.stuck |= len(last) > _LONG and min(last) > max(_FAR, _LEFT * last[0])
 
     def _tried(self, model: LocalModel, p: FloatArray, promised: float) -> tuple[AnyPlace | None, float]:
         """Take the step `p` (n,) and look what it gains; where that is little, correct it."""

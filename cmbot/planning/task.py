@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -81,8 +82,7 @@ class ToolTask:
         if self.keep == "position":
             return translation
         if self.keep == "pose":
-            turn = _rotation_vectors(R_goal @ R_WT.transpose(0, 2, 1))
-            return np.concatenate([translation, turn], axis=1)
+            return np.concatenate([translation.T, self._rotation_vectors(R_WT)]).T
         turns = _all_between(R_WT[:, :, 2], R_goal[:, 2])
         return np.concatenate([translation, np.einsum("kij,ki->kj", R_WT[:, :, :2], turns)], axis=1)
 
@@ -108,23 +108,35 @@ class ToolTask:
         chord = np.linalg.norm(R_WT - R_goal, axis=(1, 2)) / (2 * np.sqrt(2))
         return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
 
+    def _rotation_vectors(self, R_WT: FloatArray) -> FloatArray:
+        """Rotation vectors (3, N) of the turns from orientations `R_WT` (N, 3, 3) to the path's."""
+        # So the operations run along the orientations.
+        parts = self._to_sine_and_cosine @ R_WT.transpose(2, 1, 0).reshape(9, -1)
+        sine, cosine = parts[:3], parts[3] - 0.5
+        size = np.sqrt((sine * sine).sum(axis=0))
+        # What follows is exact but for half turns, whose axis it does not see; SciPy's own costs ten times
+        # more.
+        vectors = sine * (np.arctan2(size, cosine) / np.maximum(size, _NO_TURN))
+        vectors[:, size <= _NO_TURN] = 0.0
+        far = np.flatnonzero(cosine < _NEARLY_HALF_A_TURN)
+        if len(far):
+            turns = self.path.orientation @ R_WT[far].transpose(0, 2, 1)
+            vectors[:, far] = Rotation.from_matrix(turns).as_rotvec().T
+        return np.asarray(vectors)
+
+    @cached_property
+    def _to_sine_and_cosine(self) -> FloatArray:
+        """What makes of an orientation's three axes the turn's axis times its sine, and its cosine + 1/2.
+
+        Half the sum of the cross products, or of the scalar products, of both orientations' axes: (4, 9).
+        """
+        goal = self.path.orientation.T
+        return 0.5 * np.vstack([np.hstack([-pin.skew(axis) for axis in goal]), goal.reshape(1, 9)])
+
 
 def task_dimension(keep: Literal["pose", "axis", "position"]) -> int:
     """Return the number m of task coordinates."""
     return {"pose": 6, "axis": 5, "position": 3}[keep]
-
-
-def _rotation_vectors(R: FloatArray) -> FloatArray:
-    """Rotation vectors (N, 3) of rotations (N, 3, 3)."""
-    sine = 0.5 * np.stack([R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]], axis=1)
-    size, cosine = np.linalg.norm(sine, axis=1), 0.5 * (R[:, 0, 0] + R[:, 1, 1] + R[:, 2, 2] - 1.0)
-    # What follows is exact but for half turns, whose axis it does not see; SciPy's own costs ten times more.
-    vectors = sine * (np.arctan2(size, cosine) / np.maximum(size, _NO_TURN))[:, None]
-    vectors[size <= _NO_TURN] = 0.0
-    far = np.flatnonzero(cosine < _NEARLY_HALF_A_TURN)
-    if len(far):
-        vectors[far] = Rotation.from_matrix(R[far]).as_rotvec()
-    return np.asarray(vectors)
 
 
 def _all_between(z: FloatArray, z_goal: FloatArray) -> FloatArray:

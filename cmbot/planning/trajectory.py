@@ -155,7 +155,7 @@ class QuinticTrajectory:
         Raises
         ------
         InputError
-            When a time is not one of the trajectory's.
+            When a time is no number, or not one of the trajectory's.
         """
         return self.derivatives(times, (order,))[0]
 
@@ -165,9 +165,9 @@ class QuinticTrajectory:
         Raises
         ------
         InputError
-            When a time is not one of the trajectory's.
+            When a time is no number, or not one of the trajectory's.
         """
-        t = self._own(np.asarray(times, dtype=np.float64))
+        t = self._own(_numbers(times))
         segment = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
         h = self.t[segment + 1] - self.t[segment]
         u = (t - self.t[segment]) / h
@@ -235,3 +235,10 @@ class QuinticTrajectory:
         h = np.diff(self.t)[:, None]
         c = derivative(self.coefficients, order)
         return np.asarray(c[1:, :, 0] / h[1:] ** order - c[:-1].sum(axis=-1) / h[:-1] ** order)
+
+
+def _numbers(times: ArrayLike) -> FloatArray:
+    try:
+        return np.asarray(times, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("QuinticTrajectory", "times", repr(times), "a row of numbers, s") from None

@@ -57,6 +57,12 @@ class Way:
         With sliding knots only.
     chart : Chart or None
         Of the self-motion at the start; with sliding knots only.
+    stage : GlobalStage or None
+        Where it comes from; with sliding knots only.
+    unreached : PathNotFound or None
+        Why no approach leads to where ``start: free`` would have the arm start, if that was tried.
+    instead_of : str
+        Where the steps between via-points had to be shorter than asked for: why; else empty.
     """
 
     problem: TorqueProblem
@@ -66,6 +72,9 @@ class Way:
     floor: Floor | None = None
     choice: Choice | None = None
     chart: Chart | None = None
+    stage: GlobalStage | None = None
+    unreached: PathNotFound | None = None
+    instead_of: str = ""
 
 
 def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
@@ -99,7 +108,9 @@ def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
     return Way(problem=problem, resting=resting, least=least, failures=failures)
 
 
-def sliding_way(setting: Setting, unreached: PathNotFound | None = None) -> Way:
+def sliding_way(
+    setting: Setting, unreached: PathNotFound | None = None, stage: GlobalStage | None = None
+) -> Way:
     """Take via-points from the global stage, to slide along the self-motion.
 
     With ``start: free`` the arm starts wherever the tool is the same, if that is worth leaving the scene's
@@ -111,6 +122,8 @@ def sliding_way(setting: Setting, unreached: PathNotFound | None = None) -> Way:
     setting : Setting
     unreached : PathNotFound, optional
         Why no approach leads to where ``start: free`` would have the arm start: it is treated as pinned.
+    stage : GlobalStage, optional
+        Of the same setting, where its charts are known already.
 
     Raises
     ------
@@ -119,8 +132,9 @@ def sliding_way(setting: Setting, unreached: PathNotFound | None = None) -> Way:
         nothing leads from one to the next.
     """
     options = setting.options
-    _require_clear_start(setting)
-    stage = GlobalStage(setting)
+    if stage is None:
+        _require_clear_start(setting)
+        stage = GlobalStage(setting)
     free, pinned = (_tried(stage, pinned=choice) for choice in (False, True))
     failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
     if isinstance(free, PathNotFound):
@@ -144,6 +158,8 @@ def sliding_way(setting: Setting, unreached: PathNotFound | None = None) -> Way:
         floor=stage.floor,
         choice=Choice(free=free.peak, pinned=pinned.peak if isinstance(pinned, GlobalSolution) else None),
         chart=stage.first_chart,
+        stage=stage,
+        unreached=unreached,
     )
 
 

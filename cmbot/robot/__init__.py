@@ -8,7 +8,7 @@ from cmbot.robot.kinematics import Kinematics
 from cmbot.robot.limits import JointLimits
 from cmbot.robot.loading import load_robot
 from cmbot.robot.overview import overview
-from cmbot.robot.postures import PostureBatch, Postures
+from cmbot.robot.postures import PostureBatch, Postures, ToolBatch
 from cmbot.robot.robot import Robot
 
 __all__ = [
@@ -23,6 +23,7 @@ __all__ = [
     "PostureBatch",
     "Postures",
     "Robot",
+    "ToolBatch",
     "WrenchDerivatives",
     "inspect_urdf",
     "load_robot",

@@ -13,6 +13,7 @@ import pinocchio as pin
 from cmbot.errors import ModelError
 from cmbot.robot.hulls import convex_hull, encloses_volume
 from cmbot.robot.semantics import Semantics, stance
+from cmbot.validation import hint
 
 __all__ = ["arm_model"]
 
@@ -112,9 +113,9 @@ def _convex_hull(shape: Any, source: str) -> Any:
 def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[int]:
     """Return the indices of the joints from `base_frame` to `tool_frame`."""
     for key, name in (("base_frame", base_frame), ("tool_frame", tool_frame)):
-        if not model.existFrame(name, pin.FrameType.BODY):
+        if not (isinstance(name, str) and model.existFrame(name, pin.FrameType.BODY)):
             choices = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
-            raise ModelError(source, key, repr(name), "a link of the URDF", choices)
+            raise ModelError(source, key, repr(name), f"a link of the URDF{hint(name, choices)}", choices)
     base = model.frames[model.getFrameId(base_frame)].parentJoint
     joint = model.frames[model.getFrameId(tool_frame)].parentJoint
     chain: list[int] = []

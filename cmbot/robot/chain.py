@@ -27,10 +27,14 @@ class Chain:
     def __init__(self, model: Any, vectors: Sequence[FloatArray]) -> None:
         data = model.createData()
         pin.computeJointJacobians(model, data, pin.neutral(model))
-        self._steps = []
+        # In a frame whose z axis is the joint's, turning mixes the two others and nothing else.
+        self._steps, before = [], np.eye(3)
         for i, fixed in enumerate(vectors, start=1):
-            axis = pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[3:, i - 1]
-            self._steps.append(_step(model.jointPlacements[i], axis, fixed))
+            own = _frame_about(pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[3:, i - 1])
+            X = model.jointPlacements[i]
+            step = np.column_stack([X.translation, X.rotation @ own])
+            self._steps.append((step.T @ before, fixed @ own))
+            before = own
 
     def walk(self, q: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
         """Go from joint to joint.
@@ -46,30 +50,30 @@ class Chain:
             Of the joint.
         axis : (3, N)
             Of the joint.
-        turned : (3 + k, 3, N)
-            The three axes of the joint's frame, then its vectors.
+        turned : (k, 3, N)
+            Its vectors.
         """
         N = q.shape[1]
-        sine, cosine = np.sin(q), np.cos(q)
-        # Columns of the rotation to the frame before the joint, one after the other, (3, 3 N).
-        columns = np.repeat(np.eye(3)[:, :, None], N, axis=2).reshape(3, -1)
+        cosines, sines = np.cos(q), np.sin(q)
+        # The first axis goes towards the second as that goes away from the first.
+        sines = np.stack([sines, -sines], axis=1)
+        # The axes of the frame that is turned, one after the other.
+        axes = np.repeat(np.eye(3)[:, :, None], N, axis=2)
         origin = np.zeros((3, N))
-        for i, step in enumerate(self._steps):
-            moved = (step @ columns).reshape(-1, 3, N)
+        for (step, fixed), sine, cosine in zip(self._steps, sines, cosines, strict=True):
+            moved = (step @ axes.reshape(3, -1)).reshape(4, 3, N)
             origin = origin + moved[0]
-            constant, with_sine, with_cosine = moved[2:].reshape(3, -1, 3, N)
-            turned = constant + sine[i] * with_sine + cosine[i] * with_cosine
-            yield origin, moved[1], turned
-            columns = turned[:3].reshape(3, -1)
+            axes = moved[1:]
+            crossed = sine[:, None] * axes[1::-1]
+            axes[:2] *= cosine
+            axes[:2] += crossed
+            turned = (fixed @ axes.reshape(3, -1)).reshape(-1, 3, N) if len(fixed) else axes[:0]
+            yield origin, axes[2], turned
 
 
-def _step(placement: Any, axis: FloatArray, vectors: FloatArray) -> FloatArray:
-    """Vectors (2 + 3 (3 + k), 3) of one joint in the frame of the one before.
-
-    Its origin, its axis, and then what is constant, what goes with the sine and what with the cosine in
-    Rodrigues' formula I + sin K + (1 - cos) K^2: the joint's three axes and the k `vectors`.
-    """
-    R, K = placement.rotation, pin.skew(axis)
-    body = np.vstack([np.eye(3), vectors]).T
-    parts = [R @ M @ body for M in (np.eye(3) + K @ K, K, -K @ K)]
-    return np.column_stack([placement.translation, R @ axis, *parts]).T
+def _frame_about(axis: FloatArray) -> FloatArray:
+    """Rotation (3, 3) whose third column is the unit vector `axis` (3,)."""
+    k = np.abs(axis).argmin()
+    x = np.eye(3)[k] - axis[k] * axis
+    x /= np.sqrt(x @ x)
+    return np.column_stack([x, pin.skew(axis) @ x, axis])

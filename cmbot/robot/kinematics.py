@@ -45,7 +45,7 @@ class Kinematics:
     def tool_poses(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and orientations R_WT (N, 3, 3) at postures `q` (N, n)."""
         if len(q) >= _MANY:
-            at = self._postures.at(q)
+            at = self._postures.tool_at(q)
             return at.tool_point, at.tool_rotation
         p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
         model, data = self.robot.model, self._data
@@ -68,7 +68,7 @@ class Kinematics:
     def tool_point_jacobians(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points p_WT (N, 3), m, and their Jacobians (N, 3, n), m/rad, at postures `q` (N, n)."""
         if len(q) >= _MANY:
-            at = self._postures.at(q)
+            at = self._postures.tool_at(q)
             return at.tool_point, at.jacobian[:, :3]
         p, J = np.empty((len(q), 3)), np.empty((len(q), 3, q.shape[1]))
         for k, q_k in enumerate(q):

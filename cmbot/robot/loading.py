@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from cmbot.arguments import given_path
 from cmbot.arrays import FloatArray
 from cmbot.errors import ModelError
 from cmbot.resources import model_folder
@@ -23,6 +24,7 @@ from cmbot.robot.limits import JointLimits, read_joint_limits
 from cmbot.robot.robot import Robot
 from cmbot.robot.semantics import enable_pairs, read_semantics
 from cmbot.robot.tool import attach_payload, set_tool_length
+from cmbot.validation import hint
 
 __all__ = ["load_robot"]
 
@@ -74,9 +76,10 @@ def load_robot(
         urdf = model_folder() / "urdf" / "cmbot.urdf"
         base_frame, tool_frame = base_frame or "arm_base", tool_frame or "tool0"
     else:
-        urdf = Path(model)
+        urdf = given_path(model, "load_robot", "model", "cmbot, or the path of a URDF")
     if base_frame is None or tool_frame is None:
-        raise ModelError(str(urdf), "base_frame, tool_frame", "none", "the links that bound the arm")
+        expected = f"the links that bound the arm{hint(urdf.name, ('cmbot',))}"
+        raise ModelError(str(urdf), "base_frame, tool_frame", "none", expected)
     files = _files(urdf, limits, srdf, elasticity)
     root = _sound(urdf)
     semantics = read_semantics(files.srdf) if files.srdf is not None else None
@@ -122,16 +125,18 @@ def _files(
 ) -> _Files:
     return _Files(
         urdf=urdf,
-        srdf=_given_or_there(srdf, urdf.with_suffix(".srdf")),
-        limits=Path(limits) if limits is not None else urdf.with_name("joint_limits.yaml"),
-        elasticity=_given_or_there(elasticity, urdf.with_suffix(".elasticity.yaml")),
+        srdf=_given_or_there("srdf", srdf, urdf.with_suffix(".srdf")),
+        limits=_given("limits", limits) or urdf.with_name("joint_limits.yaml"),
+        elasticity=_given_or_there("elasticity", elasticity, urdf.with_suffix(".elasticity.yaml")),
     )
 
 
-def _given_or_there(given: str | Path | None, beside: Path) -> Path | None:
-    if given is not None:
-        return Path(given)
-    return beside if beside.exists() else None
+def _given(key: str, path: str | Path | None) -> Path | None:
+    return None if path is None else given_path(path, "load_robot", key, "the path of a file")
+
+
+def _given_or_there(key: str, path: str | Path | None, beside: Path) -> Path | None:
+    return _given(key, path) or (beside if beside.exists() else None)
 
 
 def _sound(urdf: Path) -> ElementTree.Element:

@@ -9,16 +9,19 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+import pinocchio as pin
 
 from cmbot.arrays import FloatArray
 from cmbot.robot.chain import Chain
 from cmbot.robot.robot import Robot
 
-__all__ = ["PostureBatch", "Postures"]
+__all__ = ["PostureBatch", "Postures", "ToolBatch"]
 
 
 # Postures are evaluated in blocks of this many, whose arrays fit the processor's cache.
 _BLOCK = 512
+# As much as a reach, m, does for the tool's point, this does for its orientation, with room.
+_TURN_BENDS = 2.0
 
 
 class Postures:
@@ -28,27 +31,36 @@ class Postures:
     ----------
     robot : Robot
         Its arm is a serial chain of revolute joints, as `load_robot` makes sure.
+
+    Attributes
+    ----------
+    bend : float, m or rad
+        When the joints move by x rad in all, the tool is at most this times the square of x from where its
+        Jacobian would have it: no point is further from a joint than the arm's reach.
     """
 
     def __init__(self, robot: Robot) -> None:
-        model, n = robot.model, robot.dof
-        self._chain = Chain(model, [model.inertias[i].lever[None] for i in range(1, n + 1)])
-        self._mass = np.array([model.inertias[i].mass for i in range(1, n + 1)])
-        X_JT = model.frames[robot.tool_frame_id].placement
+        X_JT = robot.model.frames[robot.tool_frame_id].placement
+        self._model = robot.model
         self._tool = np.column_stack([X_JT.rotation, X_JT.translation]).T
-        self._gravity = np.array(model.gravity.linear)
+        bodies = list(robot.model.inertias)[1:]
+        self._levers = np.array([body.lever for body in bodies])
+        self._mass = np.array([body.mass for body in bodies])
+        self._gravity = np.array(robot.model.gravity.linear)
+        self.bend = 0.5 * max(robot.reach, _TURN_BENDS)
+
+    @cached_property
+    def _chain(self) -> Chain:
+        return Chain(self._model, [*self._levers[:-1, None], np.vstack([self._tool, self._levers[-1:]])])
+
+    @cached_property
+    def _tool_only(self) -> Chain:
+        return Chain(self._model, [*(np.empty((0, 3)) for _ in self._levers[1:]), self._tool])
 
     def at(self, q: FloatArray) -> PostureBatch:
         """Evaluate postures `q` (N, n), rad."""
-        N, n = q.shape
-        # Components lead and postures trail, so that every operation runs along postures.
-        tool = np.empty((4, 3, N))
-        axis, origin, centre = (np.empty((n, 3, N)) for _ in range(3))
-        for start in range(0, N, _BLOCK):
-            block = slice(start, start + _BLOCK)
-            self._evaluate(
-                q[block].T, tool[..., block], axis[..., block], origin[..., block], centre[..., block]
-            )
+        centre = np.empty((q.shape[1], 3, len(q)))
+        tool, axis, origin = self._evaluate(self._chain, q, centre)
         return PostureBatch(
             q=q,
             tool_point=tool[3].T,
@@ -60,19 +72,39 @@ class Postures:
             gravity=self._gravity,
         )
 
+    def tool_at(self, q: FloatArray) -> ToolBatch:
+        """Evaluate the tool alone in postures `q` (N, n), rad, which is quicker."""
+        tool, axis, origin = self._evaluate(self._tool_only, q)
+        return ToolBatch(
+            q=q,
+            tool_point=tool[3].T,
+            tool_rotation=tool[:3].transpose(2, 1, 0),
+            axis=axis.transpose(2, 0, 1),
+            origin=origin.transpose(2, 0, 1),
+        )
+
+    @staticmethod
     def _evaluate(
-        self, q: FloatArray, tool: FloatArray, axis: FloatArray, origin: FloatArray, centre: FloatArray
-    ) -> None:
-        for i, (p, along, turned) in enumerate(self._chain.walk(q)):
-            axis[i], origin[i] = along, p
-            centre[i] = p + turned[3]
-        tool[:] = (self._tool @ turned[:3].reshape(3, -1)).reshape(4, 3, -1)
-        tool[3] += p
+        chain: Chain, q: FloatArray, centre: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Tool (4, 3, N), joints' axes and origins (n, 3, N); the centres of mass go to `centre`."""
+        N, n = q.shape
+        # Components lead and postures trail, so that every operation runs along postures.
+        tool, axis, origin = np.empty((4, 3, N)), np.empty((n, 3, N)), np.empty((n, 3, N))
+        for start in range(0, N, _BLOCK):
+            block = slice(start, start + _BLOCK)
+            for i, (p, along, turned) in enumerate(chain.walk(q[block].T)):
+                axis[i, :, block], origin[i, :, block] = along, p
+                if centre is not None:
+                    np.add(p, turned[-1], out=centre[i, :, block])
+            tool[..., block] = turned[:4]
+            tool[3, :, block] += p
+        return tool, axis, origin
 
 
 @dataclass(frozen=True, kw_only=True)
-class PostureBatch:
-    """N postures, evaluated; everything in W.
+class ToolBatch:
+    """The tool in N postures; everything in W.
 
     Attributes
     ----------
@@ -81,10 +113,6 @@ class PostureBatch:
     tool_rotation : (N, 3, 3)
     axis, origin : (N, n, 3)
         Direction of each joint's axis and a point on it, m.
-    centre : (N, n, 3), m
-        Centre of mass of what each joint carries directly.
-    mass : (n,), kg
-    gravity : (3,), m/s2
     """
 
     q: FloatArray
@@ -92,22 +120,40 @@ class PostureBatch:
     tool_rotation: FloatArray
     axis: FloatArray
     origin: FloatArray
-    centre: FloatArray
-    mass: FloatArray
-    gravity: FloatArray
 
     @cached_property
     def jacobian(self) -> FloatArray:
         """Tool Jacobians (N, 6, n): velocity of the tool point, m/rad, then angular velocity."""
-        axis, origin = self.axis.transpose(1, 2, 0), self.origin.transpose(1, 2, 0)
-        a, arm = axis.transpose(1, 0, 2), (self.tool_point.T - origin).transpose(1, 0, 2)
-        J = np.concatenate(
-            [
-                [a[1] * arm[2] - a[2] * arm[1], a[2] * arm[0] - a[0] * arm[2], a[0] * arm[1] - a[1] * arm[0]],
-                a,
-            ]
-        )
-        return np.ascontiguousarray(J.transpose(2, 0, 1))
+        return np.ascontiguousarray(self.leading_jacobian.transpose(2, 0, 1))
+
+    @cached_property
+    def leading_jacobian(self) -> FloatArray:
+        """The same as it comes, components first: (6, n, N)."""
+        a = self.axis.transpose(2, 1, 0)
+        arm = (self.tool_point.T - self.origin.transpose(1, 2, 0)).transpose(1, 0, 2)
+        J = np.empty((6, *a.shape[1:]))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(a[j], arm[k], out=J[i])
+            J[i] -= a[k] * arm[j]
+        J[3:] = a
+        return J
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureBatch(ToolBatch):
+    """N postures, evaluated; everything in W.
+
+    Attributes
+    ----------
+    centre : (N, n, 3), m
+        Centre of mass of what each joint carries directly.
+    mass : (n,), kg
+    gravity : (3,), m/s2
+    """
+
+    centre: FloatArray
+    mass: FloatArray
+    gravity: FloatArray
 
     @property
     def guardrail_force(self) -> FloatArray:
@@ -117,27 +163,27 @@ class PostureBatch:
     @cached_property
     def guardrail_torque(self) -> FloatArray:
         """Static torque (N, 3) on the guardrail about O0, Nm."""
-        return np.asarray(np.cross(self._moment[:, 0], self.gravity))
+        moment = np.tensordot(self.mass, self.centre.transpose(1, 2, 0), axes=1)
+        return np.asarray((pin.skew(self.gravity).T @ moment).T)
 
     @cached_property
     def guardrail_torque_derivative(self) -> FloatArray:
         """Derivatives (N, 3, n) of `guardrail_torque` with respect to the joints, Nm/rad."""
-        moved = np.cross(self.axis, self._beyond)
+        moved = np.cross(self.axis, self._beyond.transpose(2, 0, 1))
         return np.asarray(np.cross(moved, self.gravity).transpose(0, 2, 1))
 
     @cached_property
     def joint_torque(self) -> FloatArray:
         """Static joint torques (N, n), Nm (Chang 2021, Eq. (13))."""
-        return np.asarray(-np.einsum("kid,kid->ki", self.axis, np.cross(self._beyond, self.gravity)))
-
-    @cached_property
-    def _moment(self) -> FloatArray:
-        """First moment of mass (N, n, 3) of all that lies beyond each joint, about O0, kg m."""
-        weighted = self.mass[:, None] * self.centre
-        return np.asarray(np.flip(np.cumsum(np.flip(weighted, axis=1), axis=1), axis=1))
+        about = pin.skew(self.gravity) @ self._beyond
+        return np.asarray((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
 
     @cached_property
     def _beyond(self) -> FloatArray:
-        """The same about each joint's origin."""
+        """First moment of mass (n, 3, N) of all that lies beyond each joint, about its origin, kg m."""
+        moment = self.mass[:, None, None] * self.centre.transpose(1, 2, 0)
+        for i in reversed(range(len(moment) - 1)):
+            moment[i] += moment[i + 1]
         carried = np.cumsum(self.mass[::-1])[::-1]
-        return np.asarray(self._moment - carried[:, None] * self.origin)
+        moment -= carried[:, None, None] * self.origin.transpose(1, 2, 0)
+        return np.asarray(moment)

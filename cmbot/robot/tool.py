@@ -45,7 +45,7 @@ def set_tool_length(
     flange = _flange(model, frame)
     X_FT = flange.placement.inverse() * frame.placement
     old = float(X_FT.translation[2])
-    if not (math.isfinite(length) and length > 0):
+    if not (isinstance(length, int | float | np.number) and math.isfinite(length) and length > 0):
         raise ModelError(source, "tool_length", length, "a positive length in m")
     if old <= 0 or np.abs(X_FT.translation[:2]).max() > 1e-9:
         raise ModelError(
@@ -67,7 +67,7 @@ def attach_payload(model: Any, tool_frame: str, mass: float) -> None:
     ModelError
         When the mass is negative or not finite.
     """
-    if not (math.isfinite(mass) and mass >= 0):
+    if not (isinstance(mass, int | float | np.number) and math.isfinite(mass) and mass >= 0):
         raise ModelError("load_robot", "payload", mass, "a mass in kg that is not negative")
     if mass > 0:
         frame = model.frames[model.getFrameId(tool_frame)]

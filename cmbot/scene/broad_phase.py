@@ -182,9 +182,8 @@ class BroadPhase:
 
     def _bounds(self, q: FloatArray, some: slice) -> LowerBounds:
         at: dict[int, _Moved] = {}
-        for carried, (origin, _, turned) in zip(self._carried, self._chain.walk(q), strict=True):
+        for carried, (origin, _, vectors) in zip(self._carried, self._chain.walk(q), strict=True):
             k = 0
-            vectors = turned[3:]
             for shape in carried:
                 axes, end = k + 1 + len(self._boxes[shape].long), k + len(self._vectors[shape])
                 at[shape] = _Moved(

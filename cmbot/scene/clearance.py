@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
@@ -58,6 +59,7 @@ class Clearances:
         self._geometry_data = pin.GeometryData(self._geometry)
         for request in self._geometry_data.distanceRequests:
             request.gjk_tolerance = _GJK_TOLERANCE
+        _forget_guesses([*self._geometry_data.distanceRequests, *self._geometry_data.collisionRequests])
         shapes = list(self._geometry.geometryObjects)
         reach = shape_reach(self._model, shapes)
         self.reach = reach.max(axis=0, initial=0.0)
@@ -264,6 +266,18 @@ class Clearances:
 
     def _distance(self, pair: int) -> float:
         return float(pin.computeDistance(self._geometry, self._geometry_data, pair).min_distance)
+
+
+def _forget_guesses(requests: Sequence[Any]) -> None:
+    """Let GJK start anew for every posture: from where it ended last, it ends a little elsewhere.
+
+    So distances do not depend on what was asked before, and it takes no longer.
+    """
+    with warnings.catch_warnings():
+        # coal says how to ask for guesses from now on; pinocchio asks for them in the old way, unasked.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        for request in requests:
+            request.enable_cached_gjk_guess = False
 
 
 def _grouped(row: IntArray, values: list[_T]) -> Iterator[tuple[int, list[_T]]]:

@@ -9,9 +9,25 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from cmbot.arguments import require_fields, require_type
 from cmbot.arrays import FloatArray
+from cmbot.errors import InputError
+from cmbot.scene.fields import Length
+from cmbot.validation import FileModel, shown
 
 __all__ = ["Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "Shape", "Sphere", "pose"]
+
+
+class _BoxFields(FileModel):
+    size: tuple[Length, Length, Length]
+
+
+class _SphereFields(FileModel):
+    radius: Length
+
+
+class _RoundFields(_SphereFields):
+    length: Length
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,6 +42,9 @@ class Box:
 
     size: tuple[float, float, float]
 
+    def __post_init__(self) -> None:
+        require_fields(self, _BoxFields)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Cylinder:
@@ -39,6 +58,9 @@ class Cylinder:
 
     radius: float
     length: float
+
+    def __post_init__(self) -> None:
+        require_fields(self, _RoundFields)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +78,9 @@ class Capsule:
     radius: float
     length: float
 
+    def __post_init__(self) -> None:
+        require_fields(self, _RoundFields)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Sphere:
@@ -69,6 +94,9 @@ class Sphere:
 
     radius: float
 
+    def __post_init__(self) -> None:
+        require_fields(self, _SphereFields)
+
 
 @dataclass(frozen=True, kw_only=True)
 class Mesh:
@@ -81,6 +109,9 @@ class Mesh:
     """
 
     path: Path
+
+    def __post_init__(self) -> None:
+        require_type(self.path, Path, "Mesh", "path", "a path, as pathlib.Path")
 
 
 Shape = Box | Cylinder | Capsule | Sphere | Mesh
@@ -106,6 +137,17 @@ class Obstacle:
     shape: Shape
     X_WO: FloatArray
     workpiece: bool = False
+
+    def __post_init__(self) -> None:
+        require_type(self.name, str, "Obstacle", "name", "text")
+        kinds = (Box, Cylinder, Capsule, Sphere, Mesh)
+        require_type(self.shape, kinds, "Obstacle", "shape", "a Box, Cylinder, Capsule, Sphere or Mesh")
+        require_type(self.workpiece, bool, "Obstacle", "workpiece", "true or false")
+        X = self.X_WO
+        sized = isinstance(X, np.ndarray) and X.dtype.kind in "fi" and X.shape == (4, 4)
+        if not (sized and np.isfinite(X).all()):
+            got = shown(X.tolist() if isinstance(X, np.ndarray) else X)
+            raise InputError("Obstacle", "X_WO", got, "a pose: an array (4, 4) of finite numbers")
 
 
 def pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:

@@ -80,13 +80,14 @@ class PlannerOptions:
     chart_seeds : int
         Random postures from which the first chart is grown.
     step_share : float
-        Share of the velocity bounds that the global stage lets joints use between via-points.
+        Share of the velocity bounds that the global stage lets joints use between via-points. Where no
+        trajectory follows its way, smaller ones are tried: a plan's options name the one that was used.
     safety_margin_m : float
         Smallest clearance that a plan may have, m.
     max_tool_deviation_m : float
         How far the tool point may leave the legs between via-points, m.
     solver : str
-        ``sqp``: sequential quadratic programming on sparse matrices; needs ``pip install "cmbot[fast]"``.
+        ``sqp``: sequential quadratic programming on sparse matrices; needs the extra ``fast``.
         ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``, and
         also where ``sqp`` gives up. A plan's options name the one that was used.
     samples_per_segment : int

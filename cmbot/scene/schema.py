@@ -10,7 +10,7 @@ from pydantic import ConfigDict, Field, model_validator
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, Vector, exactly_one, one_of_schema
 from cmbot.scene.guardrail_schema import GuardrailFile
 from cmbot.scene.options import PlannerOptions
-from cmbot.validation import FileModel, refusal, shown
+from cmbot.validation import FileModel, hint, refusal, shown
 
 __all__ = [
     "FORMAT",
@@ -73,7 +73,8 @@ class RobotFile(FileModel):
                 expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
                 raise refusal(expected, got=got, key=(name,))
             if self.model != "cmbot" and not given and name not in ("srdf", "elasticity"):
-                raise refusal(f"a value, as model is {shown(self.model)}", got="nothing", key=(name,))
+                expected = f"a value, as model is {shown(self.model)}{hint(self.model, ('cmbot',))}"
+                raise refusal(expected, got="nothing", key=(name,))
         return self
 
 

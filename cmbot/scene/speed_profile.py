@@ -37,7 +37,7 @@ class SpeedProfile:
     def __post_init__(self) -> None:
         if self.kind not in ("trapezoidal", "jerk_limited"):
             raise InputError("SpeedProfile", "kind", self.kind, "a kind", ("trapezoidal", "jerk_limited"))
-        if not 0 < self.ramp <= 0.5:
+        if not (isinstance(self.ramp, int | float) and 0 < self.ramp <= 0.5):
             raise InputError("SpeedProfile", "ramp", self.ramp, "a share in (0, 0.5]")
 
     def share(self, u: FloatArray) -> FloatArray:

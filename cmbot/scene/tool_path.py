@@ -17,6 +17,8 @@ from cmbot.scene.speed_profile import SpeedProfile
 __all__ = ["ShiftedToolPath", "ToolPath", "share_out_segments"]
 
 _NO_LENGTH = 1e-300
+# Corners that are the same to so many digits after the point, m, are one: the rest comes from adding up legs.
+_DIGITS = 12
 # So many points are held against the legs at once.
 _BLOCK = 512
 
@@ -80,15 +82,22 @@ class ToolPath:
 
     def _nearest_offset(self, p: FloatArray) -> FloatArray:
         """The same for few points near each other: most legs are then too far from all of them."""
-        every = np.arange(len(self.seconds))
+        every = self._different
         centre = p.mean(axis=0)
         radius = np.linalg.norm(p - centre, axis=1).max()
         away = np.linalg.norm(self._offset_from(every, np.tile(centre, (len(every), 1))), axis=1)
         # Not ">": what is no number leaves nothing out.
         some = every[~(away - radius > away.min() + radius)]
-        offsets = np.stack([self._offset_from(np.full(len(p), leg), p) for leg in some], axis=1)
+        offsets = self._offset_from(some, p[:, None])
         nearest = np.einsum("nld,nld->nl", offsets, offsets).argmin(axis=1)
         return np.asarray(offsets[np.arange(len(p)), nearest])
+
+    @cached_property
+    def _different(self) -> IntArray:
+        """Legs without those that lie where an earlier one does: strokes to and fro share one."""
+        corner = np.unique(np.round(self.corners, _DIGITS), axis=0, return_inverse=True)[1].ravel()
+        ends = np.sort(np.stack([corner[:-1], corner[1:]], axis=1), axis=1)
+        return np.sort(np.unique(ends, axis=0, return_index=True)[1])
 
     def leg_offset(self, times: ArrayLike, p: FloatArray) -> FloatArray:
         """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the leg at `times`."""
@@ -117,10 +126,12 @@ class ToolPath:
         return np.concatenate([*pieces, self.leg_times[-1:]])
 
     def _offset_from(self, leg: IntArray, p: FloatArray) -> FloatArray:
+        """Vectors (..., 3) from the nearest points of legs (...) to points (..., 3)."""
         start, edge = self.corners[leg], np.diff(self.corners, axis=0)[leg]
         # A leg of no length has but one point.
-        along = np.einsum("nd,nd->n", p - start, edge) / np.maximum(self.lengths[leg] ** 2, _NO_LENGTH)
-        return np.asarray(p - start - np.clip(along, 0.0, 1.0)[:, None] * edge)
+        away = p - start
+        along = np.einsum("...d,...d->...", away, edge) / np.maximum(self.lengths[leg] ** 2, _NO_LENGTH)
+        return np.asarray(away - np.clip(along, 0.0, 1.0)[..., None] * edge)
 
     def _locate(self, times: ArrayLike) -> tuple[IntArray, FloatArray]:
         """Leg (N,) and share of its duration (N,) at `times`; outside the path, its nearer end."""

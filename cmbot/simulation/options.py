@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
-from cmbot.errors import InputError
-from cmbot.validation import validated
+from cmbot.arguments import checked_options
 
 __all__ = ["SimulationOptions", "checked"]
 
@@ -70,4 +69,4 @@ def checked(options: SimulationOptions) -> SimulationOptions:
     InputError
         Naming the option, what it is and what it may be.
     """
-    return validated(SimulationOptions, asdict(options), "SimulationOptions", InputError)
+    return checked_options(SimulationOptions, options, "SimulationOptions")

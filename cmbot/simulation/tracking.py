@@ -16,7 +16,7 @@ from cmbot.elastic.arm_modes import arm_modes
 from cmbot.elastic.base import elastic_base
 from cmbot.elastic.sag import Sag
 from cmbot.errors import InputError
-from cmbot.planning import Plan, ToolTask, robot_of
+from cmbot.planning import Plan, ToolTask, require_plan, robot_of
 from cmbot.planning.tool_sag import ToolSag
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.drive import Drive, drive_along, drive_through, held
@@ -107,12 +107,13 @@ def simulate(
     Raises
     ------
     InputError
-        When an option is out of its bounds, nothing of the arm bends, or it is too soft to
+        When `plan` is none, an option is out of its bounds, nothing of the arm bends, or it is too soft to
         carry itself.
     SimulationDiverged
         When the motion cannot be integrated.
     """
-    options = checked(options or SimulationOptions())
+    require_plan(plan, "cmbot.simulate")
+    options = checked(options if options is not None else SimulationOptions())
     started = time.perf_counter()
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):

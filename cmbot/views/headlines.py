@@ -80,7 +80,8 @@ def _floor(plan: Plan) -> Headline:
     return Headline(
         title="Above the floor",
         value=f"{100 * gap:+.3f} %",
-        detail=f"no admissible plan rests below {floor:.1f} Nm",
+        detail=f"floor: at one via-point no admissible posture at rest asks less than {floor:.1f} Nm; at 0 % "
+        "there is nothing left to gain",
     )
 
 

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cmbot.arguments import given_path
 from cmbot.errors import InputError
-from cmbot.planning import Plan
+from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.page_file import write_page
 from cmbot.views.replay_page import replay_page
@@ -44,16 +45,18 @@ def replay(
     Raises
     ------
     InputError
-        When neither `html` nor `serve` is given, the file cannot be written, the port is taken, or `tracking`
-        is that of another plan.
+        When `plan` is none, neither `html` nor `serve` is given, the file cannot be written, the port is
+        taken, or `tracking` is that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
     """
+    require_plan(plan, "cmbot.replay")
     if html is None and not serve:
         raise InputError("replay", "html, serve", "neither", "a file to write, or serve=True")
+    path = None if html is None else given_path(html, "cmbot.replay", "html", "the path of a file to write")
     page = replay_page(plan, tracking)
-    if html is not None:
-        write_page(Path(html), page)
+    if path is not None:
+        write_page(path, page)
     return ReplayServer(page, port) if serve else None
 
 

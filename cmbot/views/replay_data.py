@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from cmbot.arguments import require_type
 from cmbot.arrays import FloatArray
 from cmbot.errors import InputError
 from cmbot.planning import Plan, Samples
@@ -37,12 +38,14 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     Raises
     ------
     InputError
-        When `tracking` is that of another plan.
+        When `tracking` is none, or that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
     """
     duration = float(max(plan.samples.t[-1], plan.baseline.t[-1]))
     approach_duration = plan.approach.trajectory.duration if plan.approach is not None else 0.0
+    if tracking is not None:
+        require_type(tracking, Tracking, "tracking", "", "a Tracking, as cmbot.simulate returns it")
     end = duration if tracking is None else _end(tracking, duration)
     step = max(FRAME_STEP, (approach_duration + end) * plan.robot.dof / MOST_POSES)
     clearances = Clearances(plan.robot, plan.scene.obstacles)

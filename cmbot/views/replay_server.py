@@ -42,7 +42,7 @@ class ReplayServer:
 
         try:
             self._server = ThreadingHTTPServer((LOOPBACK, port), _handler(page.encode("utf-8", "replace")))
-        except (OSError, OverflowError) as error:
+        except (OSError, OverflowError, TypeError) as error:
             raise InputError("replay", "port", port, f"a free port ({error})") from error
         self._server.daemon_threads = True
         self._closed = Event()

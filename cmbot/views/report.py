@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cmbot.planning import Plan
+from cmbot.arguments import given_path
+from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.page_file import write_page
 from cmbot.views.report_page import report_page
@@ -26,8 +27,10 @@ def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) ->
     Raises
     ------
     InputError
-        When the file cannot be written, or `tracking` is that of another plan.
+        When `plan` is none, the file cannot be written, or `tracking` is that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
     """
-    write_page(Path(html), report_page(plan, tracking))
+    require_plan(plan, "cmbot.report")
+    path = given_path(html, "cmbot.report", "html", "the path of a file to write")
+    write_page(path, report_page(plan, tracking))

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from html import escape
 from importlib import metadata
+from typing import Literal
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def cards(headlines: Iterable[Headline]) -> str:
 def sections(plan: Plan, tracking: Tracking | None, remarks: Iterable[str]) -> str:
     """Return everything of a plan that is no picture, a section each."""
     parts = [
-        _section("What should be known", _list(remarks), wide=True),
+        _section("What should be known", _list(remarks), kind="wide"),
         _section("Figures", _table(("", "baseline", "planned"), plan.rows())),
     ]
     bending = list(_bending(plan))
@@ -43,7 +44,9 @@ def sections(plan: Plan, tracking: Tracking | None, remarks: Iterable[str]) -> s
         table = _table(headings, tracking_rows(tracking), text_columns=2)
         parts.append(
             _section(
-                "Simulation", table + _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
+                "Simulation",
+                table + _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)]),
+                kind="long",
             )
         )
     parts += [
@@ -67,8 +70,9 @@ def _card(headline: Headline) -> str:
     )
 
 
-def _section(title: str, content: str, *, wide: bool = False) -> str:
-    return f'<section class="part{" wide" if wide else ""}"><h2>{escape(title)}</h2>{content}</section>'
+def _section(title: str, content: str, *, kind: Literal["", "wide", "long"] = "") -> str:
+    """Return a section; a wide one takes both columns, a long one may be parted where a printed page ends."""
+    return f'<section class="{f"part {kind}".rstrip()}"><h2>{escape(title)}</h2>{content}</section>'
 
 
 def _list(sentences: Iterable[str]) -> str:
@@ -107,7 +111,11 @@ def _bending(plan: Plan) -> Iterator[Row]:
         yield "change of the shift in the last round, mm", f"{1e3 * done.last_change:.3f}"
     if quiet is not None:
         yield "elastic modes brought to rest", str(quiet.modes)
-        yield "share of the change for it that was made", f"{100 * quiet.share:g} %"
+        yield "share of the change for it that was made", f"{100 * quiet.share:.4g} %"
+        if len(set(quiet.shares)) > 1:
+            whole = f"{quiet.shares.count(1.0)} of {len(quiet.shares)}"
+            yield "legs at whose ends all of it was made", whole
+            yield "legs at whose ends none of it was made", f"{quiet.shares.count(0.0)}"
         yield "amplitude that they leave at the tool without it, mm", f"{1e3 * quiet.before:.4f}"
         yield "with it, mm", f"{1e3 * quiet.after:.4f}"
 

@@ -114,8 +114,8 @@ class Chart {
   draw(width = this.figure.clientWidth) {
     const { svg, small } = this;
     this.width = Math.max(width, 60);
-    this.height = small ? 62 : 140;
-    this.inset = small ? { left: 2, right: 2, top: 4, bottom: 4 } : { left: 46, right: 8, top: 6, bottom: 24 };
+    this.height = small ? 80 : 140;
+    this.inset = small ? { left: 2, right: 2, top: 14, bottom: 12 } : { left: 46, right: 8, top: 6, bottom: 24 };
     const [low, high] = this.range;
     this.axis = low < high ? [low, high] : [low - 1, high + 1];
     svg.replaceChildren();
@@ -201,17 +201,17 @@ class Chart {
     return places[counts.indexOf(Math.min(...counts))];
   }
 
-  // Of a small plot: what its upper edge is, and how much of the bound each motion uses.
+  // Of a small plot, above and below its frame: what its edges are, and how much of the bound each motion uses.
   drawCorners(svg) {
     const { bounds, unit } = this.spec, [low, high] = this.axis, bound = bounds[1];
     const top = bound === null || this.zoomed ? high : bound;
-    make("text", { class: "corner", x: 5, y: 14 }, svg, shortened(top));
-    make("text", { class: "corner", x: 5, y: this.height - 7 }, svg, bound === null || this.zoomed ? shortened(low) : shortened(bounds[0]));
+    make("text", { class: "corner", x: 2, y: 10 }, svg, shortened(top));
+    make("text", { class: "corner", x: 2, y: this.height - 2 }, svg, bound === null || this.zoomed ? shortened(low) : shortened(bounds[0]));
     if (bound === null) return;
-    const uses = make("text", { class: "corner", x: this.width - 5, y: 14, "text-anchor": "end" }, svg);
-    for (const curve of [...this.curves].reverse()) {
+    const uses = make("text", { class: "corner", x: this.width - 2, y: 10, "text-anchor": "end" }, svg);
+    for (const [k, curve] of [...this.curves].reverse().entries()) {
       const share = curve.use(bounds);
-      make("tspan", { class: `${curve.motion}${share > 1 ? " over" : ""}`, dx: 4 }, uses, `${(100 * share).toFixed(0)} %`);
+      make("tspan", { class: `${curve.motion}${share > 1 ? " over" : ""}`, dx: k ? 5 : 0 }, uses, `${(100 * share).toFixed(0)} %`);
     }
     svg.append(make("title", {}, null, this.describe()));
   }
