@@ -206,7 +206,7 @@ def test_times_outside_are_refused(order: int, miss: float) -> None:
 
 @pytest.mark.parametrize("times", ["soon", ["0.1", "later"], [[0.1], [0.2, 0.3]], [object()]])
 def test_times_that_are_no_numbers_are_refused(times: Any) -> None:
-    with pytest.raises(InputError, match="times: got .*expected a row of numbers, s"):
+    with pytest.raises(InputError, match=r"times: got .*expected a row of numbers, s"):
         random_trajectory(0).evaluate(times)
 
 
