@@ -13,6 +13,7 @@ from measure import process_time
 from cmbot import load_scene
 from cmbot.planning.optimiser import optimise
 from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.validation import counted
 
 __all__ = ["Solved", "compared", "solved_by_cmbot", "solved_by_other", "to_the_letter"]
 
@@ -104,7 +105,7 @@ def solved_by_cmbot(case: Case, solver: str, repeats: int = 3) -> Solved:
     seconds, optimised = process_time(lambda: optimise(case.problem(solver)), repeats)
     iterations = sum(report.iterations for report in optimised.passes)
     rows = optimised.passes[-1].constraints
-    status = f"{len(optimised.passes)} passes"
+    status = counted(len(optimised.passes), "pass", "passes")
     return _solved(case, solver, seconds, optimised.trajectory, iterations, rows, status)
 
 
