@@ -16,7 +16,8 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.errors import InputError, LimitViolation
 from cmbot.planning import Plan, QuinticTrajectory, plan
-from cmbot.planning.certificate import Certificate, Check, certify
+from cmbot.planning.certificate import Certificate, Check, _continuity_check, certify
+from cmbot.planning.spline_space import SplineSpace
 from cmbot.robot import Robot, load_robot
 from cmbot.scene.clearance import Clearances
 from cmbot.scene.obstacles import Box, Obstacle, pose
@@ -134,6 +135,20 @@ def test_ends_that_do_not_rest(short_plan: Plan, kept: slice, end: int) -> None:
     assert list(failed) == ["jump"]
     assert failed["jump"].time == cut.t[end]
     assert failed["jump"].value > 1e-3
+
+
+def test_dense_knots_are_smooth_as_far_as_their_digits_go(cmbot_robot: Robot) -> None:
+    """A last digit of a position is a jump of the jerk, and nothing that could be felt; more is a jump."""
+    t = np.linspace(0, 10, 1001)
+    space, via_points = SplineSpace(t), np.sin(np.outer(t, np.linspace(0.2, 1.0, 7)))
+    smooth = space.trajectory(space.least_jerk(via_points))
+    check = _continuity_check(cmbot_robot, smooth)
+    assert 1e-9 < check.value <= check.bound < 1e-6
+    a = smooth.a.copy()
+    a[500, 2] += 1e-6
+    assert not _continuity_check(cmbot_robot, replace(smooth, a=a)).holds
+    few = SplineSpace(t[::50])
+    assert _continuity_check(cmbot_robot, few.trajectory(few.least_jerk(via_points[::50]))).bound == 1e-9
 
 
 def test_a_joint_beyond_its_range(short_plan: Plan) -> None:

@@ -8,6 +8,7 @@ import pytest
 
 from cmbot.errors import PathNotFound
 from cmbot.planning import Plan, Start, remarks
+from cmbot.planning.ways import Choice
 from cmbot.validation import counted
 
 
@@ -94,7 +95,26 @@ def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Pla
     assert approach.startswith("Approach: before the work the arm goes there from the scene's posture, in ")
     assert approach.endswith("All other figures are of the work alone.")
     assert line(triangle_plan, "Against the baseline, the paper's motion without optimisation: ")
-    assert line(triangle_plan, "Started in the scene's posture (start: pinned), the peak at rest is ")
+    pinned = "Started in the scene's posture (start: pinned), "
+    assert "the way through the charts has a peak at rest of " in line(triangle_plan, pinned)
+    none = replace(triangle_plan, choice=Choice(free=400.0, pinned=None))
+    assert "no way through the charts of postures was found" in line(none, pinned)
+
+
+def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) -> None:
+    objective = replace(triangle_plan.objective, planned_peak=1.1 * triangle_plan.objective.baseline_peak)
+    said = line(replace(triangle_plan, objective=objective), "The peak is 10.00 % higher than the baseline's")
+    assert "Hardly" not in said
+
+
+def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan: Plan) -> None:
+    assert "The approach asks more" not in " ".join(remarks(triangle_plan))
+    approach = triangle_plan.approach
+    assert approach is not None
+    figures = replace(approach.certificate.figures, peak_guardrail_torque=600.0)
+    hard = replace(approach, certificate=replace(approach.certificate, figures=figures))
+    said = line(replace(triangle_plan, approach=hard), "The approach asks more of the guardrail")
+    assert "start: pinned" in said
 
 
 def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> None:

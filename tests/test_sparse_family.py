@@ -21,7 +21,7 @@ from cmbot.planning.slides import TaskAtViaPoints
 from cmbot.planning.sparse_family import LocalKnots
 from cmbot.planning.sparse_place import TorquePlace
 from cmbot.planning.spline_space import SplineSpace
-from cmbot.planning.state_functions import StateFunction
+from cmbot.planning.state_functions import Linearisation, StateFunction, States
 from cmbot.planning.working_set import WorkingSet
 from cmbot.robot import Postures, Robot
 
@@ -273,6 +273,24 @@ def test_curvature_of_the_state_functions(family: LocalKnots, number: int, rng: 
         # The tool's deviation magnifies what Newton's method leaves of the task.
         expected = along(value, d, 4e-3 if number == 2 else 1e-3)
         assert d @ (H @ d) == pytest.approx(expected, rel=2e-3, abs=1e-6 * d @ d)
+
+
+def test_what_no_state_changes_does_not_bend() -> None:
+    """A tool exactly on its leg: its distance has no slope there."""
+
+    class Flat:
+        name, components = "flat", 1
+
+        def values(self, states: States) -> tuple[FloatArray, NDArray[np.intp]]:
+            raise NotImplementedError
+
+        def linearise(self, states: States, component: NDArray[np.intp]) -> Linearisation:
+            return Linearisation(np.zeros(len(states.t)), *3 * (np.zeros(states.q.shape),))
+
+    states = States(np.zeros(2), *3 * (np.zeros((2, 7)),))
+    active, curvature = state_curvature(Flat(), states, np.zeros(2, dtype=np.intp), np.ones(2), 1.0)
+    assert len(active) == 2
+    assert not curvature.any()
 
 
 def test_the_place_knows_its_derivatives(family: LocalKnots, rng: np.random.Generator) -> None:

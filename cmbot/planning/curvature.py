@@ -49,10 +49,10 @@ def state_curvature(
     states, component, multipliers = states[active], component[active], multipliers[active]
     N, d = states.q.shape
     M = np.zeros((N, 3 * d, 3 * d))
-    if N:
-        here = _gradients(function, states, component)
-        moves = here.any(axis=0).reshape(3, d).any(axis=1).repeat(d)
-        columns = np.flatnonzero(moves)
+    here = _gradients(function, states, component)
+    columns = np.flatnonzero(here.any(axis=0).reshape(3, d).any(axis=1).repeat(d))
+    # Without sites, or where gradients vanish, nothing bends.
+    if N and len(columns):
         x = np.hstack([states.q, states.v, states.a])
         ahead = np.repeat(x[None], len(columns), axis=0)
         ahead[np.arange(len(columns)), :, columns] += _STEP

@@ -118,6 +118,14 @@ def _start(plan: Plan) -> Iterator[str]:
             f"clearance {1e3 * figures.min_clearance:.1f} mm, certified. "
             "All other figures are of the work alone."
         )
+        worst = max(
+            plan.baseline_figures.peak_guardrail_torque, plan.certificate.figures.peak_guardrail_torque
+        )
+        if figures.peak_guardrail_torque > worst * (1 + _GAIN):
+            yield (
+                "The approach asks more of the guardrail than baseline and work do; start: pinned, or a "
+                "posture_deg nearer to this one, spares it."
+            )
 
 
 def _gain(plan: Plan) -> str:
@@ -138,6 +146,13 @@ def _nothing_gained(plan: Plan) -> Iterator[str]:
     """Say so where the plan is no better than the baseline in what was made small, and why it may be."""
     objective = plan.objective
     if objective.planned_peak < objective.baseline_peak * (1 - _GAIN):
+        return
+    if objective.planned_peak > objective.baseline_peak * (1 + _GAIN):
+        higher = 100 * (objective.planned_peak / objective.baseline_peak - 1)
+        yield (
+            f"The peak is {higher:.2f} % higher than the baseline's, which does not have to keep limits, "
+            "clearances or rest at both ends."
+        )
         return
     near = objective.floor is not None and objective.baseline_peak < objective.floor * (1 + _NEAR_FLOOR)
     why = " The baseline is near the floor already: there is nothing to gain." if near else ""
@@ -171,8 +186,10 @@ def _floor(plan: Plan) -> Iterator[str]:
         if pinned
         else ("in the scene's posture (start: pinned)", plan.choice.pinned)
     )
-    found = "there is no way" if peak is None else f"the peak at rest is {_value(objective, peak)}"
-    yield f"Started {other}, {found}."
+    if peak is None:
+        yield f"Started {other}, no way through the charts of postures was found."
+    else:
+        yield f"Started {other}, the way through the charts has a peak at rest of {_value(objective, peak)}."
 
 
 def _of_motion_alone(plan: Plan) -> Iterator[str]:

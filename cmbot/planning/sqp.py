@@ -34,7 +34,8 @@ _LEAST_PROMISE = 1e-15
 # The box that steps stay in, at first and at most: it doubles where steps reach its sides and keep their
 # promise. How far a promise is made when it tells whether the end is reached.
 _BOX, _LARGEST_BOX, _UNIT = 4.0, 1e3, 1.0
-_LEAST_DAMPING, _MOST_DAMPING, _DAMPING_STEP, _RELEASE = 1e-8, 1e6, 4.0, 16.0
+# The least damping is next to none: where via-points are dense, many unknowns move far together.
+_LEAST_DAMPING, _MOST_DAMPING, _DAMPING_STEP, _RELEASE = 1e-10, 1e6, 4.0, 16.0
 _MOST_PENALTY, _PENALTY_STEP = 1e4, 10.0
 # A step that leaves this share of the violations does little about them; a larger penalty is worthwhile if it
 # brings that down to this share; where none brings violations down to this share they cannot be met.
