@@ -1,5 +1,7 @@
 """The report's plots: what they show, between which bounds, and how they are made light."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -52,7 +54,19 @@ def test_tracking_errors_share_one_scale(triangle_plan: Plan, triangle_tracking:
     assert spans == pytest.approx([spans[0]] * 3)
     for chart in along:
         for curve in chart.curves:
-            assert chart.axis[0] <= curve.y.min() <= curve.y.max() <= chart.axis[1]
+            assert chart.axis[0] < curve.y.min() <= curve.y.max() < chart.axis[1]
+
+
+def test_tracking_errors_that_lie_apart_stay_inside_their_frames(
+    triangle_plan: Plan, triangle_tracking: Tracking
+) -> None:
+    planned = triangle_tracking.planned
+    aside = np.array([0.0, 0.03, 0.0])
+    apart = replace(planned, error=planned.error + aside, static=planned.static + aside)
+    along = list(charts(triangle_plan, replace(triangle_tracking, planned=apart)))
+    for chart in (chart for chart in along if chart.title.startswith("Tracking error")):
+        for curve in chart.curves:
+            assert chart.axis[0] < curve.y.min() <= curve.y.max() < chart.axis[1]
 
 
 def test_it_is_said_where_an_error_is_measured_from(

@@ -180,11 +180,11 @@ def _tool_deviation(plan: Plan) -> Chart:
 def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
     """Yield the tracking error along each axis, all to one scale."""
     motions = _motions(tracking)
-    spread = max(float(np.ptp(motion.error, axis=0).max()) for _, motion in motions)
+    shown = np.vstack([each for _, motion in motions for each in (motion.error, motion.static)])
+    middles = 0.5e3 * (shown.min(axis=0) + shown.max(axis=0))
+    half = 0.5e3 * ROOM * float(np.ptp(shown, axis=0).max())
     for number, axis in enumerate("xyz"):
-        both = [(motion.error[:, number], motion.static[:, number]) for _, motion in motions]
-        middle = 0.5 * (min(e.min() for e, _ in both) + max(e.max() for e, _ in both))
-        half = 1e3 * max(0.5 * ROOM * spread, max(float(abs(e - middle).max()) for e, _ in both))
+        middle = float(middles[number])
         curves = tuple(
             Curve(motion=name, t=motion.t, y=1e3 * values[:, number], thin=thin)
             for thin in (True, False)
@@ -197,7 +197,7 @@ def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
             unit="mm",
             digits=2,
             curves=curves,
-            axis=(1e3 * middle - half, 1e3 * middle + half),
+            axis=(middle - half, middle + half),
             note="" if number else note,
             approach=_NOT_SIMULATED,
         )
