@@ -164,8 +164,9 @@ def figures(triangle_plan: Plan) -> list[tuple[str, ...]]:
     return [(*triangle, *others[1:]) for triangle, others in pairs]
 
 
-# Figures that no optimum settles, and by how much they may differ; vibrations most of all.
-FLAT = {"swing": 0.1, "share": 0.02, "tool": 0.02, "mean": 0.02}
+# Figures of a planned motion that no optimum settles, and by how much they may differ; where nothing is near,
+# the smallest clearance most of all.
+FLAT = {"clearance": 0.3, "swing": 0.1, "share": 0.02, "tool": 0.02, "mean": 0.02}
 
 
 def assert_same(quoted: str, printed: str, where: str) -> None:
@@ -188,7 +189,8 @@ def test_readme_figures_are_the_planners(figures: list[tuple[str, ...]]) -> None
     assert [row[0] for row in table[2:]] == [row[0] for row in figures]
     for quoted, printed in zip(table[2:], figures, strict=True):
         for column in range(1, 5):
-            assert_same(quoted[column], printed[column], quoted[0])
+            # The baseline is not optimised: its figures are exact.
+            assert_same(quoted[column], printed[column], "" if column % 2 else quoted[0])
 
 
 def test_readme_tracking_is_the_simulations(triangle_plan: Plan) -> None:
