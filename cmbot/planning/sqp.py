@@ -44,6 +44,8 @@ _STAYS, _WORTHWHILE, _HOPELESS = 0.5, 0.5, 0.9
 # violated by more than that lead nowhere.
 _SLOW = 5
 _LONG, _LEFT, _FAR = 30, 0.8, 2e-2
+# Objective and peak below this do not make the accuracy finer.
+_SMALLEST = 1e-2
 
 
 class Place(Protocol):
@@ -138,7 +140,8 @@ def descend(
     damping : float
         Weight of half the step's square; grows where the model promises too much.
     accuracy : float
-        It ends when the model, not damped, promises less in a box of radius 1.
+        It ends when the model, not damped, promises less in a box of radius 1; as a share of objective and
+        peak where these are below 1.
     tolerance : float
         Violations up to this count as met.
     max_iterations : int
@@ -150,7 +153,7 @@ def descend(
         model = walk.model()
         step = walk.steered(model)
         promised = walk.promise(model, step.p)
-        if promised > accuracy or not walk.ends(model, step):
+        if promised > walk.accuracy or not walk.ends(model, step):
             walk.take(model, step, promised)
     return Descent(
         place=walk.place,
@@ -187,12 +190,18 @@ class _Walk(Generic[AnyPlace]):
         self._violations = [place.values.violation]
 
     @property
+    def accuracy(self) -> float:
+        """What nothing is worth doing for, where the walk is."""
+        here = self.place.values
+        return self._accuracy * min(1.0, max(abs(here.objective + here.peak), _SMALLEST))
+
+    @property
     def slow(self) -> bool:
         """The last steps together gained no more than the accuracy."""
         last = self.merits[-_SLOW:]
         gained = sum(before - after for _, before, after in last)
         met = self.place.values.violation <= self._tolerance
-        return met and len(last) == _SLOW and gained <= self._accuracy
+        return met and len(last) == _SLOW and gained <= self.accuracy
 
     def model(self) -> LocalModel:
         """Return the problem to second order where the walk is."""
@@ -227,7 +236,7 @@ class _Walk(Generic[AnyPlace]):
             return True
         if model.violation <= self._tolerance:
             far = solve_qp(model, self.penalty, _UNIT, 0.0).p
-            self.settled = self.promise(model, far) <= self._accuracy
+            self.settled = self.promise(model, far) <= self.accuracy
             return self.settled
         kinds = len(self.penalty)
         if model.violations(step.p, kinds=kinds).max() <= _STAYS * model.violation:
