@@ -61,8 +61,7 @@ class Assembly:
         -------
         (N, size)
         """
-        at, orders = rows.segment, len(derivative)
-        by_spline = rows.weight[:, :orders].transpose(0, 2, 1) @ derivative.transpose(1, 0, 2)
+        at, by_spline = rows.segment, rows.by_spline(derivative)
         by_slide = np.einsum("nwd,nwad->nwa", by_spline, self.tangent[at])
         N, column = len(at), self._columns[at]
         data = np.hstack([_flat(by_spline * self.unit[at], 1), _flat(by_slide, 1)])

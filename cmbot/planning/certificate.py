@@ -152,7 +152,7 @@ def certify(
     for first in range(0, len(grid) - 1, block):
         # Each block ends where the next one begins, so that means are over all times.
         some = slice(first, first + block + 1)
-        motion = (q[some], *(trajectory.evaluate(grid[some], order) for order in (1, 2, 3)))
+        motion = (q[some], *trajectory.derivatives(grid[some], (1, 2, 3)))
         samples = measure(robot, task, clearances, grid[some], motion, sag, clearance=clearance[some])
         torques.append(_torque_check(robot, grid[some], samples.joint_torque))
         if at_work:

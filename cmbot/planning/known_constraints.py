@@ -60,11 +60,13 @@ class KnownConstraints:
             [np.append(part, np.zeros(size - len(part))) for part, size in zip(parts, now, strict=True)]
         )
 
-    def needed(self, value: FloatArray, multipliers: FloatArray) -> BoolArray | None:
+    def needed(self, sites: Sites, value: FloatArray, multipliers: FloatArray) -> BoolArray | None:
         """Forget constraints that do not matter where they have become many.
 
         Parameters
         ----------
+        sites : Sites
+            All that are known now.
         value, multipliers : (K,)
 
         Returns
@@ -74,9 +76,7 @@ class KnownConstraints:
         """
         if len(value) < _MANY * self._were + _MORE:
             return None
-        sites = [*self.working.state_sites(), *self.working.bound_sites()]
-        kind = np.repeat(np.arange(len(sites)), self.working.sizes)
-        times, component = (np.concatenate([each[part] for each in sites]) for part in (1, 2))
+        kind, times, component = sites.kind, np.concatenate(sites.times), np.concatenate(sites.component)
         window = np.floor(times / (_WINDOW * (self.problem.grid[1] - self.problem.grid[0])))
         idle = multipliers <= _NEGLIGIBLE * multipliers.sum()
         # Those alike in kind, component and window side by side: with multipliers first, then the worst.

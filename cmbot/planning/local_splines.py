@@ -44,6 +44,11 @@ class LocalRows:
     def __getitem__(self, index: IntArray | slice) -> LocalRows:
         return LocalRows(self.segment[index], self.weight[index])
 
+    def by_spline(self, derivative: FloatArray) -> FloatArray:
+        """Take derivatives (k, N, d) by position and the next orders to those (N, w, d) by the splines."""
+        weight = self.weight[:, : len(derivative)]
+        return np.asarray(weight.transpose(0, 2, 1) @ derivative.transpose(1, 0, 2))
+
 
 class LocalSplines:
     """The local basis of a `SplineSpace`.

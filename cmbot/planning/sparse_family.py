@@ -182,8 +182,7 @@ class LocalKnots:
 
     def pulled(self, rows: LocalRows, derivative: FloatArray) -> FloatArray:
         """Gradient (size of u,) by u of a sum of functions, from derivatives (k, N, d) by the states."""
-        living = self.splines.living[rows.segment]
-        by_spline = rows.weight[:, : len(derivative)].transpose(0, 2, 1) @ derivative.transpose(1, 0, 2)
+        living, by_spline = self.splines.living[rows.segment], rows.by_spline(derivative)
         pull = np.zeros((self.splines.columns.shape[1], self.via_points.shape[1]))
         np.add.at(pull, living[living >= 0], by_spline[living >= 0])
         return pull.ravel()

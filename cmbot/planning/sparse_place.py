@@ -71,7 +71,7 @@ class TorquePlace:
 
     def thinned(self, multipliers: FloatArray) -> tuple[TorquePlace, FloatArray]:
         """Return the same spline with fewer constraints, where they were many, and their multipliers."""
-        needed = self.known.needed(self.values.value, multipliers)
+        needed = self.known.needed(self.at.sites, self.values.value, multipliers)
         if needed is None:
             return self, multipliers
         left = self.at.kept(needed, self.known.sites(self.family.splines))
