@@ -1,8 +1,8 @@
 """The problems that solvers are compared on, and how everybody's answer is judged.
 
-Every problem is the peak's of `cmbot.planning.problem` at the smoothing that plans begin with and mostly end
-with: ``min b + w/2 mean (jerk/J_C)^2``, no resting end that would turn it into a mean square. All solvers
-start at the same spline of least jerk.
+Every problem is the peak's of `cmbot.planning.torque.problem` at the smoothing that plans begin with and
+mostly end with: ``min b + w/2 mean (jerk/J_C)^2``, no resting end that would turn it into a mean square. All
+solvers start at the same spline of least jerk.
 """
 
 from __future__ import annotations
@@ -12,18 +12,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cmbot import load_scene
-from cmbot.arrays import FloatArray
-from cmbot.errors import OptimisationFailed, PathNotFound
-from cmbot.planning.efforts import SMOOTH
-from cmbot.planning.feasibility import check_feasible
-from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.setting import Setting, prepare
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import OptimisationFailed, PathNotFound
+from cmbot.optimization.continuation import SMOOTH
+from cmbot.planning.context import Setting, prepare
+from cmbot.planning.initial_guess import Way, fixed_way, sliding_way
 from cmbot.planning.solvers import family_through
-from cmbot.planning.state_functions import States
-from cmbot.planning.trajectory import QuinticTrajectory
-from cmbot.planning.ways import Way, fixed_way, sliding_way
+from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.feasibility import check_feasible
+from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Postures
 from cmbot.scene import Leg, Scene
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["Case", "Judgement", "fixed_case", "judged", "random_scene", "sliding_case", "way_of"]
 

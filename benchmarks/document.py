@@ -3,7 +3,7 @@
     python benchmarks/document.py       # after a run; or in one go: python benchmarks/run.py --document
 
 Results become benchmarks/results/reference.json, tables go between their markers in docs/performance.md.
-tests/test_benchmarks.py holds the page to that file.
+tests/house/test_benchmarks.py holds the page to that file.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib
 from typing import Any
 
-from cmbot.errors import MissingExtra
+from cmbot.common.errors import MissingExtra
 
 __all__ = ["required"]
 

@@ -24,10 +24,10 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from cmbot import Scene, load_scene
-from cmbot.planning.certificate import certify
-from cmbot.planning.optimiser import optimise
-from cmbot.planning.setting import prepare
-from cmbot.planning.ways import sliding_way
+from cmbot.optimization.exchange import optimise
+from cmbot.planning.context import prepare
+from cmbot.planning.initial_guess import sliding_way
+from cmbot.planning.verification.certificate import certify
 
 SIZES = (50, 200, 1000)
 

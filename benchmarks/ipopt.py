@@ -19,11 +19,11 @@ from lagrangian import LagrangianHessian
 from sampled import FAR, SampledProblem
 from scipy import sparse
 
-from cmbot.arrays import FloatArray
-from cmbot.planning import optimiser
-from cmbot.planning.families import FixedKnots
-from cmbot.planning.slsqp import Remembered, Subproblem, solve_slsqp
-from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.common.arrays import FloatArray
+from cmbot.optimization import exchange as optimiser
+from cmbot.optimization.slsqp import Remembered, Subproblem, solve_slsqp
+from cmbot.planning.torque.families import FixedKnots
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["Answer", "solve_sampled", "solve_working_set"]
 

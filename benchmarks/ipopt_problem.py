@@ -10,7 +10,7 @@ import numpy as np
 from extras import required
 from scipy import sparse
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 
 __all__ = ["Ended", "Program", "solve"]
 

@@ -26,11 +26,11 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from cmbot import load_scene
+from cmbot.collision.clearance import Clearances
+from cmbot.collision.shape_pairs import PairedShapes
 from cmbot.planning import robot_of
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 from cmbot.scene import Scene
-from cmbot.scene.clearance import Clearances
-from cmbot.scene.paired_shapes import PairedShapes
 
 __all__ = ["Kernel", "compiler", "kernels", "measured"]
 

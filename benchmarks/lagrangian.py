@@ -10,7 +10,7 @@ from sampled import ROUND, SampledProblem
 from scipy import sparse
 from symbolic import SymbolicArm, verified
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 
 __all__ = ["LagrangianHessian"]
 

@@ -17,12 +17,12 @@ import numpy as np
 from cases import Case
 from scipy import optimize
 
-from cmbot.arrays import FloatArray
-from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.slsqp import Remembered
-from cmbot.planning.state_functions import JointTorque, States, ToolDeviation
-from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.common.arrays import FloatArray
+from cmbot.optimization.slsqp import Remembered
+from cmbot.planning.torque.constraints import JointTorque, States, ToolDeviation
+from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Kinematics
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["LiteralAnswer", "LiteralProblem", "solve_literal"]
 

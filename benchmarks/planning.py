@@ -9,10 +9,10 @@ from cases import way_of
 from measure import command, process_time, wall_time
 
 from cmbot import load_scene
+from cmbot.optimization.exchange import optimise
 from cmbot.planning import plan
-from cmbot.planning.optimiser import optimise
-from cmbot.planning.setting import prepare
-from cmbot.planning.ways import sliding_way
+from cmbot.planning.context import prepare
+from cmbot.planning.initial_guess import sliding_way
 from cmbot.simulation import simulate
 
 __all__ = ["Planned", "planned", "start_up"]

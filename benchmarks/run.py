@@ -28,7 +28,7 @@ from solvers import compared
 from tables import goal_sheet, print_sheets, sheets
 from threadpoolctl import threadpool_limits
 
-from cmbot.errors import CmbotError
+from cmbot.common.errors import CmbotError
 
 SCENES = ("triangle", "line")
 _SIZES, _QUICK_SIZES = (50, 200, 1000, 5000), (50, 200)

@@ -1,6 +1,6 @@
 """The torque problem with every sample of the grid as a row: what a solver without an exchange is given.
 
-The unknowns are the local splines' (`cmbot.planning.local_splines`): no equality keeps them C3, and a row
+The unknowns are the local splines' (`cmbot.trajectory.local_basis`): no equality keeps them C3, and a row
 touches a few of them only. Sliding via-points are unknowns themselves, kept on the tool task by equalities.
 Last comes the bound b of the peak. Rows, in this order::
 
@@ -22,13 +22,13 @@ import numpy as np
 from cases import Case
 from scipy import sparse
 
-from cmbot.arrays import FloatArray, IntArray
-from cmbot.planning.local_splines import LocalSplines
-from cmbot.planning.problem import TorqueProblem
-from cmbot.planning.slides import LONGEST_SLIDE
-from cmbot.planning.state_functions import JointTorque, States, ToolDeviation
-from cmbot.planning.trajectory import QuinticTrajectory
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.planning.torque.constraints import JointTorque, States, ToolDeviation
+from cmbot.planning.torque.null_space import LONGEST_SLIDE
+from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Kinematics, Postures
+from cmbot.trajectory.local_basis import LocalSplines
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["FAR", "ROUND", "SampledProblem"]
 

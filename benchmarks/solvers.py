@@ -11,9 +11,9 @@ from literal import solve_literal
 from measure import process_time
 
 from cmbot import load_scene
-from cmbot.planning.optimiser import optimise
-from cmbot.planning.trajectory import QuinticTrajectory
-from cmbot.validation import counted
+from cmbot.common.validation import counted
+from cmbot.optimization.exchange import optimise
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["Solved", "compared", "solved_by_cmbot", "solved_by_other", "to_the_letter"]
 

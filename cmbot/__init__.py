@@ -18,7 +18,7 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from cmbot.errors import (
+from cmbot.common.errors import (
     ArchiveError,
     CmbotError,
     InputError,

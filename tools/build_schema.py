@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
 
+from cmbot.common.validation import FileModel
 from cmbot.scene.schema import FORMAT, SceneFile
-from cmbot.validation import FileModel
 
 TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
 

@@ -1,7 +1,7 @@
 """Write the figures in README.md anew, between their markers, from real runs.
 
 Run it with ``python tools/document_figures.py`` after a change that moves them; ``--sensitivity`` also writes
-the table of docs/assumptions.md, which takes minutes. tests/test_documents.py holds the README to it.
+the table of docs/assumptions.md, which takes minutes. tests/house/test_documents.py holds the README to it.
 """
 
 from __future__ import annotations

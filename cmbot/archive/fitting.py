@@ -10,10 +10,10 @@ import numpy as np
 
 from cmbot.archive.folder import PLAN_FILE
 from cmbot.archive.schema import PlanFile
-from cmbot.arrays import FloatArray
-from cmbot.errors import ArchiveError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import counted, shown
 from cmbot.planning import Approach, QuinticTrajectory
-from cmbot.validation import counted, shown
 
 __all__ = ["require_fit", "require_times", "require_unchanged"]
 

@@ -12,8 +12,8 @@ from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 from cmbot.archive.strict_json import read_json
-from cmbot.errors import ArchiveError
-from cmbot.validation import shown
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import shown
 
 __all__ = [
     "APPROACH_FILES",

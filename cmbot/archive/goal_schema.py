@@ -7,9 +7,9 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
+from cmbot.common.validation import FileModel
 from cmbot.planning import Floor, ObjectiveFigures
-from cmbot.planning.ways import Choice
-from cmbot.validation import FileModel
+from cmbot.planning.initial_guess import Choice
 
 __all__ = ["ChoiceFile", "Count", "FloorFile", "NonNegative", "ObjectiveFile"]
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.errors import ArchiveError, InputError
+from cmbot.common.errors import ArchiveError, InputError
+from cmbot.common.validation import counted, shown
 from cmbot.planning import QuinticTrajectory
-from cmbot.validation import counted, shown
 
 __all__ = ["knots_npz", "read_knots"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic_core import to_json
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 
 __all__ = ["number_rows"]
 

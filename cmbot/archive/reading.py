@@ -16,8 +16,11 @@ from cmbot.archive.nearby import plans_nearby
 from cmbot.archive.schema import ApproachFile, CertificateFile, FiguresFile, PlanFile
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_motion
-from cmbot.arguments import given_path
-from cmbot.errors import ArchiveError, InputError
+from cmbot.collision.clearance import Clearances
+from cmbot.common.arguments import given_path
+from cmbot.common.errors import ArchiveError, InputError
+from cmbot.common.validation import shown, validated
+from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning import (
     Approach,
     Certificate,
@@ -31,16 +34,13 @@ from cmbot.planning import (
     sag_of,
     task_of,
 )
-from cmbot.planning.certificate import certificate_grid, certify
-from cmbot.planning.figures import figures, measure
-from cmbot.planning.objective_figures import objective_figures
-from cmbot.planning.objectives import objective_of
-from cmbot.planning.state_functions import States
-from cmbot.planning.tool_sag import ToolSag
+from cmbot.planning.objective_metrics import objective_figures
+from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.objectives import objective_of
+from cmbot.planning.verification.certificate import certificate_grid, certify
+from cmbot.planning.verification.metrics import figures, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene, scene_from_file_model
-from cmbot.scene.clearance import Clearances
-from cmbot.validation import shown, validated
 
 __all__ = ["load_plan"]
 

@@ -9,7 +9,9 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.archive.goal_schema import ChoiceFile, Count, FloorFile, NonNegative, ObjectiveFile
-from cmbot.errors import PathNotFound
+from cmbot.common.errors import PathNotFound
+from cmbot.common.validation import FileModel
+from cmbot.optimization.working_set import Violation
 from cmbot.planning import (
     Certificate,
     Check,
@@ -19,11 +21,9 @@ from cmbot.planning import (
     Seconds,
     Start,
 )
-from cmbot.planning.compensation import Compensation
-from cmbot.planning.quieting import Quieting
-from cmbot.planning.working_set import Violation
+from cmbot.planning.flexibility.sag_compensation import Compensation
+from cmbot.planning.flexibility.vibration_suppression import Quieting
 from cmbot.scene import PlannerOptions, SceneFile
-from cmbot.validation import FileModel
 
 __all__ = [
     "ApproachFile",

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from typing import Any, NoReturn
 
-from cmbot.errors import ArchiveError
-from cmbot.validation import shown
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import shown
 
 __all__ = ["json_bytes", "read_json"]
 

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from cmbot.archive.number_text import number_rows
-from cmbot.arrays import FloatArray
-from cmbot.errors import ArchiveError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import counted, shown
 from cmbot.planning import Samples
-from cmbot.validation import counted, shown
 
 __all__ = ["columns", "read_motion", "read_rows", "samples_csv", "table_csv"]
 

@@ -12,15 +12,15 @@ from cmbot.archive.folder import PLAN_FILE, read_file
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_rows
 from cmbot.archive.tracking import COLUMNS, FORMAT, TRACKING_FILES
-from cmbot.arguments import given_path
-from cmbot.arrays import FloatArray
-from cmbot.errors import ArchiveError
+from cmbot.common.arguments import given_path
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import counted, shown, validated
+from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning import Plan, require_plan
-from cmbot.planning.tool_sag import ToolSag
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking
 from cmbot.simulation.drive import Drive, drive_along, drive_through
 from cmbot.simulation.tracking import completed, foreseen
-from cmbot.validation import counted, shown, validated
 
 __all__ = ["load_tracking"]
 

@@ -18,8 +18,9 @@ from cmbot.archive.ros import ros_json
 from cmbot.archive.schema import PlanFile, or_null
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import samples_csv
-from cmbot.arguments import given_path
-from cmbot.errors import ArchiveError
+from cmbot.common.arguments import given_path
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import validated
 from cmbot.planning import (
     Approach,
     Certificate,
@@ -32,7 +33,6 @@ from cmbot.planning import (
 )
 from cmbot.robot import Robot
 from cmbot.scene import Mesh, Scene, SceneFile, filed, scene_from_file_model
-from cmbot.validation import validated
 from cmbot.version import __version__
 
 __all__ = ["save"]

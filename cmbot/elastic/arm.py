@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.errors import InputError
 from cmbot.elastic.base import ElasticBase
 from cmbot.elastic.pieces import cut_inertia
-from cmbot.errors import InputError
 from cmbot.robot import LinkTube, Robot
 
 __all__ = ["ElasticArm", "ElasticOptions", "elastic_arm"]

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.linearised import linearised
-from cmbot.errors import InputError
 
 __all__ = ["ArmModes", "arm_modes"]
 

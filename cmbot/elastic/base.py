@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.elastic.guardrail import Guardrail
 from cmbot.elastic.guardrail_frame import guardrail_frame
 

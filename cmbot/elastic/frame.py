@@ -11,11 +11,11 @@ from scipy import linalg, sparse
 from scipy.sparse.csgraph import connected_components
 from scipy.sparse.linalg import SuperLU
 
-from cmbot.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.errors import InputError
 from cmbot.elastic.beam import Beams
 from cmbot.elastic.frame_modes import factorised, natural_frequencies, too_far_apart
 from cmbot.elastic.sections import SectionConstants
-from cmbot.errors import InputError
 
 __all__ = ["Condensed", "Frame", "Member"]
 

@@ -6,8 +6,8 @@ import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 
 __all__ = ["factorised", "natural_frequencies", "too_far_apart"]
 

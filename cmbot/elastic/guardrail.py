@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 
 __all__ = ["AngleSection", "BarSection", "Guardrail", "GuardrailMaterial", "Post", "Rail", "Section"]
 

@@ -9,10 +9,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from cmbot.common.errors import InputError
 from cmbot.elastic.frame import Frame, Member
 from cmbot.elastic.guardrail import Guardrail
 from cmbot.elastic.sections import SectionConstants, section_constants
-from cmbot.errors import InputError
 
 __all__ = ["GuardrailFrame", "guardrail_frame"]
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm
-from cmbot.errors import InputError
 from cmbot.robot import Kinematics
 
 __all__ = ["Sag", "SagStates"]

@@ -1,24 +1,24 @@
 """The method: path, via-points, trajectory, certificate, plan."""
 
-from cmbot.planning.approach import Approach, certify_approach
-from cmbot.planning.certificate import Certificate, Check
-from cmbot.planning.examination import Examination, examine_options, examine_scene
-from cmbot.planning.figures import LimitUse, MotionFigures, Samples
-from cmbot.planning.floor import Floor
-from cmbot.planning.global_stage import GlobalSolution, GlobalStage
-from cmbot.planning.gradient_projection import JointPath
-from cmbot.planning.objective_figures import ObjectiveFigures
-from cmbot.planning.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
-from cmbot.planning.optimiser import PassReport
+from cmbot.optimization.exchange import PassReport
+from cmbot.planning.approach.approach import Approach, certify_approach
+from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
+from cmbot.planning.objective_metrics import ObjectiveFigures
+from cmbot.planning.path.gradient_projection import JointPath
+from cmbot.planning.path.task import ToolTask
 from cmbot.planning.plan import Plan, Seconds, Start, require_plan
 from cmbot.planning.planner import plan
+from cmbot.planning.precheck import Examination, examine_options, examine_scene
 from cmbot.planning.progress import Progress
 from cmbot.planning.remarks import remarks
-from cmbot.planning.setting import bending_arm, robot_of, sag_of, task_of
-from cmbot.planning.spline_space import SplineSpace
-from cmbot.planning.task import ToolTask
-from cmbot.planning.trajectory import QuinticTrajectory
-from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction
+from cmbot.planning.selfmotion.global_search import GlobalSolution, GlobalStage
+from cmbot.planning.selfmotion.lower_bound import Floor
+from cmbot.planning.torque.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
+from cmbot.planning.torque.wrench_functions import WeightedMoment, WrenchFunction
+from cmbot.planning.verification.certificate import Certificate, Check
+from cmbot.planning.verification.metrics import LimitUse, MotionFigures, Samples
+from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory.spline_space import SplineSpace
 
 __all__ = [
     "Approach",

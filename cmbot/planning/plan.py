@@ -8,24 +8,24 @@ from functools import cached_property
 
 import numpy as np
 
-from cmbot.arguments import require_type
-from cmbot.arrays import FloatArray
-from cmbot.errors import PathNotFound
-from cmbot.planning.approach import Approach
-from cmbot.planning.certificate import Certificate
-from cmbot.planning.compensation import Compensation
-from cmbot.planning.figures import MotionFigures, Samples, measure
-from cmbot.planning.floor import Floor
-from cmbot.planning.objective_figures import ObjectiveFigures
-from cmbot.planning.optimiser import PassReport
-from cmbot.planning.quieting import Quieting
-from cmbot.planning.task import ToolTask
-from cmbot.planning.tool_sag import ToolSag
-from cmbot.planning.trajectory import QuinticTrajectory
-from cmbot.planning.ways import Choice
+from cmbot.collision.clearance import Clearances
+from cmbot.common.arguments import require_type
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import PathNotFound
+from cmbot.elastic.tool_sag import ToolSag
+from cmbot.optimization.exchange import PassReport
+from cmbot.planning.approach.approach import Approach
+from cmbot.planning.flexibility.sag_compensation import Compensation
+from cmbot.planning.flexibility.vibration_suppression import Quieting
+from cmbot.planning.initial_guess import Choice
+from cmbot.planning.objective_metrics import ObjectiveFigures
+from cmbot.planning.path.task import ToolTask
+from cmbot.planning.selfmotion.lower_bound import Floor
+from cmbot.planning.verification.certificate import Certificate
+from cmbot.planning.verification.metrics import MotionFigures, Samples, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.scene.clearance import Clearances
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["Plan", "Seconds", "Start", "require_plan"]
 

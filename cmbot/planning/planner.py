@@ -10,31 +10,31 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cmbot.arguments import checked_options, require_type
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError, OptimisationFailed, PathNotFound
-from cmbot.planning.approach import Approach, plan_approach
-from cmbot.planning.baseline import baseline_samples
-from cmbot.planning.calmer_ways import followed
-from cmbot.planning.certificate import Certificate, certificate_grid, certify
-from cmbot.planning.compensation import MOST_ROUNDS, Compensation, compensate
-from cmbot.planning.figures import figures
-from cmbot.planning.gradient_projection import follow_path
-from cmbot.planning.objective_figures import objective_figures
-from cmbot.planning.optimiser import Optimised, PassReport, optimise
+from cmbot.common.arguments import checked_options, require_type
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError, OptimisationFailed, PathNotFound
+from cmbot.optimization.exchange import Optimised, PassReport, optimise
+from cmbot.planning.approach.approach import Approach, plan_approach
+from cmbot.planning.context import Setting, prepare
+from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
+from cmbot.planning.flexibility.vibration_suppression import Quieting, quiet
+from cmbot.planning.initial_guess import Way, fixed_way, sliding_way
+from cmbot.planning.objective_metrics import objective_figures
+from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.plan import Plan, Seconds, Start
 from cmbot.planning.problem_size import require_reasonable_size
 from cmbot.planning.progress import Progress, Teller
-from cmbot.planning.quieting import Quieting, quiet
-from cmbot.planning.setting import Setting, prepare
+from cmbot.planning.retries import followed
 from cmbot.planning.solvers import solver_of
-from cmbot.planning.state_functions import States
-from cmbot.planning.stretches import stretches
 from cmbot.planning.tool_reach import require_within_reach
-from cmbot.planning.trajectory import QuinticTrajectory
-from cmbot.planning.ways import Way, fixed_way, sliding_way
-from cmbot.planning.wrench_functions import WrenchFunction
+from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.decomposition import stretches
+from cmbot.planning.torque.wrench_functions import WrenchFunction
+from cmbot.planning.verification.baseline import baseline_samples
+from cmbot.planning.verification.certificate import Certificate, certificate_grid, certify
+from cmbot.planning.verification.metrics import figures
 from cmbot.scene import PlannerOptions, Scene
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["checked", "plan"]
 

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import importlib.util
 
-from cmbot.errors import MissingExtra, SceneError
-from cmbot.extras import install_command
+from cmbot.common.errors import MissingExtra, SceneError
+from cmbot.common.extras import install_command
+from cmbot.planning.path.task import task_dimension
 from cmbot.planning.solvers import solver_of
-from cmbot.planning.spline_space import SUPPORT
-from cmbot.planning.task import task_dimension
 from cmbot.robot import Finding
 from cmbot.scene import PlannerOptions, Scene
+from cmbot.trajectory.spline_space import SUPPORT
 
 __all__ = ["MOST_UNKNOWNS", "oversized", "require_reasonable_size"]
 

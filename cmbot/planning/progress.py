@@ -7,10 +7,10 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from cmbot.remaining import Left, Remaining
+from cmbot.common.eta import Left, Remaining
 
 if TYPE_CHECKING:
-    from cmbot.planning.optimiser import PassReport
+    from cmbot.optimization.exchange import PassReport
 
 __all__ = ["Progress", "Teller"]
 

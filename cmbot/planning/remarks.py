@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
-from cmbot.planning.objective_figures import ObjectiveFigures
+from cmbot.common.arrays import FloatArray
+from cmbot.common.validation import counted
+from cmbot.planning.flexibility.vibration_suppression import Quieting
+from cmbot.planning.objective_metrics import ObjectiveFigures
 from cmbot.planning.plan import Plan
-from cmbot.planning.quieting import Quieting
-from cmbot.validation import counted
 
 __all__ = ["remarks"]
 

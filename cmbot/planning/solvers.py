@@ -6,18 +6,18 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import MissingExtra
-from cmbot.planning.families import FixedKnots, SlidingKnots, WhitenedSplines
-from cmbot.planning.family import Family
-from cmbot.planning.local_splines import LocalSplines
-from cmbot.planning.setting import Setting
-from cmbot.planning.slides import TaskAtViaPoints
-from cmbot.planning.sparse_family import LocalKnots
-from cmbot.planning.sparse_qp import piqp_module
-from cmbot.planning.spline_space import SplineSpace
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import MissingExtra
+from cmbot.optimization.qp import piqp_module
+from cmbot.planning.context import Setting
+from cmbot.planning.torque.families import FixedKnots, SlidingKnots, WhitenedSplines
+from cmbot.planning.torque.family import Family
+from cmbot.planning.torque.null_space import TaskAtViaPoints
 from cmbot.robot import Postures
 from cmbot.scene import PlannerOptions
+from cmbot.trajectory.local_basis import LocalSplines
+from cmbot.trajectory.parametrization import LocalKnots
+from cmbot.trajectory.spline_space import SplineSpace
 
 __all__ = ["family_through", "solver_of"]
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.errors import PathNotFound
-from cmbot.planning.setting import Setting
+from cmbot.common.errors import PathNotFound
+from cmbot.planning.context import Setting
 from cmbot.robot import Robot
 from cmbot.scene.tool_path import ToolPath
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.reproduction.experiment import Experiment, Run, axes, reduction
 from cmbot.simulation import MotionTracking
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import PlanningError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import PlanningError
 from cmbot.planning import Plan, Progress, plan
 from cmbot.reproduction.paper import PAPER, PaperExperiment
 from cmbot.reproduction.steps import Steps

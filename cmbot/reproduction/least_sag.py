@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.reproduction.experiment import Run, Variant
 from cmbot.reproduction.goal_table import GoalRow, GoalTable, values
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.reproduction.agreement import findings, reasons
 from cmbot.reproduction.assumptions import assumption_tables
 from cmbot.reproduction.experiment import Experiment, Reproduction, Run, axes, reduction

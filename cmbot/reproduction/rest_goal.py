@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.reproduction.experiment import Experiment
 from cmbot.reproduction.goal_table import GoalRow, GoalTable, Verdict, axes_where, values

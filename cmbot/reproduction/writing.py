@@ -6,7 +6,7 @@ from pathlib import Path
 
 from cmbot.archive import add_file, require_free, save, save_tracking, write_file
 from cmbot.archive.strict_json import json_bytes
-from cmbot.errors import ArchiveError
+from cmbot.common.errors import ArchiveError
 from cmbot.reproduction.experiment import Reproduction
 from cmbot.reproduction.paper import PAPER
 from cmbot.reproduction.report import as_json, markdown

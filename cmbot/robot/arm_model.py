@@ -10,10 +10,10 @@ from xml.etree import ElementTree
 import coal
 import pinocchio as pin
 
-from cmbot.errors import ModelError
+from cmbot.common.errors import ModelError
+from cmbot.common.validation import hint
 from cmbot.robot.hulls import convex_hull, encloses_volume
 from cmbot.robot.semantics import Semantics, stance
-from cmbot.validation import hint
 
 __all__ = ["arm_model"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import yourdfpy
 
-from cmbot.errors import ModelError
+from cmbot.common.errors import ModelError
 from cmbot.robot.kinematics import Kinematics
 from cmbot.robot.robot import Robot
 

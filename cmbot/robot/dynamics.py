@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.robot.robot import Robot
 
 __all__ = ["Dynamics", "EffortDerivatives", "Efforts", "WrenchDerivatives"]

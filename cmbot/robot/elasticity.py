@@ -20,9 +20,9 @@ from typing import Annotated, Any, Literal, Self
 import pinocchio as pin
 from pydantic import Field, model_validator
 
-from cmbot.errors import ModelError
-from cmbot.validation import FileModel, refusal, validated
-from cmbot.yaml_reader import read_yaml
+from cmbot.common.errors import ModelError
+from cmbot.common.validation import FileModel, refusal, validated
+from cmbot.common.yaml_reader import read_yaml
 
 __all__ = ["LinkTube", "read_elasticity"]
 

@@ -7,7 +7,7 @@ from typing import Any
 import coal
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 
 __all__ = ["convex_hull", "encloses_volume"]
 

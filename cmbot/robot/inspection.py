@@ -17,8 +17,8 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from cmbot.errors import ModelError
-from cmbot.validation import counted
+from cmbot.common.errors import ModelError
+from cmbot.common.validation import counted
 
 __all__ = ["Finding", "inspect_urdf", "parse_robot_xml", "parse_urdf"]
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.robot.postures import Postures
 from cmbot.robot.robot import Robot
 

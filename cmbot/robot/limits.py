@@ -16,10 +16,10 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError, ModelError
-from cmbot.validation import FileModel, validated
-from cmbot.yaml_reader import read_yaml
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError, ModelError
+from cmbot.common.validation import FileModel, validated
+from cmbot.common.yaml_reader import read_yaml
 
 __all__ = ["JointLimits", "joints_with_limits", "read_joint_limits"]
 

@@ -13,10 +13,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from cmbot.arguments import given_path
-from cmbot.arrays import FloatArray
-from cmbot.errors import ModelError
-from cmbot.resources import model_folder
+from cmbot.common.arguments import given_path
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ModelError
+from cmbot.common.resources import model_folder
+from cmbot.common.validation import hint
 from cmbot.robot.arm_model import arm_model
 from cmbot.robot.elasticity import read_elasticity
 from cmbot.robot.inspection import inspect_urdf, parse_urdf
@@ -24,7 +25,6 @@ from cmbot.robot.limits import JointLimits, read_joint_limits
 from cmbot.robot.robot import Robot
 from cmbot.robot.semantics import enable_pairs, read_semantics
 from cmbot.robot.tool import attach_payload, set_tool_length
-from cmbot.validation import hint
 
 __all__ = ["load_robot"]
 

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
+from cmbot.common.validation import counted
 from cmbot.robot.limits import joints_with_limits
-from cmbot.validation import counted
 
 __all__ = ["overview"]
 

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.robot.chain import Chain
 from cmbot.robot.robot import Robot
 

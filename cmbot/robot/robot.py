@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.common.validation import counted
 from cmbot.robot.elasticity import LinkTube
 from cmbot.robot.limits import JointLimits
-from cmbot.validation import counted
 
 __all__ = ["Robot"]
 

@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import ModelError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ModelError
 from cmbot.robot.inspection import parse_robot_xml
 
 __all__ = ["Semantics", "enable_pairs", "read_semantics", "stance"]

@@ -10,7 +10,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from cmbot.errors import ModelError
+from cmbot.common.errors import ModelError
 from cmbot.robot.hulls import convex_hull
 
 __all__ = ["attach_payload", "set_tool_length"]

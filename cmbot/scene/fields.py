@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, Field, WithJsonSchema
 
-from cmbot.validation import refusal, shown
+from cmbot.common.validation import refusal, shown
 
 __all__ = ["Angle", "Coordinate", "Length", "Slug", "Vector", "exactly_one", "one_of_schema"]
 

@@ -7,7 +7,7 @@ from typing import cast
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.elastic.guardrail import (
     AngleSection,
     BarSection,

@@ -11,8 +11,8 @@ from typing import Annotated, Self
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
+from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema
-from cmbot.validation import FileModel, refusal, shown
 
 __all__ = ["FootFile", "GuardrailFile", "MaterialFile", "PostFile", "RailFile", "SectionFile"]
 

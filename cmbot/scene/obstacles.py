@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cmbot.arguments import require_fields, require_type
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError
+from cmbot.common.arguments import require_fields, require_type
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.common.validation import FileModel, shown
 from cmbot.scene.fields import Length
-from cmbot.validation import FileModel, shown
 
 __all__ = ["Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "Shape", "Sphere", "pose"]
 

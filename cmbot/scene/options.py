@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field
 
-from cmbot.validation import refusal
+from cmbot.common.validation import refusal
 
 __all__ = ["PlannerOptions"]
 

@@ -8,8 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.arguments import require_fields, require_type
-from cmbot.arrays import FloatArray
+from cmbot.common.arguments import require_fields, require_type
+from cmbot.common.arrays import FloatArray
 from cmbot.elastic import Guardrail
 from cmbot.scene.obstacles import Obstacle
 from cmbot.scene.options import PlannerOptions

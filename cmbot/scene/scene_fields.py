@@ -6,10 +6,10 @@ from typing import Annotated
 
 from pydantic import Field
 
+from cmbot.common.validation import FileModel
 from cmbot.scene.fields import Coordinate, Length, Vector
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.schema import SpeedProfileFile, Text, ToolPathFile
-from cmbot.validation import FileModel
 
 __all__ = ["RobotFields", "SceneFields"]
 

@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from cmbot.arguments import plain
-from cmbot.arrays import FloatArray
-from cmbot.errors import SceneError
+from cmbot.common.arguments import plain
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.common.validation import validated
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, pose
 from cmbot.scene.scene import RobotSource, Scene
 from cmbot.scene.scene_loading import content_hash
 from cmbot.scene.schema import MountFile, ObstacleFile, RobotFile, SceneFile
-from cmbot.validation import validated
 
 __all__ = ["filed"]
 

@@ -10,16 +10,16 @@ from typing import cast
 
 import numpy as np
 
-from cmbot.arguments import given_path
-from cmbot.errors import SceneError
-from cmbot.resources import scene_folder
+from cmbot.common.arguments import given_path
+from cmbot.common.errors import SceneError
+from cmbot.common.resources import scene_folder
+from cmbot.common.validation import hint, shown, validated
+from cmbot.common.yaml_reader import read_yaml
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.scene import Leg, RobotSource, Scene
 from cmbot.scene.schema import ObstacleFile, RobotFile, SceneFile
 from cmbot.scene.speed_profile import SpeedProfile
-from cmbot.validation import hint, shown, validated
-from cmbot.yaml_reader import read_yaml
 
 __all__ = ["content_hash", "load_scene", "scene_from_file_model", "shipped_scenes"]
 

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
+from cmbot.common.validation import FileModel, hint, refusal, shown
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, Vector, exactly_one, one_of_schema
 from cmbot.scene.guardrail_schema import GuardrailFile
 from cmbot.scene.options import PlannerOptions
-from cmbot.validation import FileModel, hint, refusal, shown
 
 __all__ = [
     "FORMAT",

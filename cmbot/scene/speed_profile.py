@@ -7,8 +7,8 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 
 __all__ = ["SpeedProfile"]
 

@@ -10,8 +10,8 @@ from heapq import heapify, heapreplace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmbot.arrays import FloatArray, IntArray
-from cmbot.errors import InputError
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.errors import InputError
 from cmbot.scene.speed_profile import SpeedProfile
 
 __all__ = ["ShiftedToolPath", "ToolPath", "share_out_segments"]

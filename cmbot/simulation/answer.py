@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.simulation.tracking import MotionTracking, Tracking
 

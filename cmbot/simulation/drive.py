@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.planning import QuinticTrajectory
 
 # scipy.interpolate takes a while to come, and who only plans has no use for it: it is imported where it is

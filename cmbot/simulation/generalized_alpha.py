@@ -20,8 +20,8 @@ import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import SimulationDiverged
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SimulationDiverged
 from cmbot.simulation.drive import Drive
 from cmbot.simulation.system import ElasticSystem
 

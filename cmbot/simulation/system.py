@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from cmbot.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
 
 __all__ = ["ElasticSystem"]

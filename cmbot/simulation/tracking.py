@@ -10,14 +10,14 @@ import numpy as np
 import pinocchio as pin
 from threadpoolctl import threadpool_limits
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.elastic.arm_modes import arm_modes
 from cmbot.elastic.base import elastic_base
 from cmbot.elastic.sag import Sag
-from cmbot.errors import InputError
+from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning import Plan, ToolTask, require_plan, robot_of
-from cmbot.planning.tool_sag import ToolSag
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.drive import Drive, drive_along, drive_through, held
 from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, Samples
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.views.frames import pack

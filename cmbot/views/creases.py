@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from cmbot.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.views.solids import Surface
 
 __all__ = ["creased"]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.errors import InputError, MissingExtra
+from cmbot.common.errors import InputError, MissingExtra
 
 __all__ = ["film"]
 

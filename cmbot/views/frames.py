@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.arrays import FloatArray
+from cmbot.collision.clearance import Clearances, ShapePair
+from cmbot.common.arrays import FloatArray
 from cmbot.planning import MotionFigures, Samples
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene.clearance import Clearances, ShapePair
 
 __all__ = ["Frames", "frame_times", "pack", "poses_of", "resampled"]
 

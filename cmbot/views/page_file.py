@@ -6,7 +6,7 @@ import contextlib
 import uuid
 from pathlib import Path
 
-from cmbot.errors import InputError
+from cmbot.common.errors import InputError
 
 __all__ = ["write_page"]
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError, MissingExtra
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan, Samples
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.views.charts import Chart, charts

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cmbot.arguments import given_path
-from cmbot.errors import InputError
+from cmbot.common.arguments import given_path
+from cmbot.common.errors import InputError
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.page_file import write_page

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.arguments import require_type
-from cmbot.arrays import FloatArray
-from cmbot.errors import InputError
+from cmbot.collision.clearance import Clearances
+from cmbot.common.arguments import require_type
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.planning import Plan, Samples
-from cmbot.planning.figures import figures, measure
+from cmbot.planning.verification.metrics import figures, measure
 from cmbot.robot import Robot
-from cmbot.scene.clearance import Clearances
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.views.frames import Frames, frame_times, poses_of, resampled
 from cmbot.views.meshcat_scene import reach, scene_commands

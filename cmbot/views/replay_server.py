@@ -7,7 +7,7 @@ from threading import Event, Thread
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
-from cmbot.errors import InputError
+from cmbot.common.errors import InputError
 
 # Who only writes pages shall not wait for http.server, which brings OpenSSL: it is imported where it is used.
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cmbot.arguments import given_path
+from cmbot.common.arguments import given_path
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.page_file import write_page

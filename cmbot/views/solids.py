@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray
 
 __all__ = ["Surface", "ball", "box", "capsule", "cone", "cylinder", "hull"]
 

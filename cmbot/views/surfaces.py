@@ -9,10 +9,10 @@ from typing import Any
 import coal
 import numpy as np
 
-from cmbot.arrays import FloatArray, IntArray
-from cmbot.errors import ModelError
+from cmbot.collision.shapes import load_mesh
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.errors import ModelError
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
-from cmbot.scene.shapes import load_mesh
 from cmbot.views.solids import Surface, ball, box, capsule, cone, cylinder, hull
 
 __all__ = ["merged", "obstacle_surface", "simplified", "tube", "visual_surface"]

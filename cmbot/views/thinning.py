@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmbot.arrays import FloatArray
+from cmbot.common.arrays import FloatArray
 
 __all__ = ["thinned"]
 

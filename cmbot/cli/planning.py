@@ -1,0 +1,145 @@
+"""The verb of the command line that plans; `cmbot.cli` lists it."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+import cmbot
+from cmbot.cli.console import JsonOption, Narrator, QuietOption, err, flat, out, print_json, print_table
+from cmbot.cli.views import add_figures, add_pages
+from cmbot.common.errors import InputError
+
+if TYPE_CHECKING:
+    from cmbot.planning import Plan
+
+__all__ = ["plan"]
+
+# What of plan.json is too long for a summary, or stands there otherwise.
+_LEFT_OUT = ("format", "scene", "files", "floor", "passes")
+# Keys that one may look for among the options.
+_IN_THE_SCENE = (
+    "posture_deg",
+    "robot",
+    "payload_kg",
+    "tool_length_m",
+    "obstacles",
+    "guardrail",
+    "tool_path",
+    "via_points",
+    "legs",
+    "seconds",
+    "keep",
+    "speed_profile",
+    "ramp",
+)
+
+
+def plan(
+    scene: Annotated[
+        str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Plan directory to write; out/NAME if left out.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a plan directory that is there.")] = False,
+    changes: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set", metavar="NAME=VALUE", help="A planner option in place of the scene's; may be repeated."
+        ),
+    ] = None,
+    figures: Annotated[
+        bool, typer.Option("--figures", help="Draw plots as PNG and SVG into the plan directory, too.")
+    ] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Plan a scene, print what was gained, write a plan directory with a replay and a report.
+
+    Examples: [bold]cmbot plan triangle -o out/triangle[/bold],
+    [bold]cmbot plan triangle --set compensate=true --set start=pinned[/bold]
+    """
+    started = time.perf_counter()
+    loaded = cmbot.load_scene(scene)
+    options = _changed(asdict(loaded.planner), changes or [])
+    # Only now, so that a slip in a scene file is answered at once: this brings the robot's libraries.
+    from cmbot.archive import require_free
+
+    directory = output if output is not None else Path("out") / loaded.name
+    require_free(directory, force=force)
+    if figures:
+        from cmbot.views import require_matplotlib
+
+        require_matplotlib()
+    from cmbot.planning import examine_options
+
+    for finding in () if quiet else examine_options(options):
+        err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
+    with Narrator(quiet=quiet) as narrator:
+        planned = cmbot.plan(loaded, options=options, progress=narrator.tell)
+    cmbot.save(planned, directory, force=force)
+    *_, page = add_pages(planned, None, directory)
+    drawn = add_figures(planned, directory) if figures else ()
+    if as_json:
+        print_json(_summary(planned, directory))
+    elif not quiet:
+        _print_plan(planned)
+        out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+        if drawn:
+            out.print(f"Figures: {', '.join(flat(path.name) for path in drawn)}.")
+        out.print(f"Look at it: open {flat(page)} in a browser.")
+
+
+def _changed(options: dict[str, Any], changes: Sequence[str]) -> cmbot.PlannerOptions:
+    """Return planner options with what ``--set`` changes of them."""
+    from cmbot.common.validation import shown, validated
+    from cmbot.common.yaml_reader import yaml_value
+    from cmbot.scene import PlannerOptions
+
+    given: dict[str, object] = {}
+    for change in changes:
+        name, equals, text = change.partition("=")
+        if not equals:
+            raise InputError("--set", "", shown(change), "NAME=VALUE, such as start=pinned")
+        if name in given:
+            raise InputError("--set", flat(name), "the same option again", "each option once")
+        if name in _IN_THE_SCENE:
+            expected = "one of the planner's options; it is part of the scene: change it in the scene file"
+            raise InputError("--set", name, "a key of the scene", expected)
+        given[name] = yaml_value(text, f"--set: {flat(name)}", InputError)
+    return validated(PlannerOptions, options | given, "--set", InputError)
+
+
+def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
+    from cmbot.archive.folder import PLAN_FILE, read_file
+    from cmbot.archive.strict_json import read_json
+    from cmbot.planning import remarks
+
+    path = directory / PLAN_FILE
+    data = read_json(read_file(path), str(path))
+    return {
+        "verb": "plan",
+        "scene": planned.scene.name,
+        "directory": str(directory),
+        "files": sorted(path.name for path in directory.iterdir()),
+        **{name: value for name, value in data.items() if name not in _LEFT_OUT},
+        "remarks": list(remarks(planned)),
+    }
+
+
+def _print_plan(planned: Plan) -> None:
+    if out.is_terminal:
+        headings, rows = ("", "baseline", "planned"), list(planned.rows())
+        print_table(planned.scene.name, headings, rows, text_columns=1)
+    else:
+        out.print(planned.summary())
+    from cmbot.planning import remarks
+
+    for remark in remarks(planned):
+        out.print(remark)

@@ -1,0 +1,1 @@
+"""Clearances: the smallest distances between the arm, the obstacles and the arm itself."""

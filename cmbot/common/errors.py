@@ -1,0 +1,240 @@
+"""Every failure has a type of its own and a message that a person can act on.
+
+::
+
+    CmbotError
+      InputError (ValueError)          what was handed in is wrong
+        ModelError                     a URDF, SRDF, joint-limits or elasticity file
+        SceneError                     a scene file
+        ArchiveError                   a plan directory
+      PlanningError (RuntimeError)     the input is fine, but there is no plan
+        PathNotFound                   how far the path came, and why not further
+        OptimisationFailed             the constraint that could not be met
+        LimitViolation                 joint, time, value, bound
+      SimulationDiverged (RuntimeError)   when, and how far the arm was bent
+      MissingExtra (ImportError)       the command to run
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from cmbot.common.extras import install_command
+
+__all__ = [
+    "ArchiveError",
+    "CmbotError",
+    "InputError",
+    "LimitViolation",
+    "MissingExtra",
+    "ModelError",
+    "OptimisationFailed",
+    "PathNotFound",
+    "PlanningError",
+    "SceneError",
+    "SimulationDiverged",
+]
+
+
+class CmbotError(Exception):
+    """Root of every error that cmbot raises on purpose."""
+
+
+class InputError(CmbotError, ValueError):
+    """Something handed in is wrong; reads ``FILE: KEY: got X, expected Y``.
+
+    Parameters
+    ----------
+    source : str
+        The file, or the name of the argument, that holds the value.
+    key : str
+        Where in it: a key's path such as ``tool_path.legs[1].seconds``; empty for the whole.
+    got : object
+        What stands there; of what is missing, ``no such file`` or the like, which needs no "got".
+    expected : str
+        What should stand there, or what to do.
+    choices : sequence of str, optional
+        The valid values, when they can be listed.
+    """
+
+    def __init__(
+        self, source: str, key: str, got: object, expected: str, choices: Sequence[str] = ()
+    ) -> None:
+        self.source = source
+        self.key = key
+        self.got = got
+        self.expected = expected
+        self.choices = tuple(choices)
+        where = f"{source}: {key}" if key else source
+        found = str(got) if str(got).startswith("no such ") else f"got {got}"
+        listed = f" (one of: {', '.join(self.choices)})" if self.choices else ""
+        super().__init__(f"{where}: {found}, expected {expected}{listed}")
+
+
+class ModelError(InputError):
+    """A robot description (URDF, SRDF, joint limits, elasticity) is missing, unreadable or impossible."""
+
+
+class SceneError(InputError):
+    """A scene file is missing, unreadable or asks for something that cannot be."""
+
+
+class ArchiveError(InputError):
+    """A plan directory is missing, incomplete, of another version, or in the way."""
+
+
+_TIME = "more seconds for the legs"
+# What most often helps, by a word of the constraint that is furthest from being met.
+_REMEDIES = (
+    ("velocity", _TIME),
+    ("acceleration", _TIME),
+    (
+        "jerk",
+        f"{_TIME}, tool_path.speed_profile.kind jerk_limited or, where they are close, "
+        "fewer tool_path.via_points",
+    ),
+    ("joint torque", "a lighter payload, another posture_deg or another place for the tool path"),
+    ("position", "another posture_deg or another place for the tool path"),
+    ("tool deviation", "more tool_path.via_points or a larger planner.max_tool_deviation_m"),
+    ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),
+)
+
+
+class PlanningError(CmbotError, RuntimeError):
+    """The input is fine, but no valid plan came out of it."""
+
+
+class PathNotFound(PlanningError):
+    """The joint path could not be carried to the end of the tool path.
+
+    Parameters
+    ----------
+    reason : str
+        What stopped it, in a sentence.
+    time : float
+        Time on the tool path at which it stopped, s.
+    progress : float
+        Share of the tool path's length that was covered, 0 to 1.
+    smallest_singular_value : float
+        Of the task Jacobian where the path stopped, Chang 2021, Eqs. (18)-(19).
+    pair : tuple of str, optional
+        The link and the obstacle (or second link) that came too close.
+    """
+
+    def __init__(
+        self,
+        reason: str,
+        *,
+        time: float,
+        progress: float,
+        smallest_singular_value: float,
+        pair: tuple[str, str] | None = None,
+    ) -> None:
+        self.reason = reason
+        self.time = time
+        self.progress = progress
+        self.smallest_singular_value = smallest_singular_value
+        self.pair = pair
+        super().__init__(
+            f"no path beyond t = {time:.2f} s ({progress:.0%} of the tool path): {reason}; "
+            f"smallest singular value there {smallest_singular_value:.3g}"
+        )
+
+
+class OptimisationFailed(PlanningError):
+    """The trajectory optimisation ended without a point that meets its constraints.
+
+    Parameters
+    ----------
+    reason : str
+        What happened, in a sentence.
+    constraint : str
+        The constraint that is furthest from being met.
+    violation : float
+        By how much, as a share of its bound.
+    undecided : bool
+        The solver gave up; another one may get further.
+    """
+
+    def __init__(self, reason: str, *, constraint: str, violation: float, undecided: bool = False) -> None:
+        self.reason = reason
+        self.constraint = constraint
+        self.violation = violation
+        self.undecided = undecided
+        if violation <= 0:
+            super().__init__(f"{reason}; every constraint is met, {constraint} with the least room")
+            return
+        text = f"{reason}; worst constraint: {constraint}, {violation:.2%} beyond its bound"
+        remedy = next((what for name, what in _REMEDIES if name in constraint), "")
+        known = not remedy or ("seconds" in remedy and "seconds" in reason)
+        super().__init__(text if known else f"{text}: {remedy} may help")
+
+
+class LimitViolation(PlanningError):
+    """A finished trajectory breaks a limit, so it is not a plan.
+
+    Parameters
+    ----------
+    quantity : str
+        What is limited, such as ``velocity of joint_3``.
+    time : float
+        When, s.
+    value, bound : float
+        What it is there and what is allowed, both in `unit`.
+    unit : str
+        SI unit of both.
+    """
+
+    def __init__(self, quantity: str, *, time: float, value: float, bound: float, unit: str) -> None:
+        self.quantity = quantity
+        self.time = time
+        self.value = value
+        self.bound = bound
+        self.unit = unit
+        super().__init__(
+            f"{quantity} is {value:.6g} {unit} at t = {time:.3f} s, the bound is {bound:.6g} {unit}"
+        )
+
+
+class SimulationDiverged(CmbotError, RuntimeError):
+    """The elastic motion left what its model can mean; no part of it is a result.
+
+    Parameters
+    ----------
+    time : float
+        Of the first state that is none, s.
+    state : sequence of float
+        The elastic coordinates there, m and rad.
+    """
+
+    def __init__(self, *, time: float, state: Sequence[float]) -> None:
+        self.time = time
+        self.state = tuple(state)
+        largest = max((abs(x) for x in self.state if math.isfinite(x)), default=math.nan)
+        lost = sum(not math.isfinite(x) for x in self.state)
+        super().__init__(
+            f"the simulation diverges at t = {time:.4f} s: the largest elastic coordinate is {largest:.3g} "
+            f"(m or rad), {lost} of {len(self.state)} are not finite; take a smaller step, or look at the "
+            "stiffness and the mass"
+        )
+
+
+class MissingExtra(CmbotError, ImportError):
+    """An optional package or program is not installed.
+
+    Parameters
+    ----------
+    package : str
+        What could not be imported or found.
+    extra : str
+        The extra of cmbot that it belongs to.
+    command : str, optional
+        What installs it, where that is not the extra's own: see `cmbot.common.extras.install_command`.
+    """
+
+    def __init__(self, package: str, extra: str, command: str = "") -> None:
+        self.package = package
+        self.extra = extra
+        self.command = command or install_command(extra)
+        super().__init__(f"{package} is not installed; run: {self.command}")

@@ -1,0 +1,1 @@
+"""Semi-infinite min-max programs over splines."""

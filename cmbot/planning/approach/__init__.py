@@ -1,0 +1,1 @@
+"""The way to where the work starts, the tool off."""

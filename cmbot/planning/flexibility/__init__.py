@@ -1,0 +1,1 @@
+"""Vibration suppression and sag compensation."""

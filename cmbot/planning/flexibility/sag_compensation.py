@@ -1,0 +1,132 @@
+"""Sag compensation: the via-points are shifted by the predicted sag, so that the bent arm follows the path.
+
+The sag of a posture is known beforehand, but shifting a via-point changes its posture a little and with it
+the sag. So the shift is worked out anew along each optimised trajectory until it stays what it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import OptimisationFailed
+from cmbot.elastic.tool_sag import ToolSag
+from cmbot.optimization.exchange import Optimised, PassReport, optimise
+from cmbot.planning.context import Setting
+from cmbot.planning.initial_guess import Way, shifted_problem
+from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.scene.tool_path import ShiftedToolPath
+
+__all__ = ["MOST_ROUNDS", "Compensation", "compensate"]
+
+MOST_ROUNDS = 8
+"""Rounds at most."""
+
+# The change of the shift, as a share of the tool deviation allowed, that ends them.
+_SETTLED = 0.02
+# Share of the tool deviation that is left to the optimiser; the rest is for what the shift misses.
+_LEFT = 0.95
+# Times per spline segment at which the sag is worked out.
+_PER_SEGMENT = 4
+
+
+@dataclass(frozen=True, kw_only=True)
+class Compensation:
+    """How the predicted sag was compensated.
+
+    Attributes
+    ----------
+    rounds : int
+        Trajectories that were optimised for it.
+    largest_shift : float, m
+        Of a commanded tool point from where the path has it.
+    last_change : float, m
+        How far the last round moved any of them still.
+    """
+
+    rounds: int
+    largest_shift: float
+    last_change: float
+
+
+def compensate(
+    setting: Setting,
+    way: Way,
+    optimised: Optimised,
+    sag: ToolSag,
+    progress: Callable[[PassReport, int], None] | None = None,
+) -> tuple[Optimised, Compensation, TorqueProblem]:
+    """Optimise again and again along the path shifted by the sag of the trajectory before.
+
+    Parameters
+    ----------
+    setting : Setting
+    way : Way
+        What `optimised` came from.
+    optimised : Optimised
+        Without compensation.
+    sag : ToolSag
+    progress : callable, optional
+        Called with a `PassReport` and the number of the round, from 1, after every pass.
+
+    Returns
+    -------
+    optimised : Optimised
+    compensation : Compensation
+    problem : TorqueProblem
+        Whose solution it is.
+
+    Raises
+    ------
+    PathNotFound
+        When a shifted via-point is out of reach.
+    OptimisationFailed
+        When a round finds no trajectory, or the shift does not settle.
+    """
+    allowed = setting.options.max_tool_deviation_m
+    options = replace(setting.options, max_tool_deviation_m=_LEFT * allowed)
+    times = np.linspace(setting.times[:-1], setting.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
+    times = np.append(times.ravel(), setting.times[-1])
+    shift, problem = np.zeros((len(times), 3)), way.problem
+    for rounds in range(MOST_ROUNDS + 1):
+        wanted = -sag.at(optimised.trajectory.evaluate(times))
+        change = float(np.linalg.norm(wanted - shift, axis=1).max())
+        if change < _SETTLED * allowed:
+            largest = float(np.linalg.norm(shift, axis=1).max())
+            done = Compensation(rounds=rounds, largest_shift=largest, last_change=change)
+            return optimised, done, problem
+        if rounds == MOST_ROUNDS:
+            break
+        shift = wanted
+        task = replace(setting.task, path=_shifted(setting, times, shift))
+        around = replace(setting, task=task, options=options)
+        problem = shifted_problem(around, way, optimised.via_points)
+        optimised = optimise(problem, partial(_tell, progress, rounds + 1))
+    raise OptimisationFailed(
+        f"the compensation of the sag did not settle in {MOST_ROUNDS} rounds",
+        constraint="change of the shift",
+        violation=change / allowed,
+    )
+
+
+def _tell(progress: Callable[[PassReport, int], None] | None, rounds: int, report: PassReport) -> None:
+    if progress is not None:
+        progress(report, rounds)
+
+
+def _shifted(setting: Setting, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:
+    # Few plans have use for it, and it takes a while to come.
+    from scipy.interpolate import CubicSpline
+
+    path = setting.task.path
+    return ShiftedToolPath(
+        corners=path.corners,
+        orientation=path.orientation,
+        seconds=path.seconds,
+        profile=path.profile,
+        shift=CubicSpline(times, shift),
+    )

@@ -1,0 +1,221 @@
+"""Vibration that is left where the tool comes to rest, taken away by the trajectory's own free numbers.
+
+Guardrail and links answer the joints' motion as a linear system whose matrices change slowly with the
+posture. With y what they move beyond the sag and beyond what the accelerations bend quasi-statically,
+
+    M(t) y'' + D y' + K(t) y = M K^-1 B(t) snap(t),    B = M_fa + M_ff du_sag/dq
+
+so the first modes' displacement and velocity at the end of a leg are linear in the joints' snap, and with it
+in the numbers of the splines. Of all changes that bring them to zero at every end of a leg the one with the
+least mean squared jerk is taken. Via-points, and C3 at the knots, stay what they are.
+
+A long path is divided into windows of a few legs: splines that live in two of them stay what they are, so
+that every window is a small problem of its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import sparse
+
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.elastic.arm import ElasticArm
+from cmbot.optimization.exchange import Optimised
+from cmbot.optimization.working_set import WorkingSet, bound_values
+from cmbot.planning.context import Setting
+from cmbot.planning.flexibility.leg_vibration import LegVibration
+from cmbot.planning.flexibility.suppression_windows import QuietWindow, legs_by_window, slopes
+from cmbot.planning.torque.constraints import States, ToolDeviation
+from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.trajectory.quintic import QuinticTrajectory
+
+__all__ = ["Quieting", "quiet"]
+
+# Times that a change is worked out anew, and sites of a constraint that are added each time for each window,
+# at most.
+_ROUNDS, _MOST_SITES = 12, 400
+# Constraints are kept so many tolerances inside their bounds.
+_INSIDE = 1.0
+# Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
+_SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
+
+
+@dataclass(frozen=True, kw_only=True)
+class Quieting:
+    """What was done about the vibration.
+
+    Attributes
+    ----------
+    modes : int
+        The first so many are brought to rest.
+    shares : tuple of float
+        For each leg, of the change that would take all of their vibration at its end away; 0 where every
+        change broke a bound. Short legs that follow on one another have theirs in common.
+    before, after : float, m
+        Amplitude of the tool that these modes leave at the end of the motion, as predicted, without and with
+        the change.
+    """
+
+    modes: int
+    shares: tuple[float, ...]
+    before: float
+    after: float
+
+    @property
+    def share(self) -> float:
+        """Mean of the legs' shares."""
+        return sum(self.shares) / len(self.shares)
+
+
+def quiet(
+    setting: Setting, arm: ElasticArm, problem: TorqueProblem, optimised: Optimised
+) -> tuple[Optimised, Quieting]:
+    """Bring the first elastic modes to rest at the ends of the legs.
+
+    Parameters
+    ----------
+    setting : Setting
+    arm : ElasticArm
+    problem : TorqueProblem
+        Whose bounds the trajectory keeps, and goes on keeping.
+    optimised : Optimised
+
+    Returns
+    -------
+    optimised : Optimised
+        With the changed trajectory; what it was, where no change keeps the bounds.
+    quieting : Quieting
+    """
+    trajectory, modes, t = optimised.trajectory, setting.options.quiet_modes, problem.space.t
+    groups = legs_by_window(problem.space, setting.task.path.leg_times)
+    windows = [QuietWindow(problem, group) for group in groups]
+    ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
+    for window, (first, last) in setting.teller.each("foreseeing the vibration of every leg", ends):
+        leg = LegVibration(arm, trajectory, t[first], t[last], modes)
+        window.bring_to_rest(leg, trajectory)
+    setting.teller.step("bringing the slowest vibrations to rest")
+    changed, shares = _Search(problem, trajectory, windows).changed()
+    before, after = (leg.tool_amplitude(leg.vibration(x)) for x in (trajectory, changed))
+    return (
+        replace(optimised, trajectory=changed),
+        Quieting(
+            modes=modes,
+            shares=tuple(share for share, group in zip(shares, groups, strict=True) for _ in group),
+            before=before,
+            after=after,
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Times (K,), values (K,) and derivatives (K, (n - 4) d) by the splines' numbers of what is held."""
+
+    times: FloatArray
+    value: FloatArray
+    rows: sparse.csr_array
+
+
+class _Search:
+    """A change of all windows that keeps the bounds.
+
+    Newton's method: what a step violates becomes a bound of the next one, which brings it back.
+
+    Parameters
+    ----------
+    problem : TorqueProblem
+    trajectory : QuinticTrajectory
+    windows : list of QuietWindow
+    """
+
+    def __init__(
+        self, problem: TorqueProblem, trajectory: QuinticTrajectory, windows: list[QuietWindow]
+    ) -> None:
+        self._problem, self._windows, self._given = problem, windows, trajectory
+        self._tolerance = problem.options.constraint_tolerance
+        self._z = _knot_vector(trajectory)
+        self._starts = np.array([window.start for window in windows])
+        self._working = WorkingSet(problem)
+        _, worst, peak = self._working.add_violated(trajectory, np.inf, self._tolerance, 1, 0)
+        self._peak, self._allowed = peak * (1 + _PEAK_RISE), max(worst.value, self._tolerance)
+        self._X = np.zeros((problem.space.dimension, trajectory.q.shape[1]))
+        self._shares, self._hopeless = np.zeros(len(windows)), np.zeros(len(windows), dtype=np.bool_)
+        self._here, self._broken = trajectory, 0.0
+        self._held = self._held_here()
+
+    def changed(self) -> tuple[QuinticTrajectory, list[float]]:
+        """Return the changed trajectory, and the share of each window's change that it took."""
+        unfit = ~self._hopeless
+        for _ in range(_ROUNDS):
+            self._step(unfit)
+            unfit = self._unfit()
+            if not unfit.any():
+                break
+        whole, shares = self._X.copy(), self._shares.copy()
+        for share in (*_SHARES, 0.0):
+            if unfit.any():
+                for k in np.flatnonzero(unfit):
+                    own = self._windows[k].numbers
+                    self._X[own], self._shares[k] = share * whole[own], share * shares[k]
+                unfit = self._unfit() & (self._shares > 0)
+        if self._broken > self._allowed:
+            return self._given, [0.0] * len(self._windows)
+        return self._here, [float(share) for share in self._shares]
+
+    def _unfit(self) -> BoolArray:
+        """Which of the windows break a bound, or have not been changed yet."""
+        space, most = self._problem.space, _MOST_SITES * len(self._windows)
+        self._here = space.trajectory(self._z + space.basis @ self._X)
+        _, worst, peak = self._working.add_violated(self._here, self._peak, self._tolerance, 1, most)
+        self._broken, self._held = max(worst.value, peak - self._peak), self._held_here()
+        unfit = self._shares == 0
+        np.logical_or.at(unfit, self._window_at(self._held.times), self._held.value > self._tolerance)
+        return np.asarray(unfit & ~self._hopeless)
+
+    def _step(self, unfit: BoolArray) -> None:
+        """Work out the change of the windows that are unfit, to first order around the trajectory here."""
+        value, rows = self._held.value, self._held.rows
+        room = -value - _INSIDE * self._tolerance
+        # What is at its bound, not beyond it, may stay there: some of it no number can change.
+        room = np.where(value <= self._tolerance, np.maximum(room, 0.0), room)
+        # For the change as a whole.
+        room += rows @ self._X.ravel()
+        at = self._window_at(self._held.times)
+        for k in np.flatnonzero(unfit):
+            window, here = self._windows[k], at == k
+            found = window.change(rows[here], room[here])
+            # Without a change that keeps to the room here, one is looked for from the start, once.
+            self._hopeless[k] = found is None and self._shares[k] == 0
+            self._X[window.numbers] = 0.0 if found is None else found.x
+            self._shares[k] = 0.0 if found is None else found.share
+
+    def _window_at(self, times: FloatArray) -> IntArray:
+        return np.asarray(np.searchsorted(self._starts[1:], times, side="right"))
+
+    def _held_here(self) -> _Held:
+        space, here, d = self._problem.space, self._here, self._X.shape[1]
+        when, values, rows = [np.empty(0)], [np.empty(0)], [sparse.csr_array((0, space.dimension * d))]
+        for number, (function, times, component) in enumerate(self._working.state_sites()):
+            if len(times):
+                states = States(times, *here.states(times))
+                faces = function.faces(states) if isinstance(function, ToolDeviation) else ()
+                for at in (function.linearise(states, component), *faces):
+                    parts = enumerate((at.d_q, at.d_v, at.d_a))
+                    by_number = (slopes(space.design(times, order) @ space.basis, by) for order, by in parts)
+                    rows.append(sum(by_number))
+                    values.append(at.value - (self._peak if number == 0 else 0.0))
+                    when.append(times)
+        for bound, times, component in self._working.bound_sites():
+            if len(times):
+                value, joint, factor = bound_values(bound, times, component, here)
+                by = np.eye(d)[joint] * factor[:, None]
+                rows.append(slopes(space.design(times, bound.order) @ space.basis, by))
+                values.append(value)
+                when.append(times)
+        return _Held(np.concatenate(when), np.concatenate(values), sparse.csr_array(sparse.vstack(rows)))
+
+
+def _knot_vector(trajectory: QuinticTrajectory) -> FloatArray:
+    return np.stack([trajectory.q, trajectory.v, trajectory.a], axis=1).reshape(-1, trajectory.q.shape[1])

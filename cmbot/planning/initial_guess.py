@@ -1,0 +1,248 @@
+"""The two ways to via-points: on the path of gradient projection, or sliding to where the torque is least."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import PathNotFound
+from cmbot.planning.context import Setting
+from cmbot.planning.path.gradient_projection import place_on_task
+from cmbot.planning.path.initial_postures import find_path
+from cmbot.planning.selfmotion.charts import Chart
+from cmbot.planning.selfmotion.global_search import GlobalSolution, GlobalStage
+from cmbot.planning.selfmotion.lower_bound import Floor
+from cmbot.planning.solvers import family_through
+from cmbot.planning.torque.family import Family
+from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.robot import Kinematics, Postures
+
+__all__ = ["Choice", "Way", "fixed_way", "shifted_problem", "sliding_way"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Choice:
+    """What the global stage found for each choice of the start.
+
+    Attributes
+    ----------
+    free, pinned : float or None
+        Peak of the objective at rest over the via-points; None where there is no way.
+    """
+
+    free: float | None
+    pinned: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Way:
+    """Where the optimisation starts, and what is known of it.
+
+    Attributes
+    ----------
+    problem : TorqueProblem
+    resting : tuple of int
+        Via-points where the arm rests in a posture that does not slide.
+    least : float
+        What the objective's peak cannot fall below, but for what motion takes off.
+    failures : tuple of PathNotFound
+        Starts that led nowhere, the scene's posture first.
+    floor : Floor or None
+        With sliding knots only.
+    choice : Choice or None
+        With sliding knots only.
+    chart : Chart or None
+        Of the self-motion at the start; with sliding knots only.
+    stage : GlobalStage or None
+        Where it comes from; with sliding knots only.
+    unreached : PathNotFound or None
+        Why no approach leads to where ``start: free`` would have the arm start, if that was tried.
+    instead_of : str
+        Where the steps between via-points had to be shorter than asked for: why; else empty.
+    """
+
+    problem: TorqueProblem
+    resting: tuple[int, ...]
+    least: float
+    failures: tuple[PathNotFound, ...] = ()
+    floor: Floor | None = None
+    choice: Choice | None = None
+    chart: Chart | None = None
+    stage: GlobalStage | None = None
+    unreached: PathNotFound | None = None
+    instead_of: str = ""
+
+
+def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
+    """Take via-points from the path of gradient projection, to stay there (Chang 2021, Eqs. (15)-(30)).
+
+    Parameters
+    ----------
+    setting : Setting
+    tell : callable
+        Called with the number of failed starts before each further one is tried.
+
+    Raises
+    ------
+    PathNotFound
+        When no start leads to the end of the path.
+    """
+    path, failures = find_path(
+        setting.robot,
+        setting.task,
+        setting.posture,
+        setting.clearances,
+        setting.options,
+        tell,
+        partial(setting.teller.part, "following the tool path"),
+    )
+    rough = np.stack([np.interp(setting.times, path.t, joint) for joint in path.q.T], axis=1)
+    family = family_through(setting, _placed(setting, rough), sliding=False)
+    least = float(setting.objective.at_rest(Postures(setting.robot).at(family.via_points)).max())
+    resting = (0, -1)
+    problem = _problem(setting, family, resting, least)
+    return Way(problem=problem, resting=resting, least=least, failures=failures)
+
+
+def sliding_way(
+    setting: Setting, unreached: PathNotFound | None = None, stage: GlobalStage | None = None
+) -> Way:
+    """Take via-points from the global stage, to slide along the self-motion.
+
+    With ``start: free`` the arm starts wherever the tool is the same, if that is worth leaving the scene's
+    posture; with ``pinned`` in the scene's posture, or, where no path leads on from there, in the nearest one
+    from which a path does.
+
+    Parameters
+    ----------
+    setting : Setting
+    unreached : PathNotFound, optional
+        Why no approach leads to where ``start: free`` would have the arm start: it is treated as pinned.
+    stage : GlobalStage, optional
+        Of the same setting, where its charts are known already.
+
+    Raises
+    ------
+    PathNotFound
+        When the scene's posture is in collision or within the safety margin, a via-point is blocked, or
+        nothing leads from one to the next.
+    """
+    options = setting.options
+    if stage is None:
+        _require_clear_start(setting)
+        stage = GlobalStage(setting)
+    free, pinned = (_tried(stage, pinned=choice) for choice in (False, True))
+    failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
+    if isinstance(free, PathNotFound):
+        raise free
+    may_leave = options.start == "free" and unreached is None
+    if isinstance(pinned, GlobalSolution):
+        worth_leaving = pinned.peak > free.peak * (1 + options.gap_target)
+        solution = free if may_leave and worth_leaving else pinned
+    elif may_leave:
+        solution = free
+    else:
+        solution, failures = stage.solve_elsewhere(pinned)
+    stays = solution is not free
+    family = family_through(setting, solution.q, sliding=True, pinned=stays)
+    resting = (0,) if stays else ()
+    return Way(
+        problem=_problem(setting, family, resting, stage.floor.value),
+        resting=resting,
+        least=stage.floor.value,
+        failures=failures,
+        floor=stage.floor,
+        choice=Choice(free=free.peak, pinned=pinned.peak if isinstance(pinned, GlobalSolution) else None),
+        chart=stage.first_chart,
+        stage=stage,
+        unreached=unreached,
+    )
+
+
+def shifted_problem(setting: Setting, way: Way, via_points: FloatArray) -> TorqueProblem:
+    """Return the problem of a way once more, along a tool path that lies a little beside.
+
+    Parameters
+    ----------
+    setting : Setting
+        With the tool path as it is now.
+    way : Way
+        Along the tool path as it was.
+    via_points : (n, d), rad
+        Near those to start from.
+
+    Raises
+    ------
+    PathNotFound
+        When a via-point cannot be put onto the tool path.
+    """
+    sliding = way.floor is not None
+    pinned = sliding and 0 in way.resting
+    family = family_through(setting, _placed(setting, via_points), sliding=sliding, pinned=pinned)
+    return _problem(setting, family, way.resting, way.least)
+
+
+def _require_clear_start(setting: Setting) -> None:
+    """Refuse a scene's posture that nothing can lead out of: neither the work nor an approach."""
+    margin, q = setting.options.safety_margin_m, setting.posture
+    smallest = setting.clearances.smallest(q[None])
+    distance = float(smallest.distance[0])
+    if distance >= margin:
+        return
+    shapes = setting.clearances.pairs[smallest.pair[0]]
+    other = (
+        "where they are always that near, let robot.srdf disable the pair"
+        if setting.robot.model.existFrame(shapes.other)
+        else "move the obstacle"
+    )
+    raise PathNotFound(
+        f"in the scene's posture {shapes.too_near(distance, margin)}; take another posture_deg, lower "
+        f"planner.safety_margin_m, or {other}",
+        time=0.0,
+        progress=0.0,
+        smallest_singular_value=setting.task.smallest_singular_value(
+            *Kinematics(setting.robot).tool_jacobian(q)
+        ),
+        pair=(shapes.link, shapes.other),
+    )
+
+
+def _tried(stage: GlobalStage, *, pinned: bool) -> GlobalSolution | PathNotFound:
+    try:
+        return stage.solve(pinned=pinned)
+    except PathNotFound as failure:
+        return failure
+
+
+def _problem(setting: Setting, family: Family, resting: tuple[int, ...], least: float) -> TorqueProblem:
+    return TorqueProblem(
+        setting.robot,
+        setting.task,
+        family,
+        setting.clearances,
+        setting.options,
+        resting=resting,
+        floor=least,
+        objective=setting.objective,
+    )
+
+
+def _placed(setting: Setting, rough: FloatArray) -> FloatArray:
+    """Put postures (n, d) near the via-points onto the tool task exactly."""
+    kinematics, task, times = Kinematics(setting.robot), setting.task, setting.times
+    via_points = np.empty_like(rough)
+    for k, (q, point) in enumerate(zip(rough, task.path.position(times), strict=True)):
+        placed = place_on_task(kinematics, task, q, point)
+        if placed is None:
+            raise PathNotFound(
+                f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular",
+                time=float(times[k]),
+                progress=task.path.progress(float(times[k])),
+                smallest_singular_value=task.smallest_singular_value(*kinematics.tool_jacobian(q)),
+            )
+        via_points[k] = placed
+    return via_points

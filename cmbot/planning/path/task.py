@@ -1,0 +1,163 @@
+"""What of the tool's pose is prescribed: all of it, its point and axis, or its point alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+import pinocchio as pin
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.scene.tool_path import ToolPath
+
+__all__ = ["ToolTask", "task_dimension"]
+
+# Sines of angles below which a rotation vector is zero, two unit vectors are parallel or opposite, and the
+# cosine below which a turn counts as nearly half a one.
+_NO_TURN, _OPPOSITE, _NEARLY_HALF_A_TURN = 1e-300, 1e-12, -0.9
+
+
+@dataclass(frozen=True)
+class ToolTask:
+    """The part of a tool path that the arm has to follow, as m task coordinates.
+
+    The first three are the tool point in W, m; then, for ``pose``, a rotation vector in W; for ``axis``, the
+    two components of that vector along the tool's own x and y axes, rad.
+
+    Attributes
+    ----------
+    path : ToolPath
+    keep : str
+        ``pose`` (m = 6), ``axis`` (m = 5) or ``position`` (m = 3).
+    """
+
+    path: ToolPath
+    keep: Literal["pose", "axis", "position"] = "pose"
+
+    def __post_init__(self) -> None:
+        if self.keep not in ("pose", "axis", "position"):
+            raise InputError("ToolTask", "keep", self.keep, "a kind", ("pose", "axis", "position"))
+
+    def jacobian(self, X_WT: Any, J: FloatArray) -> FloatArray:
+        """Task rows (m, n) of the tool's Jacobian `J` (6, n) at the tool pose `X_WT`."""
+        if self.keep == "pose":
+            return J
+        if self.keep == "axis":
+            return np.vstack([J[:3], X_WT.rotation[:, :2].T @ J[3:]])
+        return J[:3]
+
+    def smallest_singular_value(self, X_WT: Any, J: FloatArray) -> float:
+        """Return that of the task Jacobian (Chang 2021, Eq. (19)) from the tool's `J` (6, n) at `X_WT`."""
+        return float(np.linalg.svd(self.jacobian(X_WT, J), compute_uv=False)[-1])
+
+    def error(self, X_WT: Any, point: FloatArray) -> FloatArray:
+        """Task coordinates (m,) of the way from `X_WT` to the path's orientation at `point` (3,)."""
+        translation: FloatArray = point - X_WT.translation
+        if self.keep == "position":
+            return translation
+        R, R_goal = X_WT.rotation, self.path.orientation
+        if self.keep == "pose":
+            return np.concatenate([translation, pin.log3(R_goal @ R.T)])
+        return np.concatenate([translation, R[:, :2].T @ _between(R[:, 2], R_goal[:, 2])])
+
+    def jacobians(self, R_WT: FloatArray, J: FloatArray) -> FloatArray:
+        """Task rows (N, m, n) of N tool Jacobians `J` (N, 6, n) at orientations `R_WT` (N, 3, 3)."""
+        if self.keep == "pose":
+            return J
+        if self.keep == "axis":
+            return np.concatenate([J[:, :3], R_WT[:, :, :2].transpose(0, 2, 1) @ J[:, 3:]], axis=1)
+        return J[:, :3]
+
+    def errors(self, p_WT: FloatArray, R_WT: FloatArray, points: FloatArray) -> FloatArray:
+        """Task coordinates (N, m) of the ways from N tool poses to the path's orientation at `points`.
+
+        `points` is (N, 3), or (3,) for all.
+        """
+        translation = points - p_WT
+        R_goal = self.path.orientation
+        if self.keep == "position":
+            return translation
+        if self.keep == "pose":
+            return np.concatenate([translation.T, self._rotation_vectors(R_WT)]).T
+        turns = _all_between(R_WT[:, :, 2], R_goal[:, 2])
+        return np.concatenate([translation, np.einsum("kij,ki->kj", R_WT[:, :, :2], turns)], axis=1)
+
+    def held_at_start(self) -> ToolTask:
+        """Return the task of holding the tool where this one starts."""
+        corners = np.repeat(self.path.corners[:1], 2, axis=0)
+        return replace(self, path=replace(self.path, corners=corners, seconds=np.ones(1)))
+
+    @property
+    def dimension(self) -> int:
+        """Number m of task coordinates."""
+        return task_dimension(self.keep)
+
+    def rotation(self, R_WT: FloatArray) -> FloatArray:
+        """Angles (N,), rad, by which orientations `R_WT` (N, 3, 3) miss what is prescribed."""
+        R_goal = self.path.orientation
+        if self.keep == "position":
+            return np.zeros(len(R_WT))
+        if self.keep == "axis":
+            z, z_goal = R_WT[:, :, 2], R_goal[:, 2]
+            return np.asarray(np.arctan2(np.linalg.norm(np.cross(z, z_goal), axis=1), z @ z_goal))
+        # |R_goal - R| = 2 sqrt(2) sin(angle/2), exact for small angles where the trace is not.
+        chord = np.linalg.norm(R_WT - R_goal, axis=(1, 2)) / (2 * np.sqrt(2))
+        return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
+
+    def _rotation_vectors(self, R_WT: FloatArray) -> FloatArray:
+        """Rotation vectors (3, N) of the turns from orientations `R_WT` (N, 3, 3) to the path's."""
+        # So the operations run along the orientations.
+        parts = self._to_sine_and_cosine @ R_WT.transpose(2, 1, 0).reshape(9, -1)
+        sine, cosine = parts[:3], parts[3] - 0.5
+        size = np.sqrt((sine * sine).sum(axis=0))
+        # What follows is exact but for half turns, whose axis it does not see; SciPy's own costs ten times
+        # more.
+        vectors = sine * (np.arctan2(size, cosine) / np.maximum(size, _NO_TURN))
+        vectors[:, size <= _NO_TURN] = 0.0
+        far = np.flatnonzero(cosine < _NEARLY_HALF_A_TURN)
+        if len(far):
+            turns = self.path.orientation @ R_WT[far].transpose(0, 2, 1)
+            vectors[:, far] = Rotation.from_matrix(turns).as_rotvec().T
+        return np.asarray(vectors)
+
+    @cached_property
+    def _to_sine_and_cosine(self) -> FloatArray:
+        """What makes of an orientation's three axes the turn's axis times its sine, and its cosine + 1/2.
+
+        Half the sum of the cross products, or of the scalar products, of both orientations' axes: (4, 9).
+        """
+        goal = self.path.orientation.T
+        return 0.5 * np.vstack([np.hstack([-pin.skew(axis) for axis in goal]), goal.reshape(1, 9)])
+
+
+def task_dimension(keep: Literal["pose", "axis", "position"]) -> int:
+    """Return the number m of task coordinates."""
+    return {"pose": 6, "axis": 5, "position": 3}[keep]
+
+
+def _all_between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
+    """Shortest rotation vectors (N, 3) that turn unit vectors `z` (N, 3) to `z_goal` (3,)."""
+    cross, cosine = np.cross(z, z_goal), z @ z_goal
+    sine = np.linalg.norm(cross, axis=1)
+    vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
+    for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
+        vectors[k] = _between(z[k], z_goal)
+    return np.asarray(vectors)
+
+
+def _between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
+    """Shortest rotation vector (3,) that turns the unit vector `z` to `z_goal`."""
+    cross = np.cross(z, z_goal)
+    sine = float(np.linalg.norm(cross))
+    if sine < _OPPOSITE:
+        # Parallel: nothing to do. Opposite: half a turn about any axis across z.
+        if z @ z_goal > 0:
+            return cross
+        across = np.eye(3)[np.abs(z).argmin()]
+        cross = np.cross(z, across)
+        return np.asarray(np.pi * cross / np.linalg.norm(cross))
+    return np.asarray(cross * (np.arctan2(sine, float(z @ z_goal)) / sine))

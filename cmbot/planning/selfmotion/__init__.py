@@ -1,0 +1,1 @@
+"""The self-motion: charts, dynamic programming over them, the lower bound."""

@@ -1,0 +1,1 @@
+"""The torque problem (Chang 2021, Section 3.2)."""

@@ -1,0 +1,1 @@
+"""Metrics, baseline and certificate."""

@@ -1,0 +1,294 @@
+"""The certificate: everything that a plan promises, computed again apart from the optimiser.
+
+It reads the finished trajectory alone. Position, velocity, acceleration and jerk are judged at the exact
+extrema of their polynomials, which is for all times; torques, clearance and the tool's deviation on a grid
+ten times finer than the optimiser's. For the clearance it also states a bound that holds between samples; by
+the same bound most samples are known to be further away than the nearest one and are not looked at.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cmbot.collision.clearance import Clearances
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import LimitViolation
+from cmbot.elastic.tool_sag import ToolSag
+from cmbot.planning.path.task import ToolTask
+from cmbot.planning.verification.metrics import MotionFigures, figures, measure, together
+from cmbot.robot import Robot
+from cmbot.scene.options import PlannerOptions
+from cmbot.trajectory.quintic import QuinticTrajectory
+
+__all__ = ["Certificate", "Check", "certificate_grid", "certify"]
+
+
+# Grid of the certificate: this many times finer than the optimiser's.
+_FINER = 10
+# What "continuous", "at rest" and "through the via-points" mean in floating point: jumps relative to the
+# joint's bound, and via-point errors in rad.
+_JUMP = 1e-9
+# Knots have so many digits: where they are dense a last one of a position is a jump of the jerk. By so many
+# of those a spline's knots may be off the smooth ones.
+_DIGITS = 64
+_VIA_POINT = 1e-10
+# So many samples are measured at once: more only ask for memory, and lose its nearness.
+_BLOCK = 1 << 14
+_DERIVATIVES = (("velocity", "rad/s"), ("acceleration", "rad/s2"), ("jerk", "rad/s3"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One promise of a plan: the worst value found against its bound.
+
+    Attributes
+    ----------
+    quantity : str
+    time : float, s
+        Where the worst value is.
+    value, bound : float
+    unit : str
+    at_least : bool
+        The bound is a lower one.
+    """
+
+    quantity: str
+    time: float
+    value: float
+    bound: float
+    unit: str
+    at_least: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value keeps its bound; never true of a value that is not a number."""
+        return self.value >= self.bound if self.at_least else self.value <= self.bound
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certificate:
+    """What a trajectory was found to do.
+
+    Attributes
+    ----------
+    checks : tuple of Check
+        All promises; the plan is valid when every one holds.
+    figures : MotionFigures
+        Velocity, acceleration and jerk at their exact extrema, the rest at the samples.
+    clearance_bound : float, m
+        No distance is smaller than this at *any* time: samples, less how far the arm can move in between.
+    """
+
+    checks: tuple[Check, ...]
+    figures: MotionFigures
+    clearance_bound: float
+
+    @property
+    def holds(self) -> bool:
+        """Whether every promise is kept."""
+        return all(check.holds for check in self.checks)
+
+    def require(self) -> None:
+        """Refuse a trajectory that breaks a promise.
+
+        Raises
+        ------
+        LimitViolation
+            For the first check that does not hold.
+        """
+        for check in self.checks:
+            if not check.holds:
+                raise LimitViolation(
+                    check.quantity, time=check.time, value=check.value, bound=check.bound, unit=check.unit
+                )
+
+
+def certify(
+    robot: Robot,
+    task: ToolTask,
+    trajectory: QuinticTrajectory,
+    via_points: FloatArray,
+    clearances: Clearances,
+    options: PlannerOptions,
+    *,
+    at_work: bool = True,
+    sag: ToolSag | None = None,
+    tell: Callable[[int, int], None] | None = None,
+) -> Certificate:
+    """Look at a finished trajectory with fresh eyes.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+    trajectory : QuinticTrajectory
+    via_points : (m + 1, n), rad
+        What the trajectory was to pass through at its knot times.
+    clearances : Clearances
+    options : PlannerOptions
+        Margin and tool deviation that were promised, and the optimiser's grid.
+    at_work : bool
+        False with the tool off: its deviation is measured, not bounded.
+    sag : ToolSag, optional
+        Where it is compensated: the tool's deviation is that of the bent arm, as predicted.
+    tell : callable, optional
+        Called with the number of samples that are done, and of all.
+    """
+    grid = certificate_grid(trajectory, options)
+    if tell is not None:
+        tell(0, len(grid))
+    q = trajectory.evaluate(grid)
+    approach = _approach(trajectory, grid, clearances.reach)
+    # Where no interval beside a sample can hold the smallest bound, its clearance need not be exact.
+    clearance = clearances.along(q, 2 * float(approach.max()))
+    rates = _rate_checks(robot, trajectory)
+    velocity, acceleration, jerk = (check.value / check.bound for check in rates)
+    torques, deviations, parts = [], [], []
+    # Sag that is compensated is interpolated along the motion as a whole.
+    block = _BLOCK if sag is None else len(grid)
+    for first in range(0, len(grid) - 1, block):
+        # Each block ends where the next one begins, so that means are over all times.
+        some = slice(first, first + block + 1)
+        motion = (q[some], *trajectory.derivatives(grid[some], (1, 2, 3)))
+        samples = measure(robot, task, clearances, grid[some], motion, sag, clearance=clearance[some])
+        torques.append(_torque_check(robot, grid[some], samples.joint_torque))
+        if at_work:
+            bound = options.max_tool_deviation_m
+            quantity = "tool deviation" if sag is None else "expected tool deviation"
+            deviations.append(_grid_check(quantity, grid[some], samples.tool_deviation, bound, "m"))
+        parts.append((grid[some][-1] - grid[first], figures(robot, samples, (velocity, acceleration, jerk))))
+    checks = [
+        _range_check(robot, trajectory),
+        *rates,
+        _worst(torques),
+        _continuity_check(robot, trajectory),
+        _via_point_check(trajectory, via_points),
+        _grid_check("clearance", grid, clearance, options.safety_margin_m, "m", at_least=True),
+    ]
+    if at_work:
+        checks.append(_worst(deviations))
+    return Certificate(
+        checks=tuple(checks),
+        figures=together(parts),
+        clearance_bound=float((0.5 * (clearance[:-1] + clearance[1:]) - approach).min()),
+    )
+
+
+def certificate_grid(trajectory: QuinticTrajectory, options: PlannerOptions) -> FloatArray:
+    """Times (N,) at which what has no exact extrema is judged, s."""
+    t = trajectory.t
+    per_segment = _FINER * options.samples_per_segment
+    return np.append(np.linspace(t[:-1], t[1:], per_segment, endpoint=False, axis=1).ravel(), t[-1])
+
+
+def _range_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
+    """Position of the joint that comes nearest to an end of its range, at its exact extrema."""
+    limits, position = robot.limits, trajectory.extrema(0)
+    finite = np.isfinite(limits.lower)
+    half = np.where(finite, 0.5 * (limits.upper - limits.lower), np.inf)
+    middle = np.where(finite, limits.upper, 0.0) - np.where(finite, half, 0.0)
+    share = np.abs(position.value - middle[:, None]) / half[:, None]
+    segment, joint, k = np.unravel_index(share.argmax(), share.shape)
+    return Check(
+        quantity=f"distance of {robot.joints[joint]} from the middle of its range",
+        time=float(position.time[segment, joint, k]),
+        value=float(abs(position.value[segment, joint, k] - middle[joint])),
+        bound=float(half[joint]),
+        unit="rad",
+    )
+
+
+def _rate_checks(robot: Robot, trajectory: QuinticTrajectory) -> list[Check]:
+    """Velocity, acceleration and jerk of the joint that uses most of its bound, at the exact extrema."""
+    checks = []
+    for order, (name, unit) in enumerate(_DERIVATIVES, start=1):
+        bound = getattr(robot.limits, name)
+        largest, time = trajectory.extrema(order).largest()
+        joint = int((largest / bound).argmax())
+        checks.append(
+            Check(
+                quantity=f"{name} of {robot.joints[joint]}",
+                time=float(time[joint]),
+                value=float(largest[joint]),
+                bound=float(bound[joint]),
+                unit=unit,
+            )
+        )
+    return checks
+
+
+def _torque_check(robot: Robot, grid: FloatArray, torque: FloatArray) -> Check:
+    share = np.abs(torque) / robot.limits.torque
+    k, joint = np.unravel_index(share.argmax(), share.shape)
+    return Check(
+        quantity=f"torque of {robot.joints[joint]}",
+        time=float(grid[k]),
+        value=float(abs(torque[k, joint])),
+        bound=float(robot.limits.torque[joint]),
+        unit="Nm",
+    )
+
+
+def _continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
+    """Largest jump at an inner knot, or rate left at an end, as a share of its bound (Eqs. (34)-(37))."""
+    limits, t = robot.limits, trajectory.t
+    # A quintic whose end is off by x has 60 x / h^3 of jerk more there.
+    digit = np.spacing(np.abs(trajectory.q).max(axis=0))
+    rounding = float((60 * _DIGITS * digit / limits.jerk).max()) / float(np.diff(t).min()) ** 3
+    worst, where = 0.0, float(t[0])
+    bounds: tuple[FloatArray | float, ...] = (np.pi, limits.velocity, limits.acceleration, limits.jerk)
+    for order, bound in enumerate(bounds):
+        jumps = [(t[1:-1], trajectory.jumps(order))]
+        if order > 0:
+            jumps.append((t[[0, -1]], trajectory.evaluate(t[[0, -1]], order)))
+        for times, jump in jumps:
+            if len(times):
+                share = np.abs(jump / bound).max(axis=1)
+                if not share.max() <= worst:
+                    worst, where = float(share.max()), float(times[share.argmax()])
+    return Check(
+        quantity="jump of a joint's position, velocity, acceleration or jerk",
+        time=where,
+        value=worst,
+        bound=max(_JUMP, rounding),
+        unit="of its bound",
+    )
+
+
+def _via_point_check(trajectory: QuinticTrajectory, via_points: FloatArray) -> Check:
+    error = np.abs(trajectory.evaluate(trajectory.t) - via_points).max(axis=1)
+    return _grid_check("distance from a via-point", trajectory.t, error, _VIA_POINT, "rad")
+
+
+def _grid_check(
+    quantity: str, grid: FloatArray, value: FloatArray, bound: float, unit: str, *, at_least: bool = False
+) -> Check:
+    worst = int(value.argmin() if at_least else value.argmax())
+    return Check(
+        quantity=quantity,
+        time=float(grid[worst]),
+        value=float(value[worst]),
+        bound=bound,
+        unit=unit,
+        at_least=at_least,
+    )
+
+
+def _worst(checks: list[Check]) -> Check:
+    """The check, of several with upper bounds, that uses most of it; one that is no number is worst."""
+    return checks[int(np.argmax([check.value / check.bound for check in checks]))]
+
+
+def _approach(trajectory: QuinticTrajectory, grid: FloatArray, reach: FloatArray) -> FloatArray:
+    """By how much any distance can fall below the mean of those at two neighbouring samples, (N - 1,), m.
+
+    A joint that turns at rate w moves no point beyond it faster than w times its reach. Two shapes of the arm
+    are moved against each other only by the joints between them, so the same rate bounds every distance: it
+    falls between two samples, h apart, by at most half of rate times h below the mean of both.
+    """
+    per_segment = (len(grid) - 1) // (len(trajectory.t) - 1)
+    fastest = np.abs(trajectory.extrema(1).value).max(axis=2) @ reach
+    return np.asarray(0.5 * np.repeat(fastest, per_segment) * np.diff(grid))

@@ -1,0 +1,213 @@
+"""The figures by which motions are compared, the same for the baseline and for a planned trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from cmbot.collision.clearance import Clearances
+from cmbot.common.arrays import FloatArray
+from cmbot.elastic.tool_sag import ToolSag
+from cmbot.planning.path.task import ToolTask
+from cmbot.robot import Dynamics, Kinematics, Postures, Robot
+
+__all__ = ["LimitUse", "MotionFigures", "Samples", "figures", "measure", "together"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LimitUse:
+    """Largest share of each bound that is used, over all joints and times; 1 is at the bound."""
+
+    velocity: float
+    acceleration: float
+    jerk: float
+    torque: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionFigures:
+    """What a motion asks of the guardrail and how it keeps to its task.
+
+    Attributes
+    ----------
+    peak_guardrail_torque, mean_guardrail_torque : float, Nm
+        Largest value and time mean of the norm of the torque on the guardrail.
+    peak_static_guardrail_torque : float, Nm
+        Largest norm at rest in the motion's postures: the part that gravity asks.
+    min_clearance : float, m
+        Smallest distance to obstacles and of the arm to itself.
+    max_tool_deviation : float, m
+        Largest distance of the tool point from the legs, whenever it is there.
+    max_tool_rotation : float, rad
+        Largest angle by which the tool misses the prescribed orientation or axis.
+    limit_use : LimitUse
+    """
+
+    peak_guardrail_torque: float
+    mean_guardrail_torque: float
+    peak_static_guardrail_torque: float
+    min_clearance: float
+    max_tool_deviation: float
+    max_tool_rotation: float
+    limit_use: LimitUse
+
+
+@dataclass(frozen=True, kw_only=True)
+class Samples:
+    """A motion at N times, with everything that is plotted or written of it.
+
+    Attributes
+    ----------
+    t : (N,), s
+    q, v, a, j : (N, n), rad, rad/s, rad/s2, rad/s3
+    joint_torque : (N, n), Nm
+    guardrail_force, guardrail_torque : (N, 3), N and Nm
+        Wrench on the guardrail from the moving arm, at O0, in W.
+    tool_point : (N, 3), m
+        Where the joints put the tool; that is what is commanded.
+    expected_tool_point : (N, 3), m, or None
+        Where it is expected with its predicted sag; None where sag is not compensated.
+    tool_deviation : (N,), m
+        Distance of the tool point, the expected one if there is one, from the legs.
+    tool_rotation : (N,), rad
+    clearance : (N,), m
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+    j: FloatArray
+    joint_torque: FloatArray
+    guardrail_force: FloatArray
+    guardrail_torque: FloatArray
+    tool_point: FloatArray
+    expected_tool_point: FloatArray | None
+    tool_deviation: FloatArray
+    tool_rotation: FloatArray
+    clearance: FloatArray
+
+
+def measure(
+    robot: Robot,
+    task: ToolTask,
+    clearances: Clearances,
+    t: FloatArray,
+    motion: Sequence[FloatArray],
+    sag: ToolSag | None = None,
+    *,
+    clearance: FloatArray | None = None,
+) -> Samples:
+    """Measure a motion at its samples.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+    clearances : Clearances
+    t : (N,), s
+    motion : four arrays (N, n)
+        Position, velocity, acceleration and jerk.
+    sag : ToolSag, optional
+        Where it is compensated: the tool's predicted displacement.
+    clearance : (N,), m, optional
+        Where it is known already.
+    """
+    q, v, a, j = motion
+    efforts = Dynamics(robot).efforts(q, v, a)
+    p_WT, R_WT = Kinematics(robot).tool_poses(q)
+    expected = None if sag is None else p_WT + sag.along(t, q)
+    return Samples(
+        t=t,
+        q=q,
+        v=v,
+        a=a,
+        j=j,
+        joint_torque=efforts.joint_torque,
+        guardrail_force=efforts.guardrail_force,
+        guardrail_torque=efforts.guardrail_torque,
+        tool_point=p_WT,
+        expected_tool_point=expected,
+        tool_deviation=_lengths(task.path.offset(p_WT if expected is None else expected)),
+        tool_rotation=task.rotation(R_WT),
+        clearance=clearances.smallest(q).distance if clearance is None else clearance,
+    )
+
+
+def _lengths(vectors: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
+
+
+def figures(
+    robot: Robot, samples: Samples, kinematic_use: tuple[float, float, float] | None = None
+) -> MotionFigures:
+    """Reduce samples to figures.
+
+    Parameters
+    ----------
+    robot : Robot
+    samples : Samples
+    kinematic_use : three floats, optional
+        Shares of the velocity, acceleration and jerk bounds where they are known exactly; default: as
+        sampled.
+    """
+    limits = robot.limits
+    if kinematic_use is None:
+        velocity, acceleration, jerk = (
+            float((np.abs(x) / bound).max())
+            for x, bound in (
+                (samples.v, limits.velocity),
+                (samples.a, limits.acceleration),
+                (samples.j, limits.jerk),
+            )
+        )
+    else:
+        velocity, acceleration, jerk = kinematic_use
+    torque = np.linalg.norm(samples.guardrail_torque, axis=1)
+    static = Postures(robot).at(samples.q).guardrail_torque
+    duration = float(samples.t[-1] - samples.t[0])
+    return MotionFigures(
+        peak_guardrail_torque=float(torque.max()),
+        mean_guardrail_torque=float(np.trapezoid(torque, samples.t) / duration),
+        peak_static_guardrail_torque=float(np.linalg.norm(static, axis=1).max()),
+        min_clearance=float(samples.clearance.min()),
+        max_tool_deviation=float(samples.tool_deviation.max()),
+        max_tool_rotation=float(samples.tool_rotation.max()),
+        limit_use=LimitUse(
+            velocity=velocity,
+            acceleration=acceleration,
+            jerk=jerk,
+            torque=float((np.abs(samples.joint_torque) / limits.torque).max()),
+        ),
+    )
+
+
+def together(parts: Sequence[tuple[float, MotionFigures]]) -> MotionFigures:
+    """Put together the figures of a motion's parts, one after the other, and their durations, s."""
+    each = [part for _, part in parts]
+
+    # Unlike Python's own, NumPy's extremes keep what is no number.
+    def most(name: str) -> float:
+        return float(np.max([getattr(part, name) for part in each]))
+
+    uses = [part.limit_use for part in each]
+    return MotionFigures(
+        peak_guardrail_torque=most("peak_guardrail_torque"),
+        mean_guardrail_torque=float(
+            np.average(
+                [part.mean_guardrail_torque for part in each], weights=[duration for duration, _ in parts]
+            )
+        ),
+        peak_static_guardrail_torque=most("peak_static_guardrail_torque"),
+        min_clearance=float(np.min([part.min_clearance for part in each])),
+        max_tool_deviation=most("max_tool_deviation"),
+        max_tool_rotation=most("max_tool_rotation"),
+        limit_use=LimitUse(
+            **{
+                use.name: float(np.max([getattr(part, use.name) for part in uses]))
+                for use in fields(LimitUse)
+            }
+        ),
+    )

@@ -1,0 +1,1 @@
+"""Piecewise quintic splines: nothing of robots."""

@@ -1,0 +1,140 @@
+"""C3 splines through movable via-points, in a basis that is local: what makes sparse optimisation possible.
+
+The knot vectors of `SplineSpace` are ``z = K u``, where u holds, for each joint, n - 4 multiples of the
+basis splines, which vanish at every knot, and the n via-points. Each via-point has a spline of its own that
+is 1 there, 0 at every other knot, and lives on four segments too. Every u gives a C3 spline at rest at both
+ends, and every such spline has one u.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.robot import JointLimits
+from cmbot.trajectory.spline_space import SplineSpace
+
+__all__ = ["LocalRows", "LocalSplines"]
+
+_ORDERS = 4
+# How far a unit of a basis spline moves a joint at most, rad.
+_FAR = 0.02
+
+
+@dataclass(frozen=True)
+class LocalRows:
+    """Local splines and their first three derivatives at N times, as far as they live there.
+
+    Attributes
+    ----------
+    segment : (N,)
+        Of each time; what lives on it is in `LocalSplines.living`.
+    weight : (N, 4, w)
+        Position, velocity, acceleration and jerk of the splines that live there.
+    """
+
+    segment: IntArray
+    weight: FloatArray
+
+    def __getitem__(self, index: IntArray | slice) -> LocalRows:
+        return LocalRows(self.segment[index], self.weight[index])
+
+    def by_spline(self, derivative: FloatArray) -> FloatArray:
+        """Take derivatives (k, N, d) by position and the next orders to those (N, w, d) by the splines."""
+        weight = self.weight[:, : len(derivative)]
+        return np.asarray(weight.transpose(0, 2, 1) @ derivative.transpose(1, 0, 2))
+
+
+class LocalSplines:
+    """The local basis of a `SplineSpace`.
+
+    Parameters
+    ----------
+    space : SplineSpace
+    limits : JointLimits
+    """
+
+    def __init__(self, space: SplineSpace, limits: JointLimits) -> None:
+        self.space = space
+        self.limits = limits
+        self.columns = sparse.csr_array(sparse.hstack([space.basis, space.cardinal]))
+        self.gram = sparse.csr_array(space.jerk_products(self.columns))
+
+    @property
+    def count(self) -> int:
+        """Number of basis splines a joint: n - 4."""
+        return self.space.dimension
+
+    @cached_property
+    def unit(self) -> FloatArray:
+        """Multiples (n - 4, d) at which a basis spline uses up a bound, or goes far from the via-points."""
+        t = self.space.t
+        largest = np.zeros((_ORDERS, self.count))
+        for share in np.linspace(0.0, 1.0, 5):
+            rows = self.rows(t[:-1] + share * np.diff(t))
+            column = self.living[rows.segment]
+            inside = (column >= 0) & (column < self.count)
+            for order in range(_ORDERS):
+                np.maximum.at(largest[order], column[inside], np.abs(rows.weight[:, order][inside]))
+        limits = self.limits
+        far = np.full(len(limits.jerk), _FAR)
+        bounds = np.stack([far, limits.velocity, limits.acceleration, limits.jerk])
+        return np.asarray((bounds[:, None, :] / largest[:, :, None]).min(axis=0))
+
+    @cached_property
+    def jerk_curvature(self) -> sparse.csr_array:
+        """Hessian (size of u, size of u) of half the time mean of squared jerk, joints' bounds as units."""
+        weights = 1.0 / (len(self.limits.jerk) * self.limits.jerk**2)
+        return sparse.csr_array(sparse.kron(self.gram, sparse.diags_array(weights), format="csr"))
+
+    def least_jerk(self, q: FloatArray) -> FloatArray:
+        """Multiples (n - 4, d) of the basis splines in the splines of least jerk through `q` (n, d)."""
+        return np.asarray(self._basis_gram.solve(-(self.gram[: self.count, self.count :] @ q)))
+
+    def least_jerk_adjoint(self, g: FloatArray) -> FloatArray:
+        """Gradient (n, d) by the via-points from that (n - 4, d) by the multiples that follow them."""
+        return np.asarray(-(self.gram[self.count :, : self.count] @ self._basis_gram.solve(g)))
+
+    @cached_property
+    def _basis_gram(self) -> SuperLU:
+        return splu(self.gram[: self.count, : self.count].tocsc())
+
+    def rows(self, times: FloatArray) -> LocalRows:
+        """Evaluate at `times` (N,)."""
+        segment, hermite = self.space.hermite_weights(times, _ORDERS)
+        return LocalRows(segment, hermite.transpose(1, 0, 2) @ self._segments[1][segment])
+
+    @property
+    def living(self) -> IntArray:
+        """Which of the splines, the basis first, then those of the via-points, live on each segment: (m, w).
+
+        In ascending order; -1 fills up where there are fewer than w.
+        """
+        return self._segments[0]
+
+    @cached_property
+    def _segments(self) -> tuple[IntArray, FloatArray]:
+        """What lives on each segment, (m, w), and its values at the knots of both ends, (m, 6, w)."""
+        m = len(self.space.t) - 1
+        entries = self.columns.tocoo()
+        knot, part = np.divmod(entries.coords[0], 3)
+        # An entry belongs to the segments on both sides of its knot.
+        segment = np.concatenate([knot, knot - 1])
+        place = np.concatenate([part, part + 3])
+        column, value = np.tile(entries.coords[1], 2), np.tile(entries.data, 2)
+        inside = (segment >= 0) & (segment < m)
+        segment, place, column, value = (x[inside] for x in (segment, place, column, value))
+        keys, index = np.unique(segment * self.columns.shape[1] + column, return_inverse=True)
+        of_segment, of_column = np.divmod(keys, self.columns.shape[1])
+        slot = np.arange(len(keys)) - np.searchsorted(of_segment, of_segment)
+        width = int(slot.max()) + 1
+        columns = np.full((m, width), -1, dtype=np.intp)
+        local = np.zeros((m, 6, width))
+        columns[of_segment, slot] = of_column
+        local[segment, place, slot[index]] = value
+        return columns, local

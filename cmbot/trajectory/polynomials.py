@@ -1,0 +1,126 @@
+"""Polynomials on the unit interval: all their real roots, all their extrema, many at a time."""
+
+from __future__ import annotations
+
+from functools import cache
+from math import comb, perm
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+
+__all__ = ["derivative", "hull", "roots_in_unit_interval", "values"]
+
+
+# A root is found once the next step is no longer than this; so many steps are enough, even if every other one
+# only halves what is left of [0, 1].
+_NEXT, _STEPS = 2.0**-51, 110
+
+
+def derivative(c: FloatArray, order: int = 1) -> FloatArray:
+    """Differentiate polynomials `order` times.
+
+    Parameters
+    ----------
+    c : (..., k + 1)
+        Coefficients, lowest power first.
+
+    Returns
+    -------
+    (..., k + 1 - order)
+        At least one coefficient: zero, where nothing is left.
+    """
+    if order >= c.shape[-1]:
+        return np.zeros((*c.shape[:-1], 1))
+    return np.asarray(c[..., order:] * [perm(k, order) for k in range(order, c.shape[-1])])
+
+
+def hull(c: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bound polynomials on the unit interval by the least and the largest of their Bernstein coefficients.
+
+    Farouki, "The Bernstein polynomial basis: a centennial retrospective", 2012, Section 5.1. Far cheaper than
+    extrema, and for short segments of a smooth curve hardly wider.
+
+    Parameters
+    ----------
+    c : (..., k + 1)
+        Coefficients, lowest power first.
+
+    Returns
+    -------
+    low, high : (...)
+    """
+    b = c @ _to_bernstein(c.shape[-1] - 1)
+    return b.min(axis=-1), b.max(axis=-1)
+
+
+@cache
+def _to_bernstein(degree: int) -> FloatArray:
+    every = range(degree + 1)
+    return np.array([[comb(i, j) / comb(degree, j) for i in every] for j in every])
+
+
+def roots_in_unit_interval(c: FloatArray) -> FloatArray:
+    """Find the real roots in [0, 1] of many polynomials of one degree.
+
+    Between neighbouring roots of its derivative a polynomial is monotone, so Newton's method, kept within an
+    interval that halves where it is slow, finds every root there, whether the polynomial changes sign or only
+    touches zero. No leading coefficient is divided by: degenerate polynomials are harmless.
+
+    Parameters
+    ----------
+    c : (..., k + 1)
+        Coefficients, lowest power first, k >= 1.
+
+    Returns
+    -------
+    (..., k)
+        Sorted roots. Where a polynomial has fewer than k, the missing ones repeat an end of the interval
+        or a stationary point, which is what a search for extrema can bear.
+    """
+    degree = c.shape[-1] - 1
+    ends = (np.zeros((*c.shape[:-1], 1)), np.ones((*c.shape[:-1], 1)))
+    stationary = [roots_in_unit_interval(derivative(c))] if degree > 1 else []
+    edges = np.concatenate([ends[0], *stationary, ends[1]], axis=-1)
+    sign = np.sign(values(c, edges))
+    low, high = edges[..., :-1], edges[..., 1:]
+    roots = np.where((sign[..., :-1] != 0) & (sign[..., 1:] == 0), high, low)
+    crossed = sign[..., :-1] * sign[..., 1:] < 0
+    of = np.broadcast_to(c[..., None, :], (*crossed.shape, degree + 1))[crossed]
+    roots[crossed] = _crossings(of, low[crossed], high[crossed], sign[..., :-1][crossed])
+    return roots
+
+
+def _crossings(c: FloatArray, low: FloatArray, high: FloatArray, sign: FloatArray) -> FloatArray:
+    """Roots (K,) of polynomials (K, k + 1) that are monotone from `low` to `high` and change `sign` there.
+
+    Press et al., "Numerical Recipes", 2007, Section 9.4: Newton's method with bisection.
+    """
+    slope = derivative(c)
+    u, last, before = 0.5 * (low + high), high - low, high - low
+    roots, left = u.copy(), np.arange(len(u))
+    for _ in range(_STEPS):
+        if len(left) == 0:
+            break
+        value, rate = values(c, u[:, None])[:, 0], values(slope, u[:, None])[:, 0]
+        lower = np.sign(value) == sign
+        low, high = np.where(lower, u, low), np.where(lower, high, u)
+        # Where the slope vanishes a step of Newton's leads nowhere.
+        step = -value / np.where(rate == 0.0, np.nan, rate)
+        quick = (low <= u + step) & (u + step <= high) & (2 * np.abs(step) <= before)
+        step = np.where(quick, step, 0.5 * (low + high) - u)
+        u, last, before = u + step, np.abs(step), last
+        roots[left] = u
+        on = (last > _NEXT) & (value != 0)
+        c, slope, u, low, high, sign, last, before, left = (
+            each[on] for each in (c, slope, u, low, high, sign, last, before, left)
+        )
+    return roots
+
+
+def values(c: FloatArray, u: FloatArray) -> FloatArray:
+    """Evaluate each polynomial `c` (..., k + 1) at its own points `u` (..., m), by Horner's rule."""
+    value = np.broadcast_to(c[..., -1:], np.broadcast_shapes(c[..., -1:].shape, u.shape))
+    for power in range(c.shape[-1] - 2, -1, -1):
+        value = value * u + c[..., power : power + 1]
+    return np.asarray(value)

@@ -1,0 +1,244 @@
+"""The trajectory: piecewise quintic polynomials in every joint (Chang 2021, Eqs. (24)-(29))."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.errors import InputError
+from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interval, values
+
+__all__ = ["Extrema", "QuinticTrajectory", "hermite_coefficients"]
+
+# By how much times may miss the ends, as a share of the duration: they come from sums of steps.
+_TIME_ROUNDING = 1e-9
+# So many times are evaluated at once: more only ask for memory, and lose its nearness.
+_BLOCK = 2048
+
+POSITION, VELOCITY, ACCELERATION, JERK = range(4)
+
+
+def hermite_coefficients(
+    h: FloatArray, start: tuple[FloatArray, ...], end: tuple[FloatArray, ...]
+) -> FloatArray:
+    """Coefficients of quintics from position, velocity and acceleration at both ends.
+
+    Chang 2021, Eqs. (28)-(29), with time counted in units of the segment: ``q(t) = sum_k c_k (t/h)^k``.
+
+    Parameters
+    ----------
+    h : (m,), s
+        Durations.
+    start, end : three arrays (m, n)
+        Position, velocity and acceleration at either end.
+
+    Returns
+    -------
+    (m, n, 6)
+    """
+    h = h[:, None]
+    q_0, v_0, a_0 = start[0], start[1] * h, start[2] * h**2
+    q_1, v_1, a_1 = end[0], end[1] * h, end[2] * h**2
+    D = q_1 - q_0
+    return np.stack(
+        [
+            q_0,
+            v_0,
+            a_0 / 2,
+            (20 * D - (8 * v_1 + 12 * v_0) - (3 * a_0 - a_1)) / 2,
+            (-30 * D + (14 * v_1 + 16 * v_0) + (3 * a_0 - 2 * a_1)) / 2,
+            (12 * D - 6 * (v_1 + v_0) - (a_0 - a_1)) / 2,
+        ],
+        axis=-1,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Extrema:
+    """The exact extremes of one derivative on every segment of a trajectory.
+
+    Attributes
+    ----------
+    time : (m, n, k), s, or (..., k)
+        Ends and stationary points of each segment and joint.
+    value : (m, n, k), or (..., k)
+        The derivative there; its largest magnitude bounds it at *all* times of the segment.
+    """
+
+    time: FloatArray
+    value: FloatArray
+
+    def largest(self) -> tuple[FloatArray, FloatArray]:
+        """Return magnitude and time of the largest magnitude of each joint, both (n,)."""
+        magnitude = np.abs(self.value).transpose(1, 0, 2).reshape(self.value.shape[1], -1)
+        time = self.time.transpose(1, 0, 2).reshape(self.value.shape[1], -1)
+        worst = magnitude.argmax(axis=1)
+        joint = np.arange(len(worst))
+        return magnitude[joint, worst], time[joint, worst]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class QuinticTrajectory:
+    """Piecewise quintics through knots with given position, velocity and acceleration.
+
+    Position, velocity and acceleration are continuous whatever the knots' values are; jerk is continuous
+    only if they are chosen so, as `SplineSpace` does.
+
+    Attributes
+    ----------
+    t : (m + 1,), s
+        Strictly increasing times of the knots.
+    q, v, a : (m + 1, n), rad, rad/s, rad/s2
+        Position, velocity and acceleration at the knots.
+
+    Raises
+    ------
+    InputError
+        When shapes differ, a number is not finite, or times do not increase.
+    """
+
+    t: FloatArray
+    q: FloatArray
+    v: FloatArray
+    a: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("t", "q", "v", "a"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        increases = self.t.ndim == 1 and len(self.t) >= 2 and np.all(np.diff(self.t) > 0)
+        if not increases or not np.isfinite(self.t).all():
+            raise InputError(
+                "QuinticTrajectory", "t", self.t.tolist(), "two or more finite, increasing times"
+            )
+        for name in ("q", "v", "a"):
+            array = getattr(self, name)
+            if array.ndim != 2 or array.shape != (len(self.t), self.q.shape[-1]):
+                expected = f"one row per knot, ({len(self.t)}, n), the same for q, v and a"
+                raise InputError("QuinticTrajectory", name, f"shape {array.shape}", expected)
+            if not np.isfinite(array).all():
+                raise InputError("QuinticTrajectory", name, "a number that is not finite", "finite numbers")
+
+    @property
+    def duration(self) -> float:
+        """Time from the first knot to the last, s."""
+        return float(self.t[-1] - self.t[0])
+
+    @cached_property
+    def coefficients(self) -> FloatArray:
+        """Coefficients of ``q(t) = sum_k c_k ((t - t_j)/h_j)^k``, (m, n, 6), rad."""
+        knots = (self.q, self.v, self.a)
+        c = hermite_coefficients(np.diff(self.t), tuple(x[:-1] for x in knots), tuple(x[1:] for x in knots))
+        c.setflags(write=False)
+        return c
+
+    def evaluate(self, times: ArrayLike, order: int = 0) -> FloatArray:
+        """Evaluate the trajectory or one of its derivatives.
+
+        Parameters
+        ----------
+        times : (N,), s
+            From the first knot to the last; beyond them by no more than rounding.
+        order : int
+            0 position, 1 velocity, 2 acceleration, 3 jerk, up to 5. At an inner knot a discontinuous
+            derivative has the value of the later segment.
+
+        Returns
+        -------
+        (N, n)
+
+        Raises
+        ------
+        InputError
+            When a time is no number, or not one of the trajectory's.
+        """
+        return self.derivatives(times, (order,))[0]
+
+    def derivatives(self, times: ArrayLike, orders: tuple[int, ...]) -> tuple[FloatArray, ...]:
+        """Evaluate derivatives of several `orders` at the same `times` (N,): as many arrays (N, n).
+
+        Raises
+        ------
+        InputError
+            When a time is no number, or not one of the trajectory's.
+        """
+        t = self._own(_numbers(times))
+        segment = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
+        h = self.t[segment + 1] - self.t[segment]
+        u = (t - self.t[segment]) / h
+        each = tuple(np.empty((len(t), self.q.shape[1])) for _ in orders)
+        for first in range(0, len(t), _BLOCK):
+            block = slice(first, first + _BLOCK)
+            c = self.coefficients[segment[block]]
+            for order, out in zip(orders, each, strict=True):
+                here = values(derivative(c, order), u[block, None, None])[..., 0]
+                out[block] = here / h[block, None] ** order
+        return each
+
+    def _own(self, t: FloatArray) -> FloatArray:
+        """Return times (N,) when they are the trajectory's, rounding at its ends taken off."""
+        slack = _TIME_ROUNDING * self.duration
+        # In this form NaN counts as outside.
+        outside = ~((self.t[0] - slack <= t) & (t <= self.t[-1] + slack))
+        if outside.any():
+            expected = f"times from {self.t[0]:g} to {self.t[-1]:g} s"
+            raise InputError("QuinticTrajectory", "times", f"{t[outside][0]:g} s", expected)
+        return np.clip(t, self.t[0], self.t[-1])
+
+    def states(self, times: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return position, velocity and acceleration at `times` (N,), each (N, n)."""
+        q, v, a = self.derivatives(times, (POSITION, VELOCITY, ACCELERATION))
+        return q, v, a
+
+    def sampled(self, samples: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return what `states` does at so many even times of every segment, from its start, and at the last.
+
+        Quicker: all segments are weighed alike.
+        """
+        powers = (np.arange(samples)[:, None] / samples) ** np.arange(6)
+        by_power = self.coefficients.transpose(0, 2, 1)
+        h, ends = np.diff(self.t)[:, None, None], (self.q[-1], self.v[-1], self.a[-1])
+        each = []
+        for order, end in enumerate(ends):
+            weight = derivative(np.eye(6), order).T
+            inside = powers[:, : len(weight)] @ weight @ by_power / h**order
+            each.append(np.vstack([inside.reshape(-1, len(end)), end]))
+        q, v, a = each
+        return q, v, a
+
+    def extrema(self, order: int) -> Extrema:
+        """Return the exact extremes of derivative `order` (0 to 4) on every segment and joint."""
+        every = np.indices(self.coefficients.shape[:2])
+        return self.extrema_at(order, np.asarray(every[0]), np.asarray(every[1]))
+
+    def extrema_at(self, order: int, segment: IntArray, joint: IntArray) -> Extrema:
+        """Return the exact extremes of derivative `order` (0 to 4) on some segments (...) of joints (...)."""
+        h = (self.t[segment + 1] - self.t[segment])[..., None]
+        c = derivative(self.coefficients[segment, joint], order)
+        u = roots_in_unit_interval(derivative(c))
+        u = np.concatenate([np.zeros_like(u[..., :1]), u, np.ones_like(u[..., :1])], axis=-1)
+        return Extrema(time=self.t[segment][..., None] + u * h, value=values(c, u) / h**order)
+
+    def hull(self, order: int) -> tuple[FloatArray, FloatArray]:
+        """Return bounds (m, n) below and above derivative `order` on every segment; not exact ones."""
+        h = np.diff(self.t)[:, None]
+        low, high = hull(derivative(self.coefficients, order))
+        return low / h**order, high / h**order
+
+    def jumps(self, order: int) -> FloatArray:
+        """Return how far derivative `order` jumps at each inner knot, (m - 1, n)."""
+        h = np.diff(self.t)[:, None]
+        c = derivative(self.coefficients, order)
+        return np.asarray(c[1:, :, 0] / h[1:] ** order - c[:-1].sum(axis=-1) / h[:-1] ** order)
+
+
+def _numbers(times: ArrayLike) -> FloatArray:
+    try:
+        return np.asarray(times, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError("QuinticTrajectory", "times", repr(times), "a row of numbers, s") from None

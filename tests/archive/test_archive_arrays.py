@@ -1,0 +1,133 @@
+"""What is refused of knots and tables, the arrays of a plan directory."""
+
+import io
+import zipfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plan_folders import npz, refused, rewrite
+
+from cmbot.archive.knots import read_knots
+from cmbot.archive.tables import read_motion
+from cmbot.common.errors import ArchiveError
+
+
+def knots_with(**changes):
+    """Function of the good knots that returns the file with some of them changed."""
+
+    def content(knots):
+        arrays = {name: change(knots[name]) for name, change in changes.items()}
+        return npz(**{**{name: knots[name] for name in knots.files}, **arrays})
+
+    return content
+
+
+def in_place(index, value):
+    def change(array):
+        array = array.copy()
+        array[index] = value
+        return array
+
+    return change
+
+
+def member_without_header(knots):
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as archive:
+        for name in knots.files:
+            archive.writestr(f"{name}.npy", b"0123456789")
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("content", "key"),
+    [
+        (lambda knots: b"", ""),
+        (lambda knots: b"not a zip file", ""),
+        (lambda knots: npz(**knots)[:5000], ""),
+        (lambda knots: npz(t=knots["t"], q=knots["q"]), ""),
+        (lambda knots: npz(**knots, extra=knots["a"]), ""),
+        (knots_with(q=lambda q: q.astype(object)), ""),
+        (member_without_header, "t"),
+        (knots_with(q=lambda q: q.astype(np.float32)), "q"),
+        (knots_with(q=lambda q: q.astype(str)), "q"),
+        (knots_with(q=lambda q: q[:-1]), "q"),
+        (knots_with(v=lambda v: v[:, :6]), "v"),
+        (knots_with(a=in_place((3, 2), np.nan)), "a"),
+        (knots_with(t=in_place(3, 0.0)), "t"),
+        (knots_with(t=in_place(3, np.inf)), "t"),
+        (knots_with(q=lambda q: q[:, :6], v=lambda v: v[:, :6], a=lambda a: a[:, :6]), "q"),
+    ],
+)
+def test_damaged_knots(saved_triangle, content, key):
+    with np.load(saved_triangle / "trajectory.npz") as knots:
+        damaged = content(knots)
+    with pytest.raises(ArchiveError) as caught:
+        read_knots(damaged, "FILE", 7)
+    assert (caught.value.source, caught.value.key) == ("FILE", key)
+
+
+@pytest.mark.parametrize(
+    "content", [knots_with(t=lambda t: t + 1), knots_with(t=lambda t: 2 * t), lambda knots: b""]
+)
+def test_knots_of_another_scene(triangle_folder, content):
+    with np.load(triangle_folder / "trajectory.npz") as knots:
+        other = content(knots)
+    rewrite(triangle_folder, "trajectory.npz", other)
+    refused(triangle_folder, "trajectory.npz", "t" if other else "")
+
+
+def test_a_lone_array_is_no_npz():
+    file = io.BytesIO()
+    np.save(file, np.zeros(3))
+    with pytest.raises(ArchiveError, match="a lone array"):
+        read_knots(file.getvalue(), "FILE", 7)
+
+
+def test_pickles_are_not_opened(saved_triangle, tmp_path):
+    class Trap:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "sprung",))
+
+    with np.load(saved_triangle / "trajectory.npz") as knots:
+        content = npz(**{**knots, "q": np.array([Trap()], dtype=object)})
+    with pytest.raises(ArchiveError, match="pickle"):
+        read_knots(content, "FILE", 7)
+    assert not (tmp_path / "sprung").exists()
+
+
+def cell(row, column, value):
+    def change(lines):
+        cells = lines[row].split(",")
+        cells[column] = value
+        return [*lines[:row], ",".join(cells), *lines[row + 1 :]]
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda lines: [], "line 1"),
+        (lambda lines: lines[1:], "line 1"),
+        (lambda lines: [lines[0].replace("tau1", "torque1"), *lines[1:]], "line 1"),
+        (lambda lines: lines[:1], "t"),
+        (lambda lines: lines[:2], "t"),
+        (lambda lines: [*lines[:5], *lines[6:4:-1], *lines[7:]], "t"),
+        (lambda lines: [*lines[:-1], lines[-1][:40]], "line 2002"),
+        (cell(3, 2, "fast"), "line 4, q2"),
+        (cell(3, 2, ""), "line 4, q2"),
+        (cell(3, 2, "nan"), "line 4, q2"),
+        (cell(3, -1, "nan"), "line 4, clearance"),
+        (cell(3, -1, "-inf"), "line 4, clearance"),
+        (cell(3, -2, "inf"), "line 4, tool_z"),
+        (cell(3, 0, "nan"), "t"),
+        (cell(3, 2, "é"), ""),
+    ],
+)
+def test_damaged_tables(saved_triangle, change, key):
+    lines = (saved_triangle / "baseline.csv").read_text().splitlines()
+    with pytest.raises(ArchiveError) as caught:
+        read_motion("\n".join([*change(lines), ""]).encode(), "FILE", 7)
+    assert (caught.value.source, caught.value.key) == ("FILE", key)

@@ -1,0 +1,159 @@
+"""Plan directories read back: the same plan, and on request certified again."""
+
+import json
+import math
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from plan_folders import FILES, same_arrays
+
+from cmbot.archive import load_plan, save
+from cmbot.archive.folder import APPROACH_FILES
+from cmbot.common.errors import PathNotFound
+from cmbot.planning import Plan, Start
+from cmbot.planning.verification.metrics import figures
+
+
+@pytest.fixture(scope="module")
+def loaded(saved_triangle: Path) -> Plan:
+    return load_plan(saved_triangle)
+
+
+def test_round_trip(loaded, triangle_plan):
+    plan = loaded
+    same_arrays(plan.trajectory, triangle_plan.trajectory)
+    for name in ("t", "q", "v", "a", "j"):
+        np.testing.assert_array_equal(getattr(plan.baseline, name), getattr(triangle_plan.baseline, name))
+    for field in fields(plan.baseline):
+        got, expected = getattr(plan.baseline, field.name), getattr(triangle_plan.baseline, field.name)
+        if expected is None:
+            assert got is None
+            continue
+        np.testing.assert_allclose(got, expected, rtol=1e-9, atol=1e-9, err_msg=field.name)
+    same = (
+        "options",
+        "baseline_figures",
+        "drift",
+        "smallest_singular_value",
+        "certificate",
+        "choice",
+        "gap_to_floor",
+        "objective",
+        "passes",
+        "seconds",
+    )
+    for name in same:
+        assert getattr(plan, name) == getattr(triangle_plan, name), name
+    assert plan.scene.content_hash == triangle_plan.scene.content_hash
+    assert plan.scene.file == triangle_plan.scene.file
+    assert plan.robot.content_hash == triangle_plan.robot.content_hash
+    assert plan.task.keep == triangle_plan.task.keep
+    np.testing.assert_array_equal(plan.task.path.corners, triangle_plan.task.path.corners)
+    np.testing.assert_allclose(plan.start.posture, triangle_plan.start.posture, rtol=1e-15)
+    assert plan.start.moved == pytest.approx(triangle_plan.start.moved, rel=1e-15)
+    assert plan.start.failures == ()
+    same_arrays(plan.floor, triangle_plan.floor)
+    assert plan.summary() == triangle_plan.summary()
+    same_arrays(plan.samples, triangle_plan.samples)
+
+
+def test_round_trip_of_the_approach(loaded, triangle_plan):
+    got, expected = loaded.approach, triangle_plan.approach
+    same_arrays(got.trajectory, expected.trajectory)
+    assert got.certificate == expected.certificate
+    assert got.along_self_motion is expected.along_self_motion
+    assert (got.task.keep, got.task.path.profile) == (expected.task.keep, expected.task.path.profile)
+    same_arrays(got.task.path, expected.task.path)
+
+
+def test_saved_again_it_is_the_same(saved_triangle, loaded, tmp_path):
+    again = save(loaded, tmp_path / "again")
+    for name in FILES - {"plan.json", "baseline.csv"}:
+        assert (again / name).read_bytes() == (saved_triangle / name).read_bytes()
+    first, second = (json.loads((path / "plan.json").read_text()) for path in (saved_triangle, again))
+    # Angles in degrees, and what is measured again, may differ in their last digits.
+    changing = {"start", "files"}
+    assert {key: first[key] for key in first.keys() - changing} == {
+        key: second[key] for key in second.keys() - changing
+    }
+
+
+def test_round_trip_with_fixed_knots(short_plan, tmp_path):
+    folder = save(short_plan, tmp_path / "plan")
+    data = json.loads((folder / "plan.json").read_text())
+    for key in ("approach", "torque_floor", "gap_to_floor", "floor", "choice"):
+        assert data[key] is None
+    assert {path.name for path in folder.iterdir()} == FILES - set(APPROACH_FILES)
+    assert set(data["files"]) == FILES - {"plan.json", *APPROACH_FILES}
+    read = load_plan(folder, verify=True)
+    assert (read.floor, read.choice, read.approach, read.gap_to_floor) == (None, None, None, None)
+    same_arrays(read.trajectory, short_plan.trajectory)
+    assert read.baseline_figures == short_plan.baseline_figures
+    assert read.start.moved == 0
+
+
+def test_a_start_elsewhere_is_kept(short_plan, tmp_path):
+    failures = (
+        PathNotFound(
+            "in the way", time=1.5, progress=0.25, smallest_singular_value=0.3, pair=("link", "slab")
+        ),
+        PathNotFound("out of reach", time=0.5, progress=0.125, smallest_singular_value=0.1),
+    )
+    start = Start(posture=short_plan.start.posture + 0.1, moved=0.1, failures=failures)
+    moved = replace(short_plan.trajectory, q=short_plan.trajectory.q + 0.1)
+    read = load_plan(save(replace(short_plan, start=start, trajectory=moved), tmp_path / "plan")).start
+    np.testing.assert_allclose(read.posture, start.posture, rtol=1e-15)
+    assert read.moved == pytest.approx(0.1, rel=1e-15)
+    for got, expected in zip(read.failures, failures, strict=True):
+        assert vars(got) == vars(expected)
+        assert str(got) == str(expected)
+
+
+def without_obstacles(certificate):
+    checks = tuple(
+        replace(check, value=math.inf) if check.quantity == "clearance" else check
+        for check in certificate.checks
+    )
+    free = replace(certificate.figures, min_clearance=math.inf)
+    return replace(certificate, checks=checks, figures=free, clearance_bound=math.inf)
+
+
+def test_without_anything_to_hit_clearances_are_infinite(thin_plan, tmp_path):
+    certificate = without_obstacles(thin_plan.certificate)
+    approach = replace(thin_plan.approach, certificate=without_obstacles(thin_plan.approach.certificate))
+    plan = replace(
+        thin_plan,
+        certificate=certificate,
+        approach=approach,
+        baseline=replace(thin_plan.baseline, clearance=np.full(len(thin_plan.baseline.t), np.inf)),
+        baseline_figures=replace(thin_plan.baseline_figures, min_clearance=math.inf),
+    )
+    read = load_plan(save(plan, tmp_path / "plan"))
+    assert read.certificate == certificate
+    assert read.approach.certificate == approach.certificate
+    assert read.baseline_figures.min_clearance == math.inf
+    text = (tmp_path / "plan" / "plan.json").read_text()
+    assert "Infinity" not in text
+    assert (tmp_path / "plan" / "baseline.csv").read_text().splitlines()[1].endswith(",inf")
+
+
+def test_verify_certifies_again(saved_triangle, triangle_plan):
+    plan = load_plan(saved_triangle, verify=True)
+    for again, made in (
+        (plan.certificate, triangle_plan.certificate),
+        (plan.approach.certificate, triangle_plan.approach.certificate),
+    ):
+        # Unlike most figures it tells one grid from another.
+        assert again.clearance_bound == pytest.approx(made.clearance_bound, rel=1e-9)
+        for got, expected in zip(again.checks, made.checks, strict=True):
+            assert got.quantity == expected.quantity
+            assert got.value == pytest.approx(expected.value, rel=1e-9, abs=1e-12)
+
+
+def test_baseline_figures_are_those_of_the_table(loaded):
+    plan = loaded
+    again = figures(plan.robot, plan.baseline)
+    assert again.peak_guardrail_torque == pytest.approx(plan.baseline_figures.peak_guardrail_torque)
+    assert again.limit_use.jerk == pytest.approx(plan.baseline_figures.limit_use.jerk)

@@ -1,0 +1,133 @@
+"""Tracking errors read back: the same as were saved, or the file and key for which they are not."""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.archive import load_plan, load_tracking, save, save_tracking
+from cmbot.common.errors import ArchiveError
+from cmbot.planning import Plan, plan
+from cmbot.simulation import SimulationOptions, Tracking, simulate, tracking_rows
+
+
+@pytest.fixture(scope="module")
+def tracking(short_plan: Plan) -> Tracking:
+    return simulate(short_plan, SimulationOptions(damping=0.02, settle_s=1.0))
+
+
+@pytest.fixture(scope="module")
+def saved(short_plan: Plan, tracking: Tracking, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = save(short_plan, tmp_path_factory.mktemp("tracking") / "short")
+    save_tracking(tracking, folder)
+    return folder
+
+
+@pytest.fixture
+def folder(saved: Path, tmp_path: Path) -> Path:
+    """A plan directory to be changed."""
+    return Path(shutil.copytree(saved, tmp_path / "short"))
+
+
+def test_what_was_saved_is_read(saved: Path, tracking: Tracking) -> None:
+    same(saved, tracking)
+
+
+def test_what_a_compensated_plan_errs_is_read_as_such(tmp_path: Path) -> None:
+    """From where the plan expects the tool, after reading as before."""
+    compensated = plan(short_scene(planner={"compensate": True}))
+    tracking = simulate(compensated, SimulationOptions(settle_s=0.5))
+    save(compensated, tmp_path / "short")
+    save_tracking(tracking, tmp_path / "short")
+    same(tmp_path / "short", tracking)
+
+
+def same(saved: Path, tracking: Tracking) -> None:
+    """What is read there is `tracking`."""
+    found = cmbot.load_tracking(load_plan(saved), saved)
+    assert found is not None
+    assert (found.options, found.seconds) == (tracking.options, tracking.seconds)
+    assert list(tracking_rows(found)) == list(tracking_rows(tracking))
+    for name in ("baseline", "planned"):
+        ours, theirs = getattr(found, name), getattr(tracking, name)
+        assert ours.stop == theirs.stop
+        for field in fields(ours):
+            if field.name not in ("stop", "figures"):
+                left, right = getattr(ours, field.name), getattr(theirs, field.name)
+                np.testing.assert_allclose(left, right, atol=1e-12)
+        for key, value in asdict(ours.figures).items():
+            if isinstance(value, np.ndarray):
+                np.testing.assert_allclose(value, getattr(theirs.figures, key), rtol=1e-9, atol=1e-18)
+
+
+def test_a_plan_that_was_not_simulated_has_none(folder: Path, short_plan: Plan) -> None:
+    for name in ("tracking.csv", "tracking_baseline.csv", "tracking.json"):
+        (folder / name).unlink()
+    assert load_tracking(short_plan, folder) is None
+
+
+def refused(plan: Plan, folder: Path, file: str, key: str) -> ArchiveError:
+    with pytest.raises(ArchiveError) as caught:
+        load_tracking(plan, folder)
+    assert (caught.value.source, caught.value.key) == (str(folder / file), key)
+    return caught.value
+
+
+@pytest.mark.parametrize("name", ["tracking.csv", "tracking_baseline.csv", "tracking.json"])
+def test_a_missing_file_is_an_error(folder: Path, short_plan: Plan, name: str) -> None:
+    (folder / name).unlink()
+    assert "no such file" in str(refused(short_plan, folder, name, ""))
+
+
+@pytest.mark.parametrize("name", ["tracking.csv", "tracking_baseline.csv", "plan.json"])
+def test_a_changed_file_is_an_error(folder: Path, short_plan: Plan, name: str) -> None:
+    with (folder / name).open("a", encoding="utf-8") as file:
+        file.write("\n")
+    assert "simulate again" in str(refused(short_plan, folder, "tracking.json", f"files.{name}"))
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        (lambda data: data.update(format="cmbot-tracking/2"), "format"),
+        (lambda data: data.pop("files"), "files"),
+        (lambda data: data.pop("options"), "options"),
+        (lambda data: data["options"].update(damping=2.0), "damping"),
+        (lambda data: data.update(seconds="long"), "seconds"),
+        (lambda data: data.update(planned=[]), "planned.modes"),
+        (lambda data: data["planned"].update(modes={}), "planned.modes"),
+        (lambda data: data["baseline"]["modes"][0].pop("frequency"), "baseline.modes.0.frequency"),
+        (lambda data: data["baseline"]["modes"][1].update(frequency=True), "baseline.modes.1.frequency"),
+    ],
+)
+def test_a_strange_entry_is_an_error(
+    folder: Path, short_plan: Plan, change: Callable[[dict[str, Any]], object], key: str
+) -> None:
+    path = folder / "tracking.json"
+    data = json.loads(path.read_text(encoding="utf-8"))
+    change(data)
+    path.write_text(json.dumps(data), encoding="utf-8")
+    refused(short_plan, folder, "tracking.json", key)
+
+
+@pytest.mark.parametrize(
+    "table", ["t,error_x,error_y,error_z,static_x,static_y,static_z\n0,0,0,0,0,0,0\n", "t\n0\n", "é"]
+)
+def test_a_strange_table_is_an_error(folder: Path, short_plan: Plan, table: str) -> None:
+    content = table.encode()
+    (folder / "tracking.csv").write_bytes(content)
+    path = folder / "tracking.json"
+    data = json.loads(path.read_text(encoding="utf-8"))
+    data["files"]["tracking.csv"] = hashlib.sha256(content).hexdigest()
+    path.write_text(json.dumps(data), encoding="utf-8")
+    with pytest.raises(ArchiveError) as caught:
+        load_tracking(short_plan, folder)
+    assert caught.value.source == str(folder / "tracking.csv")

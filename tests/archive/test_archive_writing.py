@@ -1,0 +1,201 @@
+"""What is in a plan directory."""
+
+import csv
+import json
+import math
+from dataclasses import asdict, replace
+
+import numpy as np
+import pytest
+from plan_folders import FILES, MOTIONS
+
+import cmbot
+from cmbot.archive import save
+from cmbot.collision.clearance import Clearances
+from cmbot.common.errors import ArchiveError
+from cmbot.planning import Check, Plan, QuinticTrajectory, Samples
+from cmbot.planning.verification.metrics import measure
+from cmbot.scene import PlannerOptions
+
+FIGURES = {
+    "peak_guardrail_torque",
+    "mean_guardrail_torque",
+    "min_clearance",
+    "peak_static_guardrail_torque",
+    "max_tool_deviation",
+    "max_tool_rotation",
+    "limit_use",
+}
+
+
+@pytest.fixture(scope="module")
+def approach_samples(triangle_plan: Plan) -> Samples:
+    """The approach measured every 0.01 s."""
+    trajectory, robot = triangle_plan.approach.trajectory, triangle_plan.robot
+    t = np.append(0.01 * np.arange(math.ceil(100 * trajectory.duration)), trajectory.duration)
+    motion = [trajectory.evaluate(t, order) for order in range(4)]
+    clearances = Clearances(robot, triangle_plan.scene.obstacles)
+    return measure(robot, triangle_plan.approach.task, clearances, t, motion)
+
+
+def motion_of(plan: Plan, name: str) -> QuinticTrajectory:
+    return plan.approach.trajectory if name == "approach" else plan.trajectory
+
+
+def test_exactly_the_promised_files(saved_triangle):
+    assert {path.name for path in saved_triangle.iterdir()} == FILES
+    assert {path.name for path in saved_triangle.parent.iterdir()} == {"triangle"}
+
+
+def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
+    data = json.loads((saved_triangle / "plan.json").read_text(encoding="utf-8"))
+    assert (data["format"], data["status"]) == ("cmbot-plan/1", "certified")
+    for motion in ("baseline", "planned"):
+        assert set(data[motion]) == FIGURES
+        assert set(data[motion]["limit_use"]) == {"velocity", "acceleration", "jerk", "torque"}
+    assert data["planned"]["peak_guardrail_torque"] == triangle_plan.figures.peak_guardrail_torque
+    assert data["baseline"]["min_clearance"] == triangle_plan.baseline_figures.min_clearance
+    assert data["torque_floor"] == triangle_plan.floor.value
+    assert data["gap_to_floor"] == triangle_plan.gap_to_floor
+    assert set(data["floor"]) == {"value", "error", "via_point", "each"}
+    assert data["floor"]["each"] == triangle_plan.floor.each.tolist()
+    assert data["objective"] == {
+        "name": "torque",
+        "unit": "Nm",
+        "own": False,
+        "moment_about": "foot",
+        "axis_weights": [1.0, 1.0, 1.0],
+        "baseline_peak": triangle_plan.baseline_figures.peak_guardrail_torque,
+        "planned_peak": triangle_plan.figures.peak_guardrail_torque,
+        "floor": triangle_plan.floor.value,
+        "gap": triangle_plan.gap_to_floor,
+    }
+    assert data["choice"] == {"free": triangle_plan.choice.free, "pinned": triangle_plan.choice.pinned}
+    certificate, approach = triangle_plan.approach.certificate, data["approach"]
+    assert set(approach) == FIGURES | {"seconds", "along_self_motion", "certificate"}
+    assert approach["peak_guardrail_torque"] == certificate.figures.peak_guardrail_torque
+    assert approach["limit_use"] == asdict(certificate.figures.limit_use)
+    assert approach["seconds"] == triangle_plan.approach.trajectory.duration
+    assert approach["along_self_motion"] is triangle_plan.approach.along_self_motion
+    assert approach["certificate"]["clearance_bound"] == certificate.clearance_bound
+    assert set(data["files"]) == FILES - {"plan.json"}
+    assert set(data["seconds"]) == {"path", "optimise", "certify", "total"}
+    assert set(data["versions"]) == {"cmbot", "python", "numpy", "scipy", "pin", "coal"}
+    assert data["versions"]["cmbot"] == cmbot.__version__
+    assert data["hashes"]["robot"] == triangle_plan.robot.content_hash
+    assert data["hashes"]["scene"] == triangle_plan.scene.content_hash
+    assert data["scene"]["planner"]["max_passes"] == PlannerOptions().max_passes
+    np.testing.assert_allclose(data["start"]["posture_deg"], np.degrees(triangle_plan.start.posture))
+    for block, made in ((data, triangle_plan.certificate), (approach, certificate)):
+        checks = block["certificate"]["checks"]
+        assert [check["quantity"] for check in checks] == [check.quantity for check in made.checks]
+        assert all(check["holds"] is True for check in checks)
+
+
+def test_json_is_strict_and_comes_out_the_same_each_time(saved_triangle, triangle_plan, tmp_path):
+    def no_number(text):
+        raise AssertionError(text)
+
+    again = save(triangle_plan, str(tmp_path / "again"))
+    assert again == tmp_path / "again"
+    for name in FILES:
+        content = (saved_triangle / name).read_bytes()
+        assert (again / name).read_bytes() == content
+        if name.endswith(".json"):
+            json.loads(content.decode("utf-8"), parse_constant=no_number)
+
+
+@pytest.mark.parametrize("name", [*MOTIONS, "baseline"])
+def test_tables_hold_the_samples_exactly(saved_triangle, triangle_plan, approach_samples, name):
+    samples = {
+        "trajectory": triangle_plan.samples,
+        "approach": approach_samples,
+        "baseline": triangle_plan.baseline,
+    }[name]
+    with (saved_triangle / f"{name}.csv").open(newline="") as file:
+        header, *rows = csv.reader(file)
+    joints = [f"{letter}{i}" for letter in ("q", "v", "a", "j", "tau") for i in range(1, 8)]
+    vectors = [f"{v}_{axis}" for v in ("guardrail_torque", "guardrail_force", "tool") for axis in "xyz"]
+    assert header == ["t", *joints, *vectors, "clearance"]
+    table = np.array(rows, dtype=float)
+    expected = [
+        samples.t[:, None],
+        samples.q,
+        samples.v,
+        samples.a,
+        samples.j,
+        samples.joint_torque,
+        samples.guardrail_torque,
+        samples.guardrail_force,
+        samples.tool_point,
+        samples.clearance[:, None],
+    ]
+    np.testing.assert_array_equal(table, np.hstack(expected))
+    steps = np.diff(table[:, 0])
+    np.testing.assert_allclose(steps[:-1], 0.01, rtol=1e-9)
+    assert 0 < steps[-1] <= 0.01 + 1e-9
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_planned_tables_follow_the_splines(saved_triangle, triangle_plan, name):
+    trajectory = motion_of(triangle_plan, name)
+    table = np.loadtxt(saved_triangle / f"{name}.csv", delimiter=",", skiprows=1)
+    assert (table[0, 0], table[-1, 0]) == (0.0, trajectory.duration)
+    for order in range(4):
+        expected = trajectory.evaluate(table[:, 0], order)
+        np.testing.assert_array_equal(table[:, 1 + 7 * order : 8 + 7 * order], expected)
+    # At rest the force on the guardrail is the arm's weight.
+    np.testing.assert_allclose(table[0, 39:42], [0, 0, -triangle_plan.robot.arm_mass * 9.81], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_knots_need_no_pickle(saved_triangle, triangle_plan, name):
+    with np.load(saved_triangle / f"{name}.npz", allow_pickle=False) as knots:
+        assert set(knots.files) == {"t", "q", "v", "a"}
+        for array in knots.files:
+            np.testing.assert_array_equal(knots[array], getattr(motion_of(triangle_plan, name), array))
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_ros_joint_trajectory(saved_triangle, triangle_plan, approach_samples, name):
+    samples = approach_samples if name == "approach" else triangle_plan.samples
+    text = (saved_triangle / f"{name}.ros.json").read_text()
+    data = json.loads(text)
+    assert text == json.dumps(data) + "\n"
+    assert set(data) == {"header", "joint_names", "points"}
+    assert data["joint_names"] == list(triangle_plan.robot.joints)
+    points = data["points"]
+    times = [10**9 * p["time_from_start"]["sec"] + p["time_from_start"]["nanosec"] for p in points]
+    assert all(0 <= p["time_from_start"]["nanosec"] < 10**9 for p in points)
+    assert times[0] == 0
+    assert (np.diff(times) > 0).all()
+    assert times[-1] == round(1e9 * motion_of(triangle_plan, name).duration)
+    assert set(points[0]) == {"positions", "velocities", "accelerations", "effort", "time_from_start"}
+    for end in (points[0], points[-1]):
+        np.testing.assert_allclose(end["velocities"], 0, atol=1e-9)
+        np.testing.assert_allclose(end["accelerations"], 0, atol=1e-9)
+    assert len(points) == len(samples.t)
+    middle = points[300]
+    assert middle["positions"] == samples.q[300].tolist()
+    assert middle["effort"] == samples.joint_torque[300].tolist()
+
+
+def test_numbers_that_are_none_are_not_written(short_plan, tmp_path):
+    torque = short_plan.baseline.joint_torque.copy()
+    torque[5, 2] = math.nan
+    plan = replace(short_plan, baseline=replace(short_plan.baseline, joint_torque=torque))
+    with pytest.raises(ArchiveError, match=r"baseline\.csv: line 7, tau3: got nan"):
+        save(plan, tmp_path / "plan")
+    with pytest.raises(ArchiveError, match="drift"):
+        save(replace(short_plan, drift=math.nan), tmp_path / "plan")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_plan_that_breaks_a_promise_is_not_written(short_plan, thin_plan, tmp_path):
+    check = Check(quantity="clearance", time=1.0, value=0.0, bound=0.02, unit="m", at_least=True)
+    broken = replace(thin_plan.certificate, checks=(check,))
+    approach = replace(thin_plan.approach, certificate=broken)
+    for plan in (replace(short_plan, certificate=broken), replace(thin_plan, approach=approach)):
+        with pytest.raises(ArchiveError, match="status"):
+            save(plan, tmp_path / "plan")
+    assert not list(tmp_path.iterdir())

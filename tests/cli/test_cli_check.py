@@ -1,0 +1,235 @@
+"""What ``cmbot check`` says of a URDF, of a scene, and of what is neither."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import ROOT, Outcome, run, write_scene
+from small_scenes import SHORT
+
+import cmbot
+from cmbot.common.resources import model_folder
+from cmbot.planning.torque.objectives import objective_of
+from cmbot.robot import Postures
+
+
+def values(outcome: Outcome) -> dict[str, str]:
+    """The lines but the last, as names and values."""
+    return {line[:34].strip(): line[34:] for line in outcome.out.splitlines()[:-1]}
+
+
+def test_a_shipped_scene() -> None:
+    outcome = run("check", "triangle")
+    assert (outcome.status, outcome.err) == (0, "")
+    found = values(outcome)
+    assert found["via-points"] == "50"
+    assert found["robot"].startswith("cmbot: 7 joints, ")
+    assert found["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
+    assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
+    last = outcome.out.splitlines()[-1]
+    assert last.startswith(
+        "No warning. Looked at: the start, and whether the stretched arm reaches the legs' ends."
+    )
+    assert last.endswith(
+        "Not looked at: obstacles, joint ranges and limits on the way; cmbot plan triangle finds out."
+    )
+
+
+def test_a_scene_file(tmp_path: Path) -> None:
+    block = {"name": "block", "box": [1, 1, 1], "xyz": [9, 9, 9], "workpiece": True}
+    path = write_scene(tmp_path / "short.yaml", {**SHORT, "obstacles": [block]})
+    outcome = run("check", path)
+    assert (outcome.status, outcome.err) == (0, "")
+    assert f"short ({path})" in outcome.out
+    assert "1 leg, 0.300 m in 4 s" in outcome.out
+    assert values(outcome)["obstacles"].endswith(", of them 1 workpiece")
+
+
+# The tool, a cylinder of radius 0.04 m, is 0.01 m deep in it, or as far away.
+START = (1.81535, 0.77957, -2.06284)
+
+
+@pytest.mark.parametrize(
+    ("gap", "words"),
+    [(-0.01, "tool reaches 0.0100 m into block"), (0.01, "tool comes within 0.0100 m of block")],
+)
+def test_a_start_that_is_not_clear_is_warned_of(tmp_path: Path, gap: float, words: str) -> None:
+    x, y, z = START
+    block = {"name": "block", "box": [0.1, 0.1, 0.1], "xyz": [x, y + 0.09 + gap, z]}
+    path = write_scene(tmp_path / "short.yaml", {**SHORT, "obstacles": [block]})
+    outcome = run("check", path)
+    assert (outcome.status, outcome.err) == (0, "")
+    first, *_, last = outcome.out.splitlines()
+    assert first.startswith(
+        f"warning: {path}: posture_deg: got {words}, the safety margin is 0.02 m, expected"
+    )
+    assert last == f"1 warning; cmbot plan {path} would have to deal with it."
+    (finding,) = json.loads(run("check", path, "--json").out)["findings"]
+    assert (finding["severity"], finding["key"]) == ("warning", "posture_deg")
+    assert run("check", path, "--quiet").out == ""
+
+
+def test_legs_beyond_the_arms_reach_are_warned_of(tmp_path: Path) -> None:
+    """The shipped arm is 3.78 m long with its tool (Table 2), and its first joint at (0, 0.5, 0)."""
+    legs = [{"by": by, "seconds": 9} for by in ([0, 0.1, 0], [0, 3.0, 0], [0, -3.0, 0], [2.5, 0, -2.0])]
+    path = write_scene(tmp_path / "far.yaml", {**SHORT, "tool_path": {"legs": legs}})
+    *warnings, last = (line for line in run("check", path).out.splitlines() if "warning" in line)
+    distance = np.hypot(np.hypot(START[0], START[1] + 0.1 + 3.0 - 0.5), START[2])
+    assert warnings[0].endswith(
+        f": tool_path.legs[1].by: got an end {distance:.3f} m from the arm's first joint, "
+        "expected at most 3.780 m, the arm with its tool stretched out"
+    )
+    assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1].by", "tool_path.legs[3].by"]
+    assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
+
+
+def test_a_load_too_heavy_at_the_start_is_warned_of(tmp_path: Path) -> None:
+    heavy = {"robot": {"model": "cmbot", "payload_kg": 60.0}}
+    path = write_scene(tmp_path / "heavy.yaml", {**SHORT, **heavy})
+    first, *_ = run("check", path).out.splitlines()
+    assert "of the torque that joint_" in first
+    assert first.startswith(f"warning: {path}: posture_deg: got ")
+
+
+@pytest.mark.parametrize(
+    ("weights", "warned"), [([0, 0, 1], True), ([0, 0, 0.5], True), ([0, 0.1, 1], False), ([1, 1, 0], False)]
+)
+def test_an_objective_that_gravity_has_no_part_in_is_warned_of(
+    tmp_path: Path, weights: list[float], warned: bool
+) -> None:
+    path = write_scene(tmp_path / "z.yaml", {**SHORT, "planner": {"axis_weights": weights}})
+    found = json.loads(run("check", path, "--json").out)["findings"]
+    assert [finding["key"] for finding in found] == ["planner.axis_weights"] * warned
+    if warned:
+        assert "gravity has no torque about z" in found[0]["got"]
+        assert "a weight above 0 for x or y" in found[0]["expected"]
+
+
+def test_that_gravity_has_no_torque_about_z_is_so() -> None:
+    """Whatever the posture, about the foot or the base."""
+    robot = cmbot.load_robot("cmbot")
+    rng = np.random.default_rng(0)
+    q = rng.uniform(robot.limits.lower, robot.limits.upper, (20, robot.dof))
+    for about in ("foot", "base"):
+        options = cmbot.PlannerOptions(moment_about=about, axis_weights=(0.0, 0.0, 1.0))
+        values = objective_of(robot, options).at_rest(Postures(robot).at(q))
+        np.testing.assert_allclose(values, 0.0, atol=1e-9)
+
+
+def test_the_objective_is_warned_of_before_it_is_planned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def plan(*_: object, **__: object) -> None:
+        raise cmbot.PlanningError("far enough")
+
+    monkeypatch.setattr(cmbot, "plan", plan)
+    path = write_scene(tmp_path / "short.yaml", SHORT)
+    words = ("plan", path, "-o", tmp_path / "out", "--set", "axis_weights=[0, 0, 1]")
+    first, last = run(*words).err.splitlines()
+    assert first.startswith("warning: planner.axis_weights: got [0, 0, 1]: gravity has no torque about z")
+    assert last == "error: far enough"
+    assert run(*words, "--quiet").err == "error: far enough\n"
+
+
+def test_a_scene_file_may_have_any_name(tmp_path: Path) -> None:
+    path = write_scene(tmp_path / "short.scene", SHORT)
+    assert run("check", path).status == 0
+
+
+def test_a_urdf() -> None:
+    outcome = run("check", model_folder() / "urdf" / "cmbot.urdf")
+    assert (outcome.status, outcome.err) == (0, "")
+    found = values(outcome)
+    joints = cmbot.load_robot("cmbot").limits.velocity.size
+    assert (found["robot"], found["SRDF beside it"]) == ("cmbot", "cmbot.srdf")
+    assert found["links"] == f"16, {cmbot.load_robot('cmbot').mass:.2f} kg in all"
+    assert found["movable joints"] == "12 (12 revolute)"
+    assert found["limits in the URDF"] == "of 12 movable joints: position 12, velocity 12, effort 12"
+    assert found["joint_limits.yaml beside it"] == f"acceleration and jerk of {joints} of 12 movable joints"
+    assert "tool0" in found["tool frame"]
+    assert outcome.out.splitlines()[-1] == "OK: no error, 0 warnings."
+
+
+BARE = """<robot name="bare">
+  <link name="floor"/>
+  <link name="slide"><inertial><mass value="2.5"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>
+  </inertial></link>
+  <link name="wheel"/><link name="plate"/>
+  <joint name="a" type="prismatic"><parent link="floor"/><child link="slide"/>
+    <limit velocity="0" effort="3"/></joint>
+  <joint name="b" type="continuous"><parent link="slide"/><child link="wheel"/></joint>
+  <joint name="c" type="fixed"><parent link="slide"/><child link="plate"/></joint>
+</robot>"""
+
+
+def test_a_urdf_that_lacks_limits(tmp_path: Path) -> None:
+    (tmp_path / "bare.urdf").write_text(BARE, encoding="utf-8")
+    outcome = run("check", tmp_path / "bare.urdf")
+    assert outcome.status == 0
+    assert values(outcome) == {
+        "robot": "bare",
+        "links": "4, 2.50 kg in all",
+        "movable joints": "2 (1 prismatic, 1 continuous)",
+        "prismatic joints": "1, not between base and tool frame: an arm that is planned has revolute or "
+        "continuous joints only",
+        "limits in the URDF": "of 2 movable joints: position 1, velocity 0, effort 1",
+        "joint_limits.yaml beside it": "none: the scene has to name one, with acceleration and jerk",
+        "SRDF beside it": "none: only neighbouring links may touch",
+        "elasticity file beside it": "none: no link bends",
+        "base frame": "any link; the root is floor",
+        "tool frame": "any link that joints move below it; at the ends: wheel, plate",
+    }
+
+
+def test_a_doubtful_urdf_is_usable(tmp_path: Path) -> None:
+    path = tmp_path / "bare.urdf"
+    path.write_text(BARE.replace('izz="1"', 'izz="5"'), encoding="utf-8")
+    outcome = run("check", path)
+    first, *_, last = outcome.out.splitlines()
+    assert outcome.status == 0
+    assert first.startswith(f"warning: {path}: link[slide].inertial.inertia: got principal moments")
+    assert last == "OK: no error, 1 warning."
+
+
+def test_a_damaged_urdf(tmp_path: Path, bare_urdf: str) -> None:
+    path = tmp_path / "arm.urdf"
+    path.write_text(bare_urdf.replace('value="7.8"', 'value="-7.8"'), encoding="utf-8")
+    outcome = run("check", path)
+    assert (outcome.status, outcome.err) == (2, "")
+    finding, last = outcome.out.splitlines()
+    assert finding.startswith(f"error: {path}: link[link_1].inertial.mass: got ")
+    assert last == "Not usable: 1 error, 0 warnings."
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("README.md", (ROOT / "README.md").read_bytes()),
+        ("words.txt", "words"),
+        ("empty", ""),
+        ("data.bin", b"\xff\x00"),
+        ("arm.xacro", BARE),
+    ],
+)
+def test_what_is_neither_is_said_to_be_neither(tmp_path: Path, name: str, content: str | bytes) -> None:
+    path = tmp_path / name
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    outcome = run("check", path)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith(f"error: {path}: got a file that is neither (")
+    assert outcome.err.endswith("), expected a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("words.yaml", "words", "words.yaml: got 'words', expected a mapping"),
+        ("slip", json.dumps({**SHORT, "nam": "x"}), "slip: nam: got an unknown key"),
+    ],
+)
+def test_a_slip_in_a_scene_file_is_named(tmp_path: Path, name: str, content: str, words: str) -> None:
+    (tmp_path / name).write_text(content, encoding="utf-8")
+    outcome = run("check", tmp_path / name)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert words in outcome.err

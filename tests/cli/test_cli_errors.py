@@ -1,0 +1,365 @@
+"""Whatever goes wrong on the command line ends in one line on standard error and an exit status."""
+
+import copy
+import json
+import re
+import signal
+from importlib import metadata, util
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import ROOT, Outcome, run, run_apart, write_scene
+from small_scenes import SHORT
+
+import cmbot
+import cmbot.cli.doctor
+from cmbot.cli import app as cli
+from cmbot.common import errors
+from cmbot.common.extras import install_command
+from cmbot.common.resources import model_folder
+
+URDF_WITHOUT_LINKS = '<robot name="none"></robot>'
+MODELS = model_folder() / "urdf"
+FRAMES = {
+    "model": str(MODELS / "cmbot.urdf"),
+    "base_frame": "arm_base",
+    "tool_frame": "tool0",
+    "limits": str(MODELS / "joint_limits.yaml"),
+    "mount": {"xyz": [0, 0.5, 0], "rpy_deg": [180, 0, 0]},
+}
+FILES = {
+    "short.yaml": json.dumps(SHORT),
+    "broken.yaml": "format: [cmbot-scene/1\nname: x",
+    "empty.yaml": "",
+    "list.yaml": "[1, 2]",
+    "twice.yaml": "format: cmbot-scene/1\nformat: cmbot-scene/1\n",
+    "slip.yaml": json.dumps({**SHORT, "tool_path": {**SHORT["tool_path"], "via_point": 8}}),
+    "type.yaml": json.dumps({**SHORT, "tool_path": {**SHORT["tool_path"], "via_points": "many"}}),
+    "option.yaml": json.dumps({**SHORT, "planner": {"knots": "slidin"}}),
+    "model.yaml": json.dumps({**SHORT, "robot": {"model": "cmbto"}}),
+    "frame.yaml": json.dumps({**SHORT, "robot": {**FRAMES, "base_frame": "arm_bas"}}),
+    "joints.yaml": json.dumps({**SHORT, "posture_deg": [0, 0]}),
+    "binary.yaml": b"\xff\xfe\x00",
+    "broken.urdf": "<robot",
+    "none.urdf": URDF_WITHOUT_LINKS,
+    "other.xml": "<mujoco/>",
+    "folder/plan.json": '{"format": "cmbot-plan/1"}',
+    "other_version/plan.json": '{"format": "cmbot-plan/999"}',
+    "no_plan/notes.txt": "",
+}
+# The words after cmbot, and what the error has to name.
+BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
+    ("plan nosuch", ("nosuch: no such file, expected a scene", "shipped scene (one of: line, triangle)")),
+    ("plan triangel", ("triangel: no such file", "shipped scene; did you mean triangle? (one of: line")),
+    ("check triangel", ("triangel: no such file", "shipped scene; did you mean triangle?")),
+    ("plan model.yaml", ("model.yaml: robot.base_frame: got nothing", "'cmbto'; did you mean cmbot?")),
+    ("check frame.yaml", ("frame.yaml: robot.base_frame: got 'arm_bas'", "did you mean arm_base? (one of: ")),
+    ("plan short.yaml -o empty.yaml/plan", ("empty.yaml/plan: got a place below ", "which is a file")),
+    ("reproduce -o empty.yaml", ("empty.yaml/triangle: got a place below ", "which is a file")),
+    ("plan short.yaml --set seconds=3", ("--set: seconds: got a key of the scene", "in the scene file")),
+    ("check nosuch.yaml", ("nosuch.yaml: no such file", "one of: line, triangle")),
+    ("plan no_plan", ("no_plan: got a folder",)),
+    ("plan broken.yaml", ("broken.yaml: got ", "expected valid YAML")),
+    ("plan empty.yaml", ("empty.yaml: got an empty file", "a mapping")),
+    ("plan list.yaml", ("list.yaml: got ", "a mapping")),
+    ("plan twice.yaml", ("twice.yaml: format: got the same key again (line 2, column 1)",)),
+    ("plan binary.yaml", ("binary.yaml: got ", "UTF-8")),
+    ("plan slip.yaml", ("slip.yaml: tool_path.via_point: got an unknown key", "did you mean via_points?")),
+    ("plan type.yaml", ("type.yaml: tool_path.via_points: got 'many', expected a whole number",)),
+    ("plan option.yaml", ("option.yaml: planner.knots: got 'slidin'", "did you mean sliding?")),
+    ("check joints.yaml", ("joints.yaml: posture_deg: got ", "7")),
+    ("check nosuch.urdf", ("nosuch.urdf: no such file",)),
+    ("check broken.urdf", ("broken.urdf: ",)),
+    ("check other.xml", ("other.xml: ",)),
+    ("replay nosuch", ("nosuch: no such folder", "cmbot plan")),
+    ("replay no_plan", ("no_plan",)),
+    ("replay folder", ("folder",)),
+    ("replay other_version", ("other_version", "cmbot-plan/999")),
+    ("replay folder --serve --html page.html", ("--html, --serve: got both",)),
+    ("--nonsense", ("No such option: --nonsense. See: cmbot --help",)),
+    ("plan short.yaml --forse", ("No such option: --forse", "--force", "See: cmbot plan --help")),
+    ("plan short.yaml -o", ("'-o' requires an argument",)),
+    ("plan", ("Missing argument 'SCENE'. See: cmbot plan --help",)),
+    ("plan short.yaml line", ("unexpected extra argument",)),
+    ("paln short.yaml", ("No such command 'paln'",)),
+    ("doctor now", ("unexpected extra argument",)),
+]
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder with files that something is wrong with; the current one."""
+    for name, content in FILES.items():
+        path = tmp_path / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def one_line(outcome: Outcome) -> str:
+    """The error's one line, nothing else having been printed."""
+    assert outcome.out == ""
+    assert re.fullmatch(r"error: [^\n]+\n", outcome.err), outcome.err
+    assert "Traceback" not in outcome.err
+    assert "\x1b" not in outcome.err
+    return outcome.err.rstrip("\n")
+
+
+@pytest.mark.parametrize(("words", "parts"), BAD_INPUT, ids=[words for words, _ in BAD_INPUT])
+def test_bad_input(words: str, parts: tuple[str, ...], folder: Path) -> None:
+    before = sorted(folder.rglob("*"))
+    outcome = run(*words.split())
+    assert outcome.status == 2
+    line = one_line(outcome)
+    for part in parts:
+        assert part in line
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_check_of_a_urdf_without_links() -> None:
+    outcome = run("check", "none.urdf")
+    assert (outcome.status, outcome.err) == (2, "")
+    assert outcome.out.startswith("error: none.urdf: ")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "[red]bold[/red].yaml",
+        "[/].yaml",
+        "a:warning:b.yaml",
+        "two  blanks.yaml",
+        "back\\slash\\[x].yaml",
+        "ünïcode-狗.yaml",
+        "long" * 100,
+    ],
+)
+@pytest.mark.parametrize("verb", ["check", "replay"])
+def test_names_are_shown_as_they_are(name: str, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(cli.err, "width", 40)  # a narrow window breaks no line
+    outcome = run(verb, name)
+    assert outcome.status == 2
+    # A name that is too long for the system is shortened.
+    shown = f"error: {name}: no such f" if len(name) < 300 else "long" * 10
+    assert shown in one_line(outcome)
+
+
+@pytest.mark.parametrize("name", ["line\nbreak", "\x1b[31mred", "bell\a", "\udcff", "\u2028"])
+@pytest.mark.parametrize("verb", ["check", "replay"])
+def test_names_cannot_drive_the_terminal(name: str, verb: str) -> None:
+    outcome = run(verb, name)
+    assert outcome.status == 2
+    assert one_line(outcome).isprintable()
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
+def test_debug_shows_the_traceback_wherever_it_stands(place: int) -> None:
+    words = ["plan", "nosuch"]
+    words.insert(place, "--debug")
+    outcome = run(*words)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith("Traceback (most recent call last):\n")
+    assert outcome.err.splitlines()[-1].startswith("cmbot.common.errors.SceneError: nosuch: no such file")
+
+
+def test_a_hopeless_scene_says_how_far_it_came(folder: Path) -> None:
+    far: dict[str, Any] = {
+        **SHORT,
+        "name": "far",
+        "tool_path": {"legs": [{"by": [0, -0.3, 3], "seconds": 4}], "via_points": 8},
+        "planner": {"knots": "fixed", "path_step_s": 0.05, "other_starts": 0},
+    }
+    outcome = run("plan", write_scene(folder / "far.yaml", far))
+    assert (outcome.status, outcome.out) == (3, "")
+    *progress, error = outcome.err.splitlines()
+    assert progress == ["following the tool path"]
+    assert re.fullmatch(
+        r"error: no path beyond t = \d\.\d\d s \(\d+% of the tool path\): \w.*; "
+        r"smallest singular value there [\d.e-]+",
+        error,
+    )
+    assert not (folder / "out").exists()
+
+
+FAILURES = [
+    (errors.InputError("f", "k", 1, "2"), 2),
+    (errors.SceneError("f", "k", 1, "2"), 2),
+    (errors.ModelError("f", "k", 1, "2"), 2),
+    (errors.ArchiveError("f", "k", 1, "2"), 2),
+    (errors.PathNotFound("stuck", time=1, progress=0.5, smallest_singular_value=0.1), 3),
+    (errors.OptimisationFailed("stuck", constraint="jerk", violation=0.1), 3),
+    (errors.LimitViolation("jerk", time=1, value=2, bound=1, unit="rad/s3"), 3),
+    (errors.SimulationDiverged(time=1, state=[2.0]), 1),
+    (errors.MissingExtra("mujoco", "test"), 1),
+    (errors.CmbotError("else"), 1),
+]
+
+
+@pytest.mark.parametrize(("error", "status"), FAILURES, ids=lambda value: type(value).__name__)
+def test_exit_status_of_every_error(
+    error: errors.CmbotError, status: int, monkeypatch: pytest.MonkeyPatch, folder: Path
+) -> None:
+    def plan(*_: object, **__: object) -> None:
+        raise error
+
+    monkeypatch.setattr(cmbot, "plan", plan)
+    outcome = run("plan", "short.yaml")
+    assert outcome.status == status
+    assert one_line(outcome) == f"error: {error}"
+    assert not (folder / "out").exists()
+
+
+def test_every_error_has_a_status_here() -> None:
+    kinds = {getattr(errors, name) for name in errors.__all__} - {errors.PlanningError}
+    assert {type(error) for error, _ in FAILURES} == kinds
+
+
+BUG = """
+import cmbot
+def load_scene(scene):
+    raise RuntimeError("not [red]expected[/red]\\nat all")
+cmbot.load_scene = load_scene
+"""
+
+
+def test_what_should_not_happen_is_one_line_as_well() -> None:
+    outcome = run_apart("plan", "x", before=BUG)
+    assert outcome.status == 1
+    expected = "error: RuntimeError: not [red]expected[/red] at all (a bug in cmbot: --debug shows where)"
+    assert one_line(outcome) == expected
+
+
+def test_debug_shows_where_it_happened() -> None:
+    outcome = run_apart("plan", "x", "--debug", before=BUG)
+    assert (outcome.status, outcome.out) == (1, "")
+    assert outcome.err.startswith("Traceback (most recent call last):\n")
+    assert "in load_scene" in outcome.err
+    assert "RuntimeError: not [red]expected[/red]\nat all" in outcome.err
+
+
+def test_ctrl_c_ends_planning(monkeypatch: pytest.MonkeyPatch, folder: Path) -> None:
+    monkeypatch.setattr(cmbot, "plan", lambda scene, options, progress: signal.raise_signal(signal.SIGINT))
+    assert run("plan", "short.yaml") == Outcome(status=130, out="", err="")
+    assert not (folder / "out").exists()
+
+
+def test_doctor_finds_everything() -> None:
+    outcome = run("doctor")
+    assert (outcome.status, outcome.err) == (0, "")
+    lines = outcome.out.splitlines()
+    assert all(line.startswith("ok ") for line in lines)
+    found = {line.split()[1]: line for line in lines}
+    assert f"{cmbot.__version__} from {ROOT / 'cmbot'}" in found["cmbot"]
+    assert metadata.version("numpy") in found["numpy"]
+    assert str(ROOT / "models" / "meshes") in found["meshes"]
+
+
+def test_doctor_knows_every_dependency() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    block = text.split("\ndependencies = [")[1].split("\n]")[0]
+    assert set(re.findall(r'^ *"([\w.\-]+)', block, flags=re.MULTILINE)) <= {
+        symptom.name for symptom in cmbot.cli.doctor.examine()
+    }
+
+
+def lines_of(outcome: Outcome, mark: str) -> list[str]:
+    return [line for line in outcome.out.splitlines() if line.startswith(mark)]
+
+
+@pytest.mark.parametrize("package", ["scipy", "pin", "ruamel.yaml"])
+def test_doctor_reports_a_package_without_metadata(package: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    version = metadata.version
+
+    def some_version(name: str) -> str:
+        if name == package:
+            raise metadata.PackageNotFoundError(name)
+        return version(name)
+
+    monkeypatch.setattr(metadata, "version", some_version)
+    outcome = run("doctor")
+    assert (outcome.status, outcome.err) == (1, "")
+    (line,) = lines_of(outcome, "MISSING")
+    assert line.split() == ["MISSING", package, "not", "installed", "(run:", "pip", "install", f"{package})"]
+
+
+@pytest.mark.parametrize("failure", [None, ModuleNotFoundError("No module named 'ruamel'")])
+def test_doctor_reports_a_package_without_its_module(
+    failure: ModuleNotFoundError | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    find_spec = util.find_spec
+
+    def some_spec(name: str) -> object:
+        if name != "ruamel.yaml":
+            return find_spec(name)
+        if failure is not None:
+            raise failure
+        return None
+
+    monkeypatch.setattr(util, "find_spec", some_spec)
+    outcome = run("doctor")
+    assert outcome.status == 1
+    (line,) = lines_of(outcome, "MISSING")
+    assert line.split()[1] == "ruamel.yaml"
+
+
+def test_doctor_reports_missing_data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(cmbot.cli.doctor, "model_folder", lambda: tmp_path)
+    outcome = run("doctor")
+    assert outcome.status == 1
+    assert [line.split()[1] for line in lines_of(outcome, "MISSING")] == ["model", "meshes"]
+    assert f"missing: {tmp_path / 'meshes'}" in outcome.out
+
+
+def test_doctor_is_content_without_what_is_optional(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setattr(cmbot.cli.doctor, "_OPTIONAL", (("not-a-package-of-anyone", "test"),))
+    outcome = run("doctor")
+    assert outcome.status == 0
+    assert f"not installed (optional: {install_command('test')})" in outcome.out
+    assert "none found (any browser opens the pages)" in outcome.out
+
+
+def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) -> None:
+    """Whatever the optimiser ends with."""
+    for knots in ("sliding", "fixed"):
+        hasty = copy.deepcopy(SHORT)
+        hasty["tool_path"]["legs"][0]["seconds"] = 0.9
+        hasty["planner"] |= {"knots": knots, "start": "pinned"}
+        write_scene(folder / "hasty.yaml", hasty)
+        outcome = run("plan", "hasty.yaml", "--quiet")
+        assert outcome.status == 3
+        line = one_line(outcome)
+        assert re.search(r"(velocity|acceleration|jerk) of joint_\d, \d+\.\d\d% beyond its bound", line)
+        assert line.count("more seconds") == 1
+
+
+@pytest.mark.parametrize(
+    ("constraint", "remedy"),
+    [
+        ("velocity of joint_3", "more seconds for the legs"),
+        ("acceleration of joint_3", "more seconds for the legs"),
+        ("jerk of joint_3", "more seconds for the legs"),
+        ("jerk of joint_3", "tool_path.speed_profile.kind jerk_limited"),
+        ("position of joint_4", "another posture_deg"),
+        ("joint torque", "a lighter payload"),
+        ("tool deviation", "planner.max_tool_deviation_m"),
+        ("clearance", "planner.safety_margin_m"),
+    ],
+)
+def test_a_failed_optimisation_says_what_to_do(constraint: str, remedy: str) -> None:
+    error = errors.OptimisationFailed("no way", constraint=constraint, violation=0.25)
+    assert str(error).startswith(f"no way; worst constraint: {constraint}, 25.00% beyond its bound: ")
+    assert remedy in str(error)
+    assert str(error).endswith(" may help")
+
+
+def test_where_every_constraint_is_met_none_is_blamed() -> None:
+    error = errors.OptimisationFailed("no solution in 1 pass", constraint="jerk of joint_3", violation=-0.15)
+    assert str(error) == "no solution in 1 pass; every constraint is met, jerk of joint_3 with the least room"
+
+
+def test_what_nothing_is_known_of_has_no_remedy() -> None:
+    error = errors.OptimisationFailed("no way", constraint="something else", violation=0.25)
+    assert str(error) == "no way; worst constraint: something else, 25.00% beyond its bound"

@@ -1,0 +1,267 @@
+"""What long verbs have in common: ``--json``, ``--quiet``, ``--figures``; and ``--set`` of ``cmbot plan``."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import Outcome, run, write_scene
+from small_scenes import SHORT
+
+import cmbot
+import cmbot.views.plots
+from cmbot.archive import save
+from cmbot.common.errors import MissingExtra
+from cmbot.common.extras import install_command
+from cmbot.planning import Plan, Progress
+
+FIGURES = {"guardrail_torque", "joints", "clearance", "tool_deviation"}
+TRACKING_FIGURES = {"tracking_error", "tracking_dynamic", "tracking_residual"}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Folder with a scene file; the current one."""
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "short.yaml", SHORT)
+    return tmp_path
+
+
+@pytest.fixture
+def known(short_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> list[cmbot.PlannerOptions]:
+    """Planning takes no time; the options that were planned with."""
+    asked: list[cmbot.PlannerOptions] = []
+
+    def plan(scene: Any, *, options: cmbot.PlannerOptions, progress: Any) -> Plan:
+        del scene
+        progress(Progress(stage="path"))
+        asked.append(options)
+        return short_plan
+
+    monkeypatch.setattr(cmbot, "plan", plan)
+    return asked
+
+
+@pytest.fixture(scope="module")
+def saved(short_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan directory that no test changes."""
+    return save(short_plan, tmp_path_factory.mktemp("options") / "plan")
+
+
+@pytest.fixture
+def directory(saved: Path, folder: Path) -> Path:
+    return Path(shutil.copytree(saved, folder / "plan"))
+
+
+def printed(outcome: Outcome) -> dict[str, Any]:
+    """The one JSON object on standard output."""
+    assert outcome.status == 0, outcome.err
+    data = json.loads(outcome.out)
+    assert data["format"] == "cmbot-summary/1"
+    return dict(data)
+
+
+@pytest.mark.parametrize(
+    ("change", "name", "value"),
+    [
+        ("start=pinned", "start", "pinned"),
+        ("start='pinned'", "start", "pinned"),
+        ("compensate=true", "compensate", True),
+        ("path_step_s=0.01", "path_step_s", 0.01),
+        ("avoidance_gain=3", "avoidance_gain", 3.0),
+        ("max_passes=7", "max_passes", 7),
+        ("axis_weights=[1, 0, 0.5]", "axis_weights", (1.0, 0.0, 0.5)),
+    ],
+)
+def test_set_overrides_one_option(
+    known: list[cmbot.PlannerOptions], change: str, name: str, value: object
+) -> None:
+    assert run("plan", "short.yaml", "--set", change).status == 0
+    (options,) = known
+    assert getattr(options, name) == value
+    # The rest is as the scene has it.
+    before = cmbot.load_scene("short.yaml").planner
+    assert {**vars(options), name: None} == {**vars(before), name: None}
+    assert type(getattr(options, name)) is type(getattr(before, name))
+
+
+def test_set_may_be_repeated(known: list[cmbot.PlannerOptions]) -> None:
+    words = ("--set", "knots=sliding", "--set", "start=pinned", "--set", "smoothing_weight=1e-3")
+    assert run("plan", "short.yaml", *words).status == 0
+    assert (known[0].knots, known[0].start, known[0].smoothing_weight) == ("sliding", "pinned", 1e-3)
+
+
+def test_without_set_the_scenes_options_are_taken(known: list[cmbot.PlannerOptions]) -> None:
+    assert run("plan", "short.yaml").status == 0
+    assert known == [cmbot.load_scene("short.yaml").planner]
+
+
+def test_what_was_set_is_planned_and_kept(folder: Path) -> None:
+    outcome = run("plan", "short.yaml", "--set", "avoidance=switch", "-o", "switched", "--quiet")
+    assert outcome == Outcome(status=0, out="", err="")
+    kept = json.loads((folder / "switched" / "plan.json").read_text(encoding="utf-8"))
+    assert kept["options"]["avoidance"] == "switch"
+    assert cmbot.load_plan(folder / "switched").options.avoidance == "switch"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("start",), "--set: got 'start', expected NAME=VALUE, such as start=pinned"),
+        (
+            ("strat=free",),
+            "--set: strat: got an unknown key, expected a known key; did you mean start? (one of:",
+        ),
+        (
+            ("start=fre",),
+            "--set: start: got 'fre', expected a known value; did you mean free? (one of: free, p",
+        ),
+        (("start=",), "--set: start: got None, expected a known value"),
+        (
+            ("via_points=3000",),
+            "--set: via_points: got a key of the scene, expected one of the planner's options; it is part",
+        ),
+        (("compensate=yes",), "--set: compensate: got 'yes', expected true or false"),
+        (("max_passes=many",), "--set: max_passes: got 'many', expected a whole number"),
+        (("max_passes=0",), "--set: max_passes: got 0, expected at least 1"),
+        (
+            ("path_step_s=.inf",),
+            "--set: path_step_s: got '.inf' (line 1, column 1), expected a finite number",
+        ),
+        (("axis_weights=[1, 2]",), "--set: axis_weights: got [1, 2], expected a list of 3 items"),
+        (("axis_weights=[1, 2",), "--set: axis_weights: got "),
+        (("start=free", "start=free"), "--set: start: got the same option again, expected each option once"),
+    ],
+)
+def test_a_wrong_option_is_named_before_anything_is_planned(
+    known: list[cmbot.PlannerOptions], words: tuple[str, ...], message: str
+) -> None:
+    outcome = run("plan", "short.yaml", *(part for word in words for part in ("--set", word)))
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith(f"error: {message}"), outcome.err
+    assert outcome.err.count("\n") == 1
+    assert known == []
+
+
+@pytest.mark.usefixtures("known")
+def test_json_of_a_plan_is_that_of_plan_json(folder: Path) -> None:
+    outcome = run("plan", "short.yaml", "-o", "out", "--json")
+    data = printed(outcome)
+    kept = json.loads((folder / "out" / "plan.json").read_text(encoding="utf-8"))
+    assert (data["verb"], data["scene"], data["directory"]) == ("plan", "short", "out")
+    assert data["files"] == sorted(path.name for path in (folder / "out").iterdir())
+    own = {"format", "verb", "scene", "directory", "files", "remarks"}
+    assert {name: value for name, value in data.items() if name not in own} == {
+        name: kept[name] for name in data.keys() - own
+    }
+    assert kept.keys() - data.keys() == {"floor", "passes"}
+    assert any(remark.startswith("Certified: ") for remark in data["remarks"])
+    # Progress is told on standard error.
+    assert outcome.err == "following the tool path\n"
+    assert run("plan", "short.yaml", "-o", "out", "--force", "--json", "--quiet").err == ""
+
+
+def test_json_of_a_simulation_is_that_of_tracking_json(directory: Path) -> None:
+    outcome = run("simulate", directory, "--json", "--quiet")
+    data = printed(outcome)
+    assert outcome.err == ""
+    assert (data["verb"], data["scene"], data["directory"]) == ("simulate", "short", str(directory))
+    kept = json.loads((directory / "tracking.json").read_text(encoding="utf-8"))
+    assert set(data["files"]) >= {"tracking.csv", "tracking_baseline.csv", "tracking.json"}
+    for name in ("cmbot", "options", "seconds", "baseline", "planned"):
+        assert data[name] == kept[name]
+    assert data["remarks"]
+
+
+def test_json_of_a_scenes_check() -> None:
+    data = printed(run("check", "short.yaml", "--json"))
+    assert (data["verb"], data["kind"], data["file"]) == ("check", "scene", "short.yaml")
+    assert (data["usable"], data["findings"]) == (True, [])
+    assert data["found"]["via-points"] == "8"
+
+
+def test_json_of_a_urdfs_check(urdf_folder: Path) -> None:
+    data = printed(run("check", urdf_folder / "cmbot.urdf", "--json"))
+    assert (data["kind"], data["usable"], data["findings"]) == ("urdf", True, [])
+    assert data["found"]["robot"] == "cmbot"
+
+
+def test_json_of_an_unusable_urdf(urdf_folder: Path) -> None:
+    path = urdf_folder / "cmbot.urdf"
+    path.write_text(path.read_text("utf-8").replace('mass value="', 'mass value="-', 1), encoding="utf-8")
+    outcome = run("check", path, "--json")
+    assert (outcome.status, outcome.err) == (2, "")
+    data = json.loads(outcome.out)
+    assert (data["usable"], data["found"]) == (False, {})
+    assert {"severity", "key", "got", "expected"} == set(data["findings"][0])
+    assert data["findings"][0]["severity"] == "error"
+    quiet = run("check", path, "--quiet")
+    assert quiet.status == 2
+    assert all(line.startswith(f"error: {path}: ") for line in quiet.out.splitlines())
+    assert quiet.out
+
+
+@pytest.mark.parametrize("words", [("check", "nosuch"), ("plan", "nosuch"), ("simulate", "nosuch")])
+def test_with_json_an_error_stays_one_line_on_standard_error(words: tuple[str, ...]) -> None:
+    outcome = run(*words, "--json", "--quiet")
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith("error: nosuch: ")
+    assert outcome.err.count("\n") == 1
+
+
+@pytest.mark.usefixtures("known")
+def test_quiet_prints_nothing(directory: Path) -> None:
+    for words in (
+        ("plan", "short.yaml"),
+        ("simulate", directory),
+        ("check", "short.yaml"),
+    ):
+        assert run(*words, "--quiet") == Outcome(status=0, out="", err="")
+
+
+@pytest.mark.usefixtures("known")
+def test_figures_are_drawn_into_the_plan_directory(folder: Path) -> None:
+    outcome = run("plan", "short.yaml", "--figures")
+    assert outcome.status == 0, outcome.err
+    written = {path.name for path in (folder / "out" / "short").iterdir()}
+    drawn = {f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg")}
+    assert written >= drawn
+    (line,) = (line for line in outcome.out.splitlines() if line.startswith("Figures: "))
+    assert set(line.removeprefix("Figures: ").removesuffix(".").split(", ")) == drawn
+    # They are no part of what is read back.
+    cmbot.load_plan(folder / "out" / "short")
+
+
+def test_figures_of_a_simulation(directory: Path) -> None:
+    outcome = run("simulate", directory, "--figures")
+    assert outcome.status == 0, outcome.err
+    drawn = {f"{name}.{suffix}" for name in TRACKING_FIGURES for suffix in ("png", "svg")}
+    assert {path.name for path in directory.iterdir()} >= drawn
+    assert all(name in outcome.out for name in drawn)
+
+
+def test_without_matplotlib_nothing_is_planned(
+    known: list[cmbot.PlannerOptions], directory: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing() -> None:
+        raise MissingExtra("matplotlib", "plots")
+
+    monkeypatch.setattr("cmbot.views.require_matplotlib", missing)
+    monkeypatch.setattr(cmbot, "simulate", lambda *_, **__: pytest.fail("simulated first"))
+    for words in (("plan", "short.yaml"), ("simulate", directory)):
+        outcome = run(*words, "--figures")
+        assert (outcome.status, outcome.out) == (1, "")
+        assert outcome.err == f"error: matplotlib is not installed; run: {install_command('plots')}\n"
+    assert known == []
+
+
+def test_the_simulation_tells_how_far_it_is(short_plan: Plan) -> None:
+    shares: list[float] = []
+    cmbot.simulate(short_plan, progress=shares.append)
+    assert shares == sorted(shares)
+    assert 0 < shares[0] < 0.1
+    assert shares[-1] == pytest.approx(1.0)
+    assert len(shares) > 20

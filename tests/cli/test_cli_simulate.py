@@ -1,0 +1,289 @@
+"""``cmbot simulate``: what it writes, prints and refuses."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+import math
+import re
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import Outcome, on_a_terminal, run, without_colours
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.archive import save, save_tracking
+from cmbot.common.errors import ArchiveError
+from cmbot.planning import Plan
+from cmbot.simulation import (
+    MotionTracking,
+    Tracking,
+    tracking_answer,
+    tracking_remarks,
+    tracking_rows,
+    tracking_verdict,
+)
+
+TABLES = ("tracking.csv", "tracking_baseline.csv")
+FILES = {*TABLES, "tracking.json"}
+PAGES = ("replay.html", "report.html")
+COLUMNS = ["t", "error_x", "error_y", "error_z", "static_x", "static_y", "static_z"]
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan directory that no test changes."""
+    return save(cmbot.plan(short_scene()), tmp_path_factory.mktemp("simulate") / "plan")
+
+
+@pytest.fixture
+def directory(saved: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(saved, tmp_path / "plan"))
+
+
+@pytest.fixture(scope="module")
+def simulated(saved: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
+    """A directory after ``cmbot simulate``, and what that said."""
+    folder = Path(shutil.copytree(saved, tmp_path_factory.mktemp("simulated") / "plan"))
+    return folder, run("simulate", folder)
+
+
+@pytest.fixture(scope="module")
+def tracking(saved: Path) -> Tracking:
+    return cmbot.simulate(cmbot.load_plan(saved))
+
+
+def rows_of(path: Path) -> tuple[list[str], np.ndarray]:
+    with path.open(encoding="ascii", newline="") as file:
+        header, *rows = csv.reader(file)
+    return header, np.array(rows, dtype=float)
+
+
+def test_it_adds_files_and_changes_none_of_the_plans(simulated: tuple[Path, Outcome], saved: Path) -> None:
+    folder, outcome = simulated
+    assert outcome.status == 0, outcome.err
+    before = {path.name: path.read_bytes() for path in saved.iterdir()}
+    after = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert after.keys() - before.keys() == FILES | set(PAGES)
+    assert {name: after[name] for name in before} == before
+    cmbot.load_plan(folder)
+
+
+def test_the_tables_are_the_errors(simulated: tuple[Path, Outcome], tracking: Tracking) -> None:
+    for name, motion in zip(TABLES, (tracking.planned, tracking.baseline), strict=True):
+        header, table = rows_of(simulated[0] / name)
+        assert header == COLUMNS
+        np.testing.assert_array_equal(table[:, 0], motion.t)
+        np.testing.assert_allclose(np.diff(table[:, 0]), 0.005, atol=1e-12)
+        np.testing.assert_allclose(table[:, 1:4], motion.error, atol=1e-12)
+        np.testing.assert_allclose(table[:, 4:], motion.static, atol=1e-12)
+
+
+def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], saved: Path) -> None:
+    folder = simulated[0]
+    data = json.loads((folder / "tracking.json").read_text(encoding="utf-8"))
+    assert data["format"] == "cmbot-tracking/1"
+    assert (data["options"]["damping"], data["options"]["initial"]) == (0.01, "equilibrium")
+    for name in (*TABLES, "plan.json"):
+        assert data["files"][name] == hashlib.sha256((folder / name).read_bytes()).hexdigest()
+    for name, motion in zip(TABLES, ("planned", "baseline"), strict=True):
+        _, table = rows_of(folder / name)
+        moving = table[table[:, 0] <= data[motion]["stop"] + 1e-9]
+        error = moving[:, 1:4]
+        weight = np.ones(len(error))
+        weight[[0, -1]] = 0.5
+        mean = np.average(error, axis=0, weights=weight)
+        figures = data[motion]["total"]
+        assert [figures["mean"][axis] for axis in "xyz"] == pytest.approx(mean, abs=1e-12)
+        deviation = np.sqrt(np.average((error - mean) ** 2, axis=0, weights=weight))
+        assert [figures["standard_deviation"][axis] for axis in "xyz"] == pytest.approx(deviation, abs=1e-12)
+        rest = table[table[:, 0] >= data[motion]["stop"] - 1e-9]
+        dynamic = rest[:, 1:4] - rest[:, 4:]
+        residual = data[motion]["residual"]
+        assert [residual["peak_to_peak"][axis] for axis in "xyz"] == pytest.approx(
+            np.ptp(dynamic, axis=0), abs=1e-12
+        )
+        assert len(data[motion]["modes"]) == 4
+
+
+WRITTEN = (*TABLES, "tracking.json", "replay.html", "report.html")
+
+
+def test_it_answers_in_short(simulated: tuple[Path, Outcome], saved: Path, tracking: Tracking) -> None:
+    folder, outcome = simulated
+    lines = outcome.out.splitlines()
+    rows = list(tracking_answer(tracking, compensated=False))
+    assert lines[0] == "short, mm"
+    assert lines[1].split() == ["baseline", "planned"]
+    assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
+    assert lines[2 + len(rows) :] == [
+        tracking_verdict(cmbot.load_plan(saved), tracking),
+        f"Written to {', '.join(str(folder / name) for name in WRITTEN)}.",
+        f"All figures: {folder / 'report.html'}, under Simulation; --details --force prints them.",
+    ]
+    assert outcome.err == "simulating\n"
+
+
+def test_with_details_it_prints_all_figures(directory: Path, tracking: Tracking) -> None:
+    lines = run("simulate", directory, "--details").out.splitlines()
+    first = lines.index("short, mm", 1)
+    assert lines[first + 1].split() == ["x", "y", "z", "norm"]
+    rows = list(tracking_rows(tracking))
+    table = lines[first + 2 : first + 2 + len(rows)]
+    assert [line.split() for line in table] == [" ".join(row).split() for row in rows]
+    *told, time, written = lines[first + 2 + len(rows) :]
+    assert told == list(tracking_remarks(tracking))[:-1]
+    assert re.fullmatch(r"Time: \d+\.\d\d s for 12 s of motion\.", time)
+    assert written == f"Written to {', '.join(str(directory / name) for name in WRITTEN)}."
+
+
+def test_the_answer_is_what_was_measured(tracking: Tracking) -> None:
+    rows = {name: [float(x) for x in pair] for name, *pair in tracking_answer(tracking, compensated=False)}
+    motions = (tracking.baseline, tracking.planned)
+    norms = {
+        part: [1e3 * np.linalg.norm(getattr(m, part)[m.t <= m.stop + 1e-9], axis=1) for m in motions]
+        for part in ("static", "dynamic", "path_error")
+    }
+    swings = []
+    for motion in motions:
+        moving = motion.dynamic[motion.t >= motion.stop - 1e-9]
+        swings.append(1e3 * np.linalg.norm(moving[:, None] - moving[None], axis=2).max())
+    assert rows == {
+        "tool sags, mean": pytest.approx([x.mean() for x in norms["static"]], abs=1e-3),
+        "tool sways beside its sag, at most": pytest.approx([x.max() for x in norms["dynamic"]], abs=1e-3),
+        "bent tool off its path, at most": pytest.approx([x.max() for x in norms["path_error"]], abs=1e-3),
+        "tool swings after the stop": pytest.approx(swings, abs=1e-3),
+    }
+    (first, *_), *_ = tracking_answer(tracking, compensated=True)
+    assert first == "tool sags beyond what was foreseen, mean"
+
+
+def test_the_verdict_follows_the_margin(saved: Path, tracking: Tracking) -> None:
+    def verdict(allowed_mm: float, *, compensate: bool = False) -> str:
+        options = replace(plan.options, max_tool_deviation_m=1e-3 * allowed_mm, compensate=compensate)
+        return tracking_verdict(replace(plan, options=options), tracking)
+
+    plan: Plan = cmbot.load_plan(saved)
+    rows = {name: float(planned) for name, _, planned in tracking_answer(tracking, compensated=False)}
+    off, sways = rows["bent tool off its path, at most"], rows["tool sways beside its sag, at most"]
+    assert verdict(1.01 * off).startswith("Within the margin: bent as it is, the tool stays within ")
+    assert verdict(0.5 * (off + sways)).endswith("compensate: true the plan makes up for it.")
+    assert verdict(0.9 * sways).endswith("makes up for the sag, not for the swaying.")
+    missed = verdict(0.9 * off, compensate=True)
+    assert missed.startswith(
+        f"Not within the margin: bent as it is, the tool leaves its path by more than {0.9 * off:g}"
+    )
+    assert missed.endswith("what bends here is not what was planned with.")
+
+
+def test_on_a_terminal_it_draws_a_table(directory: Path) -> None:
+    text = without_colours(on_a_terminal("simulate", directory, "--details", columns=80))
+    assert re.search(r"│ bent tool off its path, at most +│ +\d+\.\d{3} │", text)
+    assert re.search(r"│ error, mean +│ baseline │ +-?\d+\.\d{3} │", text)
+
+
+def test_options_reach_the_simulation(directory: Path) -> None:
+    words = (
+        "--details",
+        "--damping",
+        "0.02",
+        "--initial",
+        "undeformed",
+        "--stiffness",
+        "0.8",
+        "--segments",
+        "2",
+    )
+    outcome = run("simulate", directory, *words)
+    assert outcome.status == 0, outcome.err
+    options = json.loads((directory / "tracking.json").read_text(encoding="utf-8"))["options"]
+    changed = {"damping": 0.02, "initial": "undeformed", "segments": 2}
+    factors = {"guardrail_factor": 0.8, "link_factor": 0.8}
+    assert options | changed | factors == options
+    assert "Starts undeformed" in outcome.out
+    _, table = rows_of(directory / "tracking.csv")
+    assert np.abs(table[0, 1:4]).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", sorted(FILES))
+def test_it_replaces_nothing_without_force(directory: Path, name: str) -> None:
+    (directory / name).write_text("mine", encoding="utf-8")
+    outcome = run("simulate", directory)
+    assert (outcome.status, outcome.out) == (2, "")
+    assert outcome.err.startswith(f"error: {directory / name}: got a file that is already there")
+    assert "--force" in outcome.err
+    assert (directory / name).read_text(encoding="utf-8") == "mine"
+    assert not (FILES - {name}) & {path.name for path in directory.iterdir()}
+    assert run("simulate", directory, "--force").status == 0
+    assert (directory / name).read_text(encoding="utf-8") != "mine"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--damping", "-1"], "cmbot simulate: --damping: got -1.0, expected at least 0"),
+        (["--damping", "nan"], "cmbot simulate: "),
+        (["--initial", "relaxed"], "cmbot simulate: --initial: got 'relaxed'"),
+        (["--stiffness", "0"], "cmbot simulate: --stiffness: got 0.0, expected more than 0"),
+        (["--segments", "0"], "cmbot simulate: --segments: got 0, expected at least 1"),
+        (["--segments", "two"], "See: cmbot simulate --help"),
+        (["--stiffness", "1e-5"], "stiff enough"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line(directory: Path, words: list[str], message: str) -> None:
+    outcome = run("simulate", directory, *words)
+    assert (outcome.status, outcome.out) == (2, "")
+    error = outcome.err.splitlines()[-1]
+    assert error.startswith("error: ")
+    assert message in error
+    assert not FILES & {path.name for path in directory.iterdir()}
+
+
+def test_options_are_checked_before_files(directory: Path) -> None:
+    (directory / "tracking.json").write_text("mine", encoding="utf-8")
+    assert "--stiffness: got 0.0" in run("simulate", directory, "--stiffness", "0").err
+
+
+def test_a_folder_without_a_plan_is_refused(tmp_path: Path) -> None:
+    assert run("simulate", tmp_path).status == 2
+    assert run("simulate", tmp_path / "nosuch").status == 2
+
+
+def test_divergence_has_the_status_of_anything_else(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def simulate(*_: object, **__: object) -> None:
+        raise cmbot.SimulationDiverged(time=1.5, state=[0.1, math.nan])
+
+    monkeypatch.setattr(cmbot, "simulate", simulate)
+    outcome = run("simulate", directory)
+    assert outcome.status == 1
+    assert "diverges at t = 1.5000 s: the largest elastic coordinate is 0.1" in outcome.err
+    assert "1 of 2 are not finite" in outcome.err
+
+
+def test_a_number_that_is_none_is_not_written(directory: Path, tracking: Tracking) -> None:
+    values = vars(tracking.planned)
+    for name, column in (("error", "error_y"), ("static", "static_y")):
+        array = values[name].copy()
+        array[7, 1] = np.nan
+        broken = MotionTracking(**{**values, name: array})
+        whole = Tracking(**{**vars(tracking), "planned": broken})
+        with pytest.raises(ArchiveError, match=rf"tracking\.csv: line 9, {column}: got nan"):
+            save_tracking(whole, directory)
+    assert not FILES & {path.name for path in directory.iterdir()}
+
+
+def test_it_is_saved_from_python_too(directory: Path, tracking: Tracking) -> None:
+    paths = cmbot.save_tracking(tracking, directory)
+    assert {path.name for path in paths} == FILES
+    with pytest.raises(ArchiveError, match="already there"):
+        cmbot.save_tracking(tracking, directory)
+    assert cmbot.save_tracking(tracking, directory, force=True) == paths
+
+
+def test_help_shows_an_example() -> None:
+    assert "cmbot simulate out/triangle" in without_colours(run("simulate", "--help").out)

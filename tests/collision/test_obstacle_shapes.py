@@ -1,0 +1,219 @@
+"""Obstacles from mesh files: what they count as, and which are refused."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from conftest import States
+from numpy.typing import NDArray
+from oracles.distances import between_hulls, capsule_of
+from robot_files import pose as pose_of
+
+from cmbot.collision.clearance import Clearances
+from cmbot.collision.shapes import load_mesh
+from cmbot.common.errors import SceneError
+from cmbot.robot import Robot
+from cmbot.robot.hulls import convex_hull, encloses_volume
+from cmbot.scene.obstacles import Box, Mesh, Obstacle, Shape, pose
+
+FloatArray = NDArray[np.float64]
+X_WO = pose([0.6, 0.7, -1.2], [0.4, -0.8, 1.1])
+FORMATS = ("glb", "obj", "off", "ply", "stl")
+
+
+def box_mesh(
+    size: tuple[float, float, float], centre: tuple[float, float, float] = (0, 0, 0)
+) -> trimesh.Trimesh:
+    return trimesh.creation.box(size).apply_translation(centre)
+
+
+def saved(mesh: trimesh.Trimesh, file: Path) -> Mesh:
+    mesh.export(file)
+    return Mesh(path=file)
+
+
+def distances(robot: Robot, shapes: list[Shape], q: FloatArray) -> FloatArray:
+    """Smallest distance of every link to any of the shapes, all at `X_WO`, (N, 5)."""
+    obstacles = [Obstacle(name=f"o{k}", shape=shape, X_WO=X_WO) for k, shape in enumerate(shapes)]
+    clearances = Clearances(robot, obstacles)
+    links = sorted({pair.link for pair in clearances.pairs if not pair.of_arm})
+    return np.array(
+        [
+            [
+                min(
+                    clearances.nearest(q_k, k).distance
+                    for k, pair in enumerate(clearances.pairs)
+                    if pair.link == link and not pair.of_arm
+                )
+                for link in links
+            ]
+            for q_k in q
+        ]
+    )
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_mesh_of_a_box_is_the_box(
+    cmbot_robot: Robot, random_states: States, tmp_path: Path, ending: str
+) -> None:
+    size = (0.3, 0.5, 0.9)
+    q = random_states(cmbot_robot, 10)[0]
+    mesh = saved(box_mesh(size), tmp_path / f"box.{ending}")
+    got, expected = distances(cmbot_robot, [mesh], q), distances(cmbot_robot, [Box(size=size)], q)
+    # Formats with single precision round the corners.
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-7)
+
+
+def test_endings_may_be_in_capitals(tmp_path: Path) -> None:
+    box_mesh((1, 1, 1)).export(tmp_path / "box.stl")
+    file = (tmp_path / "box.stl").rename(tmp_path / "BOX.STL")
+    assert load_mesh(file, "thing").volume == pytest.approx(1)
+
+
+def test_every_connected_part_counts_as_its_hull(
+    cmbot_robot: Robot, random_states: States, tmp_path: Path
+) -> None:
+    parts = [box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.3, 0.2), (0.6, 0, 0))]
+    both = saved(trimesh.util.concatenate(parts), tmp_path / "both.stl")
+    each = [saved(part, tmp_path / f"{k}.stl") for k, part in enumerate(parts)]
+    hull = saved(trimesh.util.concatenate(parts).convex_hull, tmp_path / "hull.stl")
+    q = random_states(cmbot_robot, 15)[0]
+    got = distances(cmbot_robot, [both], q)
+    np.testing.assert_allclose(got, distances(cmbot_robot, list(each), q), rtol=0, atol=1e-8)
+    assert (got - distances(cmbot_robot, [hull], q)).max() > 0.01
+
+
+def test_a_connected_part_with_a_notch_counts_as_its_hull(
+    cmbot_robot: Robot, random_states: States, tmp_path: Path
+) -> None:
+    outline = np.array([[0, 0], [0.6, 0], [0.6, 0.1], [0.1, 0.1], [0.1, 0.6], [0, 0.6]])
+    top, bottom = (np.column_stack([outline, np.full(6, z)]) for z in (0.2, 0.0))
+    lid = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
+    side = []
+    for i, k in zip(range(6), (1, 2, 3, 4, 5, 0), strict=True):
+        side += [[i, k, i + 6], [k, k + 6, i + 6]]
+    notched = trimesh.Trimesh(np.vstack([top, bottom]), np.vstack([lid, lid + 6, side]))
+    file = saved(notched, tmp_path / "notched.ply")
+    assert not notched.is_convex
+    q = random_states(cmbot_robot, 10)[0]
+    clearances = Clearances(cmbot_robot, [Obstacle(name="angle", shape=file, X_WO=X_WO)])
+    pair = next(k for k, p in enumerate(clearances.pairs) if (p.link, p.other) == ("tool", "angle"))
+    corners = notched.vertices @ X_WO[:3, :3].T + X_WO[:3, 3]
+    for q_k in q:
+        start, end, radius = capsule_of(cmbot_robot, q_k, "tool")
+        apart = between_hulls(np.array([start, end]), corners)
+        assert clearances.nearest(q_k, pair).distance == pytest.approx(apart - radius, abs=1e-6)
+
+
+def test_normals_and_textures_do_not_take_a_mesh_apart(tmp_path: Path) -> None:
+    box = box_mesh((1, 1, 1))
+    lines = ["v {} {} {}".format(*vertex) for vertex in box.vertices]
+    lines += ["vn {} {} {}".format(*normal) for normal in box.face_normals]
+    lines += [f"vt {k / 36} {k % 7 / 7}" for k in range(36)]
+    for i, face in enumerate(box.faces):
+        lines.append("f " + " ".join(f"{v + 1}/{3 * i + j + 1}/{i + 1}" for j, v in enumerate(face)))
+    (tmp_path / "box.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    mesh = load_mesh(tmp_path / "box.obj", "thing")
+    assert (len(mesh.vertices), len(mesh.split(only_watertight=False))) == (8, 1)
+
+
+FLAT: dict[str, list[list[float]]] = {
+    "flat": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]],
+    "tilted": [[0, 0, 0], [1, 0, 0.25], [0, 1, 0.5], [1, 1, 0.75]],
+    "tilted by odd angles": [[0, 0, 0], [1, 0.1, 0.3], [0.2, 1, 0.7], [1.2, 1.1, 1.0]],
+    "nearly flat": [[0, 0, 0], [1, 0, 0.25], [0, 1, 0.5], [1, 1, 0.75 + 3e-8]],
+    "a line": [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]],
+    "one triangle": [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+    "one point": [[1, 2, 3], [1, 2, 3], [1, 2, 3]],
+}
+
+
+def write_obj(file: Path, vertices: list[list[float]], faces: list[list[int]]) -> Path:
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces]
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return file
+
+
+def clearances_with(robot: Robot, file: Path) -> Clearances:
+    return Clearances(robot, [Obstacle(name="thing", shape=Mesh(path=file), X_WO=X_WO)])
+
+
+@pytest.mark.parametrize("vertices", FLAT.values(), ids=FLAT.keys())
+def test_mesh_without_volume(cmbot_robot: Robot, tmp_path: Path, vertices: list[list[float]]) -> None:
+    faces = [[1, 2, 3]] + [[2, 3, 4]] * (len(vertices) > 3)
+    file = write_obj(tmp_path / "flat.obj", vertices, faces)
+    with pytest.raises(SceneError, match=r"flat.obj: obstacles\[thing\].mesh: got no volume") as caught:
+        clearances_with(cmbot_robot, file)
+    assert caught.value.source == str(file)
+
+
+def test_one_flat_part_is_enough_to_refuse_a_mesh(cmbot_robot: Robot, tmp_path: Path) -> None:
+    box = box_mesh((1, 1, 1), (0, 0, 5))
+    flap = trimesh.Trimesh([[2, 0, 0], [3, 0, 0.5], [2, 1, 0.5]], [[0, 1, 2]])
+    file = saved(trimesh.util.concatenate([box, flap]), tmp_path / "flap.stl").path
+    with pytest.raises(SceneError, match=r"a connected part without volume near \[2.333, 0.333, 0.333\]"):
+        clearances_with(cmbot_robot, file)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "got"),
+    [
+        ("gone.stl", None, "unreadable"),
+        ("empty.stl", b"", "no volume|unreadable"),
+        ("text.stl", b"no mesh at all", "no volume|unreadable"),
+        ("text.obj", b"no mesh at all", "no volume"),
+        ("text.ply", b"no mesh at all", "unreadable"),
+        ("text.off", b"no mesh at all", "unreadable"),
+        ("text.glb", b"no mesh at all", "unreadable"),
+        ("points.obj", b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\n", "no volume"),
+        (
+            "nan.obj",
+            b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 2 3 4\nf 1 3 4\nf 1 2 4\n",
+            "no volume",
+        ),
+        ("huge.obj", b"v 0 0 0\nf 1 2 99999999999999999999999\n", "unreadable"),
+        ("part.step", b"ISO-10303-21;", "the format '.step'"),
+        ("robot.dae", b"<COLLADA/>", "the format '.dae'"),
+        ("bare", b"v 0 0 0", "the format ''"),
+    ],
+)
+def test_files_that_hold_no_mesh(tmp_path: Path, name: str, content: bytes | None, got: str) -> None:
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    with pytest.raises(SceneError, match=rf"{name}: obstacles\[thing\].mesh: got ({got})"):
+        load_mesh(tmp_path / name, "thing")
+
+
+@pytest.mark.parametrize("ending", FORMATS)
+def test_a_damaged_file_is_a_scene_error_or_a_mesh(
+    tmp_path: Path, rng: np.random.Generator, ending: str
+) -> None:
+    data = box_mesh((1, 1, 1)).export(file_type=ending)
+    data = data if isinstance(data, bytes) else data.encode()
+    file = tmp_path / f"damaged.{ending}"
+    refused = 0
+    for _ in range(40):
+        damaged = bytearray(data[: rng.integers(len(data) // 2, len(data))])
+        damaged[rng.integers(len(damaged))] = rng.integers(256)
+        file.write_bytes(damaged)
+        try:
+            load_mesh(file, "thing")
+        except SceneError:
+            refused += 1
+    assert refused > 10
+
+
+@pytest.mark.parametrize("thickness", [1e-2, 1e-3, 1e-4])
+def test_thin_is_not_flat(thickness: float) -> None:
+    X: Any = pose_of((0.3, 0.8, -0.5), (3, -2, 1))
+    corners = np.array(np.meshgrid([0, 1], [0, 0.5], [0, thickness])).reshape(3, -1).T
+    points = np.array([X.act(corner) for corner in corners])
+    assert encloses_volume(points)
+    hull = convex_hull(points)
+    assert hull.num_points == 8
+    assert not encloses_volume(points * [1, 1, np.nan])
+    assert not encloses_volume(points[:3])

@@ -1,0 +1,134 @@
+"""What the YAML reader refuses, and that it names the place."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cmbot.common.errors import ModelError, SceneError
+from cmbot.common.yaml_reader import LARGEST_FILE, read_yaml
+
+
+def refused(folder: Path, content: str | bytes) -> SceneError:
+    path = folder / "file.yaml"
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(SceneError) as caught:
+        read_yaml(path, SceneError)
+    error = caught.value
+    assert error.source == str(path)
+    assert "\n" not in str(error)
+    return error
+
+
+def test_plain_data_in_yaml_1_2(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text("a: [1, 2.5, 1e3, yes, true, ~]\nb: {c: 010, d: 'x', '1': 12:30}\n")
+    data = read_yaml(path, SceneError)
+    assert data == {"a": [1, 2.5, 1000.0, "yes", True, None], "b": {"c": 10, "d": "x", "1": "12:30"}}
+    assert [type(item) for item in data["a"]] == [int, float, float, str, bool, type(None)]
+
+
+def test_byte_order_mark_is_accepted(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_bytes(b"\xef\xbb\xbfa: 1\n")
+    assert read_yaml(path, SceneError) == {"a": 1}
+
+
+@pytest.mark.parametrize(
+    ("content", "key", "got"),
+    [
+        ("a: 1\nb:\n  c: 1\n  c: 2\n", "b.c", "the same key again (line 4, column 3)"),
+        ("a: 1\n'a': 2\n", "a", "the same key again (line 2, column 1)"),
+        ("a: &x 1\nb: 2\n", "a", "the anchor &x (line 1, column 4)"),
+        ("a: [1, *x]\n", "a[1]", "the alias *x (line 1, column 8)"),
+        ("a: !!float 1\n", "a", "the tag tag:yaml.org,2002:float (line 1, column 4)"),
+        ("a: {b: !python/object:os.system x}\n", "a.b", "the tag !python/object:os.system"),
+        ("%YAML 1.1\n---\na: yes\n", "", "a % directive"),
+        ("a: 1\n---\nb: 2\n", "", "a second document (line 2, column 1)"),
+        ("1: a\n", "", "the key '1' (line 1, column 1)"),
+        ("a:\n- true: a\n", "a[0]", "the key 'true' (line 2, column 3)"),
+        ("a:\n  ~: a\n", "a", "the key '~'"),
+        ("? [1, 2]\n: a\n", "", "a list or mapping as key"),
+        ("<<: {a: 1}\n", "", "the key '<<'"),
+        ("a: [0, .nan]\n", "a[1]", "'.nan' (line 1, column 8)"),
+        ("a: {b: -.inf}\n", "a.b", "'-.inf'"),
+        ("a: 1.0e999\n", "a", "'1.0e999'"),
+        ("a: 2020-01-31\n", "a", "the date '2020-01-31'"),
+        ("a: 2020-13-31\n", "a", "'2020-13-31'"),
+        (f"a: {'1' * 5000}\n", "a", "'1111"),
+        ("a: " + "[" * 1000 + "]" * 1000, "a[0][0]", "nesting too deep"),
+        ("a:\n" + "".join(" " * n + "- \n" for n in range(400)), "a[0][0]", "nesting too deep"),
+        ("{" * 1000, "", "a list or mapping as key (line 1, column 2)"),
+        ("a:\n  ? b: 1\n  : 2\n", "a", "a list or mapping as key (line 2, column 5)"),
+        ("", "", "an empty file"),
+        ("# only a comment\n", "", "an empty file"),
+        ("---\n", "", "an empty file"),
+        ("- 1\n- 2\n", "", "[1, 2]"),
+        ("words\n", "", "'words'"),
+        ("a: [1, 2\nb: 3\n", "", "(line 2, column 2)"),
+        ("a: 'x\n", "", "found unexpected end of stream (line 2, column 1)"),
+        ("a: b: c\n", "", "mapping values are not allowed here (line 1, column 5)"),
+        ("a: \x07\n", "", "a control character (U+0007, at position 4)"),
+    ],
+)
+def test_refused_content(tmp_path, content, key, got):
+    error = refused(tmp_path, content)
+    assert error.key == key
+    assert got in error.got
+    assert error.expected
+
+
+def test_not_utf8(tmp_path):
+    assert refused(tmp_path, b"a: \xff\n").got == "a byte that is not UTF-8 (byte 3)"
+
+
+def test_too_large(tmp_path):
+    error = refused(tmp_path, b"#" * (LARGEST_FILE + 1))
+    assert (error.got, error.expected) == ("a larger file", "at most 5 MB")
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(ModelError) as caught:
+        read_yaml(tmp_path / "none.yaml", ModelError)
+    assert caught.value.got == "no such file"
+    assert isinstance(caught.value.__cause__, FileNotFoundError)
+
+
+def test_folder(tmp_path):
+    with pytest.raises(SceneError, match="got a folder, expected a file"):
+        read_yaml(tmp_path, SceneError)
+
+
+def test_pipe_is_refused_instead_of_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(SceneError, match="not a regular file"):
+        read_yaml(tmp_path / "pipe", SceneError)
+
+
+def test_unreadable_file(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_text("a: 1\n")
+    with pytest.raises(SceneError, match="cannot be read"):
+        read_yaml(path / "below", SceneError)  # a path through a file: an OSError for root, too
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    return tmp_path_factory.mktemp("fuzz") / "file.yaml"
+
+
+PIECES = [*"{}[]:,-#&*!|>'\"%@`?\\\n\t 0aA.~<=", "---", "%TAG ! x\n", "<<: ", "? ", "\\x", "\x00", "0x", "1_"]
+
+
+@settings(deadline=None)
+@given(pieces=st.lists(st.sampled_from(PIECES) | st.text(max_size=3), max_size=12))
+def test_any_text_is_read_or_refused(scratch, pieces):
+    scratch.write_bytes("".join(pieces).encode("utf-8", "surrogatepass"))
+    try:
+        data = read_yaml(scratch, SceneError)
+    except SceneError as error:
+        assert "\n" not in str(error)
+    else:
+        assert all(isinstance(key, str) for key in data)

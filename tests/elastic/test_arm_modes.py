@@ -1,0 +1,166 @@
+"""Vibrations about the static equilibrium: beams in closed form, orthogonality, modal damping."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from elastic_robots import SHEAR, YOUNG, FloatArray, cantilever, random_base, random_robot, second_moment
+from finite_differences import finite_difference
+
+from cmbot.common.errors import InputError
+from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
+from cmbot.elastic.arm_modes import arm_modes
+from cmbot.elastic.base import elastic_base
+from cmbot.robot import Robot
+from cmbot.scene import load_scene
+
+EI = YOUNG * second_moment()
+
+
+@pytest.fixture
+def random_arm(tmp_path: Path, rng: np.random.Generator) -> ElasticArm:
+    robot = random_robot(tmp_path, rng, 5, payload=1.0)
+    return elastic_arm(robot, random_base(rng), ElasticOptions(segments=2, link_factor=0.05))
+
+
+# In closed form
+
+
+@pytest.mark.parametrize("segments", [1, 3])
+def test_a_mass_on_a_cantilever(tmp_path: Path, segments: int) -> None:
+    """Two bending modes; what has no mass has no mode."""
+    L, payload = 0.7, 3.0
+    robot = cantilever(tmp_path, length=L, mass=1e-12, payload=payload)
+    modes = arm_modes(elastic_arm(robot, None, ElasticOptions(segments=segments)), np.zeros(1))
+    expected = np.sqrt(3 * EI / (payload * L**3)) / (2 * np.pi)
+    np.testing.assert_allclose(modes.frequencies[:2], expected, rtol=1e-4)  # the weight stiffens it a little
+    assert (modes.frequencies[2:] > 1e3 * expected).all()
+
+
+def test_a_uniform_cantilever(tmp_path: Path) -> None:
+    L, mass = 0.7, 0.01
+    robot = cantilever(tmp_path, length=L, mass=mass)
+    unit = np.sqrt(EI / (mass * L**3)) / (2 * np.pi)
+    exact = np.array([1.875104, 1.875104, 4.694091, 4.694091, 7.854757, 7.854757]) ** 2 * unit
+    one, ten = (
+        arm_modes(elastic_arm(robot, None, ElasticOptions(segments=segments)), np.zeros(1)).frequencies[:6]
+        for segments in (1, 10)
+    )
+    np.testing.assert_allclose(one[:2], exact[:2], rtol=0.01)
+    np.testing.assert_allclose(ten[:2], exact[:2], rtol=1e-4)
+    np.testing.assert_allclose(ten, exact, rtol=0.002)
+
+
+def test_a_disc_that_turns_on_a_tube(tmp_path: Path) -> None:
+    """One mode of torsion, its frequency from GJ/L and the moment of inertia about the axis."""
+    L = 0.7
+    robot = cantilever(tmp_path, length=L, mass=1e-9)
+    polar = 0.4
+    model = robot.model.copy()
+    disc = pin.Inertia(1.0, np.array([L, 0, 0]), np.diag([polar, polar / 2, polar / 2]))
+    model.inertias[1] += disc
+    modes = arm_modes(elastic_arm(replace(robot, model=model), None), np.zeros(1))
+    twisting = np.abs(modes.shapes[2]) > 0.5 / np.sqrt(polar)
+    expected = np.sqrt(2 * SHEAR * second_moment() / L / polar) / (2 * np.pi)
+    np.testing.assert_allclose(modes.frequencies[twisting], [expected], rtol=1e-3)
+
+
+# What modes are
+
+
+def test_modes_solve_the_equation_of_motion(random_arm: ElasticArm, rng: np.random.Generator) -> None:
+    """Accelerations from the full inverse dynamics, the stiffness from its differences."""
+    q = rng.uniform(-2, 2, 5)
+    modes = arm_modes(random_arm, q)
+    model, data, elastic = random_arm.model, random_arm.model.createData(), random_arm.elastic
+    still = np.zeros(model.nv)
+
+    def force(u: FloatArray, a: FloatArray) -> FloatArray:
+        full = random_arm.configuration(np.zeros(5), a)
+        tau = pin.rnea(model, data, random_arm.configuration(q, u), still, full)[elastic]
+        return np.asarray(tau + random_arm.stiffness @ u + random_arm.added_mass @ a)
+
+    zero = np.zeros(len(elastic))
+    assert np.abs(force(modes.u, zero)).max() < 1e-9 * np.abs(random_arm.stiffness @ modes.u).max()
+    K = finite_difference(lambda u: force(u, zero), modes.u)
+    M = np.array([force(modes.u, a) - force(modes.u, zero) for a in np.eye(len(zero))]).T
+    omega2 = (2 * np.pi * modes.frequencies) ** 2
+    left, right = K @ modes.shapes, M @ modes.shapes * omega2
+    for i in range(len(omega2)):
+        np.testing.assert_allclose(left[:, i], right[:, i], rtol=0, atol=1e-6 * np.abs(left[:, i]).max())
+    np.testing.assert_allclose(modes.mass, M, rtol=0, atol=1e-10 * np.abs(M).max())
+
+
+def test_modes_are_orthonormal(random_arm: ElasticArm, rng: np.random.Generator) -> None:
+    modes = arm_modes(random_arm, rng.uniform(-2, 2, 5))
+    f = len(random_arm.elastic)
+    assert modes.shapes.shape == (f, len(modes.frequencies))
+    assert (np.diff(modes.frequencies) >= 0).all()
+    omega2 = (2 * np.pi * modes.frequencies) ** 2
+    np.testing.assert_allclose(modes.shapes.T @ modes.mass @ modes.shapes, np.eye(len(omega2)), atol=1e-6)
+    modal = modes.shapes.T @ modes.stiffness @ modes.shapes / np.sqrt(omega2) / np.sqrt(omega2)[:, None]
+    np.testing.assert_allclose(modal, np.eye(len(omega2)), atol=1e-6)
+
+
+@pytest.mark.parametrize("ratio", [0.0, 0.01, 0.3])
+def test_damping_gives_every_mode_its_ratio(
+    random_arm: ElasticArm, rng: np.random.Generator, ratio: float
+) -> None:
+    modes = arm_modes(random_arm, rng.uniform(-2, 2, 5))
+    D = modes.damping(ratio)
+    assert np.abs(D - D.T).max() <= 1e-12 * np.abs(D).max()
+    omega = 2 * np.pi * modes.frequencies
+    modal = modes.shapes.T @ D @ modes.shapes / np.sqrt(omega) / np.sqrt(omega)[:, None]
+    np.testing.assert_allclose(modal, 2 * ratio * np.eye(len(omega)), atol=1e-6)
+
+
+def test_damped_vibrations_decay_at_the_ratio(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    modes = arm_modes(elastic_arm(cmbot_robot, random_base(rng)), rng.uniform(-2, 2, 7))
+    f = len(modes.u)
+    inverse = np.linalg.inv(modes.mass)
+    state = np.block(
+        [[np.zeros((f, f)), np.eye(f)], [-inverse @ modes.stiffness, -inverse @ modes.damping(0.05)]]
+    )
+    eigenvalues = np.linalg.eigvals(state)
+    # One of each conjugate pair, slowest first.
+    eigenvalues = eigenvalues[eigenvalues.imag > 0]
+    slow = eigenvalues[np.argsort(np.abs(eigenvalues))][:8]
+    np.testing.assert_allclose(np.abs(slow), 2 * np.pi * modes.frequencies[:8], rtol=1e-6)
+    np.testing.assert_allclose(-slow.real / np.abs(slow), 0.05, rtol=1e-5)
+
+
+@pytest.mark.parametrize("ratio", [-0.01, float("nan"), float("inf")])
+def test_the_ratio_is_checked(cmbot_robot: Robot, ratio: float) -> None:
+    modes = arm_modes(elastic_arm(cmbot_robot, None), np.full(7, 0.3))
+    with pytest.raises(InputError, match=r"ArmModes.damping: ratio"):
+        modes.damping(ratio)
+
+
+def test_mass_of_the_guardrail_slows_everything(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    base, q = random_base(rng), rng.uniform(-2, 2, 7)
+    bare = arm_modes(elastic_arm(cmbot_robot, replace(base, mass=np.zeros((6, 6)))), q).frequencies
+    heavy = arm_modes(elastic_arm(cmbot_robot, replace(base, mass=50 * base.mass)), q).frequencies
+    assert (heavy <= bare * (1 + 1e-9)).all()
+    assert heavy[0] < 0.9 * bare[0]
+
+
+def test_what_does_not_bend_has_no_modes(cmbot_robot: Robot) -> None:
+    modes = arm_modes(elastic_arm(replace(cmbot_robot, elasticity=()), None), np.zeros(7))
+    assert modes.frequencies.shape == (0,)
+    assert modes.damping(0.01).shape == (0, 0)
+
+
+# What is measured
+
+
+def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:
+    scene = load_scene("triangle")
+    base = elastic_base(scene.guardrail)
+    one, four, eight = (
+        arm_modes(elastic_arm(cmbot_robot, base, ElasticOptions(segments=segments)), scene.posture)
+        for segments in (1, 4, 8)
+    )
+    np.testing.assert_allclose(one.frequencies[:6], eight.frequencies[:6], rtol=0.005)
+    np.testing.assert_allclose(four.frequencies[:6], eight.frequencies[:6], rtol=0.0005)

@@ -1,0 +1,298 @@
+"""The arm as driven joints and springs: beams in closed form, inertias kept, the rigid arm as its limit."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from elastic_robots import (
+    SHEAR,
+    YOUNG,
+    FloatArray,
+    cantilever,
+    random_base,
+    random_robot,
+    second_moment,
+)
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cmbot.common.errors import InputError
+from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
+from cmbot.elastic.pieces import cut_inertia
+from cmbot.robot import Kinematics, Robot, load_robot
+
+SEGMENTS = (1, 2, 5)
+
+
+def compliance(arm: ElasticArm, q: FloatArray) -> FloatArray:
+    """Displacement and turn (6, 6) of the tool under unit forces and moments at it, in W, undeformed."""
+    u = np.zeros(len(arm.elastic))
+    J = pin.computeFrameJacobian(
+        arm.model,
+        arm.model.createData(),
+        arm.configuration(q, u),
+        arm.tool_frame_id,
+        pin.ReferenceFrame.LOCAL_WORLD_ALIGNED,
+    )[:, arm.elastic]
+    return np.asarray(J @ np.linalg.solve(arm.stiffness, J.T))
+
+
+def pseudo_inertia(inertia: Any) -> FloatArray:
+    """The (4, 4) matrix of mass, first and second moments: positive semi-definite for a possible body."""
+    return np.asarray(inertia.toPseudoInertia().toMatrix())
+
+
+def mass_matrix(model: Any, q: FloatArray) -> FloatArray:
+    upper = np.triu(pin.crba(model, model.createData(), q))
+    return upper + np.triu(upper, 1).T
+
+
+# What the stiffness is
+
+
+@pytest.mark.parametrize("segments", [1, 2, 7])
+@pytest.mark.parametrize("direction", [0, 1, 2])
+def test_a_cantilever_bends_as_a_beam(tmp_path: Path, segments: int, direction: int) -> None:
+    L, area_moment = 0.7, second_moment()
+    robot = cantilever(tmp_path, length=L, mass=1.0, direction=direction)
+    C = compliance(elastic_arm(robot, None, ElasticOptions(segments=segments)), np.zeros(1))
+    # Along x, forces and moments about x, y, z; the others by turning the axes in a circle.
+    EI, GJ = YOUNG * area_moment, SHEAR * 2 * area_moment
+    expected = np.zeros((6, 6))
+    expected[1, 1] = expected[2, 2] = L**3 / (3 * EI)
+    expected[4, 4] = expected[5, 5] = L / EI
+    expected[1, 5] = expected[5, 1] = L**2 / (2 * EI)
+    expected[2, 4] = expected[4, 2] = -(L**2) / (2 * EI)
+    expected[3, 3] = L / GJ
+    order = np.roll(np.arange(3), direction)
+    order = np.concatenate((order, order + 3))
+    np.testing.assert_allclose(C, expected[np.ix_(order, order)], rtol=0, atol=1e-12 * expected.max())
+
+
+@pytest.mark.parametrize("segments", SEGMENTS)
+def test_any_arm_bends_as_a_chain_of_beams(tmp_path: Path, rng: np.random.Generator, segments: int) -> None:
+    """By unit loads: the bending energy of every tube, integrated exactly over its length."""
+    robot = random_robot(tmp_path, rng, 5)
+    base = random_base(rng)
+    q = rng.uniform(-2, 2, 5)
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, q)
+    tool = data.oMf[robot.tool_frame_id].translation
+    # A load at the tool (rows: force, moment) as the load at another point.
+    expected = _moved(tool).T @ np.linalg.inv(base.stiffness) @ _moved(tool)
+    points, weights = np.polynomial.legendre.leggauss(3)
+    for tube in robot.elasticity:
+        X = data.oMf[robot.model.getFrameId(tube.link)]
+        start, end = X.act(np.array(tube.start)), X.act(np.array(tube.end))
+        u = (end - start) / tube.length
+        EI, GJ = tube.young * tube.second_moment, 2 * tube.shear * tube.second_moment
+        flexibility = (np.eye(3) - np.outer(u, u)) / EI + np.outer(u, u) / GJ
+        for x, w in zip((1 + points) / 2, weights / 2, strict=True):
+            moment = _moved(tool - start - x * (end - start))[3:]
+            expected += w * tube.length * moment.T @ flexibility @ moment
+    got = compliance(elastic_arm(robot, base, ElasticOptions(segments=segments)), q)
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
+
+
+def _moved(arm: FloatArray) -> FloatArray:
+    """Matrix (6, 6) from a force and moment at `arm` to those about the origin."""
+    matrix = np.eye(6)
+    matrix[3:, :3] = pin.skew(arm)
+    return matrix
+
+
+def test_stiffness_factors(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    base = random_base(rng)
+    usual = elastic_arm(cmbot_robot, base).stiffness
+    other = elastic_arm(cmbot_robot, base, ElasticOptions(guardrail_factor=0.7, link_factor=1.3)).stiffness
+    np.testing.assert_allclose(other[:6, :6], 0.7 * usual[:6, :6], rtol=1e-15)
+    np.testing.assert_allclose(other[6:, 6:], 1.3 * usual[6:, 6:], rtol=1e-15)
+    np.testing.assert_array_equal(usual[:6, :6], base.stiffness)
+    assert not usual[:6, 6:].any()
+    assert (usual == usual.T).all()
+
+
+# What the inertia is
+
+
+@st.composite
+def bodies(draw: st.DrawFn) -> Any:
+    """Anything from a point to a bulky body, by a cloud of points."""
+    number = draw(st.integers(1, 6))
+    coordinate = st.floats(-1, 1).map(lambda x: round(x, 3))
+    total = pin.Inertia.Zero()
+    for _ in range(number):
+        point = np.array(draw(st.tuples(coordinate, coordinate, coordinate)))
+        total += pin.Inertia(draw(st.floats(0.1, 3)), point, np.zeros((3, 3)))
+    return total
+
+
+@given(body=bodies(), segments=st.integers(1, 6), end=st.tuples(*[st.floats(0.05, 1)] * 3))
+def test_pieces_are_possible_and_add_up(body: Any, segments: int, end: tuple[float, float, float]) -> None:
+    start = np.array([0.1, -0.2, 0.0])
+    cuts = (np.arange(segments) + 0.5) / segments
+    pieces = cut_inertia(body, start, start + np.array(end), cuts)
+    assert len(pieces) == segments + 1
+    assert sum(piece.mass for piece in pieces) == pytest.approx(body.mass, rel=1e-13)
+    moments = [pseudo_inertia(piece) for piece in pieces]
+    np.testing.assert_allclose(sum(moments), pseudo_inertia(body), rtol=0, atol=1e-12)
+    for matrix in moments:
+        assert np.linalg.eigvalsh(matrix)[0] > -1e-12
+
+
+def test_a_uniform_tube_is_cut_where_it_is() -> None:
+    moment = 2.0 * 0.8**2 / 12
+    body = pin.Inertia(2.0, np.array([0.4, 0, 0]), np.diag([0, moment, moment]))
+    cuts = np.array([1, 3, 5, 7]) / 8
+    pieces = cut_inertia(body, np.zeros(3), np.array([0.8, 0, 0]), cuts)
+    np.testing.assert_allclose([piece.mass for piece in pieces], [0.25, 0.5, 0.5, 0.5, 0.25], rtol=1e-12)
+    lengths = np.array([0.1, 0.2, 0.2, 0.2, 0.1])
+    # A quarter of their own second moment stays; the middles move apart for the rest.
+    for piece, length in zip(pieces, lengths, strict=True):
+        across = piece.mass * length**2 / 48
+        np.testing.assert_allclose(piece.inertia, np.diag([0, across, across]), atol=1e-15)
+    middles = np.array([-0.35, -0.2, 0, 0.2, 0.35])
+    offsets = np.array([piece.lever[0] for piece in pieces]) - 0.4
+    stretch = offsets[-1] / middles[-1]
+    np.testing.assert_allclose(offsets, stretch * middles, atol=1e-12)
+    assert 1.01 < stretch < 1.04
+
+
+@pytest.mark.parametrize("centre", [0.45, 0.6, 0.73, 0.7499])
+def test_no_piece_is_outside_the_rod(centre: float) -> None:
+    """A rod half as long as the axis: cut in the middle, near its end, at its very end."""
+    moment = 0.5**2 / 12
+    body = pin.Inertia(1.0, np.array([centre, 0, 0]), np.diag([0, moment, moment]))
+    near, far = cut_inertia(body, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.5]))
+    np.testing.assert_allclose([near.mass, far.mass], [1.5 - 2 * centre, 2 * centre - 0.5], rtol=1e-9)
+    assert centre - 0.25 <= near.lever[0] + 1e-12
+    assert far.lever[0] <= centre + 0.25 + 1e-12
+    assert (near + far).isApprox(body, 1e-12)
+
+
+def test_mass_stays_on_its_side_of_a_cut() -> None:
+    head = pin.Inertia(3.0, np.array([0.9, 0.1, 0]), 1e-3 * np.eye(3))
+    near, far = cut_inertia(head, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.5]))
+    assert near.mass == 0
+    assert far.isApprox(head)
+    point = pin.Inertia(1.0, np.array([0.2, 0, 0]), np.zeros((3, 3)))
+    near, far = cut_inertia(point, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.5]))
+    assert (near.mass, far.mass) == (1.0, 0.0)
+    assert [piece.mass for piece in cut_inertia(pin.Inertia.Zero(), np.zeros(3), np.ones(3), np.ones(1))] == [
+        0,
+        0,
+    ]
+
+
+def test_the_payload_is_at_the_end_of_a_bending_link(tmp_path: Path) -> None:
+    arms = [
+        elastic_arm(
+            cantilever(tmp_path, length=0.7, mass=1.0, payload=payload), None, ElasticOptions(segments=2)
+        )
+        for payload in (0.0, 4.0)
+    ]
+    masses = [[inertia.mass for inertia in arm.model.inertias] for arm in arms]
+    difference = np.subtract(masses[1], masses[0])
+    assert difference[-1] == pytest.approx(4.0)
+    np.testing.assert_allclose(difference[:-1], 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("segments", SEGMENTS)
+def test_undeformed_it_is_the_rigid_arm(
+    cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator, segments: int
+) -> None:
+    for robot in (cmbot_robot, *(random_robot(tmp_path / str(n), rng, n) for n in (3, 5, 7))):
+        n = robot.dof
+        arm = elastic_arm(robot, random_base(rng), ElasticOptions(segments=segments))
+        assert arm.model.nq == arm.model.nv == n + 6 + 5 * segments * len(robot.elasticity)
+        q, v, a = rng.uniform(-2, 2, (3, n))
+        u = np.zeros(len(arm.elastic))
+        full = arm.configuration(q, u)
+        assert pin.computeTotalMass(arm.model) == pytest.approx(robot.mass, rel=1e-13)
+        whole, fixed = arm.model.createData(), robot.model.createData()
+        pin.framesForwardKinematics(arm.model, whole, full)
+        X = Kinematics(robot).tool_pose(q)
+        np.testing.assert_allclose(whole.oMf[arm.tool_frame_id].homogeneous, X.homogeneous, atol=1e-13)
+        block = mass_matrix(arm.model, full)[np.ix_(arm.driven, arm.driven)]
+        expected = mass_matrix(robot.model, q)
+        np.testing.assert_allclose(block, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        tau = pin.rnea(arm.model, whole, full, arm.configuration(v, u), arm.configuration(a, u))
+        expected = pin.rnea(robot.model, fixed, q, v, a)
+        np.testing.assert_allclose(tau[arm.driven], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_the_foot_feels_everything(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    arm = elastic_arm(cmbot_robot, random_base(rng))
+    q = rng.uniform(-2, 2, 7)
+    weight = pin.computeGeneralizedGravity(
+        arm.model, arm.model.createData(), arm.configuration(q, np.zeros(len(arm.elastic)))
+    )[arm.elastic[:6]]
+    centre = Kinematics(cmbot_robot).centre_of_mass(q)[0]
+    gravity = np.array([0, 0, -9.81])
+    force = gravity * cmbot_robot.mass
+    torque = np.cross(centre, gravity * cmbot_robot.arm_mass) + cmbot_robot.carrier_torque
+    np.testing.assert_allclose(-weight, [*force, *torque], atol=1e-10)
+
+
+# Order, and what is left out
+
+
+def test_order_of_the_coordinates(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    base = random_base(rng)
+    arm = elastic_arm(cmbot_robot, base, ElasticOptions(segments=2))
+    assert sorted([*arm.driven, *arm.elastic]) == list(range(arm.model.nv))
+    names = list(arm.model.names)[1:]
+    assert tuple(names[i] for i in arm.driven) == cmbot_robot.joints
+    assert len(set(names)) == len(names)
+    np.testing.assert_array_equal(arm.added_mass[:6, :6], base.mass)
+    assert not arm.added_mass[6:].any()
+    # The first six move the foot along and about the axes of W.
+    q = arm.configuration(rng.uniform(-2, 2, 7), np.zeros(len(arm.elastic)))
+    J = pin.computeFrameJacobian(
+        arm.model, arm.model.createData(), q, arm.tool_frame_id, pin.ReferenceFrame.WORLD
+    )
+    np.testing.assert_allclose(J[:, arm.elastic[:6]], np.eye(6), atol=1e-14)
+
+
+def test_rigid_hold_and_rigid_links(urdf_folder: Path, rng: np.random.Generator) -> None:
+    rigid = load_robot(urdf_folder / "cmbot.urdf", base_frame="arm_base", tool_frame="tool0")
+    assert len(elastic_arm(rigid, None).elastic) == 0
+    assert elastic_arm(rigid, None).stiffness.shape == (0, 0)
+    base = random_base(rng)
+    arm = elastic_arm(rigid, base)
+    np.testing.assert_array_equal(arm.stiffness, base.stiffness)
+
+
+def test_configurations_are_joined_by_rows(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    arm = elastic_arm(cmbot_robot, None)
+    q, u = rng.normal(size=(3, 7)), rng.normal(size=(3, 20))
+    joined = arm.configuration(q, u)
+    np.testing.assert_array_equal(joined[:, arm.driven], q)
+    np.testing.assert_array_equal(joined[:, arm.elastic], u)
+
+
+def test_arrays_are_read_only(cmbot_robot: Robot) -> None:
+    arm = elastic_arm(cmbot_robot, None)
+    for array in (arm.driven, arm.elastic, arm.stiffness, arm.added_mass):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"segments": 0}, "segments"),
+        ({"segments": 51}, "segments"),
+        ({"segments": True}, "segments"),
+        ({"segments": 1.0}, "segments"),
+        ({"guardrail_factor": 0.0}, "guardrail_factor"),
+        ({"link_factor": float("nan")}, "link_factor"),
+        ({"link_factor": float("inf")}, "link_factor"),
+    ],
+)
+def test_options_are_checked(options: dict[str, Any], key: str) -> None:
+    with pytest.raises(InputError) as caught:
+        ElasticOptions(**options)
+    assert (caught.value.source, caught.value.key) == ("ElasticOptions", key)

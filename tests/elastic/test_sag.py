@@ -1,0 +1,227 @@
+"""Static equilibrium: beams in closed form, potential energy, exact derivatives, the shipped robot."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from elastic_robots import YOUNG, FloatArray, cantilever, random_base, random_robot, second_moment
+from finite_differences import check_derivative, finite_difference
+from scipy.optimize import minimize
+
+from cmbot.common.errors import InputError
+from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
+from cmbot.elastic.base import elastic_base
+from cmbot.elastic.sag import Sag
+from cmbot.robot import Kinematics, Robot
+from cmbot.scene import load_scene
+
+EI = YOUNG * second_moment()
+
+
+@pytest.fixture(scope="module")
+def shipped_arm(cmbot_robot: Robot) -> ElasticArm:
+    return elastic_arm(cmbot_robot, elastic_base(load_scene("triangle").guardrail))
+
+
+@pytest.fixture(params=[3, 5, 7])
+def random_arm(request: pytest.FixtureRequest, tmp_path: Path, rng: np.random.Generator) -> ElasticArm:
+    robot = random_robot(tmp_path, rng, request.param, payload=1.0)
+    return elastic_arm(robot, random_base(rng), ElasticOptions(segments=2, link_factor=0.05))
+
+
+def potential(arm: ElasticArm, q: FloatArray) -> Callable[[FloatArray], float]:
+    """Energy of springs and weights, the carrier's included, J, as a function of the elastic coordinates."""
+    data = arm.model.createData()
+
+    def energy(u: FloatArray) -> float:
+        weight = pin.computePotentialEnergy(arm.model, data, arm.configuration(q, u))
+        return float(weight + u @ arm.stiffness @ u / 2)
+
+    return energy
+
+
+# In closed form
+
+
+@pytest.mark.parametrize("segments", [1, 3])
+def test_a_weight_at_the_end_of_a_cantilever(tmp_path: Path, segments: int) -> None:
+    L, payload = 0.7, 1e-3  # light: the closed form is that of small deflections
+    robot = cantilever(tmp_path, length=L, mass=1e-12, payload=payload)
+    states = Sag(elastic_arm(robot, None, ElasticOptions(segments=segments))).at(np.zeros((1, 1)))
+    weight = 9.81 * payload
+    np.testing.assert_allclose(states.tool[0, 2], -weight * L**3 / (3 * EI), rtol=1e-6)
+    np.testing.assert_allclose(states.rotation[0], [0, weight * L**2 / (2 * EI), 0], rtol=1e-6, atol=1e-15)
+
+
+def test_a_cantilever_under_its_own_weight(tmp_path: Path) -> None:
+    L, mass = 0.7, 0.01
+    robot = cantilever(tmp_path, length=L, mass=mass)
+    expected = -9.81 * mass * L**3 / (8 * EI)
+    errors = []
+    for segments in (1, 2, 4, 8):
+        arm = elastic_arm(robot, None, ElasticOptions(segments=segments))
+        errors.append(Sag(arm).at(np.zeros((1, 1))).tool[0, 2] / expected - 1)
+    # By hand: two halves sqrt(5)/8 of the length from the middle.
+    assert errors[0] == pytest.approx(8 * (1 / 24 + np.sqrt(5) / 32) - 1, rel=1e-5)
+    for coarse, fine in pairwise(errors):
+        assert 0 < -fine < -coarse / 4
+
+
+def test_the_foot_gives_under_the_whole_robot(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    """With rigid links and a stiff hold: weight and its torque about O0 on the hold's compliance."""
+    base = random_base(rng)
+    factor = 1e4
+    arm = elastic_arm(replace(cmbot_robot, elasticity=()), base, ElasticOptions(guardrail_factor=factor))
+    q = rng.uniform(-2, 2, (5, 7))
+    states = Sag(arm).at(q)
+    kinematics = Kinematics(cmbot_robot)
+    gravity = np.array([0, 0, -9.81])
+    for k in range(len(q)):
+        centre = kinematics.centre_of_mass(q[k])[0]
+        torque = np.cross(centre, gravity * cmbot_robot.arm_mass) + cmbot_robot.carrier_torque
+        u = np.linalg.solve(factor * base.stiffness, [*gravity * cmbot_robot.mass, *torque])
+        np.testing.assert_allclose(states.u[k], u, rtol=0, atol=1e-5 * np.abs(u).max())
+        p = kinematics.tool_pose(q[k]).translation
+        tool = u[:3] + np.cross(u[3:], p)
+        np.testing.assert_allclose(states.tool[k], tool, rtol=0, atol=1e-5 * np.abs(tool).max())
+        np.testing.assert_allclose(states.rotation[k], u[3:], rtol=0, atol=1e-5 * np.abs(u[3:]).max())
+
+
+# Against the potential energy
+
+
+def test_it_is_where_the_energy_is_least(tmp_path: Path, rng: np.random.Generator) -> None:
+    """A minimiser that knows nothing but the energy ends in the same place."""
+    arm = elastic_arm(random_robot(tmp_path, rng, 3), random_base(rng), ElasticOptions(link_factor=0.05))
+    q = rng.uniform(-2, 2, 3)
+    u, energy = Sag(arm).at(q[None]).u[0], potential(arm, q)
+    # Scaled to comparable springs, or the minimiser has a hard time.
+    scale = 1 / np.sqrt(np.diag(arm.stiffness))
+    found = minimize(lambda x: energy(scale * x), np.zeros(len(u)), method="BFGS", options={"gtol": 1e-6})
+    np.testing.assert_allclose(scale * found.x, u, rtol=0, atol=1e-4 * np.abs(u).max())
+    assert energy(u) <= found.fun + 1e-12 * abs(found.fun)
+
+
+def test_nothing_pulls_at_equilibrium(random_arm: ElasticArm, rng: np.random.Generator) -> None:
+    q = rng.uniform(-2, 2, len(random_arm.driven))
+    u = Sag(random_arm).at(q[None]).u[0]
+    slope = finite_difference(potential(random_arm, q), u, step=1e-4)
+    springs = np.abs(random_arm.stiffness @ u).max()
+    assert np.abs(slope).max() < 1e-6 * springs
+
+
+def test_gravity_is_the_gradient_of_the_potential(random_arm: ElasticArm, rng: np.random.Generator) -> None:
+    q, u = rng.uniform(-2, 2, len(random_arm.driven)), rng.normal(scale=0.05, size=len(random_arm.elastic))
+    data = random_arm.model.createData()
+
+    def weight_at(angles: FloatArray, x: FloatArray) -> FloatArray:
+        weight = pin.computeGeneralizedGravity(random_arm.model, data, random_arm.configuration(angles, x))
+        return np.asarray(weight[random_arm.elastic])
+
+    def force(x: FloatArray) -> FloatArray:
+        return np.asarray(weight_at(q, x) + random_arm.stiffness @ x)
+
+    check_derivative(potential(random_arm, q), u, force(u), rtol=1e-7)
+    tangent, by_joints = Sag(random_arm).balance_derivatives(q, u)
+    check_derivative(force, u, tangent, rtol=1e-9)
+    check_derivative(lambda x: weight_at(x, u), q, by_joints, rtol=1e-7)
+    np.testing.assert_allclose(tangent, tangent.T, rtol=0, atol=1e-11 * np.abs(tangent).max())
+
+
+# Derivatives
+
+
+def test_derivatives(random_arm: ElasticArm, rng: np.random.Generator) -> None:
+    sag = Sag(random_arm)
+    q = rng.uniform(-2, 2, len(random_arm.driven))
+    d_tool = sag.at(q[None]).d_tool[0]
+    check_derivative(lambda x: sag.at(x[None]).tool[0], q, d_tool, rtol=1e-7)
+
+
+def test_derivatives_of_the_shipped_robot(shipped_arm: ElasticArm, rng: np.random.Generator) -> None:
+    sag = Sag(shipped_arm)
+    for q in rng.uniform(-2, 2, (3, 7)):
+        d_tool = sag.at(q[None]).d_tool[0]
+        check_derivative(lambda x: sag.at(x[None]).tool[0], q, d_tool, rtol=1e-7)
+
+
+# Many states, and none
+
+
+def test_states_do_not_know_of_each_other(shipped_arm: ElasticArm, rng: np.random.Generator) -> None:
+    sag = Sag(shipped_arm)
+    q = rng.uniform(-2, 2, (4, 7))
+    together = sag.at(q)
+    for k in range(len(q)):
+        alone = Sag(shipped_arm).at(q[k : k + 1])
+        for name in ("u", "tool", "rotation", "d_tool"):
+            np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[k])
+    none = sag.at(q[:0])
+    assert (none.u.shape, none.tool.shape, none.d_tool.shape) == ((0, 26), (0, 3), (0, 3, 7))
+
+
+def test_what_does_not_bend_does_not_sag(
+    cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    q = rng.uniform(-2, 2, (2, 7))
+    for robot in (cmbot_robot, cantilever(tmp_path, length=1.0, mass=1.0)):
+        states = Sag(elastic_arm(replace(robot, elasticity=()), None)).at(q[:, : robot.dof])
+        assert states.u.shape == (2, 0)
+        assert states.d_tool.shape == (2, 3, robot.dof)
+        for array in (states.tool, states.rotation, states.d_tool):
+            np.testing.assert_allclose(array, 0, atol=1e-14)
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e6, 1e9])
+def test_stiffer_sags_less(cmbot_robot: Robot, rng: np.random.Generator, factor: float) -> None:
+    base, q = random_base(rng), rng.uniform(-2, 2, (1, 7))
+    soft = Sag(elastic_arm(cmbot_robot, base)).at(q)
+    options = ElasticOptions(guardrail_factor=factor, link_factor=factor)
+    stiff = Sag(elastic_arm(cmbot_robot, base, options)).at(q)
+    np.testing.assert_allclose(factor * stiff.u, soft.u, rtol=0, atol=0.1 * np.abs(soft.u).max())
+    assert np.abs(stiff.tool).max() < 2 / factor * np.abs(soft.tool).max() + 1e-15
+
+
+def test_a_column_stands_up_to_eulers_load(tmp_path: Path) -> None:
+    L = 2.0
+    critical = np.pi**2 * EI / (4 * L**2) / 9.81
+    upright, hanging = np.array([[np.pi / 2]]), np.array([[-np.pi / 2]])
+    mount = pin.SE3(pin.utils.rotate("x", np.pi / 2), np.zeros(3)).homogeneous
+
+    def sag(share: float) -> Sag:
+        robot = cantilever(tmp_path, length=L, mass=1e-9, payload=share * critical, mount=mount)
+        return Sag(elastic_arm(robot, None, ElasticOptions(segments=10)))
+
+    np.testing.assert_allclose(sag(0.99).at(upright).tool, 0, atol=1e-6)
+    over = sag(1.01)
+    np.testing.assert_allclose(over.at(hanging).tool, 0, atol=1e-6)
+    with pytest.raises(InputError, match=r"Sag.at: q\[1\]: got a posture from which the arm topples"):
+        over.at(np.vstack((hanging, upright)))
+
+
+def test_too_soft_an_arm_is_refused(cmbot_robot: Robot) -> None:
+    scene = load_scene("triangle")
+    for factor in (1e-9, 1e-6, 1e-4):
+        options = ElasticOptions(guardrail_factor=factor, link_factor=factor)
+        sag = Sag(elastic_arm(cmbot_robot, elastic_base(scene.guardrail), options))
+        with pytest.raises(InputError, match=r"Sag.at: q\[0\]: .*stiff enough"):
+            sag.at(scene.posture[None])
+
+
+# What is measured
+
+
+def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:
+    scene = load_scene("triangle")
+    base, q = elastic_base(scene.guardrail), scene.posture[None]
+    one, two, four, eight = (
+        Sag(elastic_arm(cmbot_robot, base, ElasticOptions(segments=segments))).at(q).tool[0]
+        for segments in (1, 2, 4, 8)
+    )
+    assert np.linalg.norm(one - eight) < 0.005 * np.linalg.norm(eight)
+    assert np.linalg.norm(two - eight) < 0.001 * np.linalg.norm(eight)
+    assert np.linalg.norm(four - eight) < 0.0002 * np.linalg.norm(eight)

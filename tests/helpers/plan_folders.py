@@ -1,0 +1,88 @@
+"""Plan directories that the tests share, changing them, and what is refused of them."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+from cmbot.archive import load_plan, save
+from cmbot.common.errors import ArchiveError
+from cmbot.planning import Plan, Samples, plan
+
+MOTIONS = ("trajectory", "approach")
+FILES = {"plan.json", "baseline.csv"} | {
+    f"{name}{end}" for name in MOTIONS for end in (".csv", ".npz", ".ros.json")
+}
+"""All files of a plan with an approach."""
+
+
+@pytest.fixture(scope="session")
+def saved_triangle(triangle_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan directory that no test changes."""
+    return save(triangle_plan, tmp_path_factory.mktemp("archive") / "triangle")
+
+
+@pytest.fixture
+def triangle_folder(saved_triangle: Path, tmp_path: Path) -> Path:
+    """A plan directory to be changed."""
+    return Path(shutil.copytree(saved_triangle, tmp_path / "plan"))
+
+
+@pytest.fixture(scope="session")
+def thin_plan(triangle_plan: Plan) -> Plan:
+    """The triangle with few samples of the baseline, quick to save."""
+    samples = triangle_plan.baseline
+    whole = {field.name: getattr(samples, field.name) for field in fields(samples)}
+    few = {name: None if value is None else value[::100] for name, value in whole.items()}
+    return replace(triangle_plan, baseline=Samples(**few))
+
+
+@pytest.fixture(scope="session")
+def short_plan() -> Plan:
+    """A small plan whose knots are fixed: no floor, no choice, no approach."""
+    return plan(short_scene())
+
+
+def edit(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change what stands in plan.json."""
+    path = folder / "plan.json"
+    data = json.loads(path.read_text(encoding="utf-8"))
+    change(data)
+    path.write_text(json.dumps(data), encoding="utf-8")
+
+
+def rewrite(folder: Path, name: str, content: bytes) -> None:
+    """Replace a file as a program would that also keeps the hashes right."""
+    (folder / name).write_bytes(content)
+    edit(folder, lambda data: data["files"].update({name: hashlib.sha256(content).hexdigest()}))
+
+
+def npz(**arrays: Any) -> bytes:
+    """Return arrays as the content of such a file."""
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+def refused(folder: Path, file: str, key: str) -> ArchiveError:
+    """Return the error for which a plan directory is not read; it names that file and key."""
+    with pytest.raises(ArchiveError) as caught:
+        load_plan(folder)
+    assert (caught.value.source, caught.value.key) == (str(folder / file), key)
+    return caught.value
+
+
+def same_arrays(left: Any, right: Any) -> None:
+    """Require two dataclasses to hold the same arrays."""
+    for field in fields(left):
+        np.testing.assert_array_equal(getattr(left, field.name), getattr(right, field.name))

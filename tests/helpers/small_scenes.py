@@ -1,0 +1,50 @@
+"""Scenes that plan in a moment: the shipped robot, one short leg, few via-points."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.collision.clearance import Clearances
+from cmbot.planning import ToolTask, robot_of, task_of
+from cmbot.planning.context import prepare
+from cmbot.planning.initial_guess import fixed_way
+from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.robot import Robot
+from cmbot.scene import Scene, load_scene
+
+FloatArray = NDArray[np.float64]
+SHORT: dict[str, Any] = {
+    "format": "cmbot-scene/1",
+    "name": "short",
+    "robot": {"model": "cmbot"},
+    "posture_deg": [-10, -90, 90, 0, 10, 50, 0],
+    "tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 4}], "via_points": 8},
+    "planner": {"knots": "fixed", "path_step_s": 0.02},
+}
+
+
+def short_scene(
+    *, robot: dict[str, Any] | None = None, tool_path: dict[str, Any] | None = None, **changes: Any
+) -> Scene:
+    """Scene of a short leg; entries of blocks given as mappings are changed one by one."""
+    data = copy.deepcopy(SHORT)
+    data["robot"] |= robot or {}
+    data["tool_path"] |= tool_path or {}
+    data["planner"] |= changes.pop("planner", {})
+    return load_scene(data | changes)
+
+
+def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
+    """Robot, task, posture and clearances of a scene."""
+    robot = robot_of(scene)
+    return robot, task_of(scene, robot), scene.posture, Clearances(robot, scene.obstacles)
+
+
+def problem_of(scene: Scene) -> tuple[TorqueProblem, ToolTask, Clearances]:
+    """The torque problem of a scene with fixed knots, started at the least-jerk spline."""
+    setting = prepare(scene, scene.planner)
+    return fixed_way(setting, lambda _: None).problem, setting.task, setting.clearances

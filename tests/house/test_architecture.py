@@ -1,0 +1,197 @@
+"""The rules of the house, held by machines."""
+
+import ast
+import os
+import re
+import subprocess
+import sys
+import tomllib
+from collections.abc import Iterator
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+import typer.main
+from browser import chromium
+from importlinter.cli import EXIT_STATUS_SUCCESS, lint_imports
+
+from cmbot.cli import app
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+FILES = sorted((ROOT / "cmbot").rglob("*.py"))
+LONGEST_FILE = 330
+# The files of the command line.
+PRINTING = ROOT / "cmbot" / "cli"
+BROAD = {"Exception", "BaseException"}
+
+
+def name_of(path: Path) -> str:
+    return str(path.relative_to(ROOT))
+
+
+every_file = pytest.mark.parametrize("path", FILES, ids=name_of)
+
+
+def syntax(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def test_imports_point_downwards(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(ROOT)
+    status = lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True)
+    printed = capsys.readouterr().out
+    assert status == EXIT_STATUS_SUCCESS, printed
+    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"][
+        "contracts"
+    ]
+    assert f"Contracts: {len(contracts)} kept, 0 broken." in printed
+
+
+@every_file
+def test_files_are_short(path: Path) -> None:
+    assert len(path.read_text(encoding="utf-8").splitlines()) < LONGEST_FILE
+
+
+def forbidden(tree: ast.AST, *, may_print: bool) -> Iterator[tuple[int, str]]:
+    """Line and kind of what has no place in the package."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Assert):
+            yield node.lineno, "assert"
+        elif isinstance(node, ast.ExceptHandler) and (node.type is None or BROAD & set(named(node.type))):
+            yield node.lineno, "broad except"
+        elif isinstance(node, ast.Call):
+            called = set(named(node.func))
+            if "print" in called and not may_print:
+                yield node.lineno, "print"
+            elif "exit" in called and not may_print:
+                yield node.lineno, "exit"
+            elif "suppress" in called and any(BROAD & set(named(argument)) for argument in node.args):
+                yield node.lineno, "broad suppress"
+
+
+def named(node: ast.AST) -> Iterator[str]:
+    """The last parts of the names in an expression: of ``a.b`` it is b."""
+    if isinstance(node, ast.Name):
+        yield node.id
+    elif isinstance(node, ast.Attribute):
+        yield node.attr
+    elif isinstance(node, ast.Tuple):
+        for element in node.elts:
+            yield from named(element)
+
+
+@every_file
+def test_no_print_no_assert_no_broad_except(path: Path) -> None:
+    assert not list(forbidden(syntax(path), may_print=path.is_relative_to(PRINTING)))
+
+
+@pytest.mark.parametrize(
+    ("code", "kind"),
+    [
+        ("print(1)", "print"),
+        ("console.print(1)", "print"),
+        ("sys.exit(1)", "exit"),
+        ("assert x", "assert"),
+        ("try: x\nexcept: y", "broad except"),
+        ("try: x\nexcept Exception: y", "broad except"),
+        ("try: x\nexcept (KeyError, builtins.BaseException): y", "broad except"),
+        ("with contextlib.suppress(Exception): x", "broad suppress"),
+    ],
+)
+def test_the_search_finds_what_it_looks_for(code: str, kind: str) -> None:
+    assert [found for _, found in forbidden(ast.parse(code), may_print=False)] == [kind]
+
+
+def undocumented(node: ast.Module | ast.ClassDef, where: str = "") -> Iterator[str]:
+    """Public functions, classes and methods without a docstring."""
+    for inner in node.body:
+        if isinstance(inner, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+            if inner.name.startswith("_"):
+                continue
+            if ast.get_docstring(inner) is None:
+                yield where + inner.name
+            if isinstance(inner, ast.ClassDef):
+                yield from undocumented(inner, f"{where}{inner.name}.")
+
+
+@every_file
+def test_every_public_name_has_a_docstring(path: Path) -> None:
+    tree = syntax(path)
+    assert ast.get_docstring(tree), "the module itself"
+    assert not list(undocumented(tree))
+
+
+def used_tools(text: str) -> set[str]:
+    return set(re.findall(r"\$\(BIN\)/([\w-]+)", text))
+
+
+def installed_scripts(requirements: list[str]) -> set[str]:
+    """Commands that come with packages."""
+    scripts = set()
+    for requirement in requirements:
+        name = re.match(r"[\w.\-]+", requirement)
+        assert name is not None
+        files = metadata.files(name[0]) or []
+        scripts |= {path.name for path in files if path.parent.name in ("bin", "Scripts")}
+    return scripts
+
+
+def test_the_makefile_runs_commands_that_exist() -> None:
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    offered = installed_scripts(project["optional-dependencies"]["test"]) | set(project["scripts"])
+    assert used_tools(text) >= {"cmbot", "pytest", "ruff", "mypy", "lint-imports", "python"}
+    assert used_tools(text) <= offered | {"python"}
+    scripts = re.findall(r"^\t\$\(BIN\)/python (\S+\.py)(?: (--\w+))?$", text, flags=re.MULTILINE)
+    assert len(scripts) == text.count(".py")
+    for script, option in scripts:
+        assert (ROOT / script).is_file(), script
+        assert option in (ROOT / script).read_text(encoding="utf-8"), f"{script} {option}"
+
+
+def test_the_makefile_uses_the_command_line_as_it_is() -> None:
+    verbs = typer.main.get_command(app).commands  # type: ignore[attr-defined]
+    lines = re.findall(
+        r"^\t\$\(BIN\)/cmbot (.+)$", (ROOT / "Makefile").read_text("utf-8"), flags=re.MULTILINE
+    )
+    assert lines
+    for line in lines:
+        verb, *words = line.split()
+        known = {name for parameter in verbs[verb].params for name in parameter.opts}
+        assert {word for word in words if word.startswith("-")} <= known, line
+
+
+def test_ci_makes_targets_that_exist() -> None:
+    script = ROOT / ".ci" / "run"
+    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text("utf-8"), flags=re.MULTILINE)
+    made = re.findall(r"^make (\w+)$", script.read_text("utf-8"), flags=re.MULTILINE)
+    assert {"lint", "demo", "test"} <= set(made) <= set(targets)
+    assert os.access(script, os.X_OK)
+    subprocess.run(["bash", "-n", str(script)], check=True)
+    dry = subprocess.run(["make", "-n", *made], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert dry.returncode == 0, dry.stderr
+
+
+def test_ci_requires_the_browser() -> None:
+    assert "\nexport CMBOT_REQUIRE_BROWSER=1\n" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(("value", "outcome"), [("1", pytest.fail.Exception), (None, pytest.skip.Exception)])
+def test_a_missing_browser_is_no_excuse_where_it_is_required(
+    value: str | None, outcome: type[BaseException], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.delenv("CMBOT_REQUIRE_BROWSER", raising=False)
+    if value is not None:
+        monkeypatch.setenv("CMBOT_REQUIRE_BROWSER", value)
+    with pytest.raises(outcome, match="chromium"), chromium(tmp_path):
+        pass
+
+
+def test_python_is_one_that_the_project_supports() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    lowest = re.fullmatch(r">=3\.(\d+)", project["requires-python"])
+    assert lowest is not None
+    assert sys.version_info >= (3, int(lowest[1]))
+    classified = {int(minor) for minor in re.findall(r"Python :: 3\.(\d+)", " ".join(project["classifiers"]))}
+    assert min(classified) == int(lowest[1])

@@ -1,0 +1,114 @@
+"""The examples run as a reader runs them, and print what they say."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+EXAMPLES = Path(__file__).resolve().parent.parent.parent / "examples"
+
+
+def run(name: str, folder: Path, *arguments: str) -> str:
+    """Standard output of an example, started in an empty folder."""
+    command = [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments]
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stderr == ""
+    assert list(folder.iterdir()) == [], "an example left something behind"
+    return done.stdout
+
+
+def number(pattern: str, text: str) -> float:
+    found = re.search(pattern, text, flags=re.MULTILINE)
+    assert found is not None, f"{pattern!r} is not in:\n{text}"
+    return float(found[1])
+
+
+def test_every_example_is_tested() -> None:
+    tested = set(re.findall(r'run\("(\w+\.py)"', Path(__file__).read_text(encoding="utf-8")))
+    assert {path.name for path in EXAMPLES.glob("*.py")} == tested
+    # In reading order, without a gap.
+    assert sorted(name[:3] for name in tested) == [f"{n:02}_" for n in range(1, len(tested) + 1)]
+
+
+def test_load_robot(tmp_path: Path) -> None:
+    text = run("01_load_robot.py", tmp_path)
+    assert "cmbot: 7 joints, 68.00 kg, 37.62 kg of it moving" in text
+    # The weight of the 37.62 kg of Table 2, and the torque of the paper's initial posture.
+    assert number(r"force on guardrail.*?(-\d+\.\d+)\]", text) == pytest.approx(-37.62 * 9.81, abs=0.005)
+    assert number(r"its norm: +(\S+) Nm", text) == pytest.approx(486.41, abs=0.005)
+    assert len(re.findall(r"^  joint_\d:", text, flags=re.MULTILINE)) == 7
+
+
+def test_plan_a_scene(tmp_path: Path) -> None:
+    text = run("02_plan_a_scene.py", tmp_path)
+    checks = text.split("check by check:\n")[1].split("\n\n")[0].splitlines()
+    assert len(checks) == 9
+    # What it is there to show: knot derivatives cannot undercut gravity at the via-points, slides can.
+    baseline = number(r"baseline, from the scene's posture: +(\S+)", text)
+    at_via_points = number(r"fixed knots, at the via-points: +(\S+)", text)
+    fixed = number(r"fixed knots, all along: +(\S+)", text)
+    sliding = number(r"as the scene has it, all along: +(\S+)", text)
+    floor = number(r"floor of any posture at one of them: +(\S+)", text)
+    assert baseline == at_via_points == pytest.approx(486.41, abs=0.005)
+    assert fixed >= at_via_points - 0.005
+    assert floor - 0.05 <= sliding < 1.02 * floor < fixed
+
+
+def test_your_own_arm(tmp_path: Path) -> None:
+    text = run("03_your_own_arm.py", tmp_path)
+    assert "sander: 7 joints, 21.3 kg moving" in text
+    assert "Floor: no admissible plan rests below " in text, "the knots slide"
+    deviation = number(r"^largest tool deviation, mm +\S+ +(\S+)", text)
+    assert 0 < deviation <= 1.0
+    assert number(r"^smallest clearance, mm +\S+ +(\S+)", text) >= 20
+    assert "Certified: 9 checks hold" in text
+    assert "A slip is told like this: tool_frame: got 'dsic', expected a link of the URDF" in text
+
+
+def test_simulate_and_compensate(tmp_path: Path) -> None:
+    text = run("04_simulate_and_compensate.py", tmp_path)
+    assert number(r"shifted by up to (\S+) mm", text) > 5
+    parts = ("bent from expected tool", "  of that at rest", "  of that vibration", "bent tool off its path")
+    rms = {part: [float(x) for x in numbers(rf"^{part} +(.+)$", text)] for part in parts}
+    total, sag, vibration, path = rms.values()
+    # Sag that was predicted counts no more; vibration stays.
+    assert sag[2] < 0.01 * sag[1]
+    assert total == pytest.approx(
+        [(a**2 + b**2) ** 0.5 for a, b in zip(sag, vibration, strict=True)], rel=0.05
+    )
+    baseline, planned, compensated = path
+    assert compensated < 0.1 * planned < 0.1 * baseline
+    for name, value in (("planned", planned), ("compensated", compensated)):
+        reduction = number(rf"^{name}: off its path (\S+) % less", text)
+        assert reduction == pytest.approx(100 * (1 - value / baseline), abs=0.06)
+
+
+def numbers(pattern: str, text: str) -> list[str]:
+    found = re.search(pattern, text, flags=re.MULTILINE)
+    assert found is not None, f"{pattern!r} is not in:\n{text}"
+    return found[1].split()
+
+
+def test_your_own_objective(tmp_path: Path) -> None:
+    text = run("05_your_own_objective.py", tmp_path)
+    torque, stress = (
+        [number(rf"made small: {name} +{figure} +(\S+)", text) for figure in ("stress", r"stress.*torque")]
+        for name in ("torque", "stress")
+    )
+    # Each is the better one at what it makes small, and at that only.
+    assert stress[0] < torque[0]
+    assert torque[1] < stress[1]
+    assert stress[0] < number(r"in the baseline +stress +(\S+)", text)
+    assert stress[0] == pytest.approx(number(r"rests below (\S+) MPa", text), rel=0.01)
+
+
+def test_report(tmp_path: Path) -> None:
+    text = run("06_report.py", tmp_path)
+    written = set(re.findall(r"^ *\d+ kB  (\S+)$", text, flags=re.MULTILINE))
+    assert written >= {"plan.json", "trajectory.csv", "tracking.csv", "replay.html", "report.html"}
+    assert written >= {"guardrail_torque.pdf", "joints.pdf", "tracking_error.pdf"}
+    assert "peak torque on the guardrail, Nm" in text
+    assert text.endswith("tracking errors, too: True\n")

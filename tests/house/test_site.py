@@ -1,0 +1,111 @@
+"""The documentation as a site: built without a warning, in need of nothing from elsewhere, its code runs."""
+
+import os
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+from small_scenes import short_scene
+
+import cmbot
+
+ROOT = Path(__file__).resolve().parent.parent.parent
+DOCS = ROOT / "docs"
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site, built as ``make docs`` builds it."""
+    pytest.importorskip("mkdocs")
+    folder = tmp_path_factory.mktemp("site")
+    command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    environment = os.environ | {"NO_MKDOCS_2_WARNING": "1"}
+    done = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, ""), done.stderr
+    assert "WARNING" not in done.stderr, done.stderr
+    return folder
+
+
+class Resources(HTMLParser):
+    """What a page loads by itself, and where its links lead."""
+
+    def __init__(self, page: Path) -> None:
+        super().__init__()
+        self.loaded: list[str] = []
+        self.anchors: set[str] = set()
+        self.feed(page.read_text(encoding="utf-8"))
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        values = dict(attributes)
+        self.anchors |= {name for name in (values.get("id"), values.get("name")) if name}
+        if tag == "link" and values.get("rel") in ("canonical", "next", "prev"):
+            return
+        if tag in ("link", "script", "img", "iframe", "source"):
+            self.loaded += [value for value in (values.get("src"), values.get("href")) if value]
+
+
+def test_every_page_is_there(site: Path) -> None:
+    built = {page.stem for page in site.glob("*.html")} - {"404"}
+    assert built == {page.stem for page in DOCS.glob("*.md")}
+
+
+def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+    pages = list(site.glob("*.html"))
+    assert pages
+    for page in pages:
+        loaded = Resources(page).loaded
+        assert loaded
+        for address in loaded:
+            assert not re.match(r"(?:\w+:)?//", address), f"{address} in {page.name}"
+            # What stands on the page of errors is addressed from the server's root.
+            if page.stem != "404":
+                assert (site / address.split("?")[0].split("#")[0]).exists(), f"{address} in {page.name}"
+    for style in site.rglob("*.css"):
+        assert not re.search(
+            r"(?:url\(|@import)\s*['\"]?(?:https?:)?//", style.read_text(encoding="utf-8")
+        ), style
+
+
+def test_every_public_name_is_described(site: Path) -> None:
+    page = (DOCS / "api.md").read_text(encoding="utf-8")
+    anchors = Resources(site / "api.html").anchors
+    for name in set(cmbot.__all__) - {"__version__"}:
+        thing = getattr(cmbot, name)
+        assert f"{thing.__module__}.{name}" in anchors, name
+        if thing.__module__ != "cmbot.common.errors":
+            assert f"::: {thing.__module__}.{name}\n    options: {{heading: cmbot.{name}" in page, name
+
+
+def test_the_tutorial_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """On a short scene: what matters is that every line of it works."""
+    text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```python\n(.*?)^```", text, flags=re.MULTILINE | re.DOTALL)
+    assert len(blocks) > 5
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cmbot, "load_scene", lambda name: {"triangle": short_scene()}[name])
+    names: dict[str, object] = {}
+    for code in blocks:
+        exec(compile(code, "tutorial.md", "exec"), names)
+    printed = capsys.readouterr().out
+    assert "peak torque on the guardrail" in printed
+    off = [float(x) for x in re.findall(r"is (\S+) mm \(RMS\) off its path", printed)]
+    assert len(off) == 2
+    assert off[1] < 0.1 * off[0]
+    written = {path.name for path in tmp_path.iterdir()}
+    assert written >= {"triangle", "replay.html", "report.html", "guardrail_torque.pdf", "tracking_error.pdf"}
+    assert names["q"].shape == (1000, 7)  # type: ignore[attr-defined]
+
+
+def test_every_picture_is_shown_and_those_of_the_script_are_there() -> None:
+    script = (ROOT / "tools" / "plot_figures.py").read_text(encoding="utf-8")
+    drawn = re.findall(r'"(\w+)"', re.findall(r"^SHOWN = (.+)$", script, flags=re.MULTILINE)[0])
+    pictures = {path.name for path in (DOCS / "images").iterdir()}
+    assert {f"{name}_triangle.png" for name in drawn} <= pictures
+    text = "".join(path.read_text("utf-8") for path in (ROOT / "README.md", *DOCS.glob("*.md")))
+    for name in pictures:
+        assert f"images/{name})" in text, f"{name} is shown nowhere"

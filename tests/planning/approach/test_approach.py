@@ -1,0 +1,142 @@
+"""The approach: certified ways to a better start, along the self-motion or around it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from small_scenes import parts, short_scene
+
+from cmbot.collision.clearance import Clearances
+from cmbot.common.errors import PathNotFound
+from cmbot.planning import Plan, certify_approach, plan
+from cmbot.planning.approach.approach import plan_approach
+from cmbot.planning.approach.joint_paths import FreeSpace, connect, shorten
+from cmbot.planning.path.initial_postures import self_motion_postures
+from cmbot.robot import Dynamics, Kinematics
+
+
+def test_the_triangles_approach_is_certified(triangle_plan: Plan) -> None:
+    approach = triangle_plan.approach
+    assert approach is not None
+    assert approach.certificate.holds
+    np.testing.assert_allclose(approach.trajectory.q[0], triangle_plan.scene.posture, atol=1e-12)
+    np.testing.assert_allclose(approach.trajectory.q[-1], triangle_plan.trajectory.q[0], atol=1e-12)
+    ends = approach.trajectory.t[[0, -1]]
+    for order in (1, 2, 3):
+        assert np.abs(approach.trajectory.evaluate(ends, order)).max() < 1e-9
+    use = approach.certificate.figures.limit_use
+    assert max(use.velocity, use.acceleration, use.jerk) == pytest.approx(0.95, rel=1e-6)
+
+
+def test_a_near_start_is_reached_along_the_self_motion() -> None:
+    """The tool then stays where it is, within a few millimetres."""
+    scene = short_scene()
+    robot, task, posture, clearances = parts(scene)
+    postures = self_motion_postures(robot, task, posture)
+    near = postures[2]
+    approach = plan_approach(robot, task, posture, near, np.array(postures), clearances, scene.planner)
+    assert approach.certificate.holds
+    options = replace(scene.planner, chart_spacing=0.2)
+    approach = plan_approach(robot, task, posture, near, np.array(postures), clearances, options)
+    assert approach.along_self_motion
+    assert approach.certificate.figures.max_tool_deviation < 0.02
+
+
+def test_a_blocked_approach_is_refused() -> None:
+    """The goal lies inside an obstacle: nothing leads there."""
+    scene = short_scene()
+    robot, task, posture, clearances = parts(scene)
+    goal = posture.copy()
+    goal[0] = np.radians(90)  # link_1 across the guardrail
+    with pytest.raises(PathNotFound, match="no collision-free approach") as caught:
+        plan_approach(robot, task, posture, goal, posture[None], clearances, scene.planner)
+    _, J = Kinematics(robot).tool_jacobian(posture)
+    smallest = np.linalg.svd(J, compute_uv=False)[-1]
+    assert caught.value.smallest_singular_value == pytest.approx(smallest)
+
+
+def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: np.random.Generator) -> None:
+    scene = triangle_plan.scene
+    robot, _, posture, clearances = parts(scene)
+    space = FreeSpace(robot, clearances, 0.02)
+    goal = triangle_plan.start.posture
+    path = connect(space, posture, goal)
+    assert path is not None
+    short = shorten(space, path)
+    for way in (path, short):
+        np.testing.assert_array_equal(way[[0, -1]], [posture, goal])
+        for start, end in pairwise(way):
+            between = start + rng.uniform(0, 1, (50, 1)) * (end - start)
+            assert clearances.smallest(between).distance.min() >= 0.02
+    length = [np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in (path, short)]
+    assert length[1] <= length[0] + 1e-12
+
+
+def test_pinned_keeps_the_posture_and_needs_no_approach() -> None:
+    scene = short_scene(planner={"knots": "sliding", "start": "pinned"})
+    planned = plan(scene)
+    assert planned.approach is None
+    assert planned.start.moved == 0.0
+    np.testing.assert_allclose(planned.trajectory.q[0], scene.posture, atol=1e-12)
+
+
+def test_a_pinned_start_that_asks_the_most_leaves_the_mean_to_be_lowered() -> None:
+    scene = short_scene(planner={"knots": "sliding", "start": "pinned"})
+    planned = plan(scene)
+    torque = Dynamics(planned.robot).static_efforts(scene.posture[None]).guardrail_torque
+    static = float(np.linalg.norm(torque))
+    assert {report.stage for report in planned.passes} == {"mean square"}
+    assert planned.figures.peak_guardrail_torque == pytest.approx(static, rel=1e-5)
+    assert planned.figures.mean_guardrail_torque < planned.baseline_figures.mean_guardrail_torque
+
+
+def test_its_samples_are_measured_once(triangle_plan: Plan) -> None:
+    samples, approach = triangle_plan.approach_samples, triangle_plan.approach
+    assert samples is not None
+    assert approach is not None
+    assert triangle_plan.approach_samples is samples
+    assert samples.t[-1] == approach.trajectory.duration
+    np.testing.assert_allclose(np.diff(samples.t)[:-1], 0.01, rtol=1e-9)
+    np.testing.assert_array_equal(samples.q, approach.trajectory.evaluate(samples.t))
+    figures = approach.certificate.figures
+    peak = np.linalg.norm(samples.guardrail_torque, axis=1).max()
+    assert peak == pytest.approx(figures.peak_guardrail_torque, rel=1e-3)
+    # Measured from where the work starts, not from the legs.
+    away = np.linalg.norm(samples.tool_point - triangle_plan.task.path.corners[0], axis=1)
+    np.testing.assert_allclose(samples.tool_deviation, away, rtol=0, atol=1e-12)
+
+
+def test_its_peak_stands_beside_that_of_the_work(triangle_plan: Plan, short_plan: Plan) -> None:
+    assert triangle_plan.approach is not None
+    peak = triangle_plan.approach.certificate.figures.peak_guardrail_torque
+    for planned, shown in ((triangle_plan, f"{peak:.2f}"), (short_plan, "-")):
+        names = [row[0] for row in planned.rows()]
+        assert names[:2] == ["peak torque on the guardrail, Nm", "peak on the way there (approach), Nm"]
+        assert list(planned.rows())[1][1:] == ("-", shown)
+    assert short_plan.approach_samples is None
+
+
+def test_a_certificate_made_again_is_the_same(triangle_plan: Plan) -> None:
+    """The planner and the archive look at the same grid, in the same way."""
+    approach = triangle_plan.approach
+    assert approach is not None
+    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
+    again = certify_approach(
+        triangle_plan.robot,
+        triangle_plan.task.held_at_start(),
+        approach.trajectory,
+        clearances,
+        triangle_plan.options,
+    )
+    assert again == approach.certificate
+
+
+def test_the_tool_is_held_where_the_work_starts(triangle_plan: Plan) -> None:
+    task = triangle_plan.task.held_at_start()
+    points = task.path.position(np.linspace(0.0, task.path.duration, 5))
+    np.testing.assert_array_equal(points, np.tile(triangle_plan.task.path.corners[0], (5, 1)))
+    np.testing.assert_array_equal(task.path.orientation, triangle_plan.task.path.orientation)
+    assert task.keep == triangle_plan.task.keep

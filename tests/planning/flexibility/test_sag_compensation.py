@@ -1,0 +1,207 @@
+"""Sag compensation and sag as the objective: what is commanded, what is expected, what is said."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from finite_differences import check_derivative
+from scipy.interpolate import CubicSpline
+from small_scenes import short_scene
+
+from cmbot.archive import load_plan, save
+from cmbot.common.errors import SceneError
+from cmbot.elastic import elastic_base
+from cmbot.elastic.arm import elastic_arm
+from cmbot.elastic.sag import Sag
+from cmbot.planning import (
+    GlobalStage,
+    Plan,
+    Progress,
+    bending_arm,
+    plan,
+    remarks,
+    robot_of,
+    sag_of,
+    task_of,
+)
+from cmbot.planning.context import prepare
+from cmbot.scene import load_scene
+from cmbot.scene.tool_path import ShiftedToolPath
+
+ALLOWED = 0.001
+
+
+@pytest.fixture(scope="module", params=["sliding free", "sliding pinned", "fixed"])
+def compensated(request: pytest.FixtureRequest) -> Plan:
+    knots, _, start = request.param.partition(" ")
+    return plan(short_scene(planner={"knots": knots, "start": start or "free", "compensate": True}))
+
+
+def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
+    """Sag by the elastic model itself, at times of no sample."""
+    scene, robot = compensated.scene, compensated.robot
+    sag = Sag(elastic_arm(robot, elastic_base(scene.guardrail)))
+    t = np.linspace(0, compensated.trajectory.duration, 217)
+    q = compensated.trajectory.evaluate(t)
+    model, data = robot.model, robot.model.createData()
+    commanded = np.empty((len(t), 3))
+    for k in range(len(t)):
+        pin.framesForwardKinematics(model, data, q[k])
+        commanded[k] = data.oMf[robot.tool_frame_id].translation
+    bent = commanded + sag.at(q).tool
+    legs = task_of(scene, robot).path
+    assert np.linalg.norm(legs.offset(bent), axis=1).max() <= ALLOWED
+    # Without the shift the arm would be about a centimetre off.
+    assert np.linalg.norm(legs.offset(commanded), axis=1).max() > 5 * ALLOWED
+    # It is where it should be not only on the legs but in time, at the via-points.
+    via = compensated.trajectory.t
+    at_via = np.array([np.interp(via, t, x) for x in bent.T]).T
+    assert np.linalg.norm(at_via - legs.position(via), axis=1).max() < ALLOWED
+
+
+def test_commanded_and_expected_path_are_in_the_plan(compensated: Plan) -> None:
+    samples = compensated.samples
+    assert samples.expected_tool_point is not None
+    assert compensated.sag is not None
+    exact = compensated.sag.at(samples.q[::37])
+    found = (samples.expected_tool_point - samples.tool_point)[::37]
+    np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7)
+    assert samples.tool_deviation.max() <= ALLOWED
+    names = [check.quantity for check in compensated.certificate.checks]
+    assert "expected tool deviation" in names
+    assert "tool deviation" not in names
+    assert compensated.compensation is not None
+    assert compensated.compensation.rounds >= 1
+    shift = np.linalg.norm(exact, axis=1).max()
+    assert compensated.compensation.largest_shift == pytest.approx(shift, rel=0.05)
+    assert compensated.compensation.last_change < 0.02 * ALLOWED
+
+
+def test_what_it_keeps(compensated: Plan) -> None:
+    assert compensated.certificate.holds
+    assert compensated.figures.min_clearance >= compensated.options.safety_margin_m
+    # The baseline is what it was: rigid, uncompensated.
+    assert compensated.baseline.expected_tool_point is None
+    # The first posture is not the scene's, but near it when that is pinned.
+    assert compensated.start.moved > 0
+    if compensated.options.start == "pinned":
+        assert compensated.start.moved < 0.05
+
+
+def test_a_compensated_plan_is_read_back(compensated: Plan, tmp_path: Path) -> None:
+    save(compensated, tmp_path / "plan")
+    header = (tmp_path / "plan" / "trajectory.csv").read_text(encoding="utf-8").splitlines()[0]
+    assert header.endswith("clearance,expected_tool_x,expected_tool_y,expected_tool_z")
+    back = load_plan(tmp_path / "plan", verify=True)
+    assert back.compensation == compensated.compensation
+    assert back.figures.max_tool_deviation == pytest.approx(compensated.figures.max_tool_deviation, rel=1e-9)
+    assert back.samples.expected_tool_point is not None
+
+
+def test_progress_says_which_round() -> None:
+    told: list[Progress] = []
+    planned = plan(short_scene(planner={"compensate": True}), progress=told.append)
+    assert planned.compensation is not None
+    rounds = [step.rounds for step in told if step.report is not None]
+    assert rounds == sorted(rounds)
+    assert set(rounds) == set(range(planned.compensation.rounds + 1))
+    last = [step for step in told if step.report is not None][-1]
+    assert last.sentence().startswith(f"compensating the sag, round {last.rounds}, pass ")
+    assert sum(step.rounds == last.rounds for step in told) == len(planned.passes)
+    (time,) = (remark for remark in remarks(planned) if remark.startswith("Time: "))
+    words = rf"\({len(planned.passes)} pass(es)? in the last of {planned.compensation.rounds} rounds?\)"
+    assert re.search(words, time)
+
+
+def test_without_compensation_nothing_is_expected() -> None:
+    planned = plan(short_scene())
+    assert planned.compensation is None
+    assert planned.sag is None
+    assert planned.samples.expected_tool_point is None
+
+
+@pytest.mark.parametrize("options", [{"compensate": True}, {"objective": "sag"}])
+def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
+    """A rigid hold and an arm without link tubes."""
+    scene = short_scene(guardrail={"bays": 0}, planner=options)
+    robot = replace(robot_of(scene), elasticity=())
+    with pytest.raises(SceneError, match=r"something that bends: guardrail\.bays"):
+        sag_of(scene, bending_arm(scene, robot), scene.planner)
+
+
+def test_sag_as_the_objective(tmp_path: Path) -> None:
+    """From the best posture there is: the global stage's."""
+    scene = short_scene(planner={"knots": "sliding", "objective": "sag"})
+    best = GlobalStage(prepare(scene, scene.planner)).solve(pinned=False).q[0]
+    scene = short_scene(
+        posture_deg=np.rad2deg(best).tolist(), planner={"knots": "sliding", "objective": "sag"}
+    )
+    planned = plan(scene)
+    torque = plan(scene, options=replace(scene.planner, objective="torque"))
+    sag = sag_of(scene, bending_arm(scene, planned.robot), scene.planner)
+    assert sag is not None
+
+    def largest(of: Plan) -> float:
+        return float(np.linalg.norm(sag.at(of.samples.q), axis=1).max())
+
+    assert planned.objective.name == "sag"
+    assert planned.objective.unit == "m"
+    assert planned.objective.planned_peak == pytest.approx(largest(planned), rel=1e-6)
+    assert planned.objective.floor is not None
+    assert planned.objective.planned_peak <= planned.objective.floor * 1.002
+    assert largest(planned) <= largest(torque) * (1 + 1e-6)
+    assert planned.gap_to_floor is None
+    assert any("Made small: the tool's sag" in remark and " mm" in remark for remark in remarks(planned))
+    save(planned, tmp_path / "plan")
+    assert load_plan(tmp_path / "plan", verify=True).objective == planned.objective
+
+
+def test_derivative_of_the_sags_length(rng: np.random.Generator) -> None:
+    scene = load_scene("triangle")
+    robot = robot_of(scene)
+    sag = sag_of(scene, bending_arm(scene, robot), replace(scene.planner, objective="sag"))
+    assert sag is not None
+    for q in scene.posture + rng.uniform(-0.3, 0.3, (4, robot.dof)):
+        gradient = sag.length(q[None])[1][0]
+        check_derivative(lambda x: sag.length(x[None])[0], q, gradient[None], rtol=1e-6)
+
+
+def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> None:
+    scene = load_scene("triangle")
+    path = task_of(scene, robot_of(scene)).path
+    knots = np.linspace(0, path.duration, 12)
+    shift = CubicSpline(knots, rng.uniform(-0.02, 0.02, (12, 3)))
+    shifted = ShiftedToolPath(
+        corners=path.corners,
+        orientation=path.orientation,
+        seconds=path.seconds,
+        profile=path.profile,
+        shift=shift,
+    )
+    t = rng.uniform(0, path.duration, 50)
+    np.testing.assert_allclose(shifted.position(t), path.position(t) + shift(t), rtol=0, atol=1e-15)
+    p = path.position(t) + rng.uniform(-0.1, 0.1, (50, 3))
+    np.testing.assert_allclose(shifted.leg_offset(t, p + shift(t)), path.leg_offset(t, p), rtol=0, atol=1e-12)
+    # Beyond its ends it stays where it ends.
+    beyond = shifted.position([-1.0, path.duration + 1.0])
+    ends = shifted.position([0.0, path.duration])
+    np.testing.assert_array_equal(beyond, ends)
+
+
+def test_a_better_start_that_no_approach_leads_to_is_given_up() -> None:
+    """The best posture for sag is out of reach: the work begins where the arm is, and says why."""
+    scene = short_scene(planner={"knots": "sliding", "objective": "sag"})
+    planned = plan(scene)
+    assert planned.choice is not None
+    assert planned.choice.free is not None
+    assert planned.choice.pinned is not None
+    assert planned.choice.free < 0.9 * planned.choice.pinned
+    assert planned.start.moved == 0
+    assert planned.approach is None
+    assert "no collision-free approach" in planned.start.failures[0].reason
+    assert any("A better start was found" in remark for remark in remarks(planned))

@@ -1,0 +1,152 @@
+"""The floor: nothing admissible lies below it, by random restarts and by descents that know no charts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import optimize
+from tests.seven_joint_arms import endless_scene, panda_scene
+from tests.small_scenes import short_scene
+
+from cmbot.planning import GlobalStage, plan
+from cmbot.planning.context import Setting, prepare
+from cmbot.planning.selfmotion.lower_bound import Floor
+from cmbot.planning.selfmotion.projection import project
+from cmbot.robot import Postures
+from cmbot.scene import Scene
+
+FloatArray = NDArray[np.float64]
+KINDS = ("pose", "axis", "position")
+RESTARTS = 2000
+
+
+def scene_of(kind: str) -> Scene:
+    return short_scene(tool_path={"keep": kind}, planner={"knots": "sliding"})
+
+
+@pytest.fixture(scope="module", params=KINDS)
+def kind(request: pytest.FixtureRequest) -> str:
+    return str(request.param)
+
+
+@pytest.fixture(scope="module")
+def setting(kind: str) -> Setting:
+    scene = scene_of(kind)
+    return prepare(scene, scene.planner)
+
+
+@pytest.fixture(scope="module")
+def floor(setting: Setting) -> Floor:
+    return GlobalStage(setting).floor
+
+
+def admissible(setting: Setting, q: FloatArray) -> NDArray[np.bool_]:
+    limits, at = setting.robot.limits, Postures(setting.robot).at(q)
+    holds = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
+    holds &= (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
+    holds[holds] = ~setting.clearances.too_near(q[holds], setting.options.safety_margin_m)
+    return holds
+
+
+def restarts(setting: Setting, via_point: int, rng: np.random.Generator) -> FloatArray:
+    """Random postures with the tool where it is at a via-point, admissible or not."""
+    limits = setting.robot.limits
+    q = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (RESTARTS, 7))
+    point = setting.task.path.position(setting.times)[via_point]
+    placed, reached = project(Postures(setting.robot), setting.task, q, point, 40)
+    return placed[reached]
+
+
+def values(setting: Setting, q: FloatArray) -> FloatArray:
+    return setting.objective.at_rest(Postures(setting.robot).at(q))
+
+
+def descended(setting: Setting, via_point: int, start: FloatArray) -> FloatArray:
+    """Where SLSQP gets to from a posture: the task, joint ranges and torques kept, clearances not."""
+    postures, task, limits = Postures(setting.robot), setting.task, setting.robot.limits
+    point = task.path.position(setting.times)[via_point]
+
+    def off(q: FloatArray) -> FloatArray:
+        at = postures.at(q[None])
+        return np.asarray(task.errors(at.tool_point, at.tool_rotation, point)[0])
+
+    def room(q: FloatArray) -> FloatArray:
+        share = postures.at(q[None]).joint_torque[0] / limits.torque
+        return np.concatenate([1 - share, 1 + share])
+
+    result = optimize.minimize(
+        lambda q: values(setting, q[None])[0] / 100.0,
+        start,
+        method="SLSQP",
+        bounds=list(zip(limits.lower, limits.upper, strict=True)),
+        constraints=[{"type": "eq", "fun": off}, {"type": "ineq", "fun": room}],
+        options={"maxiter": 60, "ftol": 1e-9},
+    )
+    placed, reached = project(postures, task, result.x[None], point)
+    return placed[reached]
+
+
+def test_no_random_posture_is_below_the_floor(
+    setting: Setting, floor: Floor, rng: np.random.Generator
+) -> None:
+    """Nor does descending from the best of them lead below it, wherever it ends with everything kept."""
+    q = restarts(setting, floor.via_point, rng)
+    q = q[admissible(setting, q)]
+    value = values(setting, q)
+    assert len(q) > 50
+    assert value.min() >= floor.value - min(floor.error, 1e-3 * floor.value)
+    for start in q[np.argsort(value)[:5]]:
+        end = descended(setting, floor.via_point, start)
+        end = end[admissible(setting, end)]
+        assert (values(setting, end) >= floor.value * (1 - 1e-4)).all()
+
+
+def test_at_every_via_point_some_posture_has_no_more(
+    setting: Setting, floor: Floor, rng: np.random.Generator
+) -> None:
+    """What is said of a via-point is no more than a dense random search finds there, or hardly."""
+    assert floor.value == floor.each[floor.via_point] == floor.each.max()
+    last = len(floor.each) - 1
+    q = restarts(setting, last, rng)
+    assert floor.each[last] <= values(setting, q[admissible(setting, q)]).min() * 1.02
+
+
+def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, floor: Floor) -> None:
+    if kind != "position":
+        assert 0 < floor.error < 1e-4 * floor.value
+
+
+def test_more_freedom_has_a_lower_floor(kind: str, floor: Floor) -> None:
+    scene = scene_of("pose")
+    pose = GlobalStage(prepare(scene, scene.planner)).floor
+    assert floor.value <= pose.value + pose.error
+    assert (floor.value < pose.value - 5.0) == (kind == "position")
+
+
+def test_a_plan_comes_near_it(kind: str, floor: Floor) -> None:
+    planned = plan(scene_of(kind))
+    assert planned.certificate.holds
+    assert planned.gap_to_floor is not None
+    assert planned.gap_to_floor < planned.options.gap_target + 1e-3
+    static = values(prepare(planned.scene, planned.options), planned.trajectory.q)
+    assert static.max() >= floor.value - min(floor.error, 1e-4 * floor.value)
+
+
+@pytest.mark.parametrize("make", [panda_scene, endless_scene])
+@pytest.mark.parametrize("keep", ["pose", "axis"])
+def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator) -> None:
+    scene = make(tmp_path, keep=keep)
+    setting = prepare(scene, scene.planner)
+    floor = GlobalStage(setting).floor
+    q = restarts(setting, floor.via_point, rng)
+    q = q[admissible(setting, q)]
+    assert len(q) > 50
+    assert values(setting, q).min() >= floor.value - floor.error
+    planned = plan(scene)
+    assert planned.certificate.holds
+    assert planned.gap_to_floor is not None
+    assert -1e-3 < planned.gap_to_floor < planned.options.gap_target + 1e-3

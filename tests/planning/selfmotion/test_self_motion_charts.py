@@ -1,0 +1,251 @@
+"""Charts of self-motion: on the task, apart from each other, and complete."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.spatial import cKDTree
+from tests.seven_joint_arms import endless_scene, panda_scene
+
+from cmbot.planning import robot_of, task_of
+from cmbot.planning.path.task import ToolTask
+from cmbot.planning.selfmotion.charts import ChartMaker
+from cmbot.planning.selfmotion.poisson_disk import Crowds, without_neighbours
+from cmbot.planning.selfmotion.projection import null_spaces, project
+from cmbot.planning.torque.objectives import objective_of
+from cmbot.robot import Kinematics, Postures, Robot
+from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.scene.tool_path import ToolPath
+from tests.oracles.inverse_kinematics import postures as closed_form
+
+SPACING = 0.1
+PITCHES = np.linspace(-np.pi, np.pi, 181)
+
+
+def task_at(robot: Robot, q: np.ndarray, keep: str = "pose") -> ToolTask:
+    X_WT = Kinematics(robot).tool_pose(q)
+    path = ToolPath(
+        corners=X_WT.translation + np.array([[0.0, 0, 0], [0, 0, 0.1]]),
+        orientation=X_WT.rotation,
+        seconds=np.ones(1),
+        profile=SpeedProfile(),
+    )
+    return ToolTask(path, keep)
+
+
+def maker_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> ChartMaker:
+    objective = objective_of(robot, PlannerOptions())
+    return ChartMaker(Postures(robot), task, robot.limits, objective, spacing=spacing, seeds=seeds)
+
+
+def distance_on_circle(q: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Distance of each of `others` from the nearest of `q`, angles modulo a turn."""
+    turn = 2 * np.pi
+    return cKDTree(q % turn, boxsize=turn).query(others % turn)[0]
+
+
+def test_the_oracle_holds_the_pose(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    q = rng.uniform(cmbot_robot.limits.lower, cmbot_robot.limits.upper)
+    kinematics = Kinematics(cmbot_robot)
+    X_WT = kinematics.tool_pose(q)
+    found = closed_form(X_WT.translation, X_WT.rotation, np.array([q[1:4].sum()]))
+    assert np.abs(found - q).max(axis=1).min() < 1e-9
+    for each in found:
+        np.testing.assert_allclose(kinematics.tool_pose(each).homogeneous, X_WT.homogeneous, atol=1e-9)
+
+
+def test_charts_are_complete_against_the_closed_form(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    """On 200 random tool poses every posture of the closed form has one of the chart beside it.
+
+    Also those on stubs between two joint limits that are shorter than the spacing: there the chart's posture
+    beside it lies beyond the range.
+    """
+    limits, spacing = cmbot_robot.limits, 0.2
+    total = 0
+    for q in rng.uniform(limits.lower, limits.upper, (200, 7)):
+        task = task_at(cmbot_robot, q)
+        start = task.path.corners[0]
+        chart = maker_for(cmbot_robot, task, spacing, seeds=200).first(start, q[None])
+        oracle = closed_form(start, task.path.orientation, PITCHES)
+        oracle = oracle[((oracle >= limits.lower) & (oracle <= limits.upper)).all(axis=1)]
+        if len(oracle):
+            assert distance_on_circle(chart.q, oracle).max() < 1.5 * spacing
+            total += len(oracle)
+    assert total > 20_000
+
+
+@pytest.mark.parametrize(("keep", "spacing"), [("pose", SPACING), ("axis", 0.5)])
+def test_a_charts_postures_hold_the_task_apart_from_each_other(
+    cmbot_robot: Robot, keep: str, spacing: float
+) -> None:
+    q = np.radians([-10, -90, 90, 0, 10, 50, 0])
+    task = task_at(cmbot_robot, q, keep)
+    chart = maker_for(cmbot_robot, task, spacing).first(task.path.corners[0], q[None])
+    at = Postures(cmbot_robot).at(chart.q)
+    assert np.abs(task.errors(at.tool_point, at.tool_rotation, task.path.corners[0])).max() < 1e-9
+    np.testing.assert_allclose(chart.q[0], q, atol=1e-15)
+    assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * spacing
+    limits = cmbot_robot.limits
+    within = ((chart.q >= limits.lower) & (chart.q <= limits.upper)).all(axis=1)
+    np.testing.assert_array_equal(chart.within, within)
+    np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
+
+
+def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
+    """At every via-point of the triangle, carried there from the first, they are as complete as the first."""
+    limits, scene = cmbot_robot.limits, load_scene("triangle")
+    task = task_of(scene, cmbot_robot)
+    points = task.path.position(task.path.via_times(50))
+    charts = maker_for(cmbot_robot, task, 0.2).along(points, scene.posture[None])
+    assert len(charts) == len(points)
+    for point, chart in zip(points, charts, strict=True):
+        at = Postures(cmbot_robot).at(chart.q)
+        assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
+        assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * 0.2
+        oracle = closed_form(point, task.path.orientation, PITCHES)
+        oracle = oracle[((oracle >= limits.lower) & (oracle <= limits.upper)).all(axis=1)]
+        assert len(oracle) > 100
+        assert distance_on_circle(chart.q, oracle).max() < 1.5 * 0.2
+        np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
+        share = np.abs(at.joint_torque) / limits.torque
+        np.testing.assert_allclose(chart.joint_use, share.max(axis=1))
+
+
+@pytest.mark.parametrize("make", [panda_scene, endless_scene])
+@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+def test_other_arms_charts_are_complete(
+    make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """No posture that random restarts find lies farther than the spacing from the chart."""
+    scene = make(tmp_path, keep=keep)
+    robot = robot_of(scene)
+    task, limits = task_of(scene, robot), robot.limits
+    maker = maker_for(robot, task, 0.15, seeds=200)
+    chart = maker.first(task.path.corners[0], scene.posture[None])
+    lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
+    q, reached = project(
+        Postures(robot), task, rng.uniform(lower, upper, (3000, 7)), task.path.corners[0], 40
+    )
+    endless = np.isinf(limits.lower)
+    q[:, endless] = (q[:, endless] + np.pi) % (2 * np.pi) - np.pi
+    q = q[reached & ((q >= lower) & (q <= upper)).all(axis=1)]
+    assert len(q) > 300
+    assert distance_on_circle(chart.q, q).max() < 1.1 * maker.spacing
+
+
+@pytest.mark.parametrize("count", [1, 2, 6, 7, 8, 14])
+def test_charts_along_any_number_of_points(cmbot_robot: Robot, count: int) -> None:
+    q = np.radians([-10, -90, 90, 0, 10, 50, 0])
+    task = task_at(cmbot_robot, q)
+    points = task.path.corners[0] + np.linspace(0, 0.1, count)[:, None] * [0, 0, 1]
+    charts = maker_for(cmbot_robot, task).along(points, q[None])
+    assert len(charts) == count
+    for point, chart in zip(points, charts, strict=True):
+        at = Postures(cmbot_robot).at(chart.q)
+        assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
+    anew = maker_for(cmbot_robot, task).first(points[-1], charts[-1].q[:1])
+    assert distance_on_circle(charts[-1].q, anew.q).max() < 1.5 * SPACING
+
+
+@given(
+    st.integers(1, 30).flatmap(
+        lambda n: st.tuples(st.just(n), st.lists(st.tuples(*[st.integers(0, n - 1)] * 2)))
+    )
+)
+def test_thinning_goes_from_the_first_to_the_last(case: tuple[int, list[tuple[int, int]]]) -> None:
+    number, drawn = case
+    pairs = [(min(pair), max(pair)) for pair in drawn if pair[0] != pair[1]]
+    keep = np.ones(number, dtype=bool)
+    for first, second in sorted(pairs):
+        if keep[first]:
+            keep[second] = False
+    got = without_neighbours(number, np.array(pairs, dtype=np.intp).reshape(-1, 2))
+    np.testing.assert_array_equal(got, keep)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 4))
+def test_crowds_take_in_what_is_apart(seed: int, number: int, rounds: int) -> None:
+    rng = np.random.default_rng(seed)
+    round_, apart = np.array([True, False]), 0.8
+    crowds = Crowds(number, apart, round_)
+    taken: list[list[np.ndarray]] = [[] for _ in range(number)]
+
+    def distance(a: np.ndarray, b: np.ndarray) -> float:
+        move = a - b
+        move[round_] -= 2 * np.pi * np.round(move[round_] / (2 * np.pi))
+        return float(np.linalg.norm(move))
+
+    def is_far(q: np.ndarray, of: int) -> bool:
+        return all(distance(q, other) >= apart for other in taken[of])
+
+    for _ in range(rounds):
+        of = np.sort(rng.integers(0, number, 12))
+        q = rng.uniform(-4, 4, (12, 2))
+        far = [is_far(each, k) for each, k in zip(q, of, strict=True)]
+        np.testing.assert_array_equal(crowds.far(q, of), far)
+        expected = []
+        for each, k in zip(q, of, strict=True):
+            expected.append(is_far(each, k))
+            if expected[-1]:
+                taken[k].append(each)
+        np.testing.assert_array_equal(crowds.take(q, of), expected)
+    assert crowds.sizes.tolist() == [len(each) for each in taken]
+    for postures, each in zip(crowds.postures, taken, strict=True):
+        np.testing.assert_array_equal(postures, np.reshape(each, (-1, 2)))
+
+
+@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+def test_null_spaces_leave_the_task_alone(cmbot_robot: Robot, keep: str, rng: np.random.Generator) -> None:
+    limits, postures = cmbot_robot.limits, Postures(cmbot_robot)
+    q = rng.uniform(limits.lower, limits.upper, (20, 7))
+    task = task_at(cmbot_robot, q[0], keep)
+    N, at = null_spaces(postures, task, q), postures.at(q)
+    J = task.jacobians(at.tool_rotation, at.jacobian)
+    d = 7 - task.dimension
+    assert N.shape == (20, d, 7)
+    np.testing.assert_allclose(J @ N.transpose(0, 2, 1), 0.0, atol=1e-12)
+    np.testing.assert_allclose(N @ N.transpose(0, 2, 1), np.broadcast_to(np.eye(d), (20, d, d)), atol=1e-12)
+
+
+@pytest.mark.parametrize("make", [None, panda_scene, endless_scene])
+@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+def test_what_is_put_onto_the_task_lies_on_it(
+    make: Callable[..., Scene] | None, keep: str, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    """Also where the last step was so short that nobody looked."""
+    robot = cmbot_robot if make is None else robot_of(make(tmp_path))
+    postures = Postures(robot)
+    q = rng.uniform(-2.0, 2.0, (400, robot.dof))
+    task = task_at(robot, q[0], keep)
+    point = task.path.corners[0]
+    placed = q[0] + rng.normal(size=q.shape) * 10.0 ** rng.uniform(-9, -1, (400, 1))
+    placed, reached = project(postures, task, placed, point)
+    assert reached.sum() > 350
+    at = postures.at(placed[reached])
+    assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-10
+
+
+@pytest.mark.parametrize("make", [None, panda_scene, endless_scene])
+@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+def test_steps_bend_no_more_than_postures_say(
+    make: Callable[..., Scene] | None, keep: str, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
+) -> None:
+    robot = cmbot_robot if make is None else robot_of(make(tmp_path))
+    postures = Postures(robot)
+    q = rng.uniform(-2.0, 2.0, (300, robot.dof))
+    moves = rng.normal(size=q.shape) * (rng.uniform(size=q.shape) < 0.5)
+    moves[np.arange(300), rng.integers(0, robot.dof, 300)] = 1.0
+    moves *= 1e-3 / np.abs(moves).sum(axis=1, keepdims=True)
+    for q_k, move in zip(q, moves, strict=True):
+        task = task_at(robot, q_k, keep)
+        at = postures.at(np.stack([q_k, q_k - move]))
+        error = task.errors(at.tool_point, at.tool_rotation, task.path.corners[0])
+        J = task.jacobians(at.tool_rotation, at.jacobian)[1]
+        left = np.abs(error[1] - J @ move).max()
+        assert left <= postures.bend * np.abs(move).sum() ** 2

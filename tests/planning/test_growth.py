@@ -1,0 +1,258 @@
+"""Everything grows in proportion to the path, and what is done for that changes no answer."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+import growth
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import sparse
+from small_scenes import short_scene
+
+from cmbot.common.errors import SceneError
+from cmbot.common.extras import install_command
+from cmbot.optimization.exchange import optimise
+from cmbot.planning import plan, problem_size
+from cmbot.planning.context import Setting, prepare
+from cmbot.planning.initial_guess import sliding_way
+from cmbot.planning.precheck import examine_scene
+from cmbot.planning.problem_size import MOST_UNKNOWNS, oversized
+from cmbot.planning.selfmotion import charts as self_motion
+from cmbot.planning.selfmotion.dynamic_programming import WayThrough, edges
+from cmbot.planning.selfmotion.global_search import GlobalStage
+from cmbot.planning.selfmotion.graph_layer import ChartNodes
+from cmbot.planning.selfmotion.projection import Leaning, project
+from cmbot.robot import Postures, Robot
+from cmbot.scene import Scene
+from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.scene.tool_path import ToolPath, share_out_segments
+from cmbot.trajectory.local_basis import LocalSplines
+from cmbot.trajectory.spline_space import SplineSpace
+
+# Four times the via-points, and a tenth more for what the ends lack.
+FEW, MANY, RATIO = 50, 200, 4.4
+
+
+@pytest.fixture(scope="module")
+def setting() -> Setting:
+    scene = short_scene()
+    return prepare(scene, replace(scene.planner, knots="sliding"))
+
+
+@pytest.fixture(scope="module")
+def stage(setting: Setting) -> GlobalStage:
+    return GlobalStage(setting)
+
+
+def test_matrices_grow_in_proportion(cmbot_robot: Robot) -> None:
+    def entries(n: int) -> np.ndarray:
+        space = SplineSpace(np.linspace(0.0, 0.4 * n, n))
+        local = LocalSplines(space, cmbot_robot.limits)
+        rows = local.rows(np.linspace(0.0, 0.4 * n, 10 * n))
+        matrices = (space.basis, space.cardinal, space.jerk_gram, local.columns, local.gram)
+        assert all(sparse.issparse(matrix) for matrix in matrices)
+        return np.array([*(matrix.nnz for matrix in matrices), rows.weight.size])
+
+    assert (entries(MANY) <= RATIO * entries(FEW)).all()
+
+
+def test_edges_grow_in_proportion_and_are_all_there_are(stage: GlobalStage) -> None:
+    """Of postures that are not known to be inadmissible: the others lead nowhere."""
+
+    def pairs(reachable: np.ndarray, before: np.ndarray, after: np.ndarray) -> set[tuple[int, int]]:
+        return {(int(i), int(j)) for j, i in np.argwhere(reachable.T & before & after[:, None])}
+
+    for a, b, step, found in zip(stage._nodes, stage._nodes[1:], stage._steps, stage._edges, strict=False):
+        reachable = (np.abs(a.chart.q[:, None] - b.chart.q) <= step).all(axis=2)
+        got = set(zip(found.before.tolist(), found.after.tolist(), strict=True))
+        assert len(got) == len(found.before)
+        # Some may have turned out to be too near since.
+        assert pairs(reachable, a.admissible, b.admissible) <= got
+        might_do = ((node.chart.within & (node.chart.joint_use <= 1.0)) for node in (a, b))
+        assert got <= pairs(reachable, *might_do)
+        # A chart is a curve: a posture has a few neighbours, however long the curve is.
+        assert len(found.before) < 20 * len(a.chart.q)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 30), st.integers(0, 30))
+def test_edges_go_round_where_joints_do(seed: int, some: int, others: int) -> None:
+    rng = np.random.default_rng(seed)
+    endless = np.array([True, False, True])
+    q_a, q_b = rng.uniform(-10, 10, (some, 3)), rng.uniform(-10, 10, (others, 3))
+    step = rng.uniform(0.5, 4.0, 3)
+    moves = q_a[:, None] - q_b
+    moves[..., endless] -= 2 * np.pi * np.round(moves[..., endless] / (2 * np.pi))
+    expected = np.argwhere((np.abs(moves) <= step).all(axis=2).T)
+    found = edges(q_a, q_b, step, endless)
+    np.testing.assert_array_equal(np.stack([found.after, found.before], axis=1), expected)
+    length = ((moves[found.before, found.after] / step) ** 2).sum(axis=1)
+    np.testing.assert_allclose(found.length, length, rtol=1e-12, atol=1e-12)
+    cost = rng.integers(0, 5, len(found.before)).astype(float)
+    least, which = found.smallest(cost)
+    np.testing.assert_array_equal(found.least(cost), least)
+    for k in range(others):
+        mine = np.flatnonzero(found.after == k)
+        assert least[k] == cost[mine].min(initial=np.inf)
+        if len(mine):
+            assert which[k] == mine[cost[mine].argmin()]
+
+
+@pytest.mark.parametrize("every", [1, 2, 3])
+def test_the_best_way_is_the_same_when_all_clearances_are_looked_at(every: int) -> None:
+    """Near a post many postures of the best ways come too near, so several rounds are needed."""
+    post = {"name": "post", "box": [0.1, 0.1, 1.5], "xyz": [1.25, 0.75, -1.8]}
+    scene = short_scene(obstacles=[post])
+    setting = prepare(scene, replace(scene.planner, knots="sliding"))
+    stage = GlobalStage(setting)
+    starts = np.arange(len(stage._pinned)) % every == 0
+
+    def way(nodes: list[ChartNodes]) -> list[int]:
+        return WayThrough(setting, nodes, stage._edges, starts).best()
+
+    lazily = way(stage._nodes)
+    eagerly = [
+        ChartNodes(node.chart, setting.clearances, setting.options.safety_margin_m) for node in stage._nodes
+    ]
+    for node in eagerly:
+        node.look(node.admissible)
+    assert any(node.too_near.any() for node in eagerly)
+    assert lazily == way(eagerly)
+
+
+def test_charts_evaluated_one_by_one_are_the_same(
+    stage: GlobalStage, setting: Setting, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    each = [node.chart.q for node in stage._nodes]
+    monkeypatch.setattr(self_motion, "_TOGETHER", 1)
+    again = self_motion.charts_of(Postures(setting.robot), setting.robot.limits, setting.objective, each)
+    for node, chart in zip(stage._nodes, again, strict=True):
+        np.testing.assert_allclose(chart.value, node.chart.value, rtol=1e-13)
+        np.testing.assert_allclose(chart.joint_use, node.chart.joint_use, rtol=1e-11, atol=1e-12)
+
+
+def test_leaning_is_what_a_projection_does_first(stage: GlobalStage, setting: Setting) -> None:
+    postures, task = Postures(setting.robot), setting.task
+    points = task.path.position(setting.times)
+    q = stage._nodes[0].chart.q
+    leaning = Leaning.of(postures, task, q, points[0])
+    first, _ = project(postures, task, q, points[1], steps=1)
+    np.testing.assert_allclose(leaning.towards(points[1]), first, atol=1e-8)
+
+
+def test_longer_paths_do_not_take_many_more_steps() -> None:
+    pytest.importorskip("piqp")
+
+    def iterations(via_points: int) -> int:
+        scene = growth.sweep(via_points)
+        optimised = optimise(sliding_way(prepare(scene, scene.planner)).problem)
+        return sum(report.iterations for report in optimised.passes)
+
+    assert iterations(150) <= 2 * iterations(50) + 5
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(0, 1500))
+def test_nearest_legs_are_found_among_few(seed: int, legs: int, points: int) -> None:
+    rng = np.random.default_rng(seed)
+    path = ToolPath(
+        corners=np.cumsum(rng.normal(size=(legs + 1, 3)) * rng.choice([0, 0.1, 2], (legs + 1, 1)), axis=0),
+        orientation=np.eye(3),
+        seconds=np.ones(legs),
+        profile=SpeedProfile(),
+    )
+    p = np.cumsum(rng.normal(size=(points, 3)) * 0.02, axis=0)
+    every = [np.linalg.norm(path._offset_from(np.full(points, leg), p), axis=1) for leg in range(legs)]
+    np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), np.min(every, axis=0), atol=1e-12)
+
+
+@given(st.lists(st.integers(0, 4), min_size=2, max_size=30), st.integers(0, 2**32 - 1))
+def test_strokes_to_and_fro_are_one_leg(corners: list[int], seed: int) -> None:
+    """Corners that adding up steps has put a rounding aside are the same."""
+    rng = np.random.default_rng(seed)
+    places = rng.normal(size=(5, 3))
+    path = ToolPath(
+        corners=places[corners] + rng.uniform(-1e-15, 1e-15, (len(corners), 3)),
+        orientation=np.eye(3),
+        seconds=np.ones(len(corners) - 1),
+        profile=SpeedProfile(),
+    )
+    assert len(path._different) <= len({frozenset(pair) for pair in pairwise(corners)}) + 2
+    p = rng.normal(size=(40, 3))
+    every = [path._offset_from(np.full(40, leg), p) for leg in range(len(corners) - 1)]
+    nearest = np.linalg.norm(every, axis=2).min(axis=0)
+    np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), nearest, atol=1e-12)
+
+
+@given(st.lists(st.floats(0.1, 20), min_size=1, max_size=12), st.integers(0, 60))
+def test_segments_go_to_the_leg_whose_are_longest(seconds: list[float], more: int) -> None:
+    shares = [1] * len(seconds)
+    for _ in range(more):
+        shares[int(np.argmax([s / (n + 1) for s, n in zip(seconds, shares, strict=True)]))] += 1
+    assert share_out_segments(seconds, len(seconds) + more) == shares
+
+
+def large(via_points: int, **options: object) -> Scene:
+    scene = growth.sweep(via_points)
+    return replace(scene, planner=replace(scene.planner, **options))
+
+
+def test_slsqp_refuses_what_would_take_it_hours() -> None:
+    scene = large(2000, solver="slsqp")
+    with pytest.raises(
+        SceneError, match=r"via_points: got 2000 with solver: slsqp.* at most 378, .*solver: sqp"
+    ):
+        plan(scene)
+    assert [found.key for found in examine_scene(scene).warnings] == ["tool_path.via_points"]
+
+
+def test_how_many_via_points_are_too_many_for_slsqp() -> None:
+    for knots, most in (("sliding", 378), ("fixed", 432)):
+        assert (
+            oversized(
+                large(most, solver="slsqp", knots=knots),
+                7,
+                replace(large(50).planner, solver="slsqp", knots=knots),
+            )
+            is None
+        )
+        too_many = large(most + 1, solver="slsqp", knots=knots)
+        found = oversized(too_many, 7, too_many.planner)
+        assert found is not None
+        assert f"at most {most}," in found.expected
+    assert MOST_UNKNOWNS == 3000
+
+
+def test_without_the_sparse_solver_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(problem_size, "solver_of", lambda _: "slsqp")
+    monkeypatch.setattr(problem_size.importlib.util, "find_spec", lambda _: None)
+    scene = large(1000, solver="auto")
+    found = oversized(scene, 7, scene.planner)
+    assert found is not None
+    assert install_command("fast") in found.expected
+
+
+def test_the_sparse_solver_takes_long_paths() -> None:
+    pytest.importorskip("piqp")
+    scene = large(2000, solver="sqp")
+    assert oversized(scene, 7, scene.planner) is None
+
+
+def test_costs_are_tabled_with_their_exponents() -> None:
+    some = growth.Costs(
+        via_points=50,
+        path=20,
+        global_stage=1,
+        optimisation=2,
+        certificate=3,
+        memory=100,
+        iterations=5,
+        peak=380,
+    )
+    more = replace(some, via_points=200, optimisation=8, memory=100, global_stage=16)
+    assert growth.exponent(some, more, "optimisation") == pytest.approx(1.0)
+    assert growth.exponent(some, more, "global_stage") == pytest.approx(2.0)
+    assert growth.table_of([some, more]).row_count == 3
+    assert growth.peak_memory() > 10

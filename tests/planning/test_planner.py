@@ -1,0 +1,239 @@
+"""Plans from scene to certificate: the paper's two, variants of a short one, another arm."""
+
+from __future__ import annotations
+
+import sysconfig
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+from cmbot.common.errors import InputError, LimitViolation, OptimisationFailed, PathNotFound, SceneError
+from cmbot.planning import Plan, Progress, plan, planner
+from cmbot.robot import Kinematics
+from cmbot.scene import load_scene
+
+PANDA = Path(
+    sysconfig.get_path("purelib"),
+    "cmeel.prefix/share/example-robot-data/robots/panda_description/urdf/panda.urdf",
+)
+PANDA_LIMITS = "format: cmbot-joint-limits/1\njoints:\n" + "".join(
+    f"  panda_joint{i}: {{acceleration_deg: 400, jerk_deg: 4000}}\n" for i in range(1, 8)
+)
+
+
+def check_promises(planned: Plan) -> None:
+    """What every plan must be, whatever the scene."""
+    assert planned.certificate.holds
+    use = planned.figures.limit_use
+    assert max(use.velocity, use.acceleration, use.jerk, use.torque) <= 1
+    assert planned.figures.min_clearance >= planned.options.safety_margin_m
+    assert planned.figures.max_tool_deviation <= planned.options.max_tool_deviation_m
+    trajectory, task, kinematics = planned.trajectory, planned.task, Kinematics(planned.robot)
+    assert len(trajectory.t) == planned.scene.via_points
+    assert trajectory.duration == pytest.approx(sum(leg.seconds for leg in planned.scene.legs))
+    for q, point in zip(trajectory.q, task.path.position(trajectory.t), strict=True):
+        assert np.abs(task.error(kinematics.tool_pose(q), point)).max() < 1e-9
+    # Sampled again at other times, apart from the certificate.
+    samples = planned.samples
+    assert samples.t[-1] == pytest.approx(trajectory.duration)
+    limits = planned.robot.limits
+    for value, bound in (
+        (samples.v, limits.velocity),
+        (samples.a, limits.acceleration),
+        (samples.j, limits.jerk),
+        (samples.joint_torque, limits.torque),
+    ):
+        assert (np.abs(value) <= bound).all()
+    assert (samples.q >= limits.lower).all()
+    assert (samples.q <= limits.upper).all()
+
+
+def test_what_is_no_scene_is_refused() -> None:
+    with pytest.raises(InputError, match=r"cmbot\.load_scene"):
+        plan("triangle")  # type: ignore[arg-type]
+
+
+def test_triangle_with_fixed_knots(fixed_triangle_plan: Plan) -> None:
+    """They gain nothing: the peak is the weight in the posture at the start, where every motion rests."""
+    check_promises(fixed_triangle_plan)
+    baseline, planned = fixed_triangle_plan.baseline_figures, fixed_triangle_plan.figures
+    assert baseline.peak_static_guardrail_torque == pytest.approx(486.41, abs=0.01)
+    assert planned.peak_static_guardrail_torque == pytest.approx(486.41, abs=0.01)
+    assert planned.peak_guardrail_torque == pytest.approx(486.41, abs=0.01)
+    assert fixed_triangle_plan.peak_static_reduction == pytest.approx(0, abs=1e-5)
+    assert baseline.mean_guardrail_torque == pytest.approx(407, abs=2)
+    assert fixed_triangle_plan.start.moved == 0
+    assert fixed_triangle_plan.drift < 1e-4
+    assert 0.1 < fixed_triangle_plan.smallest_singular_value < 1
+
+
+def test_line_with_fixed_knots(fixed_line_plan: Plan) -> None:
+    """It has to start elsewhere, which also lowers the torque."""
+    check_promises(fixed_line_plan)
+    assert fixed_line_plan.baseline_figures.peak_static_guardrail_torque == pytest.approx(577.6, abs=0.1)
+    assert fixed_line_plan.peak_static_reduction > 0.1
+    assert fixed_line_plan.start.moved > 0
+
+
+def test_triangle_with_sliding_knots(triangle_plan: Plan) -> None:
+    """The gain is the posture's; gravity's part hardly undercuts the floor."""
+    check_promises(triangle_plan)
+    assert triangle_plan.options.knots == "sliding"
+    baseline, planned = triangle_plan.baseline_figures, triangle_plan.figures
+    assert baseline.peak_static_guardrail_torque == pytest.approx(486.41, abs=0.01)
+    assert planned.peak_static_guardrail_torque == pytest.approx(383.8, rel=0.01)
+    assert triangle_plan.peak_static_reduction == pytest.approx(0.211, abs=0.01)
+
+
+def test_seconds_add_up(fixed_triangle_plan: Plan) -> None:
+    seconds = fixed_triangle_plan.seconds
+    laps = seconds.path + seconds.optimise + seconds.certify
+    assert min(seconds.path, seconds.optimise, seconds.certify) > 0
+    assert laps == pytest.approx(seconds.total, rel=0.05)
+
+
+def test_two_runs_are_one() -> None:
+    """Not a bit of difference, although the second run finds warm memories."""
+    scene = short_scene()
+    first, second = plan(scene), plan(scene)
+    for name in "tqva":
+        np.testing.assert_array_equal(getattr(first.trajectory, name), getattr(second.trajectory, name))
+    assert first.certificate == second.certificate
+    assert first.passes == second.passes
+    for name in ("q", "v", "guardrail_torque", "clearance"):
+        np.testing.assert_array_equal(getattr(first.baseline, name), getattr(second.baseline, name))
+
+
+def test_progress() -> None:
+    told: list[Progress] = []
+    planned = plan(short_scene(), progress=told.append)
+    stages = [report.stage for report in told]
+    assert stages[0] == "path"
+    assert stages[-1] == "certify"
+    assert stages == sorted(stages, key=["path", "optimise", "certify"].index)
+    assert tuple(report.report for report in told if report.report) == planned.passes
+
+
+def test_options_in_place_of_the_scenes() -> None:
+    scene = short_scene()
+    wide = plan(scene, options=replace(scene.planner, max_tool_deviation_m=0.004))
+    assert wide.options.max_tool_deviation_m == 0.004
+    assert scene.planner.max_tool_deviation_m == 0.001
+    assert {c.quantity: c.bound for c in wide.certificate.checks}["tool deviation"] == 0.004
+
+
+UP_AND_ASIDE = [{"by": [0, -0.2, 0], "seconds": 3}, {"by": [-0.15, 0, 0.05], "seconds": 3}]
+VARIANTS: dict[str, dict[str, Any]] = {
+    "keep axis": {"tool_path": {"keep": "axis"}},
+    "keep position": {"tool_path": {"keep": "position"}},
+    "jerk limited": {"tool_path": {"speed_profile": {"kind": "jerk_limited", "ramp": 0.4}}},
+    "payload": {"robot": {"payload_kg": 5.0}},
+    "tool length": {"robot": {"tool_length_m": 0.4}},
+    "fewest via-points": {"tool_path": {"via_points": 5, "legs": [{"by": [0, -0.1, 0], "seconds": 4}]}},
+    "many via-points": {"tool_path": {"via_points": 31, "legs": [{"by": [0, -0.3, 0], "seconds": 9}]}},
+    "two legs": {"tool_path": {"legs": UP_AND_ASIDE, "via_points": 14}},
+    "switch": {"planner": {"avoidance": "switch"}},
+    "centre of gravity": {"planner": {"centre_of_gravity_weight": 0.1}},
+    "no guardrail to hit": {"guardrail": {"bays": 0}},
+    "little smoothing": {"planner": {"smoothing_weight": 1e-5}},
+    "coarse samples": {"planner": {"samples_per_segment": 20}},
+    "sliding knots": {"planner": {"knots": "sliding"}},
+    "sliding knots, pinned start": {"planner": {"knots": "sliding", "start": "pinned"}},
+    "an obstacle near by": {
+        "obstacles": [{"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.5, -2.06]}]
+    },
+}
+
+
+@pytest.mark.parametrize("changes", VARIANTS.values(), ids=VARIANTS.keys())
+def test_variants(changes: dict[str, Any]) -> None:
+    check_promises(plan(short_scene(**changes)))
+
+
+def test_payload_adds_its_weight() -> None:
+    empty, loaded = (plan(short_scene(robot={"payload_kg": mass})) for mass in (0.0, 5.0))
+    at = (empty.trajectory.q[0], loaded.trajectory.q[0])
+    np.testing.assert_array_equal(*at)
+    point = Kinematics(empty.robot).tool_pose(at[0]).translation
+    more = loaded.samples.guardrail_torque[0] - empty.samples.guardrail_torque[0]
+    np.testing.assert_allclose(more, np.cross(point, [0, 0, -5 * 9.81]), rtol=0, atol=1e-6)
+
+
+def test_too_fast_to_plan() -> None:
+    scene = short_scene(tool_path={"legs": [{"by": [0, -0.3, 0], "seconds": 1}]})
+    with pytest.raises(OptimisationFailed, match="give the legs more seconds"):
+        plan(scene)
+
+
+def test_in_the_way_of_every_start() -> None:
+    wall = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
+    scene = short_scene(obstacles=[wall], planner={"other_starts": 1, "path_step_s": 0.05})
+    with pytest.raises(PathNotFound, match="1 other starting posture fails as well"):
+        plan(scene)
+
+
+def test_what_does_not_hold_is_no_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The certificate has the last word: an optimiser that cheats is caught."""
+    honest = planner.optimise
+
+    def cheating(*arguments: Any) -> Any:
+        optimised = honest(*arguments)
+        a = optimised.trajectory.a.copy()
+        a[3] += 1e-3
+        return replace(optimised, trajectory=replace(optimised.trajectory, a=a))
+
+    monkeypatch.setattr(planner, "optimise", cheating)
+    with pytest.raises(LimitViolation, match="jump of a joint's"):
+        plan(short_scene())
+
+
+@pytest.mark.parametrize(
+    ("posture", "message"),
+    [
+        ([0, 0, 0], r"posture_deg: got \[0.0, 0.0, 0.0\], expected 7 finite joint angles"),
+        ([-10, -90, 170, 0, 10, 50, 0], r"posture_deg\[2\]: got 170 deg, expected joint_3 within its range"),
+    ],
+)
+def test_posture_that_does_not_fit(posture: list[float], message: str) -> None:
+    with pytest.raises(SceneError, match=message):
+        plan(short_scene(posture_deg=posture))
+
+
+@pytest.fixture
+def panda_scene(tmp_path: Path) -> dict[str, Any]:
+    """A Panda upside down below the walkway, on a slanted mount."""
+    (tmp_path / "limits.yaml").write_text(PANDA_LIMITS, encoding="utf-8")
+    return {
+        "format": "cmbot-scene/1",
+        "name": "panda",
+        "robot": {
+            "model": str(PANDA),
+            "base_frame": "panda_link0",
+            "tool_frame": "panda_hand_tcp",
+            "limits": str(tmp_path / "limits.yaml"),
+            "mount": {"xyz": [0.2, 0.4, -0.3], "rpy_deg": [170, 10, 30]},
+        },
+        "posture_deg": [0, -45, 0, -135, 0, 90, 45],
+        "tool_path": {"legs": [{"by": [0.05, 0.1, 0.1], "seconds": 4}], "via_points": 8},
+        "guardrail": {"bays": 0},
+        "planner": {"knots": "fixed", "path_step_s": 0.02},
+    }
+
+
+def test_another_arm(panda_scene: dict[str, Any]) -> None:
+    planned = plan(load_scene(panda_scene))
+    check_promises(planned)
+    assert planned.robot.joints == tuple(f"panda_joint{i}" for i in range(1, 8))
+    assert planned.start.moved == 0
+    step = planned.samples.tool_point[-1] - planned.samples.tool_point[0]
+    np.testing.assert_allclose(step, [0.05, 0.1, 0.1], rtol=0, atol=1e-9)
+
+
+def test_another_arm_with_a_wrong_frame(panda_scene: dict[str, Any]) -> None:
+    panda_scene["robot"]["tool_frame"] = "panda_thumb"
+    with pytest.raises(SceneError, match=r"robot\.tool_frame: got 'panda_thumb', expected a link"):
+        plan(load_scene(panda_scene))

@@ -1,0 +1,132 @@
+"""The sentences beside a plan's figures: grammar, and what they say of unusual plans."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from cmbot.common.errors import PathNotFound
+from cmbot.common.validation import counted
+from cmbot.planning import Plan, Start, remarks
+from cmbot.planning.initial_guess import Choice
+
+
+@pytest.mark.parametrize(
+    ("number", "words"), [(0, "0 passes"), (1, "1 pass"), (2, "2 passes"), (21, "21 passes")]
+)
+def test_counted(number: int, words: str) -> None:
+    assert counted(number, "pass", "passes") == words
+    assert counted(number, "row") == words.replace("pass", "row").replace("rowes", "rows")
+
+
+def line(plan: Plan, beginning: str) -> str:
+    (found,) = (remark for remark in remarks(plan) if remark.startswith(beginning))
+    return found
+
+
+@pytest.mark.parametrize(("number", "passes"), [(1, "(1 pass)"), (2, "(2 passes)")])
+def test_passes_are_counted(short_plan: Plan, number: int, passes: str) -> None:
+    plan = replace(short_plan, passes=number * short_plan.passes[:1])
+    assert passes in line(plan, "Time: ")
+
+
+def test_checks_are_counted(short_plan: Plan) -> None:
+    assert line(short_plan, "Certified: ").startswith("Certified: 9 checks hold, worked out again ")
+    certificate = replace(short_plan.certificate, checks=short_plan.certificate.checks[:1])
+    one = replace(short_plan, certificate=certificate)
+    assert line(one, "Certified: ").startswith("Certified: 1 check holds, worked out again ")
+
+
+@pytest.mark.parametrize(
+    ("failures", "words"), [(1, "Another one with"), (3, "The last of 3 others tried with")]
+)
+def test_other_starts_are_counted(short_plan: Plan, failures: int, words: str) -> None:
+    failure = PathNotFound("in the way", time=1.0, progress=0.5, smallest_singular_value=0.3)
+    start = Start(posture=short_plan.start.posture, moved=0.1, failures=failures * (failure,))
+    said = line(replace(short_plan, start=start), "Starts elsewhere: ")
+    assert said.startswith(f"Starts elsewhere: from the scene's posture, in the way. {words} the same tool")
+
+
+def test_a_plan_that_gains_nothing_says_so(short_plan: Plan, triangle_plan: Plan) -> None:
+    said = [" ".join(remarks(each)) for each in (short_plan, triangle_plan)]
+    assert "Hardly anything is gained at the peak" in said[0]
+    assert "Hardly anything" not in said[1]
+
+
+def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
+    said = " ".join(remarks(triangle_plan))
+    assert triangle_plan.quieting is not None
+    assert "the 2 slowest vibrations of guardrail and links are brought to rest" in said
+    assert f"{1e3 * triangle_plan.quieting.before:.4f} mm" in said
+    given_up = replace(triangle_plan, quieting=replace(triangle_plan.quieting, shares=(0.0, 0.0)))
+    assert "could not be brought to rest" in " ".join(remarks(given_up))
+    one = replace(triangle_plan, quieting=replace(triangle_plan.quieting, modes=1))
+    assert "the slowest vibration of guardrail and links is brought to rest" in " ".join(remarks(one))
+
+
+@pytest.mark.parametrize(
+    ("shares", "words"),
+    [
+        ((1.0, 1.0, 1.0), "are brought to rest at the ends of the legs, by how"),
+        ((0.5, 0.75), "are in part brought to rest at the ends of the legs, by how"),
+        ((1.0, 0.5), "are brought to rest at the ends of 1 of the 2 legs, in part at those of 1, by how"),
+        ((1.0, 1.0, 0.0), "rest at the ends of 2 of the 3 legs, and at those of 1 not, where no change"),
+        ((0.5, 0.0), "are in part brought to rest at the ends of 1 of the 2 legs, and at those of 1 not"),
+        ((1.0, 0.5, 0.0), "at the ends of 1 of the 3 legs, in part at those of 1, and at those of 1 not"),
+    ],
+)
+def test_one_leg_that_cannot_be_quieted_does_not_hide_the_others(
+    triangle_plan: Plan, shares: tuple[float, ...], words: str
+) -> None:
+    assert triangle_plan.quieting is not None
+    quieting = replace(triangle_plan.quieting, shares=shares)
+    assert words in line(replace(triangle_plan, quieting=quieting), "Quieting: ")
+    assert quieting.share == pytest.approx(sum(shares) / len(shares))
+
+
+def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Plan) -> None:
+    assert triangle_plan.floor is not None
+    at = triangle_plan.floor.via_point + 1
+    assert f"at via-point {at} of the 50 that the motion passes through, no posture asks less" in line(
+        triangle_plan, "Floor: "
+    )
+    approach = line(triangle_plan, "Approach: ")
+    assert approach.startswith("Approach: before the work the arm goes there from the scene's posture, in ")
+    assert approach.endswith("All other figures are of the work alone.")
+    assert line(triangle_plan, "Against the baseline, the paper's motion without optimisation: ")
+    pinned = "Started in the scene's posture (start: pinned), "
+    assert "the way through the charts has a peak at rest of " in line(triangle_plan, pinned)
+    none = replace(triangle_plan, choice=Choice(free=400.0, pinned=None))
+    assert "no way through the charts of postures was found" in line(none, pinned)
+
+
+def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) -> None:
+    objective = replace(triangle_plan.objective, planned_peak=1.1 * triangle_plan.objective.baseline_peak)
+    said = line(replace(triangle_plan, objective=objective), "The peak is 10.00 % higher than the baseline's")
+    assert "Hardly" not in said
+
+
+def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan: Plan) -> None:
+    assert "The approach asks more" not in " ".join(remarks(triangle_plan))
+    approach = triangle_plan.approach
+    assert approach is not None
+    figures = replace(approach.certificate.figures, peak_guardrail_torque=600.0)
+    hard = replace(approach, certificate=replace(approach.certificate, figures=figures))
+    said = line(replace(triangle_plan, approach=hard), "The approach asks more of the guardrail")
+    assert "start: pinned" in said
+
+
+def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> None:
+    assert triangle_plan.floor is not None
+    floor = replace(triangle_plan.floor, error=0.3 * triangle_plan.floor.value)
+    said = line(replace(triangle_plan, floor=floor), "Floor, not settled: ")
+    assert f"the search was given up with {floor.error:.3f} Nm open" in said
+    assert "no admissible plan" not in said
+
+
+def test_a_plan_that_gravity_has_no_part_in_says_so(triangle_plan: Plan) -> None:
+    assert "Gravity has no part" not in " ".join(remarks(triangle_plan))
+    objective = replace(triangle_plan.objective, axis_weights=(0.0, 0.0, 1.0), floor=0.0)
+    said = line(replace(triangle_plan, objective=objective), "Gravity has no part in what was made small")
+    assert "axis_weights with x or y above 0" in said

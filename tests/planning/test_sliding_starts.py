@@ -1,0 +1,88 @@
+"""Where sliding knots start: in the scene's posture as long as that leads on, or is as good as another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scenes import parts, short_scene
+
+from cmbot.common.errors import PathNotFound
+from cmbot.planning import GlobalStage, plan, remarks
+from cmbot.planning.context import prepare
+
+# Beside the elbow: from the scene's posture the arm cannot get past it, from another it can.
+BALL = {"name": "ball", "sphere": 0.0555, "xyz": [0.95, 0.52, -1.0]}
+PINNED = {"knots": "sliding", "start": "pinned"}
+
+
+def test_a_pinned_start_that_leads_nowhere_is_left_for_the_nearest_that_does() -> None:
+    scene = short_scene(obstacles=[BALL], planner=PINNED)
+    planned = plan(scene)
+    assert planned.certificate.holds
+    first = planned.start.failures[0]
+    assert "blocked" in first.reason
+    assert 0 < first.progress < 1
+    assert 0.01 < planned.start.moved < 0.3
+    np.testing.assert_allclose(planned.trajectory.q[0], planned.start.posture, rtol=0, atol=1e-9)
+    assert planned.choice is not None
+    assert planned.choice.pinned is None
+    # It gets there by a certified approach, and says so.
+    assert planned.approach is not None
+    np.testing.assert_allclose(planned.approach.trajectory.q[0], scene.posture, rtol=0, atol=1e-12)
+    said = " ".join(remarks(planned))
+    assert "Starts elsewhere" in said
+    assert first.reason in said
+
+
+@pytest.mark.parametrize(("tries", "words"), [(0, ""), (1, "; 1 other starting posture fails as well")])
+def test_a_pinned_start_with_few_others_to_try(tries: int, words: str) -> None:
+    scene = short_scene(obstacles=[BALL], planner={**PINNED, "other_starts": tries})
+    with pytest.raises(PathNotFound) as caught:
+        plan(scene)
+    assert "blocked" in str(caught.value)
+    assert words in str(caught.value)
+    assert ("other starting" in str(caught.value)) == (tries > 0)
+
+
+@pytest.mark.parametrize("start", ["free", "pinned"])
+@pytest.mark.parametrize(
+    ("gap", "words"),
+    [(-0.01, "tool reaches 0.0100 m into block"), (0.01, "tool comes within 0.0100 m of block")],
+)
+def test_a_scenes_posture_that_is_not_clear_is_named(start: str, gap: float, words: str) -> None:
+    """The tool is a cylinder of radius 0.04 m."""
+    at = parts(short_scene())[1].path.corners[0] + np.array([0, 0.05 + 0.04 + gap, 0])
+    block = {"name": "block", "box": [0.1, 0.1, 0.1], "xyz": at.tolist()}
+    with pytest.raises(
+        PathNotFound, match=rf"in the scene's posture {words}, the safety margin is"
+    ) as caught:
+        plan(short_scene(obstacles=[block], planner={"knots": "sliding", "start": start}))
+    assert caught.value.pair == ("tool", "block")
+    assert caught.value.progress == 0
+
+
+def test_a_free_start_stays_where_nothing_is_gained_by_leaving() -> None:
+    """With a large enough gap target, the scene's posture is good enough."""
+    scene = short_scene(planner={"knots": "sliding"})
+    moved = plan(scene)
+    assert moved.start.moved > 0
+    assert moved.choice is not None
+    assert moved.choice.free is not None
+    assert moved.choice.pinned is not None
+    gain = moved.choice.pinned / moved.choice.free - 1
+    stays = plan(scene, options=replace(scene.planner, gap_target=1.01 * gain))
+    assert stays.start.moved == 0
+    assert stays.approach is None
+    leaves = plan(scene, options=replace(scene.planner, gap_target=0.99 * gain))
+    assert leaves.start.moved > 0
+
+
+def test_a_pinned_start_that_is_not_admissible_is_what_is_named() -> None:
+    scene = short_scene(obstacles=[{**BALL, "sphere": 0.1}], planner=PINNED)
+    stage = GlobalStage(prepare(scene, scene.planner))
+    assert stage.solve(pinned=False).peak > 0
+    with pytest.raises(PathNotFound, match="via-point 1 of 8 is blocked: the posture to start in") as caught:
+        stage.solve(pinned=True)
+    assert caught.value.progress == 0

@@ -1,0 +1,132 @@
+"""Long paths: parted where legs meet, each part a problem of its own, together one smooth trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+from cmbot.common.errors import OptimisationFailed
+from cmbot.optimization import exchange as optimiser
+from cmbot.optimization.exchange import PassReport, optimise
+from cmbot.planning import Progress, plan
+from cmbot.planning.context import Setting, prepare
+from cmbot.planning.initial_guess import Way, fixed_way, sliding_way
+from cmbot.planning.torque import decomposition as stretches
+from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.verification.certificate import certify
+from cmbot.trajectory.quintic import QuinticTrajectory
+
+LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]
+
+
+def way_of(knots: str, **planner: object) -> tuple[Setting, Way]:
+    scene = short_scene(
+        tool_path={"legs": LEGS, "via_points": 33},
+        planner={"solver": "sqp", "knots": knots, "quiet_modes": 0, **planner},
+    )
+    setting = prepare(scene, scene.planner)
+    return setting, sliding_way(setting) if knots == "sliding" else fixed_way(setting, lambda _: None)
+
+
+@pytest.fixture(autouse=True)
+def short_ones_are_long(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(stretches, "LONGEST_WHOLE", 20)
+    monkeypatch.setattr(stretches, "_LEAST", 6)
+    monkeypatch.setattr(stretches, "_MOST", 12)
+    yield
+
+
+@pytest.fixture(scope="module", params=["sliding", "fixed"])
+def way(request: pytest.FixtureRequest) -> tuple[Setting, Way]:
+    return way_of(request.param)
+
+
+def test_stretches_end_where_legs_meet(way: tuple[Setting, Way]) -> None:
+    setting, problem = way[0], way[1].problem
+    parts = stretches.stretches(problem)
+    assert parts[0][0] == 0 and parts[-1][1] == 32
+    assert all(end == start for (_, end), (start, _) in pairwise(parts))
+    assert len(parts) == 4
+    inner = [setting.times[end] for _, end in parts[:-1]]
+    assert np.isin(np.round(inner, 9), np.round(setting.task.path.leg_times, 9)).all()
+
+
+def test_short_paths_are_one_stretch(way: tuple[Setting, Way], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(stretches, "LONGEST_WHOLE", 33)
+    assert stretches.stretches(way[1].problem) == [(0, 32)]
+
+
+def test_a_leg_without_corners_is_one_stretch() -> None:
+    scene = short_scene(
+        tool_path={"legs": [{"by": [0, -0.2, 0], "seconds": 12.0}], "via_points": 33},
+        planner={"solver": "sqp", "knots": "fixed"},
+    )
+    setting = prepare(scene, scene.planner)
+    assert stretches.stretches(fixed_way(setting, lambda _: None).problem) == [(0, 32)]
+
+
+def test_what_is_joined_is_smooth_certified_and_counted_through(way: tuple[Setting, Way]) -> None:
+    setting, problem = way[0], way[1].problem
+    told: list[PassReport] = []
+    found = optimise(problem, told.append)
+    assert [report.number for report in told] == list(range(1, len(told) + 1))
+    assert found.passes == tuple(told)
+    np.testing.assert_array_equal(found.trajectory.t, problem.space.t)
+    np.testing.assert_allclose(found.trajectory.q, found.via_points, rtol=0, atol=1e-12)
+    ends = [end for _, end in stretches.stretches(problem)[:-1]]
+    assert not found.trajectory.v[ends].any() and not found.trajectory.a[ends].any()
+    # Position, velocity, acceleration and jerk are continuous at every inner knot.
+    jerk = found.trajectory.evaluate(problem.space.t[1:-1], 3)
+    before = found.trajectory.evaluate(problem.space.t[1:-1] - 1e-9, 3)
+    np.testing.assert_allclose(before, jerk, rtol=0, atol=1e-6 * setting.robot.limits.jerk.max())
+    certificate = certify(
+        setting.robot, setting.task, found.trajectory, found.via_points, setting.clearances, setting.options
+    )
+    certificate.require()
+
+
+def test_the_peak_is_that_of_the_path_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, way = way_of("sliding")
+    parted = optimise(way.problem)
+    monkeypatch.setattr(stretches, "LONGEST_WHOLE", 33)
+    whole = optimise(way.problem)
+    peaks = [peak_of(way.problem, each.trajectory) for each in (parted, whole)]
+    assert peaks[0] <= peaks[1] * (1 + 1e-3)
+
+
+def test_passes_left_are_those_of_all_stretches() -> None:
+    scene = short_scene(
+        tool_path={"legs": LEGS, "via_points": 33},
+        planner={"solver": "sqp", "knots": "sliding", "quiet_modes": 0, "max_passes": 3},
+    )
+    told: list[Progress] = []
+    planned = plan(scene, progress=told.append)
+    passed = [progress for progress in told if progress.report is not None]
+    assert len(passed) == len(planned.passes) > 3
+    left = [progress.left.most for progress in passed if progress.left is not None]
+    # When none is left, nothing is said of it.
+    assert left == [most for most in range(11, 11 - len(passed), -1) if most > 0]
+
+
+def test_where_a_stretch_fails_the_path_is_solved_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, way = way_of("sliding")
+    asked: list[int] = []
+
+    def failing(problem: TorqueProblem, first: int, last: int) -> TorqueProblem:
+        asked.append(first)
+        raise OptimisationFailed("nothing to be done", constraint="any", violation=1.0)
+
+    monkeypatch.setattr(optimiser, "stretch_of", failing)
+    found = optimise(way.problem)
+    assert asked == [0]
+    assert len(found.via_points) == 33
+
+
+def peak_of(problem: TorqueProblem, trajectory: QuinticTrajectory) -> float:
+    states = States(problem.grid, *trajectory.states(problem.grid))
+    return float(problem.objective.values(states).max())

@@ -1,0 +1,303 @@
+"""The certificate: it holds for plans, notices every kind of tampering, bounds what lies between samples."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from oracles import newton_euler
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.collision.clearance import Clearances
+from cmbot.common.errors import InputError, LimitViolation
+from cmbot.planning import Plan, QuinticTrajectory, plan
+from cmbot.planning.verification.certificate import Certificate, Check, _continuity_check, certify
+from cmbot.robot import Robot, load_robot
+from cmbot.scene.obstacles import Box, Obstacle, pose
+from cmbot.trajectory.spline_space import SplineSpace
+
+FloatArray = NDArray[np.float64]
+QUANTITIES = (
+    "distance of * from the middle of its range",
+    "velocity of *",
+    "acceleration of *",
+    "jerk of *",
+    "torque of *",
+    "jump of a joint's position, velocity, acceleration or jerk",
+    "distance from a via-point",
+    "clearance",
+    "tool deviation",
+)
+
+
+@pytest.fixture(scope="module")
+def short_plan() -> Plan:
+    scene = short_scene(obstacles=[{"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.6, -2.06]}])
+    return plan(scene, options=replace(scene.planner, samples_per_segment=20, max_tool_deviation_m=0.003))
+
+
+def again(planned: Plan, **changes: Any) -> Certificate:
+    """Certify a plan again, after tampering."""
+    robot = changes.pop("robot", planned.robot)
+    obstacles = changes.pop("obstacles", planned.scene.obstacles)
+    arguments: dict[str, Any] = {
+        "task": planned.task,
+        "trajectory": planned.trajectory,
+        "via_points": planned.trajectory.q,
+        "options": planned.options,
+    } | changes
+    return certify(robot=robot, clearances=Clearances(robot, obstacles), **arguments)
+
+
+def broken(certificate: Certificate) -> dict[str, Check]:
+    """Checks that do not hold, by the first word of their quantity."""
+    failed = [check for check in certificate.checks if not check.holds]
+    if failed:
+        with pytest.raises(LimitViolation) as caught:
+            certificate.require()
+        assert caught.value.quantity == failed[0].quantity
+        assert (caught.value.time, caught.value.bound) == (failed[0].time, failed[0].bound)
+        np.testing.assert_equal(caught.value.value, failed[0].value)
+    return {check.quantity.split(" of ")[0]: check for check in failed}
+
+
+@pytest.mark.parametrize("name", ["triangle_plan", "fixed_triangle_plan", "fixed_line_plan", "short_plan"])
+def test_plans_hold(name: str, request: pytest.FixtureRequest) -> None:
+    planned: Plan = request.getfixturevalue(name)
+    certificate = planned.certificate
+    assert certificate.holds
+    certificate.require()
+    joints = planned.robot.joints
+    got = [check.quantity for check in certificate.checks]
+    for quantity, pattern in zip(got, QUANTITIES, strict=True):
+        assert quantity in {pattern.replace("*", joint) for joint in joints}
+
+
+def test_certifying_again_finds_the_same(short_plan: Plan) -> None:
+    assert again(short_plan) == short_plan.certificate
+
+
+@pytest.mark.parametrize(("name", "order"), [("velocity", 1), ("acceleration", 2), ("jerk", 3)])
+def test_time_that_is_run_too_fast(short_plan: Plan, name: str, order: int) -> None:
+    """Scaled until just this bound is passed by a thousandth; then also where, and by how much."""
+    x = short_plan.trajectory
+    bound = getattr(short_plan.robot.limits, name)
+    use = (x.extrema(order).largest()[0] / bound).max()
+    speed = (1.001 / use) ** (1 / order)
+    faster = QuinticTrajectory(t=x.t / speed, q=x.q, v=x.v * speed, a=x.a * speed**2)
+    failed = broken(again(short_plan, trajectory=faster))
+    assert name in failed
+    check = failed[name]
+    assert check.value / check.bound == pytest.approx(1.001)
+    joint = short_plan.robot.joints.index(check.quantity.split(" of ")[1])
+    assert abs(faster.evaluate([check.time], order)[0, joint]) == pytest.approx(check.value, rel=1e-6)
+    slower = QuinticTrajectory(t=x.t * 1.5, q=x.q, v=x.v / 1.5, a=x.a / 1.5**2)
+    assert name not in broken(again(short_plan, trajectory=slower))
+
+
+def test_a_via_point_that_was_shifted(short_plan: Plan) -> None:
+    x = short_plan.trajectory
+    q = x.q.copy()
+    q[3, 2] += 2e-10
+    moved = QuinticTrajectory(t=x.t, q=q, v=x.v, a=x.a)
+    failed = broken(again(short_plan, trajectory=moved, via_points=x.q))
+    assert failed["distance from a via-point"].time == x.t[3]
+    assert failed["distance from a via-point"].value == pytest.approx(2e-10, rel=1e-3)
+
+
+def test_a_kink(short_plan: Plan) -> None:
+    """Another acceleration at one knot: only the jerk jumps there."""
+    x = short_plan.trajectory
+    a = x.a.copy()
+    a[4, 1] += 1e-6
+    failed = broken(again(short_plan, trajectory=QuinticTrajectory(t=x.t, q=x.q, v=x.v, a=a)))
+    assert list(failed) == ["jump"]
+    check = failed["jump"]
+    bent = QuinticTrajectory(t=x.t, q=x.q, v=x.v, a=a)
+    jumps = np.abs(bent.jumps(3) / short_plan.robot.limits.jerk)
+    assert check.value == pytest.approx(jumps.max(), rel=1e-6)
+    # The neighbouring knots feel it too.
+    assert check.time in x.t[3:6]
+
+
+@pytest.mark.parametrize(("kept", "end"), [(slice(1, None), 0), (slice(None, -1), -1)])
+def test_ends_that_do_not_rest(short_plan: Plan, kept: slice, end: int) -> None:
+    """Without its first or last segment a plan is as smooth as before, but starts or stops with a jolt."""
+    x = short_plan.trajectory
+    cut = QuinticTrajectory(t=x.t[kept], q=x.q[kept], v=x.v[kept], a=x.a[kept])
+    failed = broken(again(short_plan, trajectory=cut, via_points=cut.q))
+    assert list(failed) == ["jump"]
+    assert failed["jump"].time == cut.t[end]
+    assert failed["jump"].value > 1e-3
+
+
+def test_dense_knots_are_smooth_as_far_as_their_digits_go(cmbot_robot: Robot) -> None:
+    """A last digit of a position is a jump of the jerk, and nothing that could be felt; more is a jump."""
+    t = np.linspace(0, 10, 1001)
+    space, via_points = SplineSpace(t), np.sin(np.outer(t, np.linspace(0.2, 1.0, 7)))
+    smooth = space.trajectory(space.least_jerk(via_points))
+    check = _continuity_check(cmbot_robot, smooth)
+    assert 1e-9 < check.value <= check.bound < 1e-6
+    a = smooth.a.copy()
+    a[500, 2] += 1e-6
+    assert not _continuity_check(cmbot_robot, replace(smooth, a=a)).holds
+    few = SplineSpace(t[::50])
+    assert _continuity_check(cmbot_robot, few.trajectory(few.least_jerk(via_points[::50]))).bound == 1e-9
+
+
+def test_a_joint_beyond_its_range(short_plan: Plan) -> None:
+    furthest = short_plan.trajectory.extrema(0).value.max(axis=(0, 2))
+    limits = replace(short_plan.robot.limits, upper=furthest - 1e-6)
+    failed = broken(again(short_plan, robot=replace(short_plan.robot, limits=limits)))
+    assert list(failed) == ["distance"]
+
+
+def test_an_obstacle_in_the_way(short_plan: Plan) -> None:
+    # Where the tool passes: nothing of the certificate but the clearance knows of it.
+    middle = short_plan.task.path.position([2.0])[0]
+    post = Obstacle(name="post", shape=Box(size=(0.01, 0.01, 0.01)), X_WO=pose(middle))
+    failed = broken(again(short_plan, obstacles=(*short_plan.scene.obstacles, post)))
+    assert list(failed) == ["clearance"]
+    assert failed["clearance"].at_least
+    assert failed["clearance"].time == pytest.approx(2.0, abs=0.2)
+    assert failed["clearance"].bound == short_plan.options.safety_margin_m
+
+
+def test_a_load_that_is_too_heavy(short_plan: Plan) -> None:
+    failed = broken(again(short_plan, robot=load_robot("cmbot", payload=25.0)))
+    assert list(failed) == ["torque"]
+
+
+def test_another_tool_path(short_plan: Plan) -> None:
+    path = short_plan.task.path
+    corners = path.corners + np.array([[0, 0, 0], [0, 0, 0.02]])
+    failed = broken(again(short_plan, task=replace(short_plan.task, path=replace(path, corners=corners))))
+    assert list(failed) == ["tool deviation"]
+    assert failed["tool deviation"].value == pytest.approx(0.02, rel=0.1)
+    assert failed["tool deviation"].time == pytest.approx(4.0, abs=0.5)
+
+
+@pytest.mark.parametrize("name", ["velocity", "acceleration", "jerk", "torque"])
+def test_the_joint_that_is_over_its_bound_is_named(short_plan: Plan, name: str) -> None:
+    bound = getattr(short_plan.robot.limits, name).copy()
+    bound[3] *= 1e-6
+    limits = replace(short_plan.robot.limits, **{name: bound})
+    failed = broken(again(short_plan, robot=replace(short_plan.robot, limits=limits)))
+    assert list(failed) == [name] or name == "jerk"
+    assert failed[name].quantity == f"{name} of joint_4"
+    assert failed[name].bound == bound[3]
+
+
+def test_numbers_that_are_none(short_plan: Plan) -> None:
+    """They cannot get into a trajectory; from anywhere else they break what they are compared in."""
+    x = short_plan.trajectory
+    with pytest.raises(InputError, match="not finite"):
+        QuinticTrajectory(t=x.t, q=np.full_like(x.q, np.nan), v=x.v, a=x.a)
+    via_points = x.q.copy()
+    via_points[2, 2] = np.nan
+    assert "distance from a via-point" in broken(again(short_plan, via_points=via_points))
+    nothing = Check(quantity="x", time=0.0, value=np.nan, bound=1.0, unit="")
+    assert not nothing.holds
+    assert not replace(nothing, at_least=True).holds
+    assert replace(nothing, value=1.0).holds
+    assert replace(nothing, value=1.0, at_least=True).holds
+
+
+def test_figures_by_hand(triangle_plan: Plan) -> None:
+    """The paper's recursion, typed in again, at the certificate's own times."""
+    x = triangle_plan.trajectory
+    per_segment = 10 * triangle_plan.options.samples_per_segment
+    grid = np.append(np.linspace(x.t[:-1], x.t[1:], per_segment, endpoint=False, axis=1).ravel(), x.t[-1])
+    q, v, a = x.states(grid)
+    tau, n_0, _ = newton_euler.efforts(q, v, a)
+    norm = np.linalg.norm(n_0, axis=1)
+    figures = triangle_plan.figures
+    assert figures.peak_guardrail_torque == pytest.approx(norm.max(), rel=1e-9)
+    assert figures.mean_guardrail_torque == pytest.approx(np.trapezoid(norm, grid) / 20, rel=1e-9)
+    static = np.linalg.norm(newton_euler.efforts(q, 0 * v, 0 * a)[1], axis=1)
+    assert figures.peak_static_guardrail_torque == pytest.approx(static.max(), rel=1e-9)
+    share = np.abs(tau) / triangle_plan.robot.limits.torque
+    assert figures.limit_use.torque == pytest.approx(share.max(), rel=1e-9)
+    (check,) = (check for check in triangle_plan.certificate.checks if check.quantity.startswith("torque"))
+    at = np.abs(grid - check.time).argmin()
+    assert np.abs(tau[at]).max() == pytest.approx(check.value, rel=1e-6)
+
+
+@pytest.mark.parametrize("name", ["short_plan", "fixed_triangle_plan"])
+def test_clearance_bound(name: str, request: pytest.FixtureRequest) -> None:
+    planned: Plan = request.getfixturevalue(name)
+    certificate, x = planned.certificate, planned.trajectory
+    clearances = Clearances(planned.robot, planned.scene.obstacles)
+    # At other times than the certificate's, and again closely about the worst.
+    fine = np.linspace(0, x.t[-1], 4001)
+    distance = clearances.smallest(x.evaluate(fine)).distance
+    near = np.clip(fine[distance.argmin()] + np.linspace(-0.01, 0.01, 1001), 0, x.t[-1])
+    smallest = min(distance.min(), clearances.smallest(x.evaluate(near)).distance.min())
+    assert certificate.clearance_bound <= smallest
+    # It is no more than a millimetre or two below.
+    assert certificate.clearance_bound > smallest - 2e-3
+
+
+def test_samples_that_are_not_looked_at_change_nothing(
+    short_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    some = again(short_plan)
+    monkeypatch.setattr(Clearances, "along", lambda self, q, spare: self.smallest(q).distance)
+    every = again(short_plan)
+    assert some.clearance_bound == pytest.approx(every.clearance_bound, abs=1e-9)
+    assert some.figures.min_clearance == pytest.approx(every.figures.min_clearance, abs=1e-9)
+    checks = [
+        next(check for check in certificate.checks if check.quantity == "clearance")
+        for certificate in (some, every)
+    ]
+    assert checks[0].value == pytest.approx(checks[1].value, abs=1e-9)
+    # Several samples may be as near.
+    x = short_plan.trajectory
+    clearances = Clearances(short_plan.robot, short_plan.scene.obstacles)
+    distance = clearances.smallest(x.evaluate([checks[0].time])).distance[0]
+    assert distance == pytest.approx(checks[0].value, abs=1e-9)
+
+
+def test_certificate_of_an_arm_without_shapes(short_plan: Plan) -> None:
+    """Nothing can be hit, so no distance is small."""
+    bare: Robot = replace(short_plan.robot, collision_model=type(short_plan.robot.collision_model)())
+    certificate = again(short_plan, robot=bare)
+    assert certificate.holds
+    assert np.isposinf([certificate.clearance_bound, certificate.figures.min_clearance]).all()
+
+
+def imported_by(module: str, seen: set[str]) -> set[str]:
+    """Modules of the package that a module's source names in its imports, and theirs, and so on."""
+    root = Path(cmbot.__file__).parent
+    file = root.joinpath(*module.split(".")[1:]).with_suffix(".py")
+    if module in seen or not file.exists():
+        return seen
+    seen.add(module)
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("cmbot."):
+            imported_by(node.module, seen)
+    return seen
+
+
+def test_the_certificate_leans_on_nothing_that_made_the_plan() -> None:
+    imported = imported_by("cmbot.planning.verification.certificate", set())
+    method = {
+        name
+        for name in imported
+        if name.startswith(("cmbot.planning", "cmbot.optimization", "cmbot.trajectory"))
+    }
+    assert method <= {
+        "cmbot.planning.path.task",
+        "cmbot.planning.verification.certificate",
+        "cmbot.planning.verification.metrics",
+        "cmbot.trajectory.polynomials",
+        "cmbot.trajectory.quintic",
+    }
+    # The walk itself works: what makes a plan does lean on the solver.
+    assert "cmbot.optimization.slsqp" in imported_by("cmbot.optimization.exchange", set())

@@ -1,0 +1,471 @@
+"""The comparison with the paper: its data, what is computed of ours, what is written."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import run
+from numpy.typing import NDArray
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.archive import write_file
+from cmbot.common.errors import ArchiveError, OptimisationFailed
+from cmbot.common.resources import assumptions_file
+from cmbot.planning import Plan, plan
+from cmbot.reproduction import (
+    PAPER,
+    Experiment,
+    PaperExperiment,
+    Reproduction,
+    Run,
+    Variant,
+    as_json,
+    cells,
+    comparison,
+    experiment,
+    findings,
+    goals,
+    markdown,
+    reasons,
+    reproduce,
+    save_reproduction,
+    verdict_rows,
+)
+from cmbot.reproduction.assumptions import assumption_tables
+from cmbot.reproduction.experiment import reduction
+from cmbot.simulation import SimulationOptions, Tracking, simulate
+
+FloatArray = NDArray[np.float64]
+TRIANGLE, LINE = PAPER
+
+
+@pytest.fixture(scope="module")
+def short_plan() -> Plan:
+    return plan(short_scene())
+
+
+@pytest.fixture(scope="module")
+def tracking(short_plan: Plan) -> Tracking:
+    return simulate(short_plan)
+
+
+@pytest.fixture(scope="module")
+def released(short_plan: Plan) -> Tracking:
+    return simulate(short_plan, SimulationOptions(initial="undeformed"))
+
+
+@pytest.fixture(scope="module")
+def compensated() -> Plan:
+    return plan(short_scene(planner={"compensate": True}))
+
+
+@pytest.fixture(scope="module")
+def foreseen(compensated: Plan) -> Tracking:
+    return simulate(compensated)
+
+
+@pytest.fixture
+def planner(
+    short_plan: Plan,
+    compensated: Plan,
+    tracking: Tracking,
+    released: Tracking,
+    foreseen: Tracking,
+    monkeypatch: pytest.MonkeyPatch,
+) -> list[str]:
+    """A planner and a simulation that know one short motion, compensated or not; what was asked for."""
+    asked: list[str] = []
+
+    def known(scene: Any, *, options: Any, progress: Any = None) -> Plan:
+        del progress
+        changed = [key for key, value in vars(options).items() if getattr(scene.planner, key) != value]
+        asked.append(", ".join(f"{key}: {getattr(options, key)}" for key in changed))
+        return compensated if options.compensate else short_plan
+
+    def simulated(planned: Plan, options: SimulationOptions, *, progress: Any) -> Tracking:
+        progress(0.5)
+        if planned is compensated:
+            # Any stiffness is the nominal one here: what it does to the motion is no matter of these tests.
+            return replace(foreseen, options=options)
+        assert planned is short_plan
+        return {found.options: found for found in (tracking, released)}[options]
+
+    monkeypatch.setattr(experiment, "plan", known)
+    monkeypatch.setattr(experiment, "simulate", simulated)
+    return asked
+
+
+@pytest.mark.parametrize("paper", PAPER, ids=lambda paper: paper.scene)
+def test_the_papers_rows_give_the_papers_percentages(paper: PaperExperiment) -> None:
+    computed = reduction(paper.without.mean, paper.planned.mean)
+    np.testing.assert_allclose(computed, paper.reductions, atol=0.15)
+
+
+def test_the_papers_rows_the_other_way_round_do_not() -> None:
+    computed = reduction(TRIANGLE.planned.mean, TRIANGLE.without.mean)
+    assert np.abs(computed - TRIANGLE.reductions).min() > 100
+
+
+def test_reduction_is_of_magnitudes() -> None:
+    np.testing.assert_allclose(
+        reduction(np.array([-4.0, 4.0, 2.0]), np.array([1.0, -1.0, 3.0])), [75, 75, -50]
+    )
+
+
+def with_figures(tracking: Tracking, baseline: Any, planned: Any, vibration: float = 0.0) -> Tracking:
+    """A tracking whose means and standard deviations are given; the dynamic share, too."""
+    motions = {}
+    for name, given in (("baseline", baseline), ("planned", planned)):
+        motion = getattr(tracking, name)
+        mean, deviation = (np.append(values, 1.0) for values in given)
+        total = replace(
+            motion.figures.total, mean=mean, standard_deviation=deviation, rms=np.array([1.0, 1.0, 1.0, 2.0])
+        )
+        dynamic = replace(motion.figures.dynamic, rms=np.full(4, 2.0 * np.sqrt(vibration)))
+        motions[name] = replace(motion, figures=replace(motion.figures, total=total, dynamic=dynamic))
+    return replace(tracking, **motions)
+
+
+def as_the_paper(tracking: Tracking, paper: PaperExperiment, **changes: Any) -> Experiment:
+    """An experiment in which everything is the paper's, but for what is changed."""
+    figures = {
+        "baseline": (paper.without.mean, paper.without.standard_deviation),
+        "planned": (paper.planned.mean, paper.planned.standard_deviation),
+    }
+    vibration, difference = changes.pop("vibration", 0.0), changes.pop("difference", paper.torque_difference)
+    ours = with_figures(tracking, **(figures | changes), vibration=vibration)
+    known: Any = SimpleNamespace(
+        largest_torque_difference=(difference, 0.0), start=SimpleNamespace(moved=0.0)
+    )
+    same = Run(plan=known, equilibrium=ours, undeformed=ours)
+    none = Variant(plan=None, trackings=(), why_not="no way")
+    return Experiment(
+        paper=paper,
+        planned=same,
+        fixed=None,
+        why_not="no way",
+        compensated=none,
+        loud=none,
+        least_sag=None,
+    )
+
+
+@pytest.mark.parametrize("paper", PAPER, ids=lambda paper: paper.scene)
+def test_the_papers_own_figures_agree_with_it(tracking: Tracking, paper: PaperExperiment) -> None:
+    found = list(findings(as_the_paper(tracking, paper)))
+    assert len(found) == 9
+    assert all(finding.agrees for finding in found), [finding.text for finding in found]
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (
+            {"difference": 104.3},
+            "The largest difference of the torque on the guardrail is 104.3 Nm here, 157.2",
+        ),
+        (
+            {"planned": ([-1.22e-3, 12e-3, -9.23e-3], [1.28e-3, 3.99e-3, 8.22e-3])},
+            "The absolute mean falls along x, z here, along x, y, z in the paper.",
+        ),
+        (
+            {"planned": ([-1.22e-3, 3.94e-3, -9.23e-3], [2.0e-3, 3.99e-3, 8.22e-3])},
+            "The standard deviation falls by 52.5, 75.4, 69.3 % here, by 69.6, 75.4, 69.3 % in the paper",
+        ),
+        (
+            {"baseline": ([2.44e-3, 11.52e-3, -24.48e-3], [4.21e-3, 16.2e-3, 26.78e-3])},
+            "The mean without optimisation has the paper's sign along y, z;",
+        ),
+        (
+            {"baseline": ([-2.44e-3, 11.52e-3, -24.48e-3], [4.21e-3, 10e-3, 20e-3])},
+            "Without optimisation the standard deviation exceeds the absolute mean along x here, along x, y",
+        ),
+        (
+            {"baseline": ([-8e-3, 11.52e-3, -24.48e-3], [9e-3, 16.2e-3, 26.78e-3])},
+            "Without optimisation the absolute mean is 3.28, 1.00, 1.00 times the paper's",
+        ),
+    ],
+)
+def test_what_differs_is_found(tracking: Tracking, change: dict[str, Any], expected: str) -> None:
+    found = findings(as_the_paper(tracking, TRIANGLE, **change))
+    differing = [finding.text for finding in found if not finding.agrees]
+    assert any(text.startswith(expected) for text in differing), differing
+
+
+def test_reasons_follow_the_figures(tracking: Tracking) -> None:
+    sagging, shaking = (
+        " ".join(reasons(as_the_paper(tracking, LINE, vibration=share))) for share in (0.01, 0.8)
+    )
+    assert "1.00 % (baseline) and 1.00 % (planned) is dynamic" in sagging
+    assert "means are those of the sag" in sagging
+    assert "vibration is a large part of the error" in shaking
+    assert "With fixed via-points (Eq. (30)) there is no plan here: no way." in sagging
+
+
+def test_reasons_say_what_releasing_the_arm_does(tracking: Tracking) -> None:
+    paper = as_the_paper(tracking, LINE)
+    still = with_figures(
+        tracking,
+        (LINE.without.mean, 0.1 * LINE.without.standard_deviation),
+        (LINE.planned.mean, 0.1 * LINE.planned.standard_deviation),
+    )
+    shaken, at_rest = paper.planned.equilibrium, still
+    nearer = replace(paper, planned=replace(paper.planned, equilibrium=at_rest, undeformed=shaken))
+    further = replace(paper, planned=replace(paper.planned, equilibrium=shaken, undeformed=at_rest))
+    assert "nearer to the paper's as a whole" in " ".join(reasons(nearer))
+    assert "further from the paper's as a whole" in " ".join(reasons(further))
+
+
+def test_reasons_say_where_the_gain_comes_from(tracking: Tracking) -> None:
+    paper = as_the_paper(tracking, TRIANGLE)
+    known: Any = SimpleNamespace(largest_torque_difference=(2.0, 0.0), start=SimpleNamespace(moved=0.0))
+    stuck = replace(paper, fixed=replace(paper.planned, plan=known))
+    assert "the gain is that of other postures, not of the splines" in " ".join(reasons(stuck))
+    known.start.moved = 0.5
+    moved = " ".join(reasons(stuck))
+    assert "from another start (28.6 deg away)" in moved
+    assert "not of the splines" not in moved
+
+
+def test_the_assumptions_are_those_of_the_page() -> None:
+    tables, page = assumption_tables(), assumptions_file().read_text(encoding="utf-8")
+    assert {"Frames and mounting", "The arm", "The bridge", "The method"} <= {t.heading for t in tables}
+    rows = [row for table in tables for row in table.rows]
+    assert len(rows) > 40
+    for table in tables:
+        assert table.columns[:3] == ("what", "value", "provenance")
+        for row in table.rows:
+            assert len(row) == len(table.columns), row
+            assert not re.search(r"\]\(", " ".join(row))
+    plain_page = re.sub(r"\[([^\]]*)\]\([^)]*\)", r"\1", page)
+    for row in rows:
+        assert f"| {' | '.join(row)}".rstrip() in plain_page
+
+
+def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
+    told: list[tuple[str, str, float]] = []
+    found = reproduce(tell=lambda *words: told.append(words), factors=(1.0, 0.7))
+    assert planner == ["", "knots: fixed", "compensate: True", "quiet_modes: 0", "objective: sag"] * 2
+    assert [scene for scene, *_ in told] == ["triangle"] * 21 + ["line"] * 21
+    # Plans and simulations of an experiment: 3 + 3 + 3 + 2 + 2.
+    assert told[:6] == [
+        ("triangle", "via-points that slide", 0.0),
+        ("triangle", "via-points that slide: simulating", pytest.approx(1 / 26)),
+        ("triangle", "via-points that slide: simulating", pytest.approx(1.5 / 26)),
+        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2 / 26)),
+        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2.5 / 26)),
+        ("triangle", "via-points that are fixed", pytest.approx(3 / 26)),
+    ]
+    assert told[13] == ("triangle", "sag compensated: simulating, stiffness times 0.7", pytest.approx(8 / 26))
+    shares = [share for *_, share in told]
+    assert shares == sorted(shares)
+    assert told[-1] == ("line", "least sag: simulating, stiffness times 1", pytest.approx(25.5 / 26))
+    for entry in found.experiments:
+        for run_ in (entry.planned, entry.fixed):
+            assert run_ is not None
+            assert run_.equilibrium.options.initial == "equilibrium"
+            assert run_.undeformed.options.initial == "undeformed"
+        for softer, factor in zip(entry.compensated.trackings, (1.0, 0.7), strict=True):
+            assert softer.options == SimulationOptions(guardrail_factor=factor, link_factor=factor)
+        assert len(entry.loud.trackings) == 1
+    assert [entry.paper for entry in found.experiments] == list(PAPER)
+
+
+def test_least_sag_can_be_left_out(planner: list[str]) -> None:
+    told: list[float] = []
+    found = reproduce(tell=lambda *words: told.append(words[-1]), factors=(1.0,), least_sag=False)
+    assert len(planner) == 8
+    assert all(entry.least_sag is None for entry in found.experiments)
+    assert told[-1] == pytest.approx((20 - 0.5) / 20)
+
+
+@pytest.fixture
+def found(planner: list[str]) -> Reproduction:
+    del planner
+    return reproduce(factors=(1.0, 0.7))
+
+
+@pytest.mark.usefixtures("planner")
+def test_without_a_plan_for_fixed_knots_the_reason_is_told(
+    short_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    error = OptimisationFailed("too steep", constraint="jerk", violation=0.5)
+
+    def known(scene: Any, *, options: Any, progress: Any = None) -> Plan:
+        del progress
+        if options != scene.planner:
+            raise error
+        return short_plan
+
+    monkeypatch.setattr(experiment, "plan", known)
+    found = reproduce()
+    assert all(entry.fixed is None for entry in found.experiments)
+    text, why = markdown(found), f"{error}."
+    assert text.count(f"there is no plan here: {why}") == 2
+    # Compensated, and of least sag.
+    assert text.count(f"- There is no plan: {why}") == 4
+    data = as_json(found)["experiments"][0]
+    assert data["fixed"] is None
+    assert [goal["rows"] == () for goal in data["goals"]] == [False, True, False, True]
+
+
+def test_the_page_shows_the_figures(found: Reproduction) -> None:
+    page = markdown(found)
+    assert page.index("## Goals") < page.index("### ")
+    for row in verdict_rows(found):
+        assert f"| {' | '.join(row)} |" in page
+    for entry in found.experiments:
+        _, *rows = comparison(entry)
+        assert len(rows) == 30
+        for row in rows:
+            assert f"| {' | '.join(row)} |" in page
+        mean = 1e3 * entry.planned.equilibrium.baseline.figures.total.mean[:3]
+        assert [float(x) for x in rows[6][2:]] == pytest.approx(mean, abs=6e-3)
+        for told in (*findings(entry), *reasons(entry)):
+            assert getattr(told, "text", told) in page
+        for goal in goals(entry):
+            assert f"#### {goal.title}\n" in page
+            for row in cells(goal):
+                assert f"| {' | '.join(row)} |" in page
+            for remark in goal.remarks:
+                assert f"- {remark}\n" in page
+    for table in assumption_tables():
+        assert f"### {table.heading}\n" in page
+    assert page.count("### What agrees") == page.count("### What does not") == 2
+
+
+def test_every_markdown_table_is_one(found: Reproduction) -> None:
+    width = None
+    for line in markdown(found).splitlines():
+        if not line.startswith("|"):
+            width = None
+            continue
+        cells = line.count("|")
+        assert width in (None, cells), line
+        width = cells
+
+
+def test_json_holds_the_same(found: Reproduction) -> None:
+    data = json.loads(json.dumps(as_json(found), allow_nan=False))
+    assert data["format"] == "cmbot-reproduction/1"
+    first = data["experiments"][0]
+    assert first["paper"]["without"]["mean"] == pytest.approx([-2.44e-3, 11.52e-3, -24.48e-3])
+    ours = found.experiments[0].planned
+    for key, tracking in (("equilibrium", ours.equilibrium), ("undeformed", ours.undeformed)):
+        assert first["sliding"][key]["with"]["mean"] == tracking.planned.figures.total.mean[:3].tolist()
+    assert first["sliding"]["torque_difference"] == ours.plan.largest_torque_difference[0]
+    assert {"agrees", "text"} == set(first["findings"][0])
+    tables = list(goals(found.experiments[0]))
+    assert [goal["title"] for goal in first["goals"]] == [table.title for table in tables]
+    assert first["goals"][1]["rows"][0]["values"] == list(tables[1].rows[0].values)
+    assert len(data["assumptions"]) == len(assumption_tables())
+
+
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
+def test_it_is_written_with_both_plans(found: Reproduction, tmp_path: Path) -> None:
+    page, figures = save_reproduction(found, tmp_path / "new" / "folder")
+    folder = tmp_path / "new" / "folder"
+    assert (page, figures) == (folder / "reproduce.md", folder / "reproduce.json")
+    assert names(folder) == {"triangle", "line", "reproduce.md", "reproduce.json"}
+    assert names(folder / "line") >= {"plan.json", "tracking.csv", "tracking_baseline.csv", "tracking.json"}
+    cmbot.load_plan(folder / "line")
+    assert page.read_text(encoding="utf-8") == markdown(found)
+    with pytest.raises(ArchiveError):
+        save_reproduction(found, folder)
+    save_reproduction(found, folder, force=True)
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    write_file(tmp_path / "page.md", b"old")
+    write_file(tmp_path / "page.md", b"new")
+    assert (tmp_path / "page.md").read_bytes() == b"new"
+    (tmp_path / "taken").mkdir()
+    for path in (tmp_path / "nosuch" / "page.md", tmp_path / "taken"):
+        with pytest.raises(ArchiveError, match="refusal of the system"):
+            write_file(path, b"text")
+    assert names(tmp_path) == {"page.md", "taken"}
+
+
+@pytest.mark.usefixtures("planner")
+def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    outcome = run("reproduce", "-o", folder, "--quick", "--details")
+    assert outcome.status == 0, outcome.err
+    lines = outcome.out.splitlines()
+    assert lines[0] == "Goals"
+    assert TRIANGLE.title in lines
+    assert LINE.title in lines
+    told = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
+    for entry in told["experiments"]:
+        for finding in entry["findings"]:
+            verdict = "agrees" if finding["agrees"] else "does not agree"
+            assert f"{verdict}: {finding['text']}" in lines
+        for reason in entry["reasons"]:
+            assert f"why: {reason}" in lines
+        assert len(entry["goals"]) == 3
+        settings = [row["setting"] for row in entry["goals"][1]["rows"]]
+        assert set(settings) == {f"stiffness times {factor}" for factor in (1, 0.7, 1.3)}
+        for goal in entry["goals"]:
+            assert f"{entry['scene']}: {goal['title'][0].lower()}{goal['title'][1:]}" in lines
+            for remark in goal["remarks"]:
+                assert f"goal: {remark}" in lines
+    assert lines[-1].startswith(f"Written to {folder / 'reproduce.md'} and {folder / 'reproduce.json'}")
+    assert "line: via-points that are fixed" in outcome.err.splitlines()
+
+
+def test_the_command_refuses_what_is_in_the_way_before_it_plans(tmp_path: Path, planner: list[str]) -> None:
+    (tmp_path / "reproduce.md").write_text("mine", encoding="utf-8")
+    outcome = run("reproduce", "-o", tmp_path)
+    assert (outcome.status, outcome.out, planner) == (2, "", [])
+    assert outcome.err.startswith(f"error: {tmp_path / 'reproduce.md'}: got a file that is already there")
+    (tmp_path / "triangle").mkdir()
+    (tmp_path / "triangle" / "thesis.txt").touch()
+    outcome = run("reproduce", "-o", tmp_path, "--force")
+    assert (outcome.status, planner) == (2, [])
+    assert "nothing else is replaced" in outcome.err
+
+
+@pytest.mark.usefixtures("planner")
+def test_the_command_answers_in_short(tmp_path: Path) -> None:
+    folder = tmp_path / "out"
+    outcome = run("reproduce", "-o", folder, "--quick")
+    assert outcome.status == 0, outcome.err
+    lines = outcome.out.splitlines()
+    told = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
+    verdicts = [
+        (entry["scene"], verdict)
+        for entry in told["experiments"]
+        for goal in entry["goals"]
+        for verdict in goal["verdicts"]
+    ]
+    assert len(verdicts) >= 6
+    assert lines[0] == "Goals"
+    assert re.split(r"  +", lines[1].strip()) == ["goal, against the baseline", "found", "met"]
+    for line, (scene, verdict) in zip(lines[2:], verdicts, strict=False):
+        met = "yes" if verdict["holds"] else "no"
+        assert re.split(r"  +", line) == [scene, verdict["asked"], verdict["found"], met]
+    paper, written, more = lines[2 + len(verdicts) :]
+    assert paper.startswith("Of the paper's own results ")
+    for entry in told["experiments"]:
+        agreeing = sum(finding["agrees"] for finding in entry["findings"])
+        assert f"{agreeing} of {len(entry['findings'])} are found again for the {entry['scene']}" in paper
+    assert written.startswith("Written to ")
+    assert more == f"All figures, and why: {folder / 'reproduce.md'}; --details prints them."
+
+
+@pytest.mark.usefixtures("planner")
+def test_force_replaces_a_reproduction(tmp_path: Path) -> None:
+    (tmp_path / "reproduce.md").write_text("old", encoding="utf-8")
+    assert run("reproduce", "-o", tmp_path, "--force").status == 0
+    assert (tmp_path / "reproduce.md").read_text(encoding="utf-8").startswith("# The paper's experiments")

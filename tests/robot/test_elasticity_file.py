@@ -1,0 +1,134 @@
+"""The file that says which links bend: its reader, where it is found, the shipped one."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_files import load_copy, replace
+
+from cmbot.common.errors import ModelError
+from cmbot.common.resources import model_folder
+from cmbot.robot import LinkTube, Robot
+
+SHIPPED = model_folder() / "urdf" / "cmbot.elasticity.yaml"
+
+
+@pytest.fixture
+def bending_folder(urdf_folder: Path) -> Path:
+    """The copy of the shipped robot with its elasticity file."""
+    shutil.copy(SHIPPED, urdf_folder / SHIPPED.name)
+    return urdf_folder
+
+
+def test_the_shipped_tubes(cmbot_robot: Robot) -> None:
+    tubes = cmbot_robot.elasticity
+    assert [tube.link for tube in tubes] == ["link_1", "link_2", "link_3", "link_5"]
+    np.testing.assert_allclose([tube.length for tube in tubes], [0.83, 1.0, 0.78, 0.87], rtol=1e-12)
+    assert {(tube.young, tube.shear) for tube in tubes} == {(70e9, 26e9)}
+    assert [(tube.outer_diameter, tube.wall) for tube in tubes] == [*[(0.1, 0.004)] * 3, (0.08, 0.003)]
+
+
+def test_the_shipped_tubes_lead_from_joint_to_joint(cmbot_robot: Robot) -> None:
+    model = cmbot_robot.model
+    frames = {frame.name: frame for frame in model.frames}
+    for tube, first, second in zip(cmbot_robot.elasticity, (1, 2, 3, 4), (2, 3, 4, 6), strict=True):
+        joint = frames[tube.link].parentJoint
+        # Where the axes of the next joints are, seen from the joint that carries the tube, at zero.
+        X = model.jointPlacements[joint].inverse() if joint != first else None
+        start = np.zeros(3) if X is None else X.act(np.zeros(3))
+        np.testing.assert_allclose(tube.start, start, atol=1e-12)
+        end = model.jointPlacements[second].translation if model.parents[second] == joint else np.nan
+        np.testing.assert_allclose(tube.end, end, atol=1e-12)
+
+
+def test_the_cross_section() -> None:
+    tube = LinkTube(
+        link="a", start=(0, 0, 0), end=(1, 2, 2), outer_diameter=0.2, wall=0.05, young=1.0, shear=1.0
+    )
+    assert tube.length == 3.0
+    angle = np.linspace(0, 2 * np.pi, 721)[:-1]
+    radius = 0.05 + (np.arange(2000) + 0.5) * 0.05 / 2000
+    # The integral of y^2 over the ring.
+    integral = np.mean(np.sin(angle) ** 2) * 2 * np.pi * np.sum(radius**3) * 0.05 / 2000
+    assert tube.second_moment == pytest.approx(integral, rel=1e-6)
+
+
+def test_without_the_file_all_links_are_rigid(urdf_folder: Path) -> None:
+    assert load_copy(urdf_folder).elasticity == ()
+
+
+def test_the_file_beside_the_urdf_is_found(bending_folder: Path, cmbot_robot: Robot) -> None:
+    assert load_copy(bending_folder).elasticity == cmbot_robot.elasticity
+
+
+def test_a_file_elsewhere_comes_first(bending_folder: Path) -> None:
+    other = bending_folder / "other.yaml"
+    shutil.copy(SHIPPED, other)
+    replace(other, "wall_m: 0.003", "wall_m: 0.002")
+    assert load_copy(bending_folder, elasticity=other).elasticity[-1].wall == 0.002
+    assert load_copy(bending_folder).elasticity[-1].wall == 0.003
+
+
+def test_a_file_that_was_asked_for_is_needed(urdf_folder: Path) -> None:
+    with pytest.raises(ModelError, match=r"none.yaml: .*no such file"):
+        load_copy(urdf_folder, elasticity=urdf_folder / "none.yaml")
+
+
+def test_the_hash_knows_the_file(bending_folder: Path) -> None:
+    bending = load_copy(bending_folder).content_hash
+    replace(bending_folder / SHIPPED.name, "wall_m: 0.003", "wall_m: 0.002")
+    thinner = load_copy(bending_folder).content_hash
+    (bending_folder / SHIPPED.name).unlink()
+    rigid = load_copy(bending_folder).content_hash
+    assert len({bending, thinner, rigid}) == 3
+
+
+def test_links_that_do_not_move_are_rigid(bending_folder: Path) -> None:
+    robot = load_copy(bending_folder, base_frame="link_2")
+    assert [tube.link for tube in robot.elasticity] == ["link_3", "link_5"]
+    replace(bending_folder / SHIPPED.name, "link_1:", "leg_1:")
+    assert [tube.link for tube in load_copy(bending_folder).elasticity] == ["link_2", "link_3", "link_5"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "key", "word"),
+    [
+        ("link_5:", "link_9:", "links", "a link of the URDF"),
+        ("link_5:", "joint_5:", "links", "a link of the URDF"),
+        ("elasticity/1", "elasticity/2", "format", "cmbot-elasticity/1"),
+        ("wall_m: 0.003", "wall_m: 0.041", "links.link_5.wall_m", "half of outer_diameter_m"),
+        ("wall_m: 0.003", "wall_m: 0", "links.link_5.wall_m", "more than 0"),
+        ("    wall_m: 0.003\n", "", "links.link_5.wall_m", "a value"),
+        ("wall_m: 0.003", "wall: 0.003", "links.link_5.wall", "known key"),
+        ("diameter_m: 0.08", "diameter_m: '0.08'", "links.link_5.outer_diameter_m", "a number"),
+        (
+            "-0.87]\n    end_m: [0.0, 0.0, 0.0]",
+            "0]\n    end_m: [0, 0, 1e-4]",
+            "links.link_5.end_m",
+            "apart",
+        ),
+        ("[0.0, 0.0, -0.87]", "[0.0, -0.87]", "links.link_5.start_m", "a list of 3 items"),
+        ("young_pa: 70000000000.0", "young_pa: 70.0", "links.link_1.young_pa", "at least 1000"),
+        ("shear_pa: 26000000000.0", "shear_pa: .nan", "links.link_1.shear_pa", "finite"),
+        ("links:", "links: [", "", "valid YAML"),
+    ],
+)
+def test_errors_name_the_key(bending_folder: Path, old: str, new: str, key: str, word: str) -> None:
+    file = bending_folder / SHIPPED.name
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new, 1), encoding="utf-8")
+    with pytest.raises(ModelError) as caught:
+        load_copy(bending_folder)
+    assert (caught.value.source, caught.value.key) == (str(file), key)
+    assert word in caught.value.expected
+
+
+def test_one_body_bends_like_one_tube(bending_folder: Path) -> None:
+    # The tool is fixed to link 7: both move as one.
+    file = bending_folder / SHIPPED.name
+    replace(file, "link_1:", "link_7:")
+    replace(file, "link_2:", "tool:")
+    with pytest.raises(ModelError, match=r"links.tool: got a tube beside that of link_7, expected one tube"):
+        load_copy(bending_folder)

@@ -1,0 +1,263 @@
+"""The robot description that is checked in: up to date, physically possible, the same to three programs."""
+
+from __future__ import annotations
+
+import importlib
+import subprocess
+import sys
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pinocchio as pin
+import pytest
+import yourdfpy
+from ruamel.yaml import YAML
+
+ROOT = Path(__file__).parents[2]
+MODELS = ROOT / "models"
+URDF = MODELS / "urdf" / "cmbot.urdf"
+SRDF = MODELS / "urdf" / "cmbot.srdf"
+TOOL = ROOT / "tools" / "build_models.py"
+
+ARM = [f"joint_{i}" for i in range(1, 8)]
+CLIMBING = [f"climb_{i}" for i in range(1, 6)]
+CLIMBER = ["foot_1", "ankle_1", "leg_1", "arm_base", "leg_2", "ankle_2", "foot_2"]
+TRIANGLE_DEG = [-10, -90, 90, 0, 10, 50, 0]
+LINE_DEG = [-45, -90, 90, -10, 10, -55, 0]
+
+# Typed a second time from Chang 2021, Tables 1 to 3, and our assumptions: what the files are held against.
+MASS = [7.8, 7.4, 7.7, 4.9, 3.7, 2.5, 3.62]
+INERTIA = [  # Ixx, Iyy, Izz, Ixy, Ixz, Iyz
+    (0.02, 0.32, 0.32, 0, -0.01, 0),
+    (0.04, 0.46, 0.45, -0.01, 0.06, 0),
+    (0.06668, 0.56731, 0.58335, 0.01087, 0.11697, -0.00060),
+    (0.04910, 0.03122, 0.03122, -0.00910, 0.00910, 0.00033),
+    (0.25, 0.25, 0.01, 0, 0.01, 0.01),
+    (0.01, 0.01, 0.003, 0, 0, 0.001),
+    (0.03, 0.09, 0.07, -0.01, 0.01, 0),
+]
+TABLE_2_LINK_3_AND_4 = {3: (0.06, 0.56, 0.59, 0.011, 0.12, 0), 4: (0.05, 0.03, 0.03, -0.01, 0.01, 0)}
+COM = [(0.415, 0, 0), (0.5, 0, 0), (0.39, 0, 0), (0, -0.1, 0), (0, 0, -0.435), (0, 0, 0), (0, 0, 0.1)]
+RANGE_DEG = [170, 170, 150, 170, 170, 130, 170]
+VELOCITY_DEG = [20, 20, 20, 30, 30, 30, 30]
+TORQUE = [240, 240, 240, 160, 160, 160, 160]
+DH = [(0, 0, 0), (-90, 0.83, 0), (0, 1.0, 0), (0, 0.78, 0), (90, 0, 0.87), (-90, 0, 0), (90, 0, 0)]
+
+
+@pytest.fixture(scope="module")
+def model():
+    return pin.buildModelFromUrdf(str(URDF))
+
+
+@pytest.fixture(scope="module")
+def stance(model):
+    pin.loadReferenceConfigurations(model, str(SRDF))
+    return model.referenceConfigurations["working_stance"].copy()
+
+
+@pytest.fixture(scope="module")
+def root():
+    return ET.parse(URDF).getroot()
+
+
+def posture(model, stance, arm_deg):
+    q = stance.copy()
+    for name, angle in zip(ARM, np.deg2rad(arm_deg), strict=True):
+        q[model.joints[model.getJointId(name)].idx_q] = angle
+    return q
+
+
+def pose(model, q, frame):
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return data.oMf[model.getFrameId(frame)]
+
+
+def tensor(six):
+    xx, yy, zz, xy, xz, yz = six
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def stated_bodies(root):
+    """Mass, centre of mass and inertia of every link that states them, straight from the XML."""
+    found = {}
+    for link in root.iter("link"):
+        inertial = link.find("inertial")
+        if inertial is not None:
+            com = np.array(inertial.find("origin").get("xyz").split(), dtype=float)
+            assert inertial.find("origin").get("rpy").split() == ["0.0"] * 3
+            inertia = inertial.find("inertia")
+            six = [float(inertia.get(key)) for key in ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")]
+            found[link.get("name")] = (float(inertial.find("mass").get("value")), com, tensor(six))
+    return found
+
+
+def run_tool(*arguments):
+    return subprocess.run(
+        [sys.executable, "-B", str(TOOL), *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=120,
+    )
+
+
+def contents(folder):
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+
+
+def test_checked_in_files_are_what_the_tool_writes(tmp_path):
+    ran = run_tool("--output", str(tmp_path))
+    assert ran.returncode == 0, ran.stderr
+    written, checked_in = contents(tmp_path), contents(MODELS)
+    assert written.keys() == checked_in.keys()
+    assert [name for name in written if written[name] != checked_in[name]] == []
+
+
+def test_check_names_what_is_out_of_date(tmp_path):
+    missing = run_tool("--check", "--output", str(tmp_path))
+    assert missing.returncode == 1
+    assert "out of date: urdf/cmbot.srdf" in missing.stderr
+    assert run_tool("--check").returncode == 0
+    assert contents(tmp_path) == {}
+
+
+def test_tool_refuses_a_body_that_cannot_exist(monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.syspath_prepend(str(TOOL.parent))
+    tables = importlib.import_module("cmbot_tables")
+    monkeypatch.setattr(tables, "CLIMBER_INERTIA", 0.3)
+    with pytest.raises(SystemExit, match=r"ankle_1: .* no possible rigid body"):
+        tables.bodies()
+
+
+def test_arm_joints_are_the_modified_dh_table(model, stance):
+    q = np.deg2rad(np.linspace(-120, 110, 7))
+    X = np.eye(4)
+    for (alpha_deg, a, d), theta in zip(DH, q, strict=True):
+        alpha = np.deg2rad(alpha_deg)
+        ca, sa, c, s = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
+        rotation = np.array([[c, -s, 0], [s * ca, c * ca, -sa], [s * sa, c * sa, ca]])  # Chang 2021, Eq. (1)
+        step = np.eye(4)
+        step[:3, :3], step[:3, 3] = rotation, (a, -sa * d, ca * d)  # Eq. (2)
+        X = X @ step
+    q_full = posture(model, stance, np.rad2deg(q))
+    X_BT = pose(model, q_full, "arm_base").inverse() * pose(model, q_full, "tool")
+    np.testing.assert_allclose(X_BT.homogeneous, X, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arm_deg", "wrist"),
+    [([0, -90, 90, 0, 0, 0, 0], (1.61, 0, 1.87)), ([0, 0, 0, 0, 0, 0, 0], (2.61, 0, 0.87))],
+)
+def test_wrist_centre_in_frame_1(model, stance, arm_deg, wrist):
+    q = posture(model, stance, arm_deg)
+    X_1 = pose(model, q, "link_1")
+    np.testing.assert_allclose(X_1.actInv(pose(model, q, "link_5").translation), wrist, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("arm_deg", "point", "axis"),
+    [
+        (TRIANGLE_DEG, (1.815, 0.780, -2.063), (0.766, 0, -0.643)),
+        (LINE_DEG, (0.812, 1.372, -1.984), (-0.733, -0.532, -0.425)),
+    ],
+)
+def test_initial_tool_point_and_axis(model, stance, arm_deg, point, axis):
+    X_WT = pose(model, posture(model, stance, arm_deg), "tool0")
+    np.testing.assert_allclose(X_WT.translation, point, atol=5e-4)
+    np.testing.assert_allclose(X_WT.rotation[:, 2], axis, atol=5e-4)
+
+
+def test_stance_hangs_the_arm_at_its_place(model, stance):
+    X_WB = pose(model, stance, "arm_base")
+    np.testing.assert_allclose(X_WB.translation, (0, 0.5, 0), atol=1e-12)
+    np.testing.assert_allclose(X_WB.rotation, np.diag([1, -1, -1]), atol=1e-12)
+    np.testing.assert_array_equal(stance[[model.joints[model.getJointId(n)].idx_q for n in ARM]], np.zeros(7))
+    assert np.all(model.lowerPositionLimit <= stance)
+    assert np.all(stance <= model.upperPositionLimit)
+
+
+def test_climber_composite_in_the_stance(model, stance, root):
+    whole = pin.Inertia.Zero()
+    for name, (mass, com, inertia) in stated_bodies(root).items():
+        if name in CLIMBER:
+            whole += pose(model, stance, name).act(pin.Inertia(mass, com, inertia))
+    assert whole.mass == pytest.approx(30.38, abs=1e-12)
+    np.testing.assert_allclose(whole.lever, (0, 0.25, 0), atol=1e-10)
+    np.testing.assert_allclose(whole.inertia, 0.6 * np.eye(3), atol=1e-10)
+
+
+def test_arm_bodies_are_the_tables(root):
+    bodies = stated_bodies(root)
+    for i in range(7):
+        mass, com, inertia = bodies[f"link_{i + 1}"]
+        assert mass == MASS[i]
+        np.testing.assert_array_equal(com, COM[i])
+        np.testing.assert_array_equal(inertia, tensor(INERTIA[i]))
+    assert bodies.keys() == {*CLIMBER, *(f"link_{i}" for i in range(1, 8))}
+
+
+def test_every_body_is_possible(root):
+    for name, (mass, _, inertia) in stated_bodies(root).items():
+        least, middle, most = np.linalg.eigvalsh(inertia)
+        assert mass > 0, name
+        assert least > 0, name
+        assert most <= least + middle, name
+
+
+@pytest.mark.parametrize("link", [3, 4])
+def test_replaced_inertias_are_needed_and_near(link):
+    printed = tensor(TABLE_2_LINK_3_AND_4[link])
+    least, middle, most = np.linalg.eigvalsh(printed)
+    excess = most - least - middle
+    assert excess > 0.003  # Table 2's body is impossible
+    # The boundary most = least + middle is a plane in the principal moments, excess / sqrt(3) away.
+    distance = np.linalg.norm(tensor(INERTIA[link - 1]) - printed)
+    assert distance == pytest.approx(excess / np.sqrt(3), abs=5e-5)
+
+
+def test_limits(model):
+    for i, name in enumerate(ARM):
+        joint = model.joints[model.getJointId(name)]
+        assert model.upperPositionLimit[joint.idx_q] == np.deg2rad(RANGE_DEG[i])
+        assert model.lowerPositionLimit[joint.idx_q] == -np.deg2rad(RANGE_DEG[i])
+        assert model.velocityLimit[joint.idx_v] == pytest.approx(np.deg2rad(VELOCITY_DEG[i]), rel=1e-15)
+        assert model.effortLimit[joint.idx_v] == TORQUE[i]
+
+
+def test_joint_limits_file():
+    limits = YAML(typ="safe").load(MODELS / "urdf" / "joint_limits.yaml")
+    assert limits["format"] == "cmbot-joint-limits/1"
+    assert list(limits["joints"]) == ARM
+    rows = list(limits["joints"].values())
+    assert [row["acceleration_deg"] for row in rows] == [60, 60, 60, 90, 90, 90, 90]
+    assert [row["jerk_deg"] for row in rows] == [160, 160, 160, 240, 240, 240, 240]
+
+
+def test_three_programs_read_the_same_robot(model):
+    # MuJoCo refuses impossible bodies (the file keeps it from balancing inertias).
+    physics = mujoco.MjModel.from_xml_path(str(URDF))
+    state = mujoco.MjData(physics)
+    viewer = yourdfpy.URDF.load(str(URDF))
+    # pinocchio files the fixed root link under the universe.
+    assert pin.computeTotalMass(model) + model.inertias[0].mass == pytest.approx(68.0, abs=1e-9)
+    assert physics.body_mass.sum() == pytest.approx(68.0, abs=1e-9)
+    assert sum(link.inertial.mass for link in viewer.robot.links if link.inertial) == pytest.approx(
+        68.0, abs=1e-9
+    )
+    assert sorted(viewer.actuated_joint_names) == sorted(ARM + CLIMBING)
+    random = np.random.default_rng(2793)
+    for _ in range(10):
+        angles = {name: random.uniform(-2, 2) for name in ARM + CLIMBING}
+        q = np.array([angles[name] for name in list(model.names)[1:]])
+        X_WT = pose(model, q, "tool0").homogeneous
+        viewer.update_cfg(angles)
+        np.testing.assert_allclose(viewer.get_transform("tool0", "foot_1"), X_WT, atol=1e-9)
+        for name, angle in angles.items():
+            state.joint(name).qpos = angle
+        mujoco.mj_kinematics(physics, state)
+        np.testing.assert_allclose(state.body("tool0").xpos, X_WT[:3, 3], atol=1e-9)
+        np.testing.assert_allclose(state.body("tool0").xmat.reshape(3, 3), X_WT[:3, :3], atol=1e-9)

@@ -1,0 +1,178 @@
+"""Robots that are not ours: a Panda with meshes and fingers, a Kinova with continuous joints."""
+
+import sysconfig
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from conftest import States
+from finite_differences import check_derivative
+from scipy.spatial import ConvexHull
+
+from cmbot.common.errors import ModelError
+from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
+
+ROBOTS = Path(sysconfig.get_path("purelib"), "cmeel.prefix", "share", "example-robot-data", "robots")
+PANDA = ROBOTS / "panda_description" / "urdf" / "panda.urdf"
+KINOVA = ROBOTS / "kinova_description" / "robots" / "kinova.urdf"
+KINOVA_JOINTS = tuple(f"j2s6s200_joint_{i}" for i in range(1, 7))
+PANDA_JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
+
+
+def limits_file(folder: Path, joints: tuple[str, ...]) -> Path:
+    file = folder / "limits.yaml"
+    entries = "".join(f"  {name}: {{acceleration_deg: 200, jerk_deg: 1000}}\n" for name in joints)
+    file.write_text(f"format: cmbot-joint-limits/1\njoints:\n{entries}", encoding="utf-8")
+    return file
+
+
+@pytest.fixture(scope="module")
+def panda(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    limits = limits_file(tmp_path_factory.mktemp("panda"), PANDA_JOINTS)
+    return load_robot(PANDA, base_frame="panda_link0", tool_frame="panda_hand", limits=limits)
+
+
+@pytest.fixture(scope="module")
+def kinova(tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    limits = limits_file(tmp_path_factory.mktemp("kinova"), KINOVA_JOINTS)
+    return load_robot(KINOVA, base_frame="base", tool_frame="j2s6s200_end_effector", limits=limits)
+
+
+@pytest.fixture(params=["panda", "kinova"])
+def robot(request: pytest.FixtureRequest) -> Robot:
+    loaded: Robot = request.getfixturevalue(request.param)
+    return loaded
+
+
+def test_arm_of_the_panda(panda: Robot) -> None:
+    assert panda.joints == PANDA_JOINTS
+    assert panda.limits.upper[0] == 2.8973
+    assert (panda.limits.torque == [87, 87, 87, 87, 12, 12, 12]).all()
+    np.testing.assert_allclose(panda.limits.acceleration, np.deg2rad(200))
+    # The fingers slide, but not on the way to the hand.
+    reference = pin.buildModelFromUrdf(str(PANDA))
+    assert panda.arm_mass == pytest.approx(sum(inertia.mass for inertia in reference.inertias[1:]))
+    assert panda.carrier_mass == pytest.approx(reference.inertias[0].mass)
+
+
+def test_panda_to_its_finger_slides(tmp_path: Path) -> None:
+    limits = limits_file(tmp_path, PANDA_JOINTS)
+    with pytest.raises(ModelError, match=r"joint\[panda_finger_joint1\].type: got prismatic"):
+        load_robot(PANDA, base_frame="panda_link0", tool_frame="panda_leftfinger", limits=limits)
+
+
+def test_continuous_joints_have_one_coordinate_and_no_range(kinova: Robot) -> None:
+    assert kinova.joints == KINOVA_JOINTS
+    assert kinova.model.nq == kinova.model.nv == 6
+    np.testing.assert_array_equal(np.isinf(kinova.limits.upper), [1, 0, 0, 1, 0, 1])
+    np.testing.assert_array_equal(np.isinf(kinova.limits.lower), [1, 0, 0, 1, 0, 1])
+    q = np.array([100.0, 3.0, 3.0, -100.0, 3.0, 50.0])
+    np.testing.assert_array_equal(kinova.posture(q), q)
+    turned = q + 2 * np.pi * np.array([1, 0, 0, -1, 0, 2])
+    poses = [Kinematics(kinova).tool_pose(x).homogeneous for x in (q, turned)]
+    np.testing.assert_allclose(poses[0], poses[1], rtol=0, atol=1e-12)
+
+
+def test_kinova_is_the_reference_model(kinova: Robot, random_states: States) -> None:
+    """Continuous joints as unit circles, as pinocchio reads them."""
+    reference = pin.buildModelFromUrdf(str(KINOVA))
+    data = reference.createData()
+    q, v, a = random_states(kinova, 20)
+    got = Dynamics(kinova).efforts(q, v, a).joint_torque
+    for k in range(len(q)):
+        coordinates = pin.integrate(reference, pin.neutral(reference), q[k])
+        expected = pin.rnea(reference, data, coordinates, v[k], a[k])
+        np.testing.assert_allclose(got[k], expected, rtol=0, atol=1e-11)
+
+
+def test_derivatives(robot: Robot, random_states: States) -> None:
+    q, v, a = random_states(robot, 5)
+    dynamics, kinematics = Dynamics(robot), Kinematics(robot)
+    got = dynamics.derivatives(q, v, a)
+
+    def value(q: Any, v: Any, a: Any) -> Any:
+        efforts = dynamics.efforts(q[None], v[None], a[None])
+        return np.concatenate([efforts.guardrail_torque[0], efforts.joint_torque[0]])
+
+    for k in range(len(q)):
+        expected = value(q[k], v[k], a[k])
+        np.testing.assert_allclose(got.value[k], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+        check_derivative(lambda x, k=k: value(x, v[k], a[k]), q[k], got.d_q[k], rtol=1e-9)
+        J = kinematics.tool_jacobian(q[k])[1]
+        check_derivative(lambda x: kinematics.tool_pose(x).translation, q[k], J[:3], rtol=1e-9)
+
+
+def test_collision_meshes_become_their_convex_hulls(panda: Robot) -> None:
+    loader = coal.MeshLoader(coal.NODE_TYPE.BV_OBBRSS)
+    meshes = [shape for shape in panda.collision_model.geometryObjects if shape.meshPath.endswith(".stl")]
+    assert len(meshes) >= 8
+    for shape in meshes:
+        hull = shape.geometry
+        assert isinstance(hull, coal.ConvexBase)
+        vertices = loader.load(shape.meshPath, shape.meshScale).vertices()
+        points = np.array([hull.point(i) for i in range(hull.num_points)])
+        # Every vertex of the mesh lies in the hull, every point of the hull is one of them.
+        planes = ConvexHull(points).equations
+        assert (vertices @ planes[:, :3].T + planes[:, 3]).max() < 1e-9
+        nearest = np.linalg.norm(points[:, None] - vertices, axis=2).min(axis=1)
+        assert nearest.max() < 1e-12
+
+
+def test_distance_to_a_hull_is_never_more_than_to_its_mesh(kinova: Robot, rng: np.random.Generator) -> None:
+    """These meshes are not convex, so mesh and hull differ."""
+    shape = next(s for s in kinova.collision_model.geometryObjects if s.name == "j2s6s200_link_2_0")
+    mesh = coal.MeshLoader(coal.NODE_TYPE.BV_OBBRSS).load(shape.meshPath, shape.meshScale)
+    ball, here = coal.Sphere(0.01), coal.Transform3s()
+    for _ in range(50):
+        there = coal.Transform3s(np.eye(3), rng.uniform(-0.6, 0.6, 3))
+        request = coal.DistanceRequest()
+        to_hull = coal.distance(shape.geometry, here, ball, there, request, coal.DistanceResult())
+        to_mesh = coal.distance(mesh, here, ball, there, request, coal.DistanceResult())
+        assert to_hull <= to_mesh + 1e-6
+
+
+def test_tool_with_a_mesh_is_stretched(panda: Robot, tmp_path: Path) -> None:
+    options: dict[str, Any] = {"base_frame": "panda_link0", "tool_frame": "panda_hand_tcp"}
+    # The tool point lies 0.1034 m ahead of the hand.
+    limits = limits_file(tmp_path, PANDA_JOINTS)
+    longer = load_robot(PANDA, limits=limits, tool_length=0.2068, **options)
+    (before,) = (s for s in panda.collision_model.geometryObjects if s.name == "panda_hand_0")
+    (after,) = (s for s in longer.collision_model.geometryObjects if s.name == "panda_hand_0")
+    flange = panda.model.frames[panda.model.getFrameId("panda_hand")].placement
+    extents = []
+    for shape in (before, after):
+        X_FS = flange.inverse() * shape.placement
+        points = [X_FS.act(shape.geometry.point(i)) for i in range(shape.geometry.num_points)]
+        extents.append(np.array([np.min(points, axis=0), np.max(points, axis=0)]))
+    np.testing.assert_allclose(extents[1], extents[0] * [1, 1, 2], rtol=0, atol=1e-9)
+
+
+FLAT = {
+    "flat": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]],
+    "tilted": [[0, 0, 0], [1, 0, 0.25], [0, 1, 0.5], [1, 1, 0.75]],
+    "nearly flat": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1e-9]],
+    "a line": [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]],
+    "one triangle": [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+}
+
+
+@pytest.mark.parametrize("vertices", FLAT.values(), ids=FLAT.keys())
+def test_mesh_without_volume(urdf_folder: Path, vertices: list[list[float]]) -> None:
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + ["f 1 2 3"] + ["f 2 3 4"] * (len(vertices) > 3)
+    (urdf_folder / "flat.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    file = urdf_folder / "cmbot.urdf"
+    text = file.read_text(encoding="utf-8")
+    box = '<box size="0.13 0.05 0.15" />'
+    assert box in text
+    file.write_text(text.replace(box, '<mesh filename="flat.obj" />'), encoding="utf-8")
+    with pytest.raises(ModelError, match=r"foot_1_0: got the mesh .*flat.obj, expected a mesh that encloses"):
+        load_robot(file, base_frame="arm_base", tool_frame="tool0")
+
+
+def test_loading_is_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    limits = limits_file(tmp_path, PANDA_JOINTS)
+    load_robot(PANDA, base_frame="panda_link0", tool_frame="panda_link8", limits=limits)
+    assert capfd.readouterr() == ("", "")

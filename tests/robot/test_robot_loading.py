@@ -1,0 +1,303 @@
+"""The shipped robot is the paper's; requests that cannot be met are refused."""
+
+import dataclasses
+import itertools
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from robot_files import load_copy, pose, replace
+
+from cmbot.common.errors import InputError, ModelError
+from cmbot.robot import JointLimits, Robot, load_robot
+
+VELOCITY_DEG = (20, 20, 20, 30, 30, 30, 30)  # Chang 2021, Table 3
+RANGE_DEG = (170, 170, 150, 170, 170, 130, 170)
+
+
+# The shipped robot
+
+
+def test_limits_are_table_3(cmbot_robot: Robot) -> None:
+    limits = cmbot_robot.limits
+    velocity = np.array(VELOCITY_DEG)
+    np.testing.assert_allclose(limits.velocity, np.deg2rad(velocity), rtol=1e-15)
+    np.testing.assert_allclose(limits.acceleration, np.deg2rad(3 * velocity), rtol=1e-15)
+    np.testing.assert_allclose(limits.jerk, np.deg2rad(8 * velocity), rtol=1e-15)
+    np.testing.assert_array_equal(limits.torque, [240, 240, 240, 160, 160, 160, 160])
+    np.testing.assert_allclose(limits.upper, np.deg2rad(RANGE_DEG), rtol=1e-15)
+    np.testing.assert_array_equal(limits.lower, -limits.upper)
+
+
+def test_masses(cmbot_robot: Robot) -> None:
+    assert cmbot_robot.arm_mass == pytest.approx(37.62, abs=1e-12)
+    assert cmbot_robot.carrier_mass == pytest.approx(30.38, abs=1e-12)
+    assert cmbot_robot.mass == pytest.approx(68.0, abs=1e-12)
+
+
+def test_carrier_in_the_working_stance(cmbot_robot: Robot) -> None:
+    carrier = cmbot_robot.model.inertias[0]
+    # The URDF's decimals end at 1e-12.
+    np.testing.assert_allclose(carrier.lever, [0, 0.25, 0], atol=1e-9)
+    np.testing.assert_allclose(carrier.inertia, 0.6 * np.eye(3), atol=1e-9)
+    expected = np.cross([0, 0.25, 0], [0, 0, -30.38 * 9.81])
+    np.testing.assert_allclose(cmbot_robot.carrier_torque, expected, atol=1e-8)
+
+
+def test_joints_and_frames(cmbot_robot: Robot) -> None:
+    assert cmbot_robot.name == "cmbot"
+    assert cmbot_robot.joints == tuple(f"joint_{i}" for i in range(1, 8))
+    assert cmbot_robot.dof == 7
+    assert cmbot_robot.model.frames[cmbot_robot.tool_frame_id].name == "tool0"
+    X_WB = cmbot_robot.model.frames[cmbot_robot.model.getFrameId("arm_base")].placement
+    expected = pose((np.pi, 0, 0), (0, 0.5, 0))
+    np.testing.assert_allclose(X_WB.homogeneous, expected.homogeneous, rtol=0, atol=1e-12)
+
+
+def test_what_may_touch(cmbot_robot: Robot) -> None:
+    model, shapes = cmbot_robot.model, cmbot_robot.collision_model
+    links = [model.frames[shape.parentFrame].name for shape in shapes.geometryObjects]
+    pairs = {frozenset((links[pair.first], links[pair.second])) for pair in shapes.collisionPairs}
+    arm = {"link_1", "link_2", "link_3", "link_5", "tool"}
+    assert all(pair & arm for pair in pairs)  # the climbing mechanism is locked
+    for neighbours in (("link_1", "link_2"), ("link_2", "link_3"), ("link_3", "link_5"), ("link_5", "tool")):
+        assert frozenset(neighbours) not in pairs
+    for others in (("link_1", "link_3"), ("link_1", "tool"), ("leg_1", "tool"), ("ankle_1", "link_3")):
+        assert frozenset(others) in pairs
+
+
+def test_without_srdf_neighbours_are_disabled_and_locked_joints_at_zero(urdf_folder: Path) -> None:
+    (urdf_folder / "cmbot.srdf").unlink()
+    robot = load_copy(urdf_folder)
+    shapes = robot.collision_model
+    joints = [shape.parentJoint for shape in shapes.geometryObjects]
+    pairs = {(pair.first, pair.second) for pair in shapes.collisionPairs}
+    expected_pairs = {
+        (i, k)
+        for i, k in itertools.combinations(range(len(joints)), 2)
+        if joints[i] != joints[k]
+        and robot.model.parents[max(joints[i], joints[k])] != min(joints[i], joints[k])
+    }
+    assert pairs == expected_pairs
+    assert len(pairs) == len(shapes.collisionPairs)
+    expected = pose((0, 0, 0), (0.16, 0.13, 0.075)) * pose((np.pi, np.pi / 2, 0), (-0.16, 0.37, -0.075))
+    X_WB = robot.model.frames[robot.model.getFrameId("arm_base")].placement
+    np.testing.assert_allclose(X_WB.homogeneous, expected.homogeneous, atol=1e-12)
+
+
+def test_a_robot_cannot_be_changed(cmbot_robot: Robot) -> None:
+    for owner, name in ((cmbot_robot, "payload"), (cmbot_robot, "model"), (cmbot_robot.limits, "upper")):
+        with pytest.raises(dataclasses.FrozenInstanceError):
+            setattr(owner, name, 0.0)
+    for field in dataclasses.fields(JointLimits):
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(cmbot_robot.limits, field.name)[0] = 1.0
+
+
+def test_limits_do_not_share_the_callers_arrays() -> None:
+    one = np.ones(2)
+    limits = JointLimits(lower=-one, upper=one, velocity=one, acceleration=one, jerk=one, torque=one)
+    one[0] = 7.0
+    assert limits.upper[0] == 1.0
+
+
+@pytest.mark.parametrize("bad", [np.ones(3), np.array([1.0, np.nan])])
+def test_limits_of_other_length_or_no_number(bad: np.ndarray) -> None:
+    one = np.ones(2)
+    with pytest.raises(InputError, match="jerk"):
+        JointLimits(lower=-one, upper=one, velocity=one, acceleration=one, jerk=bad, torque=one)
+
+
+def test_loading_is_silent(capfd: pytest.CaptureFixture[str]) -> None:
+    load_robot("cmbot", tool_length=0.4, payload=1.0)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_hash_tells_files_apart(urdf_folder: Path) -> None:
+    before = load_copy(urdf_folder).content_hash
+    assert re.fullmatch("[0-9a-f]{64}", before)
+    assert load_copy(shutil.copytree(urdf_folder, urdf_folder / "copy")).content_hash == before
+    hashes = {before}
+    for name, old, new in (
+        ("cmbot.urdf", 'value="7.8"', 'value="7.9"'),
+        ("cmbot.srdf", 'reason="Adjacent"', 'reason="adjacent"'),
+        ("joint_limits.yaml", "jerk_deg: 160", "jerk_deg: 161"),
+    ):
+        replace(urdf_folder / name, old, new)
+        hashes.add(load_copy(urdf_folder).content_hash)
+    assert len(hashes) == 4
+
+
+def test_other_encodings_are_read(urdf_folder: Path) -> None:
+    file = urdf_folder / "cmbot.urdf"
+    text = file.read_text(encoding="utf-8").replace("?>", ' encoding="latin-1"?>', 1)
+    file.write_bytes(text.replace("guardrail", "Geländer").encode("latin-1"))
+    assert load_copy(urdf_folder).mass == pytest.approx(68.0)
+
+
+# Requests that cannot be met
+
+
+def test_frames_must_be_given_for_other_robots(urdf_folder: Path) -> None:
+    with pytest.raises(ModelError, match="base_frame, tool_frame"):
+        load_robot(urdf_folder / "cmbot.urdf", base_frame="arm_base")
+
+
+@pytest.mark.parametrize("key", ["base_frame", "tool_frame"])
+@pytest.mark.parametrize("name", ["nowhere", "joint_1", "universe", ""])
+def test_unknown_frame_lists_the_links(urdf_folder: Path, key: str, name: str) -> None:
+    with pytest.raises(ModelError) as caught:
+        load_copy(urdf_folder, **{key: name})
+    assert caught.value.key == key
+    assert {"foot_1", "arm_base", "link_7", "tool0"} <= set(caught.value.choices)
+
+
+@pytest.mark.parametrize(
+    ("base", "tool"),
+    [
+        ("tool0", "arm_base"),
+        ("tool0", "tool0"),
+        ("link_7", "tool0"),
+        ("foot_2", "tool0"),
+        ("link_3", "foot_2"),
+    ],
+)
+def test_no_arm_between_the_frames(urdf_folder: Path, base: str, tool: str) -> None:
+    with pytest.raises(ModelError, match=r"tool_frame: .* joints move below"):
+        load_copy(urdf_folder, base_frame=base, tool_frame=tool)
+
+
+@pytest.mark.parametrize("link", ["tool0", "arm_base", "link_4", "foot_2"])
+def test_fixed_joint_may_share_its_name_with_a_link(urdf_folder: Path, cmbot_robot: Robot, link: str) -> None:
+    """URDF allows it, and the Z1's has such a joint; pinocchio finds no frame then."""
+    replace(urdf_folder / "cmbot.urdf", 'joint name="tool_tip_joint"', f'joint name="{link}"')
+    robot = load_copy(urdf_folder)
+    assert robot.joints == cmbot_robot.joints
+    assert robot.mass == cmbot_robot.mass
+    frames = [one.model.frames[one.tool_frame_id].placement for one in (robot, cmbot_robot)]
+    assert frames[0] == frames[1]
+
+
+def test_a_shorter_arm(urdf_folder: Path) -> None:
+    robot = load_copy(urdf_folder, base_frame="link_2", tool_frame="link_6")
+    assert robot.joints == ("joint_3", "joint_4", "joint_5", "joint_6")
+    # The locked joint 7 lets link 7 move with link 6.
+    assert robot.arm_mass == pytest.approx(7.7 + 4.9 + 3.7 + 2.5 + 3.62)
+    assert robot.mass == pytest.approx(68.0)
+
+
+JOINT_4 = '<joint name="joint_4" type="revolute">'
+
+
+def test_sliding_joint_in_the_arm(urdf_folder: Path) -> None:
+    replace(urdf_folder / "cmbot.urdf", JOINT_4, JOINT_4.replace("revolute", "prismatic"))
+    with pytest.raises(ModelError, match=r"joint\[joint_4\].type: got prismatic, .* revolute or continuous"):
+        load_copy(urdf_folder)
+
+
+def test_sliding_joint_beside_the_arm_is_locked(urdf_folder: Path) -> None:
+    replace(
+        urdf_folder / "cmbot.urdf",
+        '<joint name="climb_5" type="revolute">',
+        '<joint name="climb_5" type="prismatic">',
+    )
+    assert load_copy(urdf_folder).dof == 7
+
+
+def test_following_joint_in_the_arm(urdf_folder: Path) -> None:
+    replace(urdf_folder / "cmbot.urdf", JOINT_4, JOINT_4 + '<mimic joint="joint_3"/>')
+    with pytest.raises(ModelError, match=r"joint\[joint_4\].mimic"):
+        load_copy(urdf_folder)
+
+
+@pytest.mark.parametrize("key", ["velocity", "effort"])
+def test_zero_limit(urdf_folder: Path, key: str) -> None:
+    file = urdf_folder / "cmbot.urdf"
+    old = re.search(rf'name="joint_1".*?({key}="[^"]*")', file.read_text(encoding="utf-8"), re.DOTALL)
+    assert old is not None
+    replace(file, old[1], f'{key}="0"')
+    with pytest.raises(ModelError, match=rf"joint\[joint_1\].limit.{key}: got 0.0, expected a positive"):
+        load_copy(urdf_folder)
+
+
+def test_continuous_joint_without_limits_has_no_torque(urdf_folder: Path) -> None:
+    file = urdf_folder / "cmbot.urdf"
+    text = file.read_text(encoding="utf-8").replace(JOINT_4, JOINT_4.replace("revolute", "continuous"))
+    start = text.index("<limit", text.index('"joint_4"'))
+    file.write_text(text[:start] + text[text.index("/>", start) + 2 :], encoding="utf-8")
+    with pytest.raises(ModelError, match=r"joint\[joint_4\].limit.velocity"):
+        load_copy(urdf_folder)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("joint_3:", "joint_9:", "joints.joint_3: got nothing"),
+        ("jerk_deg: 160", "jerk_deg: 0", r"joints.joint_1.jerk_deg: got 0, expected more than 0"),
+        ("jerk_deg: 160", "jerk_deg: .nan", "jerk_deg"),
+        ("jerk_deg: 160", "jerk_deg: '160'", "jerk_deg"),
+        ("jerk_deg: 160", "jerk: 160", "jerk"),
+        (", jerk_deg: 160", "", "joints.joint_1.jerk_deg"),
+        ("cmbot-joint-limits/1", "cmbot-joint-limits/2", "format"),
+        ("joints:", "joints: [", "joint_limits.yaml"),
+    ],
+)
+def test_bad_joint_limits(urdf_folder: Path, old: str, new: str, word: str) -> None:
+    replace(urdf_folder / "joint_limits.yaml", old, new)
+    with pytest.raises(ModelError, match=word):
+        load_copy(urdf_folder)
+
+
+def test_missing_joint_limits(urdf_folder: Path) -> None:
+    (urdf_folder / "joint_limits.yaml").rename(urdf_folder / "other.yaml")
+    with pytest.raises(ModelError, match=r"joint_limits.yaml"):
+        load_copy(urdf_folder)
+    assert load_copy(urdf_folder, limits=urdf_folder / "other.yaml").dof == 7
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "word"),
+    [
+        ("</robot>", "", "not well-formed XML"),
+        ("robot", "sdf", "<sdf>"),
+        ('joint name="climb_2" value', 'joint name="elbow" value', "group_state: got 'elbow'"),
+        ('joint name="climb_2" value', 'joint name="universe" value', "group_state: got 'universe'"),
+        ('value="0.0"', 'value="flat"', "group_state.climb_2: got 'flat'"),
+        ('value="0.0"', 'value="nan"', "group_state.climb_2: got 'nan'"),
+        ('value="0.0"', "", "group_state.climb_2: got ''"),
+        ('link2="link_1"', "", "disable_collisions: .* link1 and link2"),
+    ],
+)
+def test_bad_srdf(
+    urdf_folder: Path, capfd: pytest.CaptureFixture[str], old: str, new: str, word: str
+) -> None:
+    replace(urdf_folder / "cmbot.srdf", old, new)
+    with pytest.raises(ModelError, match=word) as caught:
+        load_copy(urdf_folder)
+    assert caught.value.source == str(urdf_folder / "cmbot.srdf")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_missing_srdf_that_was_asked_for(urdf_folder: Path) -> None:
+    with pytest.raises(ModelError, match=r"other.srdf"):
+        load_copy(urdf_folder, srdf=urdf_folder / "other.srdf")
+
+
+# Postures
+
+
+@pytest.mark.parametrize("q", [np.zeros(6), np.zeros((1, 7)), np.full(7, np.nan), np.full(7, np.inf)])
+def test_posture_of_other_shape_or_no_number(cmbot_robot: Robot, q: np.ndarray) -> None:
+    with pytest.raises(InputError, match="7 finite joint angles"):
+        cmbot_robot.posture(q)
+
+
+def test_posture_within_the_ranges(cmbot_robot: Robot) -> None:
+    edge = np.deg2rad(RANGE_DEG)
+    np.testing.assert_array_equal(cmbot_robot.posture(list(edge)), edge)
+    edge[2] += 1e-9
+    with pytest.raises(InputError, match=r"posture_deg\[2\]: got 150 deg, expected joint_3 within") as caught:
+        cmbot_robot.posture(edge, source="scene.yaml", key="posture_deg")
+    assert caught.value.source == "scene.yaml"

@@ -1,0 +1,153 @@
+"""The two scenes of the paper carry its numbers and ours, and their geometry closes."""
+
+import importlib.util
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.errors import SceneError
+from cmbot.common.resources import scene_folder
+from cmbot.common.yaml_reader import read_yaml
+from cmbot.scene import Box, load_scene, shipped_scenes
+
+# Chang 2021, Table 1: (alpha_{i-1} in degrees, a_{i-1}, d_i), and the tool along z of frame 7.
+DH = [(0, 0, 0), (-90, 0.83, 0), (0, 1.0, 0), (0, 0.78, 0), (90, 0, 0.87), (-90, 0, 0), (90, 0, 0)]
+TOOL_LENGTH = 0.30
+
+
+def tool_point(posture):
+    """The tool point in W, straight from the table, independent of any model file."""
+    R, p = Rotation.from_euler("x", 180, degrees=True), np.array([0, 0.5, 0])
+    for (alpha, a, d), theta in zip(DH, posture, strict=True):
+        p = p + R.apply([a, 0, 0])
+        R = R * Rotation.from_euler("x", alpha, degrees=True) * Rotation.from_euler("z", theta)
+        p = p + R.apply([0, 0, d])
+    return p + R.apply([0, 0, TOOL_LENGTH])
+
+
+def box_of(scene, name):
+    obstacle = next(obstacle for obstacle in scene.obstacles if obstacle.name == name)
+    assert isinstance(obstacle.shape, Box)
+    return obstacle
+
+
+def test_the_shipped_scenes():
+    assert shipped_scenes() == ("line", "triangle")
+    with pytest.raises(SceneError, match=r"no such file.*\(one of: line, triangle\)"):
+        load_scene("traingle")
+
+
+@pytest.mark.parametrize("name", ["triangle", "line"])
+def test_name_path_and_string_give_the_same_scene(name):
+    path = scene_folder() / f"{name}.yaml"
+    scenes = [load_scene(name), load_scene(path), load_scene(str(path))]
+    assert {scene.name for scene in scenes} == {name}
+    assert len({scene.content_hash for scene in scenes}) == 1
+    assert all(scene.file == scenes[0].file for scene in scenes)
+
+
+def test_triangle():
+    scene = load_scene("triangle")
+    np.testing.assert_allclose(np.degrees(scene.posture), [-10, -90, 90, 0, 10, 50, 0])
+    assert (scene.robot.model, scene.robot.tool_length, scene.robot.payload) == ("cmbot", TOOL_LENGTH, 0)
+    assert [leg.seconds for leg in scene.legs] == [10, 2, 8]
+    lengths = [np.linalg.norm(leg.by) for leg in scene.legs]
+    np.testing.assert_allclose(lengths, [1.0, 0.2, 0.83], atol=1e-4)
+    np.testing.assert_allclose(np.sum([leg.by for leg in scene.legs], axis=0), 0, atol=1e-12)
+    assert (scene.keep, scene.via_points) == ("pose", 50)
+    assert (scene.speed_profile.kind, scene.speed_profile.ramp) == ("trapezoidal", 0.2)
+
+
+def test_bracket_bars_lie_along_the_sides():
+    scene = load_scene("triangle")
+    corner = tool_point(scene.posture)
+    np.testing.assert_allclose(corner, [1.815, 0.780, -2.063], atol=1e-3)
+    corners = corner + np.cumsum([(0, 0, 0), *(leg.by for leg in scene.legs)], axis=0)
+    for name, (start, end) in zip(("ab", "bc", "ca"), pairwise(corners), strict=True):
+        bar = box_of(scene, f"bracket_{name}")
+        side = end - start
+        assert bar.workpiece
+        np.testing.assert_allclose(bar.X_WO[:3, 3], (start + end) / 2 + [0.12, 0, 0], atol=1e-4)
+        assert abs(bar.X_WO[:3, 1] @ side) / np.linalg.norm(side) == pytest.approx(1, abs=1e-9)
+        np.testing.assert_allclose(bar.shape.size, [0.06, np.linalg.norm(side), 0.06], atol=1e-4)
+
+
+def test_line():
+    scene = load_scene("line")
+    np.testing.assert_allclose(np.degrees(scene.posture), [-45, -90, 90, -10, 10, -55, 0])
+    assert [(leg.by, leg.seconds) for leg in scene.legs] == [((0, 0, 0.94), 20)]
+    steel = box_of(scene, "angle_steel")
+    assert steel.workpiece
+    np.testing.assert_allclose(steel.shape.size, [0.075, 0.075, 1.5])
+    expected = tool_point(scene.posture)[:2] - [0.35, 0]
+    np.testing.assert_allclose(steel.X_WO[:2, 3], expected, atol=1e-4)
+    middle = steel.X_WO[2, 3]
+    np.testing.assert_allclose([middle - 0.75, middle + 0.75], [-2.28, -0.78])
+
+
+@pytest.mark.parametrize("name", ["triangle", "line"])
+def test_slab_and_guardrail(name):
+    scene = load_scene(name)
+    boxes = {o.name: (o.shape.size, o.X_WO[:3, 3].tolist()) for o in scene.obstacles if not o.workpiece}
+    slab_size, slab_centre = boxes.pop("slab")
+    assert (slab_size, slab_centre) == ((6, 1.2, 0.12), [1, -0.8, -1.06])
+    assert slab_centre[1] + slab_size[1] / 2 == pytest.approx(-0.2)
+    assert list(boxes) == ["top_rail", "bar_1", "bar_2", "post_1", "post_2", "post_3", "post_4", "post_5"]
+    for rail, width, z in [("top_rail", 0.06, 0.0), ("bar_1", 0.04, -0.45), ("bar_2", 0.04, -0.80)]:
+        assert boxes[rail] == ((7.0, width, width), [0, 0, z])
+    for number, x in enumerate([-3.5, -1.75, 0, 1.75, 3.5], start=1):
+        size, centre = boxes[f"post_{number}"]
+        np.testing.assert_allclose([*size, *centre], [0.075, 0.075, 1.15, x, 0, -0.525])
+
+
+def test_guardrail_data_for_the_frame():
+    guardrail = load_scene("triangle").guardrail
+    assert guardrail.post_positions == (-3.5, -1.75, 0, 1.75, 3.5)
+    assert (guardrail.post.section.leg, guardrail.post.section.thickness) == (0.075, 0.008)
+    assert (guardrail.rails[0].section.leg, guardrail.rails[0].section.thickness) == (0.063, 0.006)
+    assert [rail.section.diameter for rail in guardrail.rails[1:]] == [0.02, 0.02]
+    material = guardrail.material
+    assert (guardrail.post.clamp, material.young, material.shear, material.density) == (
+        -1.05,
+        206e9,
+        79e9,
+        7850,
+    )
+    assert guardrail.stiffness is None
+    assert guardrail.mass is None
+
+
+def test_json_schema_is_up_to_date():
+    tool = Path(__file__).parent.parent.parent / "tools" / "build_schema.py"
+    spec = importlib.util.spec_from_file_location("build_schema", tool)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    assert module.TARGET.read_text(encoding="utf-8") == module.schema_text(), "run tools/build_schema.py"
+
+
+@pytest.fixture(scope="module")
+def json_schema():
+    schema = json.loads((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    return jsonschema.Draft202012Validator(schema)
+
+
+@pytest.mark.parametrize("name", ["triangle", "line"])
+def test_shipped_scenes_meet_the_json_schema(json_schema, name):
+    json_schema.validate(read_yaml(scene_folder() / f"{name}.yaml", SceneError))
+    resolved = load_scene(name).file.as_data()
+    json_schema.validate(resolved)
+
+
+@pytest.mark.parametrize("change", [{"sphere": 1.0}, {"box": None}, {"colour": "red"}, {"box": [1, 1]}])
+def test_json_schema_refuses_wrong_obstacles(json_schema, change):
+    data = load_scene("line").file.as_data()
+    data["obstacles"][0].update(change)
+    assert not json_schema.is_valid(data)
+    with pytest.raises(SceneError):
+        load_scene(data)

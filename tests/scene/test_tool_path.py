@@ -1,0 +1,239 @@
+"""The tool path: position, velocity, via-times, the way back to the legs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise, product
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from cmbot.common.errors import InputError
+from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.scene.tool_path import ToolPath, share_out_segments
+
+FloatArray = NDArray[np.float64]
+KINDS = ("trapezoidal", "jerk_limited")
+
+
+def triangle(kind: str = "trapezoidal") -> ToolPath:
+    """Three legs of 10, 2 and 8 s."""
+    corners = np.array([[0.5, 1.0, 0.2], [1.5, 1.0, 0.2], [1.5, 1.3, 0.2], [0.5, 1.0, 0.2]])
+    return ToolPath(
+        corners=corners,
+        orientation=np.eye(3),
+        seconds=np.array([10.0, 2.0, 8.0]),
+        profile=SpeedProfile(kind=kind, ramp=0.2),
+    )
+
+
+def random_path(seed: int, legs: int, kind: str) -> ToolPath:
+    rng = np.random.default_rng(seed)
+    return ToolPath(
+        corners=rng.normal(size=(legs + 1, 3)),
+        orientation=np.eye(3),
+        seconds=rng.uniform(0.5, 10, size=legs),
+        profile=SpeedProfile(kind=kind, ramp=rng.uniform(0.05, 0.5)),
+    )
+
+
+paths = st.builds(random_path, st.integers(0, 2**32 - 1), st.integers(1, 5), st.sampled_from(KINDS))
+durations = st.lists(st.floats(0.1, 100), min_size=1, max_size=6)
+
+
+def test_times_and_lengths_of_the_triangle() -> None:
+    path = triangle()
+    np.testing.assert_array_equal(path.leg_times, [0, 10, 12, 20])
+    assert path.duration == 20.0
+    np.testing.assert_allclose(path.lengths, [1.0, 0.3, np.hypot(1.0, 0.3)])
+
+
+@given(paths)
+def test_the_tool_rests_at_every_corner(path: ToolPath) -> None:
+    np.testing.assert_allclose(path.position(path.leg_times), path.corners, rtol=0, atol=1e-14)
+    # Next to a corner, on either side of it, the speed is small too.
+    for times in (path.leg_times, path.leg_times - 1e-9, path.leg_times + 1e-9):
+        assert np.abs(path.velocity(times)).max() < 1e-6
+
+
+@given(paths)
+def test_velocity_is_the_derivative_of_position(path: ToolPath) -> None:
+    step = 1e-5
+    times = np.linspace(step, path.duration - step, 500)
+    # A kink of the speed within a step costs half a step times its acceleration.
+    u_kinks = np.array([0.0, path.profile.ramp, 1 - path.profile.ramp, 1.0])
+    kinks = (path.leg_times[:-1, None] + u_kinks * path.seconds[:, None]).ravel()
+    times = times[np.abs(times[:, None] - kinks).min(axis=1) > step]
+    difference = (path.position(times + step) - path.position(times - step)) / (2 * step)
+    np.testing.assert_allclose(difference, path.velocity(times), rtol=0, atol=1e-6)
+
+
+@given(paths)
+def test_positions_lie_on_the_leg_of_their_time(path: ToolPath) -> None:
+    for leg, (start, end) in enumerate(zip(path.leg_times[:-1], path.leg_times[1:], strict=True)):
+        p = path.position(np.linspace(start, end, 21)[1:-1])
+        edge = np.diff(path.corners, axis=0)[leg]
+        along = (p - path.corners[leg]) @ edge / path.lengths[leg] ** 2
+        np.testing.assert_allclose(p, path.corners[leg] + along[:, None] * edge, rtol=0, atol=1e-13)
+        assert np.all(np.diff(along) > 0)
+        assert along.min() > 0
+        assert along.max() < 1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_times_outside_count_as_the_nearer_end(kind: str) -> None:
+    path = triangle(kind)
+    outside = [-np.inf, -3.0, 25.0, np.inf]
+    np.testing.assert_allclose(path.position(outside), path.corners[[0, 0, -1, -1]], rtol=0, atol=1e-15)
+    assert not path.velocity(outside).any()
+    assert path.progress(-3.0) == 0.0
+    assert path.progress(25.0) == 1.0
+
+
+@given(paths)
+def test_progress_is_the_covered_share_of_the_length(path: ToolPath) -> None:
+    times = np.linspace(0, path.duration, 101)
+    progress = np.array([path.progress(float(time)) for time in times])
+    assert progress[0] == 0.0
+    assert progress[-1] == pytest.approx(1.0, abs=1e-15)
+    assert np.all(np.diff(progress) >= -1e-15)
+    assert np.all((progress >= 0) & (progress <= 1 + 1e-15))
+    at_corners = [path.progress(float(time)) for time in path.leg_times]
+    expected = np.concatenate([[0.0], np.cumsum(path.lengths)]) / path.lengths.sum()
+    np.testing.assert_allclose(at_corners, expected, rtol=0, atol=1e-14)
+    # Length travelled, summed from small steps.
+    fine = path.position(np.union1d(np.linspace(0, path.duration, 1001), path.leg_times))
+    assert np.linalg.norm(np.diff(fine, axis=0), axis=1).sum() == pytest.approx(path.lengths.sum(), rel=1e-12)
+
+
+@settings(max_examples=30)
+@given(paths, st.integers(0, 2**32 - 1))
+def test_offset_is_the_way_from_the_nearest_point_of_densely_sampled_legs(path: ToolPath, seed: int) -> None:
+    p = np.random.default_rng(seed).normal(scale=1.5, size=(20, 3))
+    offset = path.offset(p)
+    assert offset.shape == (20, 3)
+    s = np.linspace(0, 1, 801)[:, None, None]
+    samples = (path.corners[:-1] + s * np.diff(path.corners, axis=0)).reshape(-1, 3)
+    squares = ((p[:, None] - samples) ** 2).sum(axis=2).min(axis=1)
+    # The nearest sample is at most half a step beside the nearest point.
+    slack = (path.lengths.max() / 800 / 2) ** 2
+    distance = (offset**2).sum(axis=1)
+    assert np.all(distance <= squares + 1e-13)
+    assert np.all(squares <= distance + slack + 1e-13)
+    # What the offset leads back to is itself on a leg.
+    np.testing.assert_allclose(path.offset(p - offset), 0.0, rtol=0, atol=1e-13)
+
+
+@given(paths)
+def test_offset_is_zero_on_the_legs(path: ToolPath) -> None:
+    on_legs = path.position(np.linspace(0, path.duration, 101))
+    np.testing.assert_allclose(path.offset(on_legs), 0.0, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(path.offset(path.corners), 0.0, rtol=0, atol=1e-13)
+
+
+@given(paths, st.integers(0, 2**32 - 1))
+def test_leg_offset_is_from_the_leg_of_that_time_only(path: ToolPath, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    legs = len(path.seconds)
+    p = rng.normal(scale=1.5, size=(legs, 3))
+    times = path.leg_times[:-1] + rng.uniform(0.01, 0.99, size=legs) * path.seconds
+    got = path.leg_offset(times, p)
+    for leg in range(legs):
+        alone = replace(path, corners=path.corners[leg : leg + 2], seconds=path.seconds[leg : leg + 1])
+        np.testing.assert_allclose(got[leg], alone.offset(p[leg : leg + 1])[0], rtol=0, atol=1e-14)
+    # The nearest of all legs is no further.
+    assert np.all(np.linalg.norm(path.offset(p), axis=1) <= np.linalg.norm(got, axis=1) + 1e-14)
+
+
+def test_offset_beyond_the_ends_is_from_the_end() -> None:
+    path = ToolPath(
+        corners=np.array([[0.0, 0, 0], [2.0, 0, 0]]),
+        orientation=np.eye(3),
+        seconds=np.array([1.0]),
+        profile=SpeedProfile(),
+    )
+    p = np.array([[3.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, 0.0, 0.5]])
+    np.testing.assert_allclose(path.offset(p), [[1.0, 0, 0], [-1.0, 2.0, 0], [0, 0, 0.5]], rtol=0, atol=1e-15)
+
+
+@given(paths, st.integers(0, 60))
+def test_via_times_hold_the_leg_ends_and_equal_steps_within_a_leg(path: ToolPath, more: int) -> None:
+    legs = len(path.seconds)
+    t = path.via_times(legs + 1 + more)
+    assert t.shape == (legs + 1 + more,)
+    assert np.all(np.diff(t) > 0)
+    assert np.isin(path.leg_times, t).all()
+    shares = share_out_segments(path.seconds, legs + more)
+    index = np.searchsorted(t, path.leg_times)
+    np.testing.assert_array_equal(np.diff(index), shares)
+    for leg, (start, end) in enumerate(pairwise(index)):
+        steps = np.diff(t[start : end + 1])
+        np.testing.assert_allclose(steps, path.seconds[leg] / shares[leg], rtol=0, atol=1e-14 * path.duration)
+
+
+def test_the_triangle_of_the_paper() -> None:
+    assert share_out_segments([10.0, 2.0, 8.0], 49) == [25, 5, 19]
+    t = triangle().via_times(50)
+    assert len(t) == 50
+    np.testing.assert_array_equal(t[[0, 25, 30, 49]], [0, 10, 12, 20])
+
+
+def test_the_straight_line_of_the_paper_has_equal_steps() -> None:
+    assert share_out_segments([20.0], 49) == [49]
+
+
+@given(durations, st.integers(0, 80))
+def test_shares_add_up_and_follow_dhondt(seconds: list[float], more: int) -> None:
+    shares = share_out_segments(seconds, len(seconds) + more)
+    assert sum(shares) == len(seconds) + more
+    assert min(shares) >= 1
+    # No segment is better placed elsewhere: where it went, the step is at least what it would be there.
+    # (That makes the shortest step longest. It does not make the longest step shortest: long legs win.)
+    for given_up, gaining in product(range(len(seconds)), repeat=2):
+        if shares[given_up] > 1:
+            shortest = seconds[given_up] / shares[given_up]
+            assert shortest >= seconds[gaining] / (shares[gaining] + 1)
+
+
+@settings(max_examples=40)
+@given(st.lists(st.floats(0.1, 100), min_size=1, max_size=3), st.integers(0, 9))
+def test_no_other_shares_have_a_longer_shortest_step(seconds: list[float], more: int) -> None:
+    total = len(seconds) + more
+    shares = share_out_segments(seconds, total)
+    others = (s for s in product(range(1, total + 1), repeat=len(seconds)) if sum(s) == total)
+    best = max(min(T / m for T, m in zip(seconds, other, strict=True)) for other in others)
+    assert min(T / m for T, m in zip(seconds, shares, strict=True)) == best
+
+
+@given(durations, st.integers(0, 60))
+def test_one_more_segment_takes_none_away(seconds: list[float], more: int) -> None:
+    fewer = share_out_segments(seconds, len(seconds) + more)
+    gained = np.subtract(share_out_segments(seconds, len(seconds) + more + 1), fewer)
+    assert sorted(gained) == [0] * (len(seconds) - 1) + [1]
+
+
+@given(durations, st.integers(0, 60))
+def test_a_leg_that_lasts_longer_has_no_fewer_segments(seconds: list[float], more: int) -> None:
+    assume(len(seconds) > 1)
+    shares = share_out_segments(seconds, len(seconds) + more)
+    in_order = np.array(shares)[np.argsort(seconds, kind="stable")]
+    ties = np.diff(np.sort(seconds)) == 0
+    assert np.all((np.diff(in_order) >= 0) | ties)
+
+
+def test_of_equal_legs_the_earlier_has_the_odd_segment() -> None:
+    assert share_out_segments([3.0, 3.0, 3.0], 5) == [2, 2, 1]
+
+
+@pytest.mark.parametrize("count", [-1, 0, 1, 2, 3])
+def test_fewer_via_points_than_corners_are_refused(count: int) -> None:
+    with pytest.raises(InputError, match="at least 4, one per leg end") as caught:
+        triangle().via_times(count)
+    assert caught.value.got == count
+
+
+def test_as_many_via_points_as_corners_will_do() -> None:
+    np.testing.assert_array_equal(triangle().via_times(4), [0, 10, 12, 20])

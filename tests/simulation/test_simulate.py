@@ -1,0 +1,312 @@
+"""Plans simulated: rigid limits, rest, initial conditions, options, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_motions import arm_on_its_guardrail, swing
+from small_scenes import parts, short_scene
+
+import cmbot
+from cmbot.common.errors import InputError, SimulationDiverged
+from cmbot.elastic.sag import Sag
+from cmbot.planning import Plan, ToolTask, plan
+from cmbot.robot import Kinematics, Robot
+from cmbot.simulation import (
+    MotionTracking,
+    SimulationOptions,
+    Tracking,
+    simulate,
+    track,
+    tracking_remarks,
+    tracking_rows,
+)
+from cmbot.simulation.drive import drive_along, held
+from cmbot.simulation.tracking import elastic_arm_of
+
+OPTIONS = SimulationOptions()
+
+
+@pytest.fixture(scope="module")
+def short_plan() -> Plan:
+    return plan(short_scene())
+
+
+@pytest.fixture(scope="module")
+def tracking(short_plan: Plan) -> Tracking:
+    return cmbot.simulate(short_plan)
+
+
+@pytest.fixture(scope="module")
+def task() -> ToolTask:
+    return parts(short_scene())[1]
+
+
+def test_both_motions_are_simulated_to_the_end_and_beyond(tracking: Tracking, short_plan: Plan) -> None:
+    assert tracking.options == OPTIONS
+    assert tracking.seconds > 0
+    for motion in (tracking.baseline, tracking.planned):
+        assert motion.stop == short_plan.trajectory.duration
+        np.testing.assert_allclose(motion.t, 0.005 * np.arange(1201), atol=1e-12)
+        for array in (motion.error, motion.static, motion.command, motion.path_error):
+            assert array.shape == (1201, 3)
+            assert np.isfinite(array).all()
+        np.testing.assert_array_equal(motion.dynamic, motion.error - motion.static)
+
+
+def test_the_error_starts_at_the_sag_and_follows_it(tracking: Tracking, short_plan: Plan) -> None:
+    sag = Sag(elastic_arm_of(short_plan, OPTIONS))
+    motion, q = tracking.planned, short_plan.trajectory.evaluate(np.linspace(0, 4, 81))
+    tool = sag.at(q).tool
+    np.testing.assert_allclose(motion.static[:801:10], tool, atol=1e-7)
+    np.testing.assert_allclose(motion.static[800:], np.tile(tool[-1], (401, 1)), atol=1e-12)
+    np.testing.assert_allclose(motion.error[0], tool[0], atol=1e-12)
+    assert np.linalg.norm(tool, axis=1).min() > 3e-3
+    assert np.abs(motion.dynamic).max() < 0.5 * np.abs(motion.static).max()
+
+
+def test_the_command_is_what_the_joints_do(tracking: Tracking, short_plan: Plan) -> None:
+    points, _ = Kinematics(short_plan.robot).tool_poses(short_plan.baseline.q)
+    off = points - short_plan.task.path.position(short_plan.baseline.t)
+    every = round(short_plan.baseline.t[1] / 0.005)
+    np.testing.assert_allclose(tracking.baseline.command[:801:every], off, atol=1e-9)
+    assert short_plan.drift == pytest.approx(np.linalg.norm(off, axis=1).max(), rel=1e-6)
+
+
+def test_off_the_path_is_the_error_across_it(tracking: Tracking, short_plan: Plan) -> None:
+    """One leg along y: what is along it is no way off, unless it is beyond an end."""
+    (leg,) = np.diff(short_plan.task.path.corners, axis=0)
+    assert np.flatnonzero(leg).tolist() == [1]
+    motion = tracking.baseline
+    bent = motion.error + motion.command
+    np.testing.assert_allclose(motion.path_error[:, [0, 2]], bent[:, [0, 2]], atol=1e-12)
+    middle = slice(200, 600)
+    np.testing.assert_allclose(motion.path_error[middle, 1], 0.0, atol=1e-12)
+
+
+@pytest.fixture(scope="module")
+def compensated() -> Plan:
+    return plan(short_scene(planner={"compensate": True}))
+
+
+@pytest.fixture(scope="module")
+def foreseen(compensated: Plan) -> Tracking:
+    return simulate(compensated)
+
+
+def test_a_compensated_motion_errs_from_where_it_expects_the_tool(
+    compensated: Plan, foreseen: Tracking, tracking: Tracking
+) -> None:
+    """What it errs is vibration; the baseline, which reckons with no sag, is what it always was."""
+    motion = foreseen.planned
+    assert np.abs(motion.static).max() < 1e-6
+    assert np.abs(motion.error - motion.dynamic).max() < 1e-6
+    assert motion.figures.total.rms[3] < 0.05 * foreseen.baseline.figures.total.rms[3]
+    np.testing.assert_array_equal(foreseen.baseline.error, tracking.baseline.error)
+    np.testing.assert_array_equal(foreseen.baseline.command, tracking.baseline.command)
+    # Measured from where a rigid tool would be, the error is the sag, as ever.
+    arm = elastic_arm_of(compensated, OPTIONS)
+    from_rigid = track(arm, compensated.task, drive_along(compensated.trajectory), OPTIONS)
+    sag = Sag(arm).at(compensated.trajectory.evaluate(motion.t[:801:20])).tool
+    np.testing.assert_allclose((from_rigid.error - motion.error)[:801:20], sag, atol=1e-6)
+    assert np.linalg.norm(sag, axis=1).min() > 3e-3
+
+
+def test_a_compensated_motion_expects_the_tool_on_its_path(compensated: Plan, foreseen: Tracking) -> None:
+    motion, path = foreseen.planned, compensated.task.path
+    moving = motion.t <= motion.stop
+    expected = path.position(motion.t) + motion.command
+    allowed = compensated.options.max_tool_deviation_m
+    assert np.linalg.norm(path.leg_offset(motion.t, expected), axis=1)[moving].max() < 1.001 * allowed
+    # And the bent tool is as near, but for what vibrates.
+    bent = path.leg_offset(motion.t, expected + motion.error)
+    np.testing.assert_allclose(motion.path_error, bent, atol=1e-12)
+    largest = np.linalg.norm(motion.error, axis=1).max()
+    assert np.linalg.norm(motion.path_error, axis=1).max() < allowed + largest
+    assert motion.figures.path.rms[3] < 0.15 * foreseen.baseline.figures.path.rms[3]
+
+
+def test_a_sag_that_was_not_foreseen_stays(compensated: Plan, foreseen: Tracking) -> None:
+    """At stiffness f the sag is 1/f of the predicted one, nearly: weights turn with what bends."""
+    assert compensated.sag is not None
+    at = slice(0, 801, 20)
+    predicted = compensated.sag.at(compensated.trajectory.evaluate(foreseen.planned.t[at]))
+    for factor in (0.8, 1.25):
+        options = replace(OPTIONS, guardrail_factor=factor, link_factor=factor)
+        static = simulate(compensated, options).planned.static[at]
+        expected = (1 / factor - 1) * predicted
+        assert np.linalg.norm(static - expected, axis=1).max() < 0.03 * np.linalg.norm(expected, axis=1).max()
+
+
+def test_an_arm_at_rest_stays_at_rest(cmbot_robot: Robot, task: ToolTask) -> None:
+    arm = arm_on_its_guardrail(cmbot_robot)
+    motion = track(arm, task, held(swing(1.0).states([0.0])[0][0], 1.0), OPTIONS)
+    assert np.abs(motion.static).max() > 3e-3
+    assert np.abs(motion.dynamic).max() < 1e-9
+    assert motion.figures.residual is not None
+    assert motion.figures.residual.diameter < 1e-9
+
+
+def test_an_arm_that_is_let_go_swings_about_its_sag(cmbot_robot: Robot, task: ToolTask) -> None:
+    arm = arm_on_its_guardrail(cmbot_robot)
+    still = held(swing(1.0).states([0.0])[0][0], 20.0)
+    options = replace(OPTIONS, initial="undeformed", damping=0.1)
+    motion = track(arm, task, still, options)
+    np.testing.assert_allclose(motion.error[0], 0.0, atol=1e-12)
+    sag = motion.static[0]
+    along = motion.error @ sag / (sag @ sag)
+    assert 1.5 < along.max() < 2.0
+    np.testing.assert_allclose(motion.error[-1], sag, atol=1e-6)
+
+
+def test_the_damping_ratio_is_that_of_the_first_modes(cmbot_robot: Robot, task: ToolTask) -> None:
+    """Seen in the decay of a free vibration, when the higher modes have gone: exp(-ratio omega t)."""
+    arm = arm_on_its_guardrail(cmbot_robot)
+    still = held(swing(1.0).states([0.0])[0][0], 14.0)
+    for damping in (0.01, 0.03):
+        motion = track(arm, task, still, replace(OPTIONS, initial="undeformed", damping=damping))
+        square = (motion.dynamic**2).sum(axis=1)
+        rate = -0.5 * np.log(square[2000:2800].mean() / square[1200:2000].mean()) / 4.0
+        first, second = 2 * np.pi * motion.figures.mode_frequencies[:2]
+        assert damping * first < rate < damping * second
+
+
+def test_what_hardly_bends_keeps_to_its_path(short_plan: Plan) -> None:
+    stiff = simulate(short_plan, replace(OPTIONS, guardrail_factor=1e6, link_factor=1e6))
+    for motion in (stiff.baseline, stiff.planned):
+        assert np.abs(motion.error).max() < 1e-7
+
+
+def test_a_softer_arm_errs_more(short_plan: Plan, tracking: Tracking) -> None:
+    for factors in ({"guardrail_factor": 0.7}, {"link_factor": 0.7}):
+        soft = simulate(short_plan, replace(OPTIONS, **factors))
+        assert soft.planned.figures.total.rms[3] > 1.1 * tracking.planned.figures.total.rms[3]
+        assert soft.planned.figures.mode_frequencies[0] < tracking.planned.figures.mode_frequencies[0]
+
+
+def test_a_payload_in_place_of_the_scenes(short_plan: Plan, tracking: Tracking) -> None:
+    heavy = simulate(short_plan, replace(OPTIONS, payload_kg=5.0))
+    as_it_was = simulate(short_plan, replace(OPTIONS, payload_kg=0.0))
+    assert heavy.planned.figures.static.rms[3] > 1.15 * tracking.planned.figures.static.rms[3]
+    np.testing.assert_array_equal(as_it_was.planned.error, tracking.planned.error)
+
+
+def test_more_segments_change_little(short_plan: Plan, tracking: Tracking) -> None:
+    fine = simulate(short_plan, replace(OPTIONS, segments=3))
+    np.testing.assert_allclose(fine.planned.static, tracking.planned.static, atol=1e-4)
+    np.testing.assert_allclose(
+        fine.planned.figures.mode_frequencies, tracking.planned.figures.mode_frequencies, rtol=0.02
+    )
+
+
+def test_half_the_step_gives_the_same_error(short_plan: Plan, tracking: Tracking) -> None:
+    fine = simulate(short_plan, replace(OPTIONS, step_s=0.001))
+    finer = simulate(short_plan, replace(OPTIONS, step_s=0.0005))
+    coarse_error, fine_error = (
+        np.abs(x.baseline.error - finer.baseline.error).max() for x in (tracking, fine)
+    )
+    assert coarse_error < 2e-5
+    # Of second order: with the finest as the truth, (16 - 1)/(4 - 1).
+    assert coarse_error / fine_error == pytest.approx(5.0, rel=0.2)
+
+
+def test_the_output_does_not_change_the_motion(short_plan: Plan, tracking: Tracking) -> None:
+    finer = simulate(short_plan, replace(OPTIONS, output_step_s=0.001))
+    np.testing.assert_allclose(finer.baseline.error[::5], tracking.baseline.error, atol=1e-12)
+
+
+def test_the_end_need_not_be_a_multiple_of_the_output(short_plan: Plan) -> None:
+    motion = simulate(short_plan, replace(OPTIONS, output_step_s=0.007, settle_s=0.5)).planned
+    assert motion.t[-1] == pytest.approx(0.007 * 642)
+    assert motion.figures.residual is not None
+    assert motion.figures.residual.seconds == pytest.approx(motion.t[-1] - 0.007 * 571)
+
+
+def test_without_settling_there_is_no_residual(short_plan: Plan) -> None:
+    found = simulate(short_plan, replace(OPTIONS, settle_s=0.0))
+    assert found.planned.figures.residual is None
+    assert found.planned.t[-1] == pytest.approx(4.0)
+    assert not any("after the stop" in row[0] for row in tracking_rows(found))
+    assert not any("after the stop" in remark for remark in tracking_remarks(found))
+
+
+def test_rows_are_the_figures_in_millimetres(tracking: Tracking) -> None:
+    rows = {(name, motion): numbers for name, motion, *numbers in tracking_rows(tracking)}
+    assert len(rows) == 34
+    figures = tracking.planned.figures
+    for name, statistics in (
+        ("error", figures.total),
+        ("static part", figures.static),
+        ("dynamic part", figures.dynamic),
+    ):
+        np.testing.assert_allclose(
+            [float(x) for x in rows[f"{name}, RMS", "planned"]], 1e3 * statistics.rms, atol=6e-4
+        )
+    assert figures.residual is not None
+    assert float(rows["after the stop, peak to peak", "planned"][3]) == pytest.approx(
+        1e3 * figures.residual.diameter, abs=6e-4
+    )
+
+
+def test_remarks_state_initial_condition_and_damping(short_plan: Plan, tracking: Tracking) -> None:
+    text = " ".join(tracking_remarks(tracking))
+    assert "Starts hanging in equilibrium; damping 1 % of critical" in text
+    assert f"near {tracking.planned.figures.mode_frequencies[0]:.2f} Hz" in text
+    other = simulate(short_plan, replace(OPTIONS, initial="undeformed", damping=0.0, link_factor=0.8))
+    text = " ".join(tracking_remarks(other))
+    assert "Starts undeformed, and let go; damping 0 %" in text
+    assert "stiffness times 1 (guardrail) and 0.8 (links)" in text
+
+
+def test_an_arm_too_soft_to_carry_itself_is_refused(short_plan: Plan) -> None:
+    with pytest.raises(InputError, match="stiff enough"):
+        simulate(short_plan, replace(OPTIONS, guardrail_factor=1e-4, link_factor=1e-4))
+
+
+def test_where_nothing_bends_there_is_nothing_to_simulate(short_plan: Plan) -> None:
+    rigid = replace(short_plan.robot, elasticity=())
+    scene = short_scene(guardrail={"bays": 0})
+    with pytest.raises(InputError, match="guardrail: got nothing that bends"):
+        simulate(replace(short_plan, robot=rigid, scene=scene))
+
+
+def test_divergence_is_an_error_not_a_result(cmbot_robot: Robot, task: ToolTask) -> None:
+    """The joints whirl faster than the arm can hold together."""
+    drive = swing(0.2, size=60.0)
+    with pytest.raises(SimulationDiverged):
+        track(arm_on_its_guardrail(cmbot_robot), task, drive, OPTIONS)
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "expected"),
+    [
+        ("step_s", 0.0, "more than 0"),
+        ("step_s", 0.1, "at most 0.02"),
+        ("step_s", float("nan"), "finite|something else"),
+        ("output_step_s", -1.0, "more than 0"),
+        ("settle_s", -0.1, "at least 0"),
+        ("damping", -0.01, "at least 0"),
+        ("damping", 1.0, "less than 1"),
+        ("initial", "relaxed", "equilibrium"),
+        ("segments", 0, "at least 1"),
+        ("segments", 1.5, "a whole number"),
+        ("guardrail_factor", 0.0, "more than 0"),
+        ("link_factor", -1.0, "more than 0"),
+        ("payload_kg", -1.0, "at least 0"),
+        ("spectral_radius", 1.1, "at most 1"),
+        ("corrections", 0, "at least 1"),
+    ],
+)
+def test_options_are_checked(short_plan: Plan, option: str, value: object, expected: str) -> None:
+    with pytest.raises(InputError, match=expected) as caught:
+        simulate(short_plan, replace(OPTIONS, **{option: value}))
+    assert (caught.value.source, caught.value.key) == ("SimulationOptions", option)
+
+
+def test_a_trajectory_is_driven_as_it_is(short_plan: Plan, tracking: Tracking) -> None:
+    arm = elastic_arm_of(short_plan, OPTIONS)
+    again = track(arm, short_plan.task, drive_along(short_plan.trajectory), OPTIONS)
+    assert isinstance(again, MotionTracking)
+    np.testing.assert_array_equal(again.error, tracking.planned.error)

@@ -1,0 +1,293 @@
+"""The replay page in a browser without a network: it shows the plan, at any time, and nothing else runs."""
+
+import dataclasses
+import io
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from browser import chromium, connections, console_errors, next_frame, open_page
+from PIL import Image
+from selenium import webdriver
+
+from cmbot.collision.clearance import Clearances
+from cmbot.planning import Plan
+from cmbot.robot import Dynamics, Robot
+from cmbot.views import replay
+
+pytestmark = pytest.mark.browser
+
+EVIL = "</script><script>window.hacked=1</script><img src=x onerror='window.hacked=2'>\"'`${hacked}"
+
+
+@pytest.fixture(scope="module")
+def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def page(chrome: webdriver.Chrome, triangle_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "replay.html"
+    replay(triangle_plan, path)
+    return path
+
+
+@pytest.fixture
+def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
+    """The browser with the page open at time 0, paused."""
+    if chrome.current_url != page.as_uri():
+        open_page(chrome, page)
+    chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(0)")
+    return chrome
+
+
+def picture(chrome: webdriver.Chrome) -> np.ndarray:
+    next_frame(chrome)
+    png = chrome.find_element("id", "view").screenshot_as_png
+    return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
+
+
+def drawn_pose(chrome: webdriver.Chrome, link: str, arm: str) -> np.ndarray:
+    return np.reshape(chrome.execute_script("return cmbotReplay.pose(...arguments)", link, arm), (4, 4))
+
+
+def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
+    chrome: webdriver.Chrome, page: Path
+) -> None:
+    open_page(chrome, page)
+    chrome.execute_script("cmbotReplay.seek(5)")
+    next_frame(chrome)
+    assert connections(chrome) == {page.as_uri()}
+    assert console_errors(chrome) == []
+    assert chrome.find_elements("id", "failure") == []
+
+
+@pytest.mark.parametrize("address", ["http://127.0.0.1:9/x", "ws://127.0.0.1:9/x"])
+def test_its_policy_forbids_connections(shown: webdriver.Chrome, address: str) -> None:
+    blocked = shown.execute_async_script(
+        """const [address, done] = arguments;
+        const report = (event) => done(event.effectiveDirective);
+        document.addEventListener("securitypolicyviolation", report, {once: true});
+        address.startsWith("ws") ? new WebSocket(address) : fetch(address).catch(() => {});""",
+        address,
+    )
+    assert blocked == "connect-src"
+    shown.get_log("browser")
+
+
+@pytest.mark.parametrize("time", [0.0, 3.333, 10.0, 16.87, 20.0])
+def test_the_arms_are_drawn_where_the_kinematics_puts_them(
+    shown: webdriver.Chrome, triangle_plan: Plan, time: float
+) -> None:
+    shown.execute_script("cmbotReplay.seek(arguments[0])", time)
+    baseline = triangle_plan.baseline
+    postures = {
+        "planned": triangle_plan.trajectory.evaluate(np.array([time]), 0)[0],
+        "baseline": np.array([np.interp(time, baseline.t, q) for q in baseline.q.T]),
+    }
+    require_drawn(shown, triangle_plan.robot, postures)
+
+
+def require_drawn(shown: webdriver.Chrome, robot: Robot, postures: dict[str, np.ndarray]) -> None:
+    """Compare the arms as they are drawn with forward kinematics."""
+    model, data = robot.model, robot.model.createData()
+    for arm, q in postures.items():
+        pin.forwardKinematics(model, data, q)
+        for joint, link in enumerate(shown.execute_script("return cmbotReplay.links"), start=1):
+            X_WL = data.oMi[model.frames[model.getFrameId(link)].parentJoint].homogeneous
+            np.testing.assert_allclose(data.oMi[joint].homogeneous, X_WL)
+            np.testing.assert_allclose(drawn_pose(shown, link, arm), X_WL, atol=1e-3)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4])
+def test_the_approach_is_before_the_work(shown: webdriver.Chrome, triangle_plan: Plan, share: float) -> None:
+    approach = triangle_plan.approach
+    assert approach is not None
+    start = shown.execute_script("return cmbotReplay.start")
+    assert start == -approach.trajectory.duration
+    shown.execute_script("cmbotReplay.seek(arguments[0])", (1 - share) * start)
+    now = np.array([share * approach.trajectory.duration])
+    q = approach.trajectory.evaluate(now, 0)
+    first = triangle_plan.scene.posture
+    require_drawn(shown, triangle_plan.robot, {"planned": q[0] if share else first, "baseline": first})
+    v, a = (approach.trajectory.evaluate(now, order) for order in (1, 2))
+    torque = np.linalg.norm(Dynamics(triangle_plan.robot).efforts(q, v, a).guardrail_torque[0])
+    assert number(shown, "planned-torque") == pytest.approx(torque, abs=0.2)
+    clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
+    distance = clearances.smallest(q).distance[0]
+    assert number(shown, "planned-clearance") == pytest.approx(1e3 * distance, abs=0.2)
+    peak = approach.certificate.figures.peak_guardrail_torque
+    assert number(shown, "planned-peak") == pytest.approx(peak, abs=0.06)
+    assert "approach, tool off" in shown.find_element("id", "subtitle").text
+    assert shown.find_element("id", "time").text == f"{(1 - share) * start:.2f} / 20.00 s"
+
+
+def number(shown: webdriver.Chrome, cell: str) -> float:
+    return float(shown.find_element("id", cell).text.split()[0])
+
+
+def plotted(chrome: webdriver.Chrome) -> np.ndarray:
+    """The plot's pixels (height, width, 4) with the time at its end."""
+    script = """cmbotReplay.seek(cmbotReplay.duration);
+        const plot = document.getElementById("plot"), {width, height} = plot;
+        return [height, width, [...plot.getContext("2d").getImageData(0, 0, width, height).data]];"""
+    height, width, pixels = chrome.execute_script(script)
+    return np.reshape(pixels, (height, width, 4))
+
+
+def test_the_plot_shades_the_approach_and_draws_the_floor(
+    chrome: webdriver.Chrome, page: Path, triangle_plan: Plan, tmp_path: Path
+) -> None:
+    bare = dataclasses.replace(triangle_plan.robot, visual_model=pin.GeometryModel())  # quick
+    plots = []
+    for floor in (triangle_plan.floor, None):
+        path = tmp_path / f"{len(plots)}.html"
+        replay(dataclasses.replace(triangle_plan, approach=None, floor=floor, robot=bare), path)
+        open_page(chrome, path)
+        assert chrome.execute_script("return [cmbotReplay.start, cmbotReplay.time]") == [0, 0]
+        plots.append(plotted(chrome))
+    assert (plots[0] != plots[1]).any(axis=(0, 2)).mean() > 0.4  # dashes all along
+    assert not plots[1][0, 20].any()
+    open_page(chrome, page)
+    start, time = chrome.execute_script("return [cmbotReplay.start, cmbotReplay.time]")
+    assert time == 0
+    top = plotted(chrome)[0]
+    assert top[20, 3] == 255
+    assert (top == top[20]).all(axis=1).mean() == pytest.approx(-start / (20.0 - start), abs=0.02)
+
+
+def test_the_baseline_has_no_torque_on_the_approach(shown: webdriver.Chrome) -> None:
+    pixels, start = plotted(shown), shown.execute_script("return cmbotReplay.start")
+    end = shown.execute_script("return cmbotReplay.duration")
+    border = round(-start / (end - start) * (pixels.shape[1] - 16)) + 8
+    red, blue = pixels[..., 0], pixels[..., 2]
+    # Where something is drawn in the baseline's blue, and in the planned motion's orange.
+    baseline, planned = ((colour > 100).any(axis=0) for colour in (blue - red, red - blue))
+    assert not baseline[12 : border - 4].any()
+    assert planned[12 : border - 4].mean() > 0.95
+    assert planned[border + 4 : -12].mean() > 0.8
+    # Where both ask the same the planned motion's curve lies on the baseline's.
+    drawn = np.flatnonzero(baseline[:-12])
+    assert border - 4 <= drawn[0] <= border + 8
+    assert drawn[-1] >= len(baseline) - 24
+
+
+def test_the_picture_changes_with_time_and_comes_back(shown: webdriver.Chrome) -> None:
+    start = picture(shown)
+    shown.execute_script("cmbotReplay.seek(10)")
+    middle = picture(shown)
+    shown.execute_script("cmbotReplay.seek(0)")
+    again = picture(shown)
+    assert len(np.unique(start.reshape(-1, 3), axis=0)) > 500  # not blank
+    orange = (start[..., 0] > 180) & (start[..., 1] < 140) & (start[..., 2] < 70)
+    assert orange[: start.shape[0] // 2].sum() > 200  # joints and arrow, above the bar
+    changed = np.abs(start - middle).max(axis=2) > 60
+    assert changed[: start.shape[0] * 2 // 3].sum() > 1000
+    assert (np.abs(start - again).max(axis=2) > 60).sum() < 50
+
+
+def test_the_numbers_are_those_of_the_plan(shown: webdriver.Chrome, triangle_plan: Plan) -> None:
+    samples, figures = triangle_plan.samples, triangle_plan.figures
+    shown.execute_script("cmbotReplay.seek(8)")
+    texts = {
+        key: shown.find_element("id", f"planned-{key}").text
+        for key in ("torque", "peak", "clearance", "closest")
+    }
+    k = int(np.argmin(np.abs(samples.t - 8.0)))
+    assert texts == {
+        "torque": f"{np.linalg.norm(samples.guardrail_torque[k]):.1f} Nm",
+        "peak": f"{figures.peak_guardrail_torque:.1f} Nm",
+        "clearance": f"{1e3 * samples.clearance[k]:.1f} mm",
+        "closest": f"{1e3 * figures.min_clearance:.1f} mm",
+    }
+    assert shown.find_element("id", "time").text == "8.00 / 20.00 s"
+    peak = triangle_plan.baseline_figures.peak_guardrail_torque
+    assert shown.find_element("id", "baseline-peak").text == f"{peak:.1f} Nm"
+
+
+def test_play_and_pause(shown: webdriver.Chrome) -> None:
+    reached = shown.execute_async_script(
+        """const done = arguments[0];
+        document.getElementById("play").click();
+        const moved = () => cmbotReplay.time > 0.05;
+        const wait = () => (moved() ? done(cmbotReplay.playing) : requestAnimationFrame(wait));
+        wait();"""
+    )
+    assert reached is True
+    shown.find_element("id", "play").click()
+    stopped = shown.execute_script("return cmbotReplay.time")
+    next_frame(shown)
+    assert shown.execute_script("return [cmbotReplay.time, cmbotReplay.playing]") == [stopped, False]
+
+
+def test_it_stops_at_the_end_and_starts_anew_from_there(shown: webdriver.Chrome) -> None:
+    ended = shown.execute_async_script(
+        """const done = arguments[0];
+        cmbotReplay.seek(cmbotReplay.duration - 0.02);
+        cmbotReplay.play();
+        const wait = () => (cmbotReplay.playing ? requestAnimationFrame(wait) : done(cmbotReplay.time));
+        wait();"""
+    )
+    assert ended == shown.execute_script("return cmbotReplay.duration")
+    restarted = shown.execute_script("cmbotReplay.play(); return cmbotReplay.time")
+    assert restarted == 0
+
+
+def test_keys_and_slider(shown: webdriver.Chrome) -> None:
+    shown.execute_script("document.activeElement.blur()")
+    body = shown.find_element("tag name", "body")
+
+    def time() -> float:
+        return shown.execute_script("return cmbotReplay.time")
+
+    shown.execute_script("cmbotReplay.seek(5)")
+    body.send_keys("\ue014")  # right
+    assert time() == pytest.approx(5.1)
+    body.send_keys("\ue008\ue012")  # shift, left
+    assert time() == pytest.approx(4.1)
+    body.send_keys("\ue010")  # end
+    assert time() == shown.execute_script("return cmbotReplay.duration")
+    body.send_keys("\ue011")  # home
+    assert time() == shown.execute_script("return cmbotReplay.start") < 0
+    shown.execute_script("cmbotReplay.seek(0)")
+    body.send_keys(" ")
+    assert shown.execute_script("return cmbotReplay.playing") is True
+    body.send_keys(" ")
+    assert shown.execute_script("return cmbotReplay.playing") is False
+    shown.execute_script(
+        """const scrub = document.getElementById("scrub");
+        scrub.value = 7.25;
+        scrub.dispatchEvent(new Event("input"));"""
+    )
+    assert time() == pytest.approx(7.25)
+
+
+@pytest.mark.parametrize(("asked", "reached"), [("-1e9", None), ("1e9", 20.0), ("NaN", 0.0), ("'x'", 0.0)])
+def test_a_seek_beyond_the_ends_stays_within(
+    shown: webdriver.Chrome, asked: str, reached: float | None
+) -> None:
+    shown.execute_script(f"cmbotReplay.seek({asked})")
+    time, start = shown.execute_script("return [cmbotReplay.time, cmbotReplay.start]")
+    assert time == (start if reached is None else reached)
+
+
+def test_hostile_names_are_text_and_nothing_else(
+    chrome: webdriver.Chrome, triangle_plan: Plan, tmp_path: Path
+) -> None:
+    scene = triangle_plan.scene
+    obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
+    scene = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
+    robot = dataclasses.replace(triangle_plan.robot, name=EVIL, visual_model=pin.GeometryModel())  # quick
+    path = tmp_path / "evil.html"
+    replay(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path)
+    open_page(chrome, path)
+    next_frame(chrome)
+    assert chrome.execute_script("return window.hacked") is None
+    assert chrome.title == EVIL
+    assert chrome.find_element("tag name", "h1").text == EVIL
+    assert chrome.find_elements("tag name", "img") == []
+    assert console_errors(chrome) == []  # the policy had nothing to stop either
+    assert chrome.execute_script("return cmbotReplay.duration") == pytest.approx(20.0)

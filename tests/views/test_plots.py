@@ -1,0 +1,222 @@
+"""Plots from Python: what is drawn is what was planned and simulated."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import replace
+from xml.etree import ElementTree
+
+import matplotlib as mpl
+import numpy as np
+import pytest
+from command_line import environment
+from matplotlib.axes import Axes
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Rectangle
+
+import cmbot
+from cmbot.common.errors import InputError, MissingExtra
+from cmbot.planning import Plan
+from cmbot.simulation import MotionTracking, Tracking
+from cmbot.views import figure_files, plot, plots
+
+PLAN = ("guardrail_torque", "joints", "clearance", "tool_deviation")
+TRACKING = ("tracking_error", "tracking_dynamic", "tracking_residual")
+
+
+@pytest.fixture(scope="module")
+def tracking(short_plan: Plan) -> Tracking:
+    return cmbot.simulate(short_plan)
+
+
+@pytest.fixture(scope="module")
+def figures(triangle_plan: Plan) -> dict[str, Figure]:
+    return labelled(plot(triangle_plan))
+
+
+@pytest.fixture(scope="module")
+def tracked(tracking: Tracking) -> dict[str, Figure]:
+    return labelled(plot(tracking))
+
+
+def labelled(figures: tuple[Figure, ...]) -> dict[str, Figure]:
+    return {str(figure.get_label()): figure for figure in figures}
+
+
+def lines(axes: Axes, colour: str) -> list[Line2D]:
+    return [line for line in axes.get_lines() if line.get_color() == colour]
+
+
+def forbidden(axes: Axes) -> list[tuple[float, float]]:
+    """Heights between which nothing is allowed."""
+    spans = (patch for patch in axes.patches if isinstance(patch, Rectangle))
+    return [(span.get_y(), span.get_y() + span.get_height()) for span in spans]
+
+
+def assert_drawn(line: Line2D, t: np.ndarray, y: np.ndarray) -> None:
+    """Every point of a line is one of the curve, and its extremes and ends are among them."""
+    drawn_t, drawn_y = (np.asarray(data, dtype=float) for data in line.get_data())
+    at = np.searchsorted(t, drawn_t)
+    np.testing.assert_allclose(drawn_t, t[at])
+    np.testing.assert_allclose(drawn_y, y[at])
+    assert (drawn_y.min(), drawn_y.max()) == pytest.approx((y.min(), y.max()))
+    assert (drawn_t[0], drawn_t[-1]) == (t[0], t[-1])
+
+
+def test_every_figure_has_a_name(figures: dict[str, Figure], tracked: dict[str, Figure]) -> None:
+    assert tuple(figures) == PLAN
+    assert tuple(tracked) == TRACKING
+
+
+def test_the_torque_with_its_floor_and_the_approach(figures: dict[str, Figure], triangle_plan: Plan) -> None:
+    (axes,) = figures["guardrail_torque"].axes
+    (baseline,), (planned,) = lines(axes, plots._BASELINE), lines(axes, plots._PLANNED)
+    samples, before = triangle_plan.baseline, triangle_plan.approach_samples
+    assert_drawn(baseline, samples.t, np.linalg.norm(samples.guardrail_torque, axis=1))
+    assert before is not None
+    assert planned.get_xdata()[0] == pytest.approx(-before.t[-1])
+    after = np.asarray(planned.get_ydata())[np.asarray(planned.get_xdata()) >= 0]
+    assert after.max() == pytest.approx(triangle_plan.figures.peak_guardrail_torque, rel=1e-4)
+    (floor,) = (line for line in axes.get_lines() if str(line.get_label()).startswith("floor"))
+    assert set(floor.get_ydata()) == {triangle_plan.torque_floor}
+    assert not forbidden(axes)
+    assert axes.get_xlabel() == "time, s (the approach before 0)"
+
+
+def test_without_a_floor_there_is_no_line_of_it(short_plan: Plan) -> None:
+    (axes,) = plot(short_plan)[0].axes
+    assert [text.get_text() for text in plot(short_plan)[0].legends[0].get_texts()] == ["baseline", "planned"]
+    assert axes.get_xlabel() == "time, s"
+
+
+def test_clearance_and_deviation_are_shaded_beyond_their_bounds(
+    figures: dict[str, Figure], triangle_plan: Plan
+) -> None:
+    options = triangle_plan.options
+    (clearance,), (deviation,) = figures["clearance"].axes, figures["tool_deviation"].axes
+    assert forbidden(clearance) == [(0.0, pytest.approx(1e3 * options.safety_margin_m))]
+    bound = 1e3 * options.max_tool_deviation_m
+    assert forbidden(deviation) == [(pytest.approx(bound), pytest.approx(1.15 * bound))]
+    (planned,) = lines(deviation, plots._PLANNED)
+    assert_drawn(planned, triangle_plan.samples.t, 1e3 * triangle_plan.samples.tool_deviation)
+
+
+def test_joints_are_shares_of_their_bounds(figures: dict[str, Figure], triangle_plan: Plan) -> None:
+    limits, dof = triangle_plan.robot.limits, triangle_plan.robot.dof
+    grid = np.reshape(figures["joints"].axes, (5, 2))
+    for column, samples in enumerate((triangle_plan.baseline, triangle_plan.samples)):
+        middle = 0.5 * (limits.upper + limits.lower)
+        shares = (
+            (samples.q - middle) / (limits.upper - middle),
+            samples.v / limits.velocity,
+            samples.a / limits.acceleration,
+            samples.j / limits.jerk,
+            samples.joint_torque / limits.torque,
+        )
+        for axes, values in zip(grid[:, column], shares, strict=True):
+            drawn = axes.get_lines()
+            assert len(drawn) == dof
+            for joint, line in enumerate(drawn):
+                assert_drawn(line, samples.t, values[:, joint])
+            low, high = axes.get_ylim()
+            assert forbidden(axes) == [(1.0, pytest.approx(high)), (pytest.approx(low), -1.0)]
+            assert high > max(1.0, abs(values).max())
+    (legend,) = figures["joints"].legends
+    assert tuple(text.get_text() for text in legend.get_texts()) == triangle_plan.robot.joints
+
+
+def test_a_joint_without_a_range_has_no_share_of_it(short_plan: Plan) -> None:
+    limits = short_plan.robot.limits
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    lower[2], upper[2] = -np.inf, np.inf
+    endless = replace(short_plan.robot, limits=replace(limits, lower=lower, upper=upper))
+    figure = labelled(plot(replace(short_plan, robot=endless)))["joints"]
+    angle = figure.axes[1].get_lines()
+    assert [bool(np.isnan(line.get_ydata()).all()) for line in angle] == [k == 2 for k in range(len(angle))]
+    for _, content in figure_files([figure]):
+        assert content
+
+
+def test_tracking_errors_and_their_static_parts(tracked: dict[str, Figure], tracking: Tracking) -> None:
+    for number, axes in enumerate(tracked["tracking_error"].axes):
+        static = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
+        assert len(static) == 2
+        for dotted, (colour, motion) in zip(static, motions(tracking), strict=True):
+            (line,) = lines(axes, colour)
+            assert_drawn(line, motion.t, 1e3 * motion.error[:, number])
+            np.testing.assert_allclose(dotted.get_ydata(), 1e3 * motion.static[:, number])
+        assert axes.get_ylabel().endswith(f"along {'xyz'[number]}, mm")
+    (legend,) = tracked["tracking_error"].legends
+    assert [text.get_text() for text in legend.get_texts()] == ["baseline", "planned", "static part"]
+
+
+def test_dynamic_part_and_what_is_left_of_it(tracked: dict[str, Figure], tracking: Tracking) -> None:
+    rows = zip(tracked["tracking_dynamic"].axes, tracked["tracking_residual"].axes, strict=True)
+    for number, (dynamic, residual) in enumerate(rows):
+        for colour, motion in motions(tracking):
+            values = 1e3 * (motion.error - motion.static)[:, number]
+            assert_drawn(lines(dynamic, colour)[0], motion.t, values)
+            after = motion.t >= motion.stop
+            assert_drawn(lines(residual, colour)[0], motion.t[after] - motion.stop, values[after])
+
+
+def motions(tracking: Tracking) -> tuple[tuple[str, MotionTracking], ...]:
+    return (plots._BASELINE, tracking.baseline), (plots._PLANNED, tracking.planned)
+
+
+def test_where_nobody_watched_after_the_stop_nothing_is_drawn_of_it(tracking: Tracking) -> None:
+    unwatched = {
+        name: replace(motion, figures=replace(motion.figures, residual=None))
+        for name, motion in (("baseline", tracking.baseline), ("planned", tracking.planned))
+    }
+    assert tuple(labelled(plot(replace(tracking, **unwatched)))) == TRACKING[:2]
+
+
+def test_the_motions_are_told_apart_in_grey() -> None:
+    def grey(colour: str) -> float:
+        return float(np.dot((0.299, 0.587, 0.114), to_rgb(colour)))
+
+    assert abs(grey(plots._BASELINE) - grey(plots._PLANNED)) > 0.25
+
+
+def test_files_are_pictures_and_the_same_every_time(short_plan: Plan) -> None:
+    files, again = (dict(figure_files(plot(short_plan)[:2])) for _ in range(2))
+    assert set(files) == {f"{name}.{suffix}" for name in PLAN[:2] for suffix in ("png", "svg")}
+    for name, content in files.items():
+        assert again[name] == content, name
+        if name.endswith(".png"):
+            assert content.startswith(b"\x89PNG\r\n")
+        else:
+            assert ElementTree.fromstring(content).tag.endswith("svg")
+            assert b"http://www.w3.org" in content
+        assert len(content) < 500_000
+
+
+def test_the_callers_settings_stay_as_they_are(short_plan: Plan) -> None:
+    before = dict(mpl.rcParams)
+    list(figure_files(plot(short_plan)[:1]))
+    assert dict(mpl.rcParams) == before
+
+
+def test_what_is_neither_is_refused() -> None:
+    with pytest.raises(InputError, match=r"cmbot\.plot: result: got str, expected a Plan or a Tracking"):
+        cmbot.plot("triangle")  # type: ignore[arg-type]
+
+
+def test_without_matplotlib_the_command_to_run_is_told(
+    short_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtra, match=r"matplotlib is not installed; run: pip install .*\[plots\]"):
+        plot(short_plan)
+
+
+def test_matplotlib_is_loaded_only_when_it_is_needed() -> None:
+    code = "import sys, cmbot\ncmbot.plot, cmbot.replay\nprint('matplotlib' in sys.modules)"
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
+    )
+    assert done.stdout == "False\n"

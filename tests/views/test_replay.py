@@ -1,0 +1,216 @@
+"""The replay page and its server, without a browser."""
+
+import base64
+import dataclasses
+import hashlib
+import json
+import re
+import socket
+import subprocess
+import urllib.error
+import urllib.request
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from cmbot.common.errors import InputError
+from cmbot.planning import Plan
+from cmbot.views import ReplayServer, replay, replay_page, serve_replay
+
+EVIL = "</script></title><img src=x onerror=alert(1)><!--\u2028\ud800"
+
+
+class Page(HTMLParser):
+    """What a browser would make of a page: its elements, and the texts of those that hold text alone."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.elements: list[tuple[str, dict[str, str | None]]] = []
+        self.texts: list[tuple[str, dict[str, str | None], str]] = []
+        self.feed(text)
+        self.close()
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.elements.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        if self.elements and data.strip():
+            self.texts.append((*self.elements[-1], data))
+
+    def text_of(self, tag: str, **attributes: str) -> str:
+        found = [
+            text
+            for name, given, text in self.texts
+            if name == tag and all(given.get(key) == value for key, value in attributes.items())
+        ]
+        return "".join(found)
+
+    @property
+    def data(self) -> dict[str, Any]:
+        data: dict[str, Any] = json.loads(self.text_of("script", id="replay-data"))
+        return data
+
+
+@pytest.fixture(scope="module")
+def text(triangle_plan: Plan) -> str:
+    return replay_page(triangle_plan)
+
+
+@pytest.fixture(scope="module")
+def page(text: str) -> Page:
+    return Page(text)
+
+
+def floats(packed: str) -> np.ndarray:
+    return np.frombuffer(base64.b64decode(packed), "<f4")
+
+
+# The page ---------------------------------------------------------------------------------------------------
+
+
+def test_the_page_is_small_and_the_same_again(text: str, triangle_plan: Plan) -> None:
+    assert len(text.encode()) < 5_000_000
+    assert replay_page(triangle_plan) == text
+
+
+def test_the_page_holds_all_it_needs(page: Page) -> None:
+    for tag, attributes in page.elements:
+        assert "src" not in attributes
+        assert attributes.get("href", "data:,") == "data:,", tag
+        assert not [name for name in attributes if name.startswith("on")]
+    style = page.text_of("style")
+    assert "url(" not in style
+    assert "@import" not in style
+    assert page.text_of("title") == "triangle"
+
+
+def test_its_policy_allows_its_own_two_scripts_alone(page: Page) -> None:
+    policies = [a["content"] for tag, a in page.elements if tag == "meta" and "http-equiv" in a]
+    assert len(policies) == 1
+    rules = dict(rule.strip().split(" ", 1) for rule in str(policies[0]).split(";"))
+    assert rules["default-src"] == "'none'"
+    scripts = [text for tag, attributes, text in page.texts if (tag, attributes) == ("script", {})]
+    assert len(scripts) == 2
+    hashes = {base64.b64encode(hashlib.sha256(script.encode()).digest()).decode() for script in scripts}
+    assert set(rules["script-src"].split()) == {f"'sha256-{digest}'" for digest in hashes}
+
+
+def test_the_page_keeps_the_notices_of_what_it_carries(text: str) -> None:
+    for notice in ("Robin Deits", "Three.js Authors", "Feross Aboukhadijeh", "Yusuke Kawasaki"):
+        assert notice in text
+
+
+def test_names_are_text(triangle_plan: Plan, page: Page) -> None:
+    scene = triangle_plan.scene
+    named = [f"{EVIL}{k}".replace("\ud800", "") for k in range(len(scene.obstacles))]  # pinocchio wants UTF-8
+    obstacles = tuple(dataclasses.replace(o, name=n) for o, n in zip(scene.obstacles, named, strict=True))
+    scene = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
+    robot = dataclasses.replace(triangle_plan.robot, name=EVIL)
+    evil = Page(replay_page(dataclasses.replace(triangle_plan, scene=scene, robot=robot)))
+    assert [tag for tag, _ in evil.elements] == [tag for tag, _ in page.elements]
+    assert evil.text_of("title") == evil.text_of("h1") == EVIL
+    assert evil.data["title"] == evil.data["robot"] == EVIL
+
+
+def test_links_move_as_the_kinematics_says(page: Page, triangle_plan: Plan) -> None:
+    data, model = page.data, triangle_plan.robot.model
+    assert data["links"] == [f"link_{number}" for number in range(1, 8)]
+    assert data["duration"] == 20.0
+    frames = 1001
+    times = np.linspace(0, data["duration"], frames)
+    assert times[1] == pytest.approx(0.02)
+    postures = {"planned": triangle_plan.samples, "baseline": triangle_plan.baseline}
+    for name, samples in postures.items():
+        poses = floats(data[name]["poses"]).reshape(-1, 7, 7)
+        assert len(poses) == frames
+        working = model.createData()
+        for k in range(0, frames, 100):
+            pin.forwardKinematics(model, working, samples.q[np.argmin(np.abs(samples.t - times[k]))])
+            for joint in range(1, 8):
+                X = pin.XYZQUATToSE3(poses[k, joint - 1].astype(float))
+                np.testing.assert_allclose(X.homogeneous, working.oMi[joint].homogeneous, atol=1e-5)
+
+
+def test_numbers_over_time_are_the_samples(page: Page, triangle_plan: Plan) -> None:
+    data = page.data
+    for name, samples in (("planned", triangle_plan.samples), ("baseline", triangle_plan.baseline)):
+        torque = floats(data[name]["torque"]).reshape(-1, 3)
+        np.testing.assert_allclose(torque, samples.guardrail_torque[::2], rtol=1e-6, atol=1e-3)
+        np.testing.assert_allclose(floats(data[name]["clearance"]), samples.clearance[::2], rtol=1e-6)
+    assert data["planned"]["peakTorque"] == triangle_plan.figures.peak_guardrail_torque
+    assert data["baseline"]["minClearance"] == triangle_plan.baseline_figures.min_clearance
+
+
+# Files and the server ---------------------------------------------------------------------------------------
+
+
+def test_a_file_is_written_without_a_server_or_a_process(
+    triangle_plan: Plan, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        pytest.fail("a process or a socket was asked for")
+
+    monkeypatch.setattr(subprocess, "Popen", refuse)
+    monkeypatch.setattr(socket, "socket", refuse)
+    path = tmp_path / "replay.html"
+    path.write_text("old", encoding="utf-8")
+    assert replay(triangle_plan, html=str(path)) is None
+    assert path.read_text(encoding="utf-8") == text
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_neither_file_nor_server_is_an_error(triangle_plan: Plan) -> None:
+    with pytest.raises(InputError, match="html, serve: got neither"):
+        replay(triangle_plan)
+
+
+@pytest.mark.parametrize("place", ["missing/replay.html", "folder", "null\0byte"])
+def test_a_file_that_cannot_be_written(triangle_plan: Plan, tmp_path: Path, place: str) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InputError, match="cannot be written") as caught:
+        replay(triangle_plan, tmp_path / place)
+    assert caught.value.source == str(tmp_path / place)
+    assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+
+
+def test_the_server_serves_the_page_to_this_computer_alone(triangle_plan: Plan, text: str) -> None:
+    with serve_replay(triangle_plan) as server:
+        assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.url)
+        with urllib.request.urlopen(server.url, timeout=10) as answer:
+            assert answer.headers["Content-Type"] == "text/html; charset=utf-8"
+            assert answer.read().decode() == text
+        # Every address 127.x.y.z is this computer: a server on all interfaces would answer here.
+        with pytest.raises(ConnectionRefusedError):
+            socket.create_connection(("127.0.0.2", server.port), timeout=10)
+
+
+def test_the_server_refuses_other_paths_and_hosts() -> None:
+    with ReplayServer("<p>page</p>") as server:
+        for url, host, status in ((f"{server.url}x", "localhost", 404), (server.url, "evil.example", 421)):
+            request = urllib.request.Request(url, headers={"Host": host})
+            with pytest.raises(urllib.error.HTTPError) as caught:
+                urllib.request.urlopen(request, timeout=10)
+            caught.value.close()
+            assert caught.value.code == status
+
+
+def test_the_server_ends_when_closed(triangle_plan: Plan) -> None:
+    server = replay(triangle_plan, serve=True)
+    assert server is not None
+    assert server.wait(timeout=0) is False
+    server.close()
+    server.close()
+    assert server.wait() is True
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", server.port), timeout=10)
+
+
+def test_a_port_that_is_taken_or_none() -> None:
+    with ReplayServer("page") as server:
+        for port in (server.port, 70_000, -1):
+            with pytest.raises(InputError, match="a free port"):
+                ReplayServer("page", port)

@@ -1,0 +1,134 @@
+"""The report without a browser: what stands in it."""
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from page_data import data_of, floats
+
+import cmbot
+from cmbot.common.errors import InputError
+from cmbot.planning import Plan, remarks
+from cmbot.simulation import Tracking, tracking_rows
+from cmbot.views import pages, report_page
+
+EVIL = "</script></title><img src=x onerror=alert(1)><!--\u2028"
+
+
+@pytest.fixture(scope="module")
+def text(triangle_plan: Plan, triangle_tracking: Tracking) -> str:
+    return report_page(triangle_plan, triangle_tracking)
+
+
+def test_the_page_is_light_and_the_same_again(
+    text: str, triangle_plan: Plan, triangle_tracking: Tracking
+) -> None:
+    assert len(text.encode()) < 6_000_000
+    assert report_page(triangle_plan, triangle_tracking) == text
+
+
+def test_every_figure_check_and_remark_is_in_it(
+    text: str, triangle_plan: Plan, triangle_tracking: Tracking
+) -> None:
+    cells = set(re.findall(r"<t[dh][^>]*>([^<]*)</t[dh]>", text))
+    for row in (*triangle_plan.rows(), *tracking_rows(triangle_tracking)):
+        assert set(row) <= cells
+    for check in triangle_plan.certificate.checks:
+        assert check.quantity.replace("'", "&#x27;") in cells
+    for remark in remarks(triangle_plan):
+        assert f"<li>{remark}</li>".replace("'", "&#x27;") in text
+    for name in dataclasses.asdict(triangle_plan.options):
+        assert name in cells
+    assert cmbot.__version__ in cells
+    assert "NO" not in cells
+
+
+def test_names_are_text(triangle_plan: Plan) -> None:
+    scene = triangle_plan.scene
+    obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
+    evil = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
+    page = report_page(dataclasses.replace(triangle_plan, scene=evil))
+    assert "<img src" not in page
+    assert page.count("</script>") == report_page(triangle_plan).count("</script>")
+    assert data_of(page)["title"] == EVIL
+
+
+def test_both_pages_of_a_directory(triangle_plan: Plan, triangle_tracking: Tracking, text: str) -> None:
+    made = pages(triangle_plan, triangle_tracking)
+    assert list(made) == ["replay.html", "report.html"]
+    assert made["report.html"].decode() == text
+
+
+def test_it_is_written_whole_or_not_at_all(triangle_plan: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "report.html"
+    cmbot.report(triangle_plan, path)
+    assert path.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
+    with pytest.raises(InputError, match="cannot be written"):
+        cmbot.report(triangle_plan, tmp_path / "missing" / "report.html")
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_the_tracking_of_another_plan_is_refused(short_plan: Plan, triangle_tracking: Tracking) -> None:
+    with pytest.raises(InputError, match=r"tracking: planned\.stop: got 20 s, expected 4 s"):
+        report_page(short_plan, triangle_tracking)
+
+
+def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
+    """An infinite clearance and a continuous joint, which JSON has no numbers for."""
+    figures = dataclasses.replace(short_plan.figures, min_clearance=np.inf)
+    checks = tuple(
+        dataclasses.replace(check, value=np.inf) if check.at_least else check
+        for check in short_plan.certificate.checks
+    )
+    certificate = dataclasses.replace(
+        short_plan.certificate, checks=checks, figures=figures, clearance_bound=np.inf
+    )
+    scene = dataclasses.replace(short_plan.scene, obstacles=())
+    limits = short_plan.robot.limits
+    lower, upper = limits.lower.copy(), limits.upper.copy()
+    lower[1], upper[1] = -np.inf, np.inf
+    limits = dataclasses.replace(limits, lower=lower, upper=upper)
+    alone = short_plan.robot.collision_model.copy()
+    alone.removeAllCollisionPairs()
+    robot = dataclasses.replace(short_plan.robot, limits=limits, collision_model=alone)
+    baseline = dataclasses.replace(
+        short_plan.baseline, clearance=np.full_like(short_plan.baseline.clearance, np.inf)
+    )
+    parts = {"certificate": certificate, "scene": scene, "robot": robot, "baseline": baseline}
+    page = report_page(dataclasses.replace(short_plan, **parts))
+    data = data_of(page)
+    assert data["planned"]["minClearance"] is None
+    assert data["charts"][1]["curves"] == []
+    assert (floats(data["planned"]["pair"]) == -1).all()
+    assert data["jointCharts"][1]["bounds"] == [None, None]
+    assert "nothing is there to be hit" in page
+    assert ">unbounded</td>" in page
+
+
+def test_what_was_done_about_the_sag_is_in_a_table(
+    compensated_short: tuple[Plan, Tracking], short_plan: Plan
+) -> None:
+    made, tracking = compensated_short
+    done = made.compensation
+    assert done is not None
+    page = report_page(made, tracking)
+    rows = {"sag compensated, rounds": str(done.rounds)}
+    rows["largest shift of the tool from its path for it, mm"] = f"{1e3 * done.largest_shift:.3f}"
+    assert done.largest_shift > 1e-3
+    for name, value in rows.items():
+        assert f'{name}</th><td class="number">{value}</td>' in page
+        assert name not in report_page(short_plan)
+
+
+def test_what_was_done_about_the_vibration_is_in_a_table(text: str, triangle_plan: Plan) -> None:
+    quiet = triangle_plan.quieting
+    assert quiet is not None
+    for name, value in (
+        ("elastic modes brought to rest", f"{quiet.modes}"),
+        ("share of the change for it that was made", f"{100 * quiet.share:.4g} %"),
+        ("amplitude that they leave at the tool without it, mm", f"{1e3 * quiet.before:.4f}"),
+        ("with it, mm", f"{1e3 * quiet.after:.4f}"),
+    ):
+        assert f'{name}</th><td class="number">{value}</td>' in text
