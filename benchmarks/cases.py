@@ -15,10 +15,10 @@ from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.optimization.continuation import SMOOTH
-from cmbot.planning.context import Setting, prepare
-from cmbot.planning.initial_guess import Way, fixed_way, sliding_way
+from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.solvers import family_through
-from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Postures
@@ -44,14 +44,14 @@ class Case:
     Attributes
     ----------
     name : str
-    setting : Setting
+    setting : PlanningContext
     via_points : (n, d), rad
     sliding, pinned : bool
         Whether via-points slide; all but the first.
     """
 
     name: str
-    setting: Setting
+    context: PlanningContext
     via_points: FloatArray
     sliding: bool
     pinned: bool = False
@@ -59,20 +59,20 @@ class Case:
     @property
     def weight(self) -> float:
         """Of the smoothing."""
-        return SMOOTH.smoothing * self.setting.options.smoothing_weight
+        return SMOOTH.smoothing * self.context.options.smoothing_weight
 
     def problem(self, solver: str) -> TorqueProblem:
         """Pose it for ``sqp`` or ``slsqp``; a floor that everything is below keeps the smoothing as it is."""
-        setting = replace(self.setting, options=replace(self.setting.options, solver=solver))
+        context = replace(self.context, options=replace(self.context.options, solver=solver))
         return TorqueProblem(
-            setting.robot,
-            setting.task,
-            family_through(setting, self.via_points, sliding=self.sliding, pinned=self.pinned),
-            setting.clearances,
-            setting.options,
+            context.robot,
+            context.task,
+            family_through(context, self.via_points, sliding=self.sliding, pinned=self.pinned),
+            context.clearances,
+            context.options,
             resting=(),
             floor=np.inf,
-            objective=setting.objective,
+            objective=context.objective,
         )
 
 
@@ -98,7 +98,7 @@ class Judgement:
 
 def judged(case: Case, problem: TorqueProblem, trajectory: QuinticTrajectory) -> Judgement:
     """Judge a trajectory on all samples of `problem`, from the trajectory alone."""
-    states = States(problem.grid, *trajectory.states(problem.grid))
+    states = StateSamples(problem.grid, *trajectory.states(problem.grid))
     peak = float(problem.objective.values(states).max())
     worst = [float(function.values(states)[0].max()) for function in problem.functions]
     for bound in problem.bounds:
@@ -121,29 +121,29 @@ def _off_task(case: Case, trajectory: QuinticTrajectory) -> float:
     """How far via-points are from where they have to be, m or rad."""
     if not case.sliding:
         return float(np.abs(trajectory.q - case.via_points).max())
-    setting = case.setting
-    at = Postures(setting.robot).at(np.ascontiguousarray(trajectory.q))
-    points = setting.task.path.position(setting.times)
-    return float(np.abs(setting.task.errors(at.tool_point, at.tool_rotation, points)).max())
+    context = case.context
+    at = Postures(context.robot).at(np.ascontiguousarray(trajectory.q))
+    points = context.task.path.position(context.times)
+    return float(np.abs(context.task.errors(at.tool_point, at.tool_rotation, points)).max())
 
 
-def way_of(scene: Scene, knots: str) -> tuple[Setting, Way]:
+def way_of(scene: Scene, knots: str) -> tuple[PlanningContext, InitialGuess]:
     """Return where planning a scene would start to optimise."""
-    setting = prepare(scene, replace(scene.planner, knots=knots, solver="slsqp"))
-    return setting, sliding_way(setting) if knots == "sliding" else fixed_way(setting, lambda _: None)
+    context = build_context(scene, replace(scene.planner, knots=knots, solver="slsqp"))
+    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context, lambda _: None)
 
 
 def fixed_case(scene: Scene) -> Case:
     """Return the problem of Chang 2021, Eq. (30), along a scene's path: the core problem."""
-    setting, way = way_of(scene, "fixed")
-    return Case(name=scene.name, setting=setting, via_points=way.problem.family.via_points, sliding=False)
+    context, way = way_of(scene, "fixed")
+    return Case(name=scene.name, context=context, via_points=way.problem.family.via_points, sliding=False)
 
 
 def sliding_case(scene: Scene) -> Case:
     """Return the problem with via-points that slide, from where the global stage puts them."""
-    setting, way = way_of(scene, "sliding")
+    context, way = way_of(scene, "sliding")
     q, pinned = way.problem.family.via_points, 0 in way.resting
-    return Case(name=scene.name, setting=setting, via_points=q, sliding=True, pinned=pinned)
+    return Case(name=scene.name, context=context, via_points=q, sliding=True, pinned=pinned)
 
 
 def random_scene(via_points: int = 50) -> Scene:

@@ -25,8 +25,8 @@ from threadpoolctl import threadpool_limits
 
 from cmbot import Scene, load_scene
 from cmbot.optimization.exchange import optimise
-from cmbot.planning.context import prepare
-from cmbot.planning.initial_guess import sliding_way
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import sliding_guess
 from cmbot.planning.verification.certificate import certify
 
 SIZES = (50, 200, 1000)
@@ -82,26 +82,26 @@ def sweep(via_points: int, **options: object) -> Scene:
 def measured(via_points: int) -> Costs:
     """Plan a sweep in this process, without the comparison with the paper's motion and the approach."""
     scene = sweep(via_points)
-    setting = prepare(scene, scene.planner)
+    context = build_context(scene, scene.planner)
     laps = [time.process_time()]
-    way = sliding_way(setting)
+    way = sliding_guess(context)
     laps.append(time.process_time())
     optimised = optimise(way.problem)
     laps.append(time.process_time())
     certificate = certify(
-        setting.robot,
-        setting.task,
+        context.robot,
+        context.task,
         optimised.trajectory,
         optimised.via_points,
-        setting.clearances,
-        setting.options,
+        context.clearances,
+        context.options,
     )
     laps.append(time.process_time())
     certificate.require()
     global_stage, optimisation, certifying = (after - start for start, after in pairwise(laps))
     return Costs(
         via_points=via_points,
-        path=setting.task.path.duration,
+        path=context.task.path.duration,
         global_stage=global_stage,
         optimisation=optimisation,
         certificate=certifying,

@@ -35,7 +35,7 @@ from cmbot.scene import Scene
 __all__ = ["Kernel", "compiler", "kernels", "measured"]
 
 FloatArray = NDArray[np.float64]
-Way = tuple[str, bool, Callable[[], FloatArray]]
+InitialGuess = tuple[str, bool, Callable[[], FloatArray]]
 SIZES = (50, 500, 2000)
 # The path whose clearances are looked at swings by so much, rad; nearer than the margin, m, is too near.
 _SWING, _MARGIN = 0.3, 0.02
@@ -128,7 +128,7 @@ def states(robot: Robot, number: int) -> tuple[FloatArray, FloatArray, FloatArra
     return q, v, a
 
 
-def _values(robot: Robot, number: int) -> list[Way]:
+def _values(robot: Robot, number: int) -> list[InitialGuess]:
     dynamics, (q, v, a) = Dynamics(robot), states(robot, number)
     data = robot.model.createData()
 
@@ -146,7 +146,7 @@ def _values(robot: Robot, number: int) -> list[Way]:
     return [("pinocchio in a loop", False, loop), ("pinocchio.rneaInParallel", True, parallel)]
 
 
-def _derivatives(robot: Robot, number: int) -> list[Way]:
+def _derivatives(robot: Robot, number: int) -> list[InitialGuess]:
     dynamics, (q, v, a), arm = Dynamics(robot), states(robot, number), arm_of(robot)
     floating, data = robot.floating_model, robot.floating_model.createData()
     still = np.zeros(6)
@@ -158,7 +158,7 @@ def _derivatives(robot: Robot, number: int) -> list[Way]:
             rows[k] = pin.computeRNEADerivatives(floating, data, *at)[0][:6, 6:]
         return rows
 
-    ways: list[Way] = [
+    ways: list[InitialGuess] = [
         ("pinocchio in a loop, free-flyer", False, free_flyer),
         ("pinocchio in a loop, forces in W", True, lambda: -dynamics.wrench_derivatives(q, v, a).d_q),
         ("closed form, NumPy", False, lambda: batched(arm, q, v, a)[1][:, :6]),
@@ -170,7 +170,7 @@ def _derivatives(robot: Robot, number: int) -> list[Way]:
     return [*ways, ("closed form, numba", False, lambda: run(arm, q, v, a)[1][:, :6])]
 
 
-def _tool_poses(robot: Robot, number: int) -> list[Way]:
+def _tool_poses(robot: Robot, number: int) -> list[InitialGuess]:
     kinematics, postures, (q, _, _) = Kinematics(robot), Postures(robot), states(robot, number)
 
     def loop() -> FloatArray:
@@ -189,7 +189,7 @@ def _path(scene: Scene, number: int) -> FloatArray:
     return np.asarray(scene.posture + _SWING * rng.uniform(-1, 1, 7) * np.sin(t + rng.uniform(0, 6, 7)))
 
 
-def _smallest(robot: Robot, scene: Scene, number: int) -> list[Way]:
+def _smallest(robot: Robot, scene: Scene, number: int) -> list[InitialGuess]:
     clearances, q = Clearances(robot, scene.obstacles), _path(scene, number)
     model, data = robot.model, robot.model.createData()
     geometry = PairedShapes(robot, scene.obstacles).geometry
@@ -212,7 +212,7 @@ def _smallest(robot: Robot, scene: Scene, number: int) -> list[Way]:
     ]
 
 
-def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[Way]:
+def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[InitialGuess]:
     clearances, q = Clearances(robot, scene.obstacles), _path(scene, number)
     return [
         ("every posture", False, lambda: clearances.smallest(q).distance.min(keepdims=True)),
@@ -220,7 +220,7 @@ def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[Way]:
     ]
 
 
-def _too_near(robot: Robot, scene: Scene, number: int) -> list[Way]:
+def _too_near(robot: Robot, scene: Scene, number: int) -> list[InitialGuess]:
     clearances, (q, _, _) = Clearances(robot, scene.obstacles), states(robot, number)
     return [
         (

@@ -40,7 +40,7 @@ class LagrangianHessian:
         problem = sampled.problem
         arm = verified(problem.robot)
         self._of_states = _of_states(arm, sampled).map(len(problem.grid))
-        self._of_task = _of_task(arm, sampled.case.setting.task.path.orientation)
+        self._of_task = _of_task(arm, sampled.case.context.task.path.orientation)
         self._legs = _legs(sampled)
         self._J = sampled.states_by_unknowns
         reached = abs(self._J)
@@ -109,7 +109,7 @@ def _of_task(arm: SymbolicArm, orientation: FloatArray) -> Any:
 
 def _legs(sampled: SampledProblem) -> FloatArray:
     """Where the leg of each sample begins, and where it leads: (6, N), m."""
-    path = sampled.case.setting.task.path
+    path = sampled.case.context.task.path
     leg = np.searchsorted(path.leg_times, sampled.problem.grid, side="right") - 1
     leg = np.clip(leg, 0, len(path.seconds) - 1)
     return np.hstack([path.corners[leg], np.diff(path.corners, axis=0)[leg]]).T

@@ -19,7 +19,7 @@ from scipy import optimize
 
 from cmbot.common.arrays import FloatArray
 from cmbot.optimization.slsqp import Remembered
-from cmbot.planning.torque.constraints import JointTorque, States, ToolDeviation
+from cmbot.planning.torque.constraints import JointTorque, StateSamples, ToolDeviation
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Kinematics
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -120,7 +120,7 @@ class LiteralProblem:
         """Sampled rows ``c(x) >= 0`` and their Jacobian."""
         problem, z = self._problem, self.knots(x)
         states = [W @ z for W in self._rows]
-        at = States(self.times, *states[:3])
+        at = StateSamples(self.times, *states[:3])
         N, d = at.q.shape
         efforts = problem.dynamics.derivatives(at.q, at.v, at.a)
         by = (efforts.d_q, efforts.d_v, efforts.d_a)

@@ -11,8 +11,8 @@ from measure import command, process_time, wall_time
 from cmbot import load_scene
 from cmbot.optimization.exchange import optimise
 from cmbot.planning import plan
-from cmbot.planning.context import prepare
-from cmbot.planning.initial_guess import sliding_way
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import sliding_guess
 from cmbot.simulation import simulate
 
 __all__ = ["Planned", "planned", "start_up"]
@@ -86,8 +86,8 @@ def planned(name: str, repeats: int = 3) -> Planned:
 
 def _polished(name: str, solver: str, repeats: int) -> tuple[float, float]:
     scene = load_scene(name)
-    setting = prepare(scene, replace(scene.planner, knots="sliding", solver=solver))
-    way = sliding_way(setting)
+    context = build_context(scene, replace(scene.planner, knots="sliding", solver=solver))
+    way = sliding_guess(context)
     seconds, optimised = process_time(lambda: optimise(way.problem), repeats)
     return seconds, optimised.passes[-1].peak_torque
 

@@ -23,11 +23,11 @@ from cases import Case
 from scipy import sparse
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.planning.torque.constraints import JointTorque, States, ToolDeviation
+from cmbot.planning.torque.constraints import JointTorque, StateSamples, ToolDeviation
 from cmbot.planning.torque.null_space import LONGEST_SLIDE
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Kinematics, Postures
-from cmbot.trajectory.local_basis import LocalSplines
+from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["FAR", "ROUND", "SampledProblem"]
@@ -74,7 +74,7 @@ class SampledProblem:
 
     def __init__(self, case: Case, problem: TorqueProblem) -> None:
         self.case, self.problem = case, problem
-        self.local = LocalSplines(problem.space, problem.robot.limits)
+        self.local = SparseSplines(problem.space, problem.robot.limits)
         (n, d), count = case.via_points.shape, self.local.count
         # All of u: numbers, then via-points; where these stay, the last columns are no unknowns.
         self._u = np.vstack([self.local.least_jerk(case.via_points), case.via_points])
@@ -132,11 +132,11 @@ class SampledProblem:
         """Return all rows (K,)."""
         u, problem = self.u(x), self.problem
         states = [W @ u for W in self.weights]
-        at = States(problem.grid, *states[:3])
+        at = StateSamples(problem.grid, *states[:3])
         peak = problem.torque.values(at)[0][:, 0] - x[-1]
         joint = problem.dynamics.efforts(at.q, at.v, at.a).joint_torque / self.torque_bound
         point = self._kinematics.tool_poses(at.q)[0]
-        away = self.case.setting.task.path.leg_offset(at.t, point) / self.deviation_bound
+        away = self.case.context.task.path.leg_offset(at.t, point) / self.deviation_bound
         linear = [states[bound.order] / bound.scale for bound in problem.bounds]
         distance = np.sqrt((away**2).sum(axis=1) + ROUND**2)
         parts = [peak, joint, distance, *linear, self._task(u)[0]]
@@ -145,7 +145,7 @@ class SampledProblem:
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Nonzeros of the Jacobian, in the order of `pattern`."""
         u, problem = self.u(x), self.problem
-        at = States(problem.grid, *(W @ u for W in self.weights[:3]))
+        at = StateSamples(problem.grid, *(W @ u for W in self.weights[:3]))
         N, d = at.q.shape
         D = np.zeros((3, N, d + 2, d))
         rows = problem.dynamics.derivatives(at.q, at.v, at.a)
@@ -155,7 +155,7 @@ class SampledProblem:
             D[order, :, 0] = np.einsum("ki,kij->kj", direction, by[:, :3])
             D[order, :, 1:-1] = by[:, 3:] / self.torque_bound[:, None]
         p, J = self._kinematics.tool_point_jacobians(at.q)
-        away = self.case.setting.task.path.leg_offset(at.t, p) / self.deviation_bound
+        away = self.case.context.task.path.leg_offset(at.t, p) / self.deviation_bound
         distance = np.sqrt((away**2).sum(axis=1) + ROUND**2)[:, None]
         D[0, :, -1] = np.einsum("ki,kij->kj", away / distance, J) / self.deviation_bound
         entries = self._entries
@@ -248,10 +248,10 @@ class SampledProblem:
         n, d = self.case.via_points.shape
         if not self.case.sliding:
             return np.empty((0, _TASK)), np.empty((0, _TASK, d))
-        setting = self.case.setting
+        context = self.case.context
         at = self._postures.at(np.ascontiguousarray(u[-n:]))
-        E = at.tool_rotation @ setting.task.path.orientation.T
-        off = at.tool_point - setting.task.path.position(setting.times)
+        E = at.tool_rotation @ context.task.path.orientation.T
+        off = at.tool_point - context.task.path.position(context.times)
         turn = 0.5 * np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]], 1)
         by_turn = 0.5 * (np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(3) - E)
         J = np.concatenate([at.jacobian[:, :3], by_turn @ at.jacobian[:, 3:]], axis=1)

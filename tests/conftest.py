@@ -23,7 +23,7 @@ from cmbot.scene import load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 FloatArray = NDArray[np.float64]
-States = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
+StateSamples = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
 
 # No test may depend on speed; a failure in CI must come back on the next run.
 settings.register_profile("local", deadline=None)
@@ -85,7 +85,7 @@ def rng() -> np.random.Generator:
 
 
 @pytest.fixture
-def random_states(rng: np.random.Generator) -> States:
+def random_states(rng: np.random.Generator) -> StateSamples:
     """Function of a robot and a number N: q within the ranges, v to 3 times the limits, a to 20 rad/s2."""
 
     def states(robot: Robot, number: int) -> tuple[FloatArray, FloatArray, FloatArray]:

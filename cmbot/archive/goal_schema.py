@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 
 from cmbot.common.validation import FileModel
-from cmbot.planning import Floor, ObjectiveFigures
+from cmbot.planning import LowerBound, ObjectiveMetrics
 from cmbot.planning.initial_guess import Choice
 
 __all__ = ["ChoiceFile", "Count", "FloorFile", "NonNegative", "ObjectiveFile"]
@@ -28,9 +28,11 @@ class FloorFile(FileModel):
     each: tuple[NonNegative, ...]
     """The smallest value at every via-point."""
 
-    def floor(self) -> Floor:
+    def floor(self) -> LowerBound:
         """Return it as the planner has it."""
-        return Floor(value=self.value, error=self.error, via_point=self.via_point, each=np.array(self.each))
+        return LowerBound(
+            value=self.value, error=self.error, via_point=self.via_point, each=np.array(self.each)
+        )
 
 
 class ObjectiveFile(FileModel):
@@ -49,9 +51,9 @@ class ObjectiveFile(FileModel):
     gap: float | None
     """How far the planned peak lies above the floor, as a share of it."""
 
-    def figures(self) -> ObjectiveFigures:
+    def figures(self) -> ObjectiveMetrics:
         """Return it as the planner has it."""
-        return ObjectiveFigures(**self.model_dump(exclude={"gap"}))
+        return ObjectiveMetrics(**self.model_dump(exclude={"gap"}))
 
 
 class ChoiceFile(FileModel):

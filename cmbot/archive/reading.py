@@ -24,7 +24,7 @@ from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning import (
     Approach,
     Certificate,
-    MotionFigures,
+    MotionMetrics,
     Plan,
     QuinticTrajectory,
     ToolTask,
@@ -34,8 +34,8 @@ from cmbot.planning import (
     sag_of,
     task_of,
 )
-from cmbot.planning.objective_metrics import objective_figures
-from cmbot.planning.torque.constraints import States
+from cmbot.planning.objective_metrics import objective_metrics
+from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.objectives import objective_of
 from cmbot.planning.verification.certificate import certificate_grid, certify
 from cmbot.planning.verification.metrics import figures, measure
@@ -223,12 +223,12 @@ def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
 def _verify_objective(plan: Plan, source: Path) -> None:
     """Require the objective's peaks to be those of the motions."""
     baseline, grid = plan.baseline, certificate_grid(plan.trajectory, plan.options)
-    fresh = objective_figures(
+    fresh = objective_metrics(
         objective_of(plan.robot, plan.options, sag=_sag(plan.scene, plan.robot, plan.options)),
         plan.options,
         own=False,
-        baseline=(plan.baseline_figures, States(baseline.t, baseline.q, baseline.v, baseline.a)),
-        planned=(plan.figures, States(grid, *plan.trajectory.states(grid))),
+        baseline=(plan.baseline_figures, StateSamples(baseline.t, baseline.q, baseline.v, baseline.a)),
+        planned=(plan.figures, StateSamples(grid, *plan.trajectory.states(grid))),
         floor=plan.objective.floor,
     )
     for name in ("baseline_peak", "planned_peak"):
@@ -237,8 +237,8 @@ def _verify_objective(plan: Plan, source: Path) -> None:
             raise ArchiveError(str(source), f"objective.{name}", got, f"{value:g}, as measured again")
 
 
-def _require_same(stored: MotionFigures, fresh: MotionFigures, source: Path, key: str) -> None:
-    def flat(motion: MotionFigures) -> dict[str, float]:
+def _require_same(stored: MotionMetrics, fresh: MotionMetrics, source: Path, key: str) -> None:
+    def flat(motion: MotionMetrics) -> dict[str, float]:
         values = asdict(motion)
         return values | {f"limit_use.{name}": value for name, value in values.pop("limit_use").items()}
 

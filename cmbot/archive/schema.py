@@ -15,14 +15,14 @@ from cmbot.optimization.working_set import Violation
 from cmbot.planning import (
     Certificate,
     Check,
+    ExchangeReport,
     LimitUse,
-    MotionFigures,
-    PassReport,
+    MotionMetrics,
     Seconds,
     Start,
 )
 from cmbot.planning.flexibility.sag_compensation import Compensation
-from cmbot.planning.flexibility.vibration_suppression import Quieting
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.scene import PlannerOptions, SceneFile
 
 __all__ = [
@@ -75,10 +75,10 @@ class FiguresFile(FileModel):
     max_tool_rotation: NonNegative
     limit_use: LimitUseFile
 
-    def figures(self) -> MotionFigures:
+    def figures(self) -> MotionMetrics:
         """Return them as the planner has them."""
         use = self.limit_use
-        return MotionFigures(
+        return MotionMetrics(
             peak_guardrail_torque=self.peak_guardrail_torque,
             mean_guardrail_torque=self.mean_guardrail_torque,
             peak_static_guardrail_torque=self.peak_static_guardrail_torque,
@@ -183,10 +183,10 @@ class QuietingFile(FileModel):
     after: NonNegative
     """With it."""
 
-    def quieting(self) -> Quieting:
+    def quieting(self) -> VibrationSuppression:
         """Return it as the planner has it."""
         shares = self.shares or (self.share,)
-        return Quieting(modes=self.modes, shares=shares, before=self.before, after=self.after)
+        return VibrationSuppression(modes=self.modes, shares=shares, before=self.before, after=self.after)
 
 
 class FailureFile(FileModel):
@@ -243,9 +243,9 @@ class PassFile(FileModel):
     peak_torque: float
     worst: ViolationFile
 
-    def report(self) -> PassReport:
+    def report(self) -> ExchangeReport:
         """Return it as the optimiser has it."""
-        return PassReport(
+        return ExchangeReport(
             stage=self.stage,
             number=self.number,
             iterations=self.iterations,

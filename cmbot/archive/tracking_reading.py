@@ -19,7 +19,7 @@ from cmbot.common.validation import counted, shown, validated
 from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking
-from cmbot.simulation.drive import Drive, drive_along, drive_through
+from cmbot.simulation.drive import PrescribedMotion, drive_along, drive_through
 from cmbot.simulation.tracking import completed, foreseen
 
 __all__ = ["load_tracking"]
@@ -75,7 +75,12 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
 
 
 def _motion(
-    plan: Plan, drive: Drive, content: bytes, source: Path, frequencies: FloatArray, sag: ToolSag | None
+    plan: Plan,
+    drive: PrescribedMotion,
+    content: bytes,
+    source: Path,
+    frequencies: FloatArray,
+    sag: ToolSag | None,
 ) -> MotionTracking:
     table = np.array(read_rows(content, str(source), COLUMNS))
     if len(table) < 2 or not np.isfinite(table).all() or not (np.diff(table[:, 0]) > 0).all():

@@ -24,7 +24,7 @@ from cmbot.common.validation import validated
 from cmbot.planning import (
     Approach,
     Certificate,
-    MotionFigures,
+    MotionMetrics,
     Plan,
     QuinticTrajectory,
     Samples,
@@ -129,7 +129,7 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
     return json_bytes(data, indent=2)
 
 
-def _figures(figures: MotionFigures) -> dict[str, Any]:
+def _figures(figures: MotionMetrics) -> dict[str, Any]:
     return {**asdict(figures), "min_clearance": or_null(figures.min_clearance)}
 
 

@@ -1,5 +1,5 @@
 """The command line: the only place that prints or exits."""
 
-from cmbot.cli.app import app, main
+from cmbot.cli.commands import app, main
 
 __all__ = ["app", "main"]

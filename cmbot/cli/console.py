@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from cmbot.planning import Progress
 
 __all__ = [
+    "ConsoleProgress",
     "JsonOption",
-    "Narrator",
     "QuietOption",
     "err",
     "flat",
@@ -93,7 +93,7 @@ class _Seconds(ProgressColumn):
         return Text(f"{self._told()} ·" if task.description else self._told())
 
 
-class Narrator:
+class ConsoleProgress:
     """Tells what is being done: a moving line on a terminal, plain lines elsewhere, nothing if so wished.
 
     Parameters
@@ -114,7 +114,7 @@ class Narrator:
         # Of the present step: what the planner told last, and when.
         self._step: tuple[Progress, float] | None = None
 
-    def __enter__(self) -> Narrator:
+    def __enter__(self) -> ConsoleProgress:
         if err.is_terminal and not self._quiet:
             self._bars = Bars(
                 SpinnerColumn(),

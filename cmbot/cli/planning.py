@@ -11,7 +11,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import cmbot
-from cmbot.cli.console import JsonOption, Narrator, QuietOption, err, flat, out, print_json, print_table
+from cmbot.cli.console import (
+    ConsoleProgress,
+    JsonOption,
+    QuietOption,
+    err,
+    flat,
+    out,
+    print_json,
+    print_table,
+)
 from cmbot.cli.views import add_figures, add_pages
 from cmbot.common.errors import InputError
 
@@ -77,12 +86,12 @@ def plan(
         from cmbot.views import require_matplotlib
 
         require_matplotlib()
-    from cmbot.planning import examine_options
+    from cmbot.planning import precheck_options
 
-    for finding in () if quiet else examine_options(options):
+    for finding in () if quiet else precheck_options(options):
         err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
-    with Narrator(quiet=quiet) as narrator:
-        planned = cmbot.plan(loaded, options=options, progress=narrator.tell)
+    with ConsoleProgress(quiet=quiet) as console_progress:
+        planned = cmbot.plan(loaded, options=options, progress=console_progress.tell)
     cmbot.save(planned, directory, force=force)
     *_, page = add_pages(planned, None, directory)
     drawn = add_figures(planned, directory) if figures else ()

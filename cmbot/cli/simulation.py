@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import cmbot
-from cmbot.cli.console import JsonOption, Narrator, QuietOption, flat, out, print_json, print_table
+from cmbot.cli.console import ConsoleProgress, JsonOption, QuietOption, flat, out, print_json, print_table
 from cmbot.cli.views import add_figures, add_pages
 
 if TYPE_CHECKING:
@@ -59,9 +59,11 @@ def simulate(
         from cmbot.views import require_matplotlib
 
         require_matplotlib()
-    with Narrator(quiet=quiet) as narrator:
-        narrator.say("simulating", 0.0)
-        tracking = cmbot.simulate(loaded, options, progress=lambda share: narrator.say("simulating", share))
+    with ConsoleProgress(quiet=quiet) as console_progress:
+        console_progress.say("simulating", 0.0)
+        tracking = cmbot.simulate(
+            loaded, options, progress=lambda share: console_progress.say("simulating", share)
+        )
     written = cmbot.save_tracking(tracking, directory, force=force)
     written += add_pages(loaded, tracking, directory)
     if figures:
@@ -99,12 +101,12 @@ def reproduce(
     from cmbot.reproduction import reproduce as run
 
     require_room(output, force=force)
-    with Narrator(quiet=quiet) as narrator:
+    with ConsoleProgress(quiet=quiet) as console_progress:
         found = run(
             factors=QUICK_FACTORS if quick else FACTORS,
             least_sag=not quick,
-            tell=lambda scene, what, share: narrator.say(f"{scene}: {what}", share),
-            progress=lambda scene, step: narrator.tell(step, about=f"{scene}: "),
+            tell=lambda scene, what, share: console_progress.say(f"{scene}: {what}", share),
+            progress=lambda scene, step: console_progress.tell(step, about=f"{scene}: "),
         )
     written = save_reproduction(found, output, force=force)
     if as_json:

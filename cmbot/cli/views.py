@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 import cmbot
-from cmbot.cli.console import Narrator, flat, out
+from cmbot.cli.console import ConsoleProgress, flat, out
 from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -115,6 +115,6 @@ def _film(planned: Plan, tracking: Tracking | None, video: Path) -> None:
     from cmbot.views import film, replay_page
 
     page = replay_page(planned, tracking)
-    with Narrator() as narrator:
-        narrator.say("filming")
-        film(page, video, tell=lambda share: narrator.say(f"filming, {100 * share:.0f} %"))
+    with ConsoleProgress() as console_progress:
+        console_progress.say("filming")
+        film(page, video, tell=lambda share: console_progress.say(f"filming, {100 * share:.0f} %"))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Left", "Remaining"]
+__all__ = ["Eta", "Remaining"]
 
 # The time of a part has a decimal below this, s.
 _SHORT = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Left:
+class Eta:
     """What is left of some work.
 
     Attributes
@@ -34,13 +34,13 @@ class Left:
     parts: str = ""
     at_most: bool = False
 
-    def after(self, seconds: float) -> Left | None:
+    def after(self, seconds: float) -> Eta | None:
         """Return what is left so many seconds later; None when the estimate has run out."""
         if self.most is not None:
             return self
         if seconds >= self.seconds:
             return None
-        return Left(seconds=self.seconds - seconds, at_most=self.at_most)
+        return Eta(seconds=self.seconds - seconds, at_most=self.at_most)
 
     def sentence(self) -> str:
         """Return it in words."""
@@ -75,10 +75,10 @@ class Remaining:
         if share > self.share:
             self.share, self._noted = min(share, 1.0), now
 
-    def left(self, now: float) -> Left | None:
+    def left(self, now: float) -> Eta | None:
         """Return what is left at a time; None before the first part is done, and when it takes longer."""
         done = self.share - self._first
         if not done > 0.0:
             return None
         seconds = (self._noted - self._began) * (1.0 - self.share) / done
-        return Left(seconds=seconds, at_most=self._at_most).after(max(now - self._noted, 0.0))
+        return Eta(seconds=seconds, at_most=self._at_most).after(max(now - self._noted, 0.0))

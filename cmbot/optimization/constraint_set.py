@@ -8,10 +8,10 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.optimization.linearization import Sites
 from cmbot.optimization.working_set import Violation, WorkingSet
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.local_basis import LocalSplines
+from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["KnownConstraints"]
+__all__ = ["ConstraintSet"]
 
 
 # At most so many sites of a constraint are added for a step: the worst, which usually hold the others.
@@ -23,7 +23,7 @@ _MANY, _MORE = 1.2, 50
 _NEGLIGIBLE, _FAR, _WINDOW = 1e-6, -0.5, 2.0
 
 
-class KnownConstraints:
+class ConstraintSet:
     """A working set, and what the solver has to know of it.
 
     Parameters
@@ -38,7 +38,7 @@ class KnownConstraints:
         self._sizes: dict[int, tuple[int, ...]] = {}
         self._were = len(working)
 
-    def sites(self, splines: LocalSplines) -> Sites:
+    def sites(self, splines: SparseSplines) -> Sites:
         """Where constraints are looked at now; the same object as long as there are no more of them."""
         if self._sites is None or self._sites.sizes != self.working.sizes:
             self._sites = Sites(self.working, splines)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.planning.torque.constraints import StateFunction, States
+from cmbot.planning.torque.constraints import StateConstraint, StateSamples
 
 __all__ = ["convexified", "state_curvature"]
 
@@ -23,14 +23,18 @@ _LEAST = 1e-9
 
 
 def state_curvature(
-    function: StateFunction, states: States, component: IntArray, multipliers: FloatArray, total: float
+    function: StateConstraint,
+    states: StateSamples,
+    component: IntArray,
+    multipliers: FloatArray,
+    total: float,
 ) -> tuple[IntArray, FloatArray]:
     """Curvatures of ``multipliers_k f(state_k)`` by the state, where they matter.
 
     Parameters
     ----------
-    function : StateFunction
-    states : States
+    function : StateConstraint
+    states : StateSamples
         N of them.
     component : (N,)
         Which component of the function counts at each.
@@ -57,14 +61,14 @@ def state_curvature(
         ahead = np.repeat(x[None], len(columns), axis=0)
         ahead[np.arange(len(columns)), :, columns] += _STEP
         q, v, a = (ahead[:, :, part * d : (part + 1) * d].reshape(-1, d) for part in range(3))
-        there = States(np.tile(states.t, len(columns)), q, v, a)
+        there = StateSamples(np.tile(states.t, len(columns)), q, v, a)
         gradients = _gradients(function, there, np.tile(component, len(columns)))
         M[:, columns] = ((gradients.reshape(len(columns), N, -1) - here) / _STEP).transpose(1, 0, 2)
         M = 0.5 * multipliers[:, None, None] * (M + M.transpose(0, 2, 1))
     return active, M
 
 
-def _gradients(function: StateFunction, states: States, component: IntArray) -> FloatArray:
+def _gradients(function: StateConstraint, states: StateSamples, component: IntArray) -> FloatArray:
     at = function.linearise(states, component)
     return np.hstack([at.d_q, at.d_v, at.d_a])
 

@@ -20,10 +20,10 @@ from cmbot.planning.torque.decomposition import joined, stretch_of, stretches
 from cmbot.planning.torque.families import FixedKnots
 from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.parametrization import LocalKnots
+from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["Optimised", "PassReport", "optimise"]
+__all__ = ["ExchangeReport", "Optimised", "optimise"]
 
 
 # SLSQP's line search can stall short of the constraints; started afresh from there it gets on.
@@ -44,7 +44,7 @@ _MEAN_ACCURACY = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
-class PassReport:
+class ExchangeReport:
     """Where the optimisation stands after a pass.
 
     Attributes
@@ -80,25 +80,25 @@ class Optimised:
     trajectory : QuinticTrajectory
     via_points : (n, d), rad
         What it was to pass through: those given, or where they slid to.
-    passes : tuple of PassReport
+    passes : tuple of ExchangeReport
     whole_because : str
         Of a long path that had to be solved whole: why its stretches could not be; else empty.
     """
 
     trajectory: QuinticTrajectory
     via_points: FloatArray
-    passes: tuple[PassReport, ...]
+    passes: tuple[ExchangeReport, ...]
     whole_because: str = ""
 
 
-def optimise(problem: TorqueProblem, progress: Callable[[PassReport], None] | None = None) -> Optimised:
+def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None = None) -> Optimised:
     """Solve the torque problem, with the solver that its family of splines is made for.
 
     Parameters
     ----------
     problem : TorqueProblem
     progress : callable, optional
-        Called with a `PassReport` after every pass.
+        Called with a `ExchangeReport` after every pass.
 
     Raises
     ------
@@ -120,13 +120,13 @@ def _stretch_by_stretch(
     problem: TorqueProblem,
     parts: list[tuple[int, int]],
     at_rest: float,
-    progress: Callable[[PassReport], None] | None,
+    progress: Callable[[ExchangeReport], None] | None,
 ) -> Optimised:
     """Solve a long path's problem in parts; passes are counted through."""
     done: list[Optimised] = []
-    passes: list[PassReport] = []
+    passes: list[ExchangeReport] = []
 
-    def tell(report: PassReport) -> None:
+    def tell(report: ExchangeReport) -> None:
         passes.append(replace(report, number=len(passes) + 1))
         if progress is not None:
             progress(passes[-1])
@@ -141,7 +141,7 @@ def _stretch_by_stretch(
 
 
 def _whole(
-    problem: TorqueProblem, at_rest: float, progress: Callable[[PassReport], None] | None
+    problem: TorqueProblem, at_rest: float, progress: Callable[[ExchangeReport], None] | None
 ) -> Optimised:
     """Solve a problem at once; `at_rest` is what a posture asks that the arm cannot help resting in."""
     if not problem.family.sliding:
@@ -172,19 +172,19 @@ def _whole(
 class _Run:
     """The passes of one optimisation; its working set is kept from stage to stage."""
 
-    def __init__(self, problem: TorqueProblem, progress: Callable[[PassReport], None] | None) -> None:
+    def __init__(self, problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None) -> None:
         self._problem = problem
         self._progress = progress
         self._working = WorkingSet(problem)
         t = problem.space.t
         self._working.add_everywhere(0.5 * (t[1:] + t[:-1]))
-        if isinstance(problem.family, LocalKnots):
+        if isinstance(problem.family, Parametrization):
             # Few more rows for it, and its first steps need not find out that the peak moves.
             self._working.add_torque(t)
         self._sparse = SparsePasses(problem, self._working)
         self.family = problem.family
         self.x = problem.family.start
-        self.reports: list[PassReport] = []
+        self.reports: list[ExchangeReport] = []
 
     def stage(self, name: str, bound: float) -> float:
         """Run one stage from where the last one ended; return its scaled peak torque.
@@ -194,7 +194,7 @@ class _Run:
         """
         # The sparse solver takes no step for the worse, however rough the way: it needs no sketch of one.
         sketches = (SKETCH, COARSE) if self.family.slides else (COARSE,)
-        first = (SMOOTH,) if isinstance(self.family, LocalKnots) else (*sketches, SMOOTH)
+        first = (SMOOTH,) if isinstance(self.family, Parametrization) else (*sketches, SMOOTH)
         self._look(bound, first[0])
         peak = bound
         for effort in first:
@@ -232,7 +232,7 @@ class _Run:
             if effort is COARSE:
                 return bound, peak
             if worst.value <= options.constraint_tolerance:
-                sparse = isinstance(self.family, LocalKnots)
+                sparse = isinstance(self.family, Parametrization)
                 if gain > _SETTLED and (sparse or effort is LIGHTER[-1]):
                     continue
                 return bound, peak
@@ -254,7 +254,7 @@ class _Run:
 
         The solver can diverge; a step for the worse is not taken but tried again more cautiously.
         """
-        if isinstance(self.family, LocalKnots):
+        if isinstance(self.family, Parametrization):
             self.family, peak, iterations, gain = self._sparse.solve(
                 self.family, None if name == "peak" else bound, effort
             )
@@ -293,7 +293,7 @@ class _Run:
         raise self._failure("the solver diverges, however cautiously it is asked", look[1])
 
     def _report(self, stage: str, iterations: int, peak: float, worst: Violation) -> None:
-        report = PassReport(
+        report = ExchangeReport(
             stage=stage,
             number=len(self.reports) + 1,
             iterations=iterations,

@@ -9,27 +9,27 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.optimization.constraint_set import KnownConstraints
+from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.curvature import convexified, state_curvature
 from cmbot.optimization.linearization import SiteValues, site_values
 from cmbot.optimization.qp import LocalModel, LocalValues
-from cmbot.planning.torque.constraints import Linearisation, States
+from cmbot.planning.torque.constraints import Linearisation, StateSamples
 from cmbot.planning.torque.problem import KinematicBound
 from cmbot.trajectory.local_basis import LocalRows
-from cmbot.trajectory.parametrization import LocalKnots
+from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["TorquePlace"]
+__all__ = ["NlpEvaluation"]
 
 
 @dataclass(frozen=True)
-class TorquePlace:
-    """A spline, and the torque problem around it: `TorquePlace.on` makes one.
+class NlpEvaluation:
+    """A spline, and the torque problem around it: `NlpEvaluation.on` makes one.
 
     Attributes
     ----------
-    known : KnownConstraints
-    family : LocalKnots
+    known : ConstraintSet
+    family : Parametrization
         Built around the spline.
     bound : float or None
         What the scaled torque is held below while its mean square is lowered; None where the peak is lowered.
@@ -39,26 +39,26 @@ class TorquePlace:
         The constraints that were known when the place was made.
     """
 
-    known: KnownConstraints
-    family: LocalKnots
+    known: ConstraintSet
+    family: Parametrization
     bound: float | None
     trajectory: QuinticTrajectory
     at: SiteValues
 
     @staticmethod
-    def on(known: KnownConstraints, family: LocalKnots, bound: float | None) -> TorquePlace:
+    def on(known: ConstraintSet, family: Parametrization, bound: float | None) -> NlpEvaluation:
         """Return the place of the spline that a family is built around."""
         trajectory = known.problem.trajectory(family, family.start)
         at = site_values(known.sites(family.splines), trajectory)
-        return TorquePlace(known, family, bound, trajectory, at)
+        return NlpEvaluation(known, family, bound, trajectory, at)
 
-    def moved(self, p: FloatArray) -> TorquePlace:
+    def moved(self, p: FloatArray) -> NlpEvaluation:
         """Step by the unknowns `p`; what is violated there is known from then on."""
-        trial = TorquePlace.on(self.known, self.family.rebuilt(p, self.family.weight), self.bound)
+        trial = NlpEvaluation.on(self.known, self.family.rebuilt(p, self.family.weight), self.bound)
         self.known.look(trial.trajectory, trial.values.peak if self.bound is None else self.bound)
         return trial.renewed()
 
-    def renewed(self) -> TorquePlace:
+    def renewed(self) -> NlpEvaluation:
         """Return the same spline with the constraints that are known by now."""
         sites = self.known.sites(self.family.splines)
         if sites is self.at.sites:
@@ -69,7 +69,7 @@ class TorquePlace:
         """Multipliers of the constraints known by now, from those of constraints known some time before."""
         return self.known.lifted(multipliers)
 
-    def thinned(self, multipliers: FloatArray) -> tuple[TorquePlace, FloatArray]:
+    def thinned(self, multipliers: FloatArray) -> tuple[NlpEvaluation, FloatArray]:
         """Return the same spline with fewer constraints, where they were many, and their multipliers."""
         needed = self.known.needed(self.at.sites, self.values.value, multipliers)
         if needed is None:
@@ -142,7 +142,7 @@ class TorquePlace:
             if isinstance(function, KinematicBound) or not share.any():
                 continue
             times = sites.times[number]
-            states = States(times, *self.trajectory.states(times))
+            states = StateSamples(times, *self.trajectory.states(times))
             which, curvature = state_curvature(function, states, sites.component[number], share, total)
             active.append(first + which)
             curvatures.append(curvature)

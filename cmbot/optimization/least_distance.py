@@ -14,7 +14,7 @@ from scipy import linalg, optimize
 
 from cmbot.common.arrays import FloatArray
 
-__all__ = ["LeastChange", "least_change"]
+__all__ = ["LeastChange", "least_distance"]
 
 # Share of their own size that is added to the equations' covariance: those that are nearly the same share
 # their multiplier.
@@ -36,7 +36,7 @@ class LeastChange:
     share: float
 
 
-def least_change(E: FloatArray, amounts: FloatArray, C: FloatArray, room: FloatArray) -> LeastChange | None:
+def least_distance(E: FloatArray, amounts: FloatArray, C: FloatArray, room: FloatArray) -> LeastChange | None:
     """Minimise ``|x|`` with ``E x = amounts`` and ``C x <= room``.
 
     Where that is impossible, the largest share of the amounts that is possible is taken instead.

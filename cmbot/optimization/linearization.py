@@ -9,9 +9,9 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.optimization.working_set import WorkingSet, signed_bound
-from cmbot.planning.torque.constraints import Linearisation, StateFunction, States, ToolDeviation
+from cmbot.planning.torque.constraints import Linearisation, StateConstraint, StateSamples, ToolDeviation
 from cmbot.planning.torque.problem import KinematicBound
-from cmbot.trajectory.local_basis import LocalRows, LocalSplines
+from cmbot.trajectory.local_basis import LocalRows, SparseSplines
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["SiteValues", "Sites", "site_values"]
@@ -19,7 +19,7 @@ __all__ = ["SiteValues", "Sites", "site_values"]
 # Position, velocity, acceleration and jerk.
 _ORDERS = (0, 1, 2, 3)
 
-_Kind = StateFunction | KinematicBound
+_Kind = StateConstraint | KinematicBound
 
 
 class Sites:
@@ -28,11 +28,11 @@ class Sites:
     Parameters
     ----------
     working : WorkingSet
-    splines : LocalSplines
+    splines : SparseSplines
 
     Attributes
     ----------
-    kinds : tuple of StateFunction or KinematicBound
+    kinds : tuple of StateConstraint or KinematicBound
     times, component : tuple of (K_k,)
         Of each kind.
     sizes : tuple of int
@@ -41,7 +41,7 @@ class Sites:
         Number of the first kind: what is made small.
     """
 
-    def __init__(self, working: WorkingSet, splines: LocalSplines) -> None:
+    def __init__(self, working: WorkingSet, splines: SparseSplines) -> None:
         every: list[tuple[_Kind, FloatArray, IntArray]] = [*working.state_sites(), *working.bound_sites()]
         self._splines = splines
         self.kinds = tuple(kind for kind, _, _ in every)
@@ -139,7 +139,7 @@ def site_values(sites: Sites, trajectory: QuinticTrajectory, before: SiteValues 
         if isinstance(kind, KinematicBound):
             value, derivative = _bound(kind, at, component)
         else:
-            states = States(new[number], at[0], at[1], at[2])
+            states = StateSamples(new[number], at[0], at[1], at[2])
             function, *more = _linearised(kind, states, component)
             faces = (*faces, *more)
             value = function.value
@@ -183,7 +183,9 @@ def _faces(faces: tuple[Linearisation, ...], before: SiteValues | None) -> tuple
     )
 
 
-def _linearised(function: StateFunction, states: States, component: IntArray) -> tuple[Linearisation, ...]:
+def _linearised(
+    function: StateConstraint, states: StateSamples, component: IntArray
+) -> tuple[Linearisation, ...]:
     """Linearise a function, and behind it its faces if it has some."""
     if isinstance(function, ToolDeviation):
         return function.linearise_with_faces(states)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.torque.constraints import StateFunction, States
+from cmbot.planning.torque.constraints import StateConstraint, StateSamples
 from cmbot.planning.torque.problem import KinematicBound
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["NEAR", "Broken", "broken_between_samples", "broken_bound", "values_of"]
+__all__ = ["NEAR", "WorstViolations", "broken_between_samples", "broken_bound", "values_of"]
 
 NEAR = 0.02
 """Sampled constraints within this of their bound are looked at between the samples, too."""
@@ -22,7 +22,7 @@ _BLOCK = 4096
 
 
 @dataclass(frozen=True, kw_only=True)
-class Broken:
+class WorstViolations:
     """Where a constraint is broken, the worst first.
 
     Attributes
@@ -41,7 +41,9 @@ class Broken:
     joint: int = -1
 
 
-def values_of(functions: Sequence[StateFunction], states: States) -> list[tuple[FloatArray, IntArray]]:
+def values_of(
+    functions: Sequence[StateConstraint], states: StateSamples
+) -> list[tuple[FloatArray, IntArray]]:
     """Return values and components of functions at N states, block by block: what they share is shared."""
     each: list[list[tuple[FloatArray, IntArray]]] = [[] for _ in functions]
     for k in range(0, len(states.t), _BLOCK):
@@ -55,10 +57,10 @@ def broken_between_samples(
     trajectory: QuinticTrajectory,
     times: FloatArray,
     sampled: tuple[FloatArray, IntArray],
-    exact: Callable[[States], tuple[FloatArray, IntArray]],
+    exact: Callable[[StateSamples], tuple[FloatArray, IntArray]],
     limit: float,
     tolerance: float,
-) -> Broken:
+) -> WorstViolations:
     """Find the local maxima of a function of the state that exceed `limit` by more than `tolerance`.
 
     Parameters
@@ -74,10 +76,12 @@ def broken_between_samples(
     value, component = sampled
     row, column = np.nonzero(_local_maxima(value) & (value > limit - NEAR))
     if len(row) == 0:
-        return Broken(times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=float(value.max()))
+        return WorstViolations(
+            times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=float(value.max())
+        )
     top, where = value[row, column], component[row, column]
     shifted = times[row] + _shifts(times, value, row, column)
-    again, which = exact(States(shifted, *trajectory.states(shifted)))
+    again, which = exact(StateSamples(shifted, *trajectory.states(shifted)))
     k = np.arange(len(row))
     better = again[k, column] > top
     when = np.where(better, shifted, times[row])
@@ -85,10 +89,10 @@ def broken_between_samples(
     top = np.maximum(again[k, column], top)
     order = np.argsort(-top)
     order = order[top[order] > limit + tolerance]
-    return Broken(times=when[order], component=where[order], largest=float(top.max()))
+    return WorstViolations(times=when[order], component=where[order], largest=float(top.max()))
 
 
-def broken_bound(trajectory: QuinticTrajectory, bound: KinematicBound, tolerance: float) -> Broken:
+def broken_bound(trajectory: QuinticTrajectory, bound: KinematicBound, tolerance: float) -> WorstViolations:
     """Find the worst time of each segment, joint and side at which a joint's bound is broken.
 
     Component 2 j is the upper bound of joint j, 2 j + 1 the lower one.
@@ -101,7 +105,9 @@ def broken_bound(trajectory: QuinticTrajectory, bound: KinematicBound, tolerance
     possible = np.maximum(bound.above(high), bound.below(low))
     segment, joints = np.nonzero(possible > tolerance)
     if len(segment) == 0:
-        return Broken(times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=largest, joint=joint)
+        return WorstViolations(
+            times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=largest, joint=joint
+        )
     extrema = trajectory.extrema_at(bound.order, segment, joints)
     of = joints[:, None]
     value = np.stack([bound.above(extrema.value, of), bound.below(extrema.value, of)], axis=1)
@@ -111,7 +117,7 @@ def broken_bound(trajectory: QuinticTrajectory, bound: KinematicBound, tolerance
     k, side = np.nonzero(worst > tolerance)
     order = np.argsort(-worst[k, side])
     k, side = k[order], side[order]
-    return Broken(
+    return WorstViolations(
         times=extrema.time[k, value[k, side].argmax(axis=1)],
         component=2 * joints[k] + side,
         largest=largest,

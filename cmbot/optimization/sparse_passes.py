@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from cmbot.common.errors import OptimisationFailed
-from cmbot.optimization.constraint_set import KnownConstraints
+from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.continuation import Effort
-from cmbot.optimization.iterate import TorquePlace
-from cmbot.optimization.sqp import Descent, descend
+from cmbot.optimization.iterate import NlpEvaluation
+from cmbot.optimization.sqp import Descent, solve_sqp
 from cmbot.optimization.working_set import WorkingSet
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.parametrization import LocalKnots
+from cmbot.trajectory.parametrization import Parametrization
 
 __all__ = ["SparsePasses"]
 
@@ -40,21 +40,21 @@ class SparsePasses:
 
     def __init__(self, problem: TorqueProblem, working: WorkingSet) -> None:
         self._problem = problem
-        self._known = KnownConstraints(problem, working)
+        self._known = ConstraintSet(problem, working)
         self._multipliers = np.empty(0)
         self._penalty = np.full(len(working.sizes), _PENALTY)
         self._damping = _DAMPING
 
     def solve(
-        self, family: LocalKnots, bound: float | None, effort: Effort
-    ) -> tuple[LocalKnots, float, int, float]:
+        self, family: Parametrization, bound: float | None, effort: Effort
+    ) -> tuple[Parametrization, float, int, float]:
         """Lower the peak, or with a `bound` on it the mean square.
 
         Every step is looked at in full: the working set grows as it goes.
 
         Parameters
         ----------
-        family : LocalKnots
+        family : Parametrization
             Where to start.
         bound : float or None
             What the scaled torque is held below.
@@ -62,7 +62,7 @@ class SparsePasses:
 
         Returns
         -------
-        family : LocalKnots
+        family : Parametrization
             Built around where it ended.
         peak : float
             Largest scaled torque at the working times.
@@ -77,8 +77,8 @@ class SparsePasses:
         """
         options = self._problem.options
         family = family.rebuilt(family.start, options.smoothing_weight * effort.smoothing)
-        start = TorquePlace.on(self._known, family, bound)
-        ended = descend(
+        start = NlpEvaluation.on(self._known, family, bound)
+        ended = solve_sqp(
             start,
             self._known.lifted(self._multipliers),
             penalty=self._penalty,
@@ -100,7 +100,7 @@ class SparsePasses:
         gain = 0.0 if done else sum(before - after for _, before, after in ended.merits)
         return ended.place.family, peak, ended.iterations, gain
 
-    def _keep(self, ended: Descent[TorquePlace]) -> None:
+    def _keep(self, ended: Descent[NlpEvaluation]) -> None:
         """Keep what the next pass starts from; penalties may fall again to what multipliers ask for."""
         values = ended.place.values
         needed = np.zeros_like(ended.penalty)

@@ -22,7 +22,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.qp import LocalModel, LocalValues, Step, solve_qp
 
-__all__ = ["Descent", "Place", "descend"]
+__all__ = ["Descent", "Iterate", "solve_sqp"]
 
 
 # Shares of the promised decrease: below, a step is not taken; below, it is too long; above, it may be longer.
@@ -48,7 +48,7 @@ _LONG, _LEFT, _FAR = 30, 0.8, 2e-2
 _SMALLEST = 1e-2
 
 
-class Place(Protocol):
+class Iterate(Protocol):
     """A point of the problem, with the constraints that were known when it was made."""
 
     @property
@@ -81,16 +81,16 @@ class Place(Protocol):
         """Return the same point when constraints that do not matter are forgotten, and multipliers (K,)."""
 
 
-AnyPlace = TypeVar("AnyPlace", bound=Place)
+AnyIterate = TypeVar("AnyIterate", bound=Iterate)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Descent(Generic[AnyPlace]):
+class Descent(Generic[AnyIterate]):
     """Where a descent ended.
 
     Attributes
     ----------
-    place : Place
+    place : Iterate
     multipliers : (K,)
     penalty : (kinds,)
     damping : float
@@ -107,7 +107,7 @@ class Descent(Generic[AnyPlace]):
         Constraints are met, and the last steps together gained no more than the accuracy.
     """
 
-    place: AnyPlace
+    place: AnyIterate
     multipliers: FloatArray
     penalty: FloatArray
     damping: float
@@ -118,8 +118,8 @@ class Descent(Generic[AnyPlace]):
     slow: bool
 
 
-def descend(
-    place: AnyPlace,
+def solve_sqp(
+    place: AnyIterate,
     multipliers: FloatArray,
     *,
     penalty: FloatArray,
@@ -127,12 +127,12 @@ def descend(
     accuracy: float,
     tolerance: float,
     max_iterations: int,
-) -> Descent[AnyPlace]:
+) -> Descent[AnyIterate]:
     """Lower the merit from `place` until nothing more is to be gained.
 
     Parameters
     ----------
-    place : Place
+    place : Iterate
     multipliers : (K,)
         First guess.
     penalty : (kinds,)
@@ -146,7 +146,7 @@ def descend(
         Violations up to this count as met.
     max_iterations : int
     """
-    walk = _Walk(place, multipliers, penalty, damping, accuracy, tolerance)
+    walk = _SqpState(place, multipliers, penalty, damping, accuracy, tolerance)
     iterations = 0
     while iterations < max_iterations and not (walk.settled or walk.stuck or walk.slow):
         iterations += 1
@@ -168,12 +168,12 @@ def descend(
     )
 
 
-class _Walk(Generic[AnyPlace]):
+class _SqpState(Generic[AnyIterate]):
     """Where a descent has come to."""
 
     def __init__(
         self,
-        place: AnyPlace,
+        place: AnyIterate,
         multipliers: FloatArray,
         penalty: FloatArray,
         damping: float,
@@ -275,12 +275,12 @@ class _Walk(Generic[AnyPlace]):
         last = self._violations[-1 - _LONG :]
         self.stuck |= len(last) > _LONG and min(last) > max(_FAR, _LEFT * last[0])
 
-    def _tried(self, model: LocalModel, p: FloatArray, promised: float) -> tuple[AnyPlace | None, float]:
+    def _tried(self, model: LocalModel, p: FloatArray, promised: float) -> tuple[AnyIterate | None, float]:
         """Take the step `p` (n,) and look what it gains; where that is little, correct it."""
         length = float(np.abs(p).max())
         stiffness = _STIFF * promised / max(length**2, _LEAST_PROMISE)
         trial = _moved(self.place, p)
-        best: tuple[AnyPlace | None, float] = (None, -np.inf)
+        best: tuple[AnyIterate | None, float] = (None, -np.inf)
         for correction in range(_CORRECTIONS + 1):
             if trial is None:
                 break
@@ -296,7 +296,7 @@ class _Walk(Generic[AnyPlace]):
         return best
 
 
-def _moved(place: AnyPlace, p: FloatArray) -> AnyPlace | None:
+def _moved(place: AnyIterate, p: FloatArray) -> AnyIterate | None:
     try:
         trial = place.moved(p)
     except OptimisationFailed:

@@ -8,9 +8,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.optimization.separation import NEAR, Broken, broken_between_samples, broken_bound, values_of
+from cmbot.optimization.separation import (
+    NEAR,
+    WorstViolations,
+    broken_between_samples,
+    broken_bound,
+    values_of,
+)
 from cmbot.planning.torque.clearance_samples import ClearanceLooks
-from cmbot.planning.torque.constraints import ClearanceMargin, StateFunction, States
+from cmbot.planning.torque.constraints import ClearanceMargin, StateConstraint, StateSamples
 from cmbot.planning.torque.families import FixedKnots
 from cmbot.planning.torque.problem import KinematicBound, TorqueProblem
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -87,7 +93,7 @@ class WorkingSet:
 
     def __init__(self, problem: TorqueProblem) -> None:
         self._problem = problem
-        self._functions: tuple[StateFunction, ...] = (problem.torque, *problem.functions)
+        self._functions: tuple[StateConstraint, ...] = (problem.torque, *problem.functions)
         self._state_sites = [_Sites() for _ in self._functions]
         self._bound_sites = [_Sites() for _ in problem.bounds]
         self._apart = _SAME_SITE
@@ -112,7 +118,9 @@ class WorkingSet:
         trajectory = problem.trajectory(family, x)
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             if len(sites.times):
-                at = function.linearise(States(sites.times, *trajectory.states(sites.times)), sites.component)
+                at = function.linearise(
+                    StateSamples(sites.times, *trajectory.states(sites.times)), sites.component
+                )
                 values.append(at.value)
                 jacobians.append(family.chain(x, sites.rows(family), at.d_q, at.d_v, at.d_a))
         for bound, sites in zip(problem.bounds, self._bound_sites, strict=True):
@@ -122,7 +130,7 @@ class WorkingSet:
                 jacobians.append(family.chain_one(x, sites.rows(family), bound.order, joint, factor))
         return np.concatenate(values), np.vstack(jacobians), len(self._state_sites[0].times)
 
-    def state_sites(self) -> Iterator[tuple[StateFunction, FloatArray, IntArray]]:
+    def state_sites(self) -> Iterator[tuple[StateConstraint, FloatArray, IntArray]]:
         """Go through the functions of the state, as in `values`: times and components of their sites."""
         for function, sites in zip(self._functions, self._state_sites, strict=True):
             yield function, sites.times, sites.component
@@ -203,7 +211,9 @@ class WorkingSet:
             worst = max(worst, Violation(name, broken.largest), key=lambda each: each.value)
         return added, worst, peak
 
-    def _sampled(self, states: States, stride: int, torque_bound: float) -> list[tuple[FloatArray, IntArray]]:
+    def _sampled(
+        self, states: StateSamples, stride: int, torque_bound: float
+    ) -> list[tuple[FloatArray, IntArray]]:
         """Values and components of every function of the state, where they matter."""
         every = [number for number in range(len(self._functions)) if number not in self._looks]
         found = dict(zip(every, values_of([self._functions[k] for k in every], states), strict=True))
@@ -211,7 +221,7 @@ class WorkingSet:
             found[number] = looks.values(states, stride, (0.0 if number else torque_bound) - NEAR)
         return [found[number] for number in range(len(self._functions))]
 
-    def _added(self, sites: _Sites, broken: Broken, most: int) -> int:
+    def _added(self, sites: _Sites, broken: WorstViolations, most: int) -> int:
         return sites.add(broken.times[:most], broken.component[:most], self._problem, self._apart)
 
 

@@ -1,22 +1,22 @@
 """The method: path, via-points, trajectory, certificate, plan."""
 
-from cmbot.optimization.exchange import PassReport
+from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning.approach.approach import Approach, certify_approach
 from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
-from cmbot.planning.objective_metrics import ObjectiveFigures
+from cmbot.planning.objective_metrics import ObjectiveMetrics
 from cmbot.planning.path.gradient_projection import JointPath
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.plan import Plan, Seconds, Start, require_plan
 from cmbot.planning.planner import plan
-from cmbot.planning.precheck import Examination, examine_options, examine_scene
+from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress
 from cmbot.planning.remarks import remarks
-from cmbot.planning.selfmotion.global_search import GlobalSolution, GlobalStage
-from cmbot.planning.selfmotion.lower_bound import Floor
+from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
+from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
 from cmbot.planning.torque.wrench_functions import WeightedMoment, WrenchFunction
 from cmbot.planning.verification.certificate import Certificate, Check
-from cmbot.planning.verification.metrics import LimitUse, MotionFigures, Samples
+from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
@@ -24,19 +24,19 @@ __all__ = [
     "Approach",
     "Certificate",
     "Check",
-    "Examination",
-    "Floor",
+    "ExchangeReport",
+    "GlobalSearch",
     "GlobalSolution",
-    "GlobalStage",
     "JointPath",
     "LimitUse",
-    "MotionFigures",
+    "LowerBound",
+    "MotionMetrics",
     "Objective",
-    "ObjectiveFigures",
-    "PassReport",
+    "ObjectiveMetrics",
     "Plan",
     "PostureFunction",
     "PostureObjective",
+    "Precheck",
     "Progress",
     "QuinticTrajectory",
     "Samples",
@@ -49,9 +49,9 @@ __all__ = [
     "WrenchObjective",
     "bending_arm",
     "certify_approach",
-    "examine_options",
-    "examine_scene",
     "plan",
+    "precheck_options",
+    "precheck_scene",
     "remarks",
     "require_plan",
     "robot_of",

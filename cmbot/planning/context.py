@@ -14,7 +14,7 @@ from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.progress import Teller
+from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.torque.objectives import Objective, objective_of
 from cmbot.planning.torque.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Robot, load_robot
@@ -22,11 +22,11 @@ from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.obstacles import pose
 from cmbot.scene.tool_path import ToolPath
 
-__all__ = ["Setting", "bending_arm", "prepare", "robot_of", "sag_of", "task_of"]
+__all__ = ["PlanningContext", "bending_arm", "build_context", "robot_of", "sag_of", "task_of"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Setting:
+class PlanningContext:
     """What every stage of planning needs.
 
     Attributes
@@ -45,7 +45,7 @@ class Setting:
         The arm on its guardrail as it bends; None where nothing does.
     sag : ToolSag or None
         Where it is to be compensated.
-    teller : Teller
+    teller : ProgressReporter
         What is told of the work while it goes on.
     """
 
@@ -58,15 +58,15 @@ class Setting:
     objective: Objective
     arm: ElasticArm | None
     sag: ToolSag | None
-    teller: Teller = field(default_factory=Teller)
+    reporter: ProgressReporter = field(default_factory=ProgressReporter)
 
 
-def prepare(
+def build_context(
     scene: Scene,
     options: PlannerOptions,
     own: WrenchFunction | None = None,
-    teller: Teller | None = None,
-) -> Setting:
+    reporter: ProgressReporter | None = None,
+) -> PlanningContext:
     """Bring a scene and its robot together.
 
     Parameters
@@ -75,7 +75,7 @@ def prepare(
     options : PlannerOptions
     own : WrenchFunction, optional
         What is made small, in place of what the options say.
-    teller : Teller, optional
+    teller : ProgressReporter, optional
         Of the work that will be done; by default nobody is told.
 
     Raises
@@ -90,7 +90,7 @@ def prepare(
     posture = np.array(scene.posture)
     arm = bending_arm(scene, robot)
     sag = sag_of(scene, arm, options)
-    return Setting(
+    return PlanningContext(
         robot=robot,
         posture=posture,
         task=task,
@@ -100,7 +100,7 @@ def prepare(
         objective=objective_of(robot, options, own, posture, sag),
         arm=arm,
         sag=sag if options.compensate else None,
-        teller=teller or Teller(),
+        reporter=reporter or ProgressReporter(),
     )
 
 

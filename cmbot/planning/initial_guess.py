@@ -10,18 +10,18 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import Setting
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import place_on_task
 from cmbot.planning.path.initial_postures import find_path
 from cmbot.planning.selfmotion.charts import Chart
-from cmbot.planning.selfmotion.global_search import GlobalSolution, GlobalStage
-from cmbot.planning.selfmotion.lower_bound import Floor
+from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
+from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.solvers import family_through
 from cmbot.planning.torque.family import Family
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Kinematics, Postures
 
-__all__ = ["Choice", "Way", "fixed_way", "shifted_problem", "sliding_way"]
+__all__ = ["Choice", "InitialGuess", "fixed_guess", "shifted_problem", "sliding_guess"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,7 +39,7 @@ class Choice:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Way:
+class InitialGuess:
     """Where the optimisation starts, and what is known of it.
 
     Attributes
@@ -51,13 +51,13 @@ class Way:
         What the objective's peak cannot fall below, but for what motion takes off.
     failures : tuple of PathNotFound
         Starts that led nowhere, the scene's posture first.
-    floor : Floor or None
+    floor : LowerBound or None
         With sliding knots only.
     choice : Choice or None
         With sliding knots only.
     chart : Chart or None
         Of the self-motion at the start; with sliding knots only.
-    stage : GlobalStage or None
+    stage : GlobalSearch or None
         Where it comes from; with sliding knots only.
     unreached : PathNotFound or None
         Why no approach leads to where ``start: free`` would have the arm start, if that was tried.
@@ -69,20 +69,20 @@ class Way:
     resting: tuple[int, ...]
     least: float
     failures: tuple[PathNotFound, ...] = ()
-    floor: Floor | None = None
+    floor: LowerBound | None = None
     choice: Choice | None = None
     chart: Chart | None = None
-    stage: GlobalStage | None = None
+    stage: GlobalSearch | None = None
     unreached: PathNotFound | None = None
     instead_of: str = ""
 
 
-def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
+def fixed_guess(context: PlanningContext, tell: Callable[[int], None]) -> InitialGuess:
     """Take via-points from the path of gradient projection, to stay there (Chang 2021, Eqs. (15)-(30)).
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
     tell : callable
         Called with the number of failed starts before each further one is tried.
 
@@ -92,25 +92,25 @@ def fixed_way(setting: Setting, tell: Callable[[int], None]) -> Way:
         When no start leads to the end of the path.
     """
     path, failures = find_path(
-        setting.robot,
-        setting.task,
-        setting.posture,
-        setting.clearances,
-        setting.options,
+        context.robot,
+        context.task,
+        context.posture,
+        context.clearances,
+        context.options,
         tell,
-        partial(setting.teller.part, "following the tool path"),
+        partial(context.reporter.part, "following the tool path"),
     )
-    rough = np.stack([np.interp(setting.times, path.t, joint) for joint in path.q.T], axis=1)
-    family = family_through(setting, _placed(setting, rough), sliding=False)
-    least = float(setting.objective.at_rest(Postures(setting.robot).at(family.via_points)).max())
+    rough = np.stack([np.interp(context.times, path.t, joint) for joint in path.q.T], axis=1)
+    family = family_through(context, _placed(context, rough), sliding=False)
+    least = float(context.objective.at_rest(Postures(context.robot).at(family.via_points)).max())
     resting = (0, -1)
-    problem = _problem(setting, family, resting, least)
-    return Way(problem=problem, resting=resting, least=least, failures=failures)
+    problem = _problem(context, family, resting, least)
+    return InitialGuess(problem=problem, resting=resting, least=least, failures=failures)
 
 
-def sliding_way(
-    setting: Setting, unreached: PathNotFound | None = None, stage: GlobalStage | None = None
-) -> Way:
+def sliding_guess(
+    context: PlanningContext, unreached: PathNotFound | None = None, stage: GlobalSearch | None = None
+) -> InitialGuess:
     """Take via-points from the global stage, to slide along the self-motion.
 
     With ``start: free`` the arm starts wherever the tool is the same, if that is worth leaving the scene's
@@ -119,10 +119,10 @@ def sliding_way(
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
     unreached : PathNotFound, optional
         Why no approach leads to where ``start: free`` would have the arm start: it is treated as pinned.
-    stage : GlobalStage, optional
+    stage : GlobalSearch, optional
         Of the same setting, where its charts are known already.
 
     Raises
@@ -131,10 +131,10 @@ def sliding_way(
         When the scene's posture is in collision or within the safety margin, a via-point is blocked, or
         nothing leads from one to the next.
     """
-    options = setting.options
+    options = context.options
     if stage is None:
-        _require_clear_start(setting)
-        stage = GlobalStage(setting)
+        _require_clear_start(context)
+        stage = GlobalSearch(context)
     free, pinned = (_tried(stage, pinned=choice) for choice in (False, True))
     failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
     if isinstance(free, PathNotFound):
@@ -148,10 +148,10 @@ def sliding_way(
     else:
         solution, failures = stage.solve_elsewhere(pinned)
     stays = solution is not free
-    family = family_through(setting, solution.q, sliding=True, pinned=stays)
+    family = family_through(context, solution.q, sliding=True, pinned=stays)
     resting = (0,) if stays else ()
-    return Way(
-        problem=_problem(setting, family, resting, stage.floor.value),
+    return InitialGuess(
+        problem=_problem(context, family, resting, stage.floor.value),
         resting=resting,
         least=stage.floor.value,
         failures=failures,
@@ -163,14 +163,14 @@ def sliding_way(
     )
 
 
-def shifted_problem(setting: Setting, way: Way, via_points: FloatArray) -> TorqueProblem:
+def shifted_problem(context: PlanningContext, way: InitialGuess, via_points: FloatArray) -> TorqueProblem:
     """Return the problem of a way once more, along a tool path that lies a little beside.
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
         With the tool path as it is now.
-    way : Way
+    way : InitialGuess
         Along the tool path as it was.
     via_points : (n, d), rad
         Near those to start from.
@@ -182,21 +182,21 @@ def shifted_problem(setting: Setting, way: Way, via_points: FloatArray) -> Torqu
     """
     sliding = way.floor is not None
     pinned = sliding and 0 in way.resting
-    family = family_through(setting, _placed(setting, via_points), sliding=sliding, pinned=pinned)
-    return _problem(setting, family, way.resting, way.least)
+    family = family_through(context, _placed(context, via_points), sliding=sliding, pinned=pinned)
+    return _problem(context, family, way.resting, way.least)
 
 
-def _require_clear_start(setting: Setting) -> None:
+def _require_clear_start(context: PlanningContext) -> None:
     """Refuse a scene's posture that nothing can lead out of: neither the work nor an approach."""
-    margin, q = setting.options.safety_margin_m, setting.posture
-    smallest = setting.clearances.smallest(q[None])
+    margin, q = context.options.safety_margin_m, context.posture
+    smallest = context.clearances.smallest(q[None])
     distance = float(smallest.distance[0])
     if distance >= margin:
         return
-    shapes = setting.clearances.pairs[smallest.pair[0]]
+    shapes = context.clearances.pairs[smallest.pair[0]]
     other = (
         "where they are always that near, let robot.srdf disable the pair"
-        if setting.robot.model.existFrame(shapes.other)
+        if context.robot.model.existFrame(shapes.other)
         else "move the obstacle"
     )
     raise PathNotFound(
@@ -204,36 +204,38 @@ def _require_clear_start(setting: Setting) -> None:
         f"planner.safety_margin_m, or {other}",
         time=0.0,
         progress=0.0,
-        smallest_singular_value=setting.task.smallest_singular_value(
-            *Kinematics(setting.robot).tool_jacobian(q)
+        smallest_singular_value=context.task.smallest_singular_value(
+            *Kinematics(context.robot).tool_jacobian(q)
         ),
         pair=(shapes.link, shapes.other),
     )
 
 
-def _tried(stage: GlobalStage, *, pinned: bool) -> GlobalSolution | PathNotFound:
+def _tried(stage: GlobalSearch, *, pinned: bool) -> GlobalSolution | PathNotFound:
     try:
         return stage.solve(pinned=pinned)
     except PathNotFound as failure:
         return failure
 
 
-def _problem(setting: Setting, family: Family, resting: tuple[int, ...], least: float) -> TorqueProblem:
+def _problem(
+    context: PlanningContext, family: Family, resting: tuple[int, ...], least: float
+) -> TorqueProblem:
     return TorqueProblem(
-        setting.robot,
-        setting.task,
+        context.robot,
+        context.task,
         family,
-        setting.clearances,
-        setting.options,
+        context.clearances,
+        context.options,
         resting=resting,
         floor=least,
-        objective=setting.objective,
+        objective=context.objective,
     )
 
 
-def _placed(setting: Setting, rough: FloatArray) -> FloatArray:
+def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
     """Put postures (n, d) near the via-points onto the tool task exactly."""
-    kinematics, task, times = Kinematics(setting.robot), setting.task, setting.times
+    kinematics, task, times = Kinematics(context.robot), context.task, context.times
     via_points = np.empty_like(rough)
     for k, (q, point) in enumerate(zip(rough, task.path.position(times), strict=True)):
         placed = place_on_task(kinematics, task, q, point)

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.objectives import Objective
-from cmbot.planning.verification.metrics import MotionFigures
+from cmbot.planning.verification.metrics import MotionMetrics
 from cmbot.scene.options import PlannerOptions
 
-__all__ = ["ObjectiveFigures", "objective_figures"]
+__all__ = ["ObjectiveMetrics", "objective_metrics"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class ObjectiveFigures:
+class ObjectiveMetrics:
     """What a plan made small, and how small.
 
     Attributes
@@ -60,15 +60,15 @@ class ObjectiveFigures:
         )
 
 
-def objective_figures(
+def objective_metrics(
     objective: Objective,
     options: PlannerOptions,
     *,
     own: bool,
-    baseline: tuple[MotionFigures, States],
-    planned: tuple[MotionFigures, States],
+    baseline: tuple[MotionMetrics, StateSamples],
+    planned: tuple[MotionMetrics, StateSamples],
     floor: float | None,
-) -> ObjectiveFigures:
+) -> ObjectiveMetrics:
     """Evaluate an objective over both motions.
 
     Parameters
@@ -77,12 +77,12 @@ def objective_figures(
     options : PlannerOptions
     own : bool
         The objective is not the options'.
-    baseline, planned : MotionFigures and States
+    baseline, planned : MotionMetrics and StateSamples
         The motions' figures, and the motions as finely sampled as these.
     floor : float or None
     """
     of_torque = not own and options.objective == "torque"
-    return ObjectiveFigures(
+    return ObjectiveMetrics(
         name=objective.name,
         unit=objective.unit,
         own=own,
@@ -94,5 +94,5 @@ def objective_figures(
     )
 
 
-def _peak(objective: Objective, figures: MotionFigures, states: States) -> float:
+def _peak(objective: Objective, figures: MotionMetrics, states: StateSamples) -> float:
     return figures.peak_guardrail_torque if objective.reported else float(objective.values(states).max())

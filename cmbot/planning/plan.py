@@ -13,16 +13,16 @@ from cmbot.common.arguments import require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.elastic.tool_sag import ToolSag
-from cmbot.optimization.exchange import PassReport
+from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning.approach.approach import Approach
 from cmbot.planning.flexibility.sag_compensation import Compensation
-from cmbot.planning.flexibility.vibration_suppression import Quieting
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.objective_metrics import ObjectiveFigures
+from cmbot.planning.objective_metrics import ObjectiveMetrics
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.selfmotion.lower_bound import Floor
+from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.verification.certificate import Certificate
-from cmbot.planning.verification.metrics import MotionFigures, Samples, measure
+from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -79,7 +79,7 @@ class Plan:
         its acceleration and jerk are central differences of its rates, with rest before and after, and its
         first and last acceleration are those of rest. It is a motion to compare with, not a plan: it may
         break limits, and when the planned motion had to start elsewhere it runs into something.
-    baseline_figures : MotionFigures
+    baseline_figures : MotionMetrics
     drift : float, m
         Largest distance of the baseline's tool point from where it should be at that time.
     smallest_singular_value : float
@@ -87,11 +87,11 @@ class Plan:
     trajectory : QuinticTrajectory
         The planned motion.
     certificate : Certificate
-    passes : tuple of PassReport
+    passes : tuple of ExchangeReport
         How the optimiser came there.
-    objective : ObjectiveFigures
+    objective : ObjectiveMetrics
         What was made small.
-    floor : Floor or None
+    floor : LowerBound or None
         What no admissible plan can go below at rest; None with fixed knots.
     choice : Choice or None
         The global stage's peaks for both choices of the start; None with fixed knots.
@@ -100,7 +100,7 @@ class Plan:
         are fixed.
     compensation : Compensation or None
         How the predicted sag was compensated; None where it was not.
-    quieting : Quieting or None
+    quieting : VibrationSuppression or None
         What was done about the vibration; None with fixed knots, where nothing bends, or unasked.
     sag : ToolSag or None
         That sag.
@@ -115,24 +115,24 @@ class Plan:
     task: ToolTask
     start: Start
     baseline: Samples
-    baseline_figures: MotionFigures
+    baseline_figures: MotionMetrics
     drift: float
     smallest_singular_value: float
     trajectory: QuinticTrajectory
     certificate: Certificate
-    passes: tuple[PassReport, ...]
-    objective: ObjectiveFigures
-    floor: Floor | None
+    passes: tuple[ExchangeReport, ...]
+    objective: ObjectiveMetrics
+    floor: LowerBound | None
     choice: Choice | None
     approach: Approach | None
     compensation: Compensation | None
-    quieting: Quieting | None
+    quieting: VibrationSuppression | None
     sag: ToolSag | None
     fallbacks: tuple[str, ...]
     seconds: Seconds
 
     @property
-    def figures(self) -> MotionFigures:
+    def figures(self) -> MotionMetrics:
         """Figures of the planned motion, as certified."""
         return self.certificate.figures
 

@@ -13,21 +13,21 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.arguments import checked_options, require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, OptimisationFailed, PathNotFound
-from cmbot.optimization.exchange import Optimised, PassReport, optimise
+from cmbot.optimization.exchange import ExchangeReport, Optimised, optimise
 from cmbot.planning.approach.approach import Approach, plan_approach
-from cmbot.planning.context import Setting, prepare
+from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
-from cmbot.planning.flexibility.vibration_suppression import Quieting, quiet
-from cmbot.planning.initial_guess import Way, fixed_way, sliding_way
-from cmbot.planning.objective_metrics import objective_figures
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, quiet
+from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
+from cmbot.planning.objective_metrics import objective_metrics
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.plan import Plan, Seconds, Start
 from cmbot.planning.problem_size import require_reasonable_size
-from cmbot.planning.progress import Progress, Teller
+from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.retries import followed
 from cmbot.planning.solvers import solver_of
 from cmbot.planning.tool_reach import require_within_reach
-from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.decomposition import stretches
 from cmbot.planning.torque.wrench_functions import WrenchFunction
 from cmbot.planning.verification.baseline import baseline_samples
@@ -93,17 +93,17 @@ def plan(
     options = checked(options) if options is not None else scene.planner
     # What the plan holds then says which solver it was made with.
     asked, options = options.solver, replace(options, solver=solver_of(options))
-    teller, clock = Teller(progress), _Clock()
+    reporter, clock = ProgressReporter(progress), _Clock()
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         try:
-            return _plan(scene, options, objective, teller, clock)
+            return _plan(scene, options, objective, reporter, clock)
         except OptimisationFailed as failure:
             bearable = scene.via_points <= _BEARABLE
             if not (failure.undecided and asked == "auto" and options.solver == "sqp" and bearable):
                 raise
-            teller.step("sqp gave up; trying slsqp")
-            made = _plan(scene, replace(options, solver="slsqp"), objective, teller, clock)
+            reporter.step("sqp gave up; trying slsqp")
+            made = _plan(scene, replace(options, solver="slsqp"), objective, reporter, clock)
             gave_up = f"The solver sqp gave up ({failure.reason}): planned with slsqp instead."
             return replace(made, fallbacks=(gave_up, *made.fallbacks))
 
@@ -112,53 +112,53 @@ def _plan(
     scene: Scene,
     options: PlannerOptions,
     own: WrenchFunction | None,
-    teller: Teller,
+    reporter: ProgressReporter,
     clock: _Clock,
 ) -> Plan:
-    teller.stage("path")
-    setting = prepare(scene, options, own, teller)
-    require_reasonable_size(scene, setting.robot.dof, options)
-    require_within_reach(setting)
+    reporter.stage("path")
+    context = build_context(scene, options, own, reporter)
+    require_reasonable_size(scene, context.robot.dof, options)
+    require_within_reach(context)
     if options.knots == "sliding":
-        way = sliding_way(setting)
+        way = sliding_guess(context)
     else:
-        way = fixed_way(setting, lambda failed: teller.stage("path", failed_starts=failed))
+        way = fixed_guess(context, lambda failed: reporter.stage("path", failed_starts=failed))
     path_seconds = clock.lap()
     try:
-        way, work = followed(setting, way, partial(_work, setting, clock))
+        way, work = followed(context, way, partial(_work, context, clock))
     except PathNotFound as failure:
         if way.choice is None or 0 in way.resting:
             raise
         # No approach leads to the better start: the work begins where the arm is.
-        teller.stage("path")
-        way = sliding_way(setting, unreached=failure)
+        reporter.stage("path")
+        way = sliding_guess(context, unreached=failure)
         path_seconds += clock.lap()
-        way, work = followed(setting, way, partial(_work, setting, clock))
+        way, work = followed(context, way, partial(_work, context, clock))
     # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
     path = follow_path(
-        setting.robot,
-        setting.task,
-        setting.posture,
-        setting.clearances,
+        context.robot,
+        context.task,
+        context.posture,
+        context.clearances,
         options,
         stop_at_obstacles=False,
-        tell=partial(teller.part, "following the tool path as the baseline does"),
+        tell=partial(reporter.part, "following the tool path as the baseline does"),
     )
-    baseline = baseline_samples(setting, path)
-    baseline_figures = figures(setting.robot, baseline)
-    made_small = objective_figures(
-        setting.objective,
+    baseline = baseline_samples(context, path)
+    baseline_figures = figures(context.robot, baseline)
+    made_small = objective_metrics(
+        context.objective,
         options,
         own=own is not None,
-        baseline=(baseline_figures, States(baseline.t, baseline.q, baseline.v, baseline.a)),
+        baseline=(baseline_figures, StateSamples(baseline.t, baseline.q, baseline.v, baseline.a)),
         planned=(work.certificate.figures, _states(work.optimised.trajectory, options)),
         floor=None if way.floor is None else way.floor.value,
     )
     return Plan(
         scene=scene,
         options=options if way.stage is None else replace(options, step_share=way.stage.step_share),
-        robot=setting.robot,
-        task=setting.task,
+        robot=context.robot,
+        task=context.task,
         start=work.start,
         baseline=baseline,
         baseline_figures=baseline_figures,
@@ -173,7 +173,7 @@ def _plan(
         approach=work.approach,
         compensation=work.compensation,
         quieting=work.quieting,
-        sag=setting.sag,
+        sag=context.sag,
         fallbacks=_fallbacks(way, work.optimised),
         seconds=Seconds(
             path=path_seconds,
@@ -190,7 +190,7 @@ class _Work:
 
     optimised: Optimised
     compensation: Compensation | None
-    quieting: Quieting | None
+    quieting: VibrationSuppression | None
     certificate: Certificate
     start: Start
     approach: Approach | None
@@ -198,26 +198,26 @@ class _Work:
     certify_seconds: float
 
 
-def _work(setting: Setting, clock: _Clock, way: Way) -> _Work:
-    teller = setting.teller
-    teller.stage("optimise")
+def _work(context: PlanningContext, clock: _Clock, way: InitialGuess) -> _Work:
+    reporter = context.reporter
+    reporter.stage("optimise")
 
     # Every stretch of a long path may have as many.
-    most = setting.options.max_passes * len(stretches(way.problem))
+    most = context.options.max_passes * len(stretches(way.problem))
 
-    def each_pass(report: PassReport, rounds: int = 0) -> None:
-        teller.passed(report, setting.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
+    def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
+        reporter.passed(report, context.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
 
     problem, optimised = way.problem, optimise(way.problem, each_pass)
     compensation = quieting = None
-    if setting.sag is not None:
-        optimised, compensation, problem = compensate(setting, way, optimised, setting.sag, each_pass)
-    if setting.arm is not None and setting.options.knots == "sliding" and setting.options.quiet_modes:
-        optimised, quieting = quiet(setting, setting.arm, problem, optimised)
+    if context.sag is not None:
+        optimised, compensation, problem = compensate(context, way, optimised, context.sag, each_pass)
+    if context.arm is not None and context.options.knots == "sliding" and context.options.quiet_modes:
+        optimised, quieting = quiet(context, context.arm, problem, optimised)
     optimise_seconds = clock.lap()
 
-    teller.stage("certify")
-    robot, task, clearances, options = setting.robot, setting.task, setting.clearances, setting.options
+    reporter.stage("certify")
+    robot, task, clearances, options = context.robot, context.task, context.clearances, context.options
     certificate = certify(
         robot,
         task,
@@ -225,16 +225,16 @@ def _work(setting: Setting, clock: _Clock, way: Way) -> _Work:
         optimised.via_points,
         clearances,
         options,
-        sag=setting.sag,
-        tell=partial(teller.part, "certifying"),
+        sag=context.sag,
+        tell=partial(reporter.part, "certifying"),
     )
     certificate.require()
-    start = _start(setting, way, optimised.via_points[0])
+    start = _start(context, way, optimised.via_points[0])
     approach = None
     if way.chart is not None and start.moved > _SAME_POSTURE:
-        teller.step("planning the approach to the start")
+        reporter.step("planning the approach to the start")
         approach = plan_approach(
-            robot, task, setting.posture, start.posture, way.chart.q, clearances, options
+            robot, task, context.posture, start.posture, way.chart.q, clearances, options
         )
     return _Work(
         optimised=optimised,
@@ -248,7 +248,7 @@ def _work(setting: Setting, clock: _Clock, way: Way) -> _Work:
     )
 
 
-def _fallbacks(way: Way, optimised: Optimised) -> tuple[str, ...]:
+def _fallbacks(way: InitialGuess, optimised: Optimised) -> tuple[str, ...]:
     done = [way.instead_of] if way.instead_of else []
     if optimised.whole_because:
         why = f"not stretch by stretch, as a stretch failed ({optimised.whole_because}): that took longer."
@@ -256,16 +256,16 @@ def _fallbacks(way: Way, optimised: Optimised) -> tuple[str, ...]:
     return tuple(done)
 
 
-def _states(trajectory: QuinticTrajectory, options: PlannerOptions) -> States:
+def _states(trajectory: QuinticTrajectory, options: PlannerOptions) -> StateSamples:
     """The planned motion as finely sampled as it is certified."""
     grid = certificate_grid(trajectory, options)
-    return States(grid, *trajectory.states(grid))
+    return StateSamples(grid, *trajectory.states(grid))
 
 
-def _start(setting: Setting, way: Way, posture: FloatArray) -> Start:
-    moved = float(np.abs(posture - setting.posture).max())
+def _start(context: PlanningContext, way: InitialGuess, posture: FloatArray) -> Start:
+    moved = float(np.abs(posture - context.posture).max())
     if moved <= _SAME_POSTURE:
-        posture, moved = setting.posture, 0.0
+        posture, moved = context.posture, 0.0
     return Start(posture=posture, moved=moved, failures=way.failures)
 
 

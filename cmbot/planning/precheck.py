@@ -17,11 +17,11 @@ from cmbot.robot import Dynamics, Efforts, Finding, Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.tool_path import ToolPath
 
-__all__ = ["Examination", "examine_options", "examine_scene"]
+__all__ = ["Precheck", "precheck_options", "precheck_scene"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Examination:
+class Precheck:
     """What was seen.
 
     Attributes
@@ -42,7 +42,7 @@ class _Nearest:
     distance: float
 
 
-def examine_scene(scene: Scene) -> Examination:
+def precheck_scene(scene: Scene) -> Precheck:
     """Look at what a scene asks for and how it begins.
 
     Parameters
@@ -59,19 +59,19 @@ def examine_scene(scene: Scene) -> Examination:
     nearest = _nearest(scene, robot)
     efforts = Dynamics(robot).static_efforts(scene.posture[None])
     use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
-    return Examination(
+    return Precheck(
         found=(*_asked(scene, robot, path), *_beginning(scene, robot, path, nearest, efforts, use)),
         warnings=(
             *_near(scene, nearest),
             *_weak(robot, use),
             *_out_of_reach(robot, path),
             *_too_large(scene, robot),
-            *examine_options(scene.planner),
+            *precheck_options(scene.planner),
         ),
     )
 
 
-def examine_options(options: PlannerOptions) -> Iterator[Finding]:
+def precheck_options(options: PlannerOptions) -> Iterator[Finding]:
     """Yield what speaks against planning with some options.
 
     Parameters

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from cmbot.common.eta import Left, Remaining
+from cmbot.common.eta import Eta, Remaining
 
 if TYPE_CHECKING:
-    from cmbot.optimization.exchange import PassReport
+    from cmbot.optimization.exchange import ExchangeReport
 
-__all__ = ["Progress", "Teller"]
+__all__ = ["Progress", "ProgressReporter"]
 
 _STAGES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
 # A step's share is told when it has risen by so much.
@@ -31,7 +31,7 @@ class Progress:
         ``path``, ``optimise`` or ``certify``.
     failed_starts : int
         Starting postures from which no path was found so far.
-    report : PassReport or None
+    report : ExchangeReport or None
         After each pass of the optimiser.
     unit : str
         Of its peak: torque unless something else is made small.
@@ -42,19 +42,19 @@ class Progress:
     share : float or None
         Of the step, 0 to 1: how much of it is done. It never falls until another step begins; None where
         nobody knows how much there is to do.
-    left : Left or None
+    left : Eta or None
         Of the step: how long it will still take, judged by how long it took so far; None where there is no
         basis for that.
     """
 
     stage: str
     failed_starts: int = 0
-    report: PassReport | None = None
+    report: ExchangeReport | None = None
     unit: str = "Nm"
     rounds: int = 0
     step: str = ""
     share: float | None = None
-    left: Left | None = None
+    left: Eta | None = None
 
     def sentence(self, *, passes: bool = True) -> str:
         """Return the stage in words, and after a pass of the optimiser, if wished, what it has come to."""
@@ -76,12 +76,12 @@ class Progress:
             f"{'all constraints met' if met else worst}"
         )
 
-    def _peak(self, report: PassReport) -> str:
+    def _peak(self, report: ExchangeReport) -> str:
         digits = ".2f" if self.unit == "Nm" else ".5g"
         return f"{report.peak_torque:{digits}} {self.unit}".rstrip()
 
 
-class Teller:
+class ProgressReporter:
     """Tells whoever wants to know what the planner is doing, and how long it will still take.
 
     Parameters
@@ -147,12 +147,14 @@ class Teller:
             yield thing
         self.part(step, 1, 1)
 
-    def passed(self, report: PassReport, unit: str, most: int, rounds: int = 0, most_rounds: int = 0) -> None:
+    def passed(
+        self, report: ExchangeReport, unit: str, most: int, rounds: int = 0, most_rounds: int = 0
+    ) -> None:
         """Tell of a pass of the optimiser.
 
         Parameters
         ----------
-        report : PassReport
+        report : ExchangeReport
         unit : str
             Of its peak.
         most : int
@@ -165,12 +167,12 @@ class Teller:
         began = self._ends[-1]
         if rounds:
             # The round before, or the passes before compensation, began where those before them ended.
-            left = Left(
+            left = Eta(
                 seconds=began - self._ends[-2], most=most_rounds - rounds + 1, part="round", parts="rounds"
             )
         else:
             seconds = (now - began) / report.number
-            left = Left(seconds=seconds, most=most - report.number, part="pass", parts="passes")
+            left = Eta(seconds=seconds, most=most - report.number, part="pass", parts="passes")
         self._ends.append(now)
         self._now = Progress(
             stage="optimise", report=report, unit=unit, rounds=rounds, left=left if left.most else None

@@ -8,8 +8,8 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import counted
-from cmbot.planning.flexibility.vibration_suppression import Quieting
-from cmbot.planning.objective_metrics import ObjectiveFigures
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
+from cmbot.planning.objective_metrics import ObjectiveMetrics
 from cmbot.planning.plan import Plan
 
 __all__ = ["remarks"]
@@ -60,7 +60,7 @@ def _bending(plan: Plan) -> Iterator[str]:
         yield _quieting(plan.quieting)
 
 
-def _quieting(quiet: Quieting) -> str:
+def _quieting(quiet: VibrationSuppression) -> str:
     modes = "slowest vibration" if quiet.modes == 1 else f"{quiet.modes} slowest vibrations"
     swing = f"they would leave the tool swinging by {1e3 * quiet.before:.4f} mm to either side"
     if not any(quiet.shares):
@@ -203,13 +203,13 @@ def _of_motion_alone(plan: Plan) -> Iterator[str]:
         )
 
 
-def _value(objective: ObjectiveFigures, value: float, more_digits: int = 0) -> str:
+def _value(objective: ObjectiveMetrics, value: float, more_digits: int = 0) -> str:
     """Write a value of the objective with its unit; what has none is a function of someone's own."""
     factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
     return f"{factor * value:.{2 + more_digits}f} {unit}".rstrip()
 
 
-def _objective(objective: ObjectiveFigures) -> str:
+def _objective(objective: ObjectiveMetrics) -> str:
     if objective.own:
         return objective.name
     if objective.axis_weights is None:

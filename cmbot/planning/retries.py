@@ -13,8 +13,8 @@ from typing import TypeVar
 import numpy as np
 
 from cmbot.common.errors import OptimisationFailed, PathNotFound
-from cmbot.planning.context import Setting
-from cmbot.planning.initial_guess import Way, sliding_way
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.initial_guess import InitialGuess, sliding_guess
 from cmbot.planning.torque.problem import TorqueProblem
 
 __all__ = ["calmer_ways", "followed", "roughness"]
@@ -26,13 +26,15 @@ _HALVINGS, _TRIES, _CALMER = 4, 2, 0.9
 Work = TypeVar("Work")
 
 
-def followed(setting: Setting, way: Way, work: Callable[[Way], Work]) -> tuple[Way, Work]:
+def followed(
+    context: PlanningContext, way: InitialGuess, work: Callable[[InitialGuess], Work]
+) -> tuple[InitialGuess, Work]:
     """Return a way and the work along it: `way`, or where no trajectory follows that, a calmer one.
 
     Parameters
     ----------
-    setting : Setting
-    way : Way
+    setting : PlanningContext
+    way : InitialGuess
     work : callable
         What is to be done along a way.
 
@@ -46,7 +48,7 @@ def followed(setting: Setting, way: Way, work: Callable[[Way], Work]) -> tuple[W
     try:
         return way, work(way)
     except OptimisationFailed as failure:
-        for calmer in calmer_ways(setting, way, failure):
+        for calmer in calmer_ways(context, way, failure):
             try:
                 return calmer, work(calmer)
             except OptimisationFailed:
@@ -58,16 +60,18 @@ def followed(setting: Setting, way: Way, work: Callable[[Way], Work]) -> tuple[W
         raise
 
 
-def calmer_ways(setting: Setting, way: Way, failure: OptimisationFailed) -> Iterator[Way]:
+def calmer_ways(
+    context: PlanningContext, way: InitialGuess, failure: OptimisationFailed
+) -> Iterator[InitialGuess]:
     """Yield ways with ever shorter steps between via-points, each calmer than the one before.
 
     Their peak at rest may be higher. Where no path leads on from the scene's posture in shorter steps, they
-    start elsewhere, as `sliding_way` has it.
+    start elsewhere, as `sliding_guess` has it.
 
     Parameters
     ----------
-    setting : Setting
-    way : Way
+    setting : PlanningContext
+    way : InitialGuess
         That led to no trajectory; with fixed knots there is no other.
     failure : OptimisationFailed
         Why not.
@@ -79,16 +83,16 @@ def calmer_ways(setting: Setting, way: Way, failure: OptimisationFailed) -> Iter
         if tries == _TRIES:
             return
         stage = stage.halved()
-        setting.teller.step(f"no trajectory follows that way; trying step_share {stage.step_share:.3g}")
+        context.reporter.step(f"no trajectory follows that way; trying step_share {stage.step_share:.3g}")
         try:
-            calmer = sliding_way(setting, way.unreached, stage)
+            calmer = sliding_guess(context, way.unreached, stage)
         except PathNotFound:
             return
         found = roughness(calmer.problem)
         if found <= _CALMER * rough:
             rough, tries = found, tries + 1
             instead_of = (
-                f"With planner.step_share {setting.options.step_share:g} no trajectory was found "
+                f"With planner.step_share {context.options.step_share:g} no trajectory was found "
                 f"({failure.reason}; {failure.constraint}): planned with {stage.step_share:.3g} instead, a "
                 "calmer way through the postures."
             )

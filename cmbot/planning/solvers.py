@@ -9,14 +9,14 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra
 from cmbot.optimization.qp import piqp_module
-from cmbot.planning.context import Setting
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.torque.families import FixedKnots, SlidingKnots, WhitenedSplines
 from cmbot.planning.torque.family import Family
 from cmbot.planning.torque.null_space import TaskAtViaPoints
 from cmbot.robot import Postures
 from cmbot.scene import PlannerOptions
-from cmbot.trajectory.local_basis import LocalSplines
-from cmbot.trajectory.parametrization import LocalKnots
+from cmbot.trajectory.local_basis import SparseSplines
+from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.spline_space import SplineSpace
 
 __all__ = ["family_through", "solver_of"]
@@ -42,13 +42,13 @@ def solver_of(options: PlannerOptions) -> Literal["sqp", "slsqp"]:
 
 
 def family_through(
-    setting: Setting, via_points: FloatArray, *, sliding: bool, pinned: bool = False
+    context: PlanningContext, via_points: FloatArray, *, sliding: bool, pinned: bool = False
 ) -> Family:
     """Return the splines around the one of least jerk through `via_points`, as the solver wants them.
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
     via_points : (n, d), rad
     sliding : bool
         They may slide along the self-motion.
@@ -60,21 +60,21 @@ def family_through(
     MissingExtra
         When the solver is not installed.
     """
-    space, limits = SplineSpace(setting.times), setting.robot.limits
-    weight = setting.options.smoothing_weight
+    space, limits = SplineSpace(context.times), context.robot.limits
+    weight = context.options.smoothing_weight
     task = TaskAtViaPoints(
-        postures=Postures(setting.robot),
-        task=setting.task,
-        points=setting.task.path.position(setting.times),
+        postures=Postures(context.robot),
+        task=context.task,
+        points=context.task.path.position(context.times),
     )
-    if solver_of(setting.options) == "sqp":
-        local = LocalSplines(space, limits)
+    if solver_of(context.options) == "sqp":
+        local = SparseSplines(space, limits)
         numbers = local.least_jerk(via_points)
-        return LocalKnots(
+        return Parametrization(
             local, via_points, numbers, weight, task=task if sliding else None, pinned=pinned and sliding
         )
     whitened = WhitenedSplines(space, limits)
-    numbers = np.zeros((space.dimension, setting.robot.dof))
+    numbers = np.zeros((space.dimension, context.robot.dof))
     if not sliding:
         return FixedKnots(whitened, via_points, numbers, weight)
     return SlidingKnots(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import Setting
+from cmbot.planning.context import PlanningContext
 from cmbot.robot import Robot
 from cmbot.scene.tool_path import ToolPath
 
@@ -53,7 +53,7 @@ def beyond_reach(robot: Robot, path: ToolPath) -> Iterator[BeyondReach]:
         yield BeyondReach(key=f"tool_path.legs[{k}].by", distance=float(distances[k]), reach=reach)
 
 
-def require_within_reach(setting: Setting) -> None:
+def require_within_reach(context: PlanningContext) -> None:
     """Refuse a tool path that leaves the reach of the stretched arm.
 
     Raises
@@ -61,12 +61,12 @@ def require_within_reach(setting: Setting) -> None:
     PathNotFound
         Naming the first leg that ends out of reach, and by how much.
     """
-    path, robot = setting.task.path, setting.robot
+    path, robot = context.task.path, context.robot
     first = next(beyond_reach(robot, path), None)
     if first is None:
         return
-    away = np.linalg.norm(path.position(setting.times) - robot.base_point, axis=1)
-    time = float(setting.times[np.argmax(away > first.reach * (1 + _ROUNDING))])
+    away = np.linalg.norm(path.position(context.times) - robot.base_point, axis=1)
+    time = float(context.times[np.argmax(away > first.reach * (1 + _ROUNDING))])
     raise PathNotFound(
         f"{first.key} ends {first.distance:.3f} m from the arm's first joint, "
         f"{first.distance - first.reach:.3f} m out of reach (the arm with its tool stretched out is "

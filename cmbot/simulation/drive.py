@@ -17,11 +17,11 @@ from cmbot.planning import QuinticTrajectory
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-__all__ = ["Drive", "drive_along", "drive_through", "held"]
+__all__ = ["PrescribedMotion", "drive_along", "drive_through", "held"]
 
 
 @dataclass(frozen=True, eq=False)
-class Drive:
+class PrescribedMotion:
     """Joint positions as piecewise polynomials of time; rates and accelerations are their exact derivatives.
 
     Attributes
@@ -47,17 +47,17 @@ class Drive:
         return self.curve(t), self.curve(t, 1), self.curve(t, 2)
 
 
-def drive_along(trajectory: QuinticTrajectory) -> Drive:
+def drive_along(trajectory: QuinticTrajectory) -> PrescribedMotion:
     """Drive the joints along a trajectory, exactly."""
     from scipy.interpolate import PPoly
 
     h = np.diff(trajectory.t)
     powers = np.arange(5, -1, -1)
     c = trajectory.coefficients[:, :, powers].transpose(2, 0, 1) / h[:, None] ** powers[:, None, None]
-    return Drive(PPoly(c, trajectory.t - trajectory.t[0], extrapolate=False))
+    return PrescribedMotion(PPoly(c, trajectory.t - trajectory.t[0], extrapolate=False))
 
 
-def drive_through(t: FloatArray, q: FloatArray) -> Drive:
+def drive_through(t: FloatArray, q: FloatArray) -> PrescribedMotion:
     """Drive the joints through sampled positions, from rest to rest.
 
     The curve is the cubic spline through the positions: they are met exactly, velocity and acceleration are
@@ -84,11 +84,11 @@ def drive_through(t: FloatArray, q: FloatArray) -> Drive:
         raise InputError("drive_through", "q", f"shape {q.shape}", f"finite numbers, ({len(t)}, n)")
     from scipy.interpolate import CubicSpline
 
-    return Drive(CubicSpline(t, q, bc_type="clamped", extrapolate=False))
+    return PrescribedMotion(CubicSpline(t, q, bc_type="clamped", extrapolate=False))
 
 
-def held(q: FloatArray, seconds: float) -> Drive:
+def held(q: FloatArray, seconds: float) -> PrescribedMotion:
     """Hold the joints at `q` (n,), rad, for `seconds`."""
     from scipy.interpolate import PPoly
 
-    return Drive(PPoly(q[None, None, :], np.array([0.0, seconds]), extrapolate=False))
+    return PrescribedMotion(PPoly(q[None, None, :], np.array([0.0, seconds]), extrapolate=False))

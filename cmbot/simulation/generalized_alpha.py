@@ -22,7 +22,7 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SimulationDiverged
-from cmbot.simulation.drive import Drive
+from cmbot.simulation.drive import PrescribedMotion
 from cmbot.simulation.system import ElasticSystem
 
 __all__ = ["ElasticMotion", "GeneralizedAlpha"]
@@ -84,7 +84,7 @@ class GeneralizedAlpha:
 
     def run(
         self,
-        drives: Sequence[Drive],
+        drives: Sequence[PrescribedMotion],
         u: FloatArray,
         v: FloatArray,
         tell: Callable[[float], None] | None = None,
@@ -96,7 +96,7 @@ class GeneralizedAlpha:
 
         Parameters
         ----------
-        drives : sequence of Drive
+        drives : sequence of PrescribedMotion
         u, v : (f,)
             The elastic coordinates and their rates at first.
         tell : callable, optional
@@ -125,7 +125,12 @@ class GeneralizedAlpha:
         )
 
     def _along(
-        self, drive: Drive, u: FloatArray, v: FloatArray, start: float, tell: Callable[[float], None]
+        self,
+        drive: PrescribedMotion,
+        u: FloatArray,
+        v: FloatArray,
+        start: float,
+        tell: Callable[[float], None],
     ) -> ElasticMotion:
         steps = max(int(np.ceil(drive.duration / self._step * (1 - 1e-12))), 1)
         h = drive.duration / steps

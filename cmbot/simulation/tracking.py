@@ -19,7 +19,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning import Plan, ToolTask, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.simulation.drive import Drive, drive_along, drive_through, held
+from cmbot.simulation.drive import PrescribedMotion, drive_along, drive_through, held
 from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha
 from cmbot.simulation.metrics import ErrorFigures, error_figures
 from cmbot.simulation.options import SimulationOptions, checked
@@ -158,7 +158,7 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
 def track(
     arm: ElasticArm,
     task: ToolTask,
-    drive: Drive,
+    drive: PrescribedMotion,
     options: SimulationOptions,
     tell: Callable[[float], None] | None = None,
     sag: ToolSag | None = None,
@@ -170,7 +170,7 @@ def track(
     arm : ElasticArm
     task : ToolTask
         Whose path the tool is to follow.
-    drive : Drive
+    drive : PrescribedMotion
     options : SimulationOptions
     tell : callable, optional
         Called every so often with the time that has been reached, s.
@@ -204,7 +204,7 @@ def track(
 
 
 def foreseen(
-    robot: Robot, drive: Drive, t: FloatArray, sag: ToolSag | None = None
+    robot: Robot, drive: PrescribedMotion, t: FloatArray, sag: ToolSag | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the rigid arm's tool points at times `t` (N,), and the sag reckoned with, each (N, 3), m."""
     q = drive.states(t)[0]
@@ -214,7 +214,7 @@ def foreseen(
 
 def completed(
     task: ToolTask,
-    drive: Drive,
+    drive: PrescribedMotion,
     t: FloatArray,
     expected: FloatArray,
     error: FloatArray,
@@ -227,7 +227,7 @@ def completed(
     ----------
     task : ToolTask
         Whose path the tool is to follow.
-    drive : Drive
+    drive : PrescribedMotion
     t : (N,), s
         Equal steps, from 0 to the stop or beyond.
     expected : (N, 3), m
@@ -253,7 +253,7 @@ def _output_times(duration: float, step: float) -> FloatArray:
     return step * np.arange(int(np.floor(duration / step * (1 + 1e-12))) + 1, dtype=np.float64)
 
 
-def _sag(arm: ElasticArm, drive: Drive, t: FloatArray) -> FloatArray:
+def _sag(arm: ElasticArm, drive: PrescribedMotion, t: FloatArray) -> FloatArray:
     """Displacement (N, 3), m, of the tool at rest in the postures at times `t` (N,)."""
     # As in `cmbot.simulation.drive`: not for those who only plan.
     from scipy.interpolate import CubicSpline

@@ -19,7 +19,7 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.robot import JointLimits
 from cmbot.trajectory.spline_space import SplineSpace
 
-__all__ = ["LocalRows", "LocalSplines"]
+__all__ = ["LocalRows", "SparseSplines"]
 
 _ORDERS = 4
 # How far a unit of a basis spline moves a joint at most, rad.
@@ -33,7 +33,7 @@ class LocalRows:
     Attributes
     ----------
     segment : (N,)
-        Of each time; what lives on it is in `LocalSplines.living`.
+        Of each time; what lives on it is in `SparseSplines.living`.
     weight : (N, 4, w)
         Position, velocity, acceleration and jerk of the splines that live there.
     """
@@ -50,7 +50,7 @@ class LocalRows:
         return np.asarray(weight.transpose(0, 2, 1) @ derivative.transpose(1, 0, 2))
 
 
-class LocalSplines:
+class SparseSplines:
     """The local basis of a `SplineSpace`.
 
     Parameters

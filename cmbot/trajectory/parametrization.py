@@ -16,21 +16,21 @@ from scipy import sparse
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning.torque.null_space import LONGEST_SLIDE, TaskAtViaPoints
 from cmbot.trajectory.assembly import Assembly
-from cmbot.trajectory.local_basis import LocalRows, LocalSplines
+from cmbot.trajectory.local_basis import LocalRows, SparseSplines
 from cmbot.trajectory.spline_space import SplineSpace
 
-__all__ = ["LocalKnots"]
+__all__ = ["Parametrization"]
 
 # Step of the central differences that tell how via-points leave the tangents, rad.
 _DIFFERENCE = 1e-4
 
 
-class LocalKnots:
+class Parametrization:
     """Splines around given ones, through via-points that stay or slide.
 
     Parameters
     ----------
-    splines : LocalSplines
+    splines : SparseSplines
     via_points : (n, d), rad
     numbers : (n - 4, d)
         Multiples of the basis splines.
@@ -46,7 +46,7 @@ class LocalKnots:
 
     def __init__(
         self,
-        splines: LocalSplines,
+        splines: SparseSplines,
         via_points: FloatArray,
         numbers: FloatArray,
         weight: float,
@@ -121,7 +121,7 @@ class LocalKnots:
         """Where the splines live."""
         return self.splines.space
 
-    def rebuilt(self, x: FloatArray, weight: float) -> LocalKnots:
+    def rebuilt(self, x: FloatArray, weight: float) -> Parametrization:
         """Build the family anew around `x`, with another weight of the smoothing term.
 
         Raises
@@ -130,7 +130,7 @@ class LocalKnots:
             When a via-point cannot be put back onto the tool task.
         """
         via_points, numbers = self._moved(x)
-        return LocalKnots(
+        return Parametrization(
             self.splines,
             via_points,
             numbers,
@@ -141,12 +141,12 @@ class LocalKnots:
             directions=self._null,
         )
 
-    def stretch(self, first: int, last: int) -> LocalKnots:
+    def stretch(self, first: int, last: int) -> Parametrization:
         """Return the splines of least jerk between two via-points, at rest there; inner ones of them stay."""
         some = slice(first, last + 1)
-        splines = LocalSplines(SplineSpace(self.space.t[some]), self.splines.limits)
+        splines = SparseSplines(SplineSpace(self.space.t[some]), self.splines.limits)
         via_points = self.via_points[some]
-        return LocalKnots(
+        return Parametrization(
             splines,
             via_points,
             splines.least_jerk(via_points),

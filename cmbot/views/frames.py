@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from cmbot.collision.clearance import Clearances, ShapePair
 from cmbot.common.arrays import FloatArray
-from cmbot.planning import MotionFigures, Samples
+from cmbot.planning import MotionMetrics, Samples
 from cmbot.robot import Kinematics, Robot
 
 __all__ = ["Frames", "frame_times", "pack", "poses_of", "resampled"]
@@ -39,7 +39,7 @@ class Frames:
         return list(self._names)
 
     def motion(
-        self, samples: Samples, figures: MotionFigures, times: FloatArray, error: FloatArray | None = None
+        self, samples: Samples, figures: MotionMetrics, times: FloatArray, error: FloatArray | None = None
     ) -> dict[str, Any]:
         """Return a motion at `times` (F,), ready for JSON; arrays are little-endian float32 in base64.
 

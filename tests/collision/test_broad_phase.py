@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import trimesh
-from conftest import States
+from conftest import StateSamples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -198,7 +198,9 @@ def looked(
         yield bounds.value, bounds.tightened(pair, posture).reshape(bounds.value.shape)
 
 
-def test_no_distance_is_below_its_bound(crowded: tuple[Robot, list[Obstacle]], random_states: States) -> None:
+def test_no_distance_is_below_its_bound(
+    crowded: tuple[Robot, list[Obstacle]], random_states: StateSamples
+) -> None:
     robot, obstacles = crowded
     q = random_states(robot, 80)[0]
     distances = all_distances(Clearances(robot, obstacles), q)
@@ -209,7 +211,7 @@ def test_no_distance_is_below_its_bound(crowded: tuple[Robot, list[Obstacle]], r
     assert (better >= bounds).all()
 
 
-def test_bounds_are_not_far_too_low(cmbot_robot: Robot, random_states: States) -> None:
+def test_bounds_are_not_far_too_low(cmbot_robot: Robot, random_states: StateSamples) -> None:
     """Those of capsules beside boxes that do not move are nearly exact, and that is what most pairs are."""
     box = Obstacle(name="box", shape=SHAPES["box"], X_WO=pose([1, 0.5, -1], [0.3, 0.2, 0.1]))
     clearances = Clearances(cmbot_robot, [box])

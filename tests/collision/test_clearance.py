@@ -8,7 +8,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import States
+from conftest import StateSamples
 from finite_differences import check_derivative
 from numpy.typing import NDArray
 from oracles.distances import between_hulls, capsule_of, from_capsule
@@ -45,7 +45,7 @@ def pair_with(clearances: Clearances, link: str, other: str = "thing") -> int:
 
 @every_shape
 def test_distance_to_an_obstacle(
-    cmbot_robot: Robot, rng: np.random.Generator, random_states: States, kind: str
+    cmbot_robot: Robot, rng: np.random.Generator, random_states: StateSamples, kind: str
 ) -> None:
     shape, geometry = SHAPES[kind]
     overlaps = 0
@@ -65,7 +65,7 @@ def test_distance_to_an_obstacle(
     assert overlaps > 3
 
 
-def test_distances_of_the_arm_to_itself(cmbot_robot: Robot, random_states: States) -> None:
+def test_distances_of_the_arm_to_itself(cmbot_robot: Robot, random_states: StateSamples) -> None:
     clearances = Clearances(cmbot_robot, [])
     shapes = cmbot_robot.collision_model.geometryObjects
     data = cmbot_robot.model.createData()
@@ -96,7 +96,9 @@ def test_distances_of_the_arm_to_itself(cmbot_robot: Robot, random_states: State
     assert {("link_5", "link_2"), ("tool", "link_1"), ("tool", "arm_base")} <= compared
 
 
-def test_box_by_its_corners(cmbot_robot: Robot, rng: np.random.Generator, random_states: States) -> None:
+def test_box_by_its_corners(
+    cmbot_robot: Robot, rng: np.random.Generator, random_states: StateSamples
+) -> None:
     """A second oracle, which knows nothing of closest features."""
     corners = np.array(np.meshgrid([-0.15, 0.15], [-0.25, 0.25], [-0.45, 0.45])).reshape(3, -1).T
     for q in random_states(cmbot_robot, 5)[0]:
@@ -110,7 +112,7 @@ def test_box_by_its_corners(cmbot_robot: Robot, rng: np.random.Generator, random
 
 @every_shape
 def test_nearest_points(
-    cmbot_robot: Robot, rng: np.random.Generator, random_states: States, kind: str
+    cmbot_robot: Robot, rng: np.random.Generator, random_states: StateSamples, kind: str
 ) -> None:
     """They are `distance` apart along `direction`, which leads from the obstacle to the arm."""
     shape, _ = SHAPES[kind]
@@ -138,7 +140,9 @@ def check_gradient(clearances: Clearances, q: FloatArray, pair: int) -> None:
 
 
 @every_shape
-def test_gradient(cmbot_robot: Robot, rng: np.random.Generator, random_states: States, kind: str) -> None:
+def test_gradient(
+    cmbot_robot: Robot, rng: np.random.Generator, random_states: StateSamples, kind: str
+) -> None:
     shape, _ = SHAPES[kind]
     checked = 0
     for q in random_states(cmbot_robot, 15)[0]:
@@ -151,7 +155,7 @@ def test_gradient(cmbot_robot: Robot, rng: np.random.Generator, random_states: S
     assert checked > 50
 
 
-def test_gradient_of_the_arm_to_itself(cmbot_robot: Robot, random_states: States) -> None:
+def test_gradient_of_the_arm_to_itself(cmbot_robot: Robot, random_states: StateSamples) -> None:
     clearances = Clearances(cmbot_robot, [])
     for q in random_states(cmbot_robot, 3)[0]:
         for pair in range(len(clearances.pairs)):
@@ -162,7 +166,7 @@ def test_gradient_of_the_arm_to_itself(cmbot_robot: Robot, random_states: States
 @every_shape
 @pytest.mark.parametrize("target", [1e-6, 0.0, -1e-6, -0.005])
 def test_gradient_where_shapes_nearly_touch_or_overlap(
-    cmbot_robot: Robot, rng: np.random.Generator, random_states: States, kind: str, target: float
+    cmbot_robot: Robot, rng: np.random.Generator, random_states: StateSamples, kind: str, target: float
 ) -> None:
     shape, _ = SHAPES[kind]
     checked = 0
@@ -181,7 +185,9 @@ def test_gradient_where_shapes_nearly_touch_or_overlap(
     assert checked >= 3
 
 
-def test_joints_that_move_both_shapes_alike_do_not_count(cmbot_robot: Robot, random_states: States) -> None:
+def test_joints_that_move_both_shapes_alike_do_not_count(
+    cmbot_robot: Robot, random_states: StateSamples
+) -> None:
     clearances = Clearances(cmbot_robot, [])
     for q in random_states(cmbot_robot, 5)[0]:
         with_link, with_base = (
@@ -192,7 +198,7 @@ def test_joints_that_move_both_shapes_alike_do_not_count(cmbot_robot: Robot, ran
 
 
 def test_distances_do_not_depend_on_what_was_asked_before(
-    cmbot_robot: Robot, random_states: States, rng: np.random.Generator
+    cmbot_robot: Robot, random_states: StateSamples, rng: np.random.Generator
 ) -> None:
     """Bit by bit, also in overlaps: so a certificate can be made again."""
     shape, _ = SHAPES["cylinder"]

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from conftest import States
+from conftest import StateSamples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -140,7 +140,7 @@ def shapeless(urdf_folder: Path) -> Robot:
     return load_copy(urdf_folder)
 
 
-def test_nothing_counts_without_shapes(shapeless: Robot, random_states: States) -> None:
+def test_nothing_counts_without_shapes(shapeless: Robot, random_states: StateSamples) -> None:
     wall = Obstacle(name="wall", shape=Box(size=(1, 1, 1)), X_WO=pose([0, 0, 0]))
     clearances = Clearances(shapeless, [wall])
     q = random_states(shapeless, 3)[0]
@@ -152,7 +152,7 @@ def test_nothing_counts_without_shapes(shapeless: Robot, random_states: States) 
     assert clearances.within(q[0], 1.0) == []
 
 
-def test_nothing_to_avoid_without_obstacles(cmbot_robot: Robot, random_states: States) -> None:
+def test_nothing_to_avoid_without_obstacles(cmbot_robot: Robot, random_states: StateSamples) -> None:
     clearances = Clearances(cmbot_robot, [])
     q = random_states(cmbot_robot, 3)[0]
     assert np.isfinite(clearances.smallest(q).distance).all()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from conftest import States
+from conftest import StateSamples
 from numpy.typing import NDArray
 from oracles.distances import between_hulls, capsule_of
 from robot_files import pose as pose_of
@@ -58,7 +58,7 @@ def distances(robot: Robot, shapes: list[Shape], q: FloatArray) -> FloatArray:
 
 @pytest.mark.parametrize("ending", FORMATS)
 def test_mesh_of_a_box_is_the_box(
-    cmbot_robot: Robot, random_states: States, tmp_path: Path, ending: str
+    cmbot_robot: Robot, random_states: StateSamples, tmp_path: Path, ending: str
 ) -> None:
     size = (0.3, 0.5, 0.9)
     q = random_states(cmbot_robot, 10)[0]
@@ -75,7 +75,7 @@ def test_endings_may_be_in_capitals(tmp_path: Path) -> None:
 
 
 def test_every_connected_part_counts_as_its_hull(
-    cmbot_robot: Robot, random_states: States, tmp_path: Path
+    cmbot_robot: Robot, random_states: StateSamples, tmp_path: Path
 ) -> None:
     parts = [box_mesh((0.2, 0.2, 0.2)), box_mesh((0.1, 0.3, 0.2), (0.6, 0, 0))]
     both = saved(trimesh.util.concatenate(parts), tmp_path / "both.stl")
@@ -88,7 +88,7 @@ def test_every_connected_part_counts_as_its_hull(
 
 
 def test_a_connected_part_with_a_notch_counts_as_its_hull(
-    cmbot_robot: Robot, random_states: States, tmp_path: Path
+    cmbot_robot: Robot, random_states: StateSamples, tmp_path: Path
 ) -> None:
     outline = np.array([[0, 0], [0.6, 0], [0.6, 0.1], [0.1, 0.1], [0.1, 0.6], [0, 0.6]])
     top, bottom = (np.column_stack([outline, np.full(6, z)]) for z in (0.2, 0.0))

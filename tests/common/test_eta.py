@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cmbot.common.eta import Left, Remaining
+from cmbot.common.eta import Eta, Remaining
 
 seconds = st.floats(1e-3, 1e4)
 moments = st.floats(-1e6, 1e6)
@@ -67,17 +67,17 @@ def test_what_takes_longer_than_foretold_has_no_figure(share: float, spent: floa
 @pytest.mark.parametrize(
     ("left", "words"),
     [
-        (Left(seconds=12.4), "about 12 s left"),
-        (Left(seconds=0.1), "about 1 s left"),
-        (Left(seconds=75.0, at_most=True), "at most 75 s left"),
-        (Left(seconds=0.42, most=37, part="pass", parts="passes"), "at most 37 more passes, 0.4 s each"),
-        (Left(seconds=20.4, most=1, part="round", parts="rounds"), "at most 1 more round, 20 s each"),
+        (Eta(seconds=12.4), "about 12 s left"),
+        (Eta(seconds=0.1), "about 1 s left"),
+        (Eta(seconds=75.0, at_most=True), "at most 75 s left"),
+        (Eta(seconds=0.42, most=37, part="pass", parts="passes"), "at most 37 more passes, 0.4 s each"),
+        (Eta(seconds=20.4, most=1, part="round", parts="rounds"), "at most 1 more round, 20 s each"),
     ],
 )
-def test_it_is_said_in_words(left: Left, words: str) -> None:
+def test_it_is_said_in_words(left: Eta, words: str) -> None:
     assert left.sentence() == words
 
 
 def test_parts_that_nobody_can_count_do_not_run_out() -> None:
-    left = Left(seconds=2.0, most=5, part="pass", parts="passes")
+    left = Eta(seconds=2.0, most=5, part="pass", parts="passes")
     assert left.after(100.0) == left

@@ -11,7 +11,7 @@ from exudyn import itemInterface as items  # noqa: N813
 from exudyn.rigidBodyUtilities import RotationMatrix2EulerParameters
 from numpy.typing import NDArray
 
-from cmbot.simulation.drive import Drive
+from cmbot.simulation.drive import PrescribedMotion
 
 FloatArray = NDArray[np.float64]
 # cmbot's tubes neither stretch nor shear: neither may these, much.
@@ -48,7 +48,7 @@ class BeamArm:
     payload: float
 
 
-def simulate(arm: BeamArm, drive: Drive, *, elements: int, step: float, every: int) -> FloatArray:
+def simulate(arm: BeamArm, drive: PrescribedMotion, *, elements: int, step: float, every: int) -> FloatArray:
     """Find the equilibrium of the first posture, then integrate; tool points (N, 3), m."""
     system = exu.SystemContainer()
     mbs = system.AddSystem()
@@ -87,7 +87,7 @@ def simulate(arm: BeamArm, drive: Drive, *, elements: int, step: float, every: i
     return np.asarray(mbs.GetSensorStoredData(sensor))[:, 1:]
 
 
-def _build(mbs: Any, arm: BeamArm, drive: Drive, elements: int, started: list[bool]) -> int:
+def _build(mbs: Any, arm: BeamArm, drive: PrescribedMotion, elements: int, started: list[bool]) -> int:
     """Fill an empty system; the tool's node."""
     mass, inertia, com = arm.carrier
     node = mbs.AddNode(items.NodeRigidBodyEP(referenceCoordinates=[0, 0, 0, 1, 0, 0, 0]))
@@ -143,7 +143,7 @@ def _build(mbs: Any, arm: BeamArm, drive: Drive, elements: int, started: list[bo
     return int(node)
 
 
-def _angle(drive: Drive, joint: int, started: list[bool]) -> Any:
+def _angle(drive: PrescribedMotion, joint: int, started: list[bool]) -> Any:
     """What the joint is told. The static solver's time is none: until then the first posture is held."""
 
     def offset(mbs: Any, t: float, number: int, parameters: Any) -> list[float]:

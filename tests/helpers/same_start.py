@@ -11,10 +11,10 @@ from cases import Case, judged
 from numpy.typing import NDArray
 
 from cmbot.optimization.exchange import optimise
-from cmbot.planning.context import prepare
-from cmbot.planning.initial_guess import fixed_way, sliding_way
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import fixed_guess, sliding_guess
 from cmbot.planning.solvers import family_through
-from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.planning.torque.wrench_functions import WrenchFunction
 from cmbot.scene import Scene
@@ -61,9 +61,11 @@ class SameStart:
     """
 
     def __init__(self, scene: Scene, own: WrenchFunction | None = None) -> None:
-        self._setting = prepare(scene, replace(scene.planner, solver="slsqp"), own)
+        self._setting = build_context(scene, replace(scene.planner, solver="slsqp"), own)
         self._sliding = scene.planner.knots == "sliding"
-        self._way = sliding_way(self._setting) if self._sliding else fixed_way(self._setting, lambda _: None)
+        self._way = (
+            sliding_guess(self._setting) if self._sliding else fixed_guess(self._setting, lambda _: None)
+        )
 
     def solve(self, solver: Solver, start: FloatArray | None = None) -> Answer:
         """Solve it around the via-points of its way, or around those given; all are judged alike."""
@@ -75,7 +77,7 @@ class SameStart:
         problem = self._judge
         q = self._way.problem.family.via_points
         judgement = judged(
-            Case(name="", setting=self._setting, via_points=q, sliding=self._sliding), problem, trajectory
+            Case(name="", context=self._setting, via_points=q, sliding=self._sliding), problem, trajectory
         )
         objective, violation = judgement.objective, judgement.violation
         if stage == "mean square":
@@ -95,18 +97,18 @@ class SameStart:
         return self._problem("slsqp", None)
 
     def _problem(self, solver: Solver, via_points: FloatArray | None) -> TorqueProblem:
-        setting = replace(self._setting, options=replace(self._setting.options, solver=solver))
+        context = replace(self._setting, options=replace(self._setting.options, solver=solver))
         q = self._way.problem.family.via_points if via_points is None else via_points
         pinned = self._sliding and 0 in self._way.resting
         return TorqueProblem(
-            setting.robot,
-            setting.task,
-            family_through(setting, q, sliding=self._sliding, pinned=pinned),
-            setting.clearances,
-            setting.options,
+            context.robot,
+            context.task,
+            family_through(context, q, sliding=self._sliding, pinned=pinned),
+            context.clearances,
+            context.options,
             resting=self._way.resting,
             floor=np.inf,
-            objective=setting.objective,
+            objective=context.objective,
         )
 
 
@@ -116,5 +118,5 @@ def _mean_square(problem: TorqueProblem, trajectory: QuinticTrajectory) -> float
     h = np.diff(trajectory.t)[:, None]
     times = (trajectory.t[:-1, None] + 0.5 * h * (1 + nodes)).ravel()
     share = (0.5 * h * weights).ravel() / trajectory.duration
-    value = problem.objective.values(States(times, *trajectory.states(times))) / problem.scale
+    value = problem.objective.values(StateSamples(times, *trajectory.states(times))) / problem.scale
     return 0.5 * float(share @ value**2)

@@ -10,7 +10,7 @@ from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.elastic.base import elastic_base
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
-from cmbot.simulation.drive import Drive, drive_through
+from cmbot.simulation.drive import PrescribedMotion, drive_through
 
 FloatArray = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ def arm_on_its_guardrail(robot: Robot, segments: int = 1) -> ElasticArm:
     )
 
 
-def swing(seconds: float, size: float = 0.15) -> Drive:
+def swing(seconds: float, size: float = 0.15) -> PrescribedMotion:
     """All joints out from the triangle's posture and back, from rest to rest."""
     t = np.linspace(0.0, seconds, 81)
     ways = np.sin(np.pi * t / seconds)[:, None] ** 2 * np.cos(np.arange(7) + t[:, None])

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from cmbot.collision.clearance import Clearances
 from cmbot.planning import ToolTask, robot_of, task_of
-from cmbot.planning.context import prepare
-from cmbot.planning.initial_guess import fixed_way
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Robot
 from cmbot.scene import Scene, load_scene
@@ -46,5 +46,5 @@ def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
 
 def problem_of(scene: Scene) -> tuple[TorqueProblem, ToolTask, Clearances]:
     """The torque problem of a scene with fixed knots, started at the least-jerk spline."""
-    setting = prepare(scene, scene.planner)
-    return fixed_way(setting, lambda _: None).problem, setting.task, setting.clearances
+    context = build_context(scene, scene.planner)
+    return fixed_guess(context, lambda _: None).problem, context.task, context.clearances

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from cmbot.simulation.drive import Drive, drive_through, held
+from cmbot.simulation.drive import PrescribedMotion, drive_through, held
 from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha
 from cmbot.simulation.system import ElasticSystem
 
@@ -82,11 +82,11 @@ def soft_arm(softer: float = 1.0) -> ElasticSystem:
     return system_of(model, [2, 3], np.array([9e4, 2e4, 3e4]) / softer)
 
 
-def resting(joints: int, seconds: float) -> Drive:
+def resting(joints: int, seconds: float) -> PrescribedMotion:
     return held(np.zeros(joints), seconds)
 
 
-def swinging(joints: int, seconds: float = 2.0, size: float = 0.8) -> Drive:
+def swinging(joints: int, seconds: float = 2.0, size: float = 0.8) -> PrescribedMotion:
     """From rest to rest, each joint by another way."""
     t = np.linspace(0.0, seconds, 41)
     ways = [size * np.sin(np.pi * t / seconds) ** 2 * np.cos(k + t) for k in range(joints)]
@@ -95,7 +95,7 @@ def swinging(joints: int, seconds: float = 2.0, size: float = 0.8) -> Drive:
 
 def integrate(
     system: ElasticSystem,
-    drive: Drive,
+    drive: PrescribedMotion,
     *,
     step: float,
     u: Sequence[float] | FloatArray | None = None,

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from closed_form import arm_of, batched
-from conftest import States
+from conftest import StateSamples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -110,7 +110,7 @@ def test_results_are_nobodys_working_memory(arm: Robot) -> None:
 
 @pytest.mark.parametrize("number", [0, 3, 700])
 def test_tool_poses_and_jacobians_are_those_of_each_posture(
-    arm: Robot, random_states: States, number: int
+    arm: Robot, random_states: StateSamples, number: int
 ) -> None:
     q, kinematics = random_states(arm, number)[0], Kinematics(arm)
     points, rotations = kinematics.tool_poses(q)
@@ -124,7 +124,9 @@ def test_tool_poses_and_jacobians_are_those_of_each_posture(
         np.testing.assert_allclose(J[k], J_k[:3], rtol=0, atol=1e-13)
 
 
-def test_a_chain_carries_its_vectors(arm: Robot, random_states: States, rng: np.random.Generator) -> None:
+def test_a_chain_carries_its_vectors(
+    arm: Robot, random_states: StateSamples, rng: np.random.Generator
+) -> None:
     """Another number of them on every joint, none on some."""
     model, data = arm.model, arm.model.createData()
     vectors = [rng.normal(size=(k % 3, 3)) for k in range(arm.dof)]

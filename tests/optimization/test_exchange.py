@@ -14,7 +14,7 @@ from small_scenes import problem_of, short_scene
 
 from cmbot.common.errors import InputError, OptimisationFailed
 from cmbot.optimization.exchange import Optimised, optimise
-from cmbot.planning import PassReport, QuinticTrajectory, plan
+from cmbot.planning import ExchangeReport, QuinticTrajectory, plan
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.planner import checked
 from cmbot.planning.torque.feasibility import check_feasible
@@ -113,18 +113,18 @@ def test_mean_square_is_that_of_the_papers_own_formulation() -> None:
 
 
 @pytest.fixture(scope="module", params=["there", "there and back", "payload"])
-def solved(request: pytest.FixtureRequest) -> tuple[TorqueProblem, ToolTask, Optimised, list[PassReport]]:
+def solved(request: pytest.FixtureRequest) -> tuple[TorqueProblem, ToolTask, Optimised, list[ExchangeReport]]:
     changes: dict[str, Any] = {
         "there": {},
         "there and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
         "payload": {"robot": {"payload_kg": 3.0}},
     }[request.param]
     problem, task, _ = problem_of(short_scene(**changes))
-    reports: list[PassReport] = []
+    reports: list[ExchangeReport] = []
     return problem, task, optimise(problem, reports.append), reports
 
 
-Solved = tuple[TorqueProblem, ToolTask, Optimised, list[PassReport]]
+Solved = tuple[TorqueProblem, ToolTask, Optimised, list[ExchangeReport]]
 
 
 def test_never_worse_than_the_start(solved: Solved) -> None:
@@ -184,7 +184,7 @@ def test_progress_is_told_pass_by_pass(solved: Solved) -> None:
 def test_legs_that_are_too_fast_are_refused_at_once(seconds: float) -> None:
     legs = [{"by": [0, -0.1, 0], "seconds": seconds}]
     problem, _, _ = problem_of(short_scene(tool_path={"legs": legs}, planner={"path_step_s": 0.002}))
-    told: list[PassReport] = []
+    told: list[ExchangeReport] = []
     with pytest.raises(OptimisationFailed, match="give the legs more seconds") as caught:
         optimise(problem, told.append)
     assert told == []
@@ -220,7 +220,7 @@ def test_a_margin_that_the_via_points_break_is_refused_at_once() -> None:
     distance = clearances.smallest(problem.family.via_points).distance.min()
     options = replace(scene.planner, safety_margin_m=float(distance) + 0.01)
     stricter = TorqueProblem(problem.robot, task, problem.family, clearances, options, resting=(0, -1))
-    told: list[PassReport] = []
+    told: list[ExchangeReport] = []
     with pytest.raises(OptimisationFailed, match="a via-point of the path breaks a bound") as caught:
         optimise(stricter, told.append)
     assert told == []

@@ -14,20 +14,20 @@ from cmbot.collision.clearance import Clearances
 from cmbot.optimization import separation as violations
 from cmbot.optimization.separation import broken_bound, values_of
 from cmbot.optimization.working_set import _Sites
-from cmbot.planning.context import Setting, prepare
+from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.solvers import family_through
 from cmbot.planning.torque import feasibility
 from cmbot.planning.torque.clearance_samples import ClearanceLooks
-from cmbot.planning.torque.constraints import ClearanceMargin, States
+from cmbot.planning.torque.constraints import ClearanceMargin, StateSamples
 from cmbot.planning.torque.problem import KinematicBound, TorqueProblem
 from cmbot.trajectory import quintic as trajectory
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 
 @pytest.fixture(scope="module")
-def setting() -> Setting:
+def context() -> PlanningContext:
     scene = short_scene()
-    return prepare(scene, replace(scene.planner, knots="sliding"))
+    return build_context(scene, replace(scene.planner, knots="sliding"))
 
 
 def smooth(seed: int, knots: int = 8, joints: int = 7) -> QuinticTrajectory:
@@ -50,11 +50,11 @@ def test_blocks_of_times_change_nothing(seed: int, number: int) -> None:
         np.testing.assert_array_equal(here, some.evaluate(times, order))
 
 
-def test_blocks_of_states_change_nothing(setting: Setting, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_blocks_of_states_change_nothing(context: PlanningContext, monkeypatch: pytest.MonkeyPatch) -> None:
     some = smooth(1)
     times = np.linspace(some.t[0], some.t[-1], 50)
-    states = States(times, *some.states(times))
-    clearance = ClearanceMargin(setting.clearances, 0.1)
+    states = StateSamples(times, *some.states(times))
+    clearance = ClearanceMargin(context.clearances, 0.1)
     whole = clearance.values(states)
     monkeypatch.setattr(violations, "_BLOCK", 9)
     for blocks in values_of([clearance, clearance], states):
@@ -110,14 +110,14 @@ def test_broken_bounds_are_those_of_all_extrema(seed: int, order: int, size: flo
 def test_clearances_are_measured_wherever_they_matter(seed: int, margin: float) -> None:
     """Along trajectories that come nearer to each other, coarsely first, as an optimisation looks at them."""
     scene = short_scene()
-    setting = prepare(scene, scene.planner)
-    clearance = ClearanceMargin(Clearances(setting.robot, scene.obstacles), margin)
-    here, there = (setting.posture + 0.5 * smooth(seed + k).evaluate(np.linspace(0, 7, 300)) for k in (0, 1))
+    context = build_context(scene, scene.planner)
+    clearance = ClearanceMargin(Clearances(context.robot, scene.obstacles), margin)
+    here, there = (context.posture + 0.5 * smooth(seed + k).evaluate(np.linspace(0, 7, 300)) for k in (0, 1))
     looks, t = ClearanceLooks(clearance, 300, 7), np.linspace(0, 7, 300)
     matters = -0.02
     for share, stride in ((0.0, 10), (0.0, 1), (0.5, 1), (0.6, 10), (0.61, 1), (0.611, 1)):
         q = ((1 - share) * here + share * there)[::stride]
-        states = States(t[::stride], q, np.zeros_like(q), np.zeros_like(q))
+        states = StateSamples(t[::stride], q, np.zeros_like(q), np.zeros_like(q))
         exact = clearance.values(states)[0][:, 0]
         value, pair = (each[:, 0] for each in looks.values(states, stride, matters))
         known = np.isfinite(value)
@@ -128,7 +128,7 @@ def test_clearances_are_measured_wherever_they_matter(seed: int, margin: float) 
         assert known[near].all()
 
 
-def test_clearances_that_hardly_change_are_not_measured_again(setting: Setting) -> None:
+def test_clearances_that_hardly_change_are_not_measured_again(context: PlanningContext) -> None:
     measured: list[int] = []
 
     class Counted(Clearances):
@@ -136,11 +136,11 @@ def test_clearances_that_hardly_change_are_not_measured_again(setting: Setting) 
             measured.append(len(q))
             return super().smallest(q, avoidable_only=avoidable_only)
 
-    clearance = ClearanceMargin(Counted(setting.robot, ()), 0.0)
-    q = np.repeat(setting.posture[None], 4000, axis=0) + 0.05 * np.sin(np.linspace(0, 9, 4000))[:, None]
+    clearance = ClearanceMargin(Counted(context.robot, ()), 0.0)
+    q = np.repeat(context.posture[None], 4000, axis=0) + 0.05 * np.sin(np.linspace(0, 9, 4000))[:, None]
     looks, t = ClearanceLooks(clearance, 4000, 7), np.linspace(0, 9, 4000)
     for shift in (0.0, 1e-4, 2e-4):
-        looks.values(States(t, q + shift, q, q), 1, -0.02)
+        looks.values(StateSamples(t, q + shift, q, q), 1, -0.02)
         if shift == 0.0:
             assert 0 < sum(measured) <= 4000 / 16 + 1
             measured.clear()
@@ -169,11 +169,11 @@ def test_stretches_hold_what_is_broken_and_its_surroundings(broken: list[bool]) 
 
 def test_a_jump_in_a_long_path_is_found_without_looking_at_all_of_it() -> None:
     scene = short_scene(tool_path={"legs": [{"by": [0, -0.3, 0], "seconds": 60}], "via_points": 120})
-    setting = prepare(scene, replace(scene.planner, knots="fixed", solver="slsqp"))
-    via_points = np.repeat(setting.posture[None], 120, axis=0)
+    context = build_context(scene, replace(scene.planner, knots="fixed", solver="slsqp"))
+    via_points = np.repeat(context.posture[None], 120, axis=0)
     via_points[60:, 2] += 1.0
-    family = family_through(setting, via_points, sliding=False)
-    arguments = (setting.robot, setting.task, family, setting.clearances, setting.options)
+    family = family_through(context, via_points, sliding=False)
+    arguments = (context.robot, context.task, family, context.clearances, context.options)
     problem = TorqueProblem(*arguments, resting=())
     least_jerk = problem.trajectory(family, family.start)
     bounds = [bound for bound in problem.bounds if bound.order > 0]

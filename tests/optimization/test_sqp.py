@@ -24,12 +24,12 @@ from cmbot.optimization.exchange import Optimised, optimise
 from cmbot.optimization.qp import LocalModel, LocalValues, solve_qp
 from cmbot.optimization.sparse_passes import SparsePasses
 from cmbot.planning import plan
-from cmbot.planning.context import prepare
-from cmbot.planning.initial_guess import Way, fixed_way, sliding_way
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.solvers import solver_of
 from cmbot.planning.verification.certificate import certify
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.trajectory.parametrization import LocalKnots
+from cmbot.trajectory.parametrization import Parametrization
 
 FloatArray = NDArray[np.float64]
 OUT_AND_BACK = [{"by": [0.1, 0, 0], "seconds": 2.5}, {"by": [-0.1, 0, 0], "seconds": 2.5}]
@@ -92,8 +92,8 @@ class Ripples:
         return self, multipliers
 
 
-def descend(start: Ripples, penalty: float = 0.1, max_iterations: int = 200) -> sqp.Descent[Any]:
-    return sqp.descend(
+def solve_sqp(start: Ripples, penalty: float = 0.1, max_iterations: int = 200) -> sqp.Descent[Any]:
+    return sqp.solve_sqp(
         start,
         np.zeros(len(start.first.value)),
         penalty=np.array([penalty]),
@@ -112,7 +112,7 @@ def descend(start: Ripples, penalty: float = 0.1, max_iterations: int = 200) -> 
 )
 def test_every_step_lowers_the_merit(x: list[float], steepness: float, penalty: float) -> None:
     start = Ripples(np.array(x), steepness)
-    ended = descend(start, penalty)
+    ended = solve_sqp(start, penalty)
     assert all(after < before for _, before, after in ended.merits)
     penalties = [float(penalty[0]) for penalty, _, _ in ended.merits]
     assert penalties == sorted(penalties)
@@ -125,7 +125,7 @@ def test_every_step_lowers_the_merit(x: list[float], steepness: float, penalty: 
 @given(x=st.lists(st.floats(-3, 3), min_size=2, max_size=5), steepness=st.floats(0, 4))
 def test_the_end_is_stationary(x: list[float], steepness: float) -> None:
     """Karush-Kuhn-Tucker, with the multipliers that it ended with."""
-    ended = descend(Ripples(np.array(x), steepness))
+    ended = solve_sqp(Ripples(np.array(x), steepness))
     if not ended.settled:
         return
     first = ended.place.first
@@ -189,7 +189,7 @@ class Veiled(Ripples):
 @given(x=st.lists(st.floats(-3, 3), min_size=2, max_size=5), steepness=st.floats(0, 4))
 def test_what_comes_into_view_on_the_way_counts(x: list[float], steepness: float) -> None:
     """The merit falls with every step, whatever was overlooked; in the end nothing is violated."""
-    ended = descend(Veiled(np.array(x), steepness))
+    ended = solve_sqp(Veiled(np.array(x), steepness))
     assert all(after < before for _, before, after in ended.merits)
     assert ended.place.renewed() is ended.place
     if ended.settled and ended.merits:
@@ -222,7 +222,7 @@ class Rim(Ripples):
 
 
 def test_a_step_along_a_curved_bound_is_corrected_not_crept() -> None:
-    ended = descend(Rim(np.array([0.6, 0.8]), 0.0), penalty=10.0, max_iterations=8)
+    ended = solve_sqp(Rim(np.array([0.6, 0.8]), 0.0), penalty=10.0, max_iterations=8)
     assert ended.place.x[0] == pytest.approx(-1.0, abs=1e-3)
     assert ended.place.first.violation <= 1e-6
 
@@ -243,18 +243,20 @@ def test_what_cannot_be_met_is_said() -> None:
                 kind=np.zeros(len(given.value) + 1, dtype=np.intp),
             )
 
-    ended = descend(Torn(np.array([1.0, 1.0]), 0.0))
+    ended = solve_sqp(Torn(np.array([1.0, 1.0]), 0.0))
     assert ended.stuck
     assert not ended.settled
     assert ended.place.first.violation == pytest.approx(0.5, rel=0.12)
 
 
-def way_of(scene: Scene, solver: Literal["sqp", "slsqp"]) -> Way:
-    setting = prepare(scene, replace(scene.planner, solver=solver))
-    return sliding_way(setting) if scene.planner.knots == "sliding" else fixed_way(setting, lambda _: None)
+def way_of(scene: Scene, solver: Literal["sqp", "slsqp"]) -> InitialGuess:
+    context = build_context(scene, replace(scene.planner, solver=solver))
+    return (
+        sliding_guess(context) if scene.planner.knots == "sliding" else fixed_guess(context, lambda _: None)
+    )
 
 
-def objective(way: Way, optimised: Optimised, *, of_stage: str) -> float:
+def objective(way: InitialGuess, optimised: Optimised, *, of_stage: str) -> float:
     """What both solvers make small, from the trajectory alone: smoothing a thousand times the option's."""
     problem, trajectory = way.problem, optimised.trajectory
     t = problem.space.t
@@ -278,8 +280,8 @@ def objective(way: Way, optimised: Optimised, *, of_stage: str) -> float:
 def test_the_optimum_is_that_of_slsqp(name: str) -> None:
     scene = short_scene(**SCENES[name])
     ways = {solver: way_of(scene, solver) for solver in ("sqp", "slsqp")}
-    assert isinstance(ways["sqp"].problem.family, LocalKnots)
-    assert not isinstance(ways["slsqp"].problem.family, LocalKnots)
+    assert isinstance(ways["sqp"].problem.family, Parametrization)
+    assert not isinstance(ways["slsqp"].problem.family, Parametrization)
     found = {solver: optimise(way.problem) for solver, way in ways.items()}
     stages = {solver: optimised.passes[-1].stage for solver, optimised in found.items()}
     assert stages["sqp"] == stages["slsqp"]
@@ -288,14 +290,14 @@ def test_the_optimum_is_that_of_slsqp(name: str) -> None:
     )
     # Where a smoother way to the same peak is found, so much the better.
     assert got <= expected * (1 + 1e-4)
-    setting = prepare(scene, scene.planner)
+    context = build_context(scene, scene.planner)
     certify(
-        setting.robot,
-        setting.task,
+        context.robot,
+        context.task,
         found["sqp"].trajectory,
         found["sqp"].via_points,
-        setting.clearances,
-        setting.options,
+        context.clearances,
+        context.options,
     ).require()
 
 

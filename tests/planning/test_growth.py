@@ -17,20 +17,20 @@ from cmbot.common.errors import SceneError
 from cmbot.common.extras import install_command
 from cmbot.optimization.exchange import optimise
 from cmbot.planning import plan, problem_size
-from cmbot.planning.context import Setting, prepare
-from cmbot.planning.initial_guess import sliding_way
-from cmbot.planning.precheck import examine_scene
+from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.initial_guess import sliding_guess
+from cmbot.planning.precheck import precheck_scene
 from cmbot.planning.problem_size import MOST_UNKNOWNS, oversized
 from cmbot.planning.selfmotion import charts as self_motion
-from cmbot.planning.selfmotion.dynamic_programming import WayThrough, edges
-from cmbot.planning.selfmotion.global_search import GlobalStage
-from cmbot.planning.selfmotion.graph_layer import ChartNodes
-from cmbot.planning.selfmotion.projection import Leaning, project
+from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges
+from cmbot.planning.selfmotion.global_search import GlobalSearch
+from cmbot.planning.selfmotion.graph_layer import GraphLayer
+from cmbot.planning.selfmotion.projection import TangentPredictor, project
 from cmbot.robot import Postures, Robot
 from cmbot.scene import Scene
 from cmbot.scene.speed_profile import SpeedProfile
 from cmbot.scene.tool_path import ToolPath, share_out_segments
-from cmbot.trajectory.local_basis import LocalSplines
+from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.spline_space import SplineSpace
 
 # Four times the via-points, and a tenth more for what the ends lack.
@@ -38,20 +38,20 @@ FEW, MANY, RATIO = 50, 200, 4.4
 
 
 @pytest.fixture(scope="module")
-def setting() -> Setting:
+def context() -> PlanningContext:
     scene = short_scene()
-    return prepare(scene, replace(scene.planner, knots="sliding"))
+    return build_context(scene, replace(scene.planner, knots="sliding"))
 
 
 @pytest.fixture(scope="module")
-def stage(setting: Setting) -> GlobalStage:
-    return GlobalStage(setting)
+def stage(context: PlanningContext) -> GlobalSearch:
+    return GlobalSearch(context)
 
 
 def test_matrices_grow_in_proportion(cmbot_robot: Robot) -> None:
     def entries(n: int) -> np.ndarray:
         space = SplineSpace(np.linspace(0.0, 0.4 * n, n))
-        local = LocalSplines(space, cmbot_robot.limits)
+        local = SparseSplines(space, cmbot_robot.limits)
         rows = local.rows(np.linspace(0.0, 0.4 * n, 10 * n))
         matrices = (space.basis, space.cardinal, space.jerk_gram, local.columns, local.gram)
         assert all(sparse.issparse(matrix) for matrix in matrices)
@@ -60,7 +60,7 @@ def test_matrices_grow_in_proportion(cmbot_robot: Robot) -> None:
     assert (entries(MANY) <= RATIO * entries(FEW)).all()
 
 
-def test_edges_grow_in_proportion_and_are_all_there_are(stage: GlobalStage) -> None:
+def test_edges_grow_in_proportion_and_are_all_there_are(stage: GlobalSearch) -> None:
     """Of postures that are not known to be inadmissible: the others lead nowhere."""
 
     def pairs(reachable: np.ndarray, before: np.ndarray, after: np.ndarray) -> set[tuple[int, int]]:
@@ -106,16 +106,16 @@ def test_the_best_way_is_the_same_when_all_clearances_are_looked_at(every: int) 
     """Near a post many postures of the best ways come too near, so several rounds are needed."""
     post = {"name": "post", "box": [0.1, 0.1, 1.5], "xyz": [1.25, 0.75, -1.8]}
     scene = short_scene(obstacles=[post])
-    setting = prepare(scene, replace(scene.planner, knots="sliding"))
-    stage = GlobalStage(setting)
+    context = build_context(scene, replace(scene.planner, knots="sliding"))
+    stage = GlobalSearch(context)
     starts = np.arange(len(stage._pinned)) % every == 0
 
-    def way(nodes: list[ChartNodes]) -> list[int]:
-        return WayThrough(setting, nodes, stage._edges, starts).best()
+    def way(nodes: list[GraphLayer]) -> list[int]:
+        return BottleneckDynamicProgram(context, nodes, stage._edges, starts).best()
 
     lazily = way(stage._nodes)
     eagerly = [
-        ChartNodes(node.chart, setting.clearances, setting.options.safety_margin_m) for node in stage._nodes
+        GraphLayer(node.chart, context.clearances, context.options.safety_margin_m) for node in stage._nodes
     ]
     for node in eagerly:
         node.look(node.admissible)
@@ -124,21 +124,21 @@ def test_the_best_way_is_the_same_when_all_clearances_are_looked_at(every: int) 
 
 
 def test_charts_evaluated_one_by_one_are_the_same(
-    stage: GlobalStage, setting: Setting, monkeypatch: pytest.MonkeyPatch
+    stage: GlobalSearch, context: PlanningContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     each = [node.chart.q for node in stage._nodes]
     monkeypatch.setattr(self_motion, "_TOGETHER", 1)
-    again = self_motion.charts_of(Postures(setting.robot), setting.robot.limits, setting.objective, each)
+    again = self_motion.charts_of(Postures(context.robot), context.robot.limits, context.objective, each)
     for node, chart in zip(stage._nodes, again, strict=True):
         np.testing.assert_allclose(chart.value, node.chart.value, rtol=1e-13)
         np.testing.assert_allclose(chart.joint_use, node.chart.joint_use, rtol=1e-11, atol=1e-12)
 
 
-def test_leaning_is_what_a_projection_does_first(stage: GlobalStage, setting: Setting) -> None:
-    postures, task = Postures(setting.robot), setting.task
-    points = task.path.position(setting.times)
+def test_leaning_is_what_a_projection_does_first(stage: GlobalSearch, context: PlanningContext) -> None:
+    postures, task = Postures(context.robot), context.task
+    points = task.path.position(context.times)
     q = stage._nodes[0].chart.q
-    leaning = Leaning.of(postures, task, q, points[0])
+    leaning = TangentPredictor.of(postures, task, q, points[0])
     first, _ = project(postures, task, q, points[1], steps=1)
     np.testing.assert_allclose(leaning.towards(points[1]), first, atol=1e-8)
 
@@ -148,7 +148,7 @@ def test_longer_paths_do_not_take_many_more_steps() -> None:
 
     def iterations(via_points: int) -> int:
         scene = growth.sweep(via_points)
-        optimised = optimise(sliding_way(prepare(scene, scene.planner)).problem)
+        optimised = optimise(sliding_guess(build_context(scene, scene.planner)).problem)
         return sum(report.iterations for report in optimised.passes)
 
     assert iterations(150) <= 2 * iterations(50) + 5
@@ -205,7 +205,7 @@ def test_slsqp_refuses_what_would_take_it_hours() -> None:
         SceneError, match=r"via_points: got 2000 with solver: slsqp.* at most 378, .*solver: sqp"
     ):
         plan(scene)
-    assert [found.key for found in examine_scene(scene).warnings] == ["tool_path.via_points"]
+    assert [found.key for found in precheck_scene(scene).warnings] == ["tool_path.via_points"]
 
 
 def test_how_many_via_points_are_too_many_for_slsqp() -> None:

@@ -8,10 +8,10 @@ import pytest
 from six_joint_arms import ur_scene
 
 from cmbot.common.errors import OptimisationFailed
-from cmbot.optimization.exchange import PassReport, optimise
+from cmbot.optimization.exchange import ExchangeReport, optimise
 from cmbot.planning import plan
-from cmbot.planning.context import prepare
-from cmbot.planning.initial_guess import sliding_way
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import sliding_guess
 
 PINNED = {"start": "pinned", "solver": "sqp"}
 
@@ -45,10 +45,10 @@ def test_an_arm_that_cannot_set_off_without_more_torque_than_at_rest(tmp_path: P
 def test_a_way_that_no_trajectory_follows_is_given_up_soon(tmp_path: Path) -> None:
     """Steps that turn round break accelerations, and no step of the solver does much about it."""
     scene = ur_scene(tmp_path, "ur5", *TURNING, **PINNED)
-    setting = prepare(scene, scene.planner)
-    reports: list[PassReport] = []
+    context = build_context(scene, scene.planner)
+    reports: list[ExchangeReport] = []
     with pytest.raises(OptimisationFailed, match="cannot all be met") as caught:
-        optimise(sliding_way(setting).problem, reports.append)
+        optimise(sliding_guess(context).problem, reports.append)
     assert "acceleration" in caught.value.constraint
     assert caught.value.violation > 1
     assert len(reports) <= 1

@@ -12,9 +12,9 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.common.errors import PathNotFound
 from cmbot.optimization.working_set import Violation
-from cmbot.planning import PassReport, Progress
+from cmbot.planning import ExchangeReport, Progress
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS
-from cmbot.planning.progress import Teller
+from cmbot.planning.progress import ProgressReporter
 
 
 class Clock:
@@ -38,13 +38,13 @@ def told() -> list[Progress]:
 
 
 @pytest.fixture
-def teller(clock: Clock, told: list[Progress]) -> Teller:
-    return Teller(told.append, clock)
+def reporter(clock: Clock, told: list[Progress]) -> ProgressReporter:
+    return ProgressReporter(told.append, clock)
 
 
-def a_pass(number: int) -> PassReport:
+def a_pass(number: int) -> ExchangeReport:
     worst = Violation("jerk of joint_1", 0.5)
-    return PassReport(
+    return ExchangeReport(
         stage="peak", number=number, iterations=3, constraints=9, peak_torque=380.0, worst=worst
     )
 
@@ -104,86 +104,90 @@ def test_a_wide_self_motion_is_charted_twice() -> None:
 def test_a_step_tells_of_its_parts(costs: list[float]) -> None:
     told: list[Progress] = []
     clock = Clock()
-    teller = Teller(told.append, clock)
-    teller.stage("path")
+    reporter = ProgressReporter(told.append, clock)
+    reporter.stage("path")
     for done, cost in enumerate(costs):
-        teller.part("doing it", done, len(costs))
+        reporter.part("doing it", done, len(costs))
         clock.now += cost
-    teller.part("doing it", len(costs), len(costs))
+    reporter.part("doing it", len(costs), len(costs))
     shares = [progress.share for progress in told if progress.step]
     assert shares == pytest.approx([k / len(costs) for k in range(len(costs) + 1)])
     assert told[-1].left is None
 
 
-def test_parts_of_equal_cost_are_foretold(clock: Clock, teller: Teller, told: list[Progress]) -> None:
-    teller.part("doing it", 0, 10)
+def test_parts_of_equal_cost_are_foretold(
+    clock: Clock, reporter: ProgressReporter, told: list[Progress]
+) -> None:
+    reporter.part("doing it", 0, 10)
     assert (told[-1].share, told[-1].left) == (0.0, None)
     for done in range(1, 10):
         clock.now += 3.0
-        teller.part("doing it", done, 10)
+        reporter.part("doing it", done, 10)
         left = told[-1].left
         assert left is not None
         assert left.seconds == pytest.approx(3.0 * (10 - done))
         assert not left.at_most
 
 
-def test_a_share_that_falls_is_not_told(clock: Clock, teller: Teller, told: list[Progress]) -> None:
+def test_a_share_that_falls_is_not_told(
+    clock: Clock, reporter: ProgressReporter, told: list[Progress]
+) -> None:
     for done in (0, 5, 1, 2, 6):
         clock.now += 1.0
-        teller.part("doing it", done, 10)
+        reporter.part("doing it", done, 10)
     assert [progress.share for progress in told] == [0.0, 0.5, 0.6]
 
 
-def test_many_small_parts_are_not_all_told(teller: Teller, told: list[Progress]) -> None:
+def test_many_small_parts_are_not_all_told(reporter: ProgressReporter, told: list[Progress]) -> None:
     for done in range(100_001):
-        teller.part("doing it", done, 100_000)
+        reporter.part("doing it", done, 100_000)
     assert 90 <= len(told) <= 102
     assert told[-1].share == 1.0
 
 
-def test_another_step_begins_anew(clock: Clock, teller: Teller, told: list[Progress]) -> None:
-    teller.stage("path", failed_starts=2)
-    teller.part("one", 1, 2)
+def test_another_step_begins_anew(clock: Clock, reporter: ProgressReporter, told: list[Progress]) -> None:
+    reporter.stage("path", failed_starts=2)
+    reporter.part("one", 1, 2)
     clock.now += 5.0
-    teller.part("other", 1, 4, at_most=True)
+    reporter.part("other", 1, 4, at_most=True)
     clock.now += 1.0
-    teller.part("other", 2, 4, at_most=True)
+    reporter.part("other", 2, 4, at_most=True)
     left = told[-1].left
     assert left is not None
     assert (left.seconds, left.at_most) == (pytest.approx(2.0), True)
     assert {progress.failed_starts for progress in told} == {2}
-    teller.step("the last")
+    reporter.step("the last")
     assert (told[-1].step, told[-1].share, told[-1].left) == ("the last", None, None)
 
 
-def test_things_are_told_as_their_turn_comes(teller: Teller, told: list[Progress]) -> None:
-    assert list(teller.each("each leg", ["a", "b", "c", "d"])) == ["a", "b", "c", "d"]
+def test_things_are_told_as_their_turn_comes(reporter: ProgressReporter, told: list[Progress]) -> None:
+    assert list(reporter.each("each leg", ["a", "b", "c", "d"])) == ["a", "b", "c", "d"]
     assert [progress.share for progress in told] == [0.0, 0.25, 0.5, 0.75, 1.0]
 
 
 def test_of_passes_it_is_known_how_many_there_are_at_most(
-    clock: Clock, teller: Teller, told: list[Progress]
+    clock: Clock, reporter: ProgressReporter, told: list[Progress]
 ) -> None:
-    teller.stage("optimise")
+    reporter.stage("optimise")
     for number, cost in ((1, 2.0), (2, 4.0)):
         clock.now += cost
-        teller.passed(a_pass(number), "Nm", 40)
+        reporter.passed(a_pass(number), "Nm", 40)
     left = told[-1].left
     assert left is not None
     assert left.sentence() == "at most 38 more passes, 3.0 s each"
     assert "pass 2 (peak): peak 380.00 Nm, jerk of joint_1 50.00% beyond its bound" in told[-1].sentence()
-    teller.passed(a_pass(40), "Nm", 40)
+    reporter.passed(a_pass(40), "Nm", 40)
     assert told[-1].left is None
 
 
 def test_a_round_of_compensation_costs_about_what_the_last_took(
-    clock: Clock, teller: Teller, told: list[Progress]
+    clock: Clock, reporter: ProgressReporter, told: list[Progress]
 ) -> None:
-    teller.stage("optimise")
+    reporter.stage("optimise")
     for rounds, costs in ((0, (1.0, 2.0)), (1, (2.0, 3.0)), (2, (1.0,))):
         for number, cost in enumerate(costs, start=1):
             clock.now += cost
-            teller.passed(a_pass(number), "Nm", 40, rounds=rounds, most_rounds=8)
+            reporter.passed(a_pass(number), "Nm", 40, rounds=rounds, most_rounds=8)
     found = [progress.left for progress in told if progress.rounds]
     assert [left and left.sentence() for left in found] == [
         "at most 8 more rounds, 3.0 s each",
@@ -194,7 +198,7 @@ def test_a_round_of_compensation_costs_about_what_the_last_took(
 
 
 def test_nobody_has_to_listen() -> None:
-    Teller().part("doing it", 1, 2)
+    ProgressReporter().part("doing it", 1, 2)
 
 
 def test_a_start_that_fails_is_told() -> None:

@@ -12,8 +12,8 @@ from small_scenes import short_scene
 
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.planning import plan, remarks
-from cmbot.planning.context import Setting, prepare
-from cmbot.planning.initial_guess import Way, fixed_way, sliding_way
+from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.retries import calmer_ways, followed, roughness
 from cmbot.scene import Scene
 
@@ -29,10 +29,10 @@ def rough_scene(start: str = "pinned") -> Scene:
 
 
 @pytest.fixture(scope="module")
-def rough() -> tuple[Setting, Way]:
+def rough() -> tuple[PlanningContext, InitialGuess]:
     scene = rough_scene()
-    setting = prepare(scene, scene.planner)
-    return setting, sliding_way(setting)
+    context = build_context(scene, scene.planner)
+    return context, sliding_guess(context)
 
 
 def turned_wrist(folder: Path, **planner: object) -> Scene:
@@ -41,25 +41,25 @@ def turned_wrist(folder: Path, **planner: object) -> Scene:
     return ur_scene(folder, "ur3", POSTURE, {"legs": legs, "via_points": 25}, **planner)
 
 
-def longest_step(way: Way) -> float:
+def longest_step(way: InitialGuess) -> float:
     return float(np.abs(np.diff(way.problem.family.via_points, axis=0)).max())
 
 
-def test_half_the_steps_from_the_same_charts(rough: tuple[Setting, Way]) -> None:
-    setting, way = rough
+def test_half_the_steps_from_the_same_charts(rough: tuple[PlanningContext, InitialGuess]) -> None:
+    context, way = rough
     assert way.stage is not None
-    assert way.stage.step_share == setting.options.step_share
+    assert way.stage.step_share == context.options.step_share
     half = way.stage.halved()
     assert half.step_share == 0.5 * way.stage.step_share
     assert half.floor is way.stage.floor
     # Shorter steps are some of the longer ones, and what was known before stays as it was.
     assert half.solve(pinned=True).peak >= way.stage.solve(pinned=True).peak
     np.testing.assert_array_equal(
-        sliding_way(setting).problem.family.via_points, way.problem.family.via_points
+        sliding_guess(context).problem.family.via_points, way.problem.family.via_points
     )
 
 
-def test_roughness_is_the_largest_share_of_any_bound(rough: tuple[Setting, Way]) -> None:
+def test_roughness_is_the_largest_share_of_any_bound(rough: tuple[PlanningContext, InitialGuess]) -> None:
     problem = rough[1].problem
     start = problem.trajectory(problem.family, problem.family.start)
     t = np.linspace(start.t[0], start.t[-1], 20001)
@@ -74,9 +74,9 @@ def test_roughness_is_the_largest_share_of_any_bound(rough: tuple[Setting, Way])
     assert roughness(problem) == pytest.approx(np.max(shares), rel=1e-3)
 
 
-def test_other_ways_are_few_and_each_is_calmer(rough: tuple[Setting, Way]) -> None:
-    setting, way = rough
-    found = list(calmer_ways(setting, way, FAILURE))
+def test_other_ways_are_few_and_each_is_calmer(rough: tuple[PlanningContext, InitialGuess]) -> None:
+    context, way = rough
+    found = list(calmer_ways(context, way, FAILURE))
     assert 1 <= len(found) <= 2
     for before, after in zip([way, *found], found, strict=False):
         assert roughness(after.problem) <= 0.9 * roughness(before.problem)
@@ -91,43 +91,45 @@ def test_other_ways_are_few_and_each_is_calmer(rough: tuple[Setting, Way]) -> No
 
 def test_with_fixed_knots_there_is_no_other_way() -> None:
     scene = short_scene()
-    setting = prepare(scene, scene.planner)
-    assert not list(calmer_ways(setting, fixed_way(setting, lambda _: None), FAILURE))
+    context = build_context(scene, scene.planner)
+    assert not list(calmer_ways(context, fixed_guess(context, lambda _: None), FAILURE))
 
 
-def test_a_way_that_is_followed_is_kept(rough: tuple[Setting, Way]) -> None:
-    setting, way = rough
-    assert followed(setting, way, longest_step) == (way, longest_step(way))
+def test_a_way_that_is_followed_is_kept(rough: tuple[PlanningContext, InitialGuess]) -> None:
+    context, way = rough
+    assert followed(context, way, longest_step) == (way, longest_step(way))
 
 
-def test_the_first_calmer_way_that_is_followed_is_taken(rough: tuple[Setting, Way]) -> None:
-    setting, way = rough
-    tried: list[Way] = []
+def test_the_first_calmer_way_that_is_followed_is_taken(rough: tuple[PlanningContext, InitialGuess]) -> None:
+    context, way = rough
+    tried: list[InitialGuess] = []
 
-    def work(some: Way) -> int:
+    def work(some: InitialGuess) -> int:
         tried.append(some)
         if some is way:
             raise FAILURE
         return len(tried)
 
-    calmer, done = followed(setting, way, work)
+    calmer, done = followed(context, way, work)
     assert done == 2
     assert tried == [way, calmer]
 
 
-def test_where_none_is_followed_the_first_failure_is_told(rough: tuple[Setting, Way]) -> None:
-    setting, way = rough
+def test_where_none_is_followed_the_first_failure_is_told(
+    rough: tuple[PlanningContext, InitialGuess],
+) -> None:
+    context, way = rough
     other = OptimisationFailed("neither", constraint="velocity of joint_1", violation=2.0)
-    tried: list[Way] = []
+    tried: list[InitialGuess] = []
 
-    def work(some: Way) -> int:
+    def work(some: InitialGuess) -> int:
         tried.append(some)
         raise FAILURE if some is way else other
 
     with pytest.raises(OptimisationFailed) as caught:
-        followed(setting, way, work)
+        followed(context, way, work)
     assert caught.value is FAILURE
-    assert len(tried) == 1 + len(list(calmer_ways(setting, way, FAILURE)))
+    assert len(tried) == 1 + len(list(calmer_ways(context, way, FAILURE)))
 
 
 @pytest.mark.parametrize(("start", "expected"), [("free", UNREACHED), ("pinned", FAILURE)])
@@ -136,15 +138,15 @@ def test_an_approach_that_fails_is_told_where_the_start_may_be_given_up(
 ) -> None:
     monkeypatch.setattr("cmbot.planning.retries._CALMER", np.inf)
     scene = rough_scene(start)
-    setting = prepare(scene, replace(scene.planner, gap_target=0.0))
-    way = sliding_way(setting)
-    assert [0 in other.resting for other in calmer_ways(setting, way, FAILURE)] == 2 * [start == "pinned"]
+    context = build_context(scene, replace(scene.planner, gap_target=0.0))
+    way = sliding_guess(context)
+    assert [0 in other.resting for other in calmer_ways(context, way, FAILURE)] == 2 * [start == "pinned"]
 
-    def work(some: Way) -> int:
+    def work(some: InitialGuess) -> int:
         raise FAILURE if some is way else UNREACHED
 
     with pytest.raises(type(expected)) as caught:
-        followed(setting, way, work)
+        followed(context, way, work)
     assert caught.value is expected
 
 

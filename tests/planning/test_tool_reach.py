@@ -5,7 +5,7 @@ import pytest
 from small_scenes import parts, short_scene
 
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import examine_scene, plan
+from cmbot.planning import plan, precheck_scene
 from cmbot.planning.progress import Progress
 from cmbot.planning.tool_reach import beyond_reach
 
@@ -38,7 +38,7 @@ def test_the_planner_names_the_leg_before_it_searches(knots: str) -> None:
     with pytest.raises(PathNotFound) as caught:
         plan(scene, progress=told.append)
     assert not any("postures" in progress.step for progress in told)
-    (warning,) = (w for w in examine_scene(scene).warnings if w.key.startswith("tool_path"))
+    (warning,) = (w for w in precheck_scene(scene).warnings if w.key.startswith("tool_path"))
     (leg,) = beyond_reach(robot, task.path)
     assert caught.value.reason.startswith(f"{warning.key} ends {leg.distance:.3f} m from the arm's")
     assert f"{leg.distance - leg.reach:.3f} m out of reach" in caught.value.reason

@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import FloatArray, States
+from conftest import FloatArray, StateSamples
 from finite_differences import check_derivative, finite_difference
 from oracles import newton_euler
 
@@ -33,7 +33,7 @@ def with_gravity(robot: Robot, gravity: FloatArray) -> Robot:
 
 
 def test_efforts_are_the_papers_recursion(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
 ) -> None:
     q, v, a = random_states(cmbot_robot, 100_000)
     tau, n_0, f_0 = newton_euler.efforts(q, v, a)
@@ -48,7 +48,7 @@ def test_efforts_are_the_papers_recursion(
 
 
 def test_joint_torque_is_mass_matrix_coriolis_and_gravity(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
 ) -> None:
     """Chang 2021, Eq. (14)."""
     q, v, a = random_states(cmbot_robot, 1000)
@@ -103,7 +103,7 @@ def test_wrench_is_the_change_of_momentum(cmbot_robot: Robot, cmbot_dynamics: Dy
 
 
 def test_at_rest_the_force_is_the_weight_and_the_torque_its_lever(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
 ) -> None:
     q, _, _ = random_states(cmbot_robot, 2000)
     got = cmbot_dynamics.static_efforts(q)
@@ -121,7 +121,7 @@ def test_static_torque_of_the_start_posture(cmbot_dynamics: Dynamics) -> None:
 
 @pytest.mark.parametrize("factor", [0.0, 0.5, -2.0])
 def test_static_efforts_scale_with_gravity(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States, factor: float
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples, factor: float
 ) -> None:
     q, _, _ = random_states(cmbot_robot, 50)
     normal = cmbot_dynamics.static_efforts(q)
@@ -132,7 +132,7 @@ def test_static_efforts_scale_with_gravity(
 
 
 def test_efforts_of_a_motion_differ_from_rest_by_a_part_free_of_gravity(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
 ) -> None:
     q, v, a = random_states(cmbot_robot, 50)
     floating = Dynamics(with_gravity(cmbot_robot, np.zeros(3))).efforts(q, v, a)
@@ -165,14 +165,16 @@ def test_payload_is_a_point_mass_at_the_tool(cmbot_dynamics: Dynamics, cmbot_kin
         np.testing.assert_allclose(extra[0], -J[:3].T @ force, atol=1e-7)
 
 
-def test_tool_length_has_no_mass(cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States) -> None:
+def test_tool_length_has_no_mass(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
+) -> None:
     states = random_states(cmbot_robot, 50)
     longer = Dynamics(load_robot("cmbot", tool_length=0.6)).efforts(*states)
     np.testing.assert_array_equal(longer.guardrail_torque, cmbot_dynamics.efforts(*states).guardrail_torque)
 
 
 def test_derivatives_are_those_of_the_efforts(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
 ) -> None:
     q, v, a = random_states(cmbot_robot, 60)
     got = cmbot_dynamics.derivatives(q, v, a)
@@ -191,7 +193,7 @@ def test_derivatives_are_those_of_the_efforts(
 
 
 def test_derivative_to_acceleration_is_the_mass_matrix(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
 ) -> None:
     states = random_states(cmbot_robot, 200)
     M = cmbot_dynamics.derivatives(*states).d_a[:, 3:]
@@ -200,7 +202,7 @@ def test_derivative_to_acceleration_is_the_mass_matrix(
 
 
 def test_results_do_not_alias_working_memory(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: States
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
 ) -> None:
     q, v, a = random_states(cmbot_robot, 2)
     first = cmbot_dynamics.derivatives(q[:1], v[:1], a[:1])

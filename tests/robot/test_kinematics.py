@@ -3,7 +3,7 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import States
+from conftest import StateSamples
 from finite_differences import check_derivative, finite_difference
 from hypothesis import given
 from hypothesis import strategies as st
@@ -15,7 +15,7 @@ ANGLES = st.lists(st.floats(-2.2, 2.2), min_size=7, max_size=7).map(np.array)
 
 
 def test_tool_poses_are_the_papers(
-    cmbot_robot: Robot, cmbot_kinematics: Kinematics, random_states: States
+    cmbot_robot: Robot, cmbot_kinematics: Kinematics, random_states: StateSamples
 ) -> None:
     """Chang 2021, Eqs. (1)-(3)."""
     q, _, _ = random_states(cmbot_robot, 20_000)
@@ -97,7 +97,7 @@ def test_results_do_not_alias_working_memory(cmbot_kinematics: Kinematics) -> No
 
 
 def test_no_posture_exceeds_the_reach(
-    cmbot_robot: Robot, cmbot_kinematics: Kinematics, random_states: States
+    cmbot_robot: Robot, cmbot_kinematics: Kinematics, random_states: StateSamples
 ) -> None:
     q, *_ = random_states(cmbot_robot, 200)
     distances = np.linalg.norm(cmbot_kinematics.tool_poses(q)[0] - cmbot_robot.base_point, axis=1)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import States
+from conftest import StateSamples
 from robot_files import load_copy, pose, replace
 
 from cmbot.common.errors import ModelError
@@ -20,7 +20,7 @@ def shape_poses(robot: Robot, q: np.ndarray) -> list[Any]:
     return [X.copy() for X in data.oMg]
 
 
-def test_mount_of_the_urdf_changes_nothing(cmbot_robot: Robot, random_states: States) -> None:
+def test_mount_of_the_urdf_changes_nothing(cmbot_robot: Robot, random_states: StateSamples) -> None:
     mounted = load_robot("cmbot", mount=pose((np.pi, 0, 0), (0, 0.5, 0)).homogeneous)
     states = random_states(cmbot_robot, 20)
     got, expected = Dynamics(mounted).efforts(*states), Dynamics(cmbot_robot).efforts(*states)
@@ -30,7 +30,7 @@ def test_mount_of_the_urdf_changes_nothing(cmbot_robot: Robot, random_states: St
 
 @pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.7), (0.4, -0.8, 0.3)])
 def test_mount_moves_everything_rigidly(
-    cmbot_robot: Robot, random_states: States, rpy: tuple[float, float, float]
+    cmbot_robot: Robot, random_states: StateSamples, rpy: tuple[float, float, float]
 ) -> None:
     X_WB = pose((np.pi, 0, 0), (0, 0.5, 0))
     moved = pose(rpy, (0.3, -0.2, 0.5))  # of the whole robot
@@ -63,7 +63,7 @@ def _wrenches(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray, with_we
     return wrench - (0 if with_weight else np.hstack([still.guardrail_force, still.guardrail_torque]))
 
 
-def test_derivatives_follow_the_mount(random_states: States) -> None:
+def test_derivatives_follow_the_mount(random_states: StateSamples) -> None:
     mounted = load_robot("cmbot", mount=pose((0.4, -0.8, 0.3), (1, 2, 3)).homogeneous, payload=3.0)
     states = random_states(mounted, 20)
     dynamics = Dynamics(mounted)
@@ -91,7 +91,7 @@ def test_mount_that_is_no_pose(mount: Any) -> None:
 
 
 @pytest.mark.parametrize("length", [0.02, 0.05, 0.3, 0.45])
-def test_tool_length(cmbot_robot: Robot, random_states: States, length: float) -> None:
+def test_tool_length(cmbot_robot: Robot, random_states: StateSamples, length: float) -> None:
     robot = load_robot("cmbot", tool_length=length)
     q, _, _ = random_states(cmbot_robot, 5)
     p, R = Kinematics(robot).tool_poses(q)
@@ -157,7 +157,9 @@ def test_payload_that_is_no_mass(payload: float) -> None:
         load_robot("cmbot", payload=payload)
 
 
-def test_joint_called_guardrail(urdf_folder: Path, cmbot_dynamics: Dynamics, random_states: States) -> None:
+def test_joint_called_guardrail(
+    urdf_folder: Path, cmbot_dynamics: Dynamics, random_states: StateSamples
+) -> None:
     """The robot's names do not meet that of the free-flyer below it."""
     for name, old in (("cmbot.urdf", '"joint_3"'), ("joint_limits.yaml", "joint_3:")):
         replace(urdf_folder / name, old, old.replace("joint_3", "guardrail"))

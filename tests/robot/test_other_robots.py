@@ -8,7 +8,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 import pytest
-from conftest import States
+from conftest import StateSamples
 from finite_differences import check_derivative
 from scipy.spatial import ConvexHull
 
@@ -76,7 +76,7 @@ def test_continuous_joints_have_one_coordinate_and_no_range(kinova: Robot) -> No
     np.testing.assert_allclose(poses[0], poses[1], rtol=0, atol=1e-12)
 
 
-def test_kinova_is_the_reference_model(kinova: Robot, random_states: States) -> None:
+def test_kinova_is_the_reference_model(kinova: Robot, random_states: StateSamples) -> None:
     """Continuous joints as unit circles, as pinocchio reads them."""
     reference = pin.buildModelFromUrdf(str(KINOVA))
     data = reference.createData()
@@ -88,7 +88,7 @@ def test_kinova_is_the_reference_model(kinova: Robot, random_states: States) -> 
         np.testing.assert_allclose(got[k], expected, rtol=0, atol=1e-11)
 
 
-def test_derivatives(robot: Robot, random_states: States) -> None:
+def test_derivatives(robot: Robot, random_states: StateSamples) -> None:
     q, v, a = random_states(robot, 5)
     dynamics, kinematics = Dynamics(robot), Kinematics(robot)
     got = dynamics.derivatives(q, v, a)

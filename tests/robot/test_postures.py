@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from tests.finite_differences import check_derivative
+from finite_differences import check_derivative
 
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot, load_robot
 

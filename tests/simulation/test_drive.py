@@ -8,7 +8,7 @@ from finite_differences import FloatArray
 
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan, QuinticTrajectory
-from cmbot.simulation.drive import Drive, drive_along, drive_through, held
+from cmbot.simulation.drive import PrescribedMotion, drive_along, drive_through, held
 
 
 @pytest.fixture
@@ -18,7 +18,7 @@ def trajectory(rng: np.random.Generator) -> QuinticTrajectory:
     return QuinticTrajectory(t=t, q=q, v=v, a=a)
 
 
-def assert_consistent(drive: Drive, times: FloatArray) -> None:
+def assert_consistent(drive: PrescribedMotion, times: FloatArray) -> None:
     """Rates and accelerations are the derivatives of the positions."""
     h = 1e-5
     q, v, a = drive.states(times)

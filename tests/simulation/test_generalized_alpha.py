@@ -23,7 +23,7 @@ from small_systems import (
 )
 
 from cmbot.common.errors import CmbotError, SimulationDiverged
-from cmbot.simulation.drive import Drive, held
+from cmbot.simulation.drive import PrescribedMotion, held
 from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha
 from cmbot.simulation.system import ElasticSystem
 
@@ -77,7 +77,7 @@ def test_the_equation_of_motion_holds_at_every_step() -> None:
 
 
 def states(
-    system: ElasticSystem, drive: Drive, motion: ElasticMotion
+    system: ElasticSystem, drive: PrescribedMotion, motion: ElasticMotion
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """All coordinates, rates and accelerations, (N, n)."""
     joints = drive.states(motion.t)
@@ -217,8 +217,8 @@ def test_the_spectral_radius_is_what_is_left_of_the_infinitely_fast(rho_inf: flo
 def test_where_the_acceleration_jumps_the_step_ends() -> None:
     """A cart pulled by a pendulum that sets off, and stops, with full acceleration."""
     system = pendulum_on_a_cart()
-    off = Drive(PPoly(np.array([[[0.5]], [[0.0]], [[0.0]]]), np.array([0.0, 0.7])))
-    on = Drive(PPoly(np.array([[[-0.5]], [[0.7]], [[0.245]]]), np.array([0.0, 0.7])))
+    off = PrescribedMotion(PPoly(np.array([[[0.5]], [[0.0]], [[0.0]]]), np.array([0.0, 0.7])))
+    on = PrescribedMotion(PPoly(np.array([[[-0.5]], [[0.7]], [[0.245]]]), np.array([0.0, 0.7])))
     ends = []
     for step in (0.004, 0.002, 0.001):
         integrator = GeneralizedAlpha(system, step=step, rho_inf=0.8, corrections=2)

@@ -13,7 +13,7 @@ from cmbot.elastic.arm import ElasticOptions, elastic_arm
 from cmbot.elastic.base import ElasticBase
 from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
-from cmbot.simulation.drive import Drive, drive_through
+from cmbot.simulation.drive import PrescribedMotion, drive_through
 from cmbot.simulation.generalized_alpha import GeneralizedAlpha
 from cmbot.simulation.system import ElasticSystem
 
@@ -55,14 +55,14 @@ def base() -> ElasticBase:
 
 
 @pytest.fixture(scope="module")
-def drive() -> Drive:
+def drive() -> PrescribedMotion:
     t = np.linspace(0.0, 2.0, 41)
     out_and_back = np.sin(np.pi * t / 2.0) ** 2
     return drive_through(t, np.column_stack([0.3 + 0.3 * out_and_back, -0.4 + 0.8 * out_and_back]))
 
 
 @pytest.fixture(scope="module")
-def theirs(robot: Robot, base: ElasticBase, drive: Drive) -> FloatArray:
+def theirs(robot: Robot, base: ElasticBase, drive: PrescribedMotion) -> FloatArray:
     carrier = robot.model.inertias[0]
     com = carrier.lever
     about = carrier.inertia + carrier.mass * (com @ com * np.eye(3) - np.outer(com, com))
@@ -83,7 +83,7 @@ def theirs(robot: Robot, base: ElasticBase, drive: Drive) -> FloatArray:
     return simulate(arm, drive, elements=16, step=1e-3, every=round(OUTPUT / 1e-3))
 
 
-def ours(robot: Robot, base: ElasticBase, drive: Drive, segments: int) -> FloatArray:
+def ours(robot: Robot, base: ElasticBase, drive: PrescribedMotion, segments: int) -> FloatArray:
     arm = elastic_arm(robot, base, ElasticOptions(segments=segments))
     start = Sag(arm).at(drive.states([0.0])[0]).u[0]
     system = ElasticSystem.of(arm, np.zeros_like(arm.stiffness))
@@ -97,7 +97,7 @@ def ours(robot: Robot, base: ElasticBase, drive: Drive, segments: int) -> FloatA
 # Newer Exudyn has other names for much of what older ones know.
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
 def test_exudyn_moves_the_tool_alike(
-    robot: Robot, base: ElasticBase, drive: Drive, theirs: FloatArray
+    robot: Robot, base: ElasticBase, drive: PrescribedMotion, theirs: FloatArray
 ) -> None:
     """Undamped: within 0.05 mm of a vibration of 10 mm; the more segments, the nearer."""
     apart = []

@@ -15,9 +15,9 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.elastic.tool_sag import ToolSag
-from cmbot.optimization.exchange import Optimised, PassReport, optimise
-from cmbot.planning.context import Setting
-from cmbot.planning.initial_guess import Way, shifted_problem
+from cmbot.optimization.exchange import ExchangeReport, Optimised, optimise
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.scene.tool_path import ShiftedToolPath
 
@@ -54,24 +54,24 @@ class Compensation:
 
 
 def compensate(
-    setting: Setting,
-    way: Way,
+    context: PlanningContext,
+    way: InitialGuess,
     optimised: Optimised,
     sag: ToolSag,
-    progress: Callable[[PassReport, int], None] | None = None,
+    progress: Callable[[ExchangeReport, int], None] | None = None,
 ) -> tuple[Optimised, Compensation, TorqueProblem]:
     """Optimise again and again along the path shifted by the sag of the trajectory before.
 
     Parameters
     ----------
-    setting : Setting
-    way : Way
+    setting : PlanningContext
+    way : InitialGuess
         What `optimised` came from.
     optimised : Optimised
         Without compensation.
     sag : ToolSag
     progress : callable, optional
-        Called with a `PassReport` and the number of the round, from 1, after every pass.
+        Called with a `ExchangeReport` and the number of the round, from 1, after every pass.
 
     Returns
     -------
@@ -87,10 +87,10 @@ def compensate(
     OptimisationFailed
         When a round finds no trajectory, or the shift does not settle.
     """
-    allowed = setting.options.max_tool_deviation_m
-    options = replace(setting.options, max_tool_deviation_m=_LEFT * allowed)
-    times = np.linspace(setting.times[:-1], setting.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
-    times = np.append(times.ravel(), setting.times[-1])
+    allowed = context.options.max_tool_deviation_m
+    options = replace(context.options, max_tool_deviation_m=_LEFT * allowed)
+    times = np.linspace(context.times[:-1], context.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
+    times = np.append(times.ravel(), context.times[-1])
     shift, problem = np.zeros((len(times), 3)), way.problem
     for rounds in range(MOST_ROUNDS + 1):
         wanted = -sag.at(optimised.trajectory.evaluate(times))
@@ -102,8 +102,8 @@ def compensate(
         if rounds == MOST_ROUNDS:
             break
         shift = wanted
-        task = replace(setting.task, path=_shifted(setting, times, shift))
-        around = replace(setting, task=task, options=options)
+        task = replace(context.task, path=_shifted(context, times, shift))
+        around = replace(context, task=task, options=options)
         problem = shifted_problem(around, way, optimised.via_points)
         optimised = optimise(problem, partial(_tell, progress, rounds + 1))
     raise OptimisationFailed(
@@ -113,16 +113,18 @@ def compensate(
     )
 
 
-def _tell(progress: Callable[[PassReport, int], None] | None, rounds: int, report: PassReport) -> None:
+def _tell(
+    progress: Callable[[ExchangeReport, int], None] | None, rounds: int, report: ExchangeReport
+) -> None:
     if progress is not None:
         progress(report, rounds)
 
 
-def _shifted(setting: Setting, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:
+def _shifted(context: PlanningContext, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:
     # Few plans have use for it, and it takes a while to come.
     from scipy.interpolate import CubicSpline
 
-    path = setting.task.path
+    path = context.task.path
     return ShiftedToolPath(
         corners=path.corners,
         orientation=path.orientation,

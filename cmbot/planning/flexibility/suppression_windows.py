@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cmbot.common.arrays import FloatArray
-from cmbot.optimization.least_distance import LeastChange, least_change
+from cmbot.optimization.least_distance import LeastChange, least_distance
 from cmbot.planning.flexibility.leg_vibration import LegVibration
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -114,7 +114,9 @@ class QuietWindow:
             return None
         own = rows[:, (self.numbers[:, None] * d + np.arange(d)).ravel()].toarray()
         E = self._whitened(np.stack(self._conditions))
-        found = least_change(E, -np.concatenate(self._vibration), self._whitened(own.reshape(-1, s, d)), room)
+        found = least_distance(
+            E, -np.concatenate(self._vibration), self._whitened(own.reshape(-1, s, d)), room
+        )
         if found is None:
             return None
         X = linalg.solve_triangular(self._factor, found.x.reshape(s, d), lower=True, trans="T") * self._jerk

@@ -24,14 +24,14 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.optimization.exchange import Optimised
 from cmbot.optimization.working_set import WorkingSet, bound_values
-from cmbot.planning.context import Setting
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.flexibility.leg_vibration import LegVibration
 from cmbot.planning.flexibility.suppression_windows import QuietWindow, legs_by_window, slopes
-from cmbot.planning.torque.constraints import States, ToolDeviation
+from cmbot.planning.torque.constraints import StateSamples, ToolDeviation
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["Quieting", "quiet"]
+__all__ = ["VibrationSuppression", "quiet"]
 
 # Times that a change is worked out anew, and sites of a constraint that are added each time for each window,
 # at most.
@@ -43,7 +43,7 @@ _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Quieting:
+class VibrationSuppression:
     """What was done about the vibration.
 
     Attributes
@@ -70,13 +70,13 @@ class Quieting:
 
 
 def quiet(
-    setting: Setting, arm: ElasticArm, problem: TorqueProblem, optimised: Optimised
-) -> tuple[Optimised, Quieting]:
+    context: PlanningContext, arm: ElasticArm, problem: TorqueProblem, optimised: Optimised
+) -> tuple[Optimised, VibrationSuppression]:
     """Bring the first elastic modes to rest at the ends of the legs.
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
     arm : ElasticArm
     problem : TorqueProblem
         Whose bounds the trajectory keeps, and goes on keeping.
@@ -86,21 +86,21 @@ def quiet(
     -------
     optimised : Optimised
         With the changed trajectory; what it was, where no change keeps the bounds.
-    quieting : Quieting
+    quieting : VibrationSuppression
     """
-    trajectory, modes, t = optimised.trajectory, setting.options.quiet_modes, problem.space.t
-    groups = legs_by_window(problem.space, setting.task.path.leg_times)
+    trajectory, modes, t = optimised.trajectory, context.options.quiet_modes, problem.space.t
+    groups = legs_by_window(problem.space, context.task.path.leg_times)
     windows = [QuietWindow(problem, group) for group in groups]
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
-    for window, (first, last) in setting.teller.each("foreseeing the vibration of every leg", ends):
+    for window, (first, last) in context.reporter.each("foreseeing the vibration of every leg", ends):
         leg = LegVibration(arm, trajectory, t[first], t[last], modes)
         window.bring_to_rest(leg, trajectory)
-    setting.teller.step("bringing the slowest vibrations to rest")
+    context.reporter.step("bringing the slowest vibrations to rest")
     changed, shares = _Search(problem, trajectory, windows).changed()
     before, after = (leg.tool_amplitude(leg.vibration(x)) for x in (trajectory, changed))
     return (
         replace(optimised, trajectory=changed),
-        Quieting(
+        VibrationSuppression(
             modes=modes,
             shares=tuple(share for share, group in zip(shares, groups, strict=True) for _ in group),
             before=before,
@@ -199,7 +199,7 @@ class _Search:
         when, values, rows = [np.empty(0)], [np.empty(0)], [sparse.csr_array((0, space.dimension * d))]
         for number, (function, times, component) in enumerate(self._working.state_sites()):
             if len(times):
-                states = States(times, *here.states(times))
+                states = StateSamples(times, *here.states(times))
                 faces = function.faces(states) if isinstance(function, ToolDeviation) else ()
                 for at in (function.linearise(states, component), *faces):
                     parts = enumerate((at.d_q, at.d_v, at.d_a))

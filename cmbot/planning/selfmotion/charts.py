@@ -16,12 +16,12 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.selfmotion.poisson_disk import Crowds
-from cmbot.planning.selfmotion.projection import Leaning, null_spaces, project
+from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
+from cmbot.planning.selfmotion.projection import TangentPredictor, null_spaces, project
 from cmbot.planning.torque.objectives import Objective
 from cmbot.robot import JointLimits, Postures
 
-__all__ = ["Chart", "ChartMaker", "charts_of"]
+__all__ = ["Chart", "SelfMotionSampler", "charts_of"]
 
 # Newton steps that put random postures onto the task.
 _MANY_STEPS = 40
@@ -80,7 +80,7 @@ def charts_of(
     return charts
 
 
-class ChartMaker:
+class SelfMotionSampler:
     """Makes charts along one tool path.
 
     Parameters
@@ -178,10 +178,10 @@ class ChartMaker:
             tell(len(charts), len(points))
         return [charts[k] for k in range(len(points))]
 
-    def _leaning(self, q: FloatArray, point: FloatArray) -> Leaning:
-        return Leaning.of(self._postures, self._task, q, point)
+    def _leaning(self, q: FloatArray, point: FloatArray) -> TangentPredictor:
+        return TangentPredictor.of(self._postures, self._task, q, point)
 
-    def _carried(self, known: Sequence[Sequence[Leaning]], points: FloatArray) -> list[FloatArray]:
+    def _carried(self, known: Sequence[Sequence[TangentPredictor]], points: FloatArray) -> list[FloatArray]:
         """Grow charts at `points` (k, 3), each from the `known` ones beside it, the nearer first."""
         crowds = self._crowds(len(points))
         for charts in zip(*known, strict=True):
@@ -200,10 +200,10 @@ class ChartMaker:
     def _charts(self, each: Sequence[FloatArray]) -> list[Chart]:
         return charts_of(self._postures, self._limits, self._objective, each)
 
-    def _crowds(self, number: int) -> Crowds:
-        return Crowds(number, _APART * self.spacing, self._round)
+    def _crowds(self, number: int) -> PoissonDiskSets:
+        return PoissonDiskSets(number, _APART * self.spacing, self._round)
 
-    def _grown(self, crowds: Crowds, points: FloatArray) -> list[FloatArray]:
+    def _grown(self, crowds: PoissonDiskSets, points: FloatArray) -> list[FloatArray]:
         """Grow charts at `points` (k, 3) from postures on the task until they have nowhere to grow."""
         frontier = _Postures.of_each(crowds.postures)
         while len(frontier.q):
@@ -215,12 +215,12 @@ class ChartMaker:
             frontier = self._place(some[crowds.far(some.q, some.of)], points, crowds)
         return crowds.postures
 
-    def _place(self, some: _Postures, points: FloatArray, crowds: Crowds) -> _Postures:
+    def _place(self, some: _Postures, points: FloatArray, crowds: PoissonDiskSets) -> _Postures:
         """Put postures onto the task at their points and take in what is apart there; return that."""
         placed, reached = project(self._postures, self._task, some.q, points[some.of])
         return self._take(_Postures(placed[reached], some.of[reached]), crowds)
 
-    def _take(self, some: _Postures, crowds: Crowds) -> _Postures:
+    def _take(self, some: _Postures, crowds: PoissonDiskSets) -> _Postures:
         """Take in what is in the chart's range and apart from others; return that."""
         q = np.where(self._round, (some.q + np.pi) % (2 * np.pi) - np.pi, some.q)
         some = _Postures(q, some.of)[np.all((q >= self._lower) & (q <= self._upper), axis=1)]

@@ -10,11 +10,11 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import Setting
-from cmbot.planning.selfmotion.graph_layer import ChartNodes
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.selfmotion.graph_layer import GraphLayer
 from cmbot.robot import Kinematics
 
-__all__ = ["Edges", "WayThrough", "blocked", "edges", "edges_between", "nearest_turn"]
+__all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_between", "nearest_turn"]
 
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.
@@ -92,7 +92,7 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray
     return Edges(before[order], after[order], (moves[order] ** 2).sum(axis=1), len(q_b))
 
 
-def edges_between(before: ChartNodes, after: ChartNodes, step: FloatArray, endless: BoolArray) -> Edges:
+def edges_between(before: GraphLayer, after: GraphLayer, step: FloatArray, endless: BoolArray) -> Edges:
     """Find which nodes of one via-point can follow which of the one before; see `edges`.
 
     Those that are known to be inadmissible lead nowhere.
@@ -117,11 +117,11 @@ def nearest_turn(angle: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class WayThrough:
+class BottleneckDynamicProgram:
     """Dynamic programming over the nodes of all via-points."""
 
-    setting: Setting
-    nodes: list[ChartNodes]
+    context: PlanningContext
+    nodes: list[GraphLayer]
     edges: list[Edges]
     starts: BoolArray
 
@@ -147,12 +147,12 @@ class WayThrough:
         first = self.nodes[0]
         reached = np.where(first.admissible & self.starts, first.chart.value, np.inf)
         if not np.isfinite(reached).any():
-            raise blocked(self.setting, self.nodes, 0)
+            raise blocked(self.context, self.nodes, 0)
         for k, (node, edge) in enumerate(zip(self.nodes[1:], self.edges, strict=True), start=1):
             before = edge.least(reached[edge.before])
             reached = np.where(node.admissible, np.maximum(before, node.chart.value), np.inf)
             if not np.isfinite(reached).any():
-                raise blocked(self.setting, self.nodes, k)
+                raise blocked(self.context, self.nodes, k)
         return float(reached.min())
 
     def _smallest_squares(self, peak: float) -> list[int]:
@@ -182,9 +182,9 @@ def _neighbourhood(some: list[int], around: int, number: int) -> IntArray:
     return np.flatnonzero(near)
 
 
-def blocked(setting: Setting, nodes: list[ChartNodes], k: int) -> PathNotFound:
+def blocked(context: PlanningContext, nodes: list[GraphLayer], k: int) -> PathNotFound:
     """Say at which via-point the sequence ends, and what excluded most postures there."""
-    task, times = setting.task, setting.times
+    task, times = context.task, context.times
     node = nodes[k]
     if not node.chart.within.any():
         why = (
@@ -209,7 +209,7 @@ def blocked(setting: Setting, nodes: list[ChartNodes], k: int) -> PathNotFound:
             "give the leg more seconds"
         )
     q = node.chart.q[:1] if len(node.chart.q) else nodes[k - 1].chart.q[:1]
-    X_WT, J = Kinematics(setting.robot).tool_jacobian(q[0])
+    X_WT, J = Kinematics(context.robot).tool_jacobian(q[0])
     return PathNotFound(
         f"via-point {k + 1} of {len(nodes)} is blocked: {why}",
         time=float(times[k]),

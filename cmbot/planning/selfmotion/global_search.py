@@ -16,17 +16,21 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import Setting
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.initial_postures import no_start_left
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.selfmotion.charts import Chart, ChartMaker, charts_of
-from cmbot.planning.selfmotion.dynamic_programming import WayThrough, edges_between, nearest_turn
-from cmbot.planning.selfmotion.graph_layer import ChartNodes
-from cmbot.planning.selfmotion.lower_bound import find_floor
+from cmbot.planning.selfmotion.charts import Chart, SelfMotionSampler, charts_of
+from cmbot.planning.selfmotion.dynamic_programming import (
+    BottleneckDynamicProgram,
+    edges_between,
+    nearest_turn,
+)
+from cmbot.planning.selfmotion.graph_layer import GraphLayer
+from cmbot.planning.selfmotion.lower_bound import find_lower_bound
 from cmbot.planning.selfmotion.refinement import refined, ways_beside
 from cmbot.robot import Postures
 
-__all__ = ["GlobalSolution", "GlobalStage"]
+__all__ = ["GlobalSearch", "GlobalSolution"]
 
 # Two postures nearer than this in every joint are one, rad.
 _SAME_POSTURE = 1e-9
@@ -54,12 +58,12 @@ class GlobalSolution:
         return float(self.value.max())
 
 
-class GlobalStage:
+class GlobalSearch:
     """Charts of self-motion at all via-points, what is admissible in them, and the best ways through.
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
 
     Raises
     ------
@@ -67,24 +71,24 @@ class GlobalStage:
         When a via-point has no admissible posture: which one, and what excluded most postures there.
     """
 
-    def __init__(self, setting: Setting) -> None:
-        self._setting = setting
-        options, limits = setting.options, setting.robot.limits
-        maker, charts = self._charts(setting.task)
-        self._nodes = [ChartNodes(chart, setting.clearances, options.safety_margin_m) for chart in charts]
-        self.floor, lowest = find_floor(setting, self._nodes, maker.spacing)
+    def __init__(self, context: PlanningContext) -> None:
+        self._setting = context
+        options, limits = context.options, context.robot.limits
+        maker, charts = self._charts(context.task)
+        self._nodes = [GraphLayer(chart, context.clearances, options.safety_margin_m) for chart in charts]
+        self.floor, lowest = find_lower_bound(context, self._nodes, maker.spacing)
         self._spacing = maker.spacing
-        self._wide = setting.robot.dof - setting.task.dimension > 1
+        self._wide = context.robot.dof - context.task.dimension > 1
         if self._wide:
             charts = self._with_more(charts, lowest)
-            self._nodes = [ChartNodes(chart, setting.clearances, options.safety_margin_m) for chart in charts]
+            self._nodes = [GraphLayer(chart, context.clearances, options.safety_margin_m) for chart in charts]
         self._endless = np.isinf(limits.lower)
         self._allow(options.step_share)
         self.first_chart = charts[0]
         self._away = np.abs(self._from_the_scenes(charts[0].q)).max(axis=1)
         self._pinned = self._away < _SAME_POSTURE
 
-    def halved(self) -> GlobalStage:
+    def halved(self) -> GlobalSearch:
         """Return the same charts with half the steps between via-points: its ways are calmer."""
         half = copy.copy(self)
         half._allow(0.5 * self.step_share)
@@ -138,11 +142,11 @@ class GlobalStage:
 
     def _allow(self, step_share: float) -> None:
         """Let joints use that share of their velocity bounds between via-points."""
-        setting = self._setting
+        context = self._setting
         self.step_share = step_share
         self._steps = (
-            step_share * setting.robot.limits.velocity * np.diff(setting.times)[:, None]
-            + 0.5 * setting.options.chart_spacing
+            step_share * context.robot.limits.velocity * np.diff(context.times)[:, None]
+            + 0.5 * context.options.chart_spacing
         )
         self._edges = [
             edges_between(a, b, step, self._endless)
@@ -150,8 +154,8 @@ class GlobalStage:
         ]
 
     def _solve(self, starts: BoolArray) -> GlobalSolution:
-        self._setting.teller.step("choosing the postures of least torque")
-        way = WayThrough(self._setting, self._nodes, self._edges, starts)
+        self._setting.reporter.step("choosing the postures of least torque")
+        way = BottleneckDynamicProgram(self._setting, self._nodes, self._edges, starts)
         chosen = way.best()
         q = np.stack([node.chart.q[k] for node, k in zip(self._nodes, chosen, strict=True)])
         if self._wide:
@@ -162,32 +166,32 @@ class GlobalStage:
         value = self._setting.objective.at_rest(Postures(self._setting.robot).at(q))
         return GlobalSolution(q=self._unwound(q), value=value)
 
-    def _charts(self, task: ToolTask) -> tuple[ChartMaker, list[Chart]]:
-        setting, options = self._setting, self._setting.options
-        maker = ChartMaker(
-            Postures(setting.robot),
+    def _charts(self, task: ToolTask) -> tuple[SelfMotionSampler, list[Chart]]:
+        context, options = self._setting, self._setting.options
+        maker = SelfMotionSampler(
+            Postures(context.robot),
             task,
-            setting.robot.limits,
-            setting.objective,
+            context.robot.limits,
+            context.objective,
             spacing=options.chart_spacing,
             seeds=options.chart_seeds,
         )
-        tell = partial(setting.teller.part, f"charting the postures that hold the tool's {task.keep}")
-        return maker, maker.along(task.path.position(setting.times), setting.posture[None], tell)
+        tell = partial(context.reporter.part, f"charting the postures that hold the tool's {task.keep}")
+        return maker, maker.along(task.path.position(context.times), context.posture[None], tell)
 
     def _with_more(self, charts: list[Chart], lowest: FloatArray) -> list[Chart]:
         """Add to coarse charts the finer ones of the whole pose, and what lies along the way of `lowest`.
 
         So freedom never costs anything, and the scene's own posture leads somewhere.
         """
-        setting = self._setting
+        context = self._setting
         each = [chart.q for chart in charts]
-        more = [ways_beside(setting, lowest, self.floor.via_point, self._spacing)]
-        if setting.robot.dof > _POSE:
-            more.append([chart.q for chart in self._charts(replace(setting.task, keep="pose"))[1]])
+        more = [ways_beside(context, lowest, self.floor.via_point, self._spacing)]
+        if context.robot.dof > _POSE:
+            more.append([chart.q for chart in self._charts(replace(context.task, keep="pose"))[1]])
         for some in more:
             each = [np.vstack([q, others]) for q, others in zip(each, some, strict=True)]
-        return charts_of(Postures(setting.robot), setting.robot.limits, setting.objective, each)
+        return charts_of(Postures(context.robot), context.robot.limits, context.objective, each)
 
     def _from_the_scenes(self, q: FloatArray) -> FloatArray:
         """Moves (N, n) from the scene's posture to `q` (N, n), the shorter way round for endless joints."""

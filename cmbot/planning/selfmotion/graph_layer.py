@@ -8,10 +8,10 @@ from cmbot.collision.clearance import Clearances
 from cmbot.common.arrays import BoolArray
 from cmbot.planning.selfmotion.charts import Chart
 
-__all__ = ["ChartNodes"]
+__all__ = ["GraphLayer"]
 
 
-class ChartNodes:
+class GraphLayer:
     """The postures of one chart; whether they are admissible is found out when it is asked."""
 
     def __init__(self, chart: Chart, clearances: Clearances, margin: float) -> None:

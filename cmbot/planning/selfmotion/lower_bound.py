@@ -13,13 +13,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.context import Setting
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.selfmotion.dynamic_programming import blocked
-from cmbot.planning.selfmotion.graph_layer import ChartNodes
+from cmbot.planning.selfmotion.graph_layer import GraphLayer
 from cmbot.planning.selfmotion.projection import null_spaces, project
 from cmbot.robot import Postures
 
-__all__ = ["Floor", "find_floor"]
+__all__ = ["LowerBound", "find_lower_bound"]
 
 # The floor is known well enough to this share of it; cells are halved at most so many times along each edge.
 _ACCURACY, _MOST_HALVINGS = 2e-6, 24
@@ -37,7 +37,7 @@ _DOUBT = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Floor:
+class LowerBound:
     """What no admissible plan can go below.
 
     Attributes
@@ -59,19 +59,21 @@ class Floor:
     each: FloatArray
 
 
-def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> tuple[Floor, FloatArray]:
+def find_lower_bound(
+    context: PlanningContext, nodes: list[GraphLayer], spacing: float
+) -> tuple[LowerBound, FloatArray]:
     """Find the floor from charts of the self-motion at all via-points.
 
     Parameters
     ----------
-    setting : Setting
-    nodes : list of ChartNodes
+    setting : PlanningContext
+    nodes : list of GraphLayer
     spacing : float
         Of the charts, rad.
 
     Returns
     -------
-    floor : Floor
+    floor : LowerBound
     posture : (d,), rad
         Admissible, with that value at that via-point.
 
@@ -83,10 +85,10 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> tup
     each = np.array([node.least() for node in nodes])
     for k, least in enumerate(each):
         if not np.isfinite(least):
-            raise blocked(setting, nodes, k)
-    search = _Search(setting, nodes, spacing)
+            raise blocked(context, nodes, k)
+    search = _Search(context, nodes, spacing)
     postures = np.stack([node.chart.q[node.best()] for node in nodes])
-    together = _TOGETHER if setting.robot.dof - setting.task.dimension == 1 else 1
+    together = _TOGETHER if context.robot.dof - context.task.dimension == 1 else 1
     bound = np.full(len(each), -np.inf)
     order = np.argsort(-each)
     # From the largest down, until those looked at exceed all that are left: what is left only gets smaller.
@@ -97,14 +99,14 @@ def find_floor(setting: Setting, nodes: list[ChartNodes], spacing: float) -> tup
             break
         # Those still open, at most: those looked at may close some of them.
         open_ = int((each[order[first:]] > enough).sum())
-        setting.teller.part("finding the least torque at rest", first, first + open_, at_most=True)
+        context.reporter.part("finding the least torque at rest", first, first + open_, at_most=True)
         each[some], bound[some] = search.least(some, each[some], enough, postures)
         enough = max(enough, float(each[some].max()))
     looked = np.flatnonzero(np.isfinite(bound))
     where = int(looked[each[looked].argmax()])
     # No objective is ever negative, whatever samples of a wide self-motion leave open.
     error = float(each[where] - max(bound.max(), 0.0))
-    return Floor(value=float(each[where]), error=error, via_point=where, each=each), postures[where]
+    return LowerBound(value=float(each[where]), error=error, via_point=where, each=each), postures[where]
 
 
 @dataclass(frozen=True)
@@ -138,12 +140,12 @@ class _Content:
 class _Search:
     """Branch and bound at several via-points at a time."""
 
-    def __init__(self, setting: Setting, nodes: list[ChartNodes], spacing: float) -> None:
-        self._setting = setting
+    def __init__(self, context: PlanningContext, nodes: list[GraphLayer], spacing: float) -> None:
+        self._setting = context
         self._nodes = nodes
         self._spacing = spacing
-        self._postures = Postures(setting.robot)
-        self._points = setting.task.path.position(setting.times)
+        self._postures = Postures(context.robot)
+        self._points = context.task.path.position(context.times)
 
     def least(
         self, some: IntArray, best: FloatArray, enough: float, postures: FloatArray
@@ -247,18 +249,18 @@ class _Search:
         self, cells: _Cells, value: FloatArray, best: FloatArray, postures: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
         """Look at the clearances of cells: the best values then, and which cells may be clear somewhere."""
-        setting, limits = self._setting, self._setting.robot.limits
-        margin = setting.options.safety_margin_m
+        context, limits = self._setting, self._setting.robot.limits
+        margin = context.options.safety_margin_m
         within = ((cells.q >= limits.lower) & (cells.q <= limits.upper)).all(axis=1)
         hopeful = within & (value < best[cells.of])
         hopeful[hopeful] = self._measured(cells.q[hopeful])[1] <= 1.0
-        reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), setting.clearances.reach)
+        reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), context.clearances.reach)
         # Cells that reach further hold something clear nearly always.
         look = np.flatnonzero(hopeful | (reach < _WIDE))
         # How much it is that is missing costs more to know than that something is.
-        near = look[setting.clearances.too_near(cells.q[look], margin)]
+        near = look[context.clearances.too_near(cells.q[look], margin)]
         distance = np.full(len(value), np.inf)
-        distance[near] = setting.clearances.smallest(cells.q[near]).distance
+        distance[near] = context.clearances.smallest(cells.q[near]).distance
         admissible = hopeful & (distance >= margin)
         best = best.copy()
         for k in np.flatnonzero(admissible):

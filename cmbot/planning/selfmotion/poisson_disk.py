@@ -13,12 +13,12 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["Crowds", "without_neighbours"]
+__all__ = ["PoissonDiskSets", "without_neighbours"]
 
 _TURN = 2 * np.pi
 
 
-class Crowds:
+class PoissonDiskSets:
     """Crowds of postures, empty at first; each has a tree of its own, which is quicker than one of all.
 
     Parameters

@@ -11,7 +11,7 @@ from cmbot.planning.path.task import ToolTask
 from cmbot.planning.selfmotion.batched_linalg import gram, null_directions, solved
 from cmbot.robot import Postures, ToolBatch
 
-__all__ = ["Leaning", "null_spaces", "project"]
+__all__ = ["TangentPredictor", "null_spaces", "project"]
 
 _ON_TASK = 1e-10
 # Newton steps onto the task, enough for postures near it.
@@ -59,7 +59,7 @@ def project(
 
 
 @dataclass(frozen=True)
-class Leaning:
+class TangentPredictor:
     """Postures on the task, and where they lean when the tool is to move.
 
     Attributes
@@ -76,11 +76,11 @@ class Leaning:
     slope: FloatArray
 
     @staticmethod
-    def of(postures: Postures, task: ToolTask, q: FloatArray, point: FloatArray) -> Leaning:
+    def of(postures: Postures, task: ToolTask, q: FloatArray, point: FloatArray) -> TangentPredictor:
         """Return how postures `q` (N, n) lean, which hold the tool at `point` (3,)."""
         J = _leading(task, postures.tool_at(q))
         along = np.broadcast_to(np.eye(len(J))[:, :3, None], (len(J), 3, len(q)))
-        return Leaning(q, point, np.einsum("ikn,ijn->kjn", J, solved(gram(J, _REGULAR), along)))
+        return TangentPredictor(q, point, np.einsum("ikn,ijn->kjn", J, solved(gram(J, _REGULAR), along)))
 
     def towards(self, point: FloatArray) -> FloatArray:
         """Postures (N, n) that hold the tool at `point` (3,) to first order: what `project` does first."""

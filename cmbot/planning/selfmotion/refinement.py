@@ -13,10 +13,10 @@ from itertools import pairwise
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.context import Setting
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.selfmotion.charts import charts_of
-from cmbot.planning.selfmotion.dynamic_programming import WayThrough, edges_between
-from cmbot.planning.selfmotion.graph_layer import ChartNodes
+from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges_between
+from cmbot.planning.selfmotion.graph_layer import GraphLayer
 from cmbot.planning.selfmotion.projection import null_spaces, project
 from cmbot.robot import Postures
 
@@ -31,12 +31,14 @@ _NEAR_THE_FLOOR = 1e-3
 _BESIDE = 40
 
 
-def ways_beside(setting: Setting, posture: FloatArray, via_point: int, spacing: float) -> list[FloatArray]:
+def ways_beside(
+    context: PlanningContext, posture: FloatArray, via_point: int, spacing: float
+) -> list[FloatArray]:
     """Return what a posture becomes at all via-points, as far as it gets, and what lies beside that.
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
     posture : (d,), rad
         At the via-point with that index.
     via_point : int
@@ -48,8 +50,8 @@ def ways_beside(setting: Setting, posture: FloatArray, via_point: int, spacing: 
     list of (m, d), rad
         One for every via-point.
     """
-    rng, postures = np.random.default_rng(0), Postures(setting.robot)
-    points = setting.task.path.position(setting.times)
+    rng, postures = np.random.default_rng(0), Postures(context.robot)
+    points = context.task.path.position(context.times)
     # The same offsets all along make ways that run side by side.
     offsets = rng.normal(size=(_BESIDE, len(posture)))
     offsets *= spacing * rng.uniform(size=(_BESIDE, 1)) / np.linalg.norm(offsets, axis=1, keepdims=True)
@@ -57,7 +59,7 @@ def ways_beside(setting: Setting, posture: FloatArray, via_point: int, spacing: 
     for way in (range(via_point, len(points)), range(via_point - 1, -1, -1)):
         q = posture
         for k in way:
-            placed, reached = project(postures, setting.task, np.vstack([q, q + offsets]), points[k])
+            placed, reached = project(postures, context.task, np.vstack([q, q + offsets]), points[k])
             if not reached[0]:
                 break
             each[k], q = placed[reached], placed[0]
@@ -65,13 +67,19 @@ def ways_beside(setting: Setting, posture: FloatArray, via_point: int, spacing: 
 
 
 def refined(
-    setting: Setting, q: FloatArray, steps: FloatArray, reach: float, floor: float, *, start_stays: bool
+    context: PlanningContext,
+    q: FloatArray,
+    steps: FloatArray,
+    reach: float,
+    floor: float,
+    *,
+    start_stays: bool,
 ) -> FloatArray:
     """Lower the peak of the objective at rest along a way.
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
     q : (k, n), rad
         Admissible postures at the via-points, one after the other within `steps`.
     steps : (k - 1, n), rad
@@ -87,20 +95,20 @@ def refined(
     -------
     (k, n), rad
     """
-    rng, postures = np.random.default_rng(0), Postures(setting.robot)
-    endless, margin = np.isinf(setting.robot.limits.lower), setting.options.safety_margin_m
+    rng, postures = np.random.default_rng(0), Postures(context.robot)
+    endless, margin = np.isinf(context.robot.limits.lower), context.options.safety_margin_m
     for done in range(_ROUNDS):
-        setting.teller.part("refining the choice", done, _ROUNDS, at_most=True)
-        each = _candidates(setting, postures, q, reach, rng)
+        context.reporter.part("refining the choice", done, _ROUNDS, at_most=True)
+        each = _candidates(context, postures, q, reach, rng)
         if start_stays:
             each[0] = q[:1]
-        charts = charts_of(postures, setting.robot.limits, setting.objective, each)
-        nodes = [ChartNodes(chart, setting.clearances, margin) for chart in charts]
+        charts = charts_of(postures, context.robot.limits, context.objective, each)
+        nodes = [GraphLayer(chart, context.clearances, margin) for chart in charts]
         links = [
             edges_between(a, b, step, endless) for (a, b), step in zip(pairwise(nodes), steps, strict=True)
         ]
         starts = np.ones(len(each[0]), dtype=np.bool_)
-        chosen = WayThrough(setting, nodes, links, starts).best()
+        chosen = BottleneckDynamicProgram(context, nodes, links, starts).best()
         q = np.stack([chart.q[k] for chart, k in zip(charts, chosen, strict=True)])
         if max(chart.value[k] for chart, k in zip(charts, chosen, strict=True)) <= floor * (
             1 + _NEAR_THE_FLOOR
@@ -111,12 +119,12 @@ def refined(
 
 
 def _candidates(
-    setting: Setting, postures: Postures, q: FloatArray, reach: float, rng: np.random.Generator
+    context: PlanningContext, postures: Postures, q: FloatArray, reach: float, rng: np.random.Generator
 ) -> list[FloatArray]:
     """Postures at every via-point: those of the way, what its neighbours become there, and others around."""
     n, d = q.shape
-    points = setting.task.path.position(setting.times)
-    null = null_spaces(postures, setting.task, q)
+    points = context.task.path.position(context.times)
+    null = null_spaces(postures, context.task, q)
     directions = rng.normal(size=(n, _AROUND, null.shape[1]))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     # As many far as near: the square of the share counts.
@@ -125,5 +133,5 @@ def _candidates(
     neighbours = np.stack([np.vstack([q[:1], q[:-1]]), np.vstack([q[1:], q[-1:]])], axis=1)
     some = np.concatenate([neighbours, around], axis=1).reshape(-1, d)
     of = np.repeat(np.arange(n), _AROUND + 2)
-    placed, reached = project(postures, setting.task, some, points[of])
+    placed, reached = project(postures, context.task, some, points[of])
     return [np.vstack([q[k : k + 1], placed[reached & (of == k)]]) for k in range(n)]

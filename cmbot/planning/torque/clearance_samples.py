@@ -10,7 +10,7 @@ import numpy as np
 
 from cmbot.collision.motion_bounds import spread, way_covered
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.torque.constraints import ClearanceMargin, States
+from cmbot.planning.torque.constraints import ClearanceMargin, StateSamples
 
 __all__ = ["ClearanceLooks"]
 
@@ -35,7 +35,7 @@ class ClearanceLooks:
         self._q = np.zeros((samples, joints))
         self._at_least = np.full(samples, -np.inf)
 
-    def values(self, states: States, stride: int, matters: float) -> tuple[FloatArray, IntArray]:
+    def values(self, states: StateSamples, stride: int, matters: float) -> tuple[FloatArray, IntArray]:
         """Return values (N', 1) at every so-manieth sample, and the nearest pairs (N', 1).
 
         What certainly does not exceed `matters` need not be measured; its value is minus infinity then. But
@@ -43,7 +43,7 @@ class ClearanceLooks:
 
         Parameters
         ----------
-        states : States
+        states : StateSamples
             At those samples.
         stride : int
         matters : float

@@ -20,8 +20,8 @@ __all__ = [
     "ClearanceMargin",
     "JointTorque",
     "Linearisation",
-    "StateFunction",
-    "States",
+    "StateConstraint",
+    "StateSamples",
     "ToolDeviation",
 ]
 
@@ -33,7 +33,7 @@ _FACES = 8
 
 
 @dataclass(frozen=True)
-class States:
+class StateSamples:
     """Times (N,), and positions, velocities and accelerations (N, n) of the joints there."""
 
     t: FloatArray
@@ -42,8 +42,8 @@ class States:
     a: FloatArray
     _efforts: list[tuple[Robot, Efforts]] = field(default_factory=list, compare=False, repr=False)
 
-    def __getitem__(self, index: IntArray | slice) -> States:
-        return States(self.t[index], self.q[index], self.v[index], self.a[index])
+    def __getitem__(self, index: IntArray | slice) -> StateSamples:
+        return StateSamples(self.t[index], self.q[index], self.v[index], self.a[index])
 
     def efforts(self, dynamics: Dynamics) -> Efforts:
         """Return what the motion asks of a robot: worked out once, whichever functions ask for it."""
@@ -65,7 +65,7 @@ class Linearisation:
     d_a: FloatArray
 
 
-class StateFunction(Protocol):
+class StateConstraint(Protocol):
     """A constraint ``f(q, v, a) <= 0`` with one or more components."""
 
     @property
@@ -76,10 +76,10 @@ class StateFunction(Protocol):
     def components(self) -> int | None:
         """Number of components; None where they are too many to look at one by one."""
 
-    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+    def values(self, states: StateSamples) -> tuple[FloatArray, IntArray]:
         """Return values (N, c) and what tells their components apart (N, c), at N states."""
 
-    def linearise(self, states: States, component: IntArray) -> Linearisation:
+    def linearise(self, states: StateSamples, component: IntArray) -> Linearisation:
         """Linearise component number ``component[k]`` at state k."""
 
 
@@ -96,13 +96,13 @@ class JointTorque:
         """Two a joint."""
         return 2 * len(self.bound)
 
-    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+    def values(self, states: StateSamples) -> tuple[FloatArray, IntArray]:
         """Return tau/tau_C - 1 and -tau/tau_C - 1, (N, 2n)."""
         share = states.efforts(self.dynamics).joint_torque / self.bound
         value = np.hstack([share - 1, -share - 1])
         return value, np.broadcast_to(np.arange(value.shape[1]), value.shape)
 
-    def linearise(self, states: States, component: IntArray) -> Linearisation:
+    def linearise(self, states: StateSamples, component: IntArray) -> Linearisation:
         """Linearise one signed joint torque at each state."""
         n = len(self.bound)
         rows = self.dynamics.derivatives(states.q, states.v, states.a)
@@ -125,25 +125,25 @@ class ToolDeviation:
     name: str = "tool deviation"
     components: int = 1
 
-    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+    def values(self, states: StateSamples) -> tuple[FloatArray, IntArray]:
         """Return distance/bound - 1, (N, 1)."""
         offset = self.task.path.leg_offset(states.t, self.kinematics.tool_poses(states.q)[0])
         value = np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 
-    def linearise(self, states: States, component: IntArray) -> Linearisation:
+    def linearise(self, states: StateSamples, component: IntArray) -> Linearisation:
         """Linearise the distance."""
         del component
         return self._distance(*self._offsets(states))
 
-    def faces(self, states: States) -> tuple[Linearisation, ...]:
+    def faces(self, states: StateSamples) -> tuple[Linearisation, ...]:
         """Return what never exceeds the distance, smoothly: offsets across the leg in several directions.
 
         To first order a distance knows no direction but its own; a step could leave the leg in any other.
         """
         return self.linearise_with_faces(states)[1:]
 
-    def linearise_with_faces(self, states: States) -> tuple[Linearisation, ...]:
+    def linearise_with_faces(self, states: StateSamples) -> tuple[Linearisation, ...]:
         """Return the distance, and behind it what `faces` returns."""
         offset, J = self._offsets(states)
         leg = self.task.path.leg_directions(states.t)
@@ -159,7 +159,7 @@ class ToolDeviation:
         faces = (Linearisation(value[k], d_q[:, k], still, still) for k in range(len(angle)))
         return self._distance(offset, J), *faces
 
-    def _offsets(self, states: States) -> tuple[FloatArray, FloatArray]:
+    def _offsets(self, states: StateSamples) -> tuple[FloatArray, FloatArray]:
         """Offsets (N, 3) from the leg, the bound as their unit, and the tool's Jacobians (N, 3, n)."""
         p_WT, J = self.kinematics.tool_point_jacobians(states.q)
         return self.task.path.leg_offset(states.t, p_WT) / self.bound, J
@@ -180,12 +180,12 @@ class ClearanceMargin:
     name: str = "clearance"
     components: None = None
 
-    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+    def values(self, states: StateSamples) -> tuple[FloatArray, IntArray]:
         """Return (margin - distance)/scale of the nearest pair, (N, 1), and the pair."""
         smallest = self.clearances.smallest(states.q)
         return ((self.margin - smallest.distance) / self.scale)[:, None], smallest.pair[:, None]
 
-    def linearise(self, states: States, component: IntArray) -> Linearisation:
+    def linearise(self, states: StateSamples, component: IntArray) -> Linearisation:
         """Linearise the distance of the given pair at each state."""
         nearest = [self.clearances.nearest(q, int(pair)) for q, pair in zip(states.q, component, strict=True)]
         value = np.array([(self.margin - near.distance) / self.scale for near in nearest])

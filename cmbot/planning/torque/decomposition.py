@@ -13,7 +13,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.parametrization import LocalKnots
+from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["LONGEST_WHOLE", "joined", "stretch_of", "stretches"]
@@ -31,7 +31,7 @@ def stretches(problem: TorqueProblem) -> list[tuple[int, int]]:
     Of the corners in reach a stretch ends at the one where the least is asked at rest.
     """
     last = len(problem.space.t) - 1
-    if last + 1 <= LONGEST_WHOLE or not isinstance(problem.family, LocalKnots):
+    if last + 1 <= LONGEST_WHOLE or not isinstance(problem.family, Parametrization):
         return [(0, last)]
     corners, parts, first = _corners(problem), [], 0
     while last - first > _MOST:
@@ -58,7 +58,7 @@ def stretch_of(problem: TorqueProblem, first: int, last: int) -> TorqueProblem:
     return TorqueProblem(
         problem.robot,
         problem.task,
-        cast(LocalKnots, problem.family).stretch(first, last),
+        cast(Parametrization, problem.family).stretch(first, last),
         problem.clearances,
         problem.options,
         resting=(),

@@ -9,7 +9,7 @@ from scipy import optimize, sparse
 
 from cmbot.common.arrays import BoolArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.planning.torque.constraints import ClearanceMargin, States
+from cmbot.planning.torque.constraints import ClearanceMargin, StateSamples
 from cmbot.planning.torque.problem import KinematicBound, TorqueProblem
 from cmbot.trajectory.quintic import QuinticTrajectory
 
@@ -102,7 +102,7 @@ def _least_share(
 
 def _check_via_points(problem: TorqueProblem) -> None:
     q = problem.family.via_points
-    at_rest = States(problem.space.t, q, np.zeros_like(q), np.zeros_like(q))
+    at_rest = StateSamples(problem.space.t, q, np.zeros_like(q), np.zeros_like(q))
     for function in problem.functions:
         value = function.values(at_rest)[0].max(axis=1)
         fixed = value if isinstance(function, ClearanceMargin) else value[[0, -1]]

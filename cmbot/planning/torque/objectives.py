@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.tool_sag import ToolSag
-from cmbot.planning.torque.constraints import Linearisation, States
+from cmbot.planning.torque.constraints import Linearisation, StateSamples
 from cmbot.planning.torque.wrench_functions import WeightedMoment, WrenchFunction, check_wrench_function
 from cmbot.robot import Dynamics, PostureBatch, Postures, Robot
 from cmbot.scene.options import PlannerOptions
@@ -43,13 +43,13 @@ class Objective(Protocol):
     def at_rest(self, postures: PostureBatch) -> FloatArray:
         """Return its values (N,) at rest in N postures."""
 
-    def values(self, states: States) -> FloatArray:
+    def values(self, states: StateSamples) -> FloatArray:
         """Return its values (N,) at N states."""
 
-    def linearise(self, states: States) -> Linearisation:
+    def linearise(self, states: StateSamples) -> Linearisation:
         """Return its values and derivatives at N states."""
 
-    def parts(self, states: States) -> tuple[Linearisation, ...]:
+    def parts(self, states: StateSamples) -> tuple[Linearisation, ...]:
         """Return quantities whose squares sum to its own, for Gauss-Newton: as smooth as there are."""
 
 
@@ -79,18 +79,18 @@ class WrenchObjective:
         """Return its values (N,) at rest in N postures."""
         return self.function(np.hstack([postures.guardrail_force, postures.guardrail_torque]))[0]
 
-    def values(self, states: States) -> FloatArray:
+    def values(self, states: StateSamples) -> FloatArray:
         """Return its values (N,) at N states."""
         efforts = states.efforts(self._dynamics)
         return self.function(np.hstack([efforts.guardrail_force, efforts.guardrail_torque]))[0]
 
-    def linearise(self, states: States) -> Linearisation:
+    def linearise(self, states: StateSamples) -> Linearisation:
         """Return its values and derivatives at N states."""
         at = self._dynamics.wrench_derivatives(states.q, states.v, states.a)
         value, gradient = self.function(at.value)
         return Linearisation(value, *(np.einsum("ki,kij->kj", gradient, d) for d in (at.d_q, at.d_v, at.d_a)))
 
-    def parts(self, states: States) -> tuple[Linearisation, ...]:
+    def parts(self, states: StateSamples) -> tuple[Linearisation, ...]:
         """Return the components of a moment, and of anything else its value."""
         if not isinstance(self.function, WeightedMoment):
             return (self.linearise(states),)
@@ -122,16 +122,16 @@ class PostureObjective:
         """Return its values (N,) in N postures."""
         return self.function(postures.q)[0]
 
-    def values(self, states: States) -> FloatArray:
+    def values(self, states: StateSamples) -> FloatArray:
         """Return its values (N,) at N states."""
         return self.function(states.q)[0]
 
-    def linearise(self, states: States) -> Linearisation:
+    def linearise(self, states: StateSamples) -> Linearisation:
         """Return its values and derivatives at N states."""
         value, gradient = self.function(states.q)
         return Linearisation(value, gradient, np.zeros_like(gradient), np.zeros_like(gradient))
 
-    def parts(self, states: States) -> tuple[Linearisation, ...]:
+    def parts(self, states: StateSamples) -> tuple[Linearisation, ...]:
         """Return its value."""
         return (self.linearise(states),)
 
@@ -152,12 +152,12 @@ class ObjectiveShare:
         """The objective's."""
         return self.objective.name
 
-    def values(self, states: States) -> tuple[FloatArray, IntArray]:
+    def values(self, states: StateSamples) -> tuple[FloatArray, IntArray]:
         """Return the values (N, 1)."""
         value = self.objective.values(states)[:, None] / self.scale
         return value, np.zeros(value.shape, dtype=np.intp)
 
-    def linearise(self, states: States, component: IntArray) -> Linearisation:
+    def linearise(self, states: StateSamples, component: IntArray) -> Linearisation:
         """Linearise the value."""
         del component
         at = self.objective.linearise(states)

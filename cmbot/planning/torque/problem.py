@@ -21,8 +21,8 @@ from cmbot.planning.torque.constraints import (
     ClearanceMargin,
     JointTorque,
     Linearisation,
-    StateFunction,
-    States,
+    StateConstraint,
+    StateSamples,
     ToolDeviation,
 )
 from cmbot.planning.torque.families import FixedKnots
@@ -112,7 +112,7 @@ class TorqueProblem:
         self.grid = np.append(grid.ravel(), t[-1])
         self.objective = objective_of(robot, options) if objective is None else objective
         still = np.zeros_like(family.via_points)
-        self.at_via_points = self.objective.values(States(t, family.via_points, still, still))
+        self.at_via_points = self.objective.values(StateSamples(t, family.via_points, still, still))
         """What is made small at rest in each of the via-points, (n,)."""
         self.via_point_peak = float(self.at_via_points.max())
         self.peak_at_rest = float(self.at_via_points[list(resting)].max(initial=0.0))
@@ -123,7 +123,7 @@ class TorqueProblem:
         self.torque = ObjectiveShare(self.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2
-        self.functions: tuple[StateFunction, ...] = (
+        self.functions: tuple[StateConstraint, ...] = (
             JointTorque(self.dynamics, robot.limits.torque * inside),
             ToolDeviation(Kinematics(robot), task, options.max_tool_deviation_m * inside),
             ClearanceMargin(clearances, options.safety_margin_m + _CLEARANCE_ROOM),
@@ -144,16 +144,16 @@ class TorqueProblem:
         """Return the trajectory of the unknowns `x` of `family`."""
         return self.space.trajectory(family.knots(x))
 
-    def states(self, family: Family, x: FloatArray, times: FloatArray) -> States:
+    def states(self, family: Family, x: FloatArray, times: FloatArray) -> StateSamples:
         """Return the joints' states at `times` (N,)."""
-        return States(times, *self.trajectory(family, x).states(times))
+        return StateSamples(times, *self.trajectory(family, x).states(times))
 
-    def sampled(self, trajectory: QuinticTrajectory, stride: int = 1) -> States:
+    def sampled(self, trajectory: QuinticTrajectory, stride: int = 1) -> StateSamples:
         """Return a trajectory's states at every so-manieth time of `grid`."""
         times, samples = self.grid[::stride], self.options.samples_per_segment
         if samples % stride:
-            return States(times, *trajectory.states(times))
-        return States(times, *trajectory.sampled(samples // stride))
+            return StateSamples(times, *trajectory.states(times))
+        return StateSamples(times, *trajectory.sampled(samples // stride))
 
     def mean_square(self, family: FixedKnots, x: FloatArray) -> tuple[float, FloatArray]:
         """Half the time mean of the squared objective in units of scale, and its gradient (dimension,)."""
@@ -167,7 +167,7 @@ class TorqueProblem:
 
     def mean_parts(self, trajectory: QuinticTrajectory) -> tuple[Linearisation, ...]:
         """Parts of the objective at `mean_times`, weighted: their squares sum to its mean, scale as unit."""
-        parts = self.objective.parts(States(self.mean_times, *trajectory.states(self.mean_times)))
+        parts = self.objective.parts(StateSamples(self.mean_times, *trajectory.states(self.mean_times)))
         w = np.sqrt(self._mean_weights) / self.scale
         column = w[:, None]
         return tuple(

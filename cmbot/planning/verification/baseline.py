@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.context import Setting
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import JointPath
 from cmbot.planning.verification.metrics import Samples, measure
 
 __all__ = ["baseline_samples"]
 
 
-def baseline_samples(setting: Setting, path: JointPath) -> Samples:
+def baseline_samples(context: PlanningContext, path: JointPath) -> Samples:
     """Measure a path as a motion that rests before it begins and after it ends.
 
     Parameters
     ----------
-    setting : Setting
+    setting : PlanningContext
     path : JointPath
         At even steps.
     """
@@ -30,7 +30,7 @@ def baseline_samples(setting: Setting, path: JointPath) -> Samples:
     # first and the last sample are those of the arm at rest, so that its rest counts among the torques.
     acceleration[[0, -1]] = 0.0
     motion = (path.q, path.v, acceleration, jerk)
-    return measure(setting.robot, setting.task, setting.clearances, path.t, motion, clearance=path.clearance)
+    return measure(context.robot, context.task, context.clearances, path.t, motion, clearance=path.clearance)
 
 
 def _central_difference(x: FloatArray, step: float) -> FloatArray:

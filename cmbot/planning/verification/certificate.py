@@ -18,7 +18,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
 from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.verification.metrics import MotionFigures, figures, measure, together
+from cmbot.planning.verification.metrics import MotionMetrics, figures, measure, together
 from cmbot.robot import Robot
 from cmbot.scene.options import PlannerOptions
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -76,14 +76,14 @@ class Certificate:
     ----------
     checks : tuple of Check
         All promises; the plan is valid when every one holds.
-    figures : MotionFigures
+    figures : MotionMetrics
         Velocity, acceleration and jerk at their exact extrema, the rest at the samples.
     clearance_bound : float, m
         No distance is smaller than this at *any* time: samples, less how far the arm can move in between.
     """
 
     checks: tuple[Check, ...]
-    figures: MotionFigures
+    figures: MotionMetrics
     clearance_bound: float
 
     @property

@@ -13,7 +13,7 @@ from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning.path.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 
-__all__ = ["LimitUse", "MotionFigures", "Samples", "figures", "measure", "together"]
+__all__ = ["LimitUse", "MotionMetrics", "Samples", "figures", "measure", "together"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,7 +27,7 @@ class LimitUse:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MotionFigures:
+class MotionMetrics:
     """What a motion asks of the guardrail and how it keeps to its task.
 
     Attributes
@@ -142,7 +142,7 @@ def _lengths(vectors: FloatArray) -> FloatArray:
 
 def figures(
     robot: Robot, samples: Samples, kinematic_use: tuple[float, float, float] | None = None
-) -> MotionFigures:
+) -> MotionMetrics:
     """Reduce samples to figures.
 
     Parameters
@@ -168,7 +168,7 @@ def figures(
     torque = np.linalg.norm(samples.guardrail_torque, axis=1)
     static = Postures(robot).at(samples.q).guardrail_torque
     duration = float(samples.t[-1] - samples.t[0])
-    return MotionFigures(
+    return MotionMetrics(
         peak_guardrail_torque=float(torque.max()),
         mean_guardrail_torque=float(np.trapezoid(torque, samples.t) / duration),
         peak_static_guardrail_torque=float(np.linalg.norm(static, axis=1).max()),
@@ -184,7 +184,7 @@ def figures(
     )
 
 
-def together(parts: Sequence[tuple[float, MotionFigures]]) -> MotionFigures:
+def together(parts: Sequence[tuple[float, MotionMetrics]]) -> MotionMetrics:
     """Put together the figures of a motion's parts, one after the other, and their durations, s."""
     each = [part for _, part in parts]
 
@@ -193,7 +193,7 @@ def together(parts: Sequence[tuple[float, MotionFigures]]) -> MotionFigures:
         return float(np.max([getattr(part, name) for part in each]))
 
     uses = [part.limit_use for part in each]
-    return MotionFigures(
+    return MotionMetrics(
         peak_guardrail_torque=most("peak_guardrail_torque"),
         mean_guardrail_torque=float(
             np.average(

@@ -19,7 +19,7 @@ from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
-    GlobalStage,
+    GlobalSearch,
     Plan,
     Progress,
     bending_arm,
@@ -29,7 +29,7 @@ from cmbot.planning import (
     sag_of,
     task_of,
 )
-from cmbot.planning.context import prepare
+from cmbot.planning.context import build_context
 from cmbot.scene import load_scene
 from cmbot.scene.tool_path import ShiftedToolPath
 
@@ -137,7 +137,7 @@ def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
 def test_sag_as_the_objective(tmp_path: Path) -> None:
     """From the best posture there is: the global stage's."""
     scene = short_scene(planner={"knots": "sliding", "objective": "sag"})
-    best = GlobalStage(prepare(scene, scene.planner)).solve(pinned=False).q[0]
+    best = GlobalSearch(build_context(scene, scene.planner)).solve(pinned=False).q[0]
     scene = short_scene(
         posture_deg=np.rad2deg(best).tolist(), planner={"knots": "sliding", "objective": "sag"}
     )

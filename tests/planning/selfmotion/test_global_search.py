@@ -8,56 +8,56 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tests.small_scenes import short_scene
+from small_scenes import short_scene
 
 from cmbot.common.errors import PathNotFound, PlanningError
-from cmbot.planning import GlobalStage, plan
-from cmbot.planning.context import Setting, prepare
+from cmbot.planning import GlobalSearch, plan
+from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.selfmotion.refinement import refined, ways_beside
 from cmbot.robot import Dynamics, Postures
 from cmbot.scene import Scene
 
 
-def setting_of(scene: Scene, **options: object) -> Setting:
-    return prepare(scene, replace(scene.planner, knots="sliding", **options))
+def setting_of(scene: Scene, **options: object) -> PlanningContext:
+    return build_context(scene, replace(scene.planner, knots="sliding", **options))
 
 
 @pytest.fixture(scope="module")
-def setting() -> Setting:
+def context() -> PlanningContext:
     return setting_of(short_scene())
 
 
 @pytest.fixture(scope="module")
-def stage(setting: Setting) -> GlobalStage:
-    return GlobalStage(setting)
+def stage(context: PlanningContext) -> GlobalSearch:
+    return GlobalSearch(context)
 
 
 @pytest.mark.parametrize("pinned", [False, True])
-def test_a_solution_is_admissible(setting: Setting, stage: GlobalStage, pinned: bool) -> None:
+def test_a_solution_is_admissible(context: PlanningContext, stage: GlobalSearch, pinned: bool) -> None:
     solution = stage.solve(pinned=pinned)
-    robot, task, options = setting.robot, setting.task, setting.options
+    robot, task, options = context.robot, context.task, context.options
     at = Postures(robot).at(solution.q)
-    points = task.path.position(setting.times)
+    points = task.path.position(context.times)
     assert np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max() < 1e-9
     assert ((solution.q >= robot.limits.lower) & (solution.q <= robot.limits.upper)).all()
-    assert setting.clearances.smallest(solution.q).distance.min() >= options.safety_margin_m
+    assert context.clearances.smallest(solution.q).distance.min() >= options.safety_margin_m
     assert (np.abs(at.joint_torque) <= robot.limits.torque).all()
-    steps = options.step_share * robot.limits.velocity * np.diff(setting.times)[:, None]
+    steps = options.step_share * robot.limits.velocity * np.diff(context.times)[:, None]
     assert (np.abs(np.diff(solution.q, axis=0)) <= steps + 0.5 * options.chart_spacing).all()
     np.testing.assert_allclose(solution.value, np.linalg.norm(at.guardrail_torque, axis=1))
     if pinned:
-        np.testing.assert_allclose(solution.q[0], setting.posture, atol=1e-12)
+        np.testing.assert_allclose(solution.q[0], context.posture, atol=1e-12)
 
 
-def test_freedom_never_costs_torque(stage: GlobalStage) -> None:
+def test_freedom_never_costs_torque(stage: GlobalSearch) -> None:
     free, pinned = stage.solve(pinned=False).peak, stage.solve(pinned=True).peak
     assert stage.floor.value - stage.floor.error <= free <= pinned
 
 
-def test_the_floor_is_below_what_random_postures_ask(setting: Setting, stage: GlobalStage) -> None:
+def test_the_floor_is_below_what_random_postures_ask(context: PlanningContext, stage: GlobalSearch) -> None:
     """No admissible posture at the floor's via-point, found by other random seeds, is below the floor."""
-    finer = GlobalStage(
-        replace(setting, options=replace(setting.options, chart_spacing=0.05, chart_seeds=500))
+    finer = GlobalSearch(
+        replace(context, options=replace(context.options, chart_spacing=0.05, chart_seeds=500))
     )
     floor = stage.floor
     assert finer.floor.value >= floor.value - floor.error - 1e-9
@@ -78,7 +78,7 @@ def test_no_plan_rests_below_the_floor(by: tuple[float, float, float]) -> None:
         fixed = plan(scene)
     except PlanningError:
         return
-    floor = GlobalStage(setting_of(scene)).floor
+    floor = GlobalSearch(setting_of(scene)).floor
     static = Dynamics(fixed.robot).static_efforts(fixed.trajectory.q).guardrail_torque
     assert np.linalg.norm(static, axis=1).max() >= floor.value - floor.error
 
@@ -89,27 +89,27 @@ def test_a_blocked_via_point_is_named_with_its_reason() -> None:
         PathNotFound,
         match=r"via-point \d of 8 is blocked: \d+ postures come within.*lower planner\.safety_margin_m",
     ) as caught:
-        GlobalStage(setting_of(short_scene(obstacles=[wall])))
+        GlobalSearch(setting_of(short_scene(obstacles=[wall])))
     assert 0 < caught.value.progress < 1
 
 
 def test_a_via_point_out_of_reach_is_named() -> None:
     legs = [{"by": [0, 2.5, 0], "seconds": 60}]
     with pytest.raises(PathNotFound, match="blocked: out of reach: no posture within the joint ranges"):
-        GlobalStage(setting_of(short_scene(tool_path={"legs": legs})))
+        GlobalSearch(setting_of(short_scene(tool_path={"legs": legs})))
 
 
 def test_joints_that_are_too_slow_are_named() -> None:
     legs = [{"by": [0, -0.6, 0], "seconds": 0.3}]
     with pytest.raises(PathNotFound, match=r"too far from those before .*give the leg more seconds"):
-        GlobalStage(
+        GlobalSearch(
             setting_of(short_scene(tool_path={"legs": legs, "via_points": 5}), chart_spacing=0.1)
         ).solve(pinned=True)
 
 
 def test_weak_joints_are_named() -> None:
     with pytest.raises(PathNotFound, match=r"ask too much of a joint's torque.* lighter payload"):
-        GlobalStage(setting_of(short_scene(robot={"payload_kg": 60.0})))
+        GlobalSearch(setting_of(short_scene(robot={"payload_kg": 60.0})))
 
 
 @pytest.mark.parametrize("keep", ["axis", "position"])
@@ -117,35 +117,35 @@ def test_weak_joints_are_named() -> None:
 def test_wide_self_motions(keep: str, pinned: bool) -> None:
     """More freedom costs nothing, and what is done about coarse charts keeps everything that was asked."""
     pose = setting_of(short_scene())
-    setting = setting_of(short_scene(tool_path={"keep": keep}))
-    stage = GlobalStage(setting)
+    context = setting_of(short_scene(tool_path={"keep": keep}))
+    stage = GlobalSearch(context)
     solution = stage.solve(pinned=pinned)
-    test_a_solution_is_admissible(setting, stage, pinned)
-    assert solution.peak <= GlobalStage(pose).solve(pinned=pinned).peak + 1e-9
+    test_a_solution_is_admissible(context, stage, pinned)
+    assert solution.peak <= GlobalSearch(pose).solve(pinned=pinned).peak + 1e-9
     if not pinned:
         assert solution.peak <= stage.floor.value * (1 + 2e-3)
 
 
 def test_refining_never_raises_the_peak() -> None:
-    setting = setting_of(short_scene(tool_path={"keep": "axis"}))
-    postures, task = Postures(setting.robot), setting.task
-    ways = ways_beside(setting, setting.posture, 0, 0.3)
+    context = setting_of(short_scene(tool_path={"keep": "axis"}))
+    postures, task = Postures(context.robot), context.task
+    ways = ways_beside(context, context.posture, 0, 0.3)
     q = np.stack([each[0] for each in ways])
-    np.testing.assert_array_equal(q[0], setting.posture)
-    for each, point in zip(ways, task.path.position(setting.times), strict=True):
+    np.testing.assert_array_equal(q[0], context.posture)
+    for each, point in zip(ways, task.path.position(context.times), strict=True):
         at = postures.at(each)
         assert len(each) > 20
         assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
     steps = np.full((len(q) - 1, 7), 0.3)
-    before = setting.objective.at_rest(postures.at(q)).max()
+    before = context.objective.at_rest(postures.at(q)).max()
     for stays in (True, False):
-        better = refined(setting, q, steps, 0.3, 0.0, start_stays=stays)
+        better = refined(context, q, steps, 0.3, 0.0, start_stays=stays)
         at = postures.at(better)
-        points = task.path.position(setting.times)
+        points = task.path.position(context.times)
         assert np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max() < 1e-9
         assert (np.abs(np.diff(better, axis=0)) <= steps).all()
-        assert not setting.clearances.too_near(better, setting.options.safety_margin_m).any()
-        peak = setting.objective.at_rest(at).max()
+        assert not context.clearances.too_near(better, context.options.safety_margin_m).any()
+        peak = context.objective.at_rest(at).max()
         assert peak <= before
         assert (peak < before - 10) != stays
         assert (better[0] == q[0]).all() == stays

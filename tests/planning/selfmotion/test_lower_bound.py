@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from scipy import optimize
-from tests.seven_joint_arms import endless_scene, panda_scene
-from tests.small_scenes import short_scene
+from seven_joint_arms import endless_scene, panda_scene
+from small_scenes import short_scene
 
-from cmbot.planning import GlobalStage, plan
-from cmbot.planning.context import Setting, prepare
-from cmbot.planning.selfmotion.lower_bound import Floor
+from cmbot.planning import GlobalSearch, plan
+from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.selfmotion.projection import project
 from cmbot.robot import Postures
 from cmbot.scene import Scene
@@ -34,41 +34,41 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 
 @pytest.fixture(scope="module")
-def setting(kind: str) -> Setting:
+def context(kind: str) -> PlanningContext:
     scene = scene_of(kind)
-    return prepare(scene, scene.planner)
+    return build_context(scene, scene.planner)
 
 
 @pytest.fixture(scope="module")
-def floor(setting: Setting) -> Floor:
-    return GlobalStage(setting).floor
+def floor(context: PlanningContext) -> LowerBound:
+    return GlobalSearch(context).floor
 
 
-def admissible(setting: Setting, q: FloatArray) -> NDArray[np.bool_]:
-    limits, at = setting.robot.limits, Postures(setting.robot).at(q)
+def admissible(context: PlanningContext, q: FloatArray) -> NDArray[np.bool_]:
+    limits, at = context.robot.limits, Postures(context.robot).at(q)
     holds = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
     holds &= (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
-    holds[holds] = ~setting.clearances.too_near(q[holds], setting.options.safety_margin_m)
+    holds[holds] = ~context.clearances.too_near(q[holds], context.options.safety_margin_m)
     return holds
 
 
-def restarts(setting: Setting, via_point: int, rng: np.random.Generator) -> FloatArray:
+def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator) -> FloatArray:
     """Random postures with the tool where it is at a via-point, admissible or not."""
-    limits = setting.robot.limits
+    limits = context.robot.limits
     q = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (RESTARTS, 7))
-    point = setting.task.path.position(setting.times)[via_point]
-    placed, reached = project(Postures(setting.robot), setting.task, q, point, 40)
+    point = context.task.path.position(context.times)[via_point]
+    placed, reached = project(Postures(context.robot), context.task, q, point, 40)
     return placed[reached]
 
 
-def values(setting: Setting, q: FloatArray) -> FloatArray:
-    return setting.objective.at_rest(Postures(setting.robot).at(q))
+def values(context: PlanningContext, q: FloatArray) -> FloatArray:
+    return context.objective.at_rest(Postures(context.robot).at(q))
 
 
-def descended(setting: Setting, via_point: int, start: FloatArray) -> FloatArray:
+def descended(context: PlanningContext, via_point: int, start: FloatArray) -> FloatArray:
     """Where SLSQP gets to from a posture: the task, joint ranges and torques kept, clearances not."""
-    postures, task, limits = Postures(setting.robot), setting.task, setting.robot.limits
-    point = task.path.position(setting.times)[via_point]
+    postures, task, limits = Postures(context.robot), context.task, context.robot.limits
+    point = task.path.position(context.times)[via_point]
 
     def off(q: FloatArray) -> FloatArray:
         at = postures.at(q[None])
@@ -79,7 +79,7 @@ def descended(setting: Setting, via_point: int, start: FloatArray) -> FloatArray
         return np.concatenate([1 - share, 1 + share])
 
     result = optimize.minimize(
-        lambda q: values(setting, q[None])[0] / 100.0,
+        lambda q: values(context, q[None])[0] / 100.0,
         start,
         method="SLSQP",
         bounds=list(zip(limits.lower, limits.upper, strict=True)),
@@ -91,48 +91,48 @@ def descended(setting: Setting, via_point: int, start: FloatArray) -> FloatArray
 
 
 def test_no_random_posture_is_below_the_floor(
-    setting: Setting, floor: Floor, rng: np.random.Generator
+    context: PlanningContext, floor: LowerBound, rng: np.random.Generator
 ) -> None:
     """Nor does descending from the best of them lead below it, wherever it ends with everything kept."""
-    q = restarts(setting, floor.via_point, rng)
-    q = q[admissible(setting, q)]
-    value = values(setting, q)
+    q = restarts(context, floor.via_point, rng)
+    q = q[admissible(context, q)]
+    value = values(context, q)
     assert len(q) > 50
     assert value.min() >= floor.value - min(floor.error, 1e-3 * floor.value)
     for start in q[np.argsort(value)[:5]]:
-        end = descended(setting, floor.via_point, start)
-        end = end[admissible(setting, end)]
-        assert (values(setting, end) >= floor.value * (1 - 1e-4)).all()
+        end = descended(context, floor.via_point, start)
+        end = end[admissible(context, end)]
+        assert (values(context, end) >= floor.value * (1 - 1e-4)).all()
 
 
 def test_at_every_via_point_some_posture_has_no_more(
-    setting: Setting, floor: Floor, rng: np.random.Generator
+    context: PlanningContext, floor: LowerBound, rng: np.random.Generator
 ) -> None:
     """What is said of a via-point is no more than a dense random search finds there, or hardly."""
     assert floor.value == floor.each[floor.via_point] == floor.each.max()
     last = len(floor.each) - 1
-    q = restarts(setting, last, rng)
-    assert floor.each[last] <= values(setting, q[admissible(setting, q)]).min() * 1.02
+    q = restarts(context, last, rng)
+    assert floor.each[last] <= values(context, q[admissible(context, q)]).min() * 1.02
 
 
-def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, floor: Floor) -> None:
+def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, floor: LowerBound) -> None:
     if kind != "position":
         assert 0 < floor.error < 1e-4 * floor.value
 
 
-def test_more_freedom_has_a_lower_floor(kind: str, floor: Floor) -> None:
+def test_more_freedom_has_a_lower_floor(kind: str, floor: LowerBound) -> None:
     scene = scene_of("pose")
-    pose = GlobalStage(prepare(scene, scene.planner)).floor
+    pose = GlobalSearch(build_context(scene, scene.planner)).floor
     assert floor.value <= pose.value + pose.error
     assert (floor.value < pose.value - 5.0) == (kind == "position")
 
 
-def test_a_plan_comes_near_it(kind: str, floor: Floor) -> None:
+def test_a_plan_comes_near_it(kind: str, floor: LowerBound) -> None:
     planned = plan(scene_of(kind))
     assert planned.certificate.holds
     assert planned.gap_to_floor is not None
     assert planned.gap_to_floor < planned.options.gap_target + 1e-3
-    static = values(prepare(planned.scene, planned.options), planned.trajectory.q)
+    static = values(build_context(planned.scene, planned.options), planned.trajectory.q)
     assert static.max() >= floor.value - min(floor.error, 1e-4 * floor.value)
 
 
@@ -140,12 +140,12 @@ def test_a_plan_comes_near_it(kind: str, floor: Floor) -> None:
 @pytest.mark.parametrize("keep", ["pose", "axis"])
 def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator) -> None:
     scene = make(tmp_path, keep=keep)
-    setting = prepare(scene, scene.planner)
-    floor = GlobalStage(setting).floor
-    q = restarts(setting, floor.via_point, rng)
-    q = q[admissible(setting, q)]
+    context = build_context(scene, scene.planner)
+    floor = GlobalSearch(context).floor
+    q = restarts(context, floor.via_point, rng)
+    q = q[admissible(context, q)]
     assert len(q) > 50
-    assert values(setting, q).min() >= floor.value - floor.error
+    assert values(context, q).min() >= floor.value - floor.error
     planned = plan(scene)
     assert planned.certificate.holds
     assert planned.gap_to_floor is not None

@@ -9,20 +9,20 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from oracles.inverse_kinematics import postures as closed_form
 from scipy.spatial import cKDTree
-from tests.seven_joint_arms import endless_scene, panda_scene
+from seven_joint_arms import endless_scene, panda_scene
 
 from cmbot.planning import robot_of, task_of
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.selfmotion.charts import ChartMaker
-from cmbot.planning.selfmotion.poisson_disk import Crowds, without_neighbours
+from cmbot.planning.selfmotion.charts import SelfMotionSampler
+from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neighbours
 from cmbot.planning.selfmotion.projection import null_spaces, project
 from cmbot.planning.torque.objectives import objective_of
 from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.scene.speed_profile import SpeedProfile
 from cmbot.scene.tool_path import ToolPath
-from tests.oracles.inverse_kinematics import postures as closed_form
 
 SPACING = 0.1
 PITCHES = np.linspace(-np.pi, np.pi, 181)
@@ -39,9 +39,9 @@ def task_at(robot: Robot, q: np.ndarray, keep: str = "pose") -> ToolTask:
     return ToolTask(path, keep)
 
 
-def maker_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> ChartMaker:
+def maker_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> SelfMotionSampler:
     objective = objective_of(robot, PlannerOptions())
-    return ChartMaker(Postures(robot), task, robot.limits, objective, spacing=spacing, seeds=seeds)
+    return SelfMotionSampler(Postures(robot), task, robot.limits, objective, spacing=spacing, seeds=seeds)
 
 
 def distance_on_circle(q: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -173,7 +173,7 @@ def test_thinning_goes_from_the_first_to_the_last(case: tuple[int, list[tuple[in
 def test_crowds_take_in_what_is_apart(seed: int, number: int, rounds: int) -> None:
     rng = np.random.default_rng(seed)
     round_, apart = np.array([True, False]), 0.8
-    crowds = Crowds(number, apart, round_)
+    crowds = PoissonDiskSets(number, apart, round_)
     taken: list[list[np.ndarray]] = [[] for _ in range(number)]
 
     def distance(a: np.ndarray, b: np.ndarray) -> float:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from conftest import States as RandomStates
+from conftest import StateSamples as RandomStates
 from finite_differences import check_derivative
 from numpy.typing import NDArray
 from small_scenes import parts, short_scene
@@ -16,8 +16,8 @@ from cmbot.planning.path.task import ToolTask
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
     JointTorque,
-    StateFunction,
-    States,
+    StateConstraint,
+    StateSamples,
     ToolDeviation,
 )
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
@@ -35,12 +35,17 @@ def corner() -> tuple[Robot, ToolTask, Clearances]:
 
 
 @pytest.fixture
-def states(cmbot_robot: Robot, random_states: RandomStates, rng: np.random.Generator) -> States:
-    return States(rng.uniform(0, 4, N), *random_states(cmbot_robot, N))
+def states(cmbot_robot: Robot, random_states: RandomStates, rng: np.random.Generator) -> StateSamples:
+    return StateSamples(rng.uniform(0, 4, N), *random_states(cmbot_robot, N))
 
 
 def check_linearisation(
-    function: StateFunction, states: States, component: NDArray[np.intp], *, step: float, tolerance: float
+    function: StateConstraint,
+    states: StateSamples,
+    component: NDArray[np.intp],
+    *,
+    step: float,
+    tolerance: float,
 ) -> None:
     """Value and derivatives of one component at each state; clearances are rough, torques are not."""
     got = function.linearise(states, component)
@@ -48,7 +53,7 @@ def check_linearisation(
 
     def alone(k: int, **changed: FloatArray) -> float:
         state = {"q": states.q[k], "v": states.v[k], "a": states.a[k]} | changed
-        at = States(states.t[k : k + 1], *(x[None] for x in state.values()))
+        at = StateSamples(states.t[k : k + 1], *(x[None] for x in state.values()))
         return float(function.linearise(at, component[k : k + 1]).value[0])
 
     for k in range(N):
@@ -63,7 +68,7 @@ def check_linearisation(
             check_derivative(changed, x[k], derivative[k], step=step, rtol=tolerance, atol=tolerance)
 
 
-def test_joint_torque(cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: States) -> None:
+def test_joint_torque(cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: StateSamples) -> None:
     bound = cmbot_robot.limits.torque
     function = JointTorque(cmbot_dynamics, bound)
     value, component = function.values(states)
@@ -82,7 +87,7 @@ def test_joint_torque(cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: Stat
 
 @pytest.mark.parametrize("component", range(14))
 def test_derivatives_of_a_joint_torque(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: States, component: int
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: StateSamples, component: int
 ) -> None:
     function = JointTorque(cmbot_dynamics, cmbot_robot.limits.torque)
     chosen = np.full(N, component)
@@ -92,7 +97,7 @@ def test_derivatives_of_a_joint_torque(
 
 
 def test_components_may_differ_from_state_to_state(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: States
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: StateSamples
 ) -> None:
     function = JointTorque(cmbot_dynamics, cmbot_robot.limits.torque)
     chosen = np.array([0, 13, 6, 7, 3, 3])
@@ -100,7 +105,7 @@ def test_components_may_differ_from_state_to_state(
     np.testing.assert_allclose(got, function.values(states)[0][np.arange(N), chosen], rtol=0, atol=1e-12)
 
 
-def test_tool_deviation(corner: tuple[Robot, ToolTask, Clearances], states: States) -> None:
+def test_tool_deviation(corner: tuple[Robot, ToolTask, Clearances], states: StateSamples) -> None:
     robot, task, _ = corner
     function = ToolDeviation(Kinematics(robot), task, 0.5)
     value, component = function.values(states)
@@ -119,13 +124,13 @@ def test_tool_deviation_on_the_path_is_flat(corner: tuple[Robot, ToolTask, Clear
     robot, task, _ = corner
     q = np.deg2rad([[-10.0, -90, 90, 0, 10, 50, 0]])
     got = ToolDeviation(Kinematics(robot), task, 1e-3).linearise(
-        States(np.zeros(1), q, 0 * q, 0 * q), np.zeros(1, dtype=np.intp)
+        StateSamples(np.zeros(1), q, 0 * q, 0 * q), np.zeros(1, dtype=np.intp)
     )
     assert got.value[0] == pytest.approx(-1, abs=1e-9)
     assert np.isfinite(got.d_q).all()
 
 
-def test_clearance_margin(corner: tuple[Robot, ToolTask, Clearances], states: States) -> None:
+def test_clearance_margin(corner: tuple[Robot, ToolTask, Clearances], states: StateSamples) -> None:
     _, _, clearances = corner
     function = ClearanceMargin(clearances, 0.02)
     value, component = function.values(states)
@@ -138,7 +143,7 @@ def test_clearance_margin(corner: tuple[Robot, ToolTask, Clearances], states: St
     check_linearisation(function, states, outside, step=1e-4, tolerance=1e-3)
 
 
-def test_states_can_be_picked(states: States) -> None:
+def test_states_can_be_picked(states: StateSamples) -> None:
     picked = states[np.array([4, 1])]
     for name in ("t", "q", "v", "a"):
         np.testing.assert_array_equal(getattr(picked, name), getattr(states, name)[[4, 1]])
@@ -146,7 +151,7 @@ def test_states_can_be_picked(states: States) -> None:
 
 
 def test_what_a_motion_asks_is_worked_out_once_for_every_robot(
-    cmbot_robot: Robot, states: States, monkeypatch: pytest.MonkeyPatch
+    cmbot_robot: Robot, states: StateSamples, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked: list[Robot] = []
     efforts = Dynamics.efforts

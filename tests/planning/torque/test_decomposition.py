@@ -11,12 +11,12 @@ from small_scenes import short_scene
 
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization import exchange as optimiser
-from cmbot.optimization.exchange import PassReport, optimise
+from cmbot.optimization.exchange import ExchangeReport, optimise
 from cmbot.planning import Progress, plan
-from cmbot.planning.context import Setting, prepare
-from cmbot.planning.initial_guess import Way, fixed_way, sliding_way
+from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.torque import decomposition as stretches
-from cmbot.planning.torque.constraints import States
+from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.planning.verification.certificate import certify
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -24,13 +24,13 @@ from cmbot.trajectory.quintic import QuinticTrajectory
 LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]
 
 
-def way_of(knots: str, **planner: object) -> tuple[Setting, Way]:
+def way_of(knots: str, **planner: object) -> tuple[PlanningContext, InitialGuess]:
     scene = short_scene(
         tool_path={"legs": LEGS, "via_points": 33},
         planner={"solver": "sqp", "knots": knots, "quiet_modes": 0, **planner},
     )
-    setting = prepare(scene, scene.planner)
-    return setting, sliding_way(setting) if knots == "sliding" else fixed_way(setting, lambda _: None)
+    context = build_context(scene, scene.planner)
+    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context, lambda _: None)
 
 
 @pytest.fixture(autouse=True)
@@ -42,21 +42,23 @@ def short_ones_are_long(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module", params=["sliding", "fixed"])
-def way(request: pytest.FixtureRequest) -> tuple[Setting, Way]:
+def way(request: pytest.FixtureRequest) -> tuple[PlanningContext, InitialGuess]:
     return way_of(request.param)
 
 
-def test_stretches_end_where_legs_meet(way: tuple[Setting, Way]) -> None:
-    setting, problem = way[0], way[1].problem
+def test_stretches_end_where_legs_meet(way: tuple[PlanningContext, InitialGuess]) -> None:
+    context, problem = way[0], way[1].problem
     parts = stretches.stretches(problem)
     assert parts[0][0] == 0 and parts[-1][1] == 32
     assert all(end == start for (_, end), (start, _) in pairwise(parts))
     assert len(parts) == 4
-    inner = [setting.times[end] for _, end in parts[:-1]]
-    assert np.isin(np.round(inner, 9), np.round(setting.task.path.leg_times, 9)).all()
+    inner = [context.times[end] for _, end in parts[:-1]]
+    assert np.isin(np.round(inner, 9), np.round(context.task.path.leg_times, 9)).all()
 
 
-def test_short_paths_are_one_stretch(way: tuple[Setting, Way], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_short_paths_are_one_stretch(
+    way: tuple[PlanningContext, InitialGuess], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(stretches, "LONGEST_WHOLE", 33)
     assert stretches.stretches(way[1].problem) == [(0, 32)]
 
@@ -66,13 +68,15 @@ def test_a_leg_without_corners_is_one_stretch() -> None:
         tool_path={"legs": [{"by": [0, -0.2, 0], "seconds": 12.0}], "via_points": 33},
         planner={"solver": "sqp", "knots": "fixed"},
     )
-    setting = prepare(scene, scene.planner)
-    assert stretches.stretches(fixed_way(setting, lambda _: None).problem) == [(0, 32)]
+    context = build_context(scene, scene.planner)
+    assert stretches.stretches(fixed_guess(context, lambda _: None).problem) == [(0, 32)]
 
 
-def test_what_is_joined_is_smooth_certified_and_counted_through(way: tuple[Setting, Way]) -> None:
-    setting, problem = way[0], way[1].problem
-    told: list[PassReport] = []
+def test_what_is_joined_is_smooth_certified_and_counted_through(
+    way: tuple[PlanningContext, InitialGuess],
+) -> None:
+    context, problem = way[0], way[1].problem
+    told: list[ExchangeReport] = []
     found = optimise(problem, told.append)
     assert [report.number for report in told] == list(range(1, len(told) + 1))
     assert found.passes == tuple(told)
@@ -83,9 +87,9 @@ def test_what_is_joined_is_smooth_certified_and_counted_through(way: tuple[Setti
     # Position, velocity, acceleration and jerk are continuous at every inner knot.
     jerk = found.trajectory.evaluate(problem.space.t[1:-1], 3)
     before = found.trajectory.evaluate(problem.space.t[1:-1] - 1e-9, 3)
-    np.testing.assert_allclose(before, jerk, rtol=0, atol=1e-6 * setting.robot.limits.jerk.max())
+    np.testing.assert_allclose(before, jerk, rtol=0, atol=1e-6 * context.robot.limits.jerk.max())
     certificate = certify(
-        setting.robot, setting.task, found.trajectory, found.via_points, setting.clearances, setting.options
+        context.robot, context.task, found.trajectory, found.via_points, context.clearances, context.options
     )
     certificate.require()
 
@@ -128,5 +132,5 @@ def test_where_a_stretch_fails_the_path_is_solved_as_a_whole(monkeypatch: pytest
 
 
 def peak_of(problem: TorqueProblem, trajectory: QuinticTrajectory) -> float:
-    states = States(problem.grid, *trajectory.states(problem.grid))
+    states = StateSamples(problem.grid, *trajectory.states(problem.grid))
     return float(problem.objective.values(states).max())

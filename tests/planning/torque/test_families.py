@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests.finite_differences import check_derivative
-from tests.small_scenes import parts, problem_of, short_scene
+from finite_differences import check_derivative
+from small_scenes import parts, problem_of, short_scene
 
 from cmbot.planning.torque.families import FixedKnots, SlidingKnots, WhitenedSplines
 from cmbot.robot import Postures

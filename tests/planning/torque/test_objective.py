@@ -9,22 +9,22 @@ from typing import Any
 
 import numpy as np
 import pytest
+from conftest import StateSamples as RandomStates
+from finite_differences import check_derivative
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from tests.finite_differences import check_derivative
-from tests.plan_folders import edit, refused
-from tests.small_scenes import short_scene
+from plan_folders import edit, refused
+from small_scenes import short_scene
 
 import cmbot
 from cmbot.common.errors import ArchiveError, InputError, SceneError
-from cmbot.planning import GlobalStage, ObjectiveFigures, Plan, PostureObjective, WeightedMoment, remarks
-from cmbot.planning.context import prepare
-from cmbot.planning.torque.constraints import States
+from cmbot.planning import GlobalSearch, ObjectiveMetrics, Plan, PostureObjective, WeightedMoment, remarks
+from cmbot.planning.context import build_context
+from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.objectives import Objective, ObjectiveShare, WrenchObjective, objective_of
 from cmbot.robot import Dynamics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene
-from tests.conftest import States as RandomStates
 
 FloatArray = NDArray[np.float64]
 N = 5
@@ -46,8 +46,8 @@ def bent_elbow(q: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.fixture
-def states(cmbot_robot: Robot, random_states: RandomStates) -> States:
-    return States(np.arange(float(N)), *random_states(cmbot_robot, N))
+def states(cmbot_robot: Robot, random_states: RandomStates) -> StateSamples:
+    return StateSamples(np.arange(float(N)), *random_states(cmbot_robot, N))
 
 
 @pytest.fixture(params=["foot", "base", "weighted", "own", "posture"])
@@ -64,7 +64,7 @@ def objective(request: pytest.FixtureRequest, cmbot_robot: Robot) -> Objective:
     return objective_of(cmbot_robot, options[request.param])
 
 
-def test_default_is_the_reported_torque(cmbot_robot: Robot, states: States) -> None:
+def test_default_is_the_reported_torque(cmbot_robot: Robot, states: StateSamples) -> None:
     efforts = Dynamics(cmbot_robot).efforts(states.q, states.v, states.a)
     objective = objective_of(cmbot_robot, PlannerOptions())
     expected = np.linalg.norm(efforts.guardrail_torque, axis=1)
@@ -72,7 +72,7 @@ def test_default_is_the_reported_torque(cmbot_robot: Robot, states: States) -> N
     assert (objective.name, objective.unit) == ("torque", "Nm")
 
 
-def test_moment_about_the_base(cmbot_robot: Robot, states: States) -> None:
+def test_moment_about_the_base(cmbot_robot: Robot, states: StateSamples) -> None:
     """At rest: the moments of the links' weights about O1, from pinocchio's centres of mass."""
     import pinocchio as pin
 
@@ -121,7 +121,7 @@ def test_weights_that_are_none(weights: tuple[float, ...]) -> None:
         WeightedMoment(np.zeros(3), np.array(weights, dtype=float))
 
 
-def test_derivatives_of_the_wrench(cmbot_dynamics: Dynamics, states: States) -> None:
+def test_derivatives_of_the_wrench(cmbot_dynamics: Dynamics, states: StateSamples) -> None:
     got = cmbot_dynamics.wrench_derivatives(states.q, states.v, states.a)
 
     def wrench(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
@@ -136,7 +136,7 @@ def test_derivatives_of_the_wrench(cmbot_dynamics: Dynamics, states: States) -> 
         check_derivative(lambda x: wrench(q, v, x), a, got.d_a[k])  # noqa: B023
 
 
-def test_values_and_derivatives(objective: Objective, states: States) -> None:
+def test_values_and_derivatives(objective: Objective, states: StateSamples) -> None:
     got = objective.linearise(states)
     np.testing.assert_allclose(got.value, objective.values(states), rtol=1e-11)
     parts = objective.parts(states)
@@ -150,20 +150,22 @@ def test_values_and_derivatives(objective: Objective, states: States) -> None:
 
             def value(x: FloatArray, k: int = k, name: str = name) -> float:
                 changed = {"q": states.q[k], "v": states.v[k], "a": states.a[k]} | {name: x}
-                return float(objective.values(States(states.t[:1], *(y[None] for y in changed.values())))[0])
+                return float(
+                    objective.values(StateSamples(states.t[:1], *(y[None] for y in changed.values())))[0]
+                )
 
             check_derivative(
                 value, getattr(states, name)[k], getattr(got, f"d_{name}")[k], rtol=1e-7, atol=1e-8
             )
 
 
-def test_at_rest_nothing_moves(objective: Objective, states: States, cmbot_robot: Robot) -> None:
+def test_at_rest_nothing_moves(objective: Objective, states: StateSamples, cmbot_robot: Robot) -> None:
     still = np.zeros_like(states.q)
-    moving = objective.values(States(states.t, states.q, still, still))
+    moving = objective.values(StateSamples(states.t, states.q, still, still))
     np.testing.assert_allclose(objective.at_rest(Postures(cmbot_robot).at(states.q)), moving, rtol=1e-10)
 
 
-def test_share(objective: Objective, states: States) -> None:
+def test_share(objective: Objective, states: StateSamples) -> None:
     share = ObjectiveShare(objective, 123.0)
     value, component = share.values(states)
     np.testing.assert_allclose(123.0 * value[:, 0], objective.values(states), rtol=1e-14)
@@ -231,7 +233,7 @@ def test_a_plan_about_the_base(about_base: Plan) -> None:
 
     def peak(plan: Plan) -> float:
         s = plan.samples
-        return float(objective.values(States(s.t, s.q, s.v, s.a)).max())
+        return float(objective.values(StateSamples(s.t, s.q, s.v, s.a)).max())
 
     figures = about_base.objective
     assert figures.planned_peak == pytest.approx(peak(about_base), rel=1e-3)
@@ -257,8 +259,8 @@ def test_a_plan_about_the_base(about_base: Plan) -> None:
 def test_weights_are_one_of_anyones_own_functions(with_own: Plan) -> None:
     """A function of someone's own that is what weights say leads to the same floor and the same way."""
     scene = upward(axis_weights=[1, 2, 0])
-    weighted = GlobalStage(prepare(scene, scene.planner))
-    own = GlobalStage(prepare(scene, scene.planner, steep))
+    weighted = GlobalSearch(build_context(scene, scene.planner))
+    own = GlobalSearch(build_context(scene, scene.planner, steep))
     assert own.floor.value == pytest.approx(weighted.floor.value, rel=1e-9)
     np.testing.assert_allclose(own.solve(pinned=False).q, weighted.solve(pinned=False).q)
     figures = with_own.objective
@@ -289,9 +291,9 @@ def test_round_trip(about_base: Plan, with_own: Plan, tmp_path: Path) -> None:
 def test_an_objective_that_rests_at_zero() -> None:
     """Gravity has no moment about the vertical: the floor is 0, and no gap to it is made up."""
     scene = short_scene(planner={"knots": "sliding", "axis_weights": [0, 0, 1]})
-    stage = GlobalStage(prepare(scene, scene.planner))
+    stage = GlobalSearch(build_context(scene, scene.planner))
     assert stage.floor.value == stage.solve(pinned=True).peak == 0.0
-    figures = ObjectiveFigures(
+    figures = ObjectiveMetrics(
         name="torque",
         unit="Nm",
         own=False,
@@ -309,8 +311,8 @@ def test_an_objective_of_the_posture_has_a_floor() -> None:
     """The stages of planning take it, whatever the wrench."""
     scene = short_scene(planner={"knots": "sliding"})
     objective = PostureObjective(function=bent_elbow, name="elbow", unit="")
-    stage = GlobalStage(replace(prepare(scene, scene.planner), objective=objective))
+    stage = GlobalSearch(replace(build_context(scene, scene.planner), objective=objective))
     solution = stage.solve(pinned=False)
     np.testing.assert_allclose(solution.value, 1 - np.cos(solution.q[:, 2]), rtol=1e-12)
     assert stage.floor.value <= solution.peak + 1e-12
-    assert isinstance(objective_of(prepare(scene, scene.planner).robot, scene.planner), WrenchObjective)
+    assert isinstance(objective_of(build_context(scene, scene.planner).robot, scene.planner), WrenchObjective)

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from scipy import sparse
 from small_scenes import parts, problem_of, short_scene
 
-from cmbot.optimization.constraint_set import KnownConstraints
+from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.curvature import convexified, state_curvature
-from cmbot.optimization.iterate import TorquePlace
+from cmbot.optimization.iterate import NlpEvaluation
 from cmbot.optimization.working_set import WorkingSet
-from cmbot.planning.torque.constraints import Linearisation, StateFunction, States
+from cmbot.planning.torque.constraints import Linearisation, StateConstraint, StateSamples
 from cmbot.planning.torque.families import FixedKnots, WhitenedSplines
 from cmbot.planning.torque.null_space import TaskAtViaPoints
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Postures, Robot
-from cmbot.trajectory.local_basis import LocalSplines
-from cmbot.trajectory.parametrization import LocalKnots
+from cmbot.trajectory.local_basis import SparseSplines
+from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.spline_space import SplineSpace
 
 FloatArray = NDArray[np.float64]
@@ -34,15 +34,15 @@ def fixed_problem() -> TorqueProblem:
     return problem_of(short_scene())[0]
 
 
-def family_of(kind: str) -> LocalKnots:
+def family_of(kind: str) -> Parametrization:
     """A spline that is not that of least jerk, through the via-points of the short scene."""
     robot, task, _, _ = parts(short_scene())
     problem = fixed_problem()
     t, via_points = problem.space.t, problem.family.via_points
-    splines = LocalSplines(SplineSpace(t), robot.limits)
+    splines = SparseSplines(SplineSpace(t), robot.limits)
     wild = 0.1 * splines.unit * np.random.default_rng(1).normal(size=splines.unit.shape)
     at = TaskAtViaPoints(postures=Postures(robot), task=task, points=task.path.position(t))
-    return LocalKnots(
+    return Parametrization(
         splines,
         via_points,
         splines.least_jerk(via_points) + wild,
@@ -53,25 +53,25 @@ def family_of(kind: str) -> LocalKnots:
 
 
 @pytest.fixture(scope="module", params=["fixed", "free", "pinned"])
-def family(request: pytest.FixtureRequest) -> LocalKnots:
+def family(request: pytest.FixtureRequest) -> Parametrization:
     return family_of(request.param)
 
 
 @cache
-def problem_around(family: LocalKnots) -> TorqueProblem:
+def problem_around(family: Parametrization) -> TorqueProblem:
     scene = short_scene()
     robot, task, _, clearances = parts(scene)
     return TorqueProblem(robot, task, family, clearances, scene.planner, resting=(0,))
 
 
-def step(family: LocalKnots, rng: np.random.Generator, size: float = 0.05) -> FloatArray:
+def step(family: Parametrization, rng: np.random.Generator, size: float = 0.05) -> FloatArray:
     return np.asarray(size * rng.normal(size=family.dimension))
 
 
 @pytest.mark.parametrize("n", [5, 6, 9, 30])
 def test_local_splines_reach_every_spline_once(n: int, cmbot_robot: Robot, rng: np.random.Generator) -> None:
     space = SplineSpace(np.cumsum(rng.uniform(0.2, 0.6, n)))
-    splines = LocalSplines(space, cmbot_robot.limits)
+    splines = SparseSplines(space, cmbot_robot.limits)
     q = rng.normal(size=(n, 7))
     least = space.least_jerk(q)
     z = splines.columns @ np.vstack([splines.least_jerk(q), q])
@@ -87,7 +87,7 @@ def test_local_splines_reach_every_spline_once(n: int, cmbot_robot: Robot, rng: 
 
 
 def test_each_spline_lives_on_four_segments(cmbot_robot: Robot) -> None:
-    splines = LocalSplines(SplineSpace(np.linspace(0, 5, 12)), cmbot_robot.limits)
+    splines = SparseSplines(SplineSpace(np.linspace(0, 5, 12)), cmbot_robot.limits)
     for column in splines.columns.toarray().T:
         knots = np.unique(np.flatnonzero(column) // 3)
         assert np.ptp(knots) <= 4
@@ -95,7 +95,7 @@ def test_each_spline_lives_on_four_segments(cmbot_robot: Robot) -> None:
 
 def test_rows_are_the_splines_and_their_derivatives(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     space = SplineSpace(np.cumsum(rng.uniform(0.2, 0.6, 9)))
-    splines = LocalSplines(space, cmbot_robot.limits)
+    splines = SparseSplines(space, cmbot_robot.limits)
     times = np.append(rng.uniform(space.t[0], space.t[-1], 20), space.t)
     rows = splines.rows(times)
     for order in range(4):
@@ -109,7 +109,7 @@ def test_rows_are_the_splines_and_their_derivatives(cmbot_robot: Robot, rng: np.
 
 def test_a_unit_uses_up_a_bound(cmbot_robot: Robot) -> None:
     space = SplineSpace(np.linspace(0, 5, 12))
-    splines, limits = LocalSplines(space, cmbot_robot.limits), cmbot_robot.limits
+    splines, limits = SparseSplines(space, cmbot_robot.limits), cmbot_robot.limits
     for number in range(splines.count):
         u = np.zeros((splines.columns.shape[1], 7))
         u[number] = splines.unit[number]
@@ -129,12 +129,12 @@ def test_the_dense_family_has_the_same_trajectories(rng: np.random.Generator) ->
     dense = FixedKnots(whitened, moved.via_points, numbers, WEIGHT)
     np.testing.assert_allclose(dense.knots(dense.start), z, rtol=0, atol=1e-9)
     least = moved.splines.least_jerk(moved.via_points)
-    still = LocalKnots(moved.splines, moved.via_points, least, WEIGHT)
+    still = Parametrization(moved.splines, moved.via_points, least, WEIGHT)
     got = moved.smoothing()[0] - still.smoothing()[0]
     assert got == pytest.approx(dense.smoothing(dense.start)[0], rel=1e-9)
 
 
-def test_steps_keep_the_smoothness_and_the_task(family: LocalKnots, rng: np.random.Generator) -> None:
+def test_steps_keep_the_smoothness_and_the_task(family: Parametrization, rng: np.random.Generator) -> None:
     moved = family.rebuilt(step(family, rng, 0.3), WEIGHT)
     trajectory = family.space.trajectory(moved.knots(moved.start))
     for order in range(4):
@@ -149,7 +149,7 @@ def test_steps_keep_the_smoothness_and_the_task(family: LocalKnots, rng: np.rand
     assert still[0] == (not family.sliding or family.slides < len(still))
 
 
-def test_knots(family: LocalKnots, rng: np.random.Generator) -> None:
+def test_knots(family: Parametrization, rng: np.random.Generator) -> None:
     """The knots' derivatives by the unknowns, at the start of the family."""
     A = rng.normal(size=family.knots(family.start).shape)
     pull = (family.splines.columns.T @ A).ravel()
@@ -158,7 +158,7 @@ def test_knots(family: LocalKnots, rng: np.random.Generator) -> None:
     )
 
 
-def test_jacobians(family: LocalKnots, rng: np.random.Generator) -> None:
+def test_jacobians(family: Parametrization, rng: np.random.Generator) -> None:
     times = rng.uniform(0, 4, 5)
     weights = rng.normal(size=(4, 5, 7))
     rows, space = family.rows(times), family.space
@@ -186,13 +186,15 @@ def test_rows_of_one_joint_have_entries_for_that_joint_alone(rng: np.random.Gene
     np.testing.assert_array_equal(joint[column], row)
 
 
-def test_no_rows_make_an_empty_jacobian_and_no_curvature(family: LocalKnots) -> None:
+def test_no_rows_make_an_empty_jacobian_and_no_curvature(family: Parametrization) -> None:
     rows = family.rows(np.empty(0))
     assert family.assembly.jacobian(rows, np.empty((4, 0, 7))).shape == (0, family.dimension)
     assert family.assembly.hessian(rows, np.empty((0, 21, 21))).nnz == 0
 
 
-def test_curvatures_are_what_jacobians_make_of_them(family: LocalKnots, rng: np.random.Generator) -> None:
+def test_curvatures_are_what_jacobians_make_of_them(
+    family: Parametrization, rng: np.random.Generator
+) -> None:
     rows = family.rows(rng.uniform(0, 4, 3))
     M = rng.normal(size=(3, 21, 21))
     J = [
@@ -204,7 +206,7 @@ def test_curvatures_are_what_jacobians_make_of_them(family: LocalKnots, rng: np.
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_unknowns_are_sorted_along_the_path(family: LocalKnots) -> None:
+def test_unknowns_are_sorted_along_the_path(family: Parametrization) -> None:
     index = np.sort(np.concatenate([family.number_index.ravel(), family.slide_index.ravel()]))
     np.testing.assert_array_equal(index, np.arange(family.dimension))
     block = np.searchsorted(family.block_ends, np.arange(family.dimension), side="right")
@@ -223,7 +225,7 @@ def along(function: Callable[[FloatArray], float], d: FloatArray, h: float) -> f
     return (16 * near - far) / (12 * h**2)
 
 
-def test_smoothing(family: LocalKnots, rng: np.random.Generator) -> None:
+def test_smoothing(family: Parametrization, rng: np.random.Generator) -> None:
     def smoothing(x: FloatArray) -> float:
         return family.rebuilt(x, WEIGHT).smoothing()[0]
 
@@ -238,7 +240,7 @@ def test_smoothing(family: LocalKnots, rng: np.random.Generator) -> None:
     assert value == pytest.approx(0.5 * WEIGHT * _gauss(family)[1] @ share.mean(axis=1))
 
 
-def _gauss(family: LocalKnots) -> tuple[FloatArray, FloatArray]:
+def _gauss(family: Parametrization) -> tuple[FloatArray, FloatArray]:
     t = family.space.t
     nodes, weights = np.polynomial.legendre.leggauss(4)
     h = np.diff(t)[:, None]
@@ -246,10 +248,12 @@ def _gauss(family: LocalKnots) -> tuple[FloatArray, FloatArray]:
 
 
 @pytest.mark.parametrize("number", [0, 1, 2])
-def test_curvature_of_the_state_functions(family: LocalKnots, number: int, rng: np.random.Generator) -> None:
+def test_curvature_of_the_state_functions(
+    family: Parametrization, number: int, rng: np.random.Generator
+) -> None:
     """Of the guardrail torque, a joint's torque and the tool's deviation, slides and all."""
     problem = problem_around(family)
-    function: StateFunction = (problem.torque, *problem.functions)[number]
+    function: StateConstraint = (problem.torque, *problem.functions)[number]
     times, multipliers = np.array([0.3, 1.9, 3.3]), np.array([1.0, 2.0, 0.5])
     if number == 2:
         # A distance bends without bound where it is nearly zero.
@@ -281,28 +285,28 @@ def test_what_no_state_changes_does_not_bend() -> None:
     class Flat:
         name, components = "flat", 1
 
-        def values(self, states: States) -> tuple[FloatArray, NDArray[np.intp]]:
+        def values(self, states: StateSamples) -> tuple[FloatArray, NDArray[np.intp]]:
             raise NotImplementedError
 
-        def linearise(self, states: States, component: NDArray[np.intp]) -> Linearisation:
+        def linearise(self, states: StateSamples, component: NDArray[np.intp]) -> Linearisation:
             return Linearisation(np.zeros(len(states.t)), *3 * (np.zeros(states.q.shape),))
 
-    states = States(np.zeros(2), *3 * (np.zeros((2, 7)),))
+    states = StateSamples(np.zeros(2), *3 * (np.zeros((2, 7)),))
     active, curvature = state_curvature(Flat(), states, np.zeros(2, dtype=np.intp), np.ones(2), 1.0)
     assert len(active) == 2
     assert not curvature.any()
 
 
-def test_the_place_knows_its_derivatives(family: LocalKnots, rng: np.random.Generator) -> None:
+def test_the_place_knows_its_derivatives(family: Parametrization, rng: np.random.Generator) -> None:
     problem = problem_around(family)
     working = WorkingSet(problem)
     working.add_everywhere(np.array([0.4, 1.7, 3.1]))
-    known = KnownConstraints(problem, working)
+    known = ConstraintSet(problem, working)
 
-    def at(x: FloatArray) -> TorquePlace:
-        return TorquePlace.on(known, family.rebuilt(x, family.weight), 0.9)
+    def at(x: FloatArray) -> NlpEvaluation:
+        return NlpEvaluation.on(known, family.rebuilt(x, family.weight), 0.9)
 
-    place = TorquePlace.on(known, family, 0.9)
+    place = NlpEvaluation.on(known, family, 0.9)
     first = place.first
     check_derivative(lambda x: at(x).values.objective, family.start, first.gradient, rtol=1e-5)
     check_derivative(
@@ -322,10 +326,10 @@ def test_a_step_adds_what_it_violates_and_multipliers_follow() -> None:
     problem = problem_around(family_of("free"))
     working = WorkingSet(problem)
     working.add_everywhere(np.array([0.4, 1.7, 3.1]))
-    known = KnownConstraints(problem, working)
+    known = ConstraintSet(problem, working)
     family = problem.family
-    assert isinstance(family, LocalKnots)
-    place = TorquePlace.on(known, family, None)
+    assert isinstance(family, Parametrization)
+    place = NlpEvaluation.on(known, family, None)
     multipliers = np.arange(1.0, len(working) + 1)
     before = np.split(multipliers, np.cumsum(working.sizes)[:-1])
     trial = place.moved(np.full(family.dimension, 0.5))
@@ -344,12 +348,12 @@ def test_a_step_adds_what_it_violates_and_multipliers_follow() -> None:
 def test_thinning_keeps_multipliers_and_the_worst() -> None:
     problem = problem_around(family_of("free"))
     working = WorkingSet(problem)
-    known = KnownConstraints(problem, working)
+    known = ConstraintSet(problem, working)
     dense = np.linspace(0.5, 3.5, 400)
     working.add_everywhere(dense)
     family = problem.family
-    assert isinstance(family, LocalKnots)
-    place = TorquePlace.on(known, family, None)
+    assert isinstance(family, Parametrization)
+    place = NlpEvaluation.on(known, family, None)
     multipliers = np.zeros(len(working))
     multipliers[[7, 8, 430]] = [1.0, 2.0, 3.0]
     thinner, left = place.thinned(multipliers)

@@ -11,7 +11,7 @@ from cmbot.collision.clearance import Clearances
 from cmbot.planning import Plan
 from cmbot.planning.verification import certificate as certifying
 from cmbot.planning.verification.certificate import Certificate, Check, certify
-from cmbot.planning.verification.metrics import LimitUse, MotionFigures, together
+from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, together
 
 
 def again(planned: Plan) -> Certificate:
@@ -40,7 +40,7 @@ def test_samples_that_are_measured_few_at_a_time_say_the_same(
         assert mine == pytest.approx(others, rel=1e-9, abs=1e-15)
 
 
-def numbers(figures: MotionFigures) -> list[float]:
+def numbers(figures: MotionMetrics) -> list[float]:
     """All figures, in one list."""
     most = asdict(figures)
     return [*most.pop("limit_use").values(), *most.values()]
@@ -54,9 +54,9 @@ def test_what_is_no_number_in_one_block_is_not_lost(broken_at: int) -> None:
     ]
     assert np.isnan(certifying._worst(checks).value)
     use = LimitUse(velocity=0.1, acceleration=0.1, jerk=0.1, torque=0.1)
-    values = dict.fromkeys((field.name for field in fields(MotionFigures)), 1.0) | {"limit_use": use}
-    good = MotionFigures(**values)
-    bad = MotionFigures(
+    values = dict.fromkeys((field.name for field in fields(MotionMetrics)), 1.0) | {"limit_use": use}
+    good = MotionMetrics(**values)
+    bad = MotionMetrics(
         **dict.fromkeys(values, np.nan)
         | {"limit_use": LimitUse(**dict.fromkeys((field.name for field in fields(LimitUse)), np.nan))}
     )

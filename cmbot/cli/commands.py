@@ -175,7 +175,7 @@ def _check_urdf(path: Path, *, as_json: bool, quiet: bool) -> None:
 
 def _check_scene(file: str, *, as_json: bool, quiet: bool) -> None:
     from cmbot.common.validation import counted
-    from cmbot.planning import examine_scene
+    from cmbot.planning import precheck_scene
 
     try:
         scene = cmbot.load_scene(file)
@@ -185,7 +185,7 @@ def _check_scene(file: str, *, as_json: bool, quiet: bool) -> None:
         # Nothing in it could be read as a scene's.
         expected = "a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)"
         raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
-    seen = examine_scene(scene)
+    seen = precheck_scene(scene)
     if as_json:
         told = [asdict(finding) for finding in seen.warnings]
         print_json(_check_summary(file, "scene", dict(seen.found), findings=told))
