@@ -52,7 +52,7 @@ class Symptom:
 def examine() -> list[Symptom]:
     """Look at the installation."""
     symptoms = [
-        Symptom(name="cmbot", found=f"{__version__} from {Path(__file__).parent}"),
+        Symptom(name="cmbot", found=f"{__version__} from {Path(__file__).parent.parent}"),
         Symptom(name="python", found=f"{platform.python_version()} on {platform.platform()}"),
     ]
     symptoms += [_package(name, module) for name, module in _REQUIRED.items()]

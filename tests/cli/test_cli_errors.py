@@ -14,7 +14,7 @@ from small_scenes import SHORT
 
 import cmbot
 import cmbot.cli.doctor
-from cmbot.cli import app as cli
+from cmbot.cli import commands
 from cmbot.common import errors
 from cmbot.common.extras import install_command
 from cmbot.common.resources import model_folder
@@ -138,7 +138,7 @@ def test_check_of_a_urdf_without_links() -> None:
 )
 @pytest.mark.parametrize("verb", ["check", "replay"])
 def test_names_are_shown_as_they_are(name: str, verb: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(cli.err, "width", 40)  # a narrow window breaks no line
+    monkeypatch.setattr(commands.err, "width", 40)  # a narrow window breaks no line
     outcome = run(verb, name)
     assert outcome.status == 2
     # A name that is too long for the system is shortened.
