@@ -14,7 +14,7 @@ def test_of_a_checkout_the_command_names_it(monkeypatch: pytest.MonkeyPatch, tmp
     checkout = tmp_path / "a checkout"
     checkout.mkdir()
     monkeypatch.setattr(extras, "_CHECKOUT", checkout)
-    assert shlex.split(install_command("fast")) == ["pip", "install", "cmbot[fast]"]
+    assert shlex.split(install_command("fast")) == ["pip", "install", "cmbot-planner[fast]"]
     (checkout / "pyproject.toml").touch()
     assert shlex.split(install_command("fast")) == ["pip", "install", "-e", f"{checkout}[fast]"]
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 import cmbot
+from cmbot.common.extras import DISTRIBUTION
 from cmbot.common.resources import data_folder, model_folder, scene_folder
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -94,7 +95,7 @@ def test_the_wheel_holds_every_file_and_nothing_else(wheel: Path) -> None:
     expected = expected_files()
     assert {"cmbot/py.typed", "cmbot/views/page/replay.html", "cmbot/_data/scenes/line.yaml"} <= set(expected)
     found = content(wheel)
-    info = f"cmbot-{cmbot.__version__}.dist-info"
+    info = f"cmbot_planner-{cmbot.__version__}.dist-info"
     metadata = {f"{info}/{name}" for name in ("METADATA", "RECORD", "WHEEL", "entry_points.txt")}
     assert set(found) == set(expected) | metadata | {f"{info}/licenses/LICENSE"}
     for name, path in expected.items():
@@ -103,9 +104,9 @@ def test_the_wheel_holds_every_file_and_nothing_else(wheel: Path) -> None:
 
 def test_the_wheel_says_what_it_is(wheel: Path) -> None:
     found = content(wheel)
-    info = f"cmbot-{cmbot.__version__}.dist-info"
+    info = f"cmbot_planner-{cmbot.__version__}.dist-info"
     metadata = Parser().parsestr(found[f"{info}/METADATA"].decode())
-    assert (metadata["Name"], metadata["Version"]) == ("cmbot", cmbot.__version__)
+    assert (metadata["Name"], metadata["Version"]) == (DISTRIBUTION, cmbot.__version__)
     assert metadata["License-Expression"] == "BSD-3-Clause"
     assert metadata["Requires-Python"] == ">=3.11"
     assert set(metadata.get_all("Provides-Extra", [])) == {"bench", "docs", "fast", "plots", "test", "video"}
