@@ -13,7 +13,7 @@ _CHECKOUT = Path(__file__).resolve().parent.parent.parent
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra: from the checkout where there is one, else by distribution name.
+    """Return the command that installs an extra: from the checkout where there is one, else by name.
 
     Parameters
     ----------

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import sysconfig
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from urdf_arms import PANDA, PANDA_JOINTS, limits_file
 
 from cmbot.scene import Scene, load_scene
 
-ROBOTS = Path(sysconfig.get_path("purelib"), "cmeel.prefix", "share", "example-robot-data", "robots")
-PANDA = ROBOTS / "panda_description" / "urdf" / "panda.urdf"
 PANDA_POSTURE = [0, -30, 0, -110, 0, 90, 45]
 ENDLESS_POSTURE = [10, 40, 20, 80, -15, 60, 0]
 # Axis, range (deg; 0: endless), distance of the next joint along z (m) and mass (kg) of each joint's link.
@@ -28,38 +26,34 @@ _JOINTS = (
 
 def panda_scene(folder: Path, **tool_path: Any) -> Scene:
     """A Panda that follows a short leg."""
-    names = [f"panda_joint{i}" for i in range(1, 8)]
     files = {"model": str(PANDA), "base_frame": "panda_link0", "tool_frame": "panda_hand"}
-    return _scene(folder, names, files, PANDA_POSTURE, [0.0, 0.0, -0.1], tool_path)
+    return _scene(folder, PANDA_JOINTS, files, PANDA_POSTURE, [0.0, 0.0, -0.1], tool_path)
 
 
 def endless_scene(folder: Path, **tool_path: Any) -> Scene:
     """An arm with four endless joints that follows a short leg."""
     urdf = folder / "endless.urdf"
     urdf.write_text(_urdf(), encoding="utf-8")
-    names = [f"joint_{i}" for i in range(1, 8)]
+    names = tuple(f"joint_{i}" for i in range(1, 8))
     files = {"model": str(urdf), "base_frame": "base", "tool_frame": "tool"}
     return _scene(folder, names, files, ENDLESS_POSTURE, [0.0, 0.1, 0.05], tool_path)
 
 
 def _scene(
     folder: Path,
-    joints: list[str],
+    joints: tuple[str, ...],
     files: dict[str, str],
     posture: list[int],
     by: list[float],
     tool_path: dict[str, Any],
 ) -> Scene:
-    entries = "".join(f"  {name}: {{acceleration_deg: 200, jerk_deg: 1000}}\n" for name in joints)
-    limits = folder / "limits.yaml"
-    limits.write_text(f"format: cmbot-joint-limits/1\njoints:\n{entries}", encoding="utf-8")
     return load_scene(
         {
             "format": "cmbot-scene/1",
             "name": "other",
             "robot": {
                 **files,
-                "limits": str(limits),
+                "limits": str(limits_file(folder, joints)),
                 "mount": {"xyz": [0, 0.3, 0.4], "rpy_deg": [0, 0, 90]},
             },
             "posture_deg": posture,

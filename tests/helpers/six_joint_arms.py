@@ -6,7 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from seven_joint_arms import ROBOTS
+from urdf_arms import ROBOTS, limits_file
 
 from cmbot.scene import Scene, load_scene
 
@@ -63,9 +63,7 @@ def _scene(
     tool_path: dict[str, Any],
     planner: dict[str, Any],
 ) -> Scene:
-    limits, srdf = folder / "limits.yaml", folder / "near.srdf"
-    entries = "".join(f"  {name}: {{acceleration_deg: 200, jerk_deg: 1000}}\n" for name in joints)
-    limits.write_text(f"format: cmbot-joint-limits/1\njoints:\n{entries}", encoding="utf-8")
+    srdf = folder / "near.srdf"
     pairs = "".join(f'<disable_collisions link1="{one}" link2="{other}"/>' for one, other in near)
     srdf.write_text(f'<robot name="near">{pairs}</robot>', encoding="utf-8")
     mount = {"xyz": [0, 0.7, 0.2], "rpy_deg": [0, 0, 0]}
@@ -73,7 +71,7 @@ def _scene(
         {
             "format": "cmbot-scene/1",
             "name": "six",
-            "robot": {**files, "limits": str(limits), "srdf": str(srdf), "mount": mount},
+            "robot": {**files, "limits": str(limits_file(folder, joints)), "srdf": str(srdf), "mount": mount},
             "posture_deg": posture,
             "tool_path": tool_path,
             "planner": {"quiet_modes": 0, **planner},

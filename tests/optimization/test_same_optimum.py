@@ -17,8 +17,8 @@ from same_start import Answer, SameStart
 from seven_joint_arms import endless_scene
 from six_joint_arms import ur_scene, z1_scene
 from small_scenes import short_scene
-from test_planning_other_arms import scene_of
 from threadpoolctl import threadpool_limits
+from urdf_arms import arm_scene
 
 from cmbot.scene import Scene, load_scene
 
@@ -62,10 +62,10 @@ SMALL: dict[str, dict[str, Any]] = {
     "fixed, little smoothing": {"planner": {"smoothing_weight": 1e-6}},
 }
 ARMS: dict[str, Callable[[Path], Scene]] = {
-    "panda, pose": lambda folder: scene_of(folder, "panda"),
-    "panda, fixed": lambda folder: scene_of(folder, "panda", knots="fixed"),
-    "kinova, pose": lambda folder: scene_of(folder, "kinova"),
-    "kinova, axis": lambda folder: scene_of(folder, "kinova", "axis"),
+    "panda, pose": lambda folder: arm_scene(folder, "panda"),
+    "panda, fixed": lambda folder: arm_scene(folder, "panda", knots="fixed"),
+    "kinova, pose": lambda folder: arm_scene(folder, "kinova"),
+    "kinova, axis": lambda folder: arm_scene(folder, "kinova", "axis"),
     "endless, axis": lambda folder: coarse(endless_scene(folder, keep="axis")),
     "ur5, pose": lambda folder: ur_scene(
         folder,

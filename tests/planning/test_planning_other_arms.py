@@ -5,44 +5,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from test_other_robots import KINOVA, KINOVA_JOINTS, PANDA, PANDA_JOINTS, limits_file
+from urdf_arms import arm_scene
 
-from cmbot import load_scene, plan
+from cmbot import plan
 from cmbot.common.errors import PathNotFound
-from cmbot.scene import Scene
-
-POSTURES = {"kinova": [-85, 167, 57, -119, 82, 75], "panda": [10, -30, 5, -120, 10, 90, 20]}
-
-
-def scene_of(folder: Path, arm: str, keep: str = "pose", knots: str = "sliding", **planner: object) -> Scene:
-    urdf, joints, base, tool = {
-        "kinova": (KINOVA, KINOVA_JOINTS, "base", "j2s6s200_end_effector"),
-        "panda": (PANDA, PANDA_JOINTS, "panda_link0", "panda_hand"),
-    }[arm]
-    robot = {
-        "model": str(urdf),
-        "base_frame": base,
-        "tool_frame": tool,
-        "limits": str(limits_file(folder, joints)),
-        "mount": {"xyz": [0, 0.7, 0.2], "rpy_deg": [0, 0, 0]},
-    }
-    return load_scene(
-        {
-            "format": "cmbot-scene/1",
-            "name": arm,
-            "robot": robot,
-            "posture_deg": POSTURES[arm],
-            "tool_path": {"legs": [{"by": [0.02, 0.05, -0.06], "seconds": 4}], "via_points": 8, "keep": keep},
-            "planner": {"knots": knots, "quiet_modes": 0, **planner},
-        }
-    )
 
 
 @pytest.mark.parametrize(
     ("arm", "keep"), [("kinova", "pose"), ("kinova", "axis"), ("panda", "pose")], ids=str
 )
 def test_planned_with_sliding_knots(tmp_path: Path, arm: str, keep: str) -> None:
-    made = plan(scene_of(tmp_path, arm, keep))
+    made = plan(arm_scene(tmp_path, arm, keep))
     assert made.certificate.holds
     assert made.floor is not None
     assert 0 <= made.floor.error <= made.floor.value
@@ -53,7 +26,7 @@ def test_planned_with_sliding_knots(tmp_path: Path, arm: str, keep: str) -> None
 def test_six_joints_that_hold_a_pose_have_one_way_to_go(tmp_path: Path) -> None:
     """From the scene's posture the tool's poses prescribe the via-points, whether they could slide or not."""
     sliding, fixed = (
-        plan(scene_of(tmp_path, "kinova", knots=knots, start="pinned")) for knots in ("sliding", "fixed")
+        plan(arm_scene(tmp_path, "kinova", knots=knots, start="pinned")) for knots in ("sliding", "fixed")
     )
     times = sliding.task.path.via_times(sliding.scene.via_points)
     through = [made.trajectory.evaluate(times) for made in (sliding, fixed)]
@@ -65,12 +38,12 @@ def test_six_joints_that_hold_a_pose_have_one_way_to_go(tmp_path: Path) -> None:
 def test_links_that_are_always_near_each_other_are_named_with_what_to_do(tmp_path: Path) -> None:
     """Links that are no neighbours may be near each other in all postures; an SRDF says that they may."""
     with pytest.raises(PathNotFound, match=r"of panda_link\d, .* robot\.srdf disable the pair") as caught:
-        plan(scene_of(tmp_path, "panda", safety_margin_m=0.08))
+        plan(arm_scene(tmp_path, "panda", safety_margin_m=0.08))
     assert caught.value.pair is not None
 
 
 def test_what_lies_out_of_reach_is_refused_with_what_to_do(tmp_path: Path) -> None:
-    scene = scene_of(tmp_path, "kinova", knots="fixed")
+    scene = arm_scene(tmp_path, "kinova", knots="fixed")
     far = replace(scene, legs=(replace(scene.legs[0], by=(0.0, 3.0, 0.0)),))
     with pytest.raises(PathNotFound, match=r"out of reach .*shorten the leg .* take another posture_deg"):
         plan(far)

@@ -1,6 +1,5 @@
 """Robots that are not ours: a Panda with meshes and fingers, a Kinova with continuous joints."""
 
-import sysconfig
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +10,10 @@ import pytest
 from conftest import StateSamples
 from finite_differences import check_derivative
 from scipy.spatial import ConvexHull
+from urdf_arms import KINOVA, KINOVA_JOINTS, PANDA, PANDA_JOINTS, limits_file
 
 from cmbot.common.errors import ModelError
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
-
-ROBOTS = Path(sysconfig.get_path("purelib"), "cmeel.prefix", "share", "example-robot-data", "robots")
-PANDA = ROBOTS / "panda_description" / "urdf" / "panda.urdf"
-KINOVA = ROBOTS / "kinova_description" / "robots" / "kinova.urdf"
-KINOVA_JOINTS = tuple(f"j2s6s200_joint_{i}" for i in range(1, 7))
-PANDA_JOINTS = tuple(f"panda_joint{i}" for i in range(1, 8))
-
-
-def limits_file(folder: Path, joints: tuple[str, ...]) -> Path:
-    file = folder / "limits.yaml"
-    entries = "".join(f"  {name}: {{acceleration_deg: 200, jerk_deg: 1000}}\n" for name in joints)
-    file.write_text(f"format: cmbot-joint-limits/1\njoints:\n{entries}", encoding="utf-8")
-    return file
 
 
 @pytest.fixture(scope="module")
