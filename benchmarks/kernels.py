@@ -7,18 +7,13 @@ Processor times of one thread. What cmbot does is marked; all answers are compar
 
 from __future__ import annotations
 
-import os
-import subprocess
 import sys
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
-from closed_form import arm_of, batched, compiled
 from measure import process_time
 from numpy.typing import NDArray
 from rich.console import Console
@@ -32,26 +27,14 @@ from cmbot.planning import robot_of
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 from cmbot.scene import Scene
 
-__all__ = ["Kernel", "compiler", "kernels", "measured"]
+__all__ = ["Kernel", "kernels", "measured"]
 
 FloatArray = NDArray[np.float64]
-InitialGuess = tuple[str, bool, Callable[[], FloatArray]]
+Way = tuple[str, bool, Callable[[], FloatArray]]
 SIZES = (50, 500, 2000)
 # The path whose clearances are looked at swings by so much, rad; nearer than the margin, m, is too near.
 _SWING, _MARGIN = 0.3, 0.02
 _ROUNDING, _GJK = 1e-9, 1e-7
-# In a process of its own, as in every command.
-_COMPILING = """
-import time
-import numpy as np, closed_form, kernels
-robot = kernels.shipped()[1]
-states = kernels.states(robot, 1)
-arm, begin = closed_form.arm_of(robot), time.process_time()
-import numba
-run, loaded = closed_form.compiled(), time.process_time()
-run(arm, *states)
-print(loaded - begin, time.process_time() - loaded)
-"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,18 +87,6 @@ def measured(number: int) -> Iterator[Kernel]:
             yield Kernel(what=what, way=way, used=used, number=number, microseconds=microseconds)
 
 
-def compiler() -> dict[str, float]:
-    """Seconds that a fresh process spends on numba: its import, and the first call, compiled before or not.
-
-    Empty without numba.
-    """
-    with tempfile.TemporaryDirectory() as cache:
-        first, again = (_fresh(Path(cache)) for _ in range(2))
-    if not first or not again:
-        return {}
-    return {"import": again[0], "first call": first[1], "first call, compiled before": again[1]}
-
-
 def shipped() -> tuple[Scene, Robot]:
     """Return the triangle and its robot."""
     scene = load_scene("triangle")
@@ -128,7 +99,7 @@ def states(robot: Robot, number: int) -> tuple[FloatArray, FloatArray, FloatArra
     return q, v, a
 
 
-def _values(robot: Robot, number: int) -> list[InitialGuess]:
+def _values(robot: Robot, number: int) -> list[Way]:
     dynamics, (q, v, a) = Dynamics(robot), states(robot, number)
     data = robot.model.createData()
 
@@ -146,8 +117,8 @@ def _values(robot: Robot, number: int) -> list[InitialGuess]:
     return [("pinocchio in a loop", False, loop), ("pinocchio.rneaInParallel", True, parallel)]
 
 
-def _derivatives(robot: Robot, number: int) -> list[InitialGuess]:
-    dynamics, (q, v, a), arm = Dynamics(robot), states(robot, number), arm_of(robot)
+def _derivatives(robot: Robot, number: int) -> list[Way]:
+    dynamics, (q, v, a) = Dynamics(robot), states(robot, number)
     floating, data = robot.floating_model, robot.floating_model.createData()
     still = np.zeros(6)
 
@@ -158,19 +129,13 @@ def _derivatives(robot: Robot, number: int) -> list[InitialGuess]:
             rows[k] = pin.computeRNEADerivatives(floating, data, *at)[0][:6, 6:]
         return rows
 
-    ways: list[InitialGuess] = [
+    return [
         ("pinocchio in a loop, free-flyer", False, free_flyer),
         ("pinocchio in a loop, forces in W", True, lambda: -dynamics.wrench_derivatives(q, v, a).d_q),
-        ("closed form, NumPy", False, lambda: batched(arm, q, v, a)[1][:, :6]),
     ]
-    try:
-        run = compiled()
-    except ImportError:
-        return ways
-    return [*ways, ("closed form, numba", False, lambda: run(arm, q, v, a)[1][:, :6])]
 
 
-def _tool_poses(robot: Robot, number: int) -> list[InitialGuess]:
+def _tool_poses(robot: Robot, number: int) -> list[Way]:
     kinematics, postures, (q, _, _) = Kinematics(robot), Postures(robot), states(robot, number)
 
     def loop() -> FloatArray:
@@ -189,7 +154,7 @@ def _path(scene: Scene, number: int) -> FloatArray:
     return np.asarray(scene.posture + _SWING * rng.uniform(-1, 1, 7) * np.sin(t + rng.uniform(0, 6, 7)))
 
 
-def _smallest(robot: Robot, scene: Scene, number: int) -> list[InitialGuess]:
+def _smallest(robot: Robot, scene: Scene, number: int) -> list[Way]:
     clearances, q = Clearances(robot, scene.obstacles), _path(scene, number)
     model, data = robot.model, robot.model.createData()
     geometry = PairedShapes(robot, scene.obstacles).geometry
@@ -212,7 +177,7 @@ def _smallest(robot: Robot, scene: Scene, number: int) -> list[InitialGuess]:
     ]
 
 
-def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[InitialGuess]:
+def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[Way]:
     clearances, q = Clearances(robot, scene.obstacles), _path(scene, number)
     return [
         ("every posture", False, lambda: clearances.smallest(q).distance.min(keepdims=True)),
@@ -220,7 +185,7 @@ def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[Initial
     ]
 
 
-def _too_near(robot: Robot, scene: Scene, number: int) -> list[InitialGuess]:
+def _too_near(robot: Robot, scene: Scene, number: int) -> list[Way]:
     clearances, (q, _, _) = Clearances(robot, scene.obstacles), states(robot, number)
     return [
         (
@@ -232,24 +197,6 @@ def _too_near(robot: Robot, scene: Scene, number: int) -> list[InitialGuess]:
     ]
 
 
-def _fresh(cache: Path) -> tuple[float, ...]:
-    folder = Path(__file__).parent
-    paths = (str(folder), str(folder.parent))
-    done = subprocess.run(
-        [sys.executable, "-c", _COMPILING],
-        cwd=folder,
-        env={
-            **os.environ,
-            "NUMBA_CACHE_DIR": str(cache),
-            "PYTHONPATH": os.pathsep.join(paths),
-        },
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    return tuple(map(float, done.stdout.split())) if done.returncode == 0 else ()
-
-
 def main() -> None:
     """Measure and print."""
     sizes = " / ".join(map(str, SIZES))
@@ -258,7 +205,6 @@ def main() -> None:
         table.add_column(heading, justify="left" if heading in ("what", "how") else "right")
     with threadpool_limits(limits=1):
         columns = [list(measured(number)) for number in SIZES]
-        compiling = compiler()
     first: dict[tuple[str, int], float] = {}
     for rows in zip(*columns, strict=True):
         units = [first.setdefault((row.what, row.number), row.microseconds) for row in rows]
@@ -269,11 +215,7 @@ def main() -> None:
             " / ".join(ratios),
             " / ".join(f"{row.microseconds:.1f}" for row in rows),
         )
-    console = Console(soft_wrap=True)
-    console.print(table)
-    if compiling:
-        seconds = ", ".join(f"{what} {taken:.2f} s" for what, taken in compiling.items())
-        console.print(f"numba in a fresh process: {seconds}.")
+    Console(soft_wrap=True).print(table)
 
 
 if __name__ == "__main__":

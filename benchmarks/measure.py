@@ -1,7 +1,8 @@
-"""How time is taken: processor time inside one process, wall time of whole commands; the best of several."""
+"""Processor time inside one process, wall time of whole commands, the machine, and optional packages."""
 
 from __future__ import annotations
 
+import importlib
 import os
 import platform
 import subprocess
@@ -9,9 +10,11 @@ import sys
 import time
 from collections.abc import Callable
 from importlib import metadata
-from typing import TypeVar
+from typing import Any, TypeVar
 
-__all__ = ["command", "machine", "process_time", "wall_time"]
+from cmbot.common.errors import MissingExtra
+
+__all__ = ["command", "machine", "process_time", "required", "wall_time"]
 
 Result = TypeVar("Result")
 _PACKAGES = ("pin", "numpy", "scipy", "piqp", "casadi")
@@ -55,3 +58,17 @@ def machine() -> dict[str, object]:
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "packages": versions,
     }
+
+
+def required(package: str) -> Any:
+    """Import a package of the extra ``bench``.
+
+    Raises
+    ------
+    MissingExtra
+        When it is not installed.
+    """
+    try:
+        return importlib.import_module(package)
+    except ImportError as error:
+        raise MissingExtra(package, "bench") from error

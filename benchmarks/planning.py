@@ -5,8 +5,8 @@ from __future__ import annotations
 import tempfile
 from dataclasses import dataclass, replace
 
-from cases import way_of
 from measure import command, process_time, wall_time
+from solvers.cases import way_of
 
 from cmbot import load_scene
 from cmbot.optimization.exchange import optimise

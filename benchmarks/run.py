@@ -16,16 +16,16 @@ from collections.abc import Callable
 from dataclasses import asdict
 from typing import Any
 
-from document import LATEST, RESULTS, make_reference
-from goals import goals
 from growth import in_a_process
 from kernels import kernels
 from measure import machine
 from planning import planned, start_up
-from plot import draw
+from report.document import LATEST, RESULTS, make_reference
+from report.goals import goals
+from report.plot import draw
+from report.tables import goal_sheet, print_sheets, sheets
 from rich.console import Console
-from solvers import compared
-from tables import goal_sheet, print_sheets, sheets
+from solvers.comparison import compared
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import CmbotError

@@ -7,8 +7,8 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from cases import Case, judged
 from numpy.typing import NDArray
+from solvers.cases import Case, judged
 
 from cmbot.optimization.exchange import optimise
 from cmbot.planning.context import build_context

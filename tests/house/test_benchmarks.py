@@ -10,26 +10,16 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import cases
-import document
-import extras
-import goals
-import ipopt
-import lagrangian
-import literal
 import measure
 import numpy as np
-import plot
 import pytest
 import run
-import sampled
-import solvers
-import symbolic
-import tables
 from finite_differences import check_derivative
 from numpy.typing import NDArray
+from report import document, goals, plot, tables
 from scipy import sparse
 from small_scenes import short_scene
+from solvers import cases, comparison, ipopt, lagrangian, literal, sampled, symbolic_arm
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import MissingExtra
@@ -76,22 +66,22 @@ def filled(pattern: sparse.csc_array, data: FloatArray) -> FloatArray:
 
 def test_casadis_dynamics_are_pinocchios(cmbot_robot: Robot) -> None:
     pytest.importorskip("casadi")
-    assert isinstance(symbolic.verified(cmbot_robot), symbolic.SymbolicArm)
+    assert isinstance(symbolic_arm.verified(cmbot_robot), symbolic_arm.SymbolicArm)
 
 
 def test_dynamics_that_are_not_the_same_are_refused(
     cmbot_robot: Robot, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("casadi")
-    turn = symbolic.SymbolicArm._turn
+    turn = symbolic_arm.SymbolicArm._turn
 
-    def longer(arm: symbolic.SymbolicArm, i: int) -> Any:
+    def longer(arm: symbolic_arm.SymbolicArm, i: int) -> Any:
         given = turn(arm, i)
-        return symbolic._Turn(given.R, given.p + 1e-6)
+        return symbolic_arm._Turn(given.R, given.p + 1e-6)
 
-    monkeypatch.setattr(symbolic.SymbolicArm, "_turn", longer)
+    monkeypatch.setattr(symbolic_arm.SymbolicArm, "_turn", longer)
     with pytest.raises(SystemExit, match="miss pinocchio's by"):
-        symbolic.verified(cmbot_robot)
+        symbolic_arm.verified(cmbot_robot)
 
 
 def test_first_derivatives_with_all_rows(all_rows: sampled.SampledProblem, rng: np.random.Generator) -> None:
@@ -139,19 +129,18 @@ def test_the_random_problem_is_as_large_as_the_papers_and_peaks_on_the_way() -> 
 
 
 @pytest.fixture(scope="module")
-def rows(case: cases.Case) -> list[solvers.Solved]:
+def rows(case: cases.Case) -> list[comparison.Solved]:
     """Every solver on the small problem."""
     pytest.importorskip("casadi")
-    found = [solvers.solved_by_cmbot(case, name, repeats=1) for name in ("sqp", "slsqp")]
-    found.append(solvers.solved_by_other(case, solvers.WORKING_SET, ipopt.solve_working_set(case)))
+    found = [comparison.solved_by_cmbot(case, name, repeats=1) for name in ("sqp", "slsqp")]
     found += [
-        solvers.solved_by_other(case, name, ipopt.solve_sampled(case, exact=exact))
-        for name, exact in solvers.IPOPT.items()
+        comparison.solved_by_other(case, name, ipopt.solve_sampled(case, exact=exact))
+        for name, exact in comparison.IPOPT.items()
     ]
-    return [*found, solvers.to_the_letter(case, 60.0)]
+    return [*found, comparison.to_the_letter(case, 60.0)]
 
 
-def test_every_solver_ends_at_cmbots_optimum(case: cases.Case, rows: list[solvers.Solved]) -> None:
+def test_every_solver_ends_at_cmbots_optimum(case: cases.Case, rows: list[comparison.Solved]) -> None:
     problem = case.problem("sqp")
     start = cases.judged(case, problem, problem.trajectory(problem.family, problem.family.start))
     best = rows[0]
@@ -159,7 +148,7 @@ def test_every_solver_ends_at_cmbots_optimum(case: cases.Case, rows: list[solver
     for row in rows:
         assert row.objective == pytest.approx(best.objective, rel=1e-4), row.solver
         # The literal problem and Ipopt look at samples only; between them joint limits give a little.
-        assert row.violation < (1e-2 if row.solver == solvers.LITERAL else 1e-4), row
+        assert row.violation < (1e-2 if row.solver == comparison.LITERAL else 1e-4), row
     assert {row.solver for row in rows} == set(plot.COLOURS)
 
 
@@ -169,8 +158,8 @@ def test_sliding_via_points_too() -> None:
         tool_path={"legs": OUT_AND_BACK, "via_points": 6}, planner=PLANNER | {"samples_per_segment": 5}
     )
     case = replace(cases.fixed_case(scene), sliding=True, pinned=True)
-    own = solvers.solved_by_cmbot(case, "slsqp", repeats=1)
-    found = solvers.solved_by_other(case, "ipopt, exact", ipopt.solve_sampled(case, exact=True))
+    own = comparison.solved_by_cmbot(case, "slsqp", repeats=1)
+    found = comparison.solved_by_other(case, "ipopt, exact", ipopt.solve_sampled(case, exact=True))
     assert found.status == "Solve_Succeeded"
     assert found.objective == pytest.approx(own.objective, rel=1e-4)
 
@@ -221,7 +210,7 @@ KERNEL = {"what": "values", "way": "one", "number": 500, "microseconds": 2.0, "u
 def made_up(**times: float) -> dict[str, Any]:
     """Results in which every solver ends at the same optimum, in these times."""
     row = asdict(
-        solvers.Solved(
+        comparison.Solved(
             problem="random",
             knots="fixed",
             solver="",
@@ -291,7 +280,7 @@ def test_what_was_not_measured_is_not_met() -> None:
     assert ("5,000 via-points", "below 60 s", "–", "–", "not measured") in tables.goal_sheet(unmeasured).rows
 
 
-def test_results_survive_the_file_and_can_be_drawn(rows: list[solvers.Solved], tmp_path: Path) -> None:
+def test_results_survive_the_file_and_can_be_drawn(rows: list[comparison.Solved], tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     results = made_up() | {"solvers": [asdict(row) for row in rows]}
     read = json.loads(json.dumps(results))
@@ -324,8 +313,8 @@ def test_a_missing_package_is_named(
 ) -> None:
     monkeypatch.setitem(sys.modules, "casadi", None)
     with pytest.raises(MissingExtra, match=r"casadi is not installed; run: pip install .*\[bench\]"):
-        extras.required("casadi")
-    monkeypatch.setattr(run, "measured", lambda *_: extras.required("casadi"))
+        measure.required("casadi")
+    monkeypatch.setattr(run, "measured", lambda *_: measure.required("casadi"))
     monkeypatch.setattr(sys, "argv", ["run.py"])
     with pytest.raises(SystemExit, match="error: casadi is not installed"):
         run.main()

@@ -19,7 +19,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from cases import Case
 from scipy import sparse
 
 from cmbot.common.arrays import FloatArray, IntArray
@@ -29,6 +28,7 @@ from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Kinematics, Postures
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.quintic import QuinticTrajectory
+from solvers.cases import Case
 
 __all__ = ["FAR", "ROUND", "SampledProblem"]
 

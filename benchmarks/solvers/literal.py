@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from cases import Case
 from scipy import optimize
 
 from cmbot.common.arrays import FloatArray
@@ -23,6 +22,7 @@ from cmbot.planning.torque.constraints import JointTorque, StateSamples, ToolDev
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Kinematics
 from cmbot.trajectory.quintic import QuinticTrajectory
+from solvers.cases import Case
 
 __all__ = ["LiteralAnswer", "LiteralProblem", "solve_literal"]
 

@@ -6,8 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from extras import required
-from goals import arrived
+from measure import required
+
+from report.goals import arrived
 
 __all__ = ["COLOURS", "draw"]
 
@@ -15,7 +16,6 @@ __all__ = ["COLOURS", "draw"]
 COLOURS = {
     "sqp": "#0072B2",
     "slsqp": "#56B4E9",
-    "ipopt, working set": "#F0E442",
     "ipopt, l-bfgs": "#E69F00",
     "ipopt, exact": "#D55E00",
     "literal slsqp": "#000000",

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 import pytest
-from closed_form import arm_of, batched
 from conftest import StateSamples
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -141,17 +140,3 @@ def test_a_chain_carries_its_vectors(
             np.testing.assert_allclose(axis[:, k], J[3:, joint - 1], rtol=0, atol=1e-13)
             expected = vectors[joint - 1] @ X.rotation.T
             np.testing.assert_allclose(turned[:, :, k], expected, rtol=0, atol=1e-13)
-
-
-@settings(max_examples=10)
-@given(drawn_from=states)
-def test_derivatives_are_those_of_the_closed_form(
-    arm: Robot, drawn_from: tuple[int, int, float, float]
-) -> None:
-    """A second opinion that knows nothing of pinocchio's recursions."""
-    q, v, a = drawn(arm, *drawn_from)
-    value, d_q, d_v, d_a = batched(arm_of(arm), q, v, a)
-    got = Dynamics(arm).wrench_derivatives(q, v, a)
-    for name, expected in {"value": value, "d_q": d_q, "d_v": d_v, "d_a": d_a}.items():
-        same(getattr(got, name), -expected[:, :6])
-    same(Dynamics(arm).derivatives(q, v, a).d_q[:, 3:], d_q[:, 6:])

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from extras import required
-from sampled import ROUND, SampledProblem
+from measure import required
 from scipy import sparse
-from symbolic import SymbolicArm, verified
 
 from cmbot.common.arrays import FloatArray
+from solvers.sampled import ROUND, SampledProblem
+from solvers.symbolic_arm import SymbolicArm, verified
 
 __all__ = ["LagrangianHessian"]
 

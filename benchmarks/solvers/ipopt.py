@@ -1,22 +1,95 @@
-"""A sparse nonlinear program with derivatives in NumPy, handed to Ipopt through casadi."""
+"""Ipopt, through casadi, on the problem with all samples as rows.
+
+First derivatives come from cmbot's kernels, the Hessian from casadi's derivatives of the same dynamics, or
+from L-BFGS.
+"""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from extras import required
+from measure import required
 from scipy import sparse
 
 from cmbot.common.arrays import FloatArray
+from cmbot.trajectory.quintic import QuinticTrajectory
+from solvers.cases import Case
+from solvers.lagrangian import LagrangianHessian
+from solvers.sampled import SampledProblem
 
-__all__ = ["Ended", "Program", "solve"]
+__all__ = ["Answer", "solve_sampled"]
+
+# On Ipopt's scaled optimality conditions; constraints as closely as cmbot meets them.
+_TOLERANCE, _CONSTRAINTS = 1e-6, 1e-5
+# The start is near the optimum: a first barrier as large as Ipopt's own, 0.1, would lead far away from it.
+# Where via-points slide, it has to be smaller, and monotone, which with L-BFGS is not the default.
+_BARRIER = {"mu_init": 1e-4}
+_SLIDING_BARRIER = {"mu_init": 1e-6, "mu_strategy": "monotone"}
 
 
 @dataclass(frozen=True, kw_only=True)
-class Program:
+class Answer:
+    """What a solver found.
+
+    Attributes
+    ----------
+    trajectory : QuinticTrajectory
+    iterations : int
+    status : str
+        In the solver's words.
+    rows : int
+        Constraints.
+    seconds : float
+        Of processor time.
+    """
+
+    trajectory: QuinticTrajectory
+    iterations: int
+    status: str
+    rows: int
+    seconds: float
+
+
+def solve_sampled(case: Case, *, exact: bool, seconds: float = 600.0) -> Answer:
+    """Solve a case with all samples as rows, cut after `seconds` of processor time.
+
+    Raises
+    ------
+    MissingExtra
+        When casadi is not installed.
+    """
+    begin = time.process_time()
+    sampled = SampledProblem(case, case.problem("slsqp"))
+    program = _Program(
+        start=sampled.start,
+        lowest=sampled.lowest,
+        highest=sampled.highest,
+        low=sampled.low,
+        high=sampled.high,
+        objective=sampled.objective,
+        values=sampled.values,
+        jacobian=sampled.jacobian,
+        pattern=sampled.pattern,
+        hessian=LagrangianHessian(sampled) if exact else None,
+    )
+    options = {"tol": _TOLERANCE, "constr_viol_tol": _CONSTRAINTS}
+    options |= _SLIDING_BARRIER if case.sliding else _BARRIER
+    ended = _solve(program, {**options, "max_cpu_time": float(seconds)})
+    return Answer(
+        trajectory=sampled.trajectory(ended.x),
+        iterations=ended.iterations,
+        status=ended.status,
+        rows=len(sampled.low),
+        seconds=time.process_time() - begin,
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Program:
     """``min f(x), low <= g(x) <= high, lowest <= x <= highest``.
 
     Attributes
@@ -48,7 +121,7 @@ class Program:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Ended:
+class _Ended:
     """Where Ipopt ended, after how many iterations, and what it says."""
 
     x: FloatArray
@@ -56,14 +129,8 @@ class Ended:
     status: str
 
 
-def solve(program: Program, options: dict[str, Any]) -> Ended:
-    """Solve a program with Ipopt.
-
-    Raises
-    ------
-    MissingExtra
-        When casadi is not installed.
-    """
+def _solve(program: _Program, options: dict[str, Any]) -> _Ended:
+    """Solve a program with Ipopt."""
     ca = required("casadi")
     n, rows = len(program.start), len(program.low)
     dense, column = ca.Sparsity.dense, ca.Sparsity.dense(rows, 1)
@@ -110,7 +177,7 @@ def solve(program: Program, options: dict[str, Any]) -> Ended:
         x0=program.start, lbx=program.lowest, ubx=program.highest, lbg=program.low, ubg=program.high
     )
     stats = solver.stats()
-    return Ended(
+    return _Ended(
         x=np.array(found["x"]).ravel(), iterations=int(stats["iter_count"]), status=stats["return_status"]
     )
 

@@ -70,7 +70,7 @@ def _times_quicker(what: str, bound: float, solvers: Sequence[Mapping[str, Any]]
     text = f"at least {bound} x, same optimum or better"
     best: dict[str, Mapping[str, Any]] = {}
     for row in solvers:
-        if not row["solver"].startswith(kind) or "working set" in row["solver"] or row["knots"] != "fixed":
+        if not row["solver"].startswith(kind) or row["knots"] != "fixed":
             continue
         other = best.get(row["problem"])
         if other is None or (not arrived(solvers, row), row["seconds"]) < (

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from extras import required
+from measure import required
 
 from cmbot.robot import Dynamics, Kinematics, Robot
 

@@ -44,7 +44,7 @@ class Case:
     Attributes
     ----------
     name : str
-    setting : PlanningContext
+    context : PlanningContext
     via_points : (n, d), rad
     sliding, pinned : bool
         Whether via-points slide; all but the first.

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
-from cases import Case, fixed_case, judged, random_scene, sliding_case
-from ipopt import Answer, solve_sampled, solve_working_set
-from literal import solve_literal
 from measure import process_time
 
 from cmbot import load_scene
 from cmbot.common.validation import counted
 from cmbot.optimization.exchange import optimise
 from cmbot.trajectory.quintic import QuinticTrajectory
+from solvers.cases import Case, fixed_case, judged, random_scene, sliding_case
+from solvers.ipopt import Answer, solve_sampled
+from solvers.literal import solve_literal
 
 __all__ = ["Solved", "compared", "solved_by_cmbot", "solved_by_other", "to_the_letter"]
 
-FAST, SLSQP, LITERAL, WORKING_SET = "sqp", "slsqp", "literal slsqp", "ipopt, working set"
+FAST, SLSQP, LITERAL = "sqp", "slsqp", "literal slsqp"
 # With all samples as rows; the better of them is what "Ipopt" means.
 IPOPT = {"ipopt, l-bfgs": False, "ipopt, exact": True}
 
@@ -62,7 +62,7 @@ def compared(
     Parameters
     ----------
     quick : bool
-        Only the random path, cmbot's solvers and the working set.
+        Only the random path and the sliding ones, and only cmbot's solvers.
     literal_seconds, ipopt_seconds : float
         When they are cut; 0: left out.
     tell : callable
@@ -80,12 +80,7 @@ def compared(
         for solver in (FAST, SLSQP):
             tell(f"{case.name}, {_knots(case)}: {solver}")
             yield solved_by_cmbot(case, solver)
-        if not ipopt_seconds:
-            continue
-        if not case.sliding:
-            tell(f"{case.name}, {_knots(case)}: {WORKING_SET}")
-            yield solved_by_other(case, WORKING_SET, solve_working_set(case))
-        for solver, exact in () if quick else IPOPT.items():
+        for solver, exact in () if quick or not ipopt_seconds else IPOPT.items():
             tell(f"{case.name}, {_knots(case)}: {solver}")
             yield solved_by_other(case, solver, solve_sampled(case, exact=exact, seconds=ipopt_seconds))
     if literal_seconds:

@@ -1,6 +1,6 @@
 """Make the latest results those of the documentation: its tables, its figure, and the file they come from.
 
-    python benchmarks/document.py       # after a run; or in one go: python benchmarks/run.py --document
+    python benchmarks/run.py --document     # or after a run, in benchmarks/: python -m report.document
 
 Results become benchmarks/results/reference.json, tables go between their markers in docs/performance.md.
 tests/house/test_benchmarks.py holds the page to that file.
@@ -16,10 +16,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from goals import goals
-from tables import KEYS, goal_sheet, markdown, sheets
+from report.goals import goals
+from report.tables import KEYS, goal_sheet, markdown, sheets
 
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parent.parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 LATEST, REFERENCE = RESULTS / "latest.json", RESULTS / "reference.json"
 PAGE, FIGURE = ROOT / "docs" / "performance.md", ROOT / "docs" / "images" / "performance.png"

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 from math import log
 from typing import Any
 
-from goals import Goal, beside, ratio, total
 from rich.console import Console
 from rich.table import Table
+
+from report.goals import Goal, beside, ratio, total
 
 __all__ = ["KEYS", "Sheet", "console_table", "goal_sheet", "markdown", "print_sheets", "sheets"]
 

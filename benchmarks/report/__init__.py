@@ -1,0 +1,1 @@
+"""Results as goals, tables, a figure and the page docs/performance.md."""

@@ -1,0 +1,1 @@
+"""The same problems posed to cmbot's solvers, Ipopt and SLSQP on the literal problem."""
