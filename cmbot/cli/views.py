@@ -41,9 +41,9 @@ def replay(
     loaded = cmbot.load_plan(directory)
     tracking = cmbot.load_tracking(loaded, directory)
     if serve:
-        from cmbot.views import serve_replay
+        from cmbot.views import ReplayServer, replay_page
 
-        with serve_replay(loaded, tracking=tracking) as server:
+        with ReplayServer(replay_page(loaded, tracking)) as server:
             try:
                 out.print(f"Replay of {loaded.scene.name} at {server.url}; stop with Ctrl-C.")
                 server.wait()

@@ -1,13 +1,9 @@
-"""What people see of a plan."""
+"""What people see of a plan: the replay and the report as pages, the film, the plots."""
 
 from cmbot.views.film import film
-from cmbot.views.pages import REPLAY, REPORT, pages
 from cmbot.views.plots import figure_files, plot, require_matplotlib
-from cmbot.views.replay import replay, serve_replay
-from cmbot.views.replay_page import replay_page
-from cmbot.views.replay_server import ReplayServer
-from cmbot.views.report import report
-from cmbot.views.report_page import report_page
+from cmbot.views.replay import ReplayServer, replay, replay_page
+from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
 
 __all__ = [
     "REPLAY",
@@ -22,5 +18,4 @@ __all__ = [
     "report",
     "report_page",
     "require_matplotlib",
-    "serve_replay",
 ]

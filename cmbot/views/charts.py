@@ -1,4 +1,4 @@
-"""The report's plots as data: which curves, between which bounds. The page draws them."""
+"""The report's plots as data: curves, bounds and axes. The page draws them."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, Samples
 from cmbot.simulation import MotionTracking, Tracking
-from cmbot.views.frames import pack
-from cmbot.views.thinning import thinned
+from cmbot.views.page import pack
 
-__all__ = ["Chart", "Curve", "charts", "joint_charts"]
+__all__ = ["Chart", "Curve", "charts", "joint_charts", "thinned", "tracked_motions"]
 
 MOST_POINTS = 1000
 """Of a curve in a large plot."""
 MOST_SMALL_POINTS = 400
 """Of a curve in a small one."""
 ROOM = 1.06
-"""Of the axis beyond what has to be seen."""
+"""An axis reaches this much further than its curves."""
 
-_EXPECTED = "Of the planned motion: where the tool is expected with its predicted sag."
-_ERROR = "The bent tool from where the same joint angles put the rigid one. Dashed: the sag at rest."
+_EXPECTED = "Planned motion: the tool with its predicted sag."
+_ERROR = "Elastic arm's tool minus the rigid arm's at the same joint angles. Dashed: static part."
 _COMPENSATED = (
-    "The bent tool from where it is expected: where the joint angles put the rigid one and, for the planned "
-    "motion, its predicted sag from there. Dashed: the same at rest; at zero, the sag is as predicted."
+    "Elastic arm's tool minus its expected position: the rigid arm's at the same joint angles and, for the "
+    "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
+_FLOOR = "Floor: static lower bound; at one via-point no admissible posture at rest has a smaller torque."
 _NOT_SIMULATED = "not simulated"
 
 Motion = Literal["planned", "baseline"]
@@ -36,17 +36,9 @@ Motion = Literal["planned", "baseline"]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
-    """A quantity of one motion over time.
+    """A quantity `y` (N,) of one motion, in the chart's unit, at times `t` (N,), s; the work starts at 0.
 
-    Attributes
-    ----------
-    motion : str
-    t : (N,), s
-        The work starts at 0.
-    y : (N,)
-        In the chart's unit.
-    thin : bool
-        Of less weight: what belongs to another curve.
+    A `thin` curve is part of another one.
     """
 
     motion: Motion
@@ -62,19 +54,19 @@ class Chart:
     Attributes
     ----------
     key : str
-        Where it belongs on the page.
+        Its place on the page.
     title, unit : str
     digits : int
-        Behind the point, where a value is shown.
+        Decimals of a printed value.
     curves : tuple of Curve
     axis : two floats
-        What the axis shows at least.
+        Range that the axis shows at least.
     bounds : two floats or None
-        What is beyond them is not allowed.
+        Values beyond them are not allowed.
     marks : tuple of (float, str)
         Levels with their names.
     note : str
-        What has to be known to read it.
+        Explanation below the title.
     approach : str
         Why the approach has no curve.
     """
@@ -91,13 +83,12 @@ class Chart:
     approach: str = ""
 
     def data(self, most: int = MOST_POINTS) -> dict[str, Any]:
-        """Return it as JSON can hold it; arrays are little-endian float32 in base64."""
+        """Return it ready for JSON; arrays are little-endian float32 in base64."""
         curves = []
         for curve in self.curves:
             t, y = thinned(curve.t, curve.y, most)
             curves.append({"motion": curve.motion, "thin": curve.thin, "t": pack(t), "y": pack(y)})
-        plain = ("key", "title", "unit", "digits", "axis", "bounds", "marks", "note", "approach")
-        return {**{name: getattr(self, name) for name in plain}, "curves": curves}
+        return vars(self) | {"curves": curves}
 
 
 def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
@@ -112,16 +103,36 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:
     """Yield the small plots, quantity by quantity, each with one chart a joint; angles in deg."""
-    limits = plan.robot.limits
+    limits, deg = plan.robot.limits, float(np.rad2deg(1.0))
     symmetric = (
-        ("velocity", "v", limits.velocity, "deg/s", np.rad2deg(1.0)),
-        ("acceleration", "a", limits.acceleration, "deg/s²", np.rad2deg(1.0)),
-        ("jerk", "j", limits.jerk, "deg/s³", np.rad2deg(1.0)),
+        ("velocity", "v", limits.velocity, "deg/s", deg),
+        ("acceleration", "a", limits.acceleration, "deg/s²", deg),
+        ("jerk", "j", limits.jerk, "deg/s³", deg),
         ("torque", "joint_torque", limits.torque, "Nm", 1.0),
     )
-    yield from _quantity(plan, "angle", "q", (limits.lower, limits.upper), "deg", np.rad2deg(1.0))
+    yield from _quantity(plan, "angle", "q", (limits.lower, limits.upper), "deg", deg)
     for title, name, bound, unit, factor in symmetric:
         yield from _quantity(plan, title, name, (-bound, bound), unit, factor)
+
+
+def thinned(t: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
+    """Return at most `most` (4 or more) points of the curve `y` (N,) over `t` (N,), in the order of time.
+
+    The curve is divided into segments of equally many points; its ends and the extremes of each segment stay.
+    """
+    if len(t) <= most:
+        return t, y
+    ends = np.linspace(0, len(t), (most - 2) // 2 + 1).astype(np.intp)
+    first, last = ends[:-1], ends[1:]
+    # A shorter segment repeats its last point.
+    segments = y[np.minimum(first[:, None] + np.arange((last - first).max()), last[:, None] - 1)]
+    kept = np.unique([0, *first + segments.argmin(axis=1), *first + segments.argmax(axis=1), len(t) - 1])
+    return t[kept], y[kept]
+
+
+def tracked_motions(tracking: Tracking) -> tuple[tuple[Motion, MotionTracking], ...]:
+    """Return both simulated motions with their names."""
+    return ("baseline", tracking.baseline), ("planned", tracking.planned)
 
 
 def _torque(plan: Plan) -> Chart:
@@ -135,7 +146,7 @@ def _torque(plan: Plan) -> Chart:
         curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
         marks=() if floor is None else ((floor, f"floor {floor:.1f} Nm"),),
-        note="" if floor is None else "At one via-point no admissible posture rests below the floor.",
+        note="" if floor is None else _FLOOR,
     )
 
 
@@ -144,7 +155,7 @@ def _clearance(plan: Plan) -> Chart:
     curves = tuple(
         curve
         for curve in _curves(plan, lambda samples: 1e3 * samples.clearance)
-        if np.isfinite(curve.y).all()  # infinite where nothing is there
+        if np.isfinite(curve.y).all()  # infinite without a pair of shapes that can collide
     )
     lowest = min((float(curve.y.min()) for curve in curves), default=0.0)
     return Chart(
@@ -162,13 +173,12 @@ def _clearance(plan: Plan) -> Chart:
 
 def _tool_deviation(plan: Plan) -> Chart:
     bound = 1e3 * plan.options.max_tool_deviation_m
-    curves = _curves(plan, lambda samples: 1e3 * samples.tool_deviation, approach=False)
     return Chart(
         key="deviation",
         title="Tool's distance from its path",
         unit="mm",
         digits=3,
-        curves=curves,
+        curves=_curves(plan, lambda samples: 1e3 * samples.tool_deviation, approach=False),
         axis=(0.0, 1.15 * bound),
         bounds=(None, bound),
         marks=((bound, f"bound {bound:g} mm"),),
@@ -179,24 +189,20 @@ def _tool_deviation(plan: Plan) -> Chart:
 
 def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
     """Yield the tracking error along each axis, all to one scale."""
-    motions = _motions(tracking)
+    motions = tracked_motions(tracking)
     shown = np.vstack([each for _, motion in motions for each in (motion.error, motion.static)])
     middles = 0.5e3 * (shown.min(axis=0) + shown.max(axis=0))
     half = 0.5e3 * ROOM * float(np.ptp(shown, axis=0).max())
     for number, axis in enumerate("xyz"):
         middle = float(middles[number])
-        curves = tuple(
-            Curve(motion=name, t=motion.t, y=1e3 * values[:, number], thin=thin)
-            for thin in (True, False)
-            for name, motion in motions
-            for values in [motion.static if thin else motion.error]
-        )
+        static = (Curve(motion=n, t=m.t, y=1e3 * m.static[:, number], thin=True) for n, m in motions)
+        total = (Curve(motion=n, t=m.t, y=1e3 * m.error[:, number]) for n, m in motions)
         yield Chart(
             key="tracking",
             title=f"Tracking error along {axis}",
             unit="mm",
             digits=2,
-            curves=curves,
+            curves=(*static, *total),
             axis=(middle - half, middle + half),
             note="" if number else note,
             approach=_NOT_SIMULATED,
@@ -206,22 +212,18 @@ def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
 def _off_path(tracking: Tracking) -> Chart:
     curves = tuple(
         Curve(motion=name, t=motion.t, y=1e3 * np.linalg.norm(motion.path_error, axis=1))
-        for name, motion in _motions(tracking)
+        for name, motion in tracked_motions(tracking)
     )
     return Chart(
         key="tracking",
-        title="Bent tool's distance from its path",
+        title="Elastic tool's distance from its path",
         unit="mm",
         digits=2,
         curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
-        note="Bending and the joint motion together; from the nearest point of the path.",
+        note="To the nearest point of the path: elastic deflection and joint motion together.",
         approach=_NOT_SIMULATED,
     )
-
-
-def _motions(tracking: Tracking) -> tuple[tuple[Motion, MotionTracking], ...]:
-    return ("baseline", tracking.baseline), ("planned", tracking.planned)
 
 
 def _quantity(
@@ -254,7 +256,7 @@ def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], Float
 def _curves(
     plan: Plan, quantity: Callable[[Samples], FloatArray], *, approach: bool = True
 ) -> tuple[Curve, ...]:
-    """Return a quantity of both motions, the approach before the planned one."""
+    """Return a quantity of both motions; the planned one's curve begins with the approach."""
     planned = plan.samples
     t, y = planned.t, quantity(planned)
     before = plan.approach_samples

@@ -1,4 +1,4 @@
-"""A page's motion as a video: headless Chromium draws the frames, ffmpeg puts them together."""
+"""A replay page as a video: headless Chromium draws the frames, ffmpeg encodes them."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import InputError, MissingExtra
+from cmbot.views.page import cannot_write, write_page
 
 __all__ = ["film"]
 
@@ -50,8 +51,7 @@ def film(
     page : str
         HTML, from `replay_page`.
     path : str or Path
-        Video to write; ffmpeg knows by its suffix what it is to be, such as ``.mp4``. It appears whole or not
-        at all.
+        Video to write, in the format of its suffix, such as ``.mp4``. It appears whole or not at all.
     speed : float
         Seconds of motion in a second of video.
     tell : callable
@@ -76,8 +76,7 @@ def film(
             _encode(encoder, draft, str(path), _frames(chrome, speed, tell))
         draft.replace(path)
     except OSError as error:
-        got = f"a file that cannot be written ({error.strerror or error})"
-        raise InputError(str(path), "", got, "a path where a file can be written") from error
+        raise cannot_write(path, error) from error
     finally:
         draft.unlink(missing_ok=True)
 
@@ -91,14 +90,14 @@ def _program(name: str, names: tuple[str, ...], command: str) -> str:
 
 @contextmanager
 def _opened(page: str, browser: str, driver: str) -> Iterator[Any]:
-    """Open a page in a browser of its own, without its controls."""
+    """Open a page without its controls in a new browser."""
     try:
         from selenium import webdriver
     except ImportError as error:
         raise MissingExtra("selenium", _EXTRA) from error
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder) / "page.html"
-        place.write_text(page, encoding="utf-8", errors="replace", newline="\n")
+        write_page(place, page)
         options = webdriver.ChromeOptions()
         options.binary_location = browser
         for argument in (*_ARGUMENTS, f"--user-data-dir={folder}/profile"):
@@ -129,18 +128,18 @@ def _frames(chrome: Any, speed: float, tell: Callable[[float], None]) -> Iterato
 def _encode(encoder: str, draft: Path, target: str, frames: Iterator[bytes]) -> None:
     words = [encoder, "-loglevel", "error", "-nostdin", "-f", "image2pipe", "-c:v", "mjpeg"]
     words += ["-framerate", str(FRAME_RATE), "-i", "-", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
-    with tempfile.TemporaryFile() as said:
-        process = subprocess.Popen([*words, str(draft.absolute())], stdin=subprocess.PIPE, stderr=said)
+    with tempfile.TemporaryFile() as messages:
+        process = subprocess.Popen([*words, str(draft.absolute())], stdin=subprocess.PIPE, stderr=messages)
         try:
-            with process.stdin or said as pipe:
+            with process.stdin or messages as pipe:
                 for frame in frames:
                     pipe.write(frame)
         except BrokenPipeError:
-            pass  # it says why itself
+            pass  # ffmpeg's own message has the reason
         finally:
             status = process.wait()
         if status:
-            said.seek(0)
-            reason = said.read().decode("utf-8", "replace").strip().splitlines() or ["no reason given"]
+            messages.seek(0)
+            reason = messages.read().decode("utf-8", "replace").strip().splitlines() or ["no reason given"]
             expected = "a file that ffmpeg can write, such as FILE.mp4"
             raise InputError(target, "", f"a refusal of ffmpeg ({reason[-1]})", expected)

@@ -1,4 +1,4 @@
-"""What a person wants to know first of a plan: what was gained, and whether it is safe."""
+"""The report's cards: what was gained, and whether every bound is kept."""
 
 from __future__ import annotations
 
@@ -10,21 +10,12 @@ from typing import Literal
 from cmbot.planning import Certificate, Check, Plan
 from cmbot.simulation import Tracking, off_path
 
-__all__ = ["Headline", "certificates", "headlines", "use_of"]
+__all__ = ["Headline", "bound_use", "certificates", "headlines"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Headline:
-    """One card of the report.
-
-    Attributes
-    ----------
-    title, value, detail : str
-    before : str
-        The baseline's value, where there is one to compare with.
-    state : str
-        ``good`` and ``bad`` are verdicts; ``plain`` is none.
-    """
+    """One card: a quantity of the planned motion, the baseline's value before it, a sentence, a verdict."""
 
     title: str
     value: str
@@ -34,10 +25,10 @@ class Headline:
 
 
 def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
-    """Yield the cards, what matters most first."""
+    """Yield the cards, the most important first."""
     yield _peak(plan)
     yield _floor(plan)
-    yield _certified(plan)
+    yield _certificate(plan)
     yield _clearance(plan)
     yield _deviation(plan)
     if tracking is not None:
@@ -45,13 +36,13 @@ def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
 
 
 def certificates(plan: Plan) -> dict[str, Certificate]:
-    """Return the certificates of a plan by what they are of."""
+    """Return the certificates of a plan by motion: ``work`` and, where there is one, ``approach``."""
     approach = plan.approach
     return {"work": plan.certificate} | ({} if approach is None else {"approach": approach.certificate})
 
 
-def use_of(check: Check) -> float:
-    """Share of its bound that a check's value uses; 1 is at the bound, more is beyond."""
+def bound_use(check: Check) -> float:
+    """Return the share of its bound that a check's value uses: 1 at the bound, more beyond it."""
     if check.at_least:
         return check.bound / check.value if check.value > 0 else inf
     return check.value / check.bound if check.bound else 0.0
@@ -75,76 +66,73 @@ def _peak(plan: Plan) -> Headline:
 def _floor(plan: Plan) -> Headline:
     floor, gap = plan.torque_floor, plan.gap_to_floor
     if floor is None or gap is None:
-        why = "fixed knots have none" if plan.floor is None else "something else was made small"
+        why = "not computed for fixed knots" if plan.floor is None else "another objective was minimised"
         return Headline(title="Above the floor", value="–", detail=why)
     return Headline(
         title="Above the floor",
         value=f"{100 * gap:+.3f} %",
-        detail=f"floor: at one via-point no admissible posture at rest asks less than {floor:.1f} Nm; at 0 % "
-        "there is nothing left to gain",
+        detail=f"floor {floor:.1f} Nm: static lower bound; at one via-point no admissible posture at rest "
+        "has a smaller torque",
     )
 
 
-def _certified(plan: Plan) -> Headline:
-    found = certificates(plan)
-    held = {name: _held(certificate) for name, certificate in found.items()}
-    tightest = max(plan.certificate.checks, key=use_of)
+def _certificate(plan: Plan) -> Headline:
+    held = {
+        name: f"{sum(check.holds for check in found.checks)} of {len(found.checks)}"
+        for name, found in certificates(plan).items()
+    }
+    tightest = max(plan.certificate.checks, key=bound_use)
     approach = f"; approach: {held['approach']}" if "approach" in held else ""
-    kept = all(check.holds for certificate in found.values() for check in certificate.checks)
+    kept = all(check.holds for found in certificates(plan).values() for check in found.checks)
     return Headline(
-        title="Certified promises",
+        title="Certified checks",
         value=f"{held['work']} hold",
-        detail=f"tightest: {tightest.quantity}, {100 * use_of(tightest):.0f} % of its bound{approach}",
+        detail=f"tightest: {tightest.quantity}, {100 * bound_use(tightest):.0f} % of its bound{approach}",
         state="good" if kept else "bad",
     )
-
-
-def _held(certificate: Certificate) -> str:
-    return f"{sum(check.holds for check in certificate.checks)} of {len(certificate.checks)}"
 
 
 def _clearance(plan: Plan) -> Headline:
     value, margin = plan.figures.min_clearance, plan.options.safety_margin_m
     if value == inf:
-        return Headline(title="Smallest clearance", value="–", detail="nothing is there to be hit")
-    before, always = plan.baseline_figures.min_clearance, plan.certificate.clearance_bound
+        return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
+    always = plan.certificate.clearance_bound
     return Headline(
         title="Smallest clearance",
-        before=f"{1e3 * before:.1f}",
+        before=f"{1e3 * plan.baseline_figures.min_clearance:.1f}",
         value=f"{1e3 * value:.1f} mm",
-        detail=f"of the unbent arm; margin {1e3 * margin:g} mm; above {1e3 * always:.1f} mm at all times",
+        detail=f"rigid arm; margin {1e3 * margin:g} mm; above {1e3 * always:.1f} mm at all times",
         state="good" if value >= margin else "bad",
     )
 
 
 def _deviation(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
+    arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
     return Headline(
         title="Tool off its path",
         before=f"{1e3 * plan.baseline_figures.max_tool_deviation:.2f}",
         value=f"{1e3 * value:.2f} mm",
-        detail=f"of the unbent arm; bound {1e3 * bound:g} mm"
-        if not plan.options.compensate
-        else f"bent as predicted; bound {1e3 * bound:g} mm",
+        detail=f"{arm}; bound {1e3 * bound:g} mm",
         state="good" if value <= bound else "bad",
     )
 
 
 def _tracking(plan: Plan, tracking: Tracking) -> Headline:
-    compensated, allowed = plan.options.compensate, plan.options.max_tool_deviation_m
-    # What compensation lowers is the distance from the path: the arm bends as much as before.
+    compensated, bound = plan.options.compensate, plan.options.max_tool_deviation_m
+    # Compensation lowers the distance from the path: the arm bends as much as before.
     motions = (tracking.baseline.figures, tracking.planned.figures)
     before, after = (1e3 * (m.path if compensated else m.total).rms[3] for m in motions)
-    rest = [motion.figures.residual for motion in (tracking.baseline, tracking.planned)]
-    swings = [f"{1e3 * residual.diameter:.2f}" for residual in rest if residual is not None]
+    residuals = [m.residual for m in motions if m.residual is not None]
     off = off_path(tracking.planned)
-    detail = f"bent, at most {1e3 * off:.1f} mm off its path; bound {1e3 * allowed:g} mm"
-    if len(swings) == 2:
-        detail += f"; swings {' → '.join(swings)} mm after the stop"
+    detail = f"elastic arm, at most {1e3 * off:.1f} mm off its path; bound {1e3 * bound:g} mm"
+    if len(residuals) == 2:
+        swings = " → ".join(f"{1e3 * residual.diameter:.2f}" for residual in residuals)
+        detail += f"; residual vibration {swings} mm"
     return Headline(
-        title="Bent tool off its path, RMS" if compensated else "Tracking error, RMS",
+        title="Elastic tool off its path, RMS" if compensated else "Tracking error, RMS",
         before=f"{before:.1f}",
         value=f"{after:.1f} mm",
         detail=detail,
-        state="good" if off <= allowed else "plain",
+        state="good" if off <= bound else "plain",
     )

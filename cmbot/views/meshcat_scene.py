@@ -1,8 +1,7 @@
-"""A plan's still picture as commands to meshcat's viewer: the robot, the bridge, the tool path.
+"""A plan's static picture as commands to meshcat's viewer: the robot, the bridge, the tool path.
 
-The commands are written here, as meshcat's Readme describes them. meshcat's Python side is not imported: it
-brings its server with it, its geometries have neither normals nor 16-bit arrays, and its identifiers hold the
-computer's network address.
+The commands follow meshcat's Readme. meshcat's Python package is not imported: it imports its server, its
+geometries have neither normals nor 16-bit arrays, and its identifiers contain the computer's network address.
 """
 
 from __future__ import annotations
@@ -17,26 +16,32 @@ from numpy.typing import NDArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Scene, guardrail_obstacles
-from cmbot.views.creases import creased
-from cmbot.views.solids import Surface
-from cmbot.views.surfaces import merged, obstacle_surface, simplified, tube, visual_surface
+from cmbot.views.surfaces import (
+    Surface,
+    creased,
+    merged,
+    obstacle_surface,
+    simplified,
+    tube,
+    visual_surface,
+)
 
 __all__ = ["reach", "scene_commands"]
 
 MOST_ROBOT_FACES = 24_000
 MOST_OBSTACLE_FACES = 12_000
-"""With these, and the most frames of a motion, a page stays below 5 MB whatever is in the scene."""
+"""With these, and `MOST_POSES` of `replay_data`, a page stays below 5 MB for any scene."""
 
 SHORTEST_REACH = 0.05
 """m."""
 
 CREASE = np.deg2rad(35.0)
-"""Edges sharper than this look sharp."""
+"""Edges with a larger angle are shaded as sharp."""
 
 CONCRETE, STEEL, WORKPIECE, PATH = 0xC2BDB3, 0x7D8C99, 0x2F9E8F, 0x7B2CBF
 SHINE = 0x303030
 DOUBLE_SIDE = 2
-"""three.js: draw the backs of triangles too."""
+"""three.js: draw the back faces too."""
 BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.98, 0.985, 0.99), (0.72, 0.78, 0.84)
 
 # The viewer's MessagePack codes for typed arrays.
@@ -52,8 +57,8 @@ Command = dict[str, Any]
 def scene_commands(plan: Plan) -> list[bytes]:
     """Return packed meshcat commands, for `MeshCat.Viewer.handle_command_bytearray`.
 
-    The shapes that joint i (pinocchio's count; 0: what stands still) carries are below ``/robot/i``, in the
-    joint's frame; ``/bridge`` and ``/path`` are in W. No name from a file is used.
+    The shapes of joint i (pinocchio's index; 0: the fixed base) are below ``/robot/i``, in the joint's frame;
+    ``/bridge`` and ``/path`` are in W. No name from a file is used.
 
     Raises
     ------
@@ -65,7 +70,7 @@ def scene_commands(plan: Plan) -> list[bytes]:
 
 
 def reach(robot: Robot) -> float:
-    """Return the length of the stretched arm, m: the measure of what is drawn beside it."""
+    """Return the length of the stretched arm, m, to which markers are scaled."""
     tool = robot.model.frames[robot.tool_frame_id].placement
     offsets = [X.translation for X in robot.model.jointPlacements[2:]]
     length = float(sum(np.linalg.norm(p) for p in (*offsets, tool.translation)))
@@ -80,7 +85,7 @@ def _backdrop() -> Iterator[Command]:
 
 
 def _robot(robot: Robot) -> Iterator[Command]:
-    # Of a robot that has no shapes to look at, those that it must not hit anything with.
+    # A robot without visual shapes is drawn with its collision shapes.
     shapes = list(robot.visual_model.geometryObjects) or list(robot.collision_model.geometryObjects)
     surfaces = simplified([visual_surface(shape, str(robot.urdf)) for shape in shapes], MOST_ROBOT_FACES)
     groups: dict[tuple[int, tuple[float, ...]], list[Surface]] = {}
@@ -115,6 +120,11 @@ def _set_mesh(
     path: str, surfaces: list[Surface], colour: int, *, opacity: float = 1.0, shininess: float = 30.0
 ) -> Command:
     """Return the command for a three.js object: one geometry, one material, no transform."""
+    surface, normals = creased(merged(surfaces), CREASE)
+    attributes = {
+        "position": _packed(surface.vertices.astype(np.float32), 3),
+        "normal": _packed(np.round(32767 * normals).astype(np.int16), 3, normalized=True),
+    }
     material = {
         "uuid": f"{path} material",
         "type": "MeshPhongMaterial",
@@ -128,7 +138,7 @@ def _set_mesh(
     geometry = {
         "uuid": f"{path} geometry",
         "type": "BufferGeometry",
-        "data": _creased_geometry(merged(surfaces)),
+        "data": {"attributes": attributes, "index": _packed(surface.faces.astype(np.uint32), 1)},
     }
     thing = {
         "uuid": f"{path} object",
@@ -143,16 +153,6 @@ def _set_mesh(
         "object": thing,
     }
     return {"type": "set_object", "path": path, "object": lowered}
-
-
-def _creased_geometry(surface: Surface) -> dict[str, Any]:
-    """Return a surface with normals that are smooth but at its edges."""
-    surface, normals = creased(surface, CREASE)
-    attributes = {
-        "position": _packed(surface.vertices.astype(np.float32), 3),
-        "normal": _packed(np.round(32767 * normals).astype(np.int16), 3, normalized=True),
-    }
-    return {"attributes": attributes, "index": _packed(surface.faces.astype(np.uint32), 1)}
 
 
 def _packed(array: NDArray[Any], item_size: int, *, normalized: bool = False) -> dict[str, Any]:

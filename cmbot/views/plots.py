@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from io import BytesIO
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan, Samples
-from cmbot.simulation import MotionTracking, Tracking
-from cmbot.views.charts import Chart, charts
-from cmbot.views.thinning import thinned
+from cmbot.simulation import Tracking
+from cmbot.views.charts import Chart, charts, thinned, tracked_motions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -21,7 +20,7 @@ if TYPE_CHECKING:
 
 __all__ = ["figure_files", "plot", "require_matplotlib"]
 
-# Blue and orange as on the pages: told apart with any colour vision, and in grey by their lightness.
+# Blue and orange as on the pages: distinct with any colour vision, and in grey by their lightness.
 _BASELINE, _PLANNED = "#6AABEC", "#B23F05"
 _COLOURS = {"baseline": _BASELINE, "planned": _PLANNED}
 # Okabe and Ito's.
@@ -29,7 +28,6 @@ _JOINT_COLOURS = ("#000000", "#E69F00", "#56B4E9", "#009E73", "#D55E00", "#0072B
 _DASHES = ("-", "--", "-.", ":")
 # Inches: as wide as a page's text.
 _WIDTH, _HEIGHT = 6.7, 2.6
-_MOST_POINTS = 1000
 # Keys are literals of matplotlib's own to its type hints.
 _STYLE: dict[Any, Any] = {
     "font.size": 8.0,
@@ -52,7 +50,7 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
     Of a plan: the torque on the guardrail with its floor; every joint's angle, velocity, acceleration, jerk
     and torque as shares of their bounds (compare Chang 2021, Figures 9-14 and 19-24); the clearance with its
     margin; the tool's deviation with its bound. Of a simulation: the tracking error along each axis with its
-    static part (compare Figures 16 and 26), its dynamic part, and what is left of that after the stop.
+    static part (compare Figures 16 and 26), its dynamic part, and the residual of that after the stop.
 
     Parameters
     ----------
@@ -61,7 +59,7 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
     Returns
     -------
     tuple of matplotlib.figure.Figure
-        Each one's label names it: ``figure.savefig(f"{figure.get_label()}.pdf")``.
+        Its label is its name: ``figure.savefig(f"{figure.get_label()}.pdf")``.
 
     Raises
     ------
@@ -77,14 +75,14 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
 
     with mpl.rc_context(_STYLE):
         if isinstance(result, Tracking):
-            return _error(result), _dynamic(result), *_residual(result)
-        # Of a clearance that is infinite there is no curve.
+            return tuple(_tracking(result))
+        # An infinite clearance has no curve.
         torque, *others = (_chart(chart) for chart in charts(result, None) if chart.curves)
         return torque, _joints(result), *others
 
 
 def require_matplotlib() -> None:
-    """Refuse to go on without matplotlib; worth asking before a long computation.
+    """Raise an error without matplotlib, before a long computation.
 
     Raises
     ------
@@ -119,12 +117,12 @@ def figure_files(figures: Iterable[Figure]) -> Iterator[tuple[str, bytes]]:
 
 
 def _chart(chart: Chart) -> Figure:
-    """Draw what the report's page draws, too."""
+    """Draw a chart of the report's page."""
     figure = _figure(_LABELS[chart.key], _HEIGHT)
     axes = figure.subplots()
     for curve in chart.curves:
         _line(axes, curve.t, curve.y, curve.motion)
-    # What has to be seen, and no curve beyond it.
+    # At least the chart's own range, and every curve.
     low, high = chart.axis
     low = min([low, *(float(curve.y.min()) for curve in chart.curves)])
     high = max([high, *(float(curve.y.max()) for curve in chart.curves)])
@@ -148,7 +146,7 @@ def _chart(chart: Chart) -> Figure:
 
 
 def _joints(plan: Plan) -> Figure:
-    """Draw both motions' joints, a row a quantity; shares of the bounds, what is beyond them shaded."""
+    """Draw both motions' joints, a row a quantity, as shares of the bounds; beyond them it is shaded."""
     figure = _figure("joints", 8.0)
     grid = figure.subplots(len(_QUANTITIES), 2, sharex=True, squeeze=False)
     motions = (("baseline", plan.baseline), ("planned", plan.samples))
@@ -159,13 +157,13 @@ def _joints(plan: Plan) -> Figure:
             axes = grid[row, column]
             if column == 0:
                 axes.set_ylabel(f"{quantity},\nshare of bound")
-            # A joint that turns without end has no range to take a share of.
+            # A continuous joint has no range, and NaN as its share.
             reach = 1.15 * max(1.0, float(np.abs(shares[np.isfinite(shares)]).max(initial=0.0)))
             axes.set_ylim(-reach, reach)
             _forbidden(axes, 1.0, reach)
             _forbidden(axes, -reach, -1.0)
             for joint in range(plan.robot.dof):
-                t, y = thinned(samples.t, shares[:, joint], _MOST_POINTS)
+                t, y = thinned(samples.t, shares[:, joint])
                 colour = _JOINT_COLOURS[joint % len(_JOINT_COLOURS)]
                 dashes = _DASHES[joint // len(_JOINT_COLOURS) % len(_DASHES)]
                 axes.plot(t, y, color=colour, linestyle=dashes, linewidth=0.9)
@@ -190,59 +188,39 @@ def _shares(plan: Plan, samples: Samples) -> tuple[FloatArray, ...]:
     )
 
 
-def _error(tracking: Tracking) -> Figure:
-    figure, rows = _axis_rows("tracking_error", "tracking error")
-    for number, axes in enumerate(rows):
-        for name, motion in _motions(tracking):
-            _line(axes, motion.t, 1e3 * motion.error[:, number], name)
-        for _, motion in _motions(tracking):
-            static = 1e3 * motion.static[:, number]
-            axes.plot(motion.t, static, color="black", linewidth=0.7, linestyle=":", label="static part")
-            axes.axvline(motion.stop, color="0.6", linewidth=0.6)
-    _legend(figure, rows[0])
-    return figure
+def _tracking(tracking: Tracking) -> Iterator[Figure]:
+    yield _tracking_rows("tracking_error", "tracking error", tracking, "error")
+    yield _tracking_rows("tracking_dynamic", "dynamic part", tracking, "dynamic")
+    if all(motion.figures.residual is not None for _, motion in tracked_motions(tracking)):
+        yield _tracking_rows("tracking_residual", "dynamic part", tracking, "dynamic", after_stop=True)
 
 
-def _dynamic(tracking: Tracking) -> Figure:
-    figure, rows = _axis_rows("tracking_dynamic", "dynamic part")
-    for number, axes in enumerate(rows):
-        for name, motion in _motions(tracking):
-            _line(axes, motion.t, 1e3 * motion.dynamic[:, number], name)
-            axes.axvline(motion.stop, color="0.6", linewidth=0.6)
-    _legend(figure, rows[0])
-    return figure
-
-
-def _residual(tracking: Tracking) -> tuple[Figure, ...]:
-    """Draw the dynamic part after the stop; nothing where nobody watched."""
-    if any(motion.figures.residual is None for _, motion in _motions(tracking)):
-        return ()
-    figure, rows = _axis_rows("tracking_residual", "dynamic part", "time after the stop, s")
-    for number, axes in enumerate(rows):
-        for name, motion in _motions(tracking):
-            after = motion.t >= motion.stop
-            _line(axes, motion.t[after] - motion.stop, 1e3 * motion.dynamic[after, number], name)
-    _legend(figure, rows[0])
-    return (figure,)
-
-
-def _motions(tracking: Tracking) -> tuple[tuple[str, MotionTracking], ...]:
-    return ("baseline", tracking.baseline), ("planned", tracking.planned)
-
-
-def _axis_rows(label: str, what: str, time: str = "time, s") -> tuple[Figure, Sequence[Axes]]:
-    """Return a figure with a row for each of x, y and z."""
+def _tracking_rows(
+    label: str, what: str, tracking: Tracking, part: Literal["error", "dynamic"], *, after_stop: bool = False
+) -> Figure:
+    """Draw a part of the tracking error in a row for each axis; of the error its static part, too."""
     figure = _figure(label, 5.0)
     rows: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
-    for axis, axes in zip("xyz", rows, strict=True):
-        axes.set_ylabel(f"{what}\nalong {axis}, mm")
-    rows[-1].set_xlabel(time)
+    motions = tracked_motions(tracking)
+    for number, axes in enumerate(rows):
+        axes.set_ylabel(f"{what}\nalong {'xyz'[number]}, mm")
+        for name, motion in motions:
+            shown = motion.t >= (motion.stop if after_stop else -np.inf)
+            t = motion.t[shown] - (motion.stop if after_stop else 0.0)
+            _line(axes, t, 1e3 * getattr(motion, part)[shown, number], name)
+        for _, motion in () if after_stop else motions:
+            if part == "error":
+                static = 1e3 * motion.static[:, number]
+                axes.plot(motion.t, static, color="black", linewidth=0.7, linestyle=":", label="static part")
+            axes.axvline(motion.stop, color="0.6", linewidth=0.6)
+    rows[-1].set_xlabel("time after the stop, s" if after_stop else "time, s")
     figure.align_ylabels(list(rows))
-    return figure, rows
+    _legend(figure, rows[0])
+    return figure
 
 
 def _figure(label: str, height: float) -> Figure:
-    # Without pyplot: no window, no state that is shared with the caller's own plots.
+    # Without pyplot: no window, no state shared with the caller's own plots.
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=(_WIDTH, height), layout="constrained")
@@ -251,7 +229,7 @@ def _figure(label: str, height: float) -> Figure:
 
 
 def _line(axes: Axes, t: FloatArray, y: FloatArray, motion: str) -> None:
-    t, y = thinned(t, y, _MOST_POINTS)
+    t, y = thinned(t, y)
     axes.plot(t, y, color=_COLOURS[motion], label=motion)
 
 
@@ -260,6 +238,6 @@ def _forbidden(axes: Axes, low: float, high: float) -> None:
 
 
 def _legend(figure: Figure, axes: Axes) -> None:
-    # A label that both motions have is named once.
+    # A label of both motions appears once.
     handles = dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
     figure.legend(handles.values(), handles.keys(), loc="outside upper center", ncols=len(handles))

@@ -1,18 +1,27 @@
-"""Shows how a plan moves: in a page of its own, or served to the browsers of this computer."""
+"""The motions of a plan in a browser: one page in 3-D, written to a file or served to this computer."""
 
 from __future__ import annotations
 
+from html import escape
+from http import HTTPStatus
 from pathlib import Path
+from threading import Thread
+from typing import TYPE_CHECKING, Any, Self
 
 from cmbot.common.arguments import given_path
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
-from cmbot.views.page_file import write_page
-from cmbot.views.replay_page import replay_page
-from cmbot.views.replay_server import ReplayServer
+from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
+from cmbot.views.replay_data import replay_data
 
-__all__ = ["replay", "serve_replay"]
+# http.server imports OpenSSL, which takes time: it is imported only to serve.
+if TYPE_CHECKING:
+    from http.server import BaseHTTPRequestHandler
+
+__all__ = ["ReplayServer", "replay", "replay_html", "replay_page"]
+
+LOOPBACK = "127.0.0.1"
 
 
 def replay(
@@ -29,18 +38,18 @@ def replay(
     ----------
     plan : Plan
     html : str or Path, optional
-        Write one self-contained page there: it appears whole or not at all.
+        File for one self-contained page; it appears whole or not at all.
     serve : bool
         Serve the same page on 127.0.0.1; nothing is printed, and no browser opened.
     port : int
-        To serve on; 0: any that is free.
+        To serve on; 0: any free one.
     tracking : Tracking, optional
-        Of that plan: where the bending arm carries the tool is then shown, too.
+        Of that plan: the tool of the elastic arm is then shown, too.
 
     Returns
     -------
     ReplayServer or None
-        With `serve`: running, with its `url`; to be closed.
+        With `serve`: running, with its `url`; the caller closes it.
 
     Raises
     ------
@@ -60,14 +69,118 @@ def replay(
     return ReplayServer(page, port) if serve else None
 
 
-def serve_replay(plan: Plan, port: int = 0, tracking: Tracking | None = None) -> ReplayServer:
-    """Serve the replay of a plan on 127.0.0.1, as ``replay(plan, serve=True)``.
+def replay_page(plan: Plan, tracking: Tracking | None = None) -> str:
+    """Return an HTML page that shows a plan, its approach and its baseline moving, in 3-D.
+
+    It contains meshcat's viewer and all data; its content security policy forbids every connection and every
+    script but its own two. The same plan gives the same page. Surfaces are simplified to at most 24 000
+    triangles of the robot and 12 000 of the obstacles, so a page stays below 5 MB.
+
+    Parameters
+    ----------
+    plan : Plan
+    tracking : Tracking, optional
+        Of that plan: the tool of the elastic arm is then shown, too.
 
     Raises
     ------
     InputError
-        When the port is taken, or `tracking` is that of another plan.
+        When `tracking` is that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
     """
-    return ReplayServer(replay_page(plan, tracking), port)
+    return replay_html(plan, replay_data(plan, tracking))
+
+
+def replay_html(plan: Plan, data: dict[str, Any]) -> str:
+    """Return that page for a plan's `replay_data`."""
+    return assemble(
+        "replay.html",
+        styles=("common.css", "replay.css"),
+        scripts=(*STAGE_SCRIPTS, "plot.js", "replay.js"),
+        data=data,
+        texts={"title": escape(plan.scene.name)},
+    )
+
+
+class ReplayServer:
+    """One page, served on 127.0.0.1 from a thread until closed. A context manager.
+
+    meshcat's own server listens on every interface, so it is not used. Requests with another host's name are
+    refused: a web page elsewhere cannot read this one by resolving its name to 127.0.0.1.
+
+    Parameters
+    ----------
+    page : str
+        HTML.
+    port : int
+        0: any free one.
+
+    Raises
+    ------
+    InputError
+        When the port is taken or out of range.
+    """
+
+    def __init__(self, page: str, port: int = 0) -> None:
+        from http.server import ThreadingHTTPServer
+
+        try:
+            self._server = ThreadingHTTPServer((LOOPBACK, port), _handler(page.encode("utf-8", "replace")))
+        except (OSError, OverflowError, TypeError) as error:
+            raise InputError("replay", "port", port, f"a free port ({error})") from error
+        self._server.daemon_threads = True
+        self._thread = Thread(target=self._server.serve_forever, kwargs={"poll_interval": 0.05}, daemon=True)
+        self._thread.start()
+
+    @property
+    def port(self) -> int:
+        """The port on which it listens."""
+        return int(self._server.server_address[1])
+
+    @property
+    def url(self) -> str:
+        """Address to open in a browser."""
+        return f"http://{LOOPBACK}:{self.port}/"
+
+    def wait(self, timeout: float | None = None) -> bool:
+        """Wait until it is closed, at most `timeout` seconds; return whether it is."""
+        self._thread.join(timeout)
+        return not self._thread.is_alive()
+
+    def close(self) -> None:
+        """Stop listening; a second call does nothing."""
+        self._server.shutdown()
+        self._thread.join()
+        self._server.server_close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _handler(page: bytes) -> type[BaseHTTPRequestHandler]:
+    from http.server import BaseHTTPRequestHandler
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:  # the base class requires this name
+            name, _, _ = self.headers.get("Host", "").partition(":")
+            if name not in (LOOPBACK, "localhost"):
+                self.send_error(HTTPStatus.MISDIRECTED_REQUEST)
+            elif self.path.partition("?")[0] != "/":
+                self.send_error(HTTPStatus.NOT_FOUND)
+            else:
+                self.send_response(HTTPStatus.OK)
+                self.send_header("Content-Type", "text/html; charset=utf-8")
+                self.send_header("Content-Length", str(len(page)))
+                self.send_header("Cache-Control", "no-store")
+                self.send_header("X-Content-Type-Options", "nosniff")
+                self.end_headers()
+                self.wfile.write(page)
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Print nothing: only the command line prints."""
+
+    return Handler

@@ -1,4 +1,4 @@
-"""What the pages need of a plan's motions (approach, work, baseline), at equal time steps."""
+"""The motions of a plan (approach, work, baseline) as the pages replay them, at equal time steps."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from cmbot.collision.clearance import Clearances
 from cmbot.common.arguments import require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.planning import Plan, Samples
+from cmbot.planning import MotionMetrics, Plan, Samples
 from cmbot.planning.verification.metrics import figures, measure
-from cmbot.robot import Robot
+from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
-from cmbot.views.frames import Frames, frame_times, poses_of, resampled
 from cmbot.views.meshcat_scene import reach, scene_commands
+from cmbot.views.page import pack
 
-__all__ = ["link_names", "replay_data"]
+__all__ = ["replay_data"]
 
 FRAME_STEP = 0.02
-"""Between two frames, s, unless that gives too many; the page interpolates."""
+"""Between two frames, s, where `MOST_POSES` allows it; the page interpolates."""
 
 MOST_POSES = 12_000
 """Frames times links, approach and work together."""
 
 
 def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
-    """Return the page's data, ready for JSON; `Frames.motion` says what there is of each motion.
+    """Return the page's data, ready for JSON; `_Frames.motion` documents each motion.
 
     The work starts at time 0, the approach at ``start`` before it; with `tracking` the arms rest after the
     work until ``end``.
@@ -48,8 +48,9 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         require_type(tracking, Tracking, "tracking", "", "a Tracking, as cmbot.simulate returns it")
     end = duration if tracking is None else _end(tracking, duration)
     step = max(FRAME_STEP, (approach_duration + end) * plan.robot.dof / MOST_POSES)
-    clearances = Clearances(plan.robot, plan.scene.obstacles)
-    frames = Frames(plan.robot, clearances, plan.options.avoidance_distance_m)
+    frames = _Frames(plan)
+    times = _frame_times(0.0, duration, step)
+    planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
     return {
         "title": plan.scene.name,
         "robot": plan.robot.name,
@@ -59,18 +60,97 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "legTimes": plan.task.path.leg_times.tolist(),
         "floor": plan.torque_floor,
         "margin": plan.options.safety_margin_m,
-        "links": link_names(plan.robot),
-        "approach": _approach(plan, frames, clearances, step),
-        **_work(plan, tracking, frames, frame_times(0.0, duration, step)),
-        "rest": None if tracking is None else _rest(plan, tracking, frames, duration, end, step),
-        "pairs": frames.pairs,
+        "links": _link_names(plan.robot),
+        "approach": _approach(plan, frames, step),
+        "planned": frames.motion(plan.samples, plan.figures, times, planned),
+        "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, baseline),
+        "rest": None
+        if tracking is None
+        else _rest(plan, tracking, frames, _frame_times(duration, end, step)),
+        "pairs": list(frames.pairs),
         "focus": _focus(plan),
         "reach": reach(plan.robot),
         "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(plan)],
     }
 
 
-def link_names(robot: Robot) -> list[str]:
+class _Frames:
+    """Samples motions for the page; `pairs` maps the names of the near pairs so far to their numbers."""
+
+    def __init__(self, plan: Plan) -> None:
+        self._robot = plan.robot
+        self._near = plan.options.avoidance_distance_m
+        self.clearances = Clearances(plan.robot, plan.scene.obstacles)
+        self.pairs: dict[str, int] = {}
+
+    def motion(
+        self,
+        samples: Samples,
+        metrics: MotionMetrics,
+        times: FloatArray,
+        tracking: MotionTracking | None = None,
+    ) -> dict[str, Any]:
+        """Return a motion at `times` (F,), ready for JSON; arrays are packed, in W and SI units.
+
+        ``poses`` (F, n, 7) are those of the arm's joint frames, as position and quaternion x, y, z, w;
+        ``near`` (F, 6) the nearest points on the arm and on the other shape, ``pair`` (F,) an index into
+        `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool point, with its predicted sag
+        where that is compensated; ``error`` (F, 3) the tracking error from there, null without `tracking`.
+        """
+        q = _resampled(times, samples.t, samples.q)
+        near, pair = self._nearest(q)
+        expected = samples.expected_tool_point
+        tool = (
+            Kinematics(self._robot).tool_poses(q)[0]
+            if expected is None
+            else _resampled(times, samples.t, expected)
+        )
+        return {
+            "poses": pack(_poses(self._robot, q)),
+            "torque": pack(_resampled(times, samples.t, samples.guardrail_torque)),
+            "clearance": pack(np.interp(times, samples.t, samples.clearance)),
+            "near": pack(near),
+            "pair": pack(pair),
+            "tool": pack(tool),
+            "error": None if tracking is None else pack(_resampled(times, tracking.t, tracking.error)),
+            "peakTorque": metrics.peak_guardrail_torque,
+            # Infinite without a pair of shapes that can collide; JSON has no infinity.
+            "minClearance": metrics.min_clearance if np.isfinite(metrics.min_clearance) else None,
+        }
+
+    def _nearest(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        points, pairs = np.zeros((len(q), 6)), np.full(len(q), -1.0)
+        smallest = self.clearances.smallest(q)
+        for k in np.flatnonzero(smallest.distance < self._near):
+            number = int(smallest.pair[k])
+            found, shapes = self.clearances.nearest(q[k], number), self.clearances.pairs[number]
+            points[k] = np.concatenate([found.point, found.other_point])
+            pairs[k] = self.pairs.setdefault(f"{shapes.link} – {shapes.other}", len(self.pairs))
+        return points, pairs
+
+
+def _frame_times(start: float, end: float, step: float) -> FloatArray:
+    """Return equally spaced times from `start` to `end`, at most `step` apart."""
+    return np.linspace(start, end, max(int(np.ceil((end - start) / step)), 1) + 1)
+
+
+def _resampled(times: FloatArray, t: FloatArray, values: FloatArray) -> FloatArray:
+    """Interpolate `values` (N, k) at `t` (N,) linearly at `times` (F,)."""
+    return np.stack([np.interp(times, t, column) for column in values.T], axis=1)
+
+
+def _poses(robot: Robot, q: FloatArray) -> FloatArray:
+    """Poses (N, n, 7) of the joint frames in W at postures `q` (N, n)."""
+    data = robot.model.createData()
+    poses = np.empty((*q.shape, 7))
+    for k, q_k in enumerate(q):
+        pin.forwardKinematics(robot.model, data, q_k)
+        for joint in range(1, robot.model.njoints):
+            poses[k, joint - 1] = pin.SE3ToXYZQUAT(data.oMi[joint])
+    return poses
+
+
+def _link_names(robot: Robot) -> list[str]:
     """Return the name of the link that each joint of the arm moves: its frame is the joint's."""
     bodies = [frame for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
     return [
@@ -87,51 +167,38 @@ def _end(tracking: Tracking, duration: float) -> float:
     return float(max(duration, tracking.planned.t[-1], tracking.baseline.t[-1]))
 
 
-def _work(plan: Plan, tracking: Tracking | None, frames: Frames, times: FloatArray) -> dict[str, Any]:
-    planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
-    return {
-        "planned": frames.motion(plan.samples, plan.figures, times, _error(planned, times)),
-        "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, _error(baseline, times)),
-    }
-
-
-def _approach(plan: Plan, frames: Frames, clearances: Clearances, step: float) -> dict[str, Any] | None:
-    """Return the planned arm's approach; meanwhile the baseline's arm rests where it starts."""
+def _approach(plan: Plan, frames: _Frames, step: float) -> dict[str, Any] | None:
+    """Return the planned arm's approach; meanwhile the baseline's arm rests in its first posture."""
     robot, approach, planned = plan.robot, plan.approach, plan.approach_samples
     if approach is None or planned is None:
         return None
-    t = frame_times(0.0, approach.trajectory.duration, step)
-    ends = t[[0, -1]]
+    times = _frame_times(0.0, approach.trajectory.duration, step)
+    ends = times[[0, -1]]
     posture = np.repeat(plan.baseline.q[:1], 2, axis=0)
-    still = [posture, *np.zeros((3, *posture.shape))]
-    baseline = measure(robot, plan.task, clearances, ends, still)
+    still = measure(robot, plan.task, frames.clearances, ends, [posture, *np.zeros((3, *posture.shape))])
     return {
         "label": "approach along the self-motion" if approach.along_self_motion else "approach, tool off",
-        "planned": frames.motion(planned, approach.certificate.figures, t),
-        "baseline": frames.motion(baseline, figures(robot, baseline), ends),
+        "planned": frames.motion(planned, approach.certificate.figures, times),
+        "baseline": frames.motion(still, figures(robot, still), ends),
     }
 
 
-def _rest(
-    plan: Plan, tracking: Tracking, frames: Frames, duration: float, end: float, step: float
-) -> dict[str, Any] | None:
-    """Return both arms after the stop: their joints rest, what bends swings on."""
-    if end <= duration:
+def _rest(plan: Plan, tracking: Tracking, frames: _Frames, times: FloatArray) -> dict[str, Any] | None:
+    """Return both arms after the stop: their joints rest while the elastic parts vibrate."""
+    if times[-1] <= times[0]:
         return None
-    t = frame_times(duration, end, step)
-    motions = {
-        "planned": (plan.samples, plan.figures, tracking.planned),
-        "baseline": (plan.baseline, plan.baseline_figures, tracking.baseline),
+    ends = times[[0, -1]]
+    return {
+        "label": "after the stop",
+        "planned": frames.motion(_held(plan.samples, ends), plan.figures, times, tracking.planned),
+        "baseline": frames.motion(
+            _held(plan.baseline, ends), plan.baseline_figures, times, tracking.baseline
+        ),
     }
-    held = {
-        name: frames.motion(_last(samples, t[[0, -1]]), of_it, t, _error(track, t))
-        for name, (samples, of_it, track) in motions.items()
-    }
-    return {"label": "after the stop", **held}
 
 
-def _last(samples: Samples, ends: FloatArray) -> Samples:
-    """Return what a motion is at its end, at two times."""
+def _held(samples: Samples, ends: FloatArray) -> Samples:
+    """Return the last sample of a motion at two times."""
     held = {
         field.name: np.repeat(value[-1:], 2, axis=0)
         for field in fields(Samples)
@@ -140,28 +207,23 @@ def _last(samples: Samples, ends: FloatArray) -> Samples:
     return replace(samples, **{**held, "t": ends})
 
 
-def _error(motion: MotionTracking | None, times: FloatArray) -> FloatArray | None:
-    return None if motion is None else resampled(times, motion.t, motion.error)
-
-
 def _focus(plan: Plan) -> dict[str, Any]:
-    """Return a ball (m, in W) about the foot, the path and the arm's joints, and from where to look at it."""
-    points = [np.zeros((1, 3)), plan.task.path.corners]
+    """Return a ball (m, in W) about the foot, the path and the arm's joints, and the camera's azimuth."""
     motions = [plan.samples.q, plan.baseline.q]
     if plan.approach is not None:
         motions.append(plan.approach.trajectory.q)
-    points += [motion.tool_point for motion in (plan.samples, plan.baseline)]
-    points += [poses_of(plan.robot, q[:: max(1, len(q) // 50)])[..., :3] for q in motions]
-    cloud = np.concatenate([block.reshape(-1, 3) for block in points])
+    points = [np.zeros((1, 3)), plan.task.path.corners, plan.samples.tool_point, plan.baseline.tool_point]
+    points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3].reshape(-1, 3) for q in motions]
+    cloud = np.concatenate(points)
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     radius = max(float(np.linalg.norm(high - low)) / 2, 1e-3)
     return {"centre": ((low + high) / 2).tolist(), "radius": radius, "azimuth": _azimuth(plan)}
 
 
 def _azimuth(plan: Plan) -> float:
-    """Return where a spectator stands about z of W: outside the guardrail, at 45 deg to the stretched arm.
+    """Return the camera's azimuth about z of W: outside the guardrail, at 45 deg to the stretched arm.
 
-    The torque of a weight is at right angles to the arm, so both are seen.
+    The torque of a weight is perpendicular to the arm, so both are visible.
     """
     x, y, _ = plan.samples.tool_point.mean(axis=0)
     arm = np.arctan2(y, x)

@@ -1,16 +1,34 @@
-"""Writes what a plan gains, what it keeps and how it moves into one page."""
+"""What a plan gains, what it keeps and how it moves, as one HTML page: replay, plots and tables."""
 
 from __future__ import annotations
 
+import platform
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import asdict
+from html import escape
+from importlib import metadata
 from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
 
 from cmbot.common.arguments import given_path
-from cmbot.planning import Plan, require_plan
-from cmbot.simulation import Tracking
-from cmbot.views.page_file import write_page
-from cmbot.views.report_page import report_page
+from cmbot.planning import Certificate, Plan, remarks, require_plan
+from cmbot.simulation import Tracking, tracking_remarks, tracking_rows, tracking_verdict
+from cmbot.version import __version__
+from cmbot.views.charts import MOST_SMALL_POINTS, charts, joint_charts
+from cmbot.views.headlines import Headline, bound_use, certificates, headlines
+from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
+from cmbot.views.replay import replay_html
+from cmbot.views.replay_data import replay_data
 
-__all__ = ["report"]
+__all__ = ["REPLAY", "REPORT", "pages", "report", "report_page"]
+
+REPLAY, REPORT = "replay.html", "report.html"
+_PACKAGES = ("numpy", "scipy", "pin", "coal")
+_JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
+
+Row = Sequence[str]
 
 
 def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) -> None:
@@ -22,7 +40,7 @@ def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) ->
     html : str or Path
         It appears whole or not at all; an earlier file of that name is replaced.
     tracking : Tracking, optional
-        Of that plan, from `cmbot.simulate`: its plots and figures are then in the report, too.
+        Of that plan, from `cmbot.simulate`: its plots and metrics are then in the report, too.
 
     Raises
     ------
@@ -34,3 +52,197 @@ def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) ->
     require_plan(plan, "cmbot.report")
     path = given_path(html, "cmbot.report", "html", "the path of a file to write")
     write_page(path, report_page(plan, tracking))
+
+
+def report_page(plan: Plan, tracking: Tracking | None = None) -> str:
+    """Return an HTML page with the gains and constraints of a plan, and with its motions in 3-D.
+
+    Like `replay_page` it opens no connection and runs only its own two scripts. It stays below 6 MB, and can
+    be printed.
+
+    Parameters
+    ----------
+    plan : Plan
+    tracking : Tracking, optional
+        Of that plan: its plots and metrics are then on the page, too.
+
+    Raises
+    ------
+    InputError
+        When `tracking` is that of another plan.
+    ModelError, SceneError
+        When a shape cannot be drawn.
+    """
+    return _report_html(plan, tracking, replay_data(plan, tracking))
+
+
+def pages(plan: Plan, tracking: Tracking | None = None) -> dict[str, bytes]:
+    """Return the pages of `replay` and `report` by their names in a plan directory.
+
+    Raises
+    ------
+    InputError
+        When `tracking` is that of another plan.
+    ModelError, SceneError
+        When a shape cannot be drawn.
+    """
+    data = replay_data(plan, tracking)
+    texts = {REPLAY: replay_html(plan, data), REPORT: _report_html(plan, tracking, data)}
+    return {name: text.encode("utf-8", "replace") for name, text in texts.items()}
+
+
+def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) -> str:
+    plots = {
+        "charts": [chart.data() for chart in charts(plan, tracking)],
+        "jointCharts": [chart.data(MOST_SMALL_POINTS) for chart in joint_charts(plan)],
+        "joints": list(plan.robot.joints),
+    }
+    return assemble(
+        "report.html",
+        styles=("common.css", "report.css"),
+        scripts=(*STAGE_SCRIPTS, "chart.js", "report.js"),
+        data=data | plots,
+        texts={
+            "title": escape(plan.scene.name),
+            "made": escape(f"Written by cmbot {__version__}."),
+            "cards": "".join(map(_card, headlines(plan, tracking))),
+            "bending": "" if tracking is not None else " hidden",
+            "sections": "".join(_sections(plan, tracking)),
+        },
+    )
+
+
+def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
+    """Yield the sections below the plots."""
+    yield _section("Remarks", _list(remarks(plan)), kind="wide")
+    yield _section("Metrics", _table(("", "baseline", "planned"), plan.rows()))
+    elastic = list(_elastic(plan))
+    if elastic:
+        yield _section("Predicted sag and vibration", _table(("", ""), elastic))
+    for name, certificate in certificates(plan).items():
+        yield _section(f"Certificate of the {name}", _certificate(certificate))
+    if tracking is not None:
+        table = _table(("mm", "", "x", "y", "z", "norm"), tracking_rows(tracking), text_columns=2)
+        sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
+        yield _section("Simulation", table + sentences, kind="long")
+    yield _section("Scene", _table(("", ""), _scene(plan), text_columns=2))
+    yield _section("Joints", _table(_JOINT_HEADINGS, _joints(plan)))
+    yield _section("Options", _table(("", ""), _options(plan.options), text_columns=2))
+    yield _section("Versions", _table(("", ""), _versions(plan), text_columns=2))
+    if tracking is not None:
+        yield _section(
+            "Options of the simulation", _table(("", ""), _options(tracking.options), text_columns=2)
+        )
+
+
+def _card(headline: Headline) -> str:
+    before = f'<small><s>{escape(headline.before)}</s> <span aria-hidden="true">→</span></small> '
+    return (
+        f'<article class="card {headline.state}"><h2>{escape(headline.title)}</h2>'
+        f"<p>{before if headline.before else ''}<b>{escape(headline.value)}</b></p>"
+        f"<p>{escape(headline.detail)}</p></article>"
+    )
+
+
+def _section(title: str, content: str, *, kind: Literal["", "wide", "long"] = "") -> str:
+    """Return a section; a wide one spans both columns, a long one may be split between printed pages."""
+    return f'<section class="{f"part {kind}".rstrip()}"><h2>{escape(title)}</h2>{content}</section>'
+
+
+def _list(sentences: Iterable[str]) -> str:
+    return f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
+
+
+def _table(headings: Row, rows: Iterable[Row], *, text_columns: int = 1) -> str:
+    """Return a table: columns of text, then columns of numbers."""
+    kinds = ["text" if number < text_columns else "number" for number in range(len(headings))]
+    head = "".join(
+        f'<th class="{kind}" scope="col">{escape(h)}</th>' for h, kind in zip(headings, kinds, strict=True)
+    )
+    body = "".join(f"<tr>{_cells(row, kinds)}</tr>" for row in rows)
+    top = f"<thead><tr>{head}</tr></thead>" if any(headings) else ""
+    return f'<div class="table"><table>{top}<tbody>{body}</tbody></table></div>'
+
+
+def _cells(row: Row, kinds: Sequence[str]) -> str:
+    first, *others = (escape(cell) for cell in row)
+    cells = "".join(f'<td class="{kind}">{cell}</td>' for cell, kind in zip(others, kinds[1:], strict=True))
+    return f'<th class="text" scope="row">{first}</th>{cells}'
+
+
+def _elastic(plan: Plan) -> Iterator[Row]:
+    """Yield sag compensation and vibration suppression, where they were asked for."""
+    compensation, suppression = plan.compensation, plan.quieting
+    if compensation is not None:
+        yield "sag compensation, rounds", str(compensation.rounds)
+        yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
+        yield "change of the shift in the last round, mm", f"{1e3 * compensation.last_change:.3f}"
+    if suppression is not None:
+        shares = suppression.shares
+        yield "suppressed elastic modes", str(suppression.modes)
+        yield "applied share of the correction", f"{100 * suppression.share:.4g} %"
+        if len(set(shares)) > 1:
+            yield "leg ends with the whole correction", f"{shares.count(1.0)} of {len(shares)}"
+            yield "leg ends without correction", f"{shares.count(0.0)}"
+        yield "residual amplitude at the tool without it, mm", f"{1e3 * suppression.before:.4f}"
+        yield "residual amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
+
+
+def _certificate(certificate: Certificate) -> str:
+    rows = (
+        (
+            check.quantity,
+            f"{check.time:.2f}",
+            f"{check.value:.4g}",
+            f"{'≥' if check.at_least else '≤'} {check.bound:.4g}",
+            check.unit,
+            f"{100 * bound_use(check):.1f} %",
+            "yes" if check.holds else "NO",
+        )
+        for check in certificate.checks
+    )
+    bound = f"Clearance stays above {1e3 * certificate.clearance_bound:.1f} mm, between samples too."
+    headings = ("check", "at, s", "value", "bound", "unit", "use", "holds")
+    return _table(headings, rows) + f"<p>{escape(bound)}</p>"
+
+
+def _scene(plan: Plan) -> Iterator[Row]:
+    scene, path, robot = plan.scene, plan.task.path, plan.robot
+    yield "name", scene.name
+    yield "robot", f"{robot.name}, {robot.dof} joints, {robot.mass:.1f} kg, payload {robot.payload:g} kg"
+    yield "posture, deg", _numbers(np.rad2deg(scene.posture), 1)
+    yield "tool constraint", scene.keep
+    legs = zip(np.diff(path.corners, axis=0), path.seconds, strict=True)
+    for number, (by, seconds) in enumerate(legs, start=1):
+        yield f"leg {number}", f"by ({_numbers(by, 3)}) m in {seconds:g} s"
+    workpieces = [obstacle.name for obstacle in scene.obstacles if obstacle.workpiece]
+    yield "obstacles", ", ".join(obstacle.name for obstacle in scene.obstacles) or "none"
+    yield "workpieces among them", ", ".join(workpieces) or "none"
+
+
+def _joints(plan: Plan) -> Iterator[Row]:
+    limits = plan.robot.limits
+    for i, name in enumerate(plan.robot.joints):
+        low, high = np.rad2deg([limits.lower[i], limits.upper[i]])
+        rates = (np.rad2deg(bound[i]) for bound in (limits.velocity, limits.acceleration, limits.jerk))
+        reach = f"{low:g} to {high:g}" if np.isfinite([low, high]).all() else "unbounded"
+        yield name, reach, *(f"{rate:.4g}" for rate in rates), f"{limits.torque[i]:.4g}"
+
+
+def _options(options: Any) -> Iterator[Row]:
+    for name, value in asdict(options).items():
+        yield name, ", ".join(f"{x:g}" for x in value) if isinstance(value, tuple) else str(value)
+
+
+def _versions(plan: Plan) -> Iterator[Row]:
+    yield "cmbot", __version__
+    yield "python", platform.python_version()
+    for name in _PACKAGES:
+        yield name, metadata.version(name)
+    yield "scene", plan.scene.content_hash[:16]
+    yield "robot", plan.robot.content_hash[:16]
+
+
+def _numbers(values: Iterable[float], digits: int) -> str:
+    # Adding zero turns -0.0 into 0.0.
+    return ", ".join(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)

@@ -1,44 +1,112 @@
-"""Every shape that is drawn, as triangles."""
+"""Everything that is drawn, as triangles with normals.
+
+trimesh has solids and normals too, but its import takes longer than writing a page.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import coal
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 
 from cmbot.collision.shapes import load_mesh
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
-from cmbot.views.solids import Surface, ball, box, capsule, cone, cylinder, hull
 
-__all__ = ["merged", "obstacle_surface", "simplified", "tube", "visual_surface"]
+__all__ = [
+    "Surface",
+    "ball",
+    "box",
+    "capsule",
+    "cone",
+    "creased",
+    "cylinder",
+    "hull",
+    "merged",
+    "obstacle_surface",
+    "simplified",
+    "tube",
+    "visual_surface",
+]
 
+SECTIONS, RINGS = 32, 16
+"""Of a round solid: about its axis, and of a ball from pole to pole."""
 TUBE_SECTIONS = 12
-"""About the axis of a tube, thin as it is."""
-
+"""About the axis of a tube."""
 SMALLEST_CELL = 1e-4
 """Share of the largest extent, in `simplified`."""
 
+# A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
+_FLAT, _ROUNDING = 1e-8, 1e-12
+# Corners of the unit box, and its sides counter-clockwise as seen from outside.
+_CORNERS = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+_SIDES = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Triangles: `vertices` (n, 3), m, and `faces` (m, 3), counter-clockwise as seen from outside."""
+
+    vertices: FloatArray
+    faces: IntArray
+
+    def moved(self, X: FloatArray) -> Surface:
+        """Return it at the pose `X` (4, 4)."""
+        return Surface(self.vertices @ X[:3, :3].T + X[:3, 3], self.faces)
+
+    @property
+    def crosses(self) -> FloatArray:
+        """Normals (m, 3) of the triangles, as long as twice their areas, m2."""
+        a, b, c = (self.vertices[corner] for corner in self.faces.T)
+        return np.cross(b - a, c - a)
+
+    @property
+    def area(self) -> float:
+        """Of all triangles, m2."""
+        return float(0.5 * np.linalg.norm(self.crosses, axis=1).sum())
+
 
 def visual_surface(shape: Any, source: str) -> Surface:
-    """Return a robot's visual shape in the frame of the joint that carries it.
-
-    Parameters
-    ----------
-    shape : pinocchio.GeometryObject
-    source : str
-        The URDF, to name in an error.
+    """Return a robot's visual shape, a pinocchio.GeometryObject, in the frame of its joint.
 
     Raises
     ------
     ModelError
-        When it is no mesh, box, cylinder, capsule, cone, sphere or ellipsoid.
+        Naming the URDF `source`, when it is no mesh, box, cylinder, capsule, cone, sphere or ellipsoid.
     """
-    return _coal_surface(shape, source).moved(shape.placement.homogeneous)
+    geometry = shape.geometry
+    match geometry:
+        case coal.BVHModelBase():
+            triangles = (geometry.tri_indices(i) for i in range(geometry.num_tris))
+            faces = np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.intp).reshape(-1, 3)
+            surface = Surface(geometry.vertices(), faces)
+        case coal.ConvexBase():
+            surface = hull(np.array([geometry.point(i) for i in range(geometry.num_points)]))
+        case coal.Box():
+            surface = box(2 * geometry.halfSide)
+        case coal.Cylinder():
+            surface = cylinder(geometry.radius, 2 * geometry.halfLength)
+        case coal.Capsule():
+            surface = capsule(geometry.radius, 2 * geometry.halfLength)
+        case coal.Cone():
+            surface = cone(geometry.radius, 2 * geometry.halfLength)
+        case coal.Sphere():
+            surface = ball(geometry.radius)
+        case coal.Ellipsoid():
+            unit = ball(1.0)
+            surface = Surface(unit.vertices * geometry.radii, unit.faces)
+        case _:
+            expected = "a mesh, box, cylinder, capsule, cone, sphere or ellipsoid"
+            raise ModelError(source, f"visual {shape.name}", type(geometry).__name__, expected)
+    return surface.moved(shape.placement.homogeneous)
 
 
 def obstacle_surface(obstacle: Obstacle) -> Surface:
@@ -51,7 +119,7 @@ def obstacle_surface(obstacle: Obstacle) -> Surface:
     """
     match obstacle.shape:
         case Box(size=size):
-            surface = box(np.asarray(size))
+            surface = box(size)
         case Cylinder(radius=radius, length=length):
             surface = cylinder(radius, length)
         case Capsule(radius=radius, length=length):
@@ -64,12 +132,56 @@ def obstacle_surface(obstacle: Obstacle) -> Surface:
     return surface.moved(obstacle.X_WO)
 
 
+def box(size: ArrayLike) -> Surface:
+    """Return a box about the origin with the edges `size` (3,), m."""
+    return Surface(_CORNERS * np.asarray(size), _SIDES[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
+
+
+def cylinder(radius: float, length: float, *, sections: int = SECTIONS) -> Surface:
+    """Return a cylinder about the origin, its axis along z."""
+    half = 0.5 * length
+    return _revolved([0.0, radius, radius, 0.0], [-half, -half, half, half], sections)
+
+
+def cone(radius: float, length: float) -> Surface:
+    """Return a cone about z with its base at z = -length / 2 and its tip at z = length / 2."""
+    half = 0.5 * length
+    return _revolved([0.0, radius, 0.0], [-half, -half, half], SECTIONS)
+
+
+def ball(radius: float, *, sections: int = SECTIONS, rings: int = RINGS) -> Surface:
+    """Return a ball about the origin."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
+    return _revolved(radius * np.cos(angle), radius * np.sin(angle), sections)
+
+
+def capsule(radius: float, length: float) -> Surface:
+    """Return a capsule about the origin, its axis along z; `length` lies between the centres of its ends."""
+    # The equator of a ball is there twice, at either end of the cylinder.
+    angle = np.insert(np.linspace(-np.pi / 2, np.pi / 2, RINGS + 1), RINGS // 2, 0.0)
+    end = np.repeat([-0.5, 0.5], RINGS // 2 + 1)
+    return _revolved(radius * np.cos(angle), radius * np.sin(angle) + end * length, SECTIONS)
+
+
+def hull(points: FloatArray) -> Surface:
+    """Return the convex hull of `points` (n, 3), which enclose a volume."""
+    # Only for robots that are drawn as hulls.
+    from scipy.spatial import ConvexHull
+
+    found = ConvexHull(points)
+    surface = Surface(points, found.simplices)
+    inside_out = np.einsum("ki,ki->k", surface.crosses, found.equations[:, :3]) < 0
+    faces = np.where(inside_out[:, None], found.simplices[:, ::-1], found.simplices)
+    used, faces = np.unique(faces, return_inverse=True)
+    return Surface(points[used], faces.reshape(-1, 3))
+
+
 def tube(points: FloatArray, radius: float) -> Surface:
     """Return a tube through `points` (N, 3), m, with a ball at each."""
     pieces = []
     for start, end in pairwise(points):
         X = np.eye(4)
-        X[:3, :3], X[:3, 3] = _turned_to(end - start), 0.5 * (start + end)
+        X[:3, :3], X[:3, 3] = _z_along(end - start), 0.5 * (start + end)
         length = float(np.linalg.norm(end - start))
         pieces.append(cylinder(radius, length, sections=TUBE_SECTIONS).moved(X))
     joint = ball(1.6 * radius, sections=TUBE_SECTIONS, rings=TUBE_SECTIONS)
@@ -77,7 +189,7 @@ def tube(points: FloatArray, radius: float) -> Surface:
 
 
 def merged(surfaces: Sequence[Surface]) -> Surface:
-    """Return several surfaces as one, none of their vertices joined."""
+    """Return several surfaces as one, without joining vertices."""
     starts = np.cumsum([0, *(len(surface.vertices) for surface in surfaces[:-1])])
     return Surface(
         np.concatenate([surface.vertices for surface in surfaces]),
@@ -103,7 +215,67 @@ def simplified(surfaces: Sequence[Surface], most_faces: int) -> list[Surface]:
     return coarse
 
 
+def creased(surface: Surface, angle: float) -> tuple[Surface, FloatArray]:
+    """Split the vertices at sharp edges, and return normals (n, 3) of the vertices for shading.
+
+    Two triangles that meet at less than `angle`, rad, share the normals of their edge's ends. A normal is the
+    mean of the triangles' normals around the vertex, weighted with the triangles' angles there (Thürrner and
+    Wüthrich 1998). Degenerate triangles are left out.
+    """
+    surface = _with_height(surface)
+    crosses, vertex = surface.crosses, surface.faces.ravel()
+    flat = crosses / np.linalg.norm(crosses, axis=1, keepdims=True)
+    first, second = _shared_edges(surface.faces)
+    smooth = np.einsum("ki,ki->k", flat[first // 3], flat[second // 3]) > np.cos(angle)
+    first, second = first[smooth], second[smooth]
+    # Two triangles run along their edge in opposite directions, unless inside and outside are mixed up.
+    opposite = vertex[first] != vertex[second]
+    one = np.concatenate([first, _next(first)])
+    other = np.where(opposite, [_next(second), second], [second, _next(second)]).ravel()
+    graph = sparse.coo_array((np.ones(len(one)), (one, other)), shape=(len(vertex), len(vertex)))
+    count, corner = connected_components(graph, directed=False)
+    where = np.empty(count, dtype=vertex.dtype)
+    where[corner] = vertex
+    weighted = _angles(surface)[:, :, None] * flat[:, None, :]
+    sums = np.zeros((count, 3))
+    np.add.at(sums, corner, weighted.reshape(-1, 3))
+    normals = sums / np.maximum(np.linalg.norm(sums, axis=1, keepdims=True), _ROUNDING)
+    return Surface(surface.vertices[where], corner.reshape(-1, 3).astype(np.intp)), normals
+
+
+def _revolved(radii: ArrayLike, heights: ArrayLike, sections: int) -> Surface:
+    """Return the surface of a line turned about z; the line leads upwards from one point on z to another."""
+    radii, heights = np.asarray(radii), np.asarray(heights)
+    angle = np.linspace(0.0, 2 * np.pi, sections, endpoint=False)
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    rings = len(radii) - 2
+    vertices = np.zeros((rings * sections + 2, 3))
+    around = vertices[1:-1].reshape(rings, sections, 3)
+    around[..., :2] = radii[1:-1, None, None] * circle
+    around[..., 2] = heights[1:-1, None]
+    vertices[[0, -1], 2] = heights[0], heights[-1]
+    index = 1 + np.arange(rings * sections).reshape(rings, sections)
+    beside = np.roll(index, -1, axis=1)
+    bottom, top = np.zeros(sections, dtype=index.dtype), np.full(sections, len(vertices) - 1)
+    corners = (
+        (bottom, beside[0], index[0]),
+        (index[:-1], beside[:-1], beside[1:]),
+        (index[:-1], beside[1:], index[1:]),
+        (index[-1], beside[-1], top),
+    )
+    return Surface(vertices, np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in corners]))
+
+
+def _z_along(direction: FloatArray) -> FloatArray:
+    """Return a rotation (3, 3) that takes z along `direction` (3,)."""
+    z = direction / np.linalg.norm(direction)
+    x = np.cross(np.eye(3)[np.abs(z).argmin()], z)
+    x /= np.linalg.norm(x)
+    return np.stack([x, np.cross(z, x), z], axis=1)
+
+
 def _clustered(surface: Surface, cell: float) -> Surface:
+    """Join the vertices in each cell, and drop triangles that collapse or become the same."""
     _, cluster = np.unique(np.floor(surface.vertices / cell).astype(np.int64), axis=0, return_inverse=True)
     cluster = cluster.ravel()
     members = np.bincount(cluster)
@@ -114,38 +286,35 @@ def _clustered(surface: Surface, cell: float) -> Surface:
     return Surface(centres, faces[~collapsed][np.sort(first)])
 
 
-def _turned_to(direction: FloatArray) -> FloatArray:
-    """Return a rotation (3, 3) that takes z along `direction` (3,)."""
-    z = direction / np.linalg.norm(direction)
-    x = np.cross(np.eye(3)[np.abs(z).argmin()], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+def _shared_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
+    """Return the pairs of edges that are one edge of two triangles; 3 k + i begins at corner i of triangle k.
+
+    An edge of three triangles or more is left out: it is sharp.
+    """
+    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    key = ends.min(axis=1) * (faces.max(initial=0) + 1) + ends.max(axis=1)
+    order = np.argsort(key, kind="stable")
+    same = np.concatenate([[False], np.diff(key[order]) == 0, [False]])
+    at = np.flatnonzero(same[1:-1] & ~same[:-2] & ~same[2:])
+    return order[at], order[at + 1]
 
 
-def _coal_surface(shape: Any, source: str) -> Surface:
-    geometry = shape.geometry
-    match geometry:
-        case coal.BVHModelBase():
-            return Surface(geometry.vertices(), _triangles(geometry))
-        case coal.ConvexBase():
-            return hull(np.array([geometry.point(i) for i in range(geometry.num_points)]))
-        case coal.Box():
-            return box(2 * geometry.halfSide)
-        case coal.Cylinder():
-            return cylinder(geometry.radius, 2 * geometry.halfLength)
-        case coal.Capsule():
-            return capsule(geometry.radius, 2 * geometry.halfLength)
-        case coal.Cone():
-            return cone(geometry.radius, 2 * geometry.halfLength)
-        case coal.Sphere():
-            return ball(geometry.radius)
-        case coal.Ellipsoid():
-            unit = ball(1.0)
-            return Surface(unit.vertices * geometry.radii, unit.faces)
-    expected = "a mesh, box, cylinder, capsule, cone, sphere or ellipsoid"
-    raise ModelError(source, f"visual {shape.name}", type(geometry).__name__, expected)
+def _next(corner: IntArray) -> IntArray:
+    """Return the corners 3 k + i that follow in their triangles."""
+    return np.where(corner % 3 == 2, corner - 2, corner + 1)
 
 
-def _triangles(mesh: Any) -> IntArray:
-    triangles = (mesh.tri_indices(i) for i in range(mesh.num_tris))
-    return np.array([(t[0], t[1], t[2]) for t in triangles], dtype=np.intp).reshape(-1, 3)
+def _angles(surface: Surface) -> FloatArray:
+    """Angles (m, 3) of the triangles at their corners, rad."""
+    points = surface.vertices[surface.faces]
+    ahead, back = np.roll(points, -1, axis=1) - points, np.roll(points, 1, axis=1) - points
+    doubled = np.linalg.norm(surface.crosses, axis=1)[:, None]
+    return np.asarray(np.arctan2(doubled, np.einsum("kci,kci->kc", ahead, back)))
+
+
+def _with_height(surface: Surface) -> Surface:
+    """Leave out the triangles that are lines or points."""
+    points = surface.vertices[surface.faces]
+    longest = np.linalg.norm(points - np.roll(points, 1, axis=1), axis=2).max(axis=1)
+    high = np.linalg.norm(surface.crosses, axis=1) > _FLAT * longest
+    return Surface(surface.vertices, surface.faces[high])

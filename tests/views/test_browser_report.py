@@ -60,7 +60,7 @@ def test_there_is_a_plot_of_everything(shown: webdriver.Chrome, triangle_plan: P
         "return [...document.querySelectorAll('svg')].map((svg) => svg.getAttribute('aria-label'))"
     )
     large = ["Torque on the guardrail", "Clearance", "Tool's distance from its path"]
-    large += [f"Tracking error along {axis}" for axis in "xyz"] + ["Bent tool's distance from its path"]
+    large += [f"Tracking error along {axis}" for axis in "xyz"] + ["Elastic tool's distance from its path"]
     small = [
         f"{quantity} of {joint}"
         for joint in triangle_plan.robot.joints

@@ -10,8 +10,7 @@ from page_data import floats
 
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views.charts import MOST_POINTS, charts, joint_charts
-from cmbot.views.thinning import thinned
+from cmbot.views.charts import MOST_POINTS, charts, joint_charts, thinned
 
 
 def test_peaks_survive_the_thinning(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
@@ -73,13 +72,13 @@ def test_it_is_said_where_an_error_is_measured_from(
     triangle_plan: Plan, triangle_tracking: Tracking, compensated_short: tuple[Plan, Tracking]
 ) -> None:
     for made, words in (
-        ((triangle_plan, triangle_tracking), "put the rigid one. "),
+        ((triangle_plan, triangle_tracking), "minus the rigid arm's at the same joint angles. "),
         (compensated_short, "predicted sag"),
     ):
         notes = [chart.note for chart in charts(*made) if chart.title.startswith("Tracking error")]
         assert words in notes[0]
         assert notes[1:] == ["", ""]
-        assert ("is expected" in notes[0]) == (made is compensated_short)
+        assert ("expected position" in notes[0]) == (made is compensated_short)
 
 
 def test_plots_without_the_approach_say_why(triangle_plan: Plan, triangle_tracking: Tracking) -> None:

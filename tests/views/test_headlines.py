@@ -8,7 +8,7 @@ import pytest
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
 from cmbot.views import report_page
-from cmbot.views.headlines import headlines, use_of
+from cmbot.views.headlines import bound_use, headlines
 
 
 def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
@@ -21,14 +21,14 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert "Nm on the approach" in peak.detail
     assert triangle_plan.gap_to_floor is not None
     assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
-    assert f"less than {triangle_plan.torque_floor:.1f} Nm; at 0 %" in floor.detail
+    assert f"floor {triangle_plan.torque_floor:.1f} Nm: static lower bound" in floor.detail
     assert triangle_plan.approach is not None
     work, approach = (len(of.certificate.checks) for of in (triangle_plan, triangle_plan.approach))
     assert certified.value == f"{work} of {work} hold"
     assert certified.detail.endswith(f"; approach: {approach} of {approach}")
     assert clearance.value == f"{1e3 * after.min_clearance:.1f} mm"
     assert deviation.value == f"{1e3 * after.max_tool_deviation:.2f} mm"
-    assert "unbent" in deviation.detail and "unbent" in clearance.detail
+    assert "rigid arm" in deviation.detail and "rigid arm" in clearance.detail
     # Sag takes the bent tool off its path by more than the bound: no verdict to be green about.
     assert error.state == "plain" and "mm off its path; bound 1 mm" in error.detail
     assert error.value == f"{1e3 * triangle_tracking.planned.figures.total.rms[3]:.1f} mm"
@@ -67,7 +67,7 @@ def test_without_an_approach_none_is_named(short_plan: Plan) -> None:
 
 def test_fixed_knots_have_no_floor(short_plan: Plan) -> None:
     floor = list(headlines(short_plan, None))[1]
-    assert (floor.value, floor.detail) == ("–", "fixed knots have none")
+    assert (floor.value, floor.detail) == ("–", "not computed for fixed knots")
 
 
 @pytest.mark.parametrize(
@@ -76,4 +76,4 @@ def test_fixed_knots_have_no_floor(short_plan: Plan) -> None:
 )
 def test_use_of_a_bound(triangle_plan: Plan, value: float, bound: float, at_least: bool, use: float) -> None:
     check = triangle_plan.certificate.checks[0]
-    assert use_of(dataclasses.replace(check, value=value, bound=bound, at_least=at_least)) == use
+    assert bound_use(dataclasses.replace(check, value=value, bound=bound, at_least=at_least)) == use

@@ -19,7 +19,7 @@ import pytest
 
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan
-from cmbot.views import ReplayServer, replay, replay_page, serve_replay
+from cmbot.views import ReplayServer, replay, replay_page
 
 EVIL = "</script></title><img src=x onerror=alert(1)><!--\u2028\ud800"
 
@@ -178,7 +178,9 @@ def test_a_file_that_cannot_be_written(triangle_plan: Plan, tmp_path: Path, plac
 
 
 def test_the_server_serves_the_page_to_this_computer_alone(triangle_plan: Plan, text: str) -> None:
-    with serve_replay(triangle_plan) as server:
+    server = replay(triangle_plan, serve=True)
+    assert server is not None
+    with server:
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.url)
         with urllib.request.urlopen(server.url, timeout=10) as answer:
             assert answer.headers["Content-Type"] == "text/html; charset=utf-8"

@@ -103,7 +103,7 @@ def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
     assert data["charts"][1]["curves"] == []
     assert (floats(data["planned"]["pair"]) == -1).all()
     assert data["jointCharts"][1]["bounds"] == [None, None]
-    assert "nothing is there to be hit" in page
+    assert "no pair of shapes can collide" in page
     assert ">unbounded</td>" in page
 
 
@@ -114,8 +114,8 @@ def test_what_was_done_about_the_sag_is_in_a_table(
     done = made.compensation
     assert done is not None
     page = report_page(made, tracking)
-    rows = {"sag compensated, rounds": str(done.rounds)}
-    rows["largest shift of the tool from its path for it, mm"] = f"{1e3 * done.largest_shift:.3f}"
+    rows = {"sag compensation, rounds": str(done.rounds)}
+    rows["largest shift of the tool from its path, mm"] = f"{1e3 * done.largest_shift:.3f}"
     assert done.largest_shift > 1e-3
     for name, value in rows.items():
         assert f'{name}</th><td class="number">{value}</td>' in page
@@ -126,9 +126,9 @@ def test_what_was_done_about_the_vibration_is_in_a_table(text: str, triangle_pla
     quiet = triangle_plan.quieting
     assert quiet is not None
     for name, value in (
-        ("elastic modes brought to rest", f"{quiet.modes}"),
-        ("share of the change for it that was made", f"{100 * quiet.share:.4g} %"),
-        ("amplitude that they leave at the tool without it, mm", f"{1e3 * quiet.before:.4f}"),
-        ("with it, mm", f"{1e3 * quiet.after:.4f}"),
+        ("suppressed elastic modes", f"{quiet.modes}"),
+        ("applied share of the correction", f"{100 * quiet.share:.4g} %"),
+        ("residual amplitude at the tool without it, mm", f"{1e3 * quiet.before:.4f}"),
+        ("residual amplitude with it, mm", f"{1e3 * quiet.after:.4f}"),
     ):
         assert f'{name}</th><td class="number">{value}</td>' in text

@@ -8,9 +8,19 @@ import trimesh
 from numpy.typing import NDArray
 
 from cmbot.robot import Robot
-from cmbot.views.creases import creased
-from cmbot.views.solids import Surface, ball, box, capsule, cone, cylinder, hull
-from cmbot.views.surfaces import merged, tube, visual_surface
+from cmbot.views.surfaces import (
+    Surface,
+    ball,
+    box,
+    capsule,
+    cone,
+    creased,
+    cylinder,
+    hull,
+    merged,
+    tube,
+    visual_surface,
+)
 
 FloatArray = NDArray[np.float64]
 CREASE = np.deg2rad(35.0)

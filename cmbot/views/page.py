@@ -1,0 +1,110 @@
+"""HTML pages that need nothing but a browser: put together from resources and written as files."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import hashlib
+import json
+import uuid
+from collections.abc import Mapping, Sequence
+from importlib.metadata import distribution
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+
+__all__ = ["STAGE_SCRIPTS", "assemble", "cannot_write", "pack", "write_page"]
+
+STAGE_SCRIPTS = ("stage.js", "marks.js", "motions.js", "player.js")
+"""The 3-D view and the time, shared by replay and report."""
+
+_RESOURCES = files("cmbot.views") / "page"
+
+
+def assemble(
+    template: str, *, styles: Sequence[str], scripts: Sequence[str], data: Any, texts: Mapping[str, str]
+) -> str:
+    """Return an HTML page that opens no connection and runs two scripts: meshcat's viewer and `scripts`.
+
+    Parameters
+    ----------
+    template : str
+        Name of a resource with the fields ``$policy``, ``$style``, ``$view``, ``$controls``,
+        ``$data``, ``$viewer``, ``$scripts``, and those of `texts`.
+    styles, scripts : sequence of str
+        Names of resources, concatenated.
+    data : object
+        For the scripts; serialised as JSON.
+    texts : mapping
+        From a field's name to HTML, in which text from files is escaped.
+    """
+    code = {"viewer": _viewer_script(), "scripts": "".join(map(_text, scripts))}
+    return Template(_text(template)).substitute(
+        texts,
+        **code,
+        policy=_policy(*code.values()),
+        style="".join(map(_text, styles)),
+        view=_text("view.html"),
+        controls=_text("controls.html"),
+        data=_inline_json(data),
+    )
+
+
+def write_page(path: Path, text: str) -> None:
+    """Write a page to a temporary file beside `path`, then rename it.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be written.
+    """
+    draft = path.parent / f".{uuid.uuid4().hex}.html"
+    try:
+        draft.write_text(text, encoding="utf-8", errors="replace", newline="\n")
+        draft.replace(path)
+    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
+        with contextlib.suppress(OSError, ValueError):
+            draft.unlink(missing_ok=True)
+        raise cannot_write(path, error) from error
+
+
+def cannot_write(path: Path, error: OSError | ValueError) -> InputError:
+    """Return the error that names a file and why it cannot be written."""
+    got = f"a file that cannot be written ({getattr(error, 'strerror', None) or error})"
+    return InputError(str(path), "", got, "a path where a file can be written")
+
+
+def pack(array: FloatArray) -> str:
+    """Return an array for the scripts: little-endian float32 in base64."""
+    return base64.b64encode(array.astype("<f4").tobytes()).decode("ascii")
+
+
+def _text(name: str) -> str:
+    return (_RESOURCES / name).read_text(encoding="utf-8")
+
+
+def _viewer_script() -> str:
+    """Meshcat's viewer with the notices that its licences require."""
+    folder = Path(str(distribution("meshcat").locate_file("meshcat/viewer")))
+    licence, notices, code = (
+        (folder / name).read_text(encoding="utf-8")
+        for name in ("LICENSE", "dist/main.min.js.LICENSE.txt", "dist/main.min.js")
+    )
+    script = f"/*! MeshCat\n{licence}*/\n{notices}\n{code}\n"
+    return script.replace("\r\n", "\n").replace("</script", r"<\/script").replace("<!--", r"<\!--")
+
+
+def _policy(*scripts: str) -> str:
+    hashes = (base64.b64encode(hashlib.sha256(text.encode()).digest()).decode("ascii") for text in scripts)
+    allowed = " ".join(f"'sha256-{digest}'" for digest in hashes)
+    return f"default-src 'none'; script-src {allowed}; style-src 'unsafe-inline'; img-src data: blob:"
+
+
+def _inline_json(data: Any) -> str:
+    """Return JSON that cannot end the script element that contains it."""
+    text = json.dumps(data, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", r"\u003c").replace(">", r"\u003e").replace("&", r"\u0026")
