@@ -130,7 +130,7 @@ def _off_task(case: Case, trajectory: QuinticTrajectory) -> float:
 def way_of(scene: Scene, knots: str) -> tuple[PlanningContext, InitialGuess]:
     """Return where planning a scene would start to optimise."""
     context = build_context(scene, replace(scene.planner, knots=knots, solver="slsqp"))
-    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context, lambda _: None)
+    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context)
 
 
 def fixed_case(scene: Scene) -> Case:

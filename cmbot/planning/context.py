@@ -1,14 +1,15 @@
-"""From a scene to what planning works on: the robot, its task, what is around."""
+"""The planning context: robot, task, clearances and options of a scene, in one frozen object."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from cmbot.collision.clearance import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import ModelError, SceneError
+from cmbot.common.errors import ModelError, PathNotFound, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
@@ -17,7 +18,7 @@ from cmbot.planning.path.task import ToolTask
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.torque.objectives import Objective, objective_of
 from cmbot.planning.torque.wrench_functions import WrenchFunction
-from cmbot.robot import Kinematics, Robot, load_robot
+from cmbot.robot import Kinematics, Postures, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.obstacles import pose
 from cmbot.scene.tool_path import ToolPath
@@ -40,13 +41,12 @@ class PlanningContext:
         Of the via-points.
     options : PlannerOptions
     objective : Objective
-        What is made small.
+        What is minimised.
     arm : ElasticArm or None
-        The arm on its guardrail as it bends; None where nothing does.
+        The elastic arm on its guardrail; None where both are rigid.
     sag : ToolSag or None
         Where it is to be compensated.
-    teller : ProgressReporter
-        What is told of the work while it goes on.
+    reporter : ProgressReporter
     """
 
     robot: Robot
@@ -59,6 +59,28 @@ class PlanningContext:
     arm: ElasticArm | None
     sag: ToolSag | None
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
+
+    @cached_property
+    def postures(self) -> Postures:
+        """Kinematics and statics of the robot in batches."""
+        return Postures(self.robot)
+
+    @cached_property
+    def points(self) -> FloatArray:
+        """Tool points (k, 3), m, at the via-points."""
+        return self.task.path.position(self.times)
+
+    def path_not_found(
+        self, reason: str, q: FloatArray, time: float = 0.0, pair: tuple[str, str] | None = None
+    ) -> PathNotFound:
+        """Return the error of a path that ends at posture `q` (n,), `time` s after its start."""
+        return PathNotFound(
+            reason,
+            time=float(time),
+            progress=self.task.path.progress(float(time)),
+            smallest_singular_value=self.task.smallest_singular_value(self.robot, q),
+            pair=pair,
+        )
 
 
 def build_context(
@@ -74,9 +96,8 @@ def build_context(
     scene : Scene
     options : PlannerOptions
     own : WrenchFunction, optional
-        What is made small, in place of what the options say.
-    teller : ProgressReporter, optional
-        Of the work that will be done; by default nobody is told.
+        What is minimised, in place of what the options say.
+    reporter : ProgressReporter, optional
 
     Raises
     ------
@@ -105,7 +126,7 @@ def build_context(
 
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
-    """Return a scene's arm on its guardrail as it bends; None where nothing does."""
+    """Return a scene's elastic arm on its guardrail; None where both are rigid."""
     arm = elastic_arm(robot, elastic_base(scene.guardrail))
     return arm if len(arm.elastic) else None
 
@@ -166,7 +187,7 @@ def robot_of(scene: Scene) -> Robot:
     except ModelError as error:
         if error.key not in ("base_frame", "tool_frame"):
             raise
-        # What has to be changed stands in the scene.
+        # The scene holds the key that has to be changed.
         key = f"robot.{error.key}"
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
 

@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.path.gradient_projection import place_on_task
 from cmbot.planning.path.initial_postures import find_path
+from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.charts import Chart
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.solvers import family_through
 from cmbot.planning.torque.family import Family
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.robot import Kinematics, Postures
 
 __all__ = ["Choice", "InitialGuess", "fixed_guess", "shifted_problem", "sliding_guess"]
 
@@ -77,32 +74,18 @@ class InitialGuess:
     instead_of: str = ""
 
 
-def fixed_guess(context: PlanningContext, tell: Callable[[int], None]) -> InitialGuess:
+def fixed_guess(context: PlanningContext) -> InitialGuess:
     """Take via-points from the path of gradient projection, to stay there (Chang 2021, Eqs. (15)-(30)).
-
-    Parameters
-    ----------
-    setting : PlanningContext
-    tell : callable
-        Called with the number of failed starts before each further one is tried.
 
     Raises
     ------
     PathNotFound
         When no start leads to the end of the path.
     """
-    path, failures = find_path(
-        context.robot,
-        context.task,
-        context.posture,
-        context.clearances,
-        context.options,
-        tell,
-        partial(context.reporter.part, "following the tool path"),
-    )
+    path, failures = find_path(context)
     rough = np.stack([np.interp(context.times, path.t, joint) for joint in path.q.T], axis=1)
     family = family_through(context, _placed(context, rough), sliding=False)
-    least = float(context.objective.at_rest(Postures(context.robot).at(family.via_points)).max())
+    least = float(context.objective.at_rest(context.postures.at(family.via_points)).max())
     resting = (0, -1)
     problem = _problem(context, family, resting, least)
     return InitialGuess(problem=problem, resting=resting, least=least, failures=failures)
@@ -199,14 +182,10 @@ def _require_clear_start(context: PlanningContext) -> None:
         if context.robot.model.existFrame(shapes.other)
         else "move the obstacle"
     )
-    raise PathNotFound(
+    raise context.path_not_found(
         f"in the scene's posture {shapes.too_near(distance, margin)}; take another posture_deg, lower "
         f"planner.safety_margin_m, or {other}",
-        time=0.0,
-        progress=0.0,
-        smallest_singular_value=context.task.smallest_singular_value(
-            *Kinematics(context.robot).tool_jacobian(q)
-        ),
+        q,
         pair=(shapes.link, shapes.other),
     )
 
@@ -234,17 +213,14 @@ def _problem(
 
 
 def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
-    """Put postures (n, d) near the via-points onto the tool task exactly."""
-    kinematics, task, times = Kinematics(context.robot), context.task, context.times
-    via_points = np.empty_like(rough)
-    for k, (q, point) in enumerate(zip(rough, task.path.position(times), strict=True)):
-        placed = place_on_task(kinematics, task, q, point)
-        if placed is None:
-            raise PathNotFound(
-                f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular",
-                time=float(times[k]),
-                progress=task.path.progress(float(times[k])),
-                smallest_singular_value=task.smallest_singular_value(*kinematics.tool_jacobian(q)),
-            )
-        via_points[k] = placed
-    return via_points
+    """Project postures (n, d) near the via-points onto the tool task."""
+    q, reached = project_onto_task(
+        context.postures, context.task, rough, context.points, steps=50, tolerance=1e-12
+    )
+    for k in np.flatnonzero(~reached)[:1]:
+        raise context.path_not_found(
+            f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular",
+            rough[k],
+            context.times[k],
+        )
+    return q

@@ -119,10 +119,7 @@ def _plan(
     context = build_context(scene, options, own, reporter)
     require_reasonable_size(scene, context.robot.dof, options)
     require_within_reach(context)
-    if options.knots == "sliding":
-        way = sliding_guess(context)
-    else:
-        way = fixed_guess(context, lambda failed: reporter.stage("path", failed_starts=failed))
+    way = sliding_guess(context) if options.knots == "sliding" else fixed_guess(context)
     path_seconds = clock.lap()
     try:
         way, work = followed(context, way, partial(_work, context, clock))
@@ -136,13 +133,9 @@ def _plan(
         way, work = followed(context, way, partial(_work, context, clock))
     # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
     path = follow_path(
-        context.robot,
-        context.task,
-        context.posture,
-        context.clearances,
-        options,
+        context,
         stop_at_obstacles=False,
-        tell=partial(reporter.part, "following the tool path as the baseline does"),
+        report=partial(reporter.part, "following the tool path as the baseline does"),
     )
     baseline = baseline_samples(context, path)
     baseline_figures = figures(context.robot, baseline)
@@ -233,9 +226,7 @@ def _work(context: PlanningContext, clock: _Clock, way: InitialGuess) -> _Work:
     approach = None
     if way.chart is not None and start.moved > _SAME_POSTURE:
         reporter.step("planning the approach to the start")
-        approach = plan_approach(
-            robot, task, context.posture, start.posture, way.chart.q, clearances, options
-        )
+        approach = plan_approach(context, start.posture, way.chart.q)
     return _Work(
         optimised=optimised,
         compensation=compensation,

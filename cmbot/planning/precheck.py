@@ -13,7 +13,7 @@ from cmbot.common.validation import counted
 from cmbot.planning.context import robot_of, task_of
 from cmbot.planning.problem_size import oversized
 from cmbot.planning.tool_reach import beyond_reach
-from cmbot.robot import Dynamics, Efforts, Finding, Kinematics, Robot
+from cmbot.robot import Dynamics, Efforts, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.scene.tool_path import ToolPath
 
@@ -122,8 +122,8 @@ def _beginning(
     if nearest is not None:
         pair = nearest.pair
         yield "clearance at the start", f"{nearest.distance:.4f} m ({pair.link} to {pair.other})"
-    X_WT, J = Kinematics(robot).tool_jacobian(scene.posture)
-    yield "smallest singular value there", f"{task_of(scene, robot).smallest_singular_value(X_WT, J):.4f}"
+    value = task_of(scene, robot).smallest_singular_value(robot, scene.posture)
+    yield "smallest singular value there", f"{value:.4f}"
     yield "torque on the guardrail there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"
     yield "largest joint torque there", f"{use.max():.2f} of the bound of {robot.joints[use.argmax()]}"
 

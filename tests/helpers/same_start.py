@@ -63,9 +63,7 @@ class SameStart:
     def __init__(self, scene: Scene, own: WrenchFunction | None = None) -> None:
         self._setting = build_context(scene, replace(scene.planner, solver="slsqp"), own)
         self._sliding = scene.planner.knots == "sliding"
-        self._way = (
-            sliding_guess(self._setting) if self._sliding else fixed_guess(self._setting, lambda _: None)
-        )
+        self._way = sliding_guess(self._setting) if self._sliding else fixed_guess(self._setting)
 
     def solve(self, solver: Solver, start: FloatArray | None = None) -> Answer:
         """Solve it around the via-points of its way, or around those given; all are judged alike."""

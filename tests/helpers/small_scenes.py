@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,11 +11,13 @@ from numpy.typing import NDArray
 
 from cmbot.collision.clearance import Clearances
 from cmbot.planning import ToolTask, robot_of, task_of
-from cmbot.planning.context import build_context
+from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.robot import Robot
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, load_scene
+from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.scene.tool_path import ToolPath
 
 FloatArray = NDArray[np.float64]
 SHORT: dict[str, Any] = {
@@ -44,7 +47,24 @@ def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
     return robot, task_of(scene, robot), scene.posture, Clearances(robot, scene.obstacles)
 
 
+def task_at(robot: Robot, q: FloatArray, keep: Any = "pose") -> ToolTask:
+    """The task of moving the tool 0.1 m up from posture `q` (n,)."""
+    X_WT = Kinematics(robot).tool_pose(q)
+    path = ToolPath(
+        corners=X_WT.translation + np.array([[0.0, 0, 0], [0, 0, 0.1]]),
+        orientation=X_WT.rotation,
+        seconds=np.ones(1),
+        profile=SpeedProfile(),
+    )
+    return ToolTask(path, keep)
+
+
+def context_of(scene: Scene, **options: Any) -> PlanningContext:
+    """The planning context of a scene, with other options."""
+    return build_context(scene, replace(scene.planner, **options))
+
+
 def problem_of(scene: Scene) -> tuple[TorqueProblem, ToolTask, Clearances]:
     """The torque problem of a scene with fixed knots, started at the least-jerk spline."""
-    context = build_context(scene, scene.planner)
-    return fixed_guess(context, lambda _: None).problem, context.task, context.clearances
+    context = context_of(scene)
+    return fixed_guess(context).problem, context.task, context.clearances

@@ -251,9 +251,7 @@ def test_what_cannot_be_met_is_said() -> None:
 
 def way_of(scene: Scene, solver: Literal["sqp", "slsqp"]) -> InitialGuess:
     context = build_context(scene, replace(scene.planner, solver=solver))
-    return (
-        sliding_guess(context) if scene.planner.knots == "sliding" else fixed_guess(context, lambda _: None)
-    )
+    return sliding_guess(context) if scene.planner.knots == "sliding" else fixed_guess(context)
 
 
 def objective(way: InitialGuess, optimised: Optimised, *, of_stage: str) -> float:

@@ -19,13 +19,13 @@ from cmbot.optimization.exchange import optimise
 from cmbot.planning import plan, problem_size
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import sliding_guess
+from cmbot.planning.path.projection import TangentPredictor, project_onto_task
 from cmbot.planning.precheck import precheck_scene
 from cmbot.planning.problem_size import MOST_UNKNOWNS, oversized
 from cmbot.planning.selfmotion import charts as self_motion
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.selfmotion.graph_layer import GraphLayer
-from cmbot.planning.selfmotion.projection import TangentPredictor, project
 from cmbot.robot import Postures, Robot
 from cmbot.scene import Scene
 from cmbot.scene.speed_profile import SpeedProfile
@@ -139,7 +139,7 @@ def test_leaning_is_what_a_projection_does_first(stage: GlobalSearch, context: P
     points = task.path.position(context.times)
     q = stage._nodes[0].chart.q
     leaning = TangentPredictor.of(postures, task, q, points[0])
-    first, _ = project(postures, task, q, points[1], steps=1)
+    first, _ = project_onto_task(postures, task, q, points[1], steps=1)
     np.testing.assert_allclose(leaning.towards(points[1]), first, atol=1e-8)
 
 

@@ -92,7 +92,7 @@ def test_other_ways_are_few_and_each_is_calmer(rough: tuple[PlanningContext, Ini
 def test_with_fixed_knots_there_is_no_other_way() -> None:
     scene = short_scene()
     context = build_context(scene, scene.planner)
-    assert not list(calmer_ways(context, fixed_guess(context, lambda _: None), FAILURE))
+    assert not list(calmer_ways(context, fixed_guess(context), FAILURE))
 
 
 def test_a_way_that_is_followed_is_kept(rough: tuple[PlanningContext, InitialGuess]) -> None:

@@ -1,1 +1,1 @@
-"""The way to where the work starts, the tool off."""
+"""The approach to where the work starts, with the tool off."""

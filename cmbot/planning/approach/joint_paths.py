@@ -1,4 +1,4 @@
-"""Collision-free ways through joint space from one posture to another, with the tool off."""
+"""Collision-free paths through joint space: RRT-Connect and shortcuts."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from cmbot.robot import Robot
 
 __all__ = ["FreeSpace", "connect", "shorten"]
 
-# Longest step of a tree, rad, and how often it is grown before the search is given up.
+# Longest step of a tree, rad, and how often the trees are grown before the search is given up.
 _STEP = 0.3
 _MOST_GROWTHS = 4000
-# Pairs of points of a path between which a short cut is tried.
-_SHORT_CUTS = 150
-# Between two postures that are looked at no point of the arm moves further than this, m.
-_LOOK_EVERY = 0.04
-# Where the ends of a way leave less to spare, this share of what they leave is asked for in between.
+# Pairs of points of a path between which a shortcut is tried.
+_SHORTCUTS = 150
+# Between two postures of a line that are checked no point of the arm moves further than this, m.
+_CHECK_EVERY = 0.04
+# Where the ends of a path spare less, this share of what they spare is required in between.
 _SHARE_TO_SPARE = 0.5
 
 
@@ -33,19 +33,19 @@ class FreeSpace:
     clearances : Clearances
     margin : float, m
     spare : float, m
-        Kept beyond the margin for the neighbours of a posture that is looked at. With the default a line is
-        free all along; with less it is free where it is looked at, and a certificate has to see to the rest.
+        Kept beyond the margin for the neighbours of a posture that is checked. With the default a line is
+        free all along; with less only where it is checked, and a certificate has to cover the rest.
     """
 
     robot: Robot
     clearances: Clearances
     margin: float
-    spare: float = _LOOK_EVERY / 2
+    spare: float = _CHECK_EVERY / 2
 
     def around(self, q: FloatArray) -> FreeSpace | None:
-        """Return the space with as much to spare as postures `q` (N, n) leave; None when one is not free.
+        """Return the space that spares at most what postures `q` (N, n) spare; None when one is not free.
 
-        Neighbouring links of some arms are always near each other: they never leave much.
+        Neighbouring links of some arms are always near each other and never spare much.
         """
         limits = self.robot.limits
         if ((q < limits.lower) | (q > limits.upper)).any():
@@ -54,7 +54,7 @@ class FreeSpace:
         return None if left < 0 else replace(self, spare=min(self.spare, _SHARE_TO_SPARE * left))
 
     def holds(self, q: FloatArray) -> BoolArray:
-        """Which of the postures `q` (N, n) are free, with something to spare for their neighbours."""
+        """Which of the postures `q` (N, n) are free, and spare enough for their neighbours."""
         limits = self.robot.limits
         within: BoolArray = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
         free = within.copy()
@@ -62,9 +62,9 @@ class FreeSpace:
         return free
 
     def straight(self, start: FloatArray, end: FloatArray) -> bool:
-        """Whether the postures looked at on the line between two postures (n,) are free."""
+        """Whether the postures checked on the line between two postures (n,) are free."""
         moved = float(np.abs(end - start) @ self.clearances.reach)
-        shares = np.linspace(0.0, 1.0, int(np.ceil(moved / _LOOK_EVERY)) + 1)[1:, None]
+        shares = np.linspace(0.0, 1.0, int(np.ceil(moved / _CHECK_EVERY)) + 1)[1:, None]
         return bool(self.holds(start + shares * (end - start)).all())
 
 
@@ -91,14 +91,14 @@ def connect(space: FreeSpace, start: FloatArray, end: FloatArray) -> FloatArray 
                 break
             if np.array_equal(other.q[met], tree.q[new]):
                 first, second = (new, met) if tree is trees[0] else (met, new)
-                return np.vstack([trees[0].way(first)[::-1], trees[1].way(second)[1:]])
+                return np.vstack([trees[0].to_root(first)[::-1], trees[1].to_root(second)[1:]])
     return None
 
 
 def shorten(space: FreeSpace, path: FloatArray) -> FloatArray:
-    """Cut corners of a broken line (k, n) where the straight way is free."""
+    """Cut corners of a broken line (k, n) where the straight line is free."""
     rng = np.random.default_rng(0)
-    for _ in range(_SHORT_CUTS):
+    for _ in range(_SHORTCUTS):
         if len(path) < 3:
             break
         first, second = np.sort(rng.choice(len(path), 2, replace=False))
@@ -117,18 +117,18 @@ class _Tree:
     def grow(self, space: FreeSpace, target: FloatArray) -> int | None:
         """Take one step from the nearest posture towards `target`; return the new posture's index."""
         nearest = int(np.linalg.norm(self.q - target, axis=1).argmin())
-        way = target - self.q[nearest]
-        length = float(np.linalg.norm(way))
+        move = target - self.q[nearest]
+        length = float(np.linalg.norm(move))
         if length == 0.0:
             return nearest
-        new = target if length <= _STEP else self.q[nearest] + way * (_STEP / length)
+        new = target if length <= _STEP else self.q[nearest] + move * (_STEP / length)
         if not space.straight(self.q[nearest], new):
             return None
         self.q = np.vstack([self.q, new])
         self._parent.append(nearest)
         return len(self._parent) - 1
 
-    def way(self, index: int) -> FloatArray:
+    def to_root(self, index: int) -> FloatArray:
         """Postures from number `index` to the root."""
         indices = [index]
         while self._parent[indices[-1]] >= 0:

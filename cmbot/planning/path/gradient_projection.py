@@ -4,29 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from cmbot.collision.clearance import Clearances, Nearest
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import PathNotFound
-from cmbot.planning.path.task import ToolTask
-from cmbot.robot import Kinematics, Robot
+from cmbot.planning.context import PlanningContext
+from cmbot.robot import Kinematics
 from cmbot.scene.options import PlannerOptions
 
-__all__ = ["JointPath", "follow_path", "place_on_task", "robust_inverse"]
+__all__ = ["JointPath", "follow_path", "robust_inverse"]
 
 
-# The tool is lost, not merely drifting, when it lags this far behind its path.
+# Lag of the tool behind its path, m, beyond which it is out of reach, not drifting.
 _LOST = 0.01
-# Power k of the weights by which the nearest of several pairs prevails: small lets them cancel out, large
-# comes near to Eq. (17)'s jumps.
+# Power k of the weights of near pairs: with a small one they cancel out, with a large one the blend comes
+# near to Eq. (17)'s jumps.
 _SHARPNESS = 8
-# Corrections of a via-point end when the task error is below this (m and rad); more steps than this many
-# mean that it cannot be reached.
-_ON_TASK = 1e-12
-_MOST_CORRECTIONS = 50
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,14 +50,11 @@ class JointPath:
 
 
 def follow_path(
-    robot: Robot,
-    task: ToolTask,
-    posture: FloatArray,
-    clearances: Clearances,
-    options: PlannerOptions,
+    context: PlanningContext,
+    posture: FloatArray | None = None,
     *,
     stop_at_obstacles: bool = True,
-    tell: Callable[[int, int], None] | None = None,
+    report: Callable[[int, int], None] | None = None,
 ) -> JointPath:
     """Follow a tool path from a posture, away from obstacles.
 
@@ -72,15 +63,12 @@ def follow_path(
 
     Parameters
     ----------
-    robot : Robot
-    task : ToolTask
-    posture : (n,), rad
-        Where the arm starts; its tool pose is the start of the tool path.
-    clearances : Clearances
-    options : PlannerOptions
+    context : PlanningContext
+    posture : (n,), rad, optional
+        Where the arm starts; its tool pose is the start of the tool path. By default the scene's.
     stop_at_obstacles : bool
         False carries on whatever happens, to show what the motion would be.
-    tell : callable, optional
+    report : callable, optional
         Called with the number of steps that are done, and of all.
 
     Raises
@@ -88,6 +76,7 @@ def follow_path(
     PathNotFound
         When a joint leaves its range, a shape comes within the safety margin, or the tool cannot follow.
     """
+    robot, task, clearances, options = context.robot, context.task, context.clearances, context.options
     kinematics = Kinematics(robot)
     steps = max(round(task.path.duration / options.path_step_s), 1)
     t = np.linspace(0.0, task.path.duration, steps + 1)
@@ -95,41 +84,29 @@ def follow_path(
     dt = t[1]
     q, v = np.empty((steps + 1, robot.dof)), np.empty((steps + 1, robot.dof))
     clearance, singular_value, drift = (np.empty(steps + 1) for _ in range(3))
-    q[0] = posture
+    q[0] = context.posture if posture is None else posture
     for k in range(steps + 1):
         X_WT, J = kinematics.tool_jacobian(q[k])
-        J = task.jacobian(X_WT, J)
-        U, s, Vt = np.linalg.svd(J, full_matrices=False)
+        U, s, Vt = np.linalg.svd(task.jacobian(X_WT.rotation, J), full_matrices=False)
         error = task.error(X_WT, points[k])
         singular_value[k] = s[-1]
         drift[k] = np.linalg.norm(X_WT.translation - points[k])
         if stop_at_obstacles:
-            smallest = clearances.smallest(q[k : k + 1])
-            clearance[k] = smallest.distance[0]
-            obstacle = _obstacle(robot, clearances, smallest.pair[0], q[k], clearance[k], error, options)
-            if obstacle is not None:
-                reason, pair = obstacle
-                raise PathNotFound(
-                    reason,
-                    time=float(t[k]),
-                    progress=task.path.progress(float(t[k])),
-                    smallest_singular_value=float(s[-1]),
-                    pair=pair,
-                )
+            clearance[k] = _require_free(context, q[k], t[k], error)
         ahead = points[min(k + 1, steps)] - points[k]
         command = np.zeros(len(error))
         command[:3] = ahead / dt
         command += options.drift_gain * error
         gradient = _gradient(kinematics, clearances, q[k], options)
-        # (I - J+ J) gradient of Eq. (16): the part that leaves the task alone.
+        # (I - J+ J) gradient of Eq. (16): the part in the null space of the task.
         aside = gradient - Vt.T @ (Vt @ gradient)
         v[k] = _damped_inverse(U, s, Vt, options) @ command + options.avoidance_gain * aside
         if k < steps:
             q[k + 1] = q[k] + dt * v[k]
-        if tell is not None:
-            tell(k + 1, steps + 1)
+        if report is not None:
+            report(k + 1, steps + 1)
     if not stop_at_obstacles:
-        # All at once is quicker.
+        # One batch is quicker.
         clearance = clearances.smallest(q).distance
     return JointPath(t=t, q=q, v=v, clearance=clearance, singular_value=singular_value, drift=drift)
 
@@ -145,24 +122,10 @@ def _damped_inverse(U: FloatArray, s: FloatArray, Vt: FloatArray, options: Plann
     return np.asarray((Vt.T * (s / (s**2 + damping**2))) @ U.T)
 
 
-def place_on_task(
-    kinematics: Kinematics, task: ToolTask, q: FloatArray, point: FloatArray
-) -> FloatArray | None:
-    """Move posture `q` (n,) the least way onto the task at `point` (3,); None where it cannot be reached."""
-    for _ in range(_MOST_CORRECTIONS):
-        X_WT, J = kinematics.tool_jacobian(q)
-        error = task.error(X_WT, point)
-        if np.abs(error).max() < _ON_TASK:
-            return q
-        q = q + np.linalg.lstsq(task.jacobian(X_WT, J), error, rcond=1e-6)[0]
-    X_WT = kinematics.tool_pose(q)
-    return q if np.abs(task.error(X_WT, point)).max() < 1e3 * _ON_TASK else None
-
-
 def _gradient(
     kinematics: Kinematics, clearances: Clearances, q: FloatArray, options: PlannerOptions
 ) -> FloatArray:
-    """Gradient of H, (n,): away from what is near, and the arm's centre of mass towards the foot."""
+    """Gradient of H, (n,): away from near pairs, and the arm's centre of mass towards the foot."""
     away = _away_switched if options.avoidance == "switch" else _away_smoothly
     gradient = away(clearances, q, options.avoidance_distance_m)
     if options.centre_of_gravity_weight > 0:
@@ -195,31 +158,26 @@ def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float) -> FloatAr
 
 
 def _away_from(near: Nearest) -> FloatArray:
-    """J_C+ u: the joint rates that move the arm's nearest point straight away."""
+    """J_C+ u: the joint rates that move the arm's nearest point straight away from the other one."""
     return np.asarray(np.linalg.lstsq(near.jacobian, near.direction, rcond=1e-6)[0])
 
 
-def _obstacle(
-    robot: Robot,
-    clearances: Clearances,
-    pair: Any,
-    q: FloatArray,
-    clearance: float,
-    error: FloatArray,
-    options: PlannerOptions,
-) -> tuple[str, tuple[str, str] | None] | None:
-    """What keeps the arm from being in posture `q`: a reason and the pair of shapes, or nothing."""
-    if not clearance >= options.safety_margin_m:
-        shapes = clearances.pairs[pair]
-        return shapes.too_near(clearance, options.safety_margin_m), (shapes.link, shapes.other)
+def _require_free(context: PlanningContext, q: FloatArray, time: float, error: FloatArray) -> float:
+    """Return the clearance of posture `q`; refuse one that is too near, out of range or off the path."""
+    robot, margin = context.robot, context.options.safety_margin_m
+    smallest = context.clearances.smallest(q[None])
+    clearance, lag = float(smallest.distance[0]), float(np.linalg.norm(error[:3]))
     outside = np.flatnonzero((q < robot.limits.lower) | (q > robot.limits.upper))
-    if len(outside):
+    pair = None
+    if not clearance >= margin:
+        shapes = context.clearances.pairs[smallest.pair[0]]
+        reason, pair = shapes.too_near(clearance, margin), (shapes.link, shapes.other)
+    elif len(outside):
         i = outside[0]
-        low, high = np.rad2deg([robot.limits.lower[i], robot.limits.upper[i]])
-        return (
-            f"{robot.joints[i]} leaves its range {low:g} to {high:g} deg ({np.rad2deg(q[i]):.1f} deg)",
-            None,
-        )
-    if np.linalg.norm(error[:3]) > _LOST:
-        return f"the tool is {np.linalg.norm(error[:3]):.3f} m behind its path: out of reach", None
-    return None
+        low, high, angle = np.rad2deg([robot.limits.lower[i], robot.limits.upper[i], q[i]])
+        reason = f"{robot.joints[i]} leaves its range {low:g} to {high:g} deg ({angle:.1f} deg)"
+    elif lag > _LOST:
+        reason = f"the tool is {lag:.3f} m behind its path: out of reach"
+    else:
+        return clearance
+    raise context.path_not_found(reason, q, time, pair)

@@ -1,100 +1,84 @@
-"""Where else the arm may start: postures with the same tool pose, reached by self-motion.
+"""Other starting postures with the same tool pose, reached by self-motion.
 
 "The manipulator should change its initial position" when a path fails (Chang 2021, Section 3.1).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import counted
-from cmbot.planning.path.gradient_projection import JointPath, follow_path, place_on_task
-from cmbot.planning.path.task import ToolTask
-from cmbot.robot import Kinematics, Robot
-from cmbot.scene.options import PlannerOptions
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.gradient_projection import JointPath, follow_path
+from cmbot.planning.path.projection import null_space, project_onto_task
 
 __all__ = ["find_path", "no_start_left", "self_motion_postures"]
 
 
-# Self-motion is followed in steps of this length, rad, at most so many of them each way; every fourth posture
-# is tried.
+# Length of the steps along a self-motion, rad, and how many are taken each way; every fourth posture is
+# tried.
 _STEP = 0.05
 _MOST_STEPS = 400
 _TRIED_EVERY = 4
-# Step at which Eq. (22) is integrated to see whether a start is worth a proper look, s.
+# Step of a first, coarse integration of Eq. (22) from another start, s.
 _COARSE_STEP = 0.05
 
 
-def find_path(
-    robot: Robot,
-    task: ToolTask,
-    posture: FloatArray,
-    clearances: Clearances,
-    options: PlannerOptions,
-    tell: Callable[[int], None],
-    steps: Callable[[int, int], None] | None = None,
-) -> tuple[JointPath, tuple[PathNotFound, ...]]:
-    """Follow the tool path from `posture`; where that fails, from others at the same tool pose.
+def find_path(context: PlanningContext) -> tuple[JointPath, tuple[PathNotFound, ...]]:
+    """Follow the tool path from the scene's posture; where that fails, from others at the same tool pose.
 
     Parameters
     ----------
-    robot : Robot
-    task : ToolTask
-    posture : (n,), rad
-    clearances : Clearances
-    options : PlannerOptions
-        ``other_starts`` bounds how many others are tried, the nearest first.
-    tell : callable
-        Called with the number of failures so far before each further try.
-    steps : callable, optional
-        Called with the number of steps of the path that are done, and of all.
+    context : PlanningContext
+        Its option ``other_starts`` bounds how many others are tried, the nearest first.
 
     Returns
     -------
     JointPath
     tuple of PathNotFound
-        What happened from the starts before, `posture` first; empty when that led to the end.
+        Failures from the starts before, the scene's first; empty when that led to the end.
 
     Raises
     ------
     PathNotFound
-        As from `posture`, when no start leads to the end of the path.
+        As from the scene's posture, when no start leads to the end of the path.
     """
+    report = partial(context.reporter.part, "following the tool path")
     try:
-        path = follow_path(robot, task, posture, clearances, options, tell=steps)
+        return follow_path(context, report=report), ()
     except PathNotFound as error:
         failures = [error]
-    else:
-        return path, ()
-    coarse = replace(options, path_step_s=max(options.path_step_s, _COARSE_STEP))
-    for start in self_motion_postures(robot, task, posture)[: options.other_starts]:
-        tell(len(failures))
+    options = context.options
+    step = max(options.path_step_s, _COARSE_STEP)
+    coarse = replace(context, options=replace(options, path_step_s=step))
+    for start in self_motion_postures(context)[: options.other_starts]:
+        context.reporter.stage("path", failed_starts=len(failures))
         try:
-            follow_path(robot, task, start, clearances, coarse)
-            path = follow_path(robot, task, start, clearances, options, tell=steps)
+            follow_path(coarse, start)
+            return follow_path(context, start, report=report), tuple(failures)
         except PathNotFound as error:
             failures.append(error)
-        else:
-            return path, tuple(failures)
     moved = "the obstacle or the tool path" if failures[0].pair else "the tool path"
     raise no_start_left(failures, f"take another posture_deg, or move {moved}") from failures[0]
 
 
 def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNotFound:
-    """Return the first failure, with a word on the others, and on what to do where it does not say so."""
+    """Return the first failure, with the number of the others, and a remedy where it has none."""
     first, others = failures[0], len(failures) - 1
-    furthest = max(failure.progress for failure in failures)
     reason = first.reason
     if others:
-        postures = counted(others, "other starting posture")
+        furthest = max(failure.progress for failure in failures)
         fail = "fails" if others == 1 else "fail"
-        reason += f"; {postures} {fail} as well (the best at {furthest:.0%} of the path)"
+        reason += (
+            f"; {counted(others, 'other starting posture')} {fail} as well "
+            f"(the best at {furthest:.0%} of the path)"
+        )
     if remedy:
         reason += f"; {remedy}"
     return PathNotFound(
@@ -106,46 +90,33 @@ def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNot
     )
 
 
-def self_motion_postures(robot: Robot, task: ToolTask, posture: FloatArray) -> list[FloatArray]:
-    """Return postures (n,) within the joint ranges that hold the task's start, nearest to `posture` first.
+def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
+    """Return postures (n,) within the joint ranges that hold the task's start, the scene's nearest first.
 
-    They lie on the curves that lead from `posture` along each direction of the null space, both ways; with a
-    full pose and seven joints that is all of the self-motion connected with it.
+    They lie on the curves that lead from the scene's posture along each direction of the null space, both
+    ways; with a full pose and seven joints that is all of the self-motion connected with it. A curve ends at
+    a joint's range, or where it comes back.
     """
-    kinematics = Kinematics(robot)
+    posture, limits, task = context.posture, context.robot.limits, context.task
+    directions = null_space(context.postures, task, posture[None])[0]
+    along = np.concatenate([directions, -directions])
+    q = np.tile(posture, (len(along), 1))
     found: list[FloatArray] = []
-    for direction in _null_space(kinematics, task, posture).T:
-        for way in (direction, -direction):
-            found += _follow_self_motion(robot, kinematics, task, posture, way)
-    return sorted(found, key=lambda q: float(np.linalg.norm(q - posture)))
-
-
-def _follow_self_motion(
-    robot: Robot, kinematics: Kinematics, task: ToolTask, posture: FloatArray, direction: FloatArray
-) -> list[FloatArray]:
-    """Postures along one curve of self-motion, until a joint's range or the start again."""
-    found: list[FloatArray] = []
-    q = posture
     for step in range(1, _MOST_STEPS + 1):
-        N = _null_space(kinematics, task, q)
-        direction = N @ (N.T @ direction)
-        length = np.linalg.norm(direction)
-        if length < 1e-6:
-            break
-        direction = direction / length
-        placed = place_on_task(kinematics, task, q + _STEP * direction, task.path.corners[0])
-        if placed is None or (placed < robot.limits.lower).any() or (placed > robot.limits.upper).any():
-            break
-        q = placed
-        if step > 2 and np.linalg.norm(q - posture) < _STEP:
+        N = null_space(context.postures, task, q)
+        along = np.einsum("kai,kaj,kj->ki", N, N, along)
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        along /= np.maximum(length, 1e-6)
+        q, follows = project_onto_task(
+            context.postures, task, q + _STEP * along, task.path.corners[0], steps=50, tolerance=1e-12
+        )
+        follows &= length[:, 0] >= 1e-6
+        follows &= ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
+        if step > 2:
+            follows &= np.linalg.norm(q - posture, axis=1) >= _STEP
+        q, along = q[follows], along[follows]
+        if len(q) == 0:
             break
         if step % _TRIED_EVERY == 0:
-            found.append(q)
-    return found
-
-
-def _null_space(kinematics: Kinematics, task: ToolTask, q: FloatArray) -> FloatArray:
-    """Orthonormal basis (n, n - m) of the joint rates that leave the task alone."""
-    X_WT, J = kinematics.tool_jacobian(q)
-    J = task.jacobian(X_WT, J)
-    return np.asarray(np.linalg.svd(J)[2][len(J) :].T)
+            found += list(q)
+    return sorted(found, key=lambda q: float(np.linalg.norm(q - posture)))

@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene.tool_path import ToolPath
 
 __all__ = ["ToolTask", "task_dimension"]
@@ -42,48 +43,33 @@ class ToolTask:
         if self.keep not in ("pose", "axis", "position"):
             raise InputError("ToolTask", "keep", self.keep, "a kind", ("pose", "axis", "position"))
 
-    def jacobian(self, X_WT: Any, J: FloatArray) -> FloatArray:
-        """Task rows (m, n) of the tool's Jacobian `J` (6, n) at the tool pose `X_WT`."""
+    def jacobian(self, R_WT: FloatArray, J: FloatArray) -> FloatArray:
+        """Task rows (..., m, n) of tool Jacobians `J` (..., 6, n) at orientations `R_WT` (..., 3, 3)."""
         if self.keep == "pose":
             return J
-        if self.keep == "axis":
-            return np.vstack([J[:3], X_WT.rotation[:, :2].T @ J[3:]])
-        return J[:3]
+        if self.keep == "position":
+            return J[..., :3, :]
+        turns = np.swapaxes(R_WT[..., :2], -1, -2) @ J[..., 3:, :]
+        return np.concatenate([J[..., :3, :], turns], axis=-2)
 
-    def smallest_singular_value(self, X_WT: Any, J: FloatArray) -> float:
-        """Return that of the task Jacobian (Chang 2021, Eq. (19)) from the tool's `J` (6, n) at `X_WT`."""
-        return float(np.linalg.svd(self.jacobian(X_WT, J), compute_uv=False)[-1])
+    def smallest_singular_value(self, robot: Robot, q: FloatArray) -> float:
+        """Return that of the task Jacobian in posture `q` (n,): Chang 2021, Eq. (19)."""
+        X_WT, J = Kinematics(robot).tool_jacobian(q)
+        return float(np.linalg.svd(self.jacobian(X_WT.rotation, J), compute_uv=False)[-1])
 
     def error(self, X_WT: Any, point: FloatArray) -> FloatArray:
-        """Task coordinates (m,) of the way from `X_WT` to the path's orientation at `point` (3,)."""
-        translation: FloatArray = point - X_WT.translation
-        if self.keep == "position":
-            return translation
-        R, R_goal = X_WT.rotation, self.path.orientation
-        if self.keep == "pose":
-            return np.concatenate([translation, pin.log3(R_goal @ R.T)])
-        return np.concatenate([translation, R[:, :2].T @ _between(R[:, 2], R_goal[:, 2])])
-
-    def jacobians(self, R_WT: FloatArray, J: FloatArray) -> FloatArray:
-        """Task rows (N, m, n) of N tool Jacobians `J` (N, 6, n) at orientations `R_WT` (N, 3, 3)."""
-        if self.keep == "pose":
-            return J
-        if self.keep == "axis":
-            return np.concatenate([J[:, :3], R_WT[:, :, :2].transpose(0, 2, 1) @ J[:, 3:]], axis=1)
-        return J[:, :3]
+        """Task coordinates (m,) from `X_WT` to the path's orientation at `point` (3,)."""
+        return np.asarray(self.errors(X_WT.translation[None], X_WT.rotation[None], point)[0])
 
     def errors(self, p_WT: FloatArray, R_WT: FloatArray, points: FloatArray) -> FloatArray:
-        """Task coordinates (N, m) of the ways from N tool poses to the path's orientation at `points`.
-
-        `points` is (N, 3), or (3,) for all.
-        """
+        """Task coordinates (N, m) from N tool poses to the path's orientation at `points`, (N, 3) or (3,)."""
         translation = points - p_WT
         R_goal = self.path.orientation
         if self.keep == "position":
             return translation
         if self.keep == "pose":
             return np.concatenate([translation.T, self._rotation_vectors(R_WT)]).T
-        turns = _all_between(R_WT[:, :, 2], R_goal[:, 2])
+        turns = _between(R_WT[:, :, 2], R_goal[:, 2])
         return np.concatenate([translation, np.einsum("kij,ki->kj", R_WT[:, :, :2], turns)], axis=1)
 
     def held_at_start(self) -> ToolTask:
@@ -139,25 +125,13 @@ def task_dimension(keep: Literal["pose", "axis", "position"]) -> int:
     return {"pose": 6, "axis": 5, "position": 3}[keep]
 
 
-def _all_between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
+def _between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
     """Shortest rotation vectors (N, 3) that turn unit vectors `z` (N, 3) to `z_goal` (3,)."""
     cross, cosine = np.cross(z, z_goal), z @ z_goal
     sine = np.linalg.norm(cross, axis=1)
     vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
     for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
-        vectors[k] = _between(z[k], z_goal)
+        # Half a turn about any axis across z.
+        across = np.cross(z[k], np.eye(3)[np.abs(z[k]).argmin()])
+        vectors[k] = np.pi * across / np.linalg.norm(across)
     return np.asarray(vectors)
-
-
-def _between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
-    """Shortest rotation vector (3,) that turns the unit vector `z` to `z_goal`."""
-    cross = np.cross(z, z_goal)
-    sine = float(np.linalg.norm(cross))
-    if sine < _OPPOSITE:
-        # Parallel: nothing to do. Opposite: half a turn about any axis across z.
-        if z @ z_goal > 0:
-            return cross
-        across = np.eye(3)[np.abs(z).argmin()]
-        cross = np.cross(z, across)
-        return np.asarray(np.pi * cross / np.linalg.norm(cross))
-    return np.asarray(cross * (np.arctan2(sine, float(z @ z_goal)) / sine))

@@ -15,9 +15,9 @@ from itertools import pairwise
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
-from cmbot.planning.selfmotion.projection import TangentPredictor, null_spaces, project
 from cmbot.planning.torque.objectives import Objective
 from cmbot.robot import JointLimits, Postures
 
@@ -123,7 +123,7 @@ class SelfMotionSampler:
         """Chart the self-motion at `point` (3,) from the postures `known` (k, n) and from random ones."""
         rng = np.random.default_rng(0)
         random = rng.uniform(self._lower, self._upper, (self._seeds, len(self._lower)))
-        placed, reached = project(self._postures, self._task, random, point, _MANY_STEPS)
+        placed, reached = project_onto_task(self._postures, self._task, random, point, steps=_MANY_STEPS)
         seeds = np.vstack([known, placed[reached]])
         q = self._grown_from(seeds, point)
         while len(q) > _MOST_POSTURES:
@@ -217,7 +217,7 @@ class SelfMotionSampler:
 
     def _place(self, some: _Postures, points: FloatArray, crowds: PoissonDiskSets) -> _Postures:
         """Put postures onto the task at their points and take in what is apart there; return that."""
-        placed, reached = project(self._postures, self._task, some.q, points[some.of])
+        placed, reached = project_onto_task(self._postures, self._task, some.q, points[some.of])
         return self._take(_Postures(placed[reached], some.of[reached]), crowds)
 
     def _take(self, some: _Postures, crowds: PoissonDiskSets) -> _Postures:
@@ -228,7 +228,7 @@ class SelfMotionSampler:
 
     def _tangents(self, q: FloatArray) -> FloatArray:
         """Orthonormal directions (N, d, n) that leave the task alone."""
-        return null_spaces(self._postures, self._task, q)
+        return null_space(self._postures, self._task, q)
 
 
 def _sides(k: int, before: int, after: int) -> tuple[int, int]:

@@ -12,7 +12,6 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.selfmotion.graph_layer import GraphLayer
-from cmbot.robot import Kinematics
 
 __all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_between", "nearest_turn"]
 
@@ -184,7 +183,6 @@ def _neighbourhood(some: list[int], around: int, number: int) -> IntArray:
 
 def blocked(context: PlanningContext, nodes: list[GraphLayer], k: int) -> PathNotFound:
     """Say at which via-point the sequence ends, and what excluded most postures there."""
-    task, times = context.task, context.times
     node = nodes[k]
     if not node.chart.within.any():
         why = (
@@ -209,10 +207,6 @@ def blocked(context: PlanningContext, nodes: list[GraphLayer], k: int) -> PathNo
             "give the leg more seconds"
         )
     q = node.chart.q[:1] if len(node.chart.q) else nodes[k - 1].chart.q[:1]
-    X_WT, J = Kinematics(context.robot).tool_jacobian(q[0])
-    return PathNotFound(
-        f"via-point {k + 1} of {len(nodes)} is blocked: {why}",
-        time=float(times[k]),
-        progress=task.path.progress(float(times[k])),
-        smallest_singular_value=task.smallest_singular_value(X_WT, J),
+    return context.path_not_found(
+        f"via-point {k + 1} of {len(nodes)} is blocked: {why}", q[0], context.times[k]
     )

@@ -14,9 +14,9 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.selfmotion.dynamic_programming import blocked
 from cmbot.planning.selfmotion.graph_layer import GraphLayer
-from cmbot.planning.selfmotion.projection import null_spaces, project
 from cmbot.robot import Postures
 
 __all__ = ["LowerBound", "find_lower_bound"]
@@ -202,7 +202,9 @@ class _Search:
                 q = postures[self._some[k]]
                 null = self._null_spaces(q[None])[0]
                 moves = reach * rng.uniform(size=(_TRIES, 1)) * rng.normal(size=(_TRIES, len(null))) @ null
-                placed, reached = project(self._postures, self._setting.task, q + moves, self._point_of[k])
+                placed, reached = project_onto_task(
+                    self._postures, self._setting.task, q + moves, self._point_of[k]
+                )
                 some = placed[reached]
                 value, _ = self._measured(some)
                 cells = _Cells(
@@ -214,7 +216,7 @@ class _Search:
         return best
 
     def _null_spaces(self, q: FloatArray) -> FloatArray:
-        return null_spaces(self._postures, self._setting.task, q)
+        return null_space(self._postures, self._setting.task, q)
 
     def _content(self, cells: _Cells) -> tuple[_Content, BoolArray]:
         """What the objective may fall to in each cell, and whether anything admissible may be in it."""
@@ -225,7 +227,7 @@ class _Search:
         shifts = 0.5 * cells.half[:, :, None] * cells.edges
         around = np.stack([cells.q[:, None] + shifts, cells.q[:, None] - shifts], axis=2).reshape(-1, n)
         points = np.repeat(self._point_of[cells.of], 2 * d, axis=0)
-        placed, reached = project(self._postures, self._setting.task, around, points)
+        placed, reached = project_onto_task(self._postures, self._setting.task, around, points)
         value, use = self._measured(np.concatenate([cells.q, placed]))
         centre, centre_use = value[:N], use[:N]
         # Where a sample leaves the workspace, its cell counts as if it were as the centre there.
@@ -278,7 +280,7 @@ class _Search:
         half[k, edge] *= 0.5 * _WIDER
         of = np.tile(cells.of, 2)
         around = np.concatenate([cells.q + shift, cells.q - shift])
-        q, reached = project(self._postures, self._setting.task, around, self._point_of[of])
+        q, reached = project_onto_task(self._postures, self._setting.task, around, self._point_of[of])
         # The parent's edges, turned the least way into the self-motion here.
         null = self._null_spaces(q)
         U, _, V = np.linalg.svd(np.tile(cells.edges, (2, 1, 1)) @ null.transpose(0, 2, 1))

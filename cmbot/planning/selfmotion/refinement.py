@@ -14,10 +14,10 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.selfmotion.charts import charts_of
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges_between
 from cmbot.planning.selfmotion.graph_layer import GraphLayer
-from cmbot.planning.selfmotion.projection import null_spaces, project
 from cmbot.robot import Postures
 
 __all__ = ["refined", "ways_beside"]
@@ -59,7 +59,9 @@ def ways_beside(
     for way in (range(via_point, len(points)), range(via_point - 1, -1, -1)):
         q = posture
         for k in way:
-            placed, reached = project(postures, context.task, np.vstack([q, q + offsets]), points[k])
+            placed, reached = project_onto_task(
+                postures, context.task, np.vstack([q, q + offsets]), points[k]
+            )
             if not reached[0]:
                 break
             each[k], q = placed[reached], placed[0]
@@ -124,7 +126,7 @@ def _candidates(
     """Postures at every via-point: those of the way, what its neighbours become there, and others around."""
     n, d = q.shape
     points = context.task.path.position(context.times)
-    null = null_spaces(postures, context.task, q)
+    null = null_space(postures, context.task, q)
     directions = rng.normal(size=(n, _AROUND, null.shape[1]))
     directions /= np.linalg.norm(directions, axis=2, keepdims=True)
     # As many far as near: the square of the share counts.
@@ -133,5 +135,5 @@ def _candidates(
     neighbours = np.stack([np.vstack([q[:1], q[:-1]]), np.vstack([q[1:], q[-1:]])], axis=1)
     some = np.concatenate([neighbours, around], axis=1).reshape(-1, d)
     of = np.repeat(np.arange(n), _AROUND + 2)
-    placed, reached = project(postures, context.task, some, points[of])
+    placed, reached = project_onto_task(postures, context.task, some, points[of])
     return [np.vstack([q[k : k + 1], placed[reached & (of == k)]]) for k in range(n)]

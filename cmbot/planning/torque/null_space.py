@@ -8,6 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import OptimisationFailed
+from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.path.task import ToolTask
 from cmbot.robot import Postures
 
@@ -16,8 +17,8 @@ __all__ = ["LONGEST_SLIDE", "TaskAtViaPoints"]
 LONGEST_SLIDE = 0.3
 """A via-point slides at most so far, rad, before tangents are taken anew."""
 
-# Newton steps that put slid via-points back onto the tool task, and how near they come.
-_NEWTON_STEPS = 12
+# Newton steps that project slid via-points onto the tool task, and the error that they leave.
+_NEWTON_STEPS = 13
 _ON_TASK = 1e-11
 
 
@@ -39,9 +40,7 @@ class TaskAtViaPoints:
 
     def null_spaces(self, q: FloatArray) -> FloatArray:
         """Orthonormal directions (n, a, d) of the self-motion at postures `q` (n, d)."""
-        at = self.postures.at(q)
-        J = self.task.jacobians(at.tool_rotation, at.jacobian)
-        return np.asarray(np.linalg.svd(J)[2][:, J.shape[1] :])
+        return null_space(self.postures, self.task, q)
 
     def slid(
         self, q: FloatArray, null: FloatArray, u: FloatArray, which: IntArray
@@ -69,23 +68,24 @@ class TaskAtViaPoints:
         OptimisationFailed
             When the tool task cannot be held there.
         """
-        start = q[which]
-        q = start + np.einsum("ka,kai->ki", u, null)
-        for _ in range(_NEWTON_STEPS):
-            at = self.postures.at(q)
-            off = self.task.errors(at.tool_point, at.tool_rotation, self.points[which])
-            along = np.einsum("kai,ki->ka", null, q - start) - u
-            residual = np.concatenate([off, -along], axis=1)
-            A = np.concatenate([self.task.jacobians(at.tool_rotation, at.jacobian), null], axis=1)
-            if np.abs(residual).max() < _ON_TASK:
-                break
-            q += np.linalg.solve(A, residual[..., None])[..., 0]
-        else:
+        q, reached = project_onto_task(
+            self.postures,
+            self.task,
+            q[which] + np.einsum("ka,kai->ki", u, null),
+            self.points[which],
+            steps=_NEWTON_STEPS,
+            tolerance=_ON_TASK,
+            held=null,
+        )
+        at = self.postures.tool_at(q)
+        if not reached.all():
+            error = self.task.errors(at.tool_point, at.tool_rotation, self.points[which])
             raise OptimisationFailed(
                 "a via-point slid to where the tool task cannot be held",
                 constraint="tool task at a via-point",
-                violation=float(np.abs(residual).max()),
+                violation=float(np.abs(error).max()),
             )
+        A = np.concatenate([self.task.jacobian(at.tool_rotation, at.jacobian), null], axis=1)
         rhs = np.zeros((len(q), A.shape[1], u.shape[1]))
         rhs[:, A.shape[1] - u.shape[1] :] = np.eye(u.shape[1])
         return q, np.linalg.solve(A, rhs).transpose(0, 2, 1)

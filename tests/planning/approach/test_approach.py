@@ -1,4 +1,4 @@
-"""The approach: certified ways to a better start, along the self-motion or around it."""
+"""The approach: certified motions to a better start, along the self-motion or around it."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from small_scenes import parts, short_scene
+from small_scenes import context_of, parts, short_scene
 
 from cmbot.collision.clearance import Clearances
 from cmbot.common.errors import PathNotFound
@@ -33,27 +33,24 @@ def test_the_triangles_approach_is_certified(triangle_plan: Plan) -> None:
 
 def test_a_near_start_is_reached_along_the_self_motion() -> None:
     """The tool then stays where it is, within a few millimetres."""
-    scene = short_scene()
-    robot, task, posture, clearances = parts(scene)
-    postures = self_motion_postures(robot, task, posture)
-    near = postures[2]
-    approach = plan_approach(robot, task, posture, near, np.array(postures), clearances, scene.planner)
+    context = context_of(short_scene())
+    postures = self_motion_postures(context)
+    approach = plan_approach(context, postures[2], np.array(postures))
     assert approach.certificate.holds
-    options = replace(scene.planner, chart_spacing=0.2)
-    approach = plan_approach(robot, task, posture, near, np.array(postures), clearances, options)
+    coarse = replace(context, options=replace(context.options, chart_spacing=0.2))
+    approach = plan_approach(coarse, postures[2], np.array(postures))
     assert approach.along_self_motion
     assert approach.certificate.figures.max_tool_deviation < 0.02
 
 
 def test_a_blocked_approach_is_refused() -> None:
     """The goal lies inside an obstacle: nothing leads there."""
-    scene = short_scene()
-    robot, task, posture, clearances = parts(scene)
-    goal = posture.copy()
+    context = context_of(short_scene())
+    goal = context.posture.copy()
     goal[0] = np.radians(90)  # link_1 across the guardrail
     with pytest.raises(PathNotFound, match="no collision-free approach") as caught:
-        plan_approach(robot, task, posture, goal, posture[None], clearances, scene.planner)
-    _, J = Kinematics(robot).tool_jacobian(posture)
+        plan_approach(context, goal, context.posture[None])
+    _, J = Kinematics(context.robot).tool_jacobian(context.posture)
     smallest = np.linalg.svd(J, compute_uv=False)[-1]
     assert caught.value.smallest_singular_value == pytest.approx(smallest)
 
@@ -66,12 +63,12 @@ def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: n
     path = connect(space, posture, goal)
     assert path is not None
     short = shorten(space, path)
-    for way in (path, short):
-        np.testing.assert_array_equal(way[[0, -1]], [posture, goal])
-        for start, end in pairwise(way):
+    for line in (path, short):
+        np.testing.assert_array_equal(line[[0, -1]], [posture, goal])
+        for start, end in pairwise(line):
             between = start + rng.uniform(0, 1, (50, 1)) * (end - start)
             assert clearances.smallest(between).distance.min() >= 0.02
-    length = [np.linalg.norm(np.diff(way, axis=0), axis=1).sum() for way in (path, short)]
+    length = [np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in (path, short)]
     assert length[1] <= length[0] + 1e-12
 
 

@@ -8,64 +8,61 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from small_scenes import parts, short_scene
+from small_scenes import context_of, short_scene
 
-from cmbot.collision.clearance import Clearances
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import JointPath, follow_path
-from cmbot.planning.path.task import ToolTask
-from cmbot.robot import Dynamics, Kinematics, Robot
-from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.robot import Dynamics, Kinematics
+from cmbot.scene import Scene, load_scene
 
 FloatArray = NDArray[np.float64]
-Followed = tuple[Robot, ToolTask, Clearances, JointPath]
-OPTIONS = PlannerOptions(path_step_s=0.04)
+Followed = tuple[PlanningContext, JointPath]
+OPTIONS = {"path_step_s": 0.04}
 
 
 @pytest.fixture(scope="module")
 def triangle_path() -> Followed:
-    robot, task, posture, clearances = parts(load_scene("triangle"))
-    return robot, task, clearances, follow_path(robot, task, posture, clearances, OPTIONS)
+    context = context_of(load_scene("triangle"), **OPTIONS)
+    return context, follow_path(context)
 
 
 @pytest.fixture(scope="module")
 def near_postures(triangle_path: Followed) -> FloatArray:
     """Postures beside the triangle's path where something is near."""
-    _, _, clearances, path = triangle_path
+    context, path = triangle_path
     q = path.q[::10] + np.random.default_rng(3).uniform(-0.1, 0.1, path.q[::10].shape)
-    near = clearances.smallest(q, avoidable_only=True).distance
+    near = context.clearances.smallest(q, avoidable_only=True).distance
     return q[(near > 0.005) & (near < 0.14)]
 
 
-def self_motion(
-    robot: Robot, task: ToolTask, clearances: Clearances, q: FloatArray, **options: Any
-) -> FloatArray:
+def self_motion(context: PlanningContext, q: FloatArray, **options: Any) -> FloatArray:
     """Joint rates at `q` when the tool is to stay where it is."""
-    X_WT = Kinematics(robot).tool_pose(q)
+    X_WT = Kinematics(context.robot).tool_pose(q)
     # A leg of no length to speak of.
     corners = np.array([X_WT.translation, X_WT.translation + np.array([0, 0, 1e-12])])
-    path = replace(task.path, corners=corners, orientation=X_WT.rotation, seconds=np.array([0.02]))
-    chosen = replace(OPTIONS, path_step_s=0.02, **options)
-    still = ToolTask(path, task.keep)
-    return follow_path(robot, still, q, clearances, chosen, stop_at_obstacles=False).v[0]
+    path = replace(context.task.path, corners=corners, orientation=X_WT.rotation, seconds=np.array([0.02]))
+    chosen = replace(context.options, path_step_s=0.02, **options)
+    still = replace(context, task=replace(context.task, path=path), options=chosen)
+    return follow_path(still, q, stop_at_obstacles=False).v[0]
 
 
 @pytest.mark.parametrize("avoidance", ["smooth", "switch"])
 def test_self_motion_leaves_the_tool_alone(
     triangle_path: Followed, near_postures: FloatArray, avoidance: str
 ) -> None:
-    robot, task, clearances, _ = triangle_path
-    kinematics = Kinematics(robot)
+    context, _ = triangle_path
+    kinematics = Kinematics(context.robot)
     fastest = 0.0
     for q in near_postures:
-        v = self_motion(robot, task, clearances, q, avoidance=avoidance)
+        v = self_motion(context, q, avoidance=avoidance)
         assert np.abs(kinematics.tool_jacobian(q)[1] @ v).max() < 1e-9
         fastest = max(fastest, np.abs(v).max())
     assert fastest > 0.1
 
 
 def test_switch_is_equation_17_to_the_letter(triangle_path: Followed, near_postures: FloatArray) -> None:
-    robot, task, clearances, path = triangle_path
-    kinematics = Kinematics(robot)
+    context, path = triangle_path
+    kinematics, clearances = Kinematics(context.robot), context.clearances
     avoidable = [k for k, pair in enumerate(clearances.pairs) if not (pair.of_arm or pair.at_work)]
     far = path.q[clearances.smallest(path.q, avoidable_only=True).distance > 0.16][:3]
     assert len(far) == 3
@@ -76,21 +73,20 @@ def test_switch_is_equation_17_to_the_letter(triangle_path: Followed, near_postu
         gradient = np.linalg.pinv(near.jacobian) @ u if near.distance <= 0.15 else np.zeros(7)
         J = kinematics.tool_jacobian(q)[1]
         expected = 2.0 * (np.eye(7) - np.linalg.pinv(J) @ J) @ gradient
-        got = self_motion(robot, task, clearances, q, avoidance="switch")
+        got = self_motion(context, q, avoidance="switch")
         np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
 
 
 def test_smooth_avoidance_of_one_pair_fades_in(triangle_path: Followed, near_postures: FloatArray) -> None:
     """With one near pair it is Eq. (17) times 1 - d/d_s."""
-    robot, task, clearances, _ = triangle_path
+    context, _ = triangle_path
     compared = 0
     for q in near_postures:
         # d_s just beyond the nearest pair, short of the next.
-        distances = sorted(near.distance for near in clearances.within(q, 0.5))
+        distances = sorted(near.distance for near in context.clearances.within(q, 0.5))
         d_s = 0.5 * (distances[0] + distances[1])
         got, switched = (
-            self_motion(robot, task, clearances, q, avoidance=kind, avoidance_distance_m=d_s)
-            for kind in ("smooth", "switch")
+            self_motion(context, q, avoidance=kind, avoidance_distance_m=d_s) for kind in ("smooth", "switch")
         )
         np.testing.assert_allclose(got, (1 - distances[0] / d_s) * switched, rtol=0, atol=1e-9)
         compared += np.abs(got).max() > 1e-3
@@ -98,9 +94,7 @@ def test_smooth_avoidance_of_one_pair_fades_in(triangle_path: Followed, near_pos
 
 
 def largest_jump(scene: Scene, step: float, avoidance: Any) -> float:
-    robot, task, posture, clearances = parts(scene)
-    options = replace(OPTIONS, path_step_s=step, avoidance=avoidance)
-    path = follow_path(robot, task, posture, clearances, options)
+    path = follow_path(context_of(scene, path_step_s=step, avoidance=avoidance))
     return float(np.abs(np.diff(path.v, axis=0)).max())
 
 
@@ -120,13 +114,14 @@ def test_smooth_rates_are_continuous_and_switched_ones_are_not() -> None:
 
 def with_options(followed: Followed, **options: Any) -> JointPath:
     """The triangle's path again, with other options, whatever is in the way."""
-    robot, task, clearances, path = followed
-    chosen = replace(OPTIONS, **options)
-    return follow_path(robot, task, path.q[0], clearances, chosen, stop_at_obstacles=False)
+    context, path = followed
+    other = replace(context, options=replace(context.options, **options))
+    return follow_path(other, path.q[0], stop_at_obstacles=False)
 
 
 def test_avoidance_gains_clearance(triangle_path: Followed) -> None:
-    _, _, clearances, path = triangle_path
+    context, path = triangle_path
+    clearances = context.clearances
     without = with_options(triangle_path, avoidance_gain=0.0)
     assert path.clearance.min() > without.clearance.min() + 0.01
     ours, theirs = (clearances.smallest(x.q, avoidable_only=True).distance.min() for x in (path, without))
@@ -134,9 +129,9 @@ def test_avoidance_gains_clearance(triangle_path: Followed) -> None:
 
 
 def test_pulling_the_centre_of_gravity_lowers_the_torque(triangle_path: Followed) -> None:
-    robot, _, _, path = triangle_path
+    context, path = triangle_path
     pulled = with_options(triangle_path, centre_of_gravity_weight=0.2)
-    dynamics = Dynamics(robot)
+    dynamics = Dynamics(context.robot)
     mean, mean_without = (
         np.linalg.norm(dynamics.static_efforts(x.q).guardrail_torque, axis=1).mean() for x in (pulled, path)
     )

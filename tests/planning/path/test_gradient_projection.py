@@ -7,28 +7,25 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from small_scenes import parts, short_scene
+from small_scenes import context_of, parts, short_scene
 
 from cmbot.collision.clearance import Clearances
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.path.gradient_projection import JointPath, follow_path, place_on_task, robust_inverse
+from cmbot.planning.path.gradient_projection import JointPath, follow_path, robust_inverse
 from cmbot.planning.path.task import ToolTask
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
-from cmbot.scene.speed_profile import SpeedProfile
-from cmbot.scene.tool_path import ToolPath
 
 FloatArray = NDArray[np.float64]
 OPTIONS = PlannerOptions(knots="fixed")
 
 
 def path_of(scene: Scene, **options: Any) -> tuple[Robot, ToolTask, Clearances, JointPath]:
-    robot, task, posture, clearances = parts(scene)
-    path = follow_path(robot, task, posture, clearances, replace(scene.planner, **options))
-    return robot, task, clearances, path
+    context = context_of(scene, **options)
+    return context.robot, context.task, context.clearances, follow_path(context)
 
 
 @pytest.fixture(scope="module")
@@ -161,36 +158,7 @@ def test_path_ends_out_of_reach() -> None:
 
 def test_carrying_on_whatever_happens() -> None:
     wall = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
-    robot, task, posture, clearances = parts(short_scene(obstacles=[wall]))
-    path = follow_path(robot, task, posture, clearances, OPTIONS, stop_at_obstacles=False)
+    context = context_of(short_scene(obstacles=[wall]))
+    path = follow_path(context, stop_at_obstacles=False)
     assert path.clearance.min() < 0.02
-    assert path.t[-1] == task.path.duration
-
-
-@settings(max_examples=40)
-@given(seed=st.integers(0, 2**32 - 1), keep=st.sampled_from(["pose", "axis", "position"]))
-def test_placing_on_the_task(cmbot_robot: Robot, seed: int, keep: Any) -> None:
-    """A posture near the task is put onto it exactly, and moves no further than need be."""
-    rng = np.random.default_rng(seed)
-    kinematics = Kinematics(cmbot_robot)
-    q = np.deg2rad([-10, -90, 90, 0, 10, 50, 0]) + rng.uniform(-0.3, 0.3, 7)
-    X_WT, J = kinematics.tool_jacobian(q)
-    corners = np.array([X_WT.translation, X_WT.translation + np.ones(3)])
-    path = ToolPath(
-        corners=corners, orientation=X_WT.rotation, seconds=np.array([1.0]), profile=SpeedProfile()
-    )
-    task = ToolTask(path, keep)
-    off = rng.uniform(-0.01, 0.01, 7)
-    placed = place_on_task(kinematics, task, q + off, X_WT.translation)
-    assert placed is not None
-    assert np.abs(task.error(kinematics.tool_pose(placed), X_WT.translation)).max() < 1e-9
-    # To first order the part of `off` in the task's null space stays.
-    J = task.jacobian(X_WT, J)
-    null = np.eye(7) - np.linalg.pinv(J) @ J
-    np.testing.assert_allclose(placed - q, null @ off, rtol=0, atol=20 * off @ off)
-
-
-def test_what_is_out_of_reach_cannot_be_placed(cmbot_robot: Robot) -> None:
-    scene = short_scene()
-    _, task, posture, _ = parts(scene)
-    assert place_on_task(Kinematics(cmbot_robot), task, posture, np.array([9.0, 0, 0])) is None
+    assert path.t[-1] == context.task.path.duration

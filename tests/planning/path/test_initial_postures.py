@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import parts, short_scene
+from small_scenes import context_of, short_scene
 
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, Progress, plan
 from cmbot.planning.path.initial_postures import find_path, self_motion_postures
+from cmbot.planning.progress import ProgressReporter
 from cmbot.robot import Kinematics
 from cmbot.scene import load_scene
 
@@ -21,8 +22,9 @@ WALL = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
 
 @pytest.mark.parametrize("keep", ["pose", "axis", "position"])
 def test_self_motion_holds_what_is_kept(keep: str) -> None:
-    robot, task, posture, _ = parts(short_scene(tool_path={"keep": keep}))
-    found = self_motion_postures(robot, task, posture)
+    context = context_of(short_scene(tool_path={"keep": keep}))
+    robot, task, posture = context.robot, context.task, context.posture
+    found = self_motion_postures(context)
     assert len(found) > 20
     kinematics = Kinematics(robot)
     for q in found:
@@ -36,33 +38,32 @@ def test_self_motion_holds_what_is_kept(keep: str) -> None:
 
 
 def test_self_motion_goes_both_ways() -> None:
-    robot, task, posture, _ = parts(short_scene())
-    along = np.linalg.svd(Kinematics(robot).tool_jacobian(posture)[1])[2][-1]
-    side = [along @ (q - posture) for q in self_motion_postures(robot, task, posture)[:6]]
+    context = context_of(short_scene())
+    along = np.linalg.svd(Kinematics(context.robot).tool_jacobian(context.posture)[1])[2][-1]
+    side = [along @ (q - context.posture) for q in self_motion_postures(context)[:6]]
     assert min(side) < -0.05
     assert max(side) > 0.05
 
 
 def test_no_start_beyond_the_first_range(cmbot_robot: Any) -> None:
     """The curve ends where a joint's range does; a narrow range leaves few postures."""
-    _, task, posture, _ = parts(short_scene())
-    reach = np.deg2rad(15)
+    context, reach = context_of(short_scene()), np.deg2rad(15)
+    posture = context.posture
     narrow = replace(
         cmbot_robot, limits=replace(cmbot_robot.limits, lower=posture - reach, upper=posture + reach)
     )
-    found = self_motion_postures(narrow, task, posture)
+    found = self_motion_postures(replace(context, robot=narrow))
     assert 0 < len(found) < 10
     assert all(np.abs(q - posture).max() <= reach for q in found)
 
 
 def test_the_scenes_posture_is_kept_where_it_works() -> None:
-    scene = short_scene()
-    robot, task, posture, clearances = parts(scene)
-    told: list[int] = []
-    path, failures = find_path(robot, task, posture, clearances, scene.planner, told.append)
-    assert told == []
+    reports: list[Progress] = []
+    context = replace(context_of(short_scene()), reporter=ProgressReporter(reports.append))
+    path, failures = find_path(context)
+    assert {report.failed_starts for report in reports} == {0}
     assert failures == ()
-    np.testing.assert_array_equal(path.q[0], posture)
+    np.testing.assert_array_equal(path.q[0], context.posture)
 
 
 def test_the_line_starts_elsewhere(fixed_line_plan: Plan) -> None:
@@ -97,11 +98,12 @@ def test_only_the_scenes_posture() -> None:
 def test_a_hopeless_scene(tries: int, words: str) -> None:
     """A wall across the tool's way stops every start; the error is the first one's, and counts the others."""
     scene = short_scene(obstacles=[WALL], planner={"other_starts": tries, "path_step_s": 0.05})
-    robot, task, posture, clearances = parts(scene)
-    told: list[int] = []
+    reports: list[Progress] = []
+    context = replace(context_of(scene), reporter=ProgressReporter(reports.append))
     with pytest.raises(PathNotFound, match=rf"; {words} as well \(the best") as caught:
-        find_path(robot, task, posture, clearances, scene.planner, told.append)
-    assert told == list(range(1, tries + 1))
+        find_path(context)
+    begun = [report.failed_starts for report in reports if not report.step]
+    assert begun == list(range(1, tries + 1))
     first = caught.value.__cause__
     assert isinstance(first, PathNotFound)
     assert caught.value.reason.startswith(first.reason)

@@ -76,7 +76,7 @@ def test_jacobian_is_minus_the_derivative_of_the_error_at_the_goal(keep: str, se
     task = task_of(keep, random_rotation(rng))
     point, J = rng.normal(size=3), rng.normal(size=(6, 7))
     X_WT = pin.SE3(task.path.orientation, point)
-    got = task.jacobian(X_WT, J)
+    got = task.jacobian(X_WT.rotation, J)
     assert got.shape == (SIZES[keep], 7)
     step = 1e-5
     for column, twist in zip(got.T, J.T, strict=True):
@@ -95,7 +95,7 @@ def test_near_the_goal_the_jacobian_is_wrong_by_no_more_than_the_tilt(keep: str,
     X_WT = pin.SE3(turn(unit_vector(rng), tilt) @ task.path.orientation, rng.normal(size=3))
     dq = rng.normal(size=7)
     there, back = (task.error(moved(X_WT, sign * step * (J @ dq)), point) for sign in (1, -1))
-    wrong = (there - back) / (2 * step) + task.jacobian(X_WT, J) @ dq
+    wrong = (there - back) / (2 * step) + task.jacobian(X_WT.rotation, J) @ dq
     np.testing.assert_allclose(wrong[:3], 0.0, rtol=0, atol=1e-8)
     assert np.linalg.norm(wrong) <= 2 * tilt * np.linalg.norm(J[3:] @ dq) + 1e-8
 
@@ -123,7 +123,7 @@ def test_jacobian_of_an_arm(keep: str) -> None:
         / (2 * step)
         for e in np.eye(model.nv)
     ]
-    np.testing.assert_allclose(np.transpose(differences), -task.jacobian(X_WT, J), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(np.transpose(differences), -task.jacobian(X_WT.rotation, J), rtol=0, atol=1e-8)
 
 
 @given(seeds)
@@ -157,7 +157,7 @@ def test_axis_does_not_care_for_a_turn_about_the_tools_own_z(seed: int, angle: f
     tilted = turn(R[:, 0], 0.3) @ np.array([R, turned])
     np.testing.assert_allclose(task.rotation(tilted), 0.3, rtol=0, atol=1e-13)
     spin = np.array([0.0, 0.0, 0.0, *turned[:, 2]])[:, None]
-    np.testing.assert_allclose(task.jacobian(pin.SE3(turned, np.zeros(3)), spin), 0.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(task.jacobian(turned, spin), 0.0, rtol=0, atol=1e-14)
 
 
 @pytest.mark.parametrize(

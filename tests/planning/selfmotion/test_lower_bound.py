@@ -14,8 +14,8 @@ from small_scenes import short_scene
 
 from cmbot.planning import GlobalSearch, plan
 from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.selfmotion.projection import project
 from cmbot.robot import Postures
 from cmbot.scene import Scene
 
@@ -57,7 +57,7 @@ def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator)
     limits = context.robot.limits
     q = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (RESTARTS, 7))
     point = context.task.path.position(context.times)[via_point]
-    placed, reached = project(Postures(context.robot), context.task, q, point, 40)
+    placed, reached = project_onto_task(Postures(context.robot), context.task, q, point, steps=40)
     return placed[reached]
 
 
@@ -86,7 +86,7 @@ def descended(context: PlanningContext, via_point: int, start: FloatArray) -> Fl
         constraints=[{"type": "eq", "fun": off}, {"type": "ineq", "fun": room}],
         options={"maxiter": 60, "ftol": 1e-9},
     )
-    placed, reached = project(postures, task, result.x[None], point)
+    placed, reached = project_onto_task(postures, task, result.x[None], point)
     return placed[reached]
 
 

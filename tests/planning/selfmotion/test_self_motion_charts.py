@@ -12,31 +12,19 @@ from hypothesis import strategies as st
 from oracles.inverse_kinematics import postures as closed_form
 from scipy.spatial import cKDTree
 from seven_joint_arms import endless_scene, panda_scene
+from small_scenes import task_at
 
 from cmbot.planning import robot_of, task_of
+from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.selfmotion.charts import SelfMotionSampler
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neighbours
-from cmbot.planning.selfmotion.projection import null_spaces, project
 from cmbot.planning.torque.objectives import objective_of
 from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
-from cmbot.scene.speed_profile import SpeedProfile
-from cmbot.scene.tool_path import ToolPath
 
 SPACING = 0.1
 PITCHES = np.linspace(-np.pi, np.pi, 181)
-
-
-def task_at(robot: Robot, q: np.ndarray, keep: str = "pose") -> ToolTask:
-    X_WT = Kinematics(robot).tool_pose(q)
-    path = ToolPath(
-        corners=X_WT.translation + np.array([[0.0, 0, 0], [0, 0, 0.1]]),
-        orientation=X_WT.rotation,
-        seconds=np.ones(1),
-        profile=SpeedProfile(),
-    )
-    return ToolTask(path, keep)
 
 
 def maker_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> SelfMotionSampler:
@@ -129,8 +117,8 @@ def test_other_arms_charts_are_complete(
     maker = maker_for(robot, task, 0.15, seeds=200)
     chart = maker.first(task.path.corners[0], scene.posture[None])
     lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
-    q, reached = project(
-        Postures(robot), task, rng.uniform(lower, upper, (3000, 7)), task.path.corners[0], 40
+    q, reached = project_onto_task(
+        Postures(robot), task, rng.uniform(lower, upper, (3000, 7)), task.path.corners[0], steps=40
     )
     endless = np.isinf(limits.lower)
     q[:, endless] = (q[:, endless] + np.pi) % (2 * np.pi) - np.pi
@@ -198,54 +186,3 @@ def test_crowds_take_in_what_is_apart(seed: int, number: int, rounds: int) -> No
     assert crowds.sizes.tolist() == [len(each) for each in taken]
     for postures, each in zip(crowds.postures, taken, strict=True):
         np.testing.assert_array_equal(postures, np.reshape(each, (-1, 2)))
-
-
-@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
-def test_null_spaces_leave_the_task_alone(cmbot_robot: Robot, keep: str, rng: np.random.Generator) -> None:
-    limits, postures = cmbot_robot.limits, Postures(cmbot_robot)
-    q = rng.uniform(limits.lower, limits.upper, (20, 7))
-    task = task_at(cmbot_robot, q[0], keep)
-    N, at = null_spaces(postures, task, q), postures.at(q)
-    J = task.jacobians(at.tool_rotation, at.jacobian)
-    d = 7 - task.dimension
-    assert N.shape == (20, d, 7)
-    np.testing.assert_allclose(J @ N.transpose(0, 2, 1), 0.0, atol=1e-12)
-    np.testing.assert_allclose(N @ N.transpose(0, 2, 1), np.broadcast_to(np.eye(d), (20, d, d)), atol=1e-12)
-
-
-@pytest.mark.parametrize("make", [None, panda_scene, endless_scene])
-@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
-def test_what_is_put_onto_the_task_lies_on_it(
-    make: Callable[..., Scene] | None, keep: str, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
-) -> None:
-    """Also where the last step was so short that nobody looked."""
-    robot = cmbot_robot if make is None else robot_of(make(tmp_path))
-    postures = Postures(robot)
-    q = rng.uniform(-2.0, 2.0, (400, robot.dof))
-    task = task_at(robot, q[0], keep)
-    point = task.path.corners[0]
-    placed = q[0] + rng.normal(size=q.shape) * 10.0 ** rng.uniform(-9, -1, (400, 1))
-    placed, reached = project(postures, task, placed, point)
-    assert reached.sum() > 350
-    at = postures.at(placed[reached])
-    assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-10
-
-
-@pytest.mark.parametrize("make", [None, panda_scene, endless_scene])
-@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
-def test_steps_bend_no_more_than_postures_say(
-    make: Callable[..., Scene] | None, keep: str, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
-) -> None:
-    robot = cmbot_robot if make is None else robot_of(make(tmp_path))
-    postures = Postures(robot)
-    q = rng.uniform(-2.0, 2.0, (300, robot.dof))
-    moves = rng.normal(size=q.shape) * (rng.uniform(size=q.shape) < 0.5)
-    moves[np.arange(300), rng.integers(0, robot.dof, 300)] = 1.0
-    moves *= 1e-3 / np.abs(moves).sum(axis=1, keepdims=True)
-    for q_k, move in zip(q, moves, strict=True):
-        task = task_at(robot, q_k, keep)
-        at = postures.at(np.stack([q_k, q_k - move]))
-        error = task.errors(at.tool_point, at.tool_rotation, task.path.corners[0])
-        J = task.jacobians(at.tool_rotation, at.jacobian)[1]
-        left = np.abs(error[1] - J @ move).max()
-        assert left <= postures.bend * np.abs(move).sum() ** 2

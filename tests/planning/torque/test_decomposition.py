@@ -30,7 +30,7 @@ def way_of(knots: str, **planner: object) -> tuple[PlanningContext, InitialGuess
         planner={"solver": "sqp", "knots": knots, "quiet_modes": 0, **planner},
     )
     context = build_context(scene, scene.planner)
-    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context, lambda _: None)
+    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context)
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +69,7 @@ def test_a_leg_without_corners_is_one_stretch() -> None:
         planner={"solver": "sqp", "knots": "fixed"},
     )
     context = build_context(scene, scene.planner)
-    assert stretches.stretches(fixed_guess(context, lambda _: None).problem) == [(0, 32)]
+    assert stretches.stretches(fixed_guess(context).problem) == [(0, 32)]
 
 
 def test_what_is_joined_is_smooth_certified_and_counted_through(
