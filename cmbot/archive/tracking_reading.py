@@ -12,10 +12,9 @@ from cmbot.archive.folder import PLAN_FILE, read_file
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_rows
 from cmbot.archive.tracking import COLUMNS, FORMAT, TRACKING_FILES
-from cmbot.common.arguments import given_path
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import counted, shown, validated
+from cmbot.common.validation import counted, given_path, shown, validated
 from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking

@@ -19,9 +19,7 @@ from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.torque.objectives import Objective, objective_of
 from cmbot.planning.torque.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
-from cmbot.scene import PlannerOptions, Scene
-from cmbot.scene.obstacles import pose
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene import PlannerOptions, Scene, ToolPath, pose
 
 __all__ = ["PlanningContext", "bending_arm", "build_context", "robot_of", "sag_of", "task_of"]
 

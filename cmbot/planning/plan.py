@@ -9,9 +9,9 @@ from functools import cached_property
 import numpy as np
 
 from cmbot.collision.clearance import Clearances
-from cmbot.common.arguments import require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
+from cmbot.common.validation import require_type
 from cmbot.elastic.tool_sag import ToolSag
 from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning.approach.approach import Approach

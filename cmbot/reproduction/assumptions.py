@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import dataclass
 
-from cmbot.common.resources import assumptions_file
+from cmbot.common.installation import assumptions_file
 
 __all__ = ["AssumptionTable", "assumption_tables"]
 

@@ -18,7 +18,7 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.archive import write_file
 from cmbot.common.errors import ArchiveError, OptimisationFailed
-from cmbot.common.resources import assumptions_file
+from cmbot.common.installation import assumptions_file
 from cmbot.planning import Plan, plan
 from cmbot.reproduction import (
     PAPER,

@@ -19,7 +19,7 @@ from cmbot.optimization.exchange import ExchangeReport, Optimised, optimise
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.scene.tool_path import ShiftedToolPath
+from cmbot.scene import ShiftedToolPath
 
 __all__ = ["MOST_ROUNDS", "Compensation", "compensate"]
 

@@ -13,7 +13,7 @@ from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning.torque.constraints import Linearisation, StateSamples
 from cmbot.planning.torque.wrench_functions import WeightedMoment, WrenchFunction, check_wrench_function
 from cmbot.robot import Dynamics, PostureBatch, Postures, Robot
-from cmbot.scene.options import PlannerOptions
+from cmbot.scene import PlannerOptions
 
 __all__ = [
     "Objective",

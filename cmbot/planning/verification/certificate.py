@@ -20,7 +20,7 @@ from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.verification.metrics import MotionMetrics, figures, measure, together
 from cmbot.robot import Robot
-from cmbot.scene.options import PlannerOptions
+from cmbot.scene import PlannerOptions
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["Certificate", "Check", "certificate_grid", "certify"]

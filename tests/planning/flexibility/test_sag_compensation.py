@@ -30,8 +30,7 @@ from cmbot.planning import (
     task_of,
 )
 from cmbot.planning.context import build_context
-from cmbot.scene import load_scene
-from cmbot.scene.tool_path import ShiftedToolPath
+from cmbot.scene import ShiftedToolPath, load_scene
 
 ALLOWED = 0.001
 
