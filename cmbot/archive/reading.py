@@ -19,7 +19,7 @@ from cmbot.archive.tables import read_motion
 from cmbot.collision.clearance import Clearances
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
-from cmbot.elastic.tool_sag import ToolSag
+from cmbot.elastic.sag import Sag
 from cmbot.planning import (
     Approach,
     Certificate,
@@ -165,7 +165,7 @@ def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
     return robot
 
 
-def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> ToolSag | None:
+def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:
     return sag_of(scene, bending_arm(scene, robot), options)
 
 

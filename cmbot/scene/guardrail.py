@@ -13,7 +13,7 @@ from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_v
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import FileModel, refusal, shown
-from cmbot.elastic.guardrail import (
+from cmbot.elastic import (
     AngleSection,
     BarSection,
     Guardrail,
