@@ -1,7 +1,8 @@
-"""Write the figures in README.md anew, between their markers, from real runs.
+"""Write every generated block of README.md and docs/ anew, between its markers, from real runs.
 
-Run it with ``python tools/document_figures.py`` after a change that moves them; ``--sensitivity`` also writes
-the table of docs/assumptions.md, which takes minutes. tests/house/test_documents.py holds the README to it.
+Run ``python tools/document_figures.py`` after a change that moves figures. It takes minutes; ``--quick``
+leaves out the table of docs/assumptions.md. The tables of docs/performance.md come from ``make bench``, the
+pictures from ``tools/plot_figures.py``. tests/house/test_documents.py compares what no machine changes.
 """
 
 from __future__ import annotations
@@ -11,12 +12,18 @@ import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import cmbot
 
+Row = tuple[str, str, str]
 ROOT = Path(__file__).resolve().parent.parent
+SCENES = ("triangle", "line")
+HEADER = (
+    "| | triangle, baseline | triangle, planned | line, baseline | line, planned |\n|---|---|---|---|---|"
+)
 
 
 def write_between(path: Path, marker: str, text: str) -> None:
@@ -30,63 +37,81 @@ def write_between(path: Path, marker: str, text: str) -> None:
     path.write_text(new, encoding="utf-8")
 
 
-def output_of_plan() -> str:
-    """Return what ``cmbot plan triangle`` prints on standard output."""
+def run(*words: str) -> str:
+    """Return the standard output of Python with `words`, started in an empty folder."""
     with tempfile.TemporaryDirectory() as folder:
-        command = [str(Path(sys.executable).with_name("cmbot")), "plan", "triangle"]
-        done = subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True)
-    # Its first line is the table's header, which begins with blanks.
-    return f"```text\n{done.stdout.rstrip()}\n```"
+        command = [sys.executable, *words]
+        return subprocess.run(command, cwd=folder, check=True, capture_output=True, text=True).stdout
 
 
-def table_of_figures() -> str:
-    """Return the figures of both shipped scenes, as the plans print them."""
-    lines = ["| | triangle, baseline | triangle, planned | line, baseline | line, planned |"]
-    lines.append("|---|---|---|---|---|")
-    plans = (cmbot.plan(cmbot.load_scene(name)) for name in ("triangle", "line"))
-    for triangle, line in zip(*(plan.rows() for plan in plans), strict=True):
+def operation(plan: cmbot.Plan) -> Iterator[Row]:
+    """Yield what the whole operation costs, work and approach: name and unit, baseline, planned."""
+    work, base, approach = plan.figures, plan.baseline_figures, plan.approach
+    seconds, moved = plan.trajectory.duration, 0.0
+    peak, mean, clearance = work.peak_guardrail_torque, work.mean_guardrail_torque, work.min_clearance
+    if approach is not None:
+        way, moved = approach.certificate.figures, approach.trajectory.duration
+        peak, clearance = max(peak, way.peak_guardrail_torque), min(clearance, way.min_clearance)
+        mean = (seconds * mean + moved * way.mean_guardrail_torque) / (seconds + moved)
+    left = f"{base.peak_guardrail_torque:.2f}", f"{base.mean_guardrail_torque:.2f}"
+    yield "peak torque while working, Nm", left[0], f"{work.peak_guardrail_torque:.2f}"
+    yield "lower bound of that peak, Nm", "-", "-" if plan.floor is None else f"{plan.floor.value:.2f}"
+    yield "peak torque over the whole job, with the approach, Nm", left[0], f"{peak:.2f}"
+    yield "mean torque while working, Nm", left[1], f"{work.mean_guardrail_torque:.2f}"
+    yield "mean torque over the whole job, Nm", left[1], f"{mean:.2f}"
+    yield "smallest clearance, mm", f"{1e3 * base.min_clearance:.1f}", f"{1e3 * clearance:.1f}"
+    yield "time of the work, s", f"{seconds:.1f}", f"{seconds:.1f}"
+    yield "time of the approach, s", "-", f"{moved:.1f}"
+    yield "time to plan, s", "-", f"{plan.seconds.total:.1f}"
+
+
+def side_by_side(
+    rows: Callable[[cmbot.Plan], Iterator[tuple[str, str, str]]], plans: list[cmbot.Plan]
+) -> str:
+    """Return the rows of both scenes as one table."""
+    lines = [HEADER]
+    for triangle, line in zip(*(rows(plan) for plan in plans), strict=True):
         lines.append(f"| {' | '.join((*triangle, *line[1:]))} |")
     return "\n".join(lines)
 
 
-def table_of_tracking() -> str:
-    """Return what bends under the triangle's motions: RMS of the tracking error, what is left of it."""
-    scene = cmbot.load_scene("triangle")
-    compensate = replace(scene.planner, compensate=True)
-    plain, compensated = (
-        cmbot.simulate(cmbot.plan(scene, options=options)) for options in (scene.planner, compensate)
-    )
+def tracking(plan: cmbot.Plan) -> Iterator[tuple[str, list[float]]]:
+    """Yield tracking errors, mm: of the baseline, of the plan, of a plan with compensation."""
+    options = replace(plan.scene.planner, compensate=True)
+    plain, compensated = cmbot.simulate(plan), cmbot.simulate(cmbot.plan(plan.scene, options=options))
     figures = [motion.figures for motion in (plain.baseline, plain.planned, compensated.planned)]
-    rows = {
-        name: [getattr(each, part).rms[3] for each in figures]
-        for name, part in (
-            ("error, RMS", "total"),
-            ("its dynamic part, RMS", "dynamic"),
-            ("off the path, RMS", "path"),
-        )
-    }
-    rows["after the stop, largest swing"] = [each.residual.diameter for each in figures]
+    for name, part in (
+        ("error, RMS", "total"),
+        ("its dynamic part, RMS", "dynamic"),
+        ("off the path, RMS", "path"),
+    ):
+        yield name, [1e3 * getattr(each, part).rms[3] for each in figures]
+    yield "after the stop, largest swing", [1e3 * each.residual.diameter for each in figures]
+
+
+def tracking_table(plan: cmbot.Plan) -> str:
+    """Return the tracking errors as a table."""
     lines = ["| mm | baseline | planned | planned, compensated |", "|---|---|---|---|"]
-    lines += [f"| {name} | {' | '.join(f'{1e3 * x:.3f}' for x in row)} |" for name, row in rows.items()]
+    lines += [f"| {name} | {' | '.join(f'{x:.3f}' for x in row)} |" for name, row in tracking(plan)]
     return "\n".join(lines)
 
 
-def sensitivity(scene: str) -> str:
-    """Return what ``tools/sensitivity.py`` prints of a scene."""
-    command = [sys.executable, str(ROOT / "tools" / "sensitivity.py"), scene]
-    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
-
-
 def main() -> None:
-    """Write what was asked for."""
+    """Write all blocks."""
     parser = argparse.ArgumentParser(description="Write the documents' figures from real runs.")
-    parser.add_argument("--sensitivity", action="store_true", help="the table of docs/assumptions.md too")
+    parser.add_argument("--quick", action="store_true", help="leave out the table of docs/assumptions.md")
     arguments = parser.parse_args()
-    write_between(ROOT / "README.md", "output of cmbot plan triangle", output_of_plan())
-    write_between(ROOT / "README.md", "figures", table_of_figures())
-    write_between(ROOT / "README.md", "tracking of the triangle", table_of_tracking())
-    if arguments.sensitivity:
-        write_between(ROOT / "docs" / "assumptions.md", "sensitivity of triangle", sensitivity("triangle"))
+    docs = ROOT / "docs"
+    printed = run("-m", "cmbot", "plan", "triangle").rstrip()
+    # Its first line is the table's header, which begins with blanks.
+    write_between(docs / "command_line.md", "output of cmbot plan triangle", f"```text\n{printed}\n```")
+    plans = [cmbot.plan(cmbot.load_scene(name)) for name in SCENES]
+    write_between(ROOT / "README.md", "operation", side_by_side(operation, plans))
+    write_between(docs / "results.md", "figures", side_by_side(cmbot.Plan.rows, plans))
+    write_between(docs / "results.md", "tracking of the triangle", tracking_table(plans[0]))
+    if not arguments.quick:
+        table = run(str(ROOT / "tools" / "sensitivity.py"), "triangle")
+        write_between(docs / "assumptions.md", "sensitivity of triangle", table)
 
 
 if __name__ == "__main__":

@@ -13,12 +13,15 @@ from cmbot.common.errors import ModelError, PathNotFound, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
+from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.torque.objectives import Objective, objective_of
 from cmbot.planning.torque.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
-from cmbot.scene import PlannerOptions, Scene, ToolPath, pose
+from cmbot.scene import PlannerOptions, Scene
+from cmbot.scene.obstacles import pose
+from cmbot.scene.tool_path import ToolPath
 
 __all__ = ["PlanningContext", "bending_arm", "build_context", "robot_of", "sag_of", "task_of"]
 
@@ -41,7 +44,7 @@ class PlanningContext:
         What is minimised.
     arm : ElasticArm or None
         The elastic arm on its guardrail; None where both are rigid.
-    sag : Sag or None
+    sag : ToolSag or None
         Where it is to be compensated.
     reporter : ProgressReporter
     """
@@ -54,7 +57,7 @@ class PlanningContext:
     options: PlannerOptions
     objective: Objective
     arm: ElasticArm | None
-    sag: Sag | None
+    sag: ToolSag | None
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 
     @cached_property
@@ -128,7 +131,7 @@ def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
     return arm if len(arm.elastic) else None
 
 
-def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag | None:
+def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> ToolSag | None:
     """Return the predicted sag of the tool where the options need it.
 
     Parameters
@@ -152,7 +155,7 @@ def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag
             "no guardrail, and a robot without link tubes",
             "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity",
         )
-    return Sag(arm)
+    return ToolSag(Sag(arm))
 
 
 def robot_of(scene: Scene) -> Robot:

@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from cmbot.common.arguments import require_fields, require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import check_fields, require_type, shown
+from cmbot.common.validation import FileModel, shown
 from cmbot.scene.fields import Length
 
 __all__ = ["Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "Shape", "Sphere", "pose"]
+
+
+class _BoxFields(FileModel):
+    size: tuple[Length, Length, Length]
+
+
+class _SphereFields(FileModel):
+    radius: Length
+
+
+class _RoundFields(_SphereFields):
+    length: Length
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -27,10 +40,10 @@ class Box:
         (3,), edge lengths along x, y, z, m.
     """
 
-    size: tuple[Length, Length, Length]
+    size: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        require_fields(self, _BoxFields)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,11 +56,11 @@ class Cylinder:
         m.
     """
 
-    radius: Length
-    length: Length
+    radius: float
+    length: float
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        require_fields(self, _RoundFields)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,11 +75,11 @@ class Capsule:
         Between the centres of its two half spheres, m; over all it is ``length + 2 radius`` long.
     """
 
-    radius: Length
-    length: Length
+    radius: float
+    length: float
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        require_fields(self, _RoundFields)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,10 +92,10 @@ class Sphere:
         m.
     """
 
-    radius: Length
+    radius: float
 
     def __post_init__(self) -> None:
-        check_fields(self)
+        require_fields(self, _SphereFields)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -137,19 +150,20 @@ class Obstacle:
             raise InputError("Obstacle", "X_WO", got, "a pose: an array (4, 4) of finite numbers")
 
 
-def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
+def pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
     """Return a pose from URDF's position and angles.
 
     Parameters
     ----------
-    xyz : (3,), m
-    rpy : (3,), rad
-        Roll, pitch, yaw: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+    xyz : sequence of float
+        (3,), m.
+    rpy : sequence of float
+        (3,), roll, pitch, yaw, rad: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
 
     Returns
     -------
-    (4, 4)
-        Homogeneous, read-only.
+    array
+        (4, 4), homogeneous, read-only.
     """
     X = np.eye(4)
     X[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()

@@ -1,0 +1,173 @@
+"""What becomes of a scene file: defaults, files it names, shapes, the guardrail, the hash."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from cmbot.common.errors import SceneError
+from cmbot.elastic import BarSection
+from cmbot.scene import (
+    Box,
+    Capsule,
+    Cylinder,
+    Mesh,
+    PlannerOptions,
+    Sphere,
+    load_scene,
+    shipped_scenes,
+)
+
+MINIMAL = {
+    "format": "cmbot-scene/1",
+    "name": "small",
+    "posture_deg": [0, 90],
+    "tool_path": {"legs": [{"by": [0, 0, 1], "seconds": 2}]},
+}
+OTHER_ROBOT = {
+    "model": "arm.urdf",
+    "base_frame": "base",
+    "tool_frame": "flange",
+    "limits": "limits.yaml",
+    "mount": {"xyz": [0, 0, 1], "rpy_deg": [180, 0, 90]},
+}
+
+
+def test_defaults_are_filled_in():
+    scene = load_scene(MINIMAL)
+    assert (scene.robot.model, scene.robot.tool_length, scene.robot.payload) == ("cmbot", None, 0)
+    assert (scene.keep, scene.via_points) == ("pose", 50)
+    assert (scene.speed_profile.kind, scene.speed_profile.ramp) == ("trapezoidal", 0.2)
+    assert scene.planner == PlannerOptions()
+    assert [obstacle.name for obstacle in scene.obstacles[:3]] == ["top_rail", "bar_1", "bar_2"]
+    np.testing.assert_allclose(scene.posture, [0, math.pi / 2])
+    assert not scene.posture.flags.writeable
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A folder with a scene file for another robot and a mesh."""
+    for name in ("arm.urdf", "arm.srdf", "tubes.yaml", "limits.yaml", "rock.stl"):
+        (tmp_path / name).write_text(name)
+    robot = {**OTHER_ROBOT, "srdf": "arm.srdf", "elasticity": "tubes.yaml"}
+    rock = {"name": "rock", "mesh": "rock.stl", "xyz": [0, 0, 0]}
+    # JSON is YAML 1.2.
+    (tmp_path / "scene.yaml").write_text(json.dumps({**MINIMAL, "robot": robot, "obstacles": [rock]}))
+    return tmp_path
+
+
+def test_paths_are_relative_to_the_scene_file(folder):
+    scene = load_scene(folder / "scene.yaml")
+    robot = scene.robot
+    assert (robot.model, robot.srdf) == (folder / "arm.urdf", folder / "arm.srdf")
+    assert (robot.limits, robot.base_frame, robot.tool_frame) == (folder / "limits.yaml", "base", "flange")
+    assert robot.elasticity == folder / "tubes.yaml"
+    assert robot.mount_xyz == (0, 0, 1)
+    np.testing.assert_allclose(robot.mount_rpy, [math.pi, 0, math.pi / 2])
+    assert scene.obstacles[0].shape == Mesh(path=folder / "rock.stl")
+
+
+def test_paths_in_a_mapping_are_relative_to_the_current_folder(folder, monkeypatch):
+    data = load_scene(folder / "scene.yaml").file.as_data()
+    monkeypatch.chdir(folder)
+    assert load_scene(data).obstacles[0].shape == Mesh(path=folder / "rock.stl")
+
+
+@pytest.mark.parametrize(
+    ("file", "key"),
+    [
+        ("arm.urdf", "robot.model"),
+        ("arm.srdf", "robot.srdf"),
+        ("tubes.yaml", "robot.elasticity"),
+        ("limits.yaml", "robot.limits"),
+        ("rock.stl", "obstacles[0].mesh"),
+    ],
+)
+def test_missing_file_is_named_by_its_key(folder, file, key):
+    (folder / file).unlink()
+    with pytest.raises(SceneError) as caught:
+        load_scene(folder / "scene.yaml")
+    assert (caught.value.source, caught.value.key) == (str(folder / "scene.yaml"), key)
+
+
+@pytest.mark.parametrize("path", ["a\0b", "x" * 5000, "."])
+def test_impossible_path(path):
+    mesh = {"name": "rock", "mesh": path, "xyz": [0, 0, 0]}
+    with pytest.raises(SceneError) as caught:
+        load_scene({**MINIMAL, "obstacles": [mesh]})
+    assert caught.value.key == "obstacles[0].mesh"
+    assert str(caught.value).isprintable()
+
+
+def test_an_empty_name_is_no_folder():
+    with pytest.raises(SceneError, match="got nothing, expected a scene file or the name of a shipped scene"):
+        load_scene("")
+
+
+@pytest.mark.parametrize("source", ["no_such_scene", "no/such.yaml", "a\0b", "x" * 5000])
+def test_unknown_scene_lists_the_shipped_ones(source):
+    with pytest.raises(SceneError) as caught:
+        load_scene(source)
+    assert (caught.value.got, caught.value.choices) == ("no such file", shipped_scenes())
+    assert str(caught.value).isprintable()
+
+
+def test_shapes_and_poses():
+    shapes = [{"box": [1, 2, 3]}, {"cylinder": [1, 2]}, {"capsule": [1, 2]}, {"sphere": 1}]
+    obstacles = [
+        {"name": f"o{n}", "xyz": [n, 0, 0], "rpy_deg": [90, 0, 90], **s} for n, s in enumerate(shapes)
+    ]
+    scene = load_scene({**MINIMAL, "obstacles": obstacles, "guardrail": {"bays": 0}})
+    assert [obstacle.shape for obstacle in scene.obstacles] == [
+        Box(size=(1, 2, 3)),
+        Cylinder(radius=1, length=2),
+        Capsule(radius=1, length=2),
+        Sphere(radius=1),
+    ]
+    X = scene.obstacles[1].X_WO
+    # Rz(90) Rx(90): x -> y, y -> z, z -> x.
+    np.testing.assert_allclose(X, [[0, 0, 1, 1], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], atol=1e-15)
+    assert not X.flags.writeable
+
+
+def test_guardrail_of_ones_own():
+    rail = {"name": "rail", "section": {"bar": 0.03}, "roll_deg": 90, "height_m": 0, "box_m": [0.1, 0.2]}
+    guardrail = {"bays": 2, "post_spacing_m": 2, "rails": [rail], "foot": {"post": 1, "offset_m": 0.5}}
+    scene = load_scene({**MINIMAL, "guardrail": guardrail})
+    assert scene.guardrail.post_positions == (-0.5, 1.5, 3.5)
+    assert scene.guardrail.rails[0].section == BarSection(diameter=0.03)
+    assert scene.guardrail.rails[0].roll == pytest.approx(math.pi / 2)
+    assert [obstacle.name for obstacle in scene.obstacles] == ["rail", "post_1", "post_2", "post_3"]
+    assert scene.obstacles[0].shape == Box(size=(4, 0.1, 0.2))
+    np.testing.assert_allclose(scene.obstacles[0].X_WO[:3, 3], [1.5, 0, 0])
+
+
+def test_given_stiffness_without_a_frame():
+    stiffness = np.diag([1e6, 2e6, 3e6, 1e3, 2e3, 3e3])
+    stiffness[0, 4] = stiffness[4, 0] = 1e4
+    guardrail = {"bays": 0, "stiffness": stiffness.tolist(), "mass": np.eye(6).tolist()}
+    scene = load_scene({**MINIMAL, "guardrail": guardrail})
+    assert scene.obstacles == ()
+    np.testing.assert_array_equal(scene.guardrail.stiffness, stiffness)
+    np.testing.assert_array_equal(scene.guardrail.mass, np.eye(6))
+    assert not scene.guardrail.stiffness.flags.writeable
+
+
+@pytest.mark.parametrize("data", [MINIMAL, *(load_scene(name).file.as_data() for name in shipped_scenes())])
+def test_resolved_scene_loads_as_the_same_scene(data):
+    scene = load_scene(data)
+    again = load_scene(json.loads(json.dumps(scene.file.as_data())))
+    assert again.file == scene.file
+    assert again.content_hash == scene.content_hash
+
+
+def test_hash_sees_content_and_nothing_else(folder):
+    path = folder / "scene.yaml"
+    before = load_scene(path).content_hash
+    path.write_text("# a comment\n" + path.read_text().replace('"seconds": 2', '"seconds": 2.0'))
+    assert load_scene(path).content_hash == before
+    (folder / "rock.stl").write_text("another rock")
+    other_mesh = load_scene(path).content_hash
+    path.write_text(path.read_text().replace('"seconds": 2.0', '"seconds": 2.5'))
+    assert len({before, other_mesh, load_scene(path).content_hash}) == 3
