@@ -16,7 +16,7 @@ from plan_folders import thin_plan as thin_plan
 from plan_folders import triangle_folder as triangle_folder
 from small_scenes import short_scene
 
-from cmbot.common.resources import model_folder
+from cmbot.common.installation import model_folder
 from cmbot.planning import Plan, plan
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import load_scene

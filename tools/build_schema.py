@@ -6,41 +6,49 @@ import argparse
 import ast
 import inspect
 import json
+import re
 import sys
 import textwrap
 from collections.abc import Iterator
+from dataclasses import is_dataclass
 from itertools import pairwise
 from pathlib import Path
 
 from cmbot.common.validation import FileModel
-from cmbot.scene.schema import FORMAT, SceneFile
+from cmbot.scene import Leg, PlannerOptions, SceneFile, SpeedProfile
+from cmbot.scene.schema import FORMAT
 
 TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
 
 
 def schema_text() -> str:
     """Return the schema as the text of its file."""
-    # pydantic would read the docstrings whenever cmbot is imported, and that takes a while. Here models come
-    # before those that are made of them.
-    for model in FileModel.__subclasses__():
-        for name, text in docstrings(model):
-            model.model_fields[name].description = text
-        model.model_rebuild(force=True)
-    schema = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **SceneFile.model_json_schema(),
-        "title": FORMAT,
-    }
+    schema = SceneFile.model_json_schema()
+    kinds = [*FileModel.__subclasses__(), Leg, SpeedProfile, PlannerOptions]
+    for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:
+        (kind,) = (kind for kind in kinds if kind.__name__ == name)
+        definition["description"] = inspect.getdoc(kind).partition("\n\nAttributes")[0]
+        # pydantic would read the docstrings whenever cmbot is imported, and that takes a while.
+        for key, text in attributes(kind) if is_dataclass(kind) else docstrings(kind):
+            definition["properties"][key]["description"] = text
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": FORMAT}
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
-def docstrings(model: type[FileModel]) -> Iterator[tuple[str, str]]:
+def docstrings(model: type) -> Iterator[tuple[str, str]]:
     """Yield the model's keys that have a docstring, each with it."""
     (definition,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
     for statement, following in pairwise(definition.body):
         match statement, following:
             case ast.AnnAssign(target=ast.Name(id=name)), ast.Expr(value=ast.Constant(value=str(text))):
                 yield name, inspect.cleandoc(text)
+
+
+def attributes(kind: type) -> Iterator[tuple[str, str]]:
+    """Yield the dataclass's keys, each with its text in the section "Attributes" of the docstring."""
+    section = inspect.getdoc(kind).partition("Attributes\n----------\n")[2].partition("\n\n")[0]
+    for name, text in re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", section, flags=re.MULTILINE):
+        yield name, textwrap.dedent(text).strip()
 
 
 def main() -> int:

@@ -17,10 +17,9 @@ from cmbot.archive.schema import ApproachFile, CertificateFile, FiguresFile, Pla
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_motion
 from cmbot.collision.clearance import Clearances
-from cmbot.common.arguments import given_path
 from cmbot.common.errors import ArchiveError, InputError
-from cmbot.common.validation import shown, validated
-from cmbot.elastic.tool_sag import ToolSag
+from cmbot.common.validation import given_path, shown, validated
+from cmbot.elastic.sag import Sag
 from cmbot.planning import (
     Approach,
     Certificate,
@@ -40,7 +39,7 @@ from cmbot.planning.torque.objectives import objective_of
 from cmbot.planning.verification.certificate import certificate_grid, certify
 from cmbot.planning.verification.metrics import figures, measure
 from cmbot.robot import Robot
-from cmbot.scene import PlannerOptions, Scene, scene_from_file_model
+from cmbot.scene import PlannerOptions, Scene, scene_from_file
 
 __all__ = ["load_plan"]
 
@@ -140,7 +139,7 @@ def _plan_file(folder: Path) -> PlanFile:
 
 
 def _scene(file: PlanFile, source: Path) -> Scene:
-    scene = scene_from_file_model(file.scene, source.parent, str(source))
+    scene = scene_from_file(file.scene, source.parent, str(source))
     if scene.content_hash != file.hashes.resolved_scene:
         raise _changed(
             source,
@@ -166,7 +165,7 @@ def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
     return robot
 
 
-def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> ToolSag | None:
+def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:
     return sag_of(scene, bending_arm(scene, robot), options)
 
 

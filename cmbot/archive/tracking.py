@@ -12,8 +12,8 @@ import numpy as np
 from cmbot.archive.folder import PLAN_FILE, add_file, read_file
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import table_csv
-from cmbot.common.arguments import given_path, require_type
 from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import given_path, require_type
 from cmbot.simulation import ErrorFigures, MotionTracking, Statistics, Tracking
 from cmbot.version import __version__
 

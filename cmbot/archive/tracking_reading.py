@@ -12,11 +12,10 @@ from cmbot.archive.folder import PLAN_FILE, read_file
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_rows
 from cmbot.archive.tracking import COLUMNS, FORMAT, TRACKING_FILES
-from cmbot.common.arguments import given_path
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import counted, shown, validated
-from cmbot.elastic.tool_sag import ToolSag
+from cmbot.common.validation import counted, given_path, shown, validated
+from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking
 from cmbot.simulation.drive import PrescribedMotion, drive_along, drive_through
@@ -80,7 +79,7 @@ def _motion(
     content: bytes,
     source: Path,
     frequencies: FloatArray,
-    sag: ToolSag | None,
+    sag: Sag | None,
 ) -> MotionTracking:
     table = np.array(read_rows(content, str(source), COLUMNS))
     if len(table) < 2 or not np.isfinite(table).all() or not (np.diff(table[:, 0]) > 0).all():

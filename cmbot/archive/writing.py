@@ -18,9 +18,8 @@ from cmbot.archive.ros import ros_json
 from cmbot.archive.schema import PlanFile, or_null
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import samples_csv
-from cmbot.common.arguments import given_path
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import validated
+from cmbot.common.validation import given_path, validated
 from cmbot.planning import (
     Approach,
     Certificate,
@@ -32,7 +31,7 @@ from cmbot.planning import (
     require_plan,
 )
 from cmbot.robot import Robot
-from cmbot.scene import Mesh, Scene, SceneFile, filed, scene_from_file_model
+from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file, update_file
 from cmbot.version import __version__
 
 __all__ = ["save"]
@@ -90,7 +89,7 @@ def _motion_files(
 
 
 def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
-    given = filed(plan.scene)
+    given = update_file(plan.scene)
     scene = _resolved(given)
     approach, floor, choice, quieting = plan.approach, plan.floor, plan.choice, plan.quieting
     holds = plan.certificate.holds and (approach is None or approach.certificate.holds)
@@ -119,7 +118,7 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "hashes": {
             "robot": plan.robot.content_hash,
             "scene": given.content_hash,
-            "resolved_scene": scene_from_file_model(scene, Path.cwd(), plan.scene.source).content_hash,
+            "resolved_scene": scene_from_file(scene, Path.cwd(), plan.scene.source).content_hash,
         },
         "files": {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
         "passes": [asdict(report) for report in plan.passes],

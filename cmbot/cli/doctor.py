@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from importlib import metadata, util
 from pathlib import Path
 
-from cmbot.common.extras import install_command
-from cmbot.common.resources import model_folder, scene_folder
+from cmbot.common.installation import install_command, model_folder, scene_folder
 from cmbot.version import __version__
 
 __all__ = ["Symptom", "examine"]

@@ -17,7 +17,7 @@ from cmbot.collision.motion_bounds import pair_reach, shape_reach, spread, way_c
 from cmbot.collision.shape_pairs import PairedShapes
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Robot
-from cmbot.scene.obstacles import Obstacle
+from cmbot.scene import Obstacle
 
 __all__ = ["Clearances", "Nearest", "ShapePair", "Smallest"]
 

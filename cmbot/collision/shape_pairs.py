@@ -11,7 +11,7 @@ import pinocchio as pin
 from cmbot.collision.distances import ShapePair
 from cmbot.collision.shapes import coal_shapes
 from cmbot.robot import Robot
-from cmbot.scene.obstacles import Obstacle
+from cmbot.scene import Obstacle
 
 __all__ = ["PairedShapes"]
 

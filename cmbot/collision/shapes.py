@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from cmbot.common.errors import SceneError
 from cmbot.robot.hulls import convex_hull, encloses_volume
-from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from cmbot.scene import Box, Capsule, Cylinder, Mesh, Shape, Sphere
 
 if TYPE_CHECKING:
     import trimesh

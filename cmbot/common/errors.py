@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from cmbot.common.extras import install_command
+from cmbot.common.installation import install_command
 
 __all__ = [
     "ArchiveError",
@@ -230,7 +230,7 @@ class MissingExtra(CmbotError, ImportError):
     extra : str
         The extra of cmbot that it belongs to.
     command : str, optional
-        What installs it, where that is not the extra's own: see `cmbot.common.extras.install_command`.
+        What installs it, where that is not the extra's own: see `cmbot.common.installation.install_command`.
     """
 
     def __init__(self, package: str, extra: str, command: str = "") -> None:

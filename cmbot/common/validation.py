@@ -1,27 +1,45 @@
-"""From data of unknown origin to a checked object, or to one error that names the key."""
+"""Data from files and arguments from Python become checked objects, or one error that names the key."""
 
 from __future__ import annotations
 
 import difflib
 import json
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from functools import cache
-from typing import Any, TypeVar
+from pathlib import Path
+from typing import Any, TypeVar, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
+import numpy as np
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, create_model
 from pydantic_core import ErrorDetails, PydanticCustomError
 
 from cmbot.common.errors import InputError
 
-__all__ = ["FileModel", "counted", "hint", "input_error", "key_path", "refusal", "shown", "validated"]
+__all__ = [
+    "FileModel",
+    "check_fields",
+    "checked_options",
+    "counted",
+    "given_path",
+    "hint",
+    "input_error",
+    "key_path",
+    "plain",
+    "refusal",
+    "require_type",
+    "shown",
+    "validated",
+]
 
 T = TypeVar("T")
 
 _LONGEST_SHOWN = 60
 _PLAIN_KEY = re.compile(r"[\w.\-]{1,60}")
 _REFUSAL = "refusal"
-_UNKNOWN_KEY = frozenset({"extra_forbidden", "unexpected_keyword_argument"})
+_UNKNOWN_KEY = ("extra_forbidden", "unexpected_keyword_argument")
+_LENGTHS = ("missing", "too_long", "too_short")
 _PHRASES = {
     "missing": "a value, this key is required",
     "bool_type": "true or false",
@@ -90,6 +108,102 @@ def _adapter(model: Any) -> TypeAdapter[Any]:
     return TypeAdapter(model)
 
 
+def check_fields(instance: object, model: type[BaseModel] | None = None) -> None:
+    """Check the fields of a dataclass's instance by the bounds in their annotations.
+
+    Parameters
+    ----------
+    instance : object
+    model : type, optional
+        A pydantic model whose fields are checked instead, those of the same names.
+
+    Raises
+    ------
+    InputError
+        With the name of the class as its source.
+    """
+    kind: Any = type(instance)
+    source, model = kind.__name__, model or _fields_model(kind)
+    data = {name: plain(getattr(instance, name), source, (name,)) for name in model.model_fields}
+    validated(model, data, source, InputError)
+
+
+@cache
+def _fields_model(kind: Any) -> type[BaseModel]:
+    """A model of a dataclass's fields: it makes no instance, which would check its fields again."""
+    hints = get_type_hints(kind, include_extras=True)
+    definitions: Any = {field.name: (hints[field.name], ...) for field in fields(kind)}
+    return create_model(kind.__name__, __config__=FileModel.model_config, **definitions)
+
+
+def checked_options(model: type[T], options: object, source: str) -> T:
+    """Return options, a dataclass with ``__pydantic_config__``, when each is within its bounds.
+
+    Raises
+    ------
+    InputError
+        `options` are of another type, or one of them is wrong.
+    """
+    require_type(options, model, source, "", f"an instance of {model.__name__}")
+    return validated(model, plain(options, source), source, InputError)
+
+
+def require_type(value: object, kind: type | tuple[type, ...], source: str, key: str, expected: str) -> None:
+    """Refuse a value of another type; `source` and `key` name what it was handed to, and as what.
+
+    Raises
+    ------
+    InputError
+    """
+    if not isinstance(value, kind):
+        got = shown(value) if isinstance(value, str | int | float) else type(value).__name__
+        raise InputError(source, key, got, expected)
+
+
+def given_path(value: object, source: str, key: str, expected: str) -> Path:
+    """Return a path that was handed in.
+
+    Raises
+    ------
+    InputError
+        When it is neither text nor a path.
+    """
+    require_type(value, (str, Path), source, key, expected)
+    return Path(value)  # type: ignore[arg-type]
+
+
+def plain(value: object, source: str, steps: Sequence[str | int] = ()) -> Any:
+    """Return a value as a file would hold it: mappings, lists, text, numbers.
+
+    Parameters
+    ----------
+    value : object
+        Of these, paths, arrays and dataclasses.
+    source : str
+        For messages.
+    steps : sequence of str or int
+        Where the value stands in the source, for messages.
+
+    Raises
+    ------
+    InputError
+        When something in it is none of these.
+    """
+    if value is None or isinstance(value, str | int | float):
+        return value
+    if isinstance(value, Path):
+        return str(value)
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist(), source, steps)
+    if isinstance(value, tuple | list):
+        return [plain(item, source, (*steps, k)) for k, item in enumerate(value)]
+    if is_dataclass(value) and not isinstance(value, type):
+        value = {field.name: getattr(value, field.name) for field in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): plain(item, source, (*steps, str(key))) for key, item in value.items()}
+    raise InputError(source, key_path(steps), shown(value), "text, a number or a list of them")
+
+
 def input_error(source: str, error: ValidationError, error_type: type[InputError], model: Any) -> InputError:
     """Return the one error to raise for a pydantic `ValidationError`.
 
@@ -98,11 +212,10 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
     source : str
         The file or argument that was validated.
     error : ValidationError
-        What pydantic found.
     error_type : type
         The type of the result.
     model : type
-        What was validated against; its JSON Schema tells which keys and values there are.
+        What was validated against; its JSON Schema has the known keys and values.
     """
     detail = _most_telling(error.errors(include_url=False))
     loc, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
@@ -114,26 +227,31 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
         keys = tuple(_schema_at(schema, loc[:-1]).get("properties", {}))
         expected = f"a known key{hint(loc[-1], keys)}"
         return error_type(source, key_path(loc), "an unknown key", expected, keys)
-    if kind == "literal_error":
-        return _wrong_choice(source, detail, error_type, _schema_at(schema, loc))
-    if kind == "missing" and isinstance(loc[-1], int):  # a list of fixed length that ends too early
-        loc = loc[:-1]
-    elif kind == "missing":
+    if kind == "missing" and isinstance(loc[-1], str):
         return error_type(source, key_path(loc), "nothing", _PHRASES[kind])
-    count = _fixed_length(_schema_at(schema, loc)) if kind in {"missing", "too_long", "too_short"} else None
-    if count is not None:
-        expected = f"a list of {count} items"
+    if kind == "missing":  # a list of fixed length that ends too early
+        loc = loc[:-1]
+    node, got = _schema_at(schema, loc), shown(detail["input"])
+    choices: tuple[str, ...] = ()
+    if kind == "literal_error":
+        choices = tuple(str(choice) for choice in node.get("enum", ()))
+        known = f"a known value{hint(detail['input'], choices)}"
+        expected = known if choices else repr(node.get("const"))
+    elif kind in _LENGTHS and node.get("minItems", 0) == node.get("maxItems"):
+        expected = f"a list of {node['maxItems']} items"
     elif kind in _PHRASES:
         expected = _PHRASES[kind].format(**context)
     else:
         expected = f"something else ({detail['msg']})"
-    return error_type(source, key_path(loc), _got(kind, detail["input"]), expected)
+    if kind == "json_invalid":
+        got = "text that cannot be read"
+    return error_type(source, key_path(loc), got, expected, choices)
 
 
 def refusal(
     expected: str, *, got: object, key: Sequence[str | int] = (), choices: Sequence[str] = ()
 ) -> PydanticCustomError:
-    """Return what a validator of ours raises, for `input_error` to read.
+    """Return what a validator of cmbot raises, for `input_error` to read.
 
     Parameters
     ----------
@@ -162,8 +280,8 @@ def key_path(steps: Sequence[str | int]) -> str:
         if isinstance(step, int):
             path += f"[{step}]"
         else:
-            plain = step if _PLAIN_KEY.fullmatch(step) else shown(step)
-            path += f".{plain}" if path else plain
+            name = step if _PLAIN_KEY.fullmatch(step) else shown(step)
+            path += f".{name}" if path else name
     return path
 
 
@@ -174,18 +292,18 @@ def shown(value: object) -> str:
 
 
 def counted(number: int, noun: str, plural: str = "") -> str:
-    """Return a number of things as people write it: ``1 joint``, ``2 joints``; `plural` where it is no s."""
+    """Return a number with its noun, as in ``1 joint``, ``2 joints``; `plural` where it is no s."""
     return f"{number} {noun if number == 1 else plural or noun + 's'}"
 
 
 def hint(word: object, choices: Sequence[str]) -> str:
-    """Return ``; did you mean X?`` for a slip of the pen; nothing where no choice is near."""
+    """Return ``; did you mean X?`` where a choice is close to `word`, otherwise nothing."""
     close = difflib.get_close_matches(str(word), choices, n=1)
     return f"; did you mean {close[0]}?" if close else ""
 
 
 def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:
-    """Return the first error; but where a required key is missing, an unknown one beside it first."""
+    """The first error; where it is a missing key, an unknown one beside it comes first."""
     first = errors[0]
     if first["type"] == "missing":
         for other in errors:
@@ -194,27 +312,8 @@ def _most_telling(errors: list[ErrorDetails]) -> ErrorDetails:
     return first
 
 
-def _wrong_choice(
-    source: str, detail: ErrorDetails, error_type: type[InputError], node: dict[str, Any]
-) -> InputError:
-    choices = tuple(str(choice) for choice in node.get("enum", [node.get("const")]))
-    key, value = key_path(detail["loc"]), detail["input"]
-    if len(choices) == 1:
-        return error_type(source, key, shown(value), repr(choices[0]))
-    return error_type(source, key, shown(value), f"a known value{hint(value, choices)}", choices)
-
-
-def _got(kind: str, value: object) -> str:
-    return "text that cannot be read" if kind == "json_invalid" else shown(value)
-
-
-def _fixed_length(node: dict[str, Any]) -> int | None:
-    fewest, most = node.get("minItems"), node.get("maxItems")
-    return most if isinstance(most, int) and fewest == most else None
-
-
 def _schema_at(schema: dict[str, Any], loc: Sequence[str | int]) -> dict[str, Any]:
-    """Return the part of a JSON Schema that describes the value at `loc`; empty where there is none."""
+    """The part of a JSON Schema that describes the value at `loc`; empty where there is none."""
     node = _resolved(schema, schema)
     for step in loc:
         if isinstance(step, str):

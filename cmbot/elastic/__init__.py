@@ -1,14 +1,21 @@
 """What bends: the guardrail under the foot, and the links of the arm.
 
-What needs the robot is imported from its own module, `cmbot.elastic.arm`, `cmbot.elastic.sag` and
-`cmbot.elastic.arm_modes`: a scene is read without it.
+The arm's elasticity needs the robot, and pinocchio with it: it is imported from its own modules,
+`cmbot.elastic.arm`, `cmbot.elastic.sag` and `cmbot.elastic.modes`, so that a scene is read without them.
 """
 
 from __future__ import annotations
 
 from cmbot.elastic.base import ElasticBase, elastic_base
-from cmbot.elastic.guardrail import AngleSection, BarSection, Guardrail, GuardrailMaterial, Post, Rail
-from cmbot.elastic.sections import SectionConstants, section_constants
+from cmbot.elastic.guardrail import (
+    AngleSection,
+    BarSection,
+    Guardrail,
+    GuardrailMaterial,
+    Post,
+    Rail,
+    Section,
+)
 
 __all__ = [
     "AngleSection",
@@ -18,7 +25,6 @@ __all__ = [
     "GuardrailMaterial",
     "Post",
     "Rail",
-    "SectionConstants",
+    "Section",
     "elastic_base",
-    "section_constants",
 ]

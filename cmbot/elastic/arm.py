@@ -1,4 +1,4 @@
-"""The arm on its guardrail as a mechanism of driven joints and springs."""
+"""The elastic arm: a mechanism of driven joints and springs, on its guardrail."""
 
 from __future__ import annotations
 
@@ -8,29 +8,34 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from scipy.linalg import block_diag
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.base import ElasticBase
-from cmbot.elastic.pieces import cut_inertia
 from cmbot.robot import LinkTube, Robot
 
-__all__ = ["ElasticArm", "ElasticOptions", "elastic_arm"]
+__all__ = ["ElasticArm", "ElasticOptions", "cut_inertia", "elastic_arm"]
 
-_MOST = 50
+_MOST_SEGMENTS = 50
+# A body thinner than this share of the axis' length lies in a plane across it.
+_FLAT = 1e-9
+# Share of a piece's own second moment along the axis that is kept: about what the consistent mass matrix of a
+# beam has at its end. With none the pieces of a flat body would have no inertia about an axis.
+_KEPT = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticOptions:
-    """How finely the links are cut, and how stiff everything is.
+    """Discretisation of the links, and factors on the stiffnesses.
 
     Attributes
     ----------
     segments : int
-        Segments of each link's tube. One is exact for the static deflection; more add the links' own
-        vibration.
+        Segments of each link's tube, 1 to 50. One is exact for the static deflection; more add the links'
+        own vibration.
     guardrail_factor, link_factor : float
-        On the stiffness of the guardrail and of the links.
+        Factors on the stiffness of the guardrail and of the links.
 
     Raises
     ------
@@ -44,8 +49,9 @@ class ElasticOptions:
 
     def __post_init__(self) -> None:
         segments = self.segments
-        if isinstance(segments, bool) or not isinstance(segments, int) or not 1 <= segments <= _MOST:
-            raise InputError("ElasticOptions", "segments", segments, f"a whole number from 1 to {_MOST}")
+        if isinstance(segments, bool) or not isinstance(segments, int) or not 1 <= segments <= _MOST_SEGMENTS:
+            expected = f"a whole number from 1 to {_MOST_SEGMENTS}"
+            raise InputError("ElasticOptions", "segments", segments, expected)
         for key in ("guardrail_factor", "link_factor"):
             value = getattr(self, key)
             if not (math.isfinite(value) and value > 0):
@@ -54,28 +60,28 @@ class ElasticOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElasticArm:
-    """The arm as driven joints and springs. The model in it is not to be changed; the arrays are read-only.
+    """The arm as driven joints and springs. Its model must not be changed; its arrays are read-only.
 
-    All joints have one coordinate each, m or rad, so a configuration is a vector.
+    Every joint has one coordinate, m or rad, so a configuration is a vector.
 
     Attributes
     ----------
     robot : Robot
     base : ElasticBase or None
-        None: the hold is rigid.
+        None: the base is rigid.
     options : ElasticOptions
     model : pinocchio.Model
         Driven and elastic joints, n + f coordinates.
     driven : (n,)
         Indices of the actuated joints' coordinates, in the order of `robot.joints`.
     elastic : (f,)
-        Indices of the elastic coordinates: of the base, if it is elastic, the three displacements along and
-        the three small turns about the axes of W; then of every segment from base to tool two deflections
-        across the tube, the twist, and the slopes about the same two axes.
+        Indices of the elastic coordinates. First, for an elastic base, three displacements along and three
+        rotations about the axes of W; then for every segment, base to tool, two deflections across the tube,
+        the twist, and the slopes about the same two axes.
     stiffness : (f, f), N/m, N/rad, Nm/rad
         Of the elastic coordinates.
     added_mass : (f, f), kg, kg m, kg m2
-        What of the guardrail moves with the foot, on the first six; `model` does not know of it.
+        Mass of the guardrail that moves with the foot, on the first six coordinates; not in `model`.
     tool_frame_id : int
         Index of the tool frame in `model`.
     """
@@ -98,25 +104,26 @@ class ElasticArm:
 
 
 def elastic_arm(robot: Robot, base: ElasticBase | None, options: ElasticOptions | None = None) -> ElasticArm:
-    """Build the mechanism of a robot's joints, its links' tubes and what its foot holds.
+    """Build the mechanism of a robot's joints, its links' tubes and its elastic base.
 
-    Every segment of a tube has a joint of five coordinates at its middle: with 12 EI/L^3 against the two
-    deflections, GJ/L against the twist and EI/L against the two slopes it is the Euler-Bernoulli beam to the
-    letter for loads at its ends. Tubes do not stretch.
+    Every segment of a tube has five coordinates at its middle: with the stiffness 12 EI/L^3 of the two
+    deflections, GJ/L of the twist and EI/L of the two slopes it is exactly the Euler-Bernoulli beam for loads
+    at its ends. Tubes do not stretch.
 
     Parameters
     ----------
     robot : Robot
-        Its `elasticity` says which links bend.
+        `Robot.elasticity` lists the links that bend.
     base : ElasticBase or None
-        What the foot holds; None: a rigid hold.
+        None: the base is rigid.
     options : ElasticOptions, optional
     """
     options = options or ElasticOptions()
     builder = _Builder(robot, options)
     if base is not None:
         builder.add_base(base)
-    tubes = {_joint_of(robot, tube): tube for tube in robot.elasticity}
+    frames = robot.model.frames
+    tubes = {frames[robot.model.getFrameId(tube.link)].parentJoint: tube for tube in robot.elasticity}
     for joint in range(1, robot.model.njoints):
         builder.add_driven(joint)
         if joint in tubes:
@@ -124,10 +131,6 @@ def elastic_arm(robot: Robot, base: ElasticBase | None, options: ElasticOptions 
         else:
             builder.add_inertia(robot.model.inertias[joint])
     return builder.finished(base)
-
-
-def _joint_of(robot: Robot, tube: LinkTube) -> int:
-    return int(robot.model.frames[robot.model.getFrameId(tube.link)].parentJoint)
 
 
 class _Builder:
@@ -139,14 +142,14 @@ class _Builder:
         self.model.name = robot.model.name
         self.model.gravity = robot.model.gravity
         self.last = 0
-        # From the last joint's frame to that of the rigid body which it stands for: W, or a link's joint.
+        # From the last joint's frame to that of the rigid body which it carries: W, or a link's joint.
         self.X_LB = pin.SE3.Identity()
         self.driven: list[int] = []
         self.elastic: list[int] = []
         self.blocks: list[FloatArray] = []
 
     def add_base(self, base: ElasticBase) -> None:
-        """Let W's origin move; the climbing mechanism moves with it."""
+        """Add the base's six elastic coordinates; the climbing mechanism moves with them."""
         kinds = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ)
         turns = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
         names = ("displacement x", "displacement y", "displacement z", "turn x", "turn y", "turn z")
@@ -163,11 +166,11 @@ class _Builder:
         self.X_LB = pin.SE3.Identity()
 
     def add_inertia(self, inertia: Any) -> None:
-        """Let the last joint carry an inertia given in the frame of the rigid body it stands for."""
+        """Add an inertia, in the frame of the rigid body that the last joint carries, to that joint."""
         self.model.appendBodyToJoint(self.last, inertia, self.X_LB)
 
     def add_tube(self, joint: int, tube: LinkTube) -> None:
-        """Let the link that the last joint carries bend."""
+        """Add the elastic coordinates and the pieces of the link that the last joint carries."""
         n, model = self.options.segments, self.robot.model
         X_JL = model.frames[model.getFrameId(tube.link)].placement
         start, end = X_JL.act(np.array(tube.start)), X_JL.act(np.array(tube.end))
@@ -194,7 +197,7 @@ class _Builder:
         body, frame = robot.model.inertias[joint], robot.model.frames[robot.tool_frame_id]
         if frame.parentJoint != joint or robot.payload == 0:
             return cut_inertia(body, start, end, cuts)
-        # The payload is at the tool, not spread along the link.
+        # The payload is at the tool and is not cut with the link.
         payload = pin.Inertia(robot.payload, frame.placement.translation, np.zeros((3, 3)))
         pieces = cut_inertia(body - payload, start, end, cuts)
         pieces[-1] += payload
@@ -205,11 +208,8 @@ class _Builder:
         frame = robot.model.frames[robot.tool_frame_id]
         tool = pin.Frame(frame.name, self.last, 0, self.X_LB * frame.placement, pin.FrameType.OP_FRAME)
         tool_frame_id = self.model.addFrame(tool)
-        stiffness, added_mass = np.zeros((f, f)), np.zeros((f, f))
-        at = 0
-        for block in self.blocks:
-            stiffness[at : at + len(block), at : at + len(block)] = block
-            at += len(block)
+        # Without blocks `block_diag` is (1, 0).
+        stiffness, added_mass = block_diag(*self.blocks).reshape(f, f), np.zeros((f, f))
         if base is not None:
             added_mass[:6, :6] = base.mass
         driven, elastic = np.array(self.driven, dtype=np.intp), np.array(self.elastic, dtype=np.intp)
@@ -236,8 +236,68 @@ class _Builder:
 
 
 def _axes_along(direction: FloatArray) -> FloatArray:
-    """Return a rotation (3, 3) whose first column has that direction; a tube does not care for the others."""
+    """A rotation (3, 3) whose first column has that direction; the others are arbitrary."""
     x = direction / np.linalg.norm(direction)
     y = np.cross(np.eye(3)[np.argmin(np.abs(x))], x)
     y /= np.linalg.norm(y)
     return np.column_stack((x, y, np.cross(x, y)))
+
+
+def cut_inertia(inertia: Any, start: FloatArray, end: FloatArray, cuts: FloatArray) -> list[Any]:
+    """Cut a body's inertia across an axis; the pieces add up to it exactly.
+
+    The mass along the axis is modelled as a uniform rod with the body's mass, centre of mass and second
+    moment, and the rod is cut. With the covariance Sigma of the body and the axis' direction u, the mass at
+    the distance t from the centre of mass along the rod has its mean at ``t Sigma u / (u' Sigma u)`` from it,
+    and everywhere the same scatter.
+
+    Each piece is contracted until a quarter of its own second moment is left, and the means are moved apart
+    until all pieces together have the body's second moment again. That is closer to a beam's inertia than
+    rigid pieces of the rod: with one cut the sag of a tube under its own weight is 11 % too small instead of
+    17 %, and its lowest frequency 0.7 % too low instead of 2 % too high. No mean leaves the rod; the second
+    moment that this leaves over stays within the pieces. All pieces are physical if the body is.
+
+    Parameters
+    ----------
+    inertia : pinocchio.Inertia
+        Of the body.
+    start, end : (3,), m
+        Two points of the axis, in the frame of `inertia`.
+    cuts : (k,)
+        Where to cut: shares of the way from `start` to `end`, ascending.
+
+    Returns
+    -------
+    list of pinocchio.Inertia
+        The k + 1 pieces from `start` to `end`, in the frame of `inertia`.
+    """
+    pieces = [pin.Inertia.Zero() for _ in range(len(cuts) + 1)]
+    if inertia.mass == 0:
+        return pieces
+    length = np.linalg.norm(end - start)
+    u = (end - start) / length
+    rotational = inertia.inertia
+    covariance = (0.5 * np.trace(rotational) * np.eye(3) - rotational) / inertia.mass
+    variance = max(float(u @ covariance @ u), 0.0)
+    half = np.sqrt(3 * variance)
+    cut_at = cuts * length - u @ (inertia.lever - start)
+    if half <= _FLAT * length or np.all(np.abs(cut_at) >= half):
+        pieces[int(np.searchsorted(cut_at, 0.0))] = inertia  # nothing to cut
+        return pieces
+    # The outer pieces end with the rod, however far that is from the axis' points.
+    at = np.concatenate(([-half], np.clip(cut_at, -half, half), [half]))
+    share, mean = np.diff(at) / (2 * half), (at[:-1] + at[1:]) / 2
+    held = share > 0
+    between = float(share @ mean**2)
+    stretched = variance - _KEPT * (variance - between)
+    stretch = min(np.sqrt(stretched / between), half / np.abs(mean[held]).max())
+    kept = (variance - stretch**2 * between) / (variance - between)
+    lean = covariance @ u / variance
+    scatter = covariance - variance * np.outer(lean, lean)
+    for k in np.flatnonzero(held):
+        own = scatter + kept * (at[k + 1] - at[k]) ** 2 / 12 * np.outer(lean, lean)
+        # Set one by one: pinocchio's constructor refuses a flat body because of rounding.
+        pieces[k].mass = mass = share[k] * inertia.mass
+        pieces[k].lever = inertia.lever + stretch * mean[k] * lean
+        pieces[k].inertia = mass * (np.trace(own) * np.eye(3) - own)
+    return pieces

@@ -1,33 +1,32 @@
-"""Stiffness and consistent mass of straight Euler-Bernoulli beams in space, many at a time.
+"""Beams: section constants of angle steel and round bars, stiffness and consistent mass in space.
 
 A beam's 12 coordinates are displacement and rotation of its start, then of its end. Its own axes are x along
-it and y, z along the principal axes of its section; there bending in the two planes, stretching and torsion
-do not know each other. Shear deformation and the rotary inertia of bending are left out.
+it and y, z along the principal axes of its section; there stretching, torsion and bending in the two planes
+are uncoupled. Shear deformation and the rotary inertia of bending are left out.
 
 Source: J. S. Przemieniecki, Theory of Matrix Structural Analysis, 1968, without shear and rotary inertia.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.elastic.guardrail import AngleSection, Section
 
-__all__ = ["Beams"]
+__all__ = ["Beams", "SectionConstants", "section_constants"]
 
-# Coordinates that take part in each kind of deformation.
-_STRETCH = (0, 6)
-_TORSION = (3, 9)
-_BEND_XY = (1, 5, 7, 11)
-_BEND_XZ = (2, 4, 8, 10)
-# In the plane xz a positive turn about y lowers the beam where in the plane xy one about z lifts it.
+# The coordinates of stretching, torsion, bending in the plane xy and bending in the plane xz.
+_COORDINATES = (np.array([0, 6]), np.array([3, 9]), np.array([1, 5, 7, 11]), np.array([2, 4, 8, 10]))
+# A positive rotation about y lowers the beam in the plane xz; one about z lifts it in the plane xy.
 _SIGNS_XZ = np.array([1.0, -1.0, 1.0, -1.0])
 
 _ROD_STIFFNESS = np.array([[1.0, -1.0], [-1.0, 1.0]])
 _ROD_MASS = np.array([[2.0, 1.0], [1.0, 2.0]]) / 6
-# In units of EI / L^3 and of the beam's mass, rotations counted as L times the angle.
+# In units of EI / L^3 and of the beam's mass, with L times the angle as rotation.
 _BEND_STIFFNESS = np.array(
     [[12.0, 6.0, -12.0, 6.0], [6.0, 4.0, -6.0, 2.0], [-12.0, -6.0, 12.0, -6.0], [6.0, 2.0, -6.0, 4.0]]
 )
@@ -44,9 +43,63 @@ _BEND_MASS = (
 )
 
 
+@dataclass(frozen=True, kw_only=True)
+class SectionConstants:
+    """Constants of a cross-section, about its centroid.
+
+    Attributes
+    ----------
+    area : float
+        m2.
+    major, minor : float
+        Principal second moments of area, the larger one first, m4.
+    torsion : float
+        Torsion constant J, m4.
+    tilt : float
+        Angle of the axis that `major` is about from the section's first axis, towards the second, rad.
+    """
+
+    area: float
+    major: float
+    minor: float
+    torsion: float
+    tilt: float
+
+
+def section_constants(section: Section) -> SectionConstants:
+    """Return the constants of a section; the legs of an angle point along its first and second axis.
+
+    An angle is two rectangles, without the fillets of rolled steel: area and second moments are exact for
+    that shape. Its torsion constant is that of thin walls, the sum of b t^3 / 3 over the two centre lines;
+    warping is free.
+    """
+    if isinstance(section, AngleSection):
+        return _angle(section.leg, section.thickness)
+    area = math.pi * section.diameter**2 / 4
+    moment = area * section.diameter**2 / 16
+    return SectionConstants(area=area, major=moment, minor=moment, torsion=2 * moment, tilt=0.0)
+
+
+def _angle(a: float, t: float) -> SectionConstants:
+    # (width, height, y, z of the centre) from the corner: one whole leg, and the rest of the other.
+    # By symmetry both second moments are the same.
+    rectangles = ((a, t, a / 2, t / 2), (t, a - t, t / 2, (a + t) / 2))
+    area = sum(b * h for b, h, _, _ in rectangles)
+    centre = sum(b * h * y for b, h, y, _ in rectangles) / area
+    moment = sum(b**3 * h / 12 + b * h * (y - centre) ** 2 for b, h, y, _ in rectangles)
+    product = sum(b * h * (y - centre) * (z - centre) for b, h, y, z in rectangles)
+    return SectionConstants(
+        area=area,
+        major=moment - product,  # the product is negative
+        minor=moment + product,
+        torsion=area * t**2 / 3,
+        tilt=math.pi / 4,
+    )
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Beams:
-    """A stack of m beams.
+    """A stack of m straight Euler-Bernoulli beams.
 
     Attributes
     ----------
@@ -59,7 +112,7 @@ class Beams:
         E I about the beam's y and z axis, G J.
     line_mass : (m,), kg/m
     line_inertia : (m,), kg m
-        About the beam's x axis, of a metre of beam.
+        About the beam's x axis, per metre.
     """
 
     rotation: FloatArray
@@ -74,41 +127,22 @@ class Beams:
     def stiffness(self) -> FloatArray:
         """Stiffness matrices in W, (m, 12, 12), N/m, N, Nm; exact for loads at the ends."""
         L = self.length
-        local = np.zeros((len(L), 12, 12))
-        _add(local, _STRETCH, self.stretch / L, _ROD_STIFFNESS)
-        _add(local, _TORSION, self.twist / L, _ROD_STIFFNESS)
-        _add(local, _BEND_XY, self.bend_z / L**3, _bending(_BEND_STIFFNESS, L))
-        _add(local, _BEND_XZ, self.bend_y / L**3, _bending(_BEND_STIFFNESS, L, _SIGNS_XZ))
-        return self._turned(local)
+        factors = (self.stretch / L, self.twist / L, self.bend_z / L**3, self.bend_y / L**3)
+        return self._assembled(factors, _ROD_STIFFNESS, _BEND_STIFFNESS)
 
     def mass(self) -> FloatArray:
         """Consistent mass matrices in W, (m, 12, 12), kg, kg m, kg m2."""
-        L = self.length
-        local = np.zeros((len(L), 12, 12))
-        whole = self.line_mass * L
-        _add(local, _STRETCH, whole, _ROD_MASS)
-        _add(local, _TORSION, self.line_inertia * L, _ROD_MASS)
-        _add(local, _BEND_XY, whole, _bending(_BEND_MASS, L))
-        _add(local, _BEND_XZ, whole, _bending(_BEND_MASS, L, _SIGNS_XZ))
-        return self._turned(local)
+        mass, inertia = self.line_mass * self.length, self.line_inertia * self.length
+        return self._assembled((mass, inertia, mass, mass), _ROD_MASS, _BEND_MASS)
 
-    def _turned(self, local: FloatArray) -> FloatArray:
-        blocks = local.reshape(-1, 4, 3, 4, 3)
-        R = self.rotation
+    def _assembled(self, factors: tuple[FloatArray, ...], rod: FloatArray, bending: FloatArray) -> FloatArray:
+        """Matrices in W from the factors (m,) of the four uncoupled deformations and their unit matrices."""
+        scale = np.ones((len(self.length), 4))
+        scale[:, 1::2] = self.length[:, None]
+        xy, xz = (s[:, :, None] * bending * s[:, None, :] for s in (scale, scale * _SIGNS_XZ))
+        local = np.zeros((len(self.length), 12, 12))
+        for index, factor, matrix in zip(_COORDINATES, factors, (rod, rod, xy, xz), strict=True):
+            local[:, index[:, None], index] = factor[:, None, None] * matrix
+        blocks, R = local.reshape(-1, 4, 3, 4, 3), self.rotation
         turned = np.einsum("mxi,maibj,myj->maxby", R, blocks, R, optimize=True)
         return np.asarray(turned.reshape(-1, 12, 12))
-
-
-def _add(local: FloatArray, where: tuple[int, ...], factors: FloatArray, matrix: FloatArray) -> None:
-    """Add `factors` (m,) times `matrix` (..., k, k) to the coordinates `where` of every beam."""
-    index = np.array(where)
-    local[:, index[:, None], index] += factors[:, None, None] * matrix
-
-
-def _bending(matrix: FloatArray, length: FloatArray, signs: FloatArray | None = None) -> FloatArray:
-    """Matrices (m, 4, 4) of bending beams in their true units."""
-    scale = np.ones((len(length), 4))
-    scale[:, 1::2] = length[:, None]
-    if signs is not None:
-        scale *= signs
-    return np.asarray(scale[:, :, None] * matrix * scale[:, None, :])

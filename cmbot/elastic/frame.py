@@ -1,4 +1,4 @@
-"""A frame of straight beams in space: its stiffness and mass, all of it or seen from one node."""
+"""A frame of straight beams in space: stiffness, mass, condensation to one node, natural frequencies."""
 
 from __future__ import annotations
 
@@ -9,26 +9,25 @@ from functools import cached_property
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import SuperLU
+from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.elastic.beam import Beams
-from cmbot.elastic.frame_modes import factorised, natural_frequencies, too_far_apart
-from cmbot.elastic.sections import SectionConstants
+from cmbot.elastic.beam import Beams, SectionConstants
 
-__all__ = ["Condensed", "Frame", "Member"]
+__all__ = ["Condensed", "Frame", "Member", "natural_frequencies"]
 
-# A direction nearer than this to its member's axis says nothing about how the section is turned.
+# Sine of the angle to the member's axis below which a first axis does not define the section's orientation.
 _PARALLEL = 1e-6
-
-# So much asymmetry of a compliance, as a share of its diagonal, is rounding that can be borne.
+# Largest asymmetry of a compliance, relative to its diagonal, that is accepted as rounding.
 _ASYMMETRY = 1e-6
+# Up to this many coordinates all modes are computed: ARPACK needs more vectors than the modes asked for.
+_SMALL = 60
 
 
 @dataclass(frozen=True, kw_only=True)
 class Member:
-    """A straight beam between two nodes, stiffly joined to both.
+    """A straight beam, rigidly joined to two nodes.
 
     Attributes
     ----------
@@ -36,8 +35,8 @@ class Member:
         Its nodes.
     section : SectionConstants
     first_axis : tuple of float
-        (3,), in W, the section's first axis; what of it lies along the member does not count. The second
-        axis is that of the member, from start to end, times the first.
+        (3,), in W, the section's first axis; its component along the member is ignored. The second axis is
+        the cross product of the member's direction, from start to end, and the first.
     young, shear : float
         Moduli, Pa.
     density : float
@@ -55,14 +54,14 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Condensed:
-    """A frame as one of its nodes feels it: linear then angular, in W.
+    """A frame condensed to one of its nodes: linear then angular, in W.
 
     Attributes
     ----------
     stiffness : (6, 6), N/m, N/rad, Nm/rad
         Exact for loads at the node.
     mass : (6, 6), kg, kg m, kg m2
-        Guyan's: that of the shapes into which loads at the node bend the frame.
+        Guyan's: of the static deflections under loads at the node.
     """
 
     stiffness: FloatArray
@@ -71,7 +70,7 @@ class Condensed:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """Euler-Bernoulli frame in space, small displacements, clamped at some nodes.
+    """Euler-Bernoulli frame in space, clamped at some nodes; displacements are small.
 
     Attributes
     ----------
@@ -79,12 +78,13 @@ class Frame:
         In W.
     members : sequence of Member
     fixed : sequence of int
-        Nodes that neither move nor turn.
+        Clamped nodes.
 
     Raises
     ------
     InputError
-        When a member leads nowhere or has no direction of its section, or when something could move freely.
+        When a member has no length, no section orientation or no positive constants, or when the frame or a
+        part of it is not held.
     """
 
     nodes: FloatArray
@@ -94,12 +94,11 @@ class Frame:
     def __post_init__(self) -> None:
         if self.nodes.ndim != 2 or self.nodes.shape[1] != 3 or not np.isfinite(self.nodes).all():
             raise _refusal("nodes", f"shape {self.nodes.shape}", "finite rows of x, y, z")
-        known = range(len(self.nodes))
         for index, node in enumerate(self.fixed):
-            if node not in known:
+            if node not in range(len(self.nodes)):
                 raise _refusal(f"fixed[{index}]", node, f"one of the {len(self.nodes)} nodes")
         for index, member in enumerate(self.members):
-            self._check(index, member)
+            self._check(f"members[{index}]", member)
         self._check_hold()
 
     @cached_property
@@ -113,7 +112,7 @@ class Frame:
         return self._assembled(self._beams.mass())
 
     def coordinates(self, node: int) -> IntArray:
-        """Places (6,) of a node's displacement and rotation among the free coordinates.
+        """Indices (6,) of a node's displacement and rotation among the free coordinates.
 
         Raises
         ------
@@ -122,39 +121,31 @@ class Frame:
         """
         if node not in range(len(self.nodes)) or node in self.fixed:
             raise _refusal("node", node, f"one of the {len(self.nodes)} nodes that is not fixed")
-        return np.asarray(self._places[6 * node : 6 * node + 6])
+        return np.asarray(self._free_index[node])
 
     def condense(self, node: int) -> Condensed:
-        """Return the frame as `node` feels it.
+        """Condense the frame to `node`.
 
         Raises
         ------
         InputError
-            When there is no such node, it is fixed, or the frame's stiffnesses are too far apart to be told.
+            When there is no such node, it is fixed, or the stiffness is not positive definite in floating
+            point.
         """
-        where = self.coordinates(node)
+        index = self.coordinates(node)
         loads = np.zeros((self.stiffness.shape[0], 6))
-        loads[where, np.arange(6)] = 1.0
+        loads[index, np.arange(6)] = 1.0
         shapes = self._factor.solve(loads)
-        K = _inverse(shapes[where])
+        K = _inverse(shapes[index])
         shapes = shapes @ K
         M = shapes.T @ (self.mass @ shapes)
         return Condensed(stiffness=K, mass=(M + M.T) / 2)
 
     def frequencies(self, count: int) -> FloatArray:
-        """Lowest natural frequencies, ascending, Hz: `count` of them or as many as the frame has.
-
-        None where the frame has no mass.
-
-        Raises
-        ------
-        InputError
-            When the frame's stiffnesses are too far apart to be told.
-        """
+        """Lowest natural frequencies, Hz: see `natural_frequencies`."""
         return natural_frequencies(self.stiffness, self.mass, count, factor=self._factor)
 
-    def _check(self, index: int, member: Member) -> None:
-        key = f"members[{index}]"
+    def _check(self, key: str, member: Member) -> None:
         for end in (member.start, member.end):
             if end not in range(len(self.nodes)):
                 raise _refusal(key, end, f"one of the {len(self.nodes)} nodes")
@@ -163,24 +154,22 @@ class Frame:
         if length == 0:
             raise _refusal(key, "length 0", "two nodes at different places")
         first = np.array(member.first_axis, dtype=float)
-        size = float(np.linalg.norm(first))
-        across = np.linalg.norm(np.cross(along, first))
-        # Written so that NaN is refused.
-        if not across > _PARALLEL * length * size:
+        # Negated so that NaN is refused.
+        if not np.linalg.norm(np.cross(along, first)) > _PARALLEL * length * float(np.linalg.norm(first)):
             expected = "a direction that is not along the member"
             raise _refusal(f"{key}.first_axis", member.first_axis, expected)
         section = member.section
-        firm = (section.area, section.major, section.minor, section.torsion, member.young, member.shear)
-        if not all(0 < value < np.inf for value in firm) or not 0 <= member.density < np.inf:
+        positive = (section.area, section.major, section.minor, section.torsion, member.young, member.shear)
+        if not all(0 < value < np.inf for value in positive) or not 0 <= member.density < np.inf:
             expected = "positive section constants and moduli and a density that is not negative"
-            raise _refusal(key, (*firm, member.density), expected)
+            raise _refusal(key, (*positive, member.density), expected)
 
     def _check_hold(self) -> None:
         starts, ends = self._ends
         count = len(self.nodes)
         joined = sparse.coo_array((np.ones(len(starts)), (starts, ends)), shape=(count, count))
         _, group = connected_components(joined, directed=False)
-        # Members are stiffly joined, so a single clamped node holds all that hangs together with it.
+        # Joints are rigid, so one clamped node holds everything connected to it.
         loose = np.flatnonzero(~np.isin(group, group[np.array(self.fixed, dtype=np.intp)]))
         if len(loose):
             raise _refusal("fixed", list(self.fixed), f"a fixed node that members join to node {loose[0]}")
@@ -191,12 +180,11 @@ class Frame:
         return starts, np.array([member.end for member in self.members], dtype=np.intp)
 
     @cached_property
-    def _places(self) -> IntArray:
-        """Where each of the six coordinates of every node is among the free ones; -1 where it is fixed."""
-        free = np.ones(len(self.nodes), dtype=bool)
+    def _free_index(self) -> IntArray:
+        """Index (k, 6) of every node's coordinates among the free ones; -1 where the node is fixed."""
+        free = np.ones((len(self.nodes), 6), dtype=bool)
         free[np.array(self.fixed, dtype=np.intp)] = False
-        free = np.repeat(free, 6)
-        return np.where(free, np.cumsum(free) - 1, -1)
+        return np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
 
     @cached_property
     def _beams(self) -> Beams:
@@ -210,13 +198,10 @@ class Frame:
         second = np.cross(x, first)
         tilt = np.array([member.section.tilt for member in self.members])[:, None]
         y = np.cos(tilt) * first + np.sin(tilt) * second
-        sections = [member.section for member in self.members]
-        young, shear, density = (
-            np.array([(m.young, m.shear, m.density) for m in self.members]).reshape(-1, 3).T
-        )
-        area, major, minor, torsion = (
-            np.array([(s.area, s.major, s.minor, s.torsion) for s in sections]).reshape(-1, 4).T
-        )
+        materials = [(m.young, m.shear, m.density) for m in self.members]
+        young, shear, density = np.array(materials).reshape(-1, 3).T
+        sections = [(s.area, s.major, s.minor, s.torsion) for s in (m.section for m in self.members)]
+        area, major, minor, torsion = np.array(sections).reshape(-1, 4).T
         return Beams(
             rotation=np.stack([x, y, np.cross(x, y)], axis=-1),
             length=length,
@@ -230,36 +215,100 @@ class Frame:
 
     def _assembled(self, matrices: FloatArray) -> sparse.csc_array:
         """Sum of beams' matrices (m, 12, 12) over the free coordinates."""
-        places = self._places.reshape(-1, 6)
         starts, ends = self._ends
-        index = np.concatenate([places[starts], places[ends]], axis=1)
+        index = np.concatenate([self._free_index[starts], self._free_index[ends]], axis=1)
         rows, columns = np.repeat(index, 12, axis=1).ravel(), np.tile(index, 12).ravel()
         free = (rows >= 0) & (columns >= 0)
-        size = int(self._places.max(initial=-1)) + 1
+        size = int(self._free_index.max(initial=-1)) + 1
         entries = (matrices.ravel()[free], (rows[free], columns[free]))
         return sparse.csc_array(sparse.coo_array(entries, shape=(size, size)))
 
     @cached_property
     def _factor(self) -> SuperLU:
-        return factorised(self.stiffness)
+        return _factorised(self.stiffness)
+
+
+def natural_frequencies(
+    stiffness: sparse.csc_array, mass: sparse.csc_array, count: int, *, factor: SuperLU | None = None
+) -> FloatArray:
+    """Return the lowest natural frequencies, ascending, Hz.
+
+    Parameters
+    ----------
+    stiffness, mass : (f, f)
+        Symmetric; the stiffness positive definite, the mass at least semi-definite.
+    count : int
+        At most how many.
+    factor : scipy.sparse.linalg.SuperLU, optional
+        Of the stiffness, when it is already known.
+
+    Returns
+    -------
+    (k,)
+        Fewer than `count` where fewer coordinates have mass; empty without mass.
+
+    Raises
+    ------
+    InputError
+        When the stiffness is not positive definite in floating point.
+    """
+    size = stiffness.shape[0]
+    if count < 1 or mass.count_nonzero() == 0:
+        return np.zeros(0)
+    if size <= max(_SMALL, 4 * count):
+        # The roles of mass and stiffness are exchanged because the mass may be singular.
+        try:
+            squares = linalg.eigh(mass.toarray(), stiffness.toarray(), eigvals_only=True)[::-1][:count]
+        except linalg.LinAlgError as error:
+            raise _ill_conditioned() from error
+        moving = squares > size * np.finfo(float).eps * squares[0]
+        return np.asarray(1 / (2 * np.pi * np.sqrt(squares[moving])))
+    solve = (factor or _factorised(stiffness)).solve
+    squares = eigsh(
+        stiffness,
+        count,
+        mass,
+        sigma=0.0,
+        OPinv=LinearOperator(stiffness.shape, matvec=solve, dtype=float),
+        # The start vector has to be repeatable and without symmetries.
+        v0=np.random.default_rng(0).normal(size=size),
+        return_eigenvectors=False,
+    )
+    if not squares.min() > 0:
+        raise _ill_conditioned()
+    return np.sort(np.sqrt(squares)) / (2 * np.pi)
+
+
+def _factorised(stiffness: sparse.csc_array) -> SuperLU:
+    options = {"SymmetricMode": True}
+    try:
+        return splu(stiffness, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
+    except RuntimeError as error:  # SuperLU's "exactly singular"
+        raise _ill_conditioned() from error
 
 
 def _inverse(compliance: FloatArray) -> FloatArray:
     """Exactly symmetric inverse (6, 6) of a compliance that is positive definite and nearly symmetric."""
     if not np.all(np.diag(compliance) > 0):
-        raise too_far_apart()
+        raise _ill_conditioned()
     scale = np.sqrt(np.diag(compliance))
     scaled = compliance / scale[:, None] / scale  # metres and radians on one scale
-    # By Maxwell and Betti it is symmetric. What is not has been lost to rounding.
+    # Symmetric by Maxwell and Betti's theorem: any asymmetry is rounding.
     if not np.abs(scaled - scaled.T).max() < _ASYMMETRY:
-        raise too_far_apart()
+        raise _ill_conditioned()
     try:
         factor = linalg.cho_factor((scaled + scaled.T) / 2, lower=True)
     except linalg.LinAlgError as error:
-        raise too_far_apart() from error
+        raise _ill_conditioned() from error
     inverse = linalg.cho_solve(factor, np.eye(6)) / scale[:, None] / scale
     return np.asarray((inverse + inverse.T) / 2)
 
 
 def _refusal(key: str, got: object, expected: str) -> InputError:
     return InputError("Frame", key, got, expected)
+
+
+def _ill_conditioned() -> InputError:
+    """Error of a stiffness that is positive definite on paper but not in floating point."""
+    got = "stiffnesses that floating-point numbers cannot hold side by side"
+    return _refusal("members", got, "members of comparable stiffness and length")

@@ -1,4 +1,4 @@
-"""The guardrail as data: a row of posts with rails, of which sections and of what material."""
+"""The guardrail as data: posts, rails, sections, material."""
 
 from __future__ import annotations
 
@@ -11,13 +11,7 @@ __all__ = ["AngleSection", "BarSection", "Guardrail", "GuardrailMaterial", "Post
 
 @dataclass(frozen=True, kw_only=True)
 class AngleSection:
-    """Equal-leg angle steel.
-
-    Attributes
-    ----------
-    leg, thickness : float
-        m.
-    """
+    """Equal-leg angle steel: `leg` and `thickness`, m."""
 
     leg: float
     thickness: float
@@ -25,13 +19,7 @@ class AngleSection:
 
 @dataclass(frozen=True, kw_only=True)
 class BarSection:
-    """A round bar.
-
-    Attributes
-    ----------
-    diameter : float
-        m.
-    """
+    """A round bar: `diameter`, m."""
 
     diameter: float
 
@@ -41,13 +29,13 @@ Section = AngleSection | BarSection
 
 @dataclass(frozen=True, kw_only=True)
 class Post:
-    """What every post is like; its axis runs along z at y = 0.
+    """All posts are alike; the axis of a post runs along z at y = 0.
 
     Attributes
     ----------
     section : AngleSection or BarSection
     roll : float
-        Turn of the section about z, rad; at 0 the legs of an angle point along +x and +y.
+        Rotation of the section about z, rad; at 0 the legs of an angle point along +x and +y.
     bottom, clamp, top : float
         z of the lower end, of the end of the rigid hold, of the upper end, m.
     box : tuple of float
@@ -71,7 +59,7 @@ class Rail:
     name : str
     section : AngleSection or BarSection
     roll : float
-        Turn of the section about x, rad; at 0 the legs of an angle point along +y and +z.
+        Rotation of the section about x, rad; at 0 the legs of an angle point along +y and +z.
     height : float
         z, m.
     box : tuple of float
@@ -87,15 +75,7 @@ class Rail:
 
 @dataclass(frozen=True, kw_only=True)
 class GuardrailMaterial:
-    """What the members are made of.
-
-    Attributes
-    ----------
-    young, shear : float
-        Moduli, Pa.
-    density : float
-        kg/m3.
-    """
+    """Material of all members: `young` and `shear` modulus, Pa; `density`, kg/m3."""
 
     young: float
     shear: float
@@ -109,13 +89,13 @@ class Guardrail:
     Attributes
     ----------
     post_positions : tuple of float
-        (bays + 1,), x of each post in W, m; empty: there is no guardrail to hit.
+        (bays + 1,), x of each post in W, m; empty: there is no guardrail to collide with.
     post : Post
     rails : tuple of Rail
     material : GuardrailMaterial
     stiffness : array or None
         (6, 6), at the origin of W, in W, linear then angular (N/m, N/rad, Nm/rad), in place of the frame's
-        own; read-only. None: the frame's, and where there are no posts the hold is rigid.
+        own; read-only. None: the frame's, and without posts the hold is rigid.
     mass : array or None
         (6, 6), moves with the foot beside a given `stiffness`; read-only. None: no such mass.
     """

@@ -1,4 +1,4 @@
-"""How far the arm sags at rest: static equilibrium of springs and weights, with exact derivatives."""
+"""Sag of the arm at rest: static equilibrium of springs and weights, with exact derivatives."""
 
 from __future__ import annotations
 
@@ -14,14 +14,19 @@ from cmbot.robot import Kinematics
 
 __all__ = ["Sag", "SagStates"]
 
+# Newton's method: most iterations, and the step, m and rad, at which it ends; the remaining error is about
+# the step's square.
 _ITERATIONS = 30
-# Newton's step in m and rad; the error that is left is about its square.
-_SETTLED = 1e-8
+_CONVERGED = 1e-8
+# Longest interval, s, between computed postures of a smooth motion; a spline interpolates between them.
+_INTERVAL = 0.02
+# Below this length, m, the gradient of a length is taken as zero.
+_NO_DIRECTION = 1e-12
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SagStates:
-    """An arm at rest in N postures. It is compared with the same joint angles where nothing bends.
+    """An arm at rest in N postures, compared with the rigid arm at the same joint angles.
 
     Attributes
     ----------
@@ -30,7 +35,7 @@ class SagStates:
     tool : (N, 3), m
         Displacement of the tool point, in W.
     rotation : (N, 3), rad
-        Rotation vector of the tool's turn, in W.
+        Rotation vector of the tool, in W.
     d_tool : (N, 3, n), m/rad
         Derivative of `tool` with respect to the joint angles.
     """
@@ -44,9 +49,8 @@ class SagStates:
 class Sag:
     """Static equilibrium of an elastic arm under its own weight.
 
-    All weight counts, that of the climbing mechanism and the payload included, from the state in which
-    nothing bends. The weights follow what bends: equilibrium is where potential energy is least, with no
-    assumption that the deflections are small.
+    All weight counts, that of the climbing mechanism and the payload included, from the undeformed state. The
+    weights move with the deflections, which need not be small: equilibrium is a minimum of potential energy.
 
     It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
 
@@ -89,6 +93,24 @@ class Sag:
             d_tool[k] = J[:3, arm.driven] + J[:3, arm.elastic] @ du_dq[k] - J_rigid[:3]
         return SagStates(u=u, tool=tool, rotation=rotation, d_tool=d_tool)
 
+    def along(self, t: FloatArray, q: FloatArray) -> FloatArray:
+        """Return the tool's displacements (N, 3), m, on a smooth motion `q` (N, n) at times `t` (N,)."""
+        every = max(1, int(_INTERVAL / max(float(np.diff(t).max(initial=0.0)), 1e-9)))
+        some = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
+        if every == 1 or len(some) < 4:
+            return self.at(q).tool
+        # Imported here, as it is slow to load and needed only where sag is compensated.
+        from scipy.interpolate import CubicSpline
+
+        return np.asarray(CubicSpline(t[some], self.at(q[some]).tool)(t))
+
+    def length(self, q: FloatArray, /) -> tuple[FloatArray, FloatArray]:
+        """Return the tool's distances (N,), m, at postures `q` (N, n), and their gradients (N, n), m/rad."""
+        at = self.at(q)
+        length = np.linalg.norm(at.tool, axis=1)
+        unit = at.tool / np.maximum(length, _NO_DIRECTION)[:, None]
+        return np.asarray(length), np.einsum("ki,kij->kj", unit, at.d_tool)
+
     def equilibria(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Find the elastic coordinates (N, f) in N postures `q` (N, n), and their `balance_derivatives`.
 
@@ -100,46 +122,41 @@ class Sag:
         (N, n), f = q.shape, len(self.arm.elastic)
         u, tangent, by_joints = np.zeros((N, f)), np.empty((N, f, f)), np.empty((N, f, n))
         for k in range(N):
-            tangent[k], by_joints[k] = self._settle(q[k], u[k], k)
+            tangent[k], by_joints[k] = self._solve(q[k], u[k], f"q[{k}]")
         return u, tangent, by_joints
 
     def balance_derivatives(self, q: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the derivatives of springs and weights at `q` (n,) and `u` (f,), N/m, N/rad, Nm/rad.
 
-        With respect to the elastic coordinates (f, f): the tangent stiffness, what the springs add to and
-        what turning weights add or take. With respect to the joint angles (f, n): of the weights alone.
+        With respect to the elastic coordinates (f, f): the tangent stiffness, of springs and weights. With
+        respect to the joint angles (f, n): of the weights alone.
         """
-        return self._linearised(self.arm.configuration(q, u))
+        configuration = self.arm.configuration(q, u)
+        gravity = pin.computeGeneralizedGravityDerivatives(self.arm.model, self._data, configuration)
+        return self.arm.stiffness + gravity[self._to_elastic], gravity[self._to_driven]
 
-    def _settle(self, q: FloatArray, u: FloatArray, k: int) -> tuple[FloatArray, FloatArray]:
-        """Move `u` to the equilibrium; derivatives of the balance there with respect to `u` and `q`."""
+    def _solve(self, q: FloatArray, u: FloatArray, key: str) -> tuple[FloatArray, FloatArray]:
+        """Move `u` to the equilibrium by Newton's method; the balance's derivatives there."""
         arm = self.arm
-        configuration = arm.configuration(q, u)
         expected = "an arm and a guardrail that are stiff enough to carry the weight"
         for _ in range(_ITERATIONS):
-            tangent, coupling = self._linearised(configuration)
+            tangent, _by_joints = self.balance_derivatives(q, u)
             balance = arm.stiffness @ u + self._data.g[arm.elastic]
             try:
                 step = np.linalg.solve(tangent, balance)
             except np.linalg.LinAlgError as error:
-                raise InputError("Sag.at", f"q[{k}]", "a posture without equilibrium", expected) from error
+                raise InputError("Sag.at", key, "a posture without equilibrium", expected) from error
             u -= step
-            configuration[arm.elastic] = u
-            if np.abs(step).max(initial=0.0) < _SETTLED:
+            if np.abs(step).max(initial=0.0) < _CONVERGED:
                 break
         else:
-            raise InputError("Sag.at", f"q[{k}]", "a posture whose equilibrium was not found", expected)
-        tangent, coupling = self._linearised(configuration)
+            raise InputError("Sag.at", key, "a posture whose equilibrium was not found", expected)
+        derivatives = self.balance_derivatives(q, u)
         try:
-            np.linalg.cholesky(tangent)
+            np.linalg.cholesky(derivatives[0])
         except np.linalg.LinAlgError as error:
-            raise InputError("Sag.at", f"q[{k}]", "a posture from which the arm topples", expected) from error
-        return tangent, coupling
-
-    def _linearised(self, configuration: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Derivatives of springs and gravity with respect to elastic coordinates (f, f) and joints (f, n)."""
-        gravity = pin.computeGeneralizedGravityDerivatives(self.arm.model, self._data, configuration)
-        return self.arm.stiffness + gravity[self._to_elastic], gravity[self._to_driven]
+            raise InputError("Sag.at", key, "a posture from which the arm topples", expected) from error
+        return derivatives
 
     def _tool(self, configuration: FloatArray) -> tuple[pin.SE3, FloatArray]:
         """Pose and Jacobian (6, n + f) of the bent arm's tool, as `Kinematics.tool_jacobian`."""

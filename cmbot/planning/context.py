@@ -13,15 +13,12 @@ from cmbot.common.errors import ModelError, PathNotFound, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
-from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.torque.objectives import Objective, objective_of
 from cmbot.planning.torque.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
-from cmbot.scene import PlannerOptions, Scene
-from cmbot.scene.obstacles import pose
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene import PlannerOptions, Scene, ToolPath, pose
 
 __all__ = ["PlanningContext", "bending_arm", "build_context", "robot_of", "sag_of", "task_of"]
 
@@ -44,7 +41,7 @@ class PlanningContext:
         What is minimised.
     arm : ElasticArm or None
         The elastic arm on its guardrail; None where both are rigid.
-    sag : ToolSag or None
+    sag : Sag or None
         Where it is to be compensated.
     reporter : ProgressReporter
     """
@@ -57,7 +54,7 @@ class PlanningContext:
     options: PlannerOptions
     objective: Objective
     arm: ElasticArm | None
-    sag: ToolSag | None
+    sag: Sag | None
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 
     @cached_property
@@ -131,7 +128,7 @@ def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:
     return arm if len(arm.elastic) else None
 
 
-def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> ToolSag | None:
+def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag | None:
     """Return the predicted sag of the tool where the options need it.
 
     Parameters
@@ -155,7 +152,7 @@ def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Too
             "no guardrail, and a robot without link tubes",
             "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity",
         )
-    return ToolSag(Sag(arm))
+    return Sag(arm)
 
 
 def robot_of(scene: Scene) -> Robot:

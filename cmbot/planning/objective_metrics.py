@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.objectives import Objective
 from cmbot.planning.verification.metrics import MotionMetrics
-from cmbot.scene.options import PlannerOptions
+from cmbot.scene import PlannerOptions
 
 __all__ = ["ObjectiveMetrics", "objective_metrics"]
 

@@ -9,10 +9,10 @@ from functools import cached_property
 import numpy as np
 
 from cmbot.collision.clearance import Clearances
-from cmbot.common.arguments import require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.elastic.tool_sag import ToolSag
+from cmbot.common.validation import require_type
+from cmbot.elastic.sag import Sag
 from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning.approach.approach import Approach
 from cmbot.planning.flexibility.sag_compensation import Compensation
@@ -102,7 +102,7 @@ class Plan:
         How the predicted sag was compensated; None where it was not.
     quieting : VibrationSuppression or None
         What was done about the vibration; None with fixed knots, where nothing bends, or unasked.
-    sag : ToolSag or None
+    sag : Sag or None
         That sag.
     fallbacks : tuple of str
         What did not work, and was done in another way, a sentence each.
@@ -127,7 +127,7 @@ class Plan:
     approach: Approach | None
     compensation: Compensation | None
     quieting: VibrationSuppression | None
-    sag: ToolSag | None
+    sag: Sag | None
     fallbacks: tuple[str, ...]
     seconds: Seconds
 
@@ -146,7 +146,7 @@ class Plan:
         """The approach every 0.01 s, from time 0; its tool deviation is that from where the work starts."""
         return None if self.approach is None else self._sampled(self.approach.trajectory, self.approach.task)
 
-    def _sampled(self, trajectory: QuinticTrajectory, task: ToolTask, sag: ToolSag | None = None) -> Samples:
+    def _sampled(self, trajectory: QuinticTrajectory, task: ToolTask, sag: Sag | None = None) -> Samples:
         t = _sample_times(trajectory.duration)
         motion = [trajectory.evaluate(t, order) for order in range(4)]
         return measure(self.robot, task, Clearances(self.robot, self.scene.obstacles), t, motion, sag)

@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cmbot.common.arguments import checked_options, require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, OptimisationFailed, PathNotFound
+from cmbot.common.validation import checked_options, require_type
 from cmbot.optimization.exchange import ExchangeReport, Optimised, optimise
 from cmbot.planning.approach.approach import Approach, plan_approach
 from cmbot.planning.context import PlanningContext, build_context

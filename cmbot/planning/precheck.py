@@ -14,8 +14,7 @@ from cmbot.planning.context import robot_of, task_of
 from cmbot.planning.problem_size import oversized
 from cmbot.planning.tool_reach import beyond_reach
 from cmbot.robot import Dynamics, Efforts, Finding, Robot
-from cmbot.scene import PlannerOptions, Scene
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene import PlannerOptions, Scene, ToolPath
 
 __all__ = ["Precheck", "precheck_options", "precheck_scene"]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import importlib.util
 
 from cmbot.common.errors import MissingExtra, SceneError
-from cmbot.common.extras import install_command
+from cmbot.common.installation import install_command
 from cmbot.planning.path.task import task_dimension
 from cmbot.planning.solvers import solver_of
 from cmbot.robot import Finding

@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.robot import Robot
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene import ToolPath
 
 __all__ = ["BeyondReach", "beyond_reach", "require_within_reach"]
 

@@ -12,11 +12,17 @@ from cmbot.reproduction.experiment import (
     Variant,
     reproduce,
 )
-from cmbot.reproduction.goal_table import GoalRow, GoalTable, Verdict, cells
 from cmbot.reproduction.goals import goals
 from cmbot.reproduction.paper import PAPER, PaperError, PaperExperiment
-from cmbot.reproduction.report import as_json, comparison, markdown, verdict_rows
-from cmbot.reproduction.writing import require_room, save_reproduction
+from cmbot.reproduction.report import (
+    as_json,
+    comparison,
+    markdown,
+    require_room,
+    save_reproduction,
+    verdict_rows,
+)
+from cmbot.reproduction.tables import GoalRow, GoalTable, Verdict, cells
 
 __all__ = [
     "FACTORS",

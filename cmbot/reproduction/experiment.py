@@ -1,9 +1,10 @@
-"""The paper's experiments with our robot: planned and simulated, twice each."""
+"""The paper's experiments with our robot: planned with several options, and simulated."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -11,7 +12,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PlanningError
 from cmbot.planning import Plan, Progress, plan
 from cmbot.reproduction.paper import PAPER, PaperExperiment
-from cmbot.reproduction.steps import Steps
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking, simulate
 
@@ -30,19 +30,12 @@ __all__ = [
 FACTORS = (1.0, 0.9, 1.1, 0.8, 1.2, 0.7, 1.3)
 """Of the stiffness of guardrail and links, with which a compensated plan is simulated."""
 QUICK_FACTORS = (1.0, 0.7, 1.3)
-"""The least that shows how far it goes."""
+"""The modelled stiffness and the extremes."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One plan and its simulations.
-
-    Attributes
-    ----------
-    plan : Plan
-    equilibrium, undeformed : Tracking
-        Started hanging at rest, and started straight and let go.
-    """
+    """One plan and its simulations: started in static equilibrium, and released undeformed."""
 
     plan: Plan
     equilibrium: Tracking
@@ -56,17 +49,7 @@ class Run:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Variant:
-    """The scene planned with another option.
-
-    Attributes
-    ----------
-    plan : Plan or None
-        None where there is no such plan.
-    trackings : tuple of Tracking
-        All of them started in equilibrium.
-    why_not : str
-        Why there is no plan.
-    """
+    """The scene planned with another option, and its simulations; without a plan `why_not` has the reason."""
 
     plan: Plan | None
     trackings: tuple[Tracking, ...]
@@ -81,17 +64,17 @@ class Experiment:
     ----------
     paper : PaperExperiment
     planned : Run
-        As the shipped scene says: via-points that slide along the self-motion.
+        As the shipped scene has it: via-points that slide along the self-motion.
     fixed : Run or None
-        With the via-points fixed, as the paper's Eq. (30) has it; None where there is no such plan.
+        With fixed via-points, the paper's Eq. (30); None where there is no such plan.
     why_not : str
         Why there is none.
     compensated : Variant
-        With the predicted sag compensated, simulated with other stiffnesses, too.
-    loud : Variant
-        With no elastic mode quieted.
+        With the predicted sag compensated, simulated with several stiffnesses.
+    unsuppressed : Variant
+        Without vibration suppression.
     least_sag : Variant or None
-        With the sag made small in place of the torque; None where it was left out.
+        With the sag as the objective in place of the torque; None where it was left out.
     """
 
     paper: PaperExperiment
@@ -99,20 +82,13 @@ class Experiment:
     fixed: Run | None
     why_not: str
     compensated: Variant
-    loud: Variant
+    unsuppressed: Variant
     least_sag: Variant | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Reproduction:
-    """Both experiments.
-
-    Attributes
-    ----------
-    experiments : tuple of Experiment
-    options : SimulationOptions
-        Of the simulations that start in equilibrium.
-    """
+    """Both experiments, and the options of the simulations that start in equilibrium."""
 
     experiments: tuple[Experiment, ...]
     options: SimulationOptions
@@ -138,7 +114,7 @@ def reproduce(
     least_sag : bool
         Plan with the sag as the objective, too.
     tell : callable, optional
-        Called with the scene's name, what is being done, and the share of all steps that is done.
+        Called with the scene's name, the present step, and the share of all steps that is done.
     progress : callable, optional
         Called with the scene's name and the planner's progress.
 
@@ -150,83 +126,88 @@ def reproduce(
         When a motion cannot be integrated.
     """
     options = replace(options or SimulationOptions(), initial="equilibrium")
-    softer = tuple(replace(options, guardrail_factor=x, link_factor=x) for x in factors)
-    # Plans and simulations: sliding, fixed, compensated, loud, of least sag.
-    steps = Steps(tell or (lambda *_: None), len(PAPER) * (3 + 3 + (1 + len(softer)) + 2 + 2 * least_sag))
+    starts = (options, replace(options, initial="undeformed"))
+    stiffnesses = tuple(replace(options, guardrail_factor=x, link_factor=x) for x in factors)
+    # Plans and simulations: sliding, fixed, compensated, unsuppressed, of least sag.
+    total = len(PAPER) * (3 + 3 + (1 + len(stiffnesses)) + 2 + 2 * least_sag)
+    bench = _Bench(tell or (lambda *_: None), progress, total)
     experiments = []
     for paper in PAPER:
         scene = load_scene(paper.scene)
-        report = None if progress is None else _about(progress, paper.scene)
-        bench = _Bench(scene=scene, steps=steps, report=report)
-        with steps.run(paper.scene, "via-points that slide", 3):
-            planned = bench.run(scene.planner, options)
-        fixed, why_not = None, ""
-        try:
-            with steps.run(paper.scene, "via-points that are fixed", 3):
-                fixed = bench.run(replace(scene.planner, knots="fixed"), options)
-        except PlanningError as error:
-            why_not = str(error)
-        compensated = bench.variant("sag compensated", replace(scene.planner, compensate=True), softer)
-        loud = bench.variant("no mode quieted", replace(scene.planner, quiet_modes=0), (options,))
-        sagging = replace(scene.planner, objective="sag")
+        default = scene.planner
+        planned, trackings = bench.run("sliding via-points", scene, default, starts)
+        fixed = bench.variant("fixed via-points", scene, replace(default, knots="fixed"), starts)
         experiments.append(
             Experiment(
                 paper=paper,
-                planned=planned,
-                fixed=fixed,
-                why_not=why_not,
-                compensated=compensated,
-                loud=loud,
-                least_sag=bench.variant("least sag", sagging, (options,)) if least_sag else None,
+                planned=Run(plan=planned, equilibrium=trackings[0], undeformed=trackings[1]),
+                fixed=None
+                if fixed.plan is None
+                else Run(plan=fixed.plan, equilibrium=fixed.trackings[0], undeformed=fixed.trackings[1]),
+                why_not=fixed.why_not,
+                compensated=bench.variant(
+                    "sag compensation", scene, replace(default, compensate=True), stiffnesses
+                ),
+                unsuppressed=bench.variant(
+                    "no vibration suppression", scene, replace(default, quiet_modes=0), (options,)
+                ),
+                least_sag=bench.variant("least sag", scene, replace(default, objective="sag"), (options,))
+                if least_sag
+                else None,
             )
         )
     return Reproduction(experiments=tuple(experiments), options=options)
 
 
 def reduction(without: FloatArray, planned: FloatArray) -> FloatArray:
-    """Return by how much magnitudes (k,) become smaller, per cent."""
+    """Return the reduction of magnitudes (k,), per cent."""
     return np.asarray(100 * (1 - np.abs(planned) / np.abs(without)))
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Bench:
-    """One scene, planned with some options and simulated with others."""
-
-    scene: Scene
-    steps: Steps
-    report: Callable[[Progress], None] | None
-
-    def run(self, planner: PlannerOptions, options: SimulationOptions) -> Run:
-        planned = plan(self.scene, options=planner, progress=self.report)
-        equilibrium = self._simulated(planned, options, "simulating")
-        released = replace(options, initial="undeformed")
-        undeformed = self._simulated(planned, released, "simulating, let go undeformed")
-        return Run(plan=planned, equilibrium=equilibrium, undeformed=undeformed)
-
-    def variant(
-        self, about: str, planner: PlannerOptions, simulated: tuple[SimulationOptions, ...]
-    ) -> Variant:
-        try:
-            with self.steps.run(self.scene.name, about, 1 + len(simulated)):
-                planned = plan(self.scene, options=planner, progress=self.report)
-                trackings = tuple(
-                    self._simulated(planned, options, f"simulating, stiffness times {options.link_factor:g}")
-                    for options in simulated
-                )
-        except PlanningError as error:
-            return Variant(plan=None, trackings=(), why_not=str(error))
-        return Variant(plan=planned, trackings=trackings, why_not="")
-
-    def _simulated(self, planned: Plan, options: SimulationOptions, what: str) -> Tracking:
-        self.steps.next(what)
-        return simulate(planned, options, progress=self.steps.within)
-
-
-def _about(progress: Callable[[str, Progress], None], scene: str) -> Callable[[Progress], None]:
-    return lambda step: progress(scene, step)
 
 
 def axes(motion: MotionTracking) -> tuple[FloatArray, FloatArray]:
     """Return mean and standard deviation of a motion's error along x, y and z, both (3,), m."""
     total = motion.figures.total
     return total.mean[:3], total.standard_deviation[:3]
+
+
+class _Bench:
+    """Plans and simulates scenes, and reports the share of all steps, `total` plans and simulations."""
+
+    def __init__(
+        self,
+        tell: Callable[[str, str, float], None],
+        progress: Callable[[str, Progress], None] | None,
+        total: int,
+    ) -> None:
+        self._tell, self._progress, self._total, self._done = tell, progress, total, 0
+
+    def run(
+        self, about: str, scene: Scene, planner: PlannerOptions, simulated: tuple[SimulationOptions, ...]
+    ) -> tuple[Plan, tuple[Tracking, ...]]:
+        """Plan, then simulate with each of the options; all these steps count as done even after an error."""
+        first = self._done
+        self._done += 1 + len(simulated)
+        self._tell(scene.name, about, first / self._total)
+        progress = None if self._progress is None else partial(self._progress, scene.name)
+        planned = plan(scene, options=planner, progress=progress)
+        trackings = []
+        for number, options in enumerate(simulated, start=first + 1):
+            released = ", released undeformed" if options.initial == "undeformed" else ""
+            what = f"{about}: simulating, stiffness times {options.link_factor:g}{released}"
+
+            def share(done: float, before: int = number, what: str = what) -> None:
+                self._tell(scene.name, what, (before + done) / self._total)
+
+            share(0.0)
+            trackings.append(simulate(planned, options, progress=share))
+        return planned, tuple(trackings)
+
+    def variant(
+        self, about: str, scene: Scene, planner: PlannerOptions, simulated: tuple[SimulationOptions, ...]
+    ) -> Variant:
+        """Do the same where a plan may be impossible."""
+        try:
+            planned, trackings = self.run(about, scene, planner, simulated)
+        except PlanningError as error:
+            return Variant(plan=None, trackings=(), why_not=str(error))
+        return Variant(plan=planned, trackings=trackings, why_not="")

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.planning import Plan
 from cmbot.reproduction.compensation_goal import compensation_goal
-from cmbot.reproduction.experiment import Experiment
-from cmbot.reproduction.goal_table import GoalTable
-from cmbot.reproduction.least_sag import least_sag
-from cmbot.reproduction.posture_goal import posture_goal
-from cmbot.reproduction.rest_goal import rest_goal
+from cmbot.reproduction.experiment import Experiment, Run, Variant, axes, reduction
+from cmbot.reproduction.tables import GoalRow, GoalTable, Verdict, numbers
 
-__all__ = ["goals"]
+__all__ = ["goals", "least_sag", "posture_goal", "rest_goal"]
+
+# Residual vibration after the stop, per cent of the baseline's.
+_MOST_RESIDUAL = 5.0
+_RESIDUAL_COLUMNS = ("x", "y", "z", "largest distance")
+_SAG_COLUMNS = ("without", "objective: torque", "objective: sag", "sag against torque, %")
 
 
 def goals(experiment: Experiment) -> Iterator[GoalTable]:
@@ -26,3 +33,192 @@ def goals(experiment: Experiment) -> Iterator[GoalTable]:
         yield rest
     if experiment.least_sag is not None:
         yield least_sag(experiment.planned, experiment.least_sag)
+
+
+def posture_goal(run: Run) -> GoalTable:
+    """Compare the norms of the mean errors, and name the axes along which the mean grows."""
+    before, after = (axes(motion)[0] for motion in (run.equilibrium.baseline, run.equilibrium.planned))
+    norms = [float(np.linalg.norm(mean)) for mean in (before, after)]
+    cut = 100 * (1 - norms[1] / norms[0])
+    holds = cut > 0
+    rows = (
+        GoalRow(setting="without", what="mean, mm", values=numbers(1e3 * before, 1e3 * norms[0])),
+        GoalRow(setting="with", what="mean, mm", values=numbers(1e3 * after, 1e3 * norms[1])),
+        GoalRow(
+            setting="with",
+            what="reduction, %",
+            values=numbers(reduction(before, after), cut),
+            goal="norm: above 0",
+            holds=holds,
+        ),
+    )
+    text = (
+        f"The norm of the mean error goes from {1e3 * norms[0]:.2f} to {1e3 * norms[1]:.2f} mm, {cut:.1f} % "
+        f"less: {_verdict(holds)}."
+    )
+    found = f"{1e3 * norms[0]:.2f} -> {1e3 * norms[1]:.2f} mm"
+    return GoalTable(
+        title="Postures: sliding via-points, a free start, no compensation",
+        columns=("x", "y", "z", "norm"),
+        rows=rows,
+        remarks=(text, *_growing(run)),
+        verdicts=(Verdict(asked="better postures: a smaller mean error", found=found, holds=holds),),
+    )
+
+
+def _growing(run: Run) -> Iterator[str]:
+    figures = [motion.figures for motion in (run.equilibrium.baseline, run.equilibrium.planned)]
+    means, sags = (
+        np.array([1e3 * np.abs(getattr(found, part).mean[:3]) for found in figures])
+        for part in ("total", "static")
+    )
+    for axis in np.flatnonzero(means[1] > means[0]):
+        yield (
+            f"Along {'xyz'[axis]} the absolute mean grows from {means[0, axis]:.2f} to {means[1, axis]:.2f} "
+            f"mm. That of the sag is {sags[0, axis]:.2f} and {sags[1, axis]:.2f} mm there: the objective is "
+            "the torque on the guardrail, not the sag along an axis."
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Residual:
+    """Tool motion after the stop, (4,), m: extent along x, y, z and the largest distance."""
+
+    setting: str
+    plan: Plan
+    stiffness: float
+    before: FloatArray
+    after: FloatArray
+
+    @property
+    def nominal(self) -> bool:
+        return self.stiffness == 1.0
+
+    @property
+    def share(self) -> FloatArray:
+        """Of the baseline's, (4,), per cent."""
+        return np.asarray(100 * self.after / self.before)
+
+    @property
+    def holds(self) -> bool:
+        return not (self.share > _MOST_RESIDUAL).any()
+
+    def row(self) -> GoalRow:
+        return GoalRow(
+            setting=self.setting if self.nominal else f"{self.setting}, stiffness times {self.stiffness:g}",
+            what="share of the baseline's, %",
+            values=numbers(self.share),
+            goal=f"at most {_MOST_RESIDUAL:g}" if self.nominal else "",
+            holds=self.holds if self.nominal else None,
+        )
+
+    def reason(self) -> str:
+        """Say why the goal is missed."""
+        figures = ", ".join(
+            f"{1e3 * self.after[k]:.4f} of {1e3 * self.before[k]:.3f} mm ({_RESIDUAL_COLUMNS[k]})"
+            for k in np.flatnonzero(self.share > _MOST_RESIDUAL)
+        )
+        return f"The residual exceeds the goal with {self.setting}: {figures}. {self._cause()}"
+
+    def _cause(self) -> str:
+        suppression = self.plan.quieting
+        if suppression is None:
+            return "No mode was suppressed."
+        if suppression.share < 1.0:
+            return f"Only the share {suppression.share:g} of the correction kept all bounds."
+        return (
+            f"The prediction for the {suppression.modes} suppressed modes is {2e3 * suppression.after:.4f} "
+            "mm: the rest is in faster modes, or was not predicted."
+        )
+
+
+def rest_goal(experiment: Experiment) -> GoalTable | None:
+    """Compare the residual vibration after the stop; None where it was not simulated."""
+    found = list(_residuals(experiment))
+    if not found:
+        return None
+    first = found[0]
+    text = (
+        f"The planned motion leaves {1e3 * first.after[3]:.4f} mm instead of {1e3 * first.before[3]:.4f} mm "
+        f"(largest distance), {first.share[3]:.2f} %, and along no axis more than "
+        f"{first.share[:3].max():.2f} %: {_verdict(first.holds)}."
+    )
+    missed = (case.reason() for case in found if case.nominal and not case.holds)
+    verdict = Verdict(
+        asked=f"after the stop at most {_MOST_RESIDUAL:g} % of the vibration left",
+        found=f"{first.share.max():.1f} %",
+        holds=first.holds,
+    )
+    return GoalTable(
+        title="Rest: residual vibration after the stop",
+        columns=_RESIDUAL_COLUMNS,
+        rows=tuple(case.row() for case in found),
+        remarks=(text, *missed, *_at_other_stiffness(found)),
+        verdicts=(verdict,),
+    )
+
+
+def _at_other_stiffness(found: list[_Residual]) -> Iterator[str]:
+    others = [case for case in found if not case.nominal]
+    if others:
+        worst = max(others, key=lambda case: float(case.share[3]))
+        yield (
+            f"At another stiffness the modes differ from the suppressed ones: up to {worst.share[3]:.1f} % "
+            f"is left, {1e3 * worst.after[3]:.3f} of {1e3 * worst.before[3]:.3f} mm, at stiffness times "
+            f"{worst.stiffness:g}, with about {np.sqrt(worst.stiffness):.2f} times the frequencies."
+        )
+
+
+def _residuals(experiment: Experiment) -> Iterator[_Residual]:
+    run, unsuppressed, compensated = experiment.planned, experiment.unsuppressed, experiment.compensated
+    simulated = [("no compensation", run.plan, run.equilibrium)]
+    for setting, variant in (
+        ("no compensation, quiet_modes: 0", unsuppressed),
+        ("compensation", compensated),
+    ):
+        if variant.plan is not None:
+            simulated += [(setting, variant.plan, tracking) for tracking in variant.trackings]
+    for setting, plan, tracking in simulated:
+        left, right = tracking.baseline.figures.residual, tracking.planned.figures.residual
+        if left is not None and right is not None:
+            yield _Residual(
+                setting=setting,
+                plan=plan,
+                stiffness=tracking.options.guardrail_factor,
+                before=np.append(left.peak_to_peak, left.diameter),
+                after=np.append(right.peak_to_peak, right.diameter),
+            )
+
+
+def least_sag(torque: Run, variant: Variant) -> GoalTable:
+    """Compare a plan of least torque with one of least sag, both of them and the baseline simulated."""
+    title = "Another objective: the sag minimised in place of the torque"
+    if variant.plan is None:
+        remark = f"There is no plan: {variant.why_not}."
+        return GoalTable(title=title, columns=_SAG_COLUMNS, rows=(), remarks=(remark,))
+    motions = torque.equilibrium.baseline, torque.equilibrium.planned, variant.trackings[0].planned
+    figures = torque.plan.baseline_figures, torque.plan.figures, variant.plan.figures
+    # The sag stays constant after the stop.
+    sags = 1e3 * np.array([np.linalg.norm(motion.static, axis=1).max() for motion in motions])
+    torques = np.array([found.peak_guardrail_torque for found in figures])
+    rows = (
+        _sag_row("sag of the tool", "peak, mm", sags),
+        _sag_row("sag of the tool", "mean, mm", [1e3 * motion.figures.static.mean[3] for motion in motions]),
+        _sag_row("torque on the guardrail", "peak, Nm", torques),
+        _sag_row("torque on the guardrail", "mean, Nm", [found.mean_guardrail_torque for found in figures]),
+    )
+    text = f"The sag's peak is {_change(sags)}, the torque's {_change(torques)} than at the least torque."
+    return GoalTable(title=title, columns=_SAG_COLUMNS, rows=rows, remarks=(text,))
+
+
+def _sag_row(setting: str, what: str, three: FloatArray | list[float]) -> GoalRow:
+    return GoalRow(setting=setting, what=what, values=numbers(three, 100 * (three[2] / three[1] - 1)))
+
+
+def _change(three: FloatArray) -> str:
+    change = 100 * (three[2] / three[1] - 1)
+    return f"{abs(change):.2f} % {'higher' if change > 0 else 'lower'}"
+
+
+def _verdict(holds: bool) -> str:
+    return "the goal holds" if holds else "the goal does not hold"

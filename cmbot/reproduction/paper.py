@@ -1,30 +1,29 @@
-"""What the paper measured: Chang 2021, Section 5 with Tables 4 and 5.
+"""What the paper measured (Chang 2021, Section 5, Tables 4 and 5), and what is assumed beside it.
 
-The rows "without" and "with" are in the order that the paper's own percentages prove; it prints them the
-other way round (docs/errata.md).
+The rows "without" and "with" are in the order that agrees with the paper's own percentages; it prints them
+the other way round (docs/errata.md).
 """
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.installation import assumptions_file
+from cmbot.reproduction.tables import Row
 
-__all__ = ["PAPER", "PaperError", "PaperExperiment"]
+__all__ = ["PAPER", "AssumptionTable", "PaperError", "PaperExperiment", "assumption_tables"]
 
 SOURCE = "Chang et al., Electronics 2021, 10(22), 2793, Section 5"
+_LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PaperError:
-    """A tracking error of the paper; its axes are those of O0, whose directions it does not give.
-
-    Attributes
-    ----------
-    mean, standard_deviation : (3,), m
-    """
+    """Mean and standard deviation (3,), m, along the axes of O0, whose directions the paper does not give."""
 
     mean: FloatArray
     standard_deviation: FloatArray
@@ -82,3 +81,27 @@ PAPER = (
     ),
 )
 """Both experiments, in the paper's order."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssumptionTable:
+    """One table of the assumptions: what, value, provenance, and in most of them why."""
+
+    heading: str
+    columns: Row
+    rows: tuple[Row, ...]
+
+
+def assumption_tables() -> tuple[AssumptionTable, ...]:
+    """Read every table of ``docs/assumptions.md`` with provenances; of links only the text stays."""
+    heading, table, tables = "", [], []
+    for line in [*assumptions_file().read_text(encoding="utf-8").splitlines(), ""]:
+        if line.startswith("|"):
+            table.append(tuple(cell.strip() for cell in _LINK.sub(r"\1", line).strip("|").split("|")))
+            continue
+        if table and "provenance" in table[0]:
+            tables.append(AssumptionTable(heading=heading, columns=table[0], rows=tuple(table[2:])))
+        table = []
+        if line.startswith("## "):
+            heading = line[3:]
+    return tuple(tables)

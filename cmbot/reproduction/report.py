@@ -1,29 +1,93 @@
-"""The comparison with the paper as Markdown and as JSON."""
+"""The comparison with the paper as Markdown and as JSON, and its folder with both plan directories."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict
+from pathlib import Path
 from typing import Any
 
-import numpy as np
-
+from cmbot.archive import add_file, require_free, save, save_tracking, write_file
+from cmbot.archive.strict_json import json_bytes
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError
 from cmbot.reproduction.agreement import findings, reasons
-from cmbot.reproduction.assumptions import assumption_tables
 from cmbot.reproduction.experiment import Experiment, Reproduction, Run, axes, reduction
-from cmbot.reproduction.goal_table import cells
 from cmbot.reproduction.goals import goals
-from cmbot.reproduction.paper import SOURCE, PaperError
+from cmbot.reproduction.paper import PAPER, SOURCE, assumption_tables
+from cmbot.reproduction.tables import Row, cells, decimals, markdown_table
 from cmbot.simulation import MotionTracking, Tracking, tracking_remarks
 from cmbot.version import __version__
+from cmbot.views import pages
 
-__all__ = ["FORMAT", "as_json", "comparison", "markdown", "verdict_rows"]
+__all__ = ["FORMAT", "as_json", "comparison", "markdown", "require_room", "save_reproduction", "verdict_rows"]
 
 FORMAT = "cmbot-reproduction/1"
+_PAGE, _FIGURES = "reproduce.md", "reproduce.json"
 
-Row = tuple[str, ...]
 Pair = tuple[FloatArray, FloatArray]
+"""Mean and standard deviation along x, y and z, each (3,), m."""
+
+
+def require_room(directory: str | Path, *, force: bool = False) -> None:
+    """Refuse a folder in which files are in the way of `save_reproduction`.
+
+    Parameters
+    ----------
+    directory : str or Path
+    force : bool
+        An earlier reproduction may be there.
+
+    Raises
+    ------
+    ArchiveError
+        When something is in the way.
+    """
+    folder = Path(directory)
+    for paper in PAPER:
+        require_free(folder / paper.scene, force=force)
+    for name in (_PAGE, _FIGURES):
+        if (folder / name).exists() and not force:
+            expected = "a new folder; --force (in Python force=True) replaces a reproduction"
+            raise ArchiveError(str(folder / name), "", "a file that is already there", expected)
+
+
+def save_reproduction(
+    reproduction: Reproduction, directory: str | Path, *, force: bool = False
+) -> tuple[Path, Path]:
+    """Write both plan directories with their tracking errors and pages, then the comparison.
+
+    Each file and each plan directory appears whole or not at all.
+
+    Parameters
+    ----------
+    reproduction : Reproduction
+    directory : str or Path
+        Made as needed.
+    force : bool
+        Replace an earlier reproduction.
+
+    Returns
+    -------
+    tuple of Path
+        Of ``reproduce.md`` and ``reproduce.json``.
+
+    Raises
+    ------
+    ArchiveError
+        When something is in the way, or the system refuses.
+    """
+    folder = Path(directory)
+    require_room(folder, force=force)
+    for experiment in reproduction.experiments:
+        target, run = folder / experiment.paper.scene, experiment.planned
+        save(run.plan, target, force=force)
+        save_tracking(run.equilibrium, target)
+        for name, page in pages(run.plan, run.equilibrium).items():
+            add_file(target, name, page)
+    write_file(folder / _FIGURES, json_bytes(as_json(reproduction), indent=2))
+    write_file(folder / _PAGE, markdown(reproduction).encode())
+    return folder / _PAGE, folder / _FIGURES
 
 
 def verdict_rows(reproduction: Reproduction) -> Iterator[Row]:
@@ -39,15 +103,22 @@ def verdict_rows(reproduction: Reproduction) -> Iterator[Row]:
 def comparison(experiment: Experiment) -> Iterator[Row]:
     """Yield the comparison of one experiment: who, what, x, y, z; first the headings; mm and per cent."""
     yield "", "", "x", "y", "z"
-    paper, run, fixed = experiment.paper, experiment.planned, experiment.fixed
-    yield from _block(
-        f"paper, {paper.table}", *(_of_paper(error) for error in (paper.without, paper.planned))
-    )
-    yield from _block("here", *_of_run(run.equilibrium))
-    yield from _block("here, let go undeformed", *_of_run(run.undeformed))
+    run, fixed = experiment.planned, experiment.fixed
+    compared = [
+        (f"paper, {experiment.paper.table}", _of_paper(experiment)),
+        ("here", _of_run(run.equilibrium)),
+        ("here, released undeformed", _of_run(run.undeformed)),
+    ]
     if fixed is not None:
-        yield from _block("here, via-points fixed", *_of_run(fixed.equilibrium))
-        yield from _block("here, via-points fixed, let go undeformed", *_of_run(fixed.undeformed))
+        compared += [
+            ("here, fixed via-points", _of_run(fixed.equilibrium)),
+            ("here, fixed via-points, released undeformed", _of_run(fixed.undeformed)),
+        ]
+    for who, motions in compared:
+        for name, without, planned in zip(("mean", "standard deviation"), *motions, strict=True):
+            yield who, f"{name} without, mm", *decimals(1e3 * without, 2)
+            yield who, f"{name} with, mm", *decimals(1e3 * planned, 2)
+            yield who, f"reduction of {name}, %", *decimals(reduction(without, planned), 1)
 
 
 def markdown(reproduction: Reproduction) -> str:
@@ -56,105 +127,104 @@ def markdown(reproduction: Reproduction) -> str:
         "# The paper's experiments, reproduced",
         "",
         f"Written by `cmbot reproduce`, cmbot {__version__}. The paper: {SOURCE}, its rows in the order that "
-        "its percentages prove. Nothing is tuned to agree.",
+        "agrees with its percentages. Nothing is tuned to agree.",
         "",
-        "Error: the bent tool from where the same joint angles put the rigid one, in W, over the motion. "
-        "Reduction: of the absolute mean, and of the standard deviation.",
+        "Error: the elastic arm's tool minus the rigid arm's at the same joint angles, in W, over the "
+        "motion. Reduction: of the absolute mean, and of the standard deviation.",
         "",
         "## Goals",
         "",
-        *_table(verdict_rows(reproduction), text_columns=2),
+        *markdown_table(verdict_rows(reproduction), text_columns=2),
     ]
     for experiment in reproduction.experiments:
-        lines += ["", f"## {experiment.paper.title[0].upper()}{experiment.paper.title[1:]}", ""]
-        lines += _table(comparison(experiment), text_columns=2)
-        lines += ["", *_table(_torques(experiment), text_columns=1)]
-        compared = list(findings(experiment))
-        for heading, agrees in (("What agrees", True), ("What does not", False)):
-            told = [f"- {finding.text}" for finding in compared if finding.agrees == agrees]
-            lines += ["", f"### {heading}", "", *(told or ["- Nothing."])]
-        lines += ["", "### Why", "", *(f"- {reason}" for reason in reasons(experiment))]
-        lines += ["", "### The goals", ""]
-        lines += [
-            "Against the baseline in the same simulation; guardrail and links are made softer or stiffer "
-            "together, the plan stays the one made with stiffness 1.",
-        ]
-        for goal in goals(experiment):
-            lines += ["", f"#### {goal.title}", ""]
-            if goal.rows:
-                lines += [*_table(cells(goal), text_columns=2), ""]
-            lines += [f"- {remark}" for remark in goal.remarks]
-        lines += ["", "### The simulation", ""]
-        lines += [f"- {remark}" for remark in tracking_remarks(experiment.planned.equilibrium)]
-    lines += ["", "## Assumptions", ""]
+        lines += _experiment_lines(experiment)
     lines += [
-        "The paper gives neither the stiffness nor the mounting, the damping or the bridge; every number "
-        "that stands in for them is one of these.",
+        "",
+        "## Assumptions",
+        "",
+        "The paper gives neither the stiffness nor the mounting, the damping or the bridge: all are assumed.",
     ]
     heading = ""
     for table in assumption_tables():
         lines += ["", *([f"### {table.heading}", ""] if table.heading != heading else [])]
         heading = table.heading
-        lines += _table(iter([table.columns, *table.rows]), text_columns=len(table.columns))
+        lines += markdown_table([table.columns, *table.rows], text_columns=len(table.columns))
     return "\n".join(lines) + "\n"
 
 
 def as_json(reproduction: Reproduction) -> dict[str, Any]:
-    """Return the same figures as JSON can hold them, in SI units; reductions in per cent."""
+    """Return the same figures ready for JSON, in SI units; reductions in per cent."""
     return {
         "format": FORMAT,
         "cmbot": __version__,
         "options": asdict(reproduction.options),
-        "experiments": [_experiment(experiment) for experiment in reproduction.experiments],
+        "experiments": [_experiment_json(experiment) for experiment in reproduction.experiments],
         "assumptions": [asdict(table) for table in assumption_tables()],
     }
 
 
-def _block(who: str, without: Pair, planned: Pair) -> Iterator[Row]:
-    for name, before, after in zip(("mean", "standard deviation"), without, planned, strict=True):
-        yield who, f"{name} without, mm", *_cells(1e3 * before, 2)
-        yield who, f"{name} with, mm", *_cells(1e3 * after, 2)
-        yield who, f"reduction of {name}, %", *_cells(reduction(before, after), 1)
-
-
-def _of_paper(error: PaperError) -> Pair:
-    return error.mean, error.standard_deviation
+def _of_paper(experiment: Experiment) -> tuple[Pair, Pair]:
+    left, right = experiment.paper.without, experiment.paper.planned
+    return (left.mean, left.standard_deviation), (right.mean, right.standard_deviation)
 
 
 def _of_run(tracking: Tracking) -> tuple[Pair, Pair]:
     return axes(tracking.baseline), axes(tracking.planned)
 
 
+def _experiment_lines(experiment: Experiment) -> Iterator[str]:
+    title = experiment.paper.title
+    yield from ("", f"## {title[0].upper()}{title[1:]}", "")
+    yield from markdown_table(comparison(experiment), text_columns=2)
+    yield from ("", *markdown_table(_torques(experiment), text_columns=1))
+    compared = list(findings(experiment))
+    for heading, agrees in (("What agrees", True), ("What does not", False)):
+        found = [finding.text for finding in compared if finding.agrees == agrees]
+        yield from ("", f"### {heading}", "", *_bullets(found or ["Nothing."]))
+    yield from ("", "### Why", "", *_bullets(reasons(experiment)), "", "### The goals", "")
+    yield (
+        "Against the baseline in the same simulation. The stiffness of guardrail and links is scaled "
+        "together; the plan is the one for stiffness times 1."
+    )
+    for goal in goals(experiment):
+        yield from ("", f"#### {goal.title}", "")
+        if goal.rows:
+            yield from (*markdown_table(cells(goal), text_columns=2), "")
+        yield from _bullets(goal.remarks)
+    yield from ("", "### The simulation", "", *_bullets(tracking_remarks(experiment.planned.equilibrium)))
+
+
+def _bullets(sentences: Iterable[str]) -> Iterator[str]:
+    return (f"- {sentence}" for sentence in sentences)
+
+
 def _torques(experiment: Experiment) -> Iterator[Row]:
-    yield "torque on the guardrail, Nm", "paper", "here", "here, via-points fixed"
+    yield "torque on the guardrail, Nm", "paper", "here", "here, fixed via-points"
     runs = [run for run in (experiment.planned, experiment.fixed) if run is not None]
     missing = [""] * (2 - len(runs))
-    differences = [f"{run.torque_difference:.2f}" for run in runs]
-    yield (
-        "largest difference, without less with",
-        f"{experiment.paper.torque_difference:g}",
-        *differences,
-        *missing,
-    )
-    for name, attribute in (("peak", "peak_guardrail_torque"), ("mean", "mean_guardrail_torque")):
-        for which in ("baseline_figures", "figures"):
-            values = [f"{getattr(getattr(run.plan, which), attribute):.2f}" for run in runs]
-            yield f"{name}, {'without' if which == 'baseline_figures' else 'with'}", "", *values, *missing
+    differences = decimals([run.torque_difference for run in runs], 2)
+    theirs = f"{experiment.paper.torque_difference:g}"
+    yield "largest difference, without less with", theirs, *differences, *missing
+    for name in ("peak", "mean"):
+        for which, metrics in (("without", "baseline_figures"), ("with", "figures")):
+            values = [getattr(getattr(run.plan, metrics), f"{name}_guardrail_torque") for run in runs]
+            yield f"{name}, {which}", "", *decimals(values, 2), *missing
 
 
-def _experiment(experiment: Experiment) -> dict[str, Any]:
+def _experiment_json(experiment: Experiment) -> dict[str, Any]:
     paper, fixed = experiment.paper, experiment.fixed
+    without, planned = _of_paper(experiment)
     return {
         "scene": paper.scene,
         "paper": {
             "table": paper.table,
-            "without": _vectors(_of_paper(paper.without)),
-            "with": _vectors(_of_paper(paper.planned)),
+            "without": _vectors(without),
+            "with": _vectors(planned),
             "printed_reductions": paper.reductions.tolist(),
             "torque_difference": paper.torque_difference,
         },
-        "sliding": _run(experiment.planned),
-        "fixed": None if fixed is None else _run(fixed),
+        "sliding": _run_json(experiment.planned),
+        "fixed": None if fixed is None else _run_json(fixed),
         "why_not_fixed": experiment.why_not,
         "findings": [asdict(finding) for finding in findings(experiment)],
         "reasons": list(reasons(experiment)),
@@ -162,28 +232,24 @@ def _experiment(experiment: Experiment) -> dict[str, Any]:
     }
 
 
-def _run(run: Run) -> dict[str, Any]:
-    simulated = {"equilibrium": run.equilibrium, "undeformed": run.undeformed}
+def _run_json(run: Run) -> dict[str, Any]:
     return {
         "torque_difference": run.torque_difference,
-        **{
-            name: {
-                "without": _motion(tracking.baseline),
-                "with": _motion(tracking.planned),
-                "reductions": dict(
-                    zip(
-                        ("mean", "standard_deviation"),
-                        (reduction(*pair).tolist() for pair in zip(*_of_run(tracking), strict=True)),
-                        strict=True,
-                    )
-                ),
-            }
-            for name, tracking in simulated.items()
-        },
+        "equilibrium": _tracking_json(run.equilibrium),
+        "undeformed": _tracking_json(run.undeformed),
     }
 
 
-def _motion(motion: MotionTracking) -> dict[str, Any]:
+def _tracking_json(tracking: Tracking) -> dict[str, Any]:
+    mean, deviation = (reduction(*pair).tolist() for pair in zip(*_of_run(tracking), strict=True))
+    return {
+        "without": _motion_json(tracking.baseline),
+        "with": _motion_json(tracking.planned),
+        "reductions": {"mean": mean, "standard_deviation": deviation},
+    }
+
+
+def _motion_json(motion: MotionTracking) -> dict[str, Any]:
     figures = motion.figures
     return {
         **_vectors(axes(motion)),
@@ -195,16 +261,3 @@ def _motion(motion: MotionTracking) -> dict[str, Any]:
 
 def _vectors(pair: Pair) -> dict[str, list[float]]:
     return {"mean": pair[0].tolist(), "standard_deviation": pair[1].tolist()}
-
-
-def _table(rows: Iterator[Row], *, text_columns: int) -> Iterator[str]:
-    """Yield a Markdown table; columns after the first few are numbers."""
-    head = next(rows)
-    yield f"| {' | '.join(head)} |"
-    yield f"|{'|'.join('---' if number < text_columns else '--:' for number in range(len(head)))}|"
-    for row in rows:
-        yield f"| {' | '.join(row)} |"
-
-
-def _cells(values: FloatArray, digits: int) -> Row:
-    return tuple(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in np.asarray(values))

@@ -13,11 +13,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from cmbot.common.arguments import given_path
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
-from cmbot.common.resources import model_folder
-from cmbot.common.validation import hint
+from cmbot.common.installation import model_folder
+from cmbot.common.validation import given_path, hint
 from cmbot.robot.arm_model import arm_model
 from cmbot.robot.elasticity import read_elasticity
 from cmbot.robot.inspection import inspect_urdf, parse_urdf

@@ -1,18 +1,18 @@
-"""Where the robot works: the scene file, obstacles, the guardrail, the planner's options."""
+"""Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
-from cmbot.scene.guardrail import guardrail_obstacles
-from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
+from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
+from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import PlannerOptions
-from cmbot.scene.scene import Leg, RobotSource, Scene
-from cmbot.scene.scene_filing import filed
-from cmbot.scene.scene_loading import load_scene, scene_from_file_model, shipped_scenes
+from cmbot.scene.scene import RobotSource, Scene
+from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
 from cmbot.scene.schema import SceneFile
-from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.scene.tool_path import Leg, ShiftedToolPath, SpeedProfile, ToolPath, share_out_segments
 
 __all__ = [
     "Box",
     "Capsule",
     "Cylinder",
+    "GuardrailFile",
     "Leg",
     "Mesh",
     "Obstacle",
@@ -21,11 +21,16 @@ __all__ = [
     "Scene",
     "SceneFile",
     "Shape",
+    "ShiftedToolPath",
     "SpeedProfile",
     "Sphere",
-    "filed",
+    "ToolPath",
+    "guardrail_from_file",
     "guardrail_obstacles",
     "load_scene",
-    "scene_from_file_model",
+    "pose",
+    "scene_from_file",
+    "share_out_segments",
     "shipped_scenes",
+    "update_file",
 ]

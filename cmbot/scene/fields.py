@@ -1,7 +1,8 @@
-"""Kinds of value that several parts of the scene file share."""
+"""Types of values that several parts of the scene file share, and the rule for the units in its keys."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from typing import Annotated, Any
@@ -10,9 +11,22 @@ from pydantic import AfterValidator, BaseModel, Field, WithJsonSchema
 
 from cmbot.common.validation import refusal, shown
 
-__all__ = ["Angle", "Coordinate", "Length", "Slug", "Vector", "exactly_one", "one_of_schema"]
+__all__ = [
+    "Angle",
+    "Angles",
+    "Coordinate",
+    "Length",
+    "Mass",
+    "Slug",
+    "Text",
+    "Vector",
+    "exactly_one",
+    "one_of_schema",
+    "si_fields",
+]
 
 _SLUG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")
+_UNIT = re.compile("_(deg|kg_m3|kg|m|pa)$")
 
 
 def _slug(text: str) -> str:
@@ -27,6 +41,9 @@ Length = Annotated[float, Field(gt=0, le=1e4)]
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 Angle = Annotated[float, Field(ge=-360, le=360)]
+Angles = tuple[Angle, Angle, Angle]
+Mass = Annotated[float, Field(ge=0, le=1e4)]
+Text = Annotated[str, Field(min_length=1)]
 Slug = Annotated[
     str, AfterValidator(_slug), WithJsonSchema({"type": "string", "pattern": f"^{_SLUG.pattern}$"})
 ]
@@ -45,3 +62,14 @@ def one_of_schema(names: Sequence[str]) -> dict[str, Any]:
     return {
         "oneOf": [{"required": [name], "properties": {name: {"not": {"type": "null"}}}} for name in names]
     }
+
+
+def si_fields(model: BaseModel) -> dict[str, Any]:
+    """Return a file model's values by their names without the unit, angles in radians."""
+    values = {}
+    for name in type(model).model_fields:
+        value = getattr(model, name)
+        if name.endswith("_deg"):
+            value = tuple(map(math.radians, value)) if isinstance(value, tuple) else math.radians(value)
+        values[_UNIT.sub("", name)] = value
+    return values

@@ -1,14 +1,19 @@
-"""The guardrail of a scene: from the file to data, and as boxes that can be hit."""
+"""The guardrail of a scene: the ``guardrail:`` block of the file, the data, and the boxes that can be hit.
+
+Every default is an assumption of ours, see docs/assumptions.md: the paper gives no dimension of the bridge.
+All coordinates are in W, whose origin is where the foot holds: x along the guardrail, y outward, z up.
+"""
 
 from __future__ import annotations
 
-import math
-from typing import cast
+from typing import Annotated, Self, cast
 
 import numpy as np
+from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
 from cmbot.common.arrays import FloatArray
-from cmbot.elastic.guardrail import (
+from cmbot.common.validation import FileModel, refusal, shown
+from cmbot.elastic import (
     AngleSection,
     BarSection,
     Guardrail,
@@ -17,40 +22,209 @@ from cmbot.elastic.guardrail import (
     Rail,
     Section,
 )
-from cmbot.scene.guardrail_schema import GuardrailFile, Matrix6, SectionFile
+from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
 from cmbot.scene.obstacles import Box, Obstacle, pose
 
-__all__ = ["guardrail_from_file", "guardrail_obstacles"]
+__all__ = ["GuardrailFile", "guardrail_from_file", "guardrail_obstacles"]
+
+_SECTIONS = ("angle", "bar")
+
+Row6 = tuple[float, float, float, float, float, float]
+Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+
+
+class SectionFile(FileModel):
+    """Cross-section of a member: exactly one of angle and bar."""
+
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_SECTIONS))
+
+    angle: tuple[Length, Length] | None = None
+    """Equal-leg angle steel: [leg, thickness], m."""
+    bar: Length | None = None
+    """Round bar: diameter, m."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        exactly_one(self, _SECTIONS)
+        if self.angle is not None and self.angle[1] >= self.angle[0]:
+            raise refusal("a thickness below the leg", got=self.angle, key=("angle",))
+        return self
+
+    def section(self) -> Section:
+        """Return the section as data."""
+        if self.angle is not None:
+            return AngleSection(leg=self.angle[0], thickness=self.angle[1])
+        return BarSection(diameter=cast("float", self.bar))  # `_check` lets exactly one through
+
+
+class PostFile(FileModel):
+    """What every post is like; posts stand along z."""
+
+    section: SectionFile = SectionFile(angle=(0.075, 0.008))
+    roll_deg: Angle = 0.0
+    """Turn of the section about z; at 0 the legs of an angle point along +x and +y."""
+    bottom_m: Coordinate = -1.10
+    """z of the lower end."""
+    clamp_m: Coordinate = -1.05
+    """z up to which the post is held rigidly."""
+    top_m: Coordinate = 0.05
+    """z of the upper end."""
+    box_m: tuple[Length, Length] = (0.075, 0.075)
+    """Collision box along x and y, m."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if not self.bottom_m <= self.clamp_m < self.top_m:
+            expected = "a height from bottom_m up to below top_m"
+            raise refusal(expected, got=self.clamp_m, key=("clamp_m",))
+        return self
+
+
+class RailFile(FileModel):
+    """A member along x, from the first post to the last."""
+
+    name: Slug
+    section: SectionFile
+    roll_deg: Angle = 0.0
+    """Turn of the section about x; at 0 the legs of an angle point along +y and +z."""
+    height_m: Coordinate
+    """z of the member."""
+    box_m: tuple[Length, Length]
+    """Collision box along y and z, m."""
+
+
+class FootFile(FileModel):
+    """Where the foot holds; that point is the origin of W."""
+
+    post: Annotated[int, Field(ge=1)] | None = None
+    """The post that the foot holds, counted from 1 along x; left out: the middle one."""
+    offset_m: Coordinate = 0.0
+    """How far along x from that post the foot holds, m; other than 0, it holds the rail at height 0."""
+
+
+class MaterialFile(FileModel):
+    """What all members are made of; steel by default."""
+
+    young_pa: Annotated[float, Field(gt=0, le=1e13)] = 206e9
+    """Young's modulus, Pa."""
+    shear_pa: Annotated[float, Field(gt=0, le=1e13)] = 79e9
+    """Shear modulus, Pa."""
+    density_kg_m3: Annotated[float, Field(ge=0, le=1e5)] = 7850.0
+    """Density, kg/m3."""
+
+
+_RAILS = (
+    RailFile(
+        name="top_rail",
+        section=SectionFile(angle=(0.063, 0.006)),
+        roll_deg=-90.0,
+        height_m=0.0,
+        box_m=(0.06, 0.06),
+    ),
+    RailFile(name="bar_1", section=SectionFile(bar=0.020), height_m=-0.45, box_m=(0.04, 0.04)),
+    RailFile(name="bar_2", section=SectionFile(bar=0.020), height_m=-0.80, box_m=(0.04, 0.04)),
+)
+
+
+class GuardrailFile(FileModel):
+    """The guardrail that the robot holds: what can be hit and what bends.
+
+    Left out, or ``{}``: the guardrail of docs/assumptions.md. ``{bays: 0}``: nothing to hit, and a rigid
+    hold unless `stiffness` is given.
+    """
+
+    bays: Annotated[int, Field(ge=0, le=100)] = 4
+    """Fields between posts; 0: no guardrail."""
+    post_spacing_m: Length = 1.75
+    """Distance from post to post, m."""
+    post: PostFile = PostFile()
+    rails: Annotated[tuple[RailFile, ...], Field(max_length=100)] = _RAILS
+    foot: FootFile = FootFile()
+    material: MaterialFile = MaterialFile()
+    stiffness: Matrix6 | None = None
+    """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad); left out: the frame's."""
+    mass: Matrix6 | None = None
+    """6 x 6 mass that moves with the foot, beside `stiffness`; left out: none."""
+
+    @property
+    def foot_post(self) -> int:
+        """The post that the foot holds, counted from 1."""
+        return self.foot.post if self.foot.post is not None else self.bays // 2 + 1
+
+    @property
+    def member_names(self) -> tuple[str, ...]:
+        """Names of the rails, then of the posts ``post_1``, …; none without bays."""
+        if self.bays == 0:
+            return ()
+        posts = (f"post_{number}" for number in range(1, self.bays + 2))
+        return (*(rail.name for rail in self.rails), *posts)
+
+    @field_validator("stiffness", "mass", mode="before")
+    @classmethod
+    def _check_rows(cls, value: object, info: ValidationInfo) -> object:
+        lists = (list, tuple)
+        rows = value if isinstance(value, lists) else ()
+        if value is None:
+            return None
+        if len(rows) != 6 or not all(isinstance(row, lists) and len(row) == 6 for row in rows):
+            units = "N/m, N/rad, Nm/rad" if info.field_name == "stiffness" else "kg, kg m, kg m2"
+            raise refusal(f"6 rows of 6 numbers, linear then angular ({units})", got=shown(value))
+        # Past here pydantic no longer knows that it came from JSON, and wants tuples.
+        return tuple(map(tuple, rows))
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.bays > 0:
+            self._check_rails()
+            self._check_foot()
+        if self.stiffness is not None:
+            _check_positive_definite(self.stiffness, "stiffness")
+        if self.mass is not None:
+            if self.stiffness is None:
+                raise refusal("no mass where no stiffness is given", got="a mass alone", key=("mass",))
+            _check_positive_definite(self.mass, "mass")
+        return self
+
+    def _check_rails(self) -> None:
+        names = self.member_names
+        for index, rail in enumerate(self.rails):
+            if names.count(rail.name) > 1:
+                expected = "a name that no other rail or post has"
+                raise refusal(expected, got=rail.name, key=("rails", index, "name"))
+            if not self.post.clamp_m < rail.height_m <= self.post.top_m:
+                expected = "a height above the post's clamp_m, up to its top_m"
+                raise refusal(expected, got=rail.height_m, key=("rails", index, "height_m"))
+
+    def _check_foot(self) -> None:
+        foot = self.foot_post
+        if foot > self.bays + 1:
+            raise refusal(f"one of the {self.bays + 1} posts", got=foot, key=("foot", "post"))
+        offset = self.foot.offset_m
+        along = (foot - 1) * self.post_spacing_m + offset
+        if not 0 <= along <= self.bays * self.post_spacing_m:
+            raise refusal("a place on the guardrail", got=offset, key=("foot", "offset_m"))
+        if self.stiffness is not None:
+            return
+        if not self.post.clamp_m < 0 <= self.post.top_m:
+            expected = "posts that pass height 0, where the foot holds"
+            raise refusal(expected, got=f"{self.post.clamp_m} to {self.post.top_m}", key=("post",))
+        if offset != 0 and all(rail.height_m != 0 for rail in self.rails):
+            expected = "0, as there is no rail at height 0 to hold"
+            raise refusal(expected, got=offset, key=("foot", "offset_m"))
 
 
 def guardrail_from_file(file: GuardrailFile) -> Guardrail:
     """Return the guardrail that a scene file describes, in SI units and radians."""
     first = -(file.foot_post - 1) * file.post_spacing_m - file.foot.offset_m
     count = file.bays + 1 if file.bays else 0
-    post, material = file.post, file.material
     return Guardrail(
         post_positions=tuple(first + index * file.post_spacing_m for index in range(count)),
-        post=Post(
-            section=_section(post.section),
-            roll=math.radians(post.roll_deg),
-            bottom=post.bottom_m,
-            clamp=post.clamp_m,
-            top=post.top_m,
-            box=post.box_m,
-        ),
+        post=Post(**si_fields(file.post) | {"section": file.post.section.section()}),
         rails=tuple(
-            Rail(
-                name=rail.name,
-                section=_section(rail.section),
-                roll=math.radians(rail.roll_deg),
-                height=rail.height_m,
-                box=rail.box_m,
-            )
+            Rail(**si_fields(rail) | {"section": rail.section.section()})
             for rail in (file.rails if count else ())
         ),
-        material=GuardrailMaterial(
-            young=material.young_pa, shear=material.shear_pa, density=material.density_kg_m3
-        ),
+        material=GuardrailMaterial(**si_fields(file.material)),
         stiffness=_matrix(file.stiffness),
         mass=_matrix(file.mass),
     )
@@ -74,10 +248,21 @@ def guardrail_obstacles(guardrail: Guardrail) -> tuple[Obstacle, ...]:
     return (*rails, *posts)
 
 
-def _section(file: SectionFile) -> Section:
-    if file.angle is not None:
-        return AngleSection(leg=file.angle[0], thickness=file.angle[1])
-    return BarSection(diameter=cast("float", file.bar))  # the schema lets exactly one through
+def _check_positive_definite(rows: Matrix6, key: str) -> None:
+    matrix = np.array(rows)
+    expected = "a symmetric positive definite matrix"
+    scale = np.sqrt(np.abs(np.diag(matrix)))
+    if not np.all(np.diag(matrix) > 0):
+        raise refusal(expected, got=f"the diagonal {np.diag(matrix).tolist()}", key=(key,))
+    with np.errstate(over="ignore"):
+        scaled = matrix / scale[:, None] / scale  # newtons and newton metres on one scale
+    # In a positive definite matrix scaled to a unit diagonal no entry exceeds 1.
+    if not np.all(np.abs(scaled) <= 1 + 1e-9):
+        raise refusal(expected, got="a matrix that is not positive definite", key=(key,))
+    if not np.allclose(scaled, scaled.T, rtol=0, atol=1e-9):
+        raise refusal(expected, got="a matrix that is not symmetric", key=(key,))
+    if np.linalg.eigvalsh(scaled)[0] <= 1e-12:
+        raise refusal(expected, got="a matrix that is not positive definite", key=(key,))
 
 
 def _matrix(rows: Matrix6 | None) -> FloatArray | None:

@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from cmbot.common.arguments import require_fields, require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import FileModel, shown
+from cmbot.common.validation import check_fields, require_type, shown
 from cmbot.scene.fields import Length
 
 __all__ = ["Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "Shape", "Sphere", "pose"]
-
-
-class _BoxFields(FileModel):
-    size: tuple[Length, Length, Length]
-
-
-class _SphereFields(FileModel):
-    radius: Length
-
-
-class _RoundFields(_SphereFields):
-    length: Length
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,10 +27,10 @@ class Box:
         (3,), edge lengths along x, y, z, m.
     """
 
-    size: tuple[float, float, float]
+    size: tuple[Length, Length, Length]
 
     def __post_init__(self) -> None:
-        require_fields(self, _BoxFields)
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,11 +43,11 @@ class Cylinder:
         m.
     """
 
-    radius: float
-    length: float
+    radius: Length
+    length: Length
 
     def __post_init__(self) -> None:
-        require_fields(self, _RoundFields)
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,11 +62,11 @@ class Capsule:
         Between the centres of its two half spheres, m; over all it is ``length + 2 radius`` long.
     """
 
-    radius: float
-    length: float
+    radius: Length
+    length: Length
 
     def __post_init__(self) -> None:
-        require_fields(self, _RoundFields)
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,10 +79,10 @@ class Sphere:
         m.
     """
 
-    radius: float
+    radius: Length
 
     def __post_init__(self) -> None:
-        require_fields(self, _SphereFields)
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -150,20 +137,19 @@ class Obstacle:
             raise InputError("Obstacle", "X_WO", got, "a pose: an array (4, 4) of finite numbers")
 
 
-def pose(xyz: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)) -> FloatArray:
+def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
     """Return a pose from URDF's position and angles.
 
     Parameters
     ----------
-    xyz : sequence of float
-        (3,), m.
-    rpy : sequence of float
-        (3,), roll, pitch, yaw, rad: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+    xyz : (3,), m
+    rpy : (3,), rad
+        Roll, pitch, yaw: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
 
     Returns
     -------
-    array
-        (4, 4), homogeneous, read-only.
+    (4, 4)
+        Homogeneous, read-only.
     """
     X = np.eye(4)
     X[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()

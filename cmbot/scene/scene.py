@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
+from pydantic import Field, GetPydanticSchema
 
-from cmbot.common.arguments import require_fields, require_type
 from cmbot.common.arrays import FloatArray
+from cmbot.common.validation import check_fields, require_type
 from cmbot.elastic import Guardrail
+from cmbot.scene.fields import Coordinate, Length, Mass, Text, Vector
 from cmbot.scene.obstacles import Obstacle
 from cmbot.scene.options import PlannerOptions
-from cmbot.scene.scene_fields import RobotFields, SceneFields
-from cmbot.scene.schema import LegFile, SceneFile
-from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.scene.schema import SceneFile, ToolPathFile
+from cmbot.scene.tool_path import Leg, SpeedProfile
 
-__all__ = ["Leg", "RobotSource", "Scene"]
+__all__ = ["RobotSource", "Scene"]
+
+# A path is checked as the text that a file would hold.
+_AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,54 +50,40 @@ class RobotSource:
         Point mass at the tool, kg.
     """
 
-    model: str | Path
-    base_frame: str | None
-    tool_frame: str | None
-    limits: Path | None
-    srdf: Path | None
-    elasticity: Path | None
-    mount_xyz: tuple[float, float, float] | None
-    mount_rpy: tuple[float, float, float] | None
-    tool_length: float | None
-    payload: float
+    model: Annotated[str | Path, _AS_TEXT]
+    base_frame: Text | None
+    tool_frame: Text | None
+    limits: Annotated[Path, _AS_TEXT] | None
+    srdf: Annotated[Path, _AS_TEXT] | None
+    elasticity: Annotated[Path, _AS_TEXT] | None
+    mount_xyz: Vector | None
+    mount_rpy: Vector | None
+    tool_length: Length | None
+    payload: Mass
 
     def __post_init__(self) -> None:
-        require_fields(self, RobotFields)
+        check_fields(self)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Leg:
-    """A straight leg of the tool's path.
+class _SceneFields(ToolPathFile):
+    """The bounds of a `Scene`'s fields that hold text and numbers: those of the scene file."""
 
-    Attributes
-    ----------
-    by : tuple of float
-        (3,), displacement in W, m.
-    seconds : float
-        Duration, s.
-    """
-
-    by: tuple[float, float, float]
-    seconds: float
-
-    def __post_init__(self) -> None:
-        require_fields(self, LegFile)
+    posture: Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
+    planner: PlannerOptions
 
 
-_KINDS: tuple[tuple[str, type, str], ...] = (
-    ("name", str, "text"),
-    ("source", str, "text"),
-    ("robot", RobotSource, "a RobotSource"),
-    ("posture", np.ndarray, "an array (n,), rad"),
-    ("speed_profile", SpeedProfile, "a SpeedProfile"),
-    ("guardrail", Guardrail, "a Guardrail"),
-    ("planner", PlannerOptions, "PlannerOptions"),
-    ("file", SceneFile, "a SceneFile"),
-)
-_KINDS_OF_EACH: tuple[tuple[str, type, str], ...] = (
-    ("legs", Leg, "a Leg"),
-    ("obstacles", Obstacle, "an Obstacle"),
-)
+_TYPES: dict[str, tuple[type, str]] = {
+    "name": (str, "text"),
+    "source": (str, "text"),
+    "robot": (RobotSource, "a RobotSource"),
+    "posture": (np.ndarray, "an array (n,), rad"),
+    "speed_profile": (SpeedProfile, "a SpeedProfile"),
+    "guardrail": (Guardrail, "a Guardrail"),
+    "planner": (PlannerOptions, "PlannerOptions"),
+    "file": (SceneFile, "a SceneFile"),
+    "content_hash": (str, "text"),
+}
+_ITEM_TYPES: dict[str, tuple[type, str]] = {"legs": (Leg, "a Leg"), "obstacles": (Obstacle, "an Obstacle")}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,10 +138,10 @@ class Scene:
     content_hash: str
 
     def __post_init__(self) -> None:
-        for name, kind, expected in _KINDS:
+        for name, (kind, expected) in _TYPES.items():
             require_type(getattr(self, name), kind, "Scene", name, expected)
-        for name, kind, expected in _KINDS_OF_EACH:
+        for name, (kind, expected) in _ITEM_TYPES.items():
             require_type(getattr(self, name), (tuple, list), "Scene", name, f"a tuple, {expected} each")
             for k, item in enumerate(getattr(self, name)):
                 require_type(item, kind, "Scene", f"{name}[{k}]", expected)
-        require_fields(self, SceneFields)
+        check_fields(self, _SceneFields)

@@ -8,28 +8,25 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.validation import FileModel, hint, refusal, shown
-from cmbot.scene.fields import Angle, Coordinate, Length, Slug, Vector, exactly_one, one_of_schema
-from cmbot.scene.guardrail_schema import GuardrailFile
+from cmbot.scene.fields import (
+    Angles,
+    Coordinate,
+    Length,
+    Mass,
+    Slug,
+    Text,
+    Vector,
+    exactly_one,
+    one_of_schema,
+)
+from cmbot.scene.guardrail import GuardrailFile
 from cmbot.scene.options import PlannerOptions
+from cmbot.scene.tool_path import Leg, SpeedProfile
 
-__all__ = [
-    "FORMAT",
-    "LegFile",
-    "MountFile",
-    "ObstacleFile",
-    "RobotFile",
-    "SceneFile",
-    "SpeedProfileFile",
-    "ToolPathFile",
-]
+__all__ = ["FORMAT", "MountFile", "ObstacleFile", "RobotFile", "SceneFile", "ToolPathFile"]
 
 FORMAT = "cmbot-scene/1"
 SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
-
-_SHORTEST_LEG = 1e-6
-
-Angles = tuple[Angle, Angle, Angle]
-Text = Annotated[str, Field(min_length=1)]
 
 
 class MountFile(FileModel):
@@ -60,7 +57,7 @@ class RobotFile(FileModel):
     """Of another URDF: where its base frame is held."""
     tool_length_m: Length | None = None
     """Length of the tool, m; left out: as in the model."""
-    payload_kg: Annotated[float, Field(ge=0, le=1e4)] = 0.0
+    payload_kg: Mass = 0.0
     """Point mass at the tool, kg."""
 
     @model_validator(mode="after")
@@ -68,8 +65,7 @@ class RobotFile(FileModel):
         for name in ("base_frame", "tool_frame", "limits", "mount", "srdf", "elasticity"):
             given = getattr(self, name) is not None
             if self.model == "cmbot" and given:
-                value = getattr(self, name)
-                got = shown(value.model_dump(mode="json") if isinstance(value, MountFile) else value)
+                got = shown(self.model_dump(mode="json")[name])
                 expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
                 raise refusal(expected, got=got, key=(name,))
             if self.model != "cmbot" and not given and name not in ("srdf", "elasticity"):
@@ -78,36 +74,13 @@ class RobotFile(FileModel):
         return self
 
 
-class LegFile(FileModel):
-    """A straight leg of the tool's path."""
-
-    by: Vector
-    """Displacement in W, m."""
-    seconds: Annotated[float, Field(gt=0, le=1e6)]
-    """Duration, s."""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        if max(abs(component) for component in self.by) < _SHORTEST_LEG:
-            raise refusal("a leg longer than a micrometre", got=self.by, key=("by",))
-        return self
-
-
-class SpeedProfileFile(FileModel):
-    """How the tool speeds up and slows down along each leg."""
-
-    kind: Literal["trapezoidal", "jerk_limited"] = "trapezoidal"
-    ramp: Annotated[float, Field(gt=0, le=0.5)] = 0.2
-    """Share of a leg's duration spent speeding up, and again slowing down."""
-
-
 class ToolPathFile(FileModel):
     """What the tool has to do, from the pose that the posture gives it."""
 
     keep: Literal["pose", "axis", "position"] = "pose"
     """What of the tool is prescribed."""
-    legs: Annotated[tuple[LegFile, ...], Field(min_length=1, max_length=2000)]
-    speed_profile: SpeedProfileFile = SpeedProfileFile()
+    legs: Annotated[tuple[Leg, ...], Field(min_length=1, max_length=2000)]
+    speed_profile: SpeedProfile = SpeedProfile()
     via_points: Annotated[int, Field(ge=5, le=20000)] = 50
     """Via-points in all; the ends of the legs are among them."""
 

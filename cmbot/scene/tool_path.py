@@ -6,21 +6,108 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from heapq import heapify, heapreplace
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import AfterValidator, ConfigDict, Field
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.common.validation import FileModel, check_fields, refusal
+from cmbot.scene.fields import Vector
 
-__all__ = ["ShiftedToolPath", "ToolPath", "share_out_segments"]
+__all__ = ["Leg", "ShiftedToolPath", "SpeedProfile", "ToolPath", "share_out_segments"]
 
+_SHORTEST_LEG = 1e-6  # m
 _NO_LENGTH = 1e-300
 # Corners that are the same to so many digits after the point, m, are one: the rest comes from adding up legs.
 _DIGITS = 12
 # So many points are held against the legs at once.
 _BLOCK = 512
+
+
+def _long_enough(by: Vector) -> Vector:
+    if max(map(abs, by)) < _SHORTEST_LEG:
+        raise refusal("a leg longer than a micrometre", got=by)
+    return by
+
+
+@dataclass(frozen=True, kw_only=True)
+class SpeedProfile:
+    """How the tool speeds up and slows down along a leg: from rest to rest, symmetric in time.
+
+    Attributes
+    ----------
+    kind : str
+        ``trapezoidal``: constant acceleration in the ramps, as in the paper.
+        ``jerk_limited``: acceleration rises and falls linearly in the ramps, so jerk is bounded.
+    ramp : float
+        Share of a leg's duration spent speeding up, and again slowing down, in (0, 0.5].
+
+    Raises
+    ------
+    InputError
+        When `kind` is unknown or `ramp` is out of range.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
+
+    kind: Literal["trapezoidal", "jerk_limited"] = "trapezoidal"
+    ramp: Annotated[float, Field(gt=0, le=0.5)] = 0.2
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+
+    def share(self, u: FloatArray) -> FloatArray:
+        """Share of the length covered at share `u` of the duration, both in [0, 1]."""
+        late = u > 0.5
+        x = np.where(late, 1 - u, u)
+        ramp = self.ramp * self._ramp_integral(np.minimum(x / self.ramp, 1.0))
+        covered = (ramp + np.maximum(x - self.ramp, 0.0)) / (1 - self.ramp)
+        return np.where(late, 1 - covered, covered)
+
+    def rate(self, u: FloatArray) -> FloatArray:
+        """Derivative of `share`: speed in units of length over duration."""
+        x = np.minimum(np.minimum(u, 1 - u) / self.ramp, 1.0)
+        return self._ramp(x) / (1 - self.ramp)
+
+    def _ramp(self, x: FloatArray) -> FloatArray:
+        """Share of the cruising speed reached at share x of a ramp."""
+        if self.kind == "trapezoidal":
+            return x
+        return np.where(x < 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
+
+    def _ramp_integral(self, x: FloatArray) -> FloatArray:
+        if self.kind == "trapezoidal":
+            return x**2 / 2
+        return np.where(x < 0.5, 2 * x**3 / 3, x - 0.5 + 2 * (1 - x) ** 3 / 3)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg:
+    """A straight leg of the tool's path.
+
+    Attributes
+    ----------
+    by : tuple of float
+        Displacement in W, m.
+    seconds : float
+        Duration, s.
+
+    Raises
+    ------
+    InputError
+        When a field is out of its bounds, or the leg shorter than a micrometre.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
+
+    by: Annotated[Vector, AfterValidator(_long_enough)]
+    seconds: Annotated[float, Field(gt=0, le=1e6)]
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
-from cmbot.common.arguments import checked_options
+from cmbot.common.validation import checked_options
 
 __all__ = ["SimulationOptions", "checked"]
 

@@ -12,11 +12,10 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.arm_modes import arm_modes
-from cmbot.elastic.base import elastic_base
+from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
-from cmbot.elastic.tool_sag import ToolSag
 from cmbot.planning import Plan, ToolTask, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.drive import PrescribedMotion, drive_along, drive_through, held
@@ -161,7 +160,7 @@ def track(
     drive: PrescribedMotion,
     options: SimulationOptions,
     tell: Callable[[float], None] | None = None,
-    sag: ToolSag | None = None,
+    sag: Sag | None = None,
 ) -> MotionTracking:
     """Drive an elastic arm once.
 
@@ -174,7 +173,7 @@ def track(
     options : SimulationOptions
     tell : callable, optional
         Called every so often with the time that has been reached, s.
-    sag : ToolSag, optional
+    sag : Sag, optional
         What the motion's maker reckoned with: the error is measured from there. Without it the rigid arm is
         expected.
 
@@ -204,7 +203,7 @@ def track(
 
 
 def foreseen(
-    robot: Robot, drive: PrescribedMotion, t: FloatArray, sag: ToolSag | None = None
+    robot: Robot, drive: PrescribedMotion, t: FloatArray, sag: Sag | None = None
 ) -> tuple[FloatArray, FloatArray]:
     """Return the rigid arm's tool points at times `t` (N,), and the sag reckoned with, each (N, 3), m."""
     q = drive.states(t)[0]

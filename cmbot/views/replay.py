@@ -8,8 +8,8 @@ from pathlib import Path
 from threading import Thread
 from typing import TYPE_CHECKING, Any, Self
 
-from cmbot.common.arguments import given_path
 from cmbot.common.errors import InputError
+from cmbot.common.validation import given_path
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import Tracking
 from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page

@@ -10,9 +10,9 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.collision.clearance import Clearances
-from cmbot.common.arguments import require_type
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.validation import require_type
 from cmbot.planning import MotionMetrics, Plan, Samples
 from cmbot.planning.verification.metrics import figures, measure
 from cmbot.robot import Kinematics, Robot

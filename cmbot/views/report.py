@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from cmbot.common.arguments import given_path
+from cmbot.common.validation import given_path
 from cmbot.planning import Certificate, Plan, remarks, require_plan
 from cmbot.simulation import Tracking, tracking_remarks, tracking_rows, tracking_verdict
 from cmbot.version import __version__

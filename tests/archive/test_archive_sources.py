@@ -14,7 +14,7 @@ from plan_folders import refused, same_arrays
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError, SceneError
-from cmbot.common.resources import model_folder
+from cmbot.common.installation import model_folder
 from cmbot.planning import Plan, robot_of
 from cmbot.scene import Mesh, load_scene
 

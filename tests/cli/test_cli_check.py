@@ -9,7 +9,7 @@ from command_line import ROOT, Outcome, run, write_scene
 from small_scenes import SHORT
 
 import cmbot
-from cmbot.common.resources import model_folder
+from cmbot.common.installation import model_folder
 from cmbot.planning.torque.objectives import objective_of
 from cmbot.robot import Postures
 

@@ -16,8 +16,7 @@ import cmbot
 import cmbot.cli.doctor
 from cmbot.cli import commands
 from cmbot.common import errors
-from cmbot.common.extras import install_command
-from cmbot.common.resources import model_folder
+from cmbot.common.installation import install_command, model_folder
 
 URDF_WITHOUT_LINKS = '<robot name="none"></robot>'
 MODELS = model_folder() / "urdf"

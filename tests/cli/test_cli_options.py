@@ -15,7 +15,7 @@ import cmbot
 import cmbot.views.plots
 from cmbot.archive import save
 from cmbot.common.errors import MissingExtra
-from cmbot.common.extras import install_command
+from cmbot.common.installation import install_command
 from cmbot.planning import Plan, Progress
 
 FIGURES = {"guardrail_torque", "joints", "clearance", "tool_deviation"}

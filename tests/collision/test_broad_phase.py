@@ -21,8 +21,7 @@ from cmbot.collision.clearance import Clearances
 from cmbot.collision.shape_pairs import PairedShapes
 from cmbot.planning import robot_of
 from cmbot.robot import Robot, load_robot
-from cmbot.scene import load_scene
-from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
+from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_scene, pose
 
 FloatArray = NDArray[np.float64]
 # How well coal knows the depth of a deep overlap, m.

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.collision.clearance import Clearances
 from cmbot.robot import Robot
-from cmbot.scene.obstacles import Box, Capsule, Cylinder, Obstacle, Shape, Sphere
+from cmbot.scene import Box, Capsule, Cylinder, Obstacle, Shape, Sphere
 
 FloatArray = NDArray[np.float64]
 LINKS = ("link_1", "link_2", "link_3", "link_5", "tool")

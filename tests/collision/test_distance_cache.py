@@ -15,8 +15,7 @@ from robot_files import load_copy
 
 from cmbot.collision.clearance import Clearances
 from cmbot.robot import Robot, load_robot
-from cmbot.scene import load_scene
-from cmbot.scene.obstacles import Box, Obstacle, Sphere, pose
+from cmbot.scene import Box, Obstacle, Sphere, load_scene, pose
 
 FloatArray = NDArray[np.float64]
 # How well coal knows the depth of a deep overlap, m.

@@ -18,7 +18,7 @@ from cmbot.collision.shapes import load_mesh
 from cmbot.common.errors import SceneError
 from cmbot.robot import Robot
 from cmbot.robot.hulls import convex_hull, encloses_volume
-from cmbot.scene.obstacles import Box, Mesh, Obstacle, Shape, pose
+from cmbot.scene import Box, Mesh, Obstacle, Shape, pose
 
 FloatArray = NDArray[np.float64]
 X_WO = pose([0.6, 0.7, -1.2], [0.4, -0.8, 1.1])

@@ -19,9 +19,9 @@ from scipy import linalg, sparse
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.errors import InputError
-from cmbot.elastic import AngleSection, SectionConstants, section_constants
-from cmbot.elastic.frame import Frame, Member
-from cmbot.elastic.frame_modes import natural_frequencies
+from cmbot.elastic import AngleSection
+from cmbot.elastic.beam import SectionConstants, section_constants
+from cmbot.elastic.frame import Frame, Member, natural_frequencies
 
 FloatArray = NDArray[np.float64]
 

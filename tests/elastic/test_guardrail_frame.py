@@ -16,10 +16,10 @@ from oracles.beams import angle_outline, cantilever, polygon
 from scipy import linalg, sparse
 
 from cmbot.common.errors import InputError
-from cmbot.elastic import Guardrail, section_constants
-from cmbot.elastic.frame import Condensed
-from cmbot.elastic.frame_modes import natural_frequencies
-from cmbot.elastic.guardrail_frame import guardrail_frame
+from cmbot.elastic import Guardrail
+from cmbot.elastic.base import guardrail_frame
+from cmbot.elastic.beam import section_constants
+from cmbot.elastic.frame import Condensed, natural_frequencies
 
 FloatArray = NDArray[np.float64]
 

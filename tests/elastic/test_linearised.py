@@ -9,7 +9,7 @@ from elastic_robots import FloatArray, random_base, random_robot
 from finite_differences import check_derivative
 
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.linearised import linearised
+from cmbot.elastic.modes import linearised
 from cmbot.elastic.sag import Sag
 
 

@@ -13,8 +13,8 @@ from finite_differences import check_derivative, finite_difference
 from scipy.optimize import minimize
 
 from cmbot.common.errors import InputError
+from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.base import elastic_base
 from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import load_scene

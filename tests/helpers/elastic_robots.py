@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmbot.elastic.base import ElasticBase
+from cmbot.elastic import ElasticBase
 from cmbot.robot import Robot, load_robot
 
 FloatArray = NDArray[np.float64]

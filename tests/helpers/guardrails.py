@@ -8,8 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmbot.elastic import Guardrail
-from cmbot.scene.guardrail import guardrail_from_file
-from cmbot.scene.guardrail_schema import GuardrailFile
+from cmbot.scene import GuardrailFile, guardrail_from_file
 
 FloatArray = NDArray[np.float64]
 

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.base import elastic_base
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
 from cmbot.simulation.drive import PrescribedMotion, drive_through

@@ -15,9 +15,7 @@ from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import Scene, load_scene
-from cmbot.scene.speed_profile import SpeedProfile
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene import Scene, SpeedProfile, ToolPath, load_scene
 
 FloatArray = NDArray[np.float64]
 SHORT: dict[str, Any] = {

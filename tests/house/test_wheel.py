@@ -12,8 +12,7 @@ from typing import Any
 import pytest
 
 import cmbot
-from cmbot.common.extras import DISTRIBUTION
-from cmbot.common.resources import data_folder, model_folder, scene_folder
+from cmbot.common.installation import DISTRIBUTION, data_folder, model_folder, scene_folder
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 # Where each folder of the checkout lies in the wheel.
@@ -23,7 +22,7 @@ ALONE = {"docs/assumptions.md": "cmbot/_data/docs/assumptions.md"}
 LOOK = """
 import json, pathlib
 import cmbot
-from cmbot.common.resources import data_folder
+from cmbot.common.installation import data_folder
 scene, robot = cmbot.load_scene("triangle"), cmbot.load_robot()
 print(json.dumps({
     "package": str(pathlib.Path(cmbot.__file__).parent),

@@ -14,7 +14,7 @@ from scipy import sparse
 from small_scenes import short_scene
 
 from cmbot.common.errors import SceneError
-from cmbot.common.extras import install_command
+from cmbot.common.installation import install_command
 from cmbot.optimization.exchange import optimise
 from cmbot.planning import plan, problem_size
 from cmbot.planning.context import PlanningContext, build_context
@@ -27,9 +27,7 @@ from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgr
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.selfmotion.graph_layer import GraphLayer
 from cmbot.robot import Postures, Robot
-from cmbot.scene import Scene
-from cmbot.scene.speed_profile import SpeedProfile
-from cmbot.scene.tool_path import ToolPath, share_out_segments
+from cmbot.scene import Scene, SpeedProfile, ToolPath, share_out_segments
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.spline_space import SplineSpace
 

@@ -16,9 +16,7 @@ from small_scenes import short_scene
 from cmbot.planning import Plan, plan
 from cmbot.reproduction import FACTORS, PAPER, Experiment, GoalTable, Run, Variant, cells, goals
 from cmbot.reproduction.compensation_goal import compensation_goal
-from cmbot.reproduction.least_sag import least_sag
-from cmbot.reproduction.posture_goal import posture_goal
-from cmbot.reproduction.rest_goal import rest_goal
+from cmbot.reproduction.goals import least_sag, posture_goal, rest_goal
 from cmbot.simulation import (
     ErrorFigures,
     MotionTracking,
@@ -140,7 +138,7 @@ def test_what_is_all_sag_falls_by_its_bound(
     table = compensation_goal(Variant(plan=sagging(s), trackings=(found,), why_not=""))
     for name, worth in (("mean", b / factor), ("standard deviation", deviation_of(b) / factor)):
         (cut,) = only_rows(table, f"reduction of {name}, %")
-        (bound,) = only_rows(table, f"bound of {name}, about, %")
+        (bound,) = only_rows(table, f"approximate bound of {name}, %")
         expected = 100 * (1 - abs(1 - factor) * s / b)
         asked = worth > 1.0
         for row, tolerance in ((cut, 1e-9), (bound, 1e-2)):
@@ -170,9 +168,9 @@ def test_the_goal_depends_on_the_stiffness(factor: float, left: float, holds: bo
     (row,) = only_rows(table, "reduction of mean, %")
     assert row.holds is holds
     assert row.goal == ("at least 90" if factor == 1.0 else "at least 65")
-    verdict = "the goal holds" if holds else "the goal does not hold"
-    assert f"so it is for {3 if holds else 2} of 3 figures; {verdict}" in table.remarks[0]
     asked = "90 % less" if factor == 1.0 else "65 % less, stiffness up to 30 % off"
+    verdict = "the goal holds" if holds else "the goal does not hold"
+    assert f"{3 if holds else 2} of 3 figures are at least {asked[:9]}; {verdict}" in table.remarks[0]
     count = f"{3 if holds else 2} of 3 figures"
     assert verdicts(table) == [(f"sag compensated: errors {asked}", count, holds)]
 
@@ -208,7 +206,7 @@ def test_a_sag_larger_than_the_baselines_is_the_reason() -> None:
 def test_otherwise_vibration_is_the_reason() -> None:
     table = compensated_table(motion([0, 6, 0], vibration=[0, 5.5, 0]), 0.7)
     (why,) = (remark for remark in table.remarks if "falls by" in remark)
-    assert "though the sag would let it fall by 94.0 %: vibration has a mean of 5.500 mm there" in why
+    assert "the sag alone would allow 94.0 %: vibration has a mean of 5.500 mm there" in why
 
 
 def test_without_a_plan_the_reason_is_told() -> None:
@@ -232,7 +230,7 @@ def resting(
             fixed=None,
             why_not="",
             compensated=Variant(plan=quieted(), trackings=(third,), why_not=""),
-            loud=Variant(plan=silent, trackings=(second,), why_not=""),
+            unsuppressed=Variant(plan=silent, trackings=(second,), why_not=""),
             least_sag=None,
         )
     )
@@ -248,18 +246,18 @@ def test_rest_is_a_share_of_the_baselines() -> None:
     assert (third.setting, third.goal, third.holds) == ("compensation, stiffness times 1.3", "", None)
     assert "4.8000 mm instead of 120.0000 mm (largest distance), 4.00 %" in table.remarks[0]
     assert "along no axis more than 5.00 %: the goal holds" in table.remarks[0]
-    assert verdicts(table) == [("after the stop at most 5 % of the swing left", "5.0 %", True)]
+    assert verdicts(table) == [("after the stop at most 5 % of the vibration left", "5.0 %", True)]
     assert "30.0000 of 100.000 mm (x), 10.0000 of 50.000 mm (y), 36.0000 of 120.000" in table.remarks[1]
-    assert table.remarks[1].endswith("No mode was quieted.")
+    assert table.remarks[1].endswith("No mode was suppressed.")
     assert "up to 50.0 % is left, 60.000 of 120.000 mm, at stiffness times 1.3" in table.remarks[2]
-    assert "about 1.14 times as fast" in table.remarks[2]
+    assert "about 1.14 times the frequencies" in table.remarks[2]
 
 
 @pytest.mark.parametrize(
     ("plan_", "cause"),
     [
-        (quieted(0.5), "only the share 0.5 kept the bounds"),
-        (quieted(), "Of the 2 modes that were quieted 0.0040 mm should be left"),
+        (quieted(0.5), "Only the share 0.5 of the correction kept all bounds"),
+        (quieted(), "The prediction for the 2 suppressed modes is 0.0040 mm"),
     ],
 )
 def test_why_the_tool_does_not_rest(plan_: Any, cause: str) -> None:
@@ -280,7 +278,7 @@ def test_an_arm_that_was_not_watched_has_no_rest() -> None:
         fixed=None,
         why_not="",
         compensated=NONE,
-        loud=NONE,
+        unsuppressed=NONE,
         least_sag=None,
     )
     assert rest_goal(unwatched) is None
@@ -324,7 +322,7 @@ def test_a_real_arm_keeps_to_the_bound(compensated: Plan) -> None:
     table = compensation_goal(Variant(plan=compensated, trackings=tuple(found), why_not=""))
     nominal, softer = only_rows(table, "reduction of mean, %")
     assert nominal.holds is True
-    (bound,) = only_rows(table, "bound of mean, about, %")
+    (bound,) = only_rows(table, "approximate bound of mean, %")
     asked = [axis for axis, value in enumerate(softer.values) if value is not None]
     assert len(asked) >= 2
     for axis in asked:

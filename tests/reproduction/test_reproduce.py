@@ -18,7 +18,7 @@ from small_scenes import short_scene
 import cmbot
 from cmbot.archive import write_file
 from cmbot.common.errors import ArchiveError, OptimisationFailed
-from cmbot.common.resources import assumptions_file
+from cmbot.common.installation import assumptions_file
 from cmbot.planning import Plan, plan
 from cmbot.reproduction import (
     PAPER,
@@ -39,8 +39,8 @@ from cmbot.reproduction import (
     save_reproduction,
     verdict_rows,
 )
-from cmbot.reproduction.assumptions import assumption_tables
 from cmbot.reproduction.experiment import reduction
+from cmbot.reproduction.paper import assumption_tables
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 FloatArray = NDArray[np.float64]
@@ -153,7 +153,7 @@ def as_the_paper(tracking: Tracking, paper: PaperExperiment, **changes: Any) -> 
         fixed=None,
         why_not="no way",
         compensated=none,
-        loud=none,
+        unsuppressed=none,
         least_sag=None,
     )
 
@@ -205,7 +205,7 @@ def test_reasons_follow_the_figures(tracking: Tracking) -> None:
         " ".join(reasons(as_the_paper(tracking, LINE, vibration=share))) for share in (0.01, 0.8)
     )
     assert "1.00 % (baseline) and 1.00 % (planned) is dynamic" in sagging
-    assert "means are those of the sag" in sagging
+    assert "the means are those of the sag" in sagging
     assert "vibration is a large part of the error" in shaking
     assert "With fixed via-points (Eq. (30)) there is no plan here: no way." in sagging
 
@@ -228,11 +228,11 @@ def test_reasons_say_where_the_gain_comes_from(tracking: Tracking) -> None:
     paper = as_the_paper(tracking, TRIANGLE)
     known: Any = SimpleNamespace(largest_torque_difference=(2.0, 0.0), start=SimpleNamespace(moved=0.0))
     stuck = replace(paper, fixed=replace(paper.planned, plan=known))
-    assert "the gain is that of other postures, not of the splines" in " ".join(reasons(stuck))
+    assert "the gain comes from other postures, not from the splines" in " ".join(reasons(stuck))
     known.start.moved = 0.5
     moved = " ".join(reasons(stuck))
     assert "from another start (28.6 deg away)" in moved
-    assert "not of the splines" not in moved
+    assert "not from the splines" not in moved
 
 
 def test_the_assumptions_are_those_of_the_page() -> None:
@@ -257,14 +257,21 @@ def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
     assert [scene for scene, *_ in told] == ["triangle"] * 21 + ["line"] * 21
     # Plans and simulations of an experiment: 3 + 3 + 3 + 2 + 2.
     assert told[:6] == [
-        ("triangle", "via-points that slide", 0.0),
-        ("triangle", "via-points that slide: simulating", pytest.approx(1 / 26)),
-        ("triangle", "via-points that slide: simulating", pytest.approx(1.5 / 26)),
-        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2 / 26)),
-        ("triangle", "via-points that slide: simulating, let go undeformed", pytest.approx(2.5 / 26)),
-        ("triangle", "via-points that are fixed", pytest.approx(3 / 26)),
+        ("triangle", what, pytest.approx(share / 26))
+        for what, share in (
+            ("sliding via-points", 0),
+            ("sliding via-points: simulating, stiffness times 1", 1),
+            ("sliding via-points: simulating, stiffness times 1", 1.5),
+            ("sliding via-points: simulating, stiffness times 1, released undeformed", 2),
+            ("sliding via-points: simulating, stiffness times 1, released undeformed", 2.5),
+            ("fixed via-points", 3),
+        )
     ]
-    assert told[13] == ("triangle", "sag compensated: simulating, stiffness times 0.7", pytest.approx(8 / 26))
+    assert told[13] == (
+        "triangle",
+        "sag compensation: simulating, stiffness times 0.7",
+        pytest.approx(8 / 26),
+    )
     shares = [share for *_, share in told]
     assert shares == sorted(shares)
     assert told[-1] == ("line", "least sag: simulating, stiffness times 1", pytest.approx(25.5 / 26))
@@ -275,7 +282,7 @@ def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
             assert run_.undeformed.options.initial == "undeformed"
         for softer, factor in zip(entry.compensated.trackings, (1.0, 0.7), strict=True):
             assert softer.options == SimulationOptions(guardrail_factor=factor, link_factor=factor)
-        assert len(entry.loud.trackings) == 1
+        assert len(entry.unsuppressed.trackings) == 1
     assert [entry.paper for entry in found.experiments] == list(PAPER)
 
 
@@ -421,7 +428,7 @@ def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
             for remark in goal["remarks"]:
                 assert f"goal: {remark}" in lines
     assert lines[-1].startswith(f"Written to {folder / 'reproduce.md'} and {folder / 'reproduce.json'}")
-    assert "line: via-points that are fixed" in outcome.err.splitlines()
+    assert "line: fixed via-points" in outcome.err.splitlines()
 
 
 def test_the_command_refuses_what_is_in_the_way_before_it_plans(tmp_path: Path, planner: list[str]) -> None:

@@ -8,7 +8,7 @@ import pytest
 from robot_files import load_copy, replace
 
 from cmbot.common.errors import ModelError
-from cmbot.common.resources import model_folder
+from cmbot.common.installation import model_folder
 from cmbot.robot import LinkTube, Robot
 
 SHIPPED = model_folder() / "urdf" / "cmbot.elasticity.yaml"

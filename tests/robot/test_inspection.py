@@ -10,7 +10,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from cmbot.common.errors import ModelError
-from cmbot.common.resources import model_folder
+from cmbot.common.installation import model_folder
 from cmbot.robot import Finding, Robot, inspect_urdf, load_robot, parse_urdf
 
 BOX = '<box size="0.13 0.05 0.15" />'

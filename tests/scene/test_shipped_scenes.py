@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.errors import SceneError
-from cmbot.common.resources import scene_folder
+from cmbot.common.installation import scene_folder
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.scene import Box, load_scene, shipped_scenes
 

@@ -132,7 +132,7 @@ def test_a_sag_that_was_not_foreseen_stays(compensated: Plan, foreseen: Tracking
     """At stiffness f the sag is 1/f of the predicted one, nearly: weights turn with what bends."""
     assert compensated.sag is not None
     at = slice(0, 801, 20)
-    predicted = compensated.sag.at(compensated.trajectory.evaluate(foreseen.planned.t[at]))
+    predicted = compensated.sag.at(compensated.trajectory.evaluate(foreseen.planned.t[at])).tool
     for factor in (0.8, 1.25):
         options = replace(OPTIONS, guardrail_factor=factor, link_factor=factor)
         static = simulate(compensated, options).planned.static[at]

@@ -9,8 +9,8 @@ from elastic_robots import SHEAR, YOUNG, Link, second_moment, tube, write_robot
 from numpy.typing import NDArray
 from small_motions import tool_points
 
+from cmbot.elastic import ElasticBase
 from cmbot.elastic.arm import ElasticOptions, elastic_arm
-from cmbot.elastic.base import ElasticBase
 from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.drive import PrescribedMotion, drive_through

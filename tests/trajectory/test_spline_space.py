@@ -16,8 +16,7 @@ from scipy import linalg
 from scipy.interpolate import BSpline
 
 from cmbot.common.errors import InputError
-from cmbot.scene.speed_profile import SpeedProfile
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene import SpeedProfile, ToolPath
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 

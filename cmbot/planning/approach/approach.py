@@ -16,8 +16,7 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate, certify
 from cmbot.robot import Robot
-from cmbot.scene.options import PlannerOptions
-from cmbot.scene.speed_profile import SpeedProfile
+from cmbot.scene import PlannerOptions, SpeedProfile
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 

@@ -9,8 +9,7 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.arm_modes import ArmModes, arm_modes
-from cmbot.elastic.linearised import linearised
+from cmbot.elastic.modes import ArmModes, arm_modes, linearised
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["LegVibration"]

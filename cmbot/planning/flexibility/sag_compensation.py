@@ -14,12 +14,12 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.elastic.tool_sag import ToolSag
+from cmbot.elastic.sag import Sag
 from cmbot.optimization.exchange import ExchangeReport, Optimised, optimise
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.scene.tool_path import ShiftedToolPath
+from cmbot.scene import ShiftedToolPath
 
 __all__ = ["MOST_ROUNDS", "Compensation", "compensate"]
 
@@ -57,7 +57,7 @@ def compensate(
     context: PlanningContext,
     way: InitialGuess,
     optimised: Optimised,
-    sag: ToolSag,
+    sag: Sag,
     progress: Callable[[ExchangeReport, int], None] | None = None,
 ) -> tuple[Optimised, Compensation, TorqueProblem]:
     """Optimise again and again along the path shifted by the sag of the trajectory before.
@@ -69,7 +69,7 @@ def compensate(
         What `optimised` came from.
     optimised : Optimised
         Without compensation.
-    sag : ToolSag
+    sag : Sag
     progress : callable, optional
         Called with a `ExchangeReport` and the number of the round, from 1, after every pass.
 
@@ -93,7 +93,7 @@ def compensate(
     times = np.append(times.ravel(), context.times[-1])
     shift, problem = np.zeros((len(times), 3)), way.problem
     for rounds in range(MOST_ROUNDS + 1):
-        wanted = -sag.at(optimised.trajectory.evaluate(times))
+        wanted = -sag.at(optimised.trajectory.evaluate(times)).tool
         change = float(np.linalg.norm(wanted - shift, axis=1).max())
         if change < _SETTLED * allowed:
             largest = float(np.linalg.norm(shift, axis=1).max())

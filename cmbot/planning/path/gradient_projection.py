@@ -11,7 +11,7 @@ from cmbot.collision.clearance import Clearances, Nearest
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.context import PlanningContext
 from cmbot.robot import Kinematics
-from cmbot.scene.options import PlannerOptions
+from cmbot.scene import PlannerOptions
 
 __all__ = ["JointPath", "follow_path", "robust_inverse"]
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene import ToolPath
 
 __all__ = ["ToolTask", "task_dimension"]
 

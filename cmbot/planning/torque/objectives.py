@@ -9,11 +9,11 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.elastic.tool_sag import ToolSag
+from cmbot.elastic.sag import Sag
 from cmbot.planning.torque.constraints import Linearisation, StateSamples
 from cmbot.planning.torque.wrench_functions import WeightedMoment, WrenchFunction, check_wrench_function
 from cmbot.robot import Dynamics, PostureBatch, Postures, Robot
-from cmbot.scene.options import PlannerOptions
+from cmbot.scene import PlannerOptions
 
 __all__ = [
     "Objective",
@@ -169,7 +169,7 @@ def objective_of(
     options: PlannerOptions,
     own: WrenchFunction | None = None,
     posture: FloatArray | None = None,
-    sag: ToolSag | None = None,
+    sag: Sag | None = None,
 ) -> Objective:
     """Return what the options ask for, or the objective of a function of someone's own.
 
@@ -181,7 +181,7 @@ def objective_of(
         In place of what the options say.
     posture : (n,), rad, optional
         Where `own` is tried.
-    sag : ToolSag, optional
+    sag : Sag, optional
         Needed for ``objective: sag``.
 
     Raises

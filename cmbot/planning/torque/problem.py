@@ -29,7 +29,7 @@ from cmbot.planning.torque.families import FixedKnots
 from cmbot.planning.torque.family import Family
 from cmbot.planning.torque.objectives import Objective, ObjectiveShare, objective_of
 from cmbot.robot import Dynamics, Kinematics, Robot
-from cmbot.scene.options import PlannerOptions
+from cmbot.scene import PlannerOptions
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 

@@ -16,11 +16,11 @@ import numpy as np
 from cmbot.collision.clearance import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
-from cmbot.elastic.tool_sag import ToolSag
+from cmbot.elastic.sag import Sag
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.verification.metrics import MotionMetrics, figures, measure, together
 from cmbot.robot import Robot
-from cmbot.scene.options import PlannerOptions
+from cmbot.scene import PlannerOptions
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["Certificate", "Check", "certificate_grid", "certify"]
@@ -115,7 +115,7 @@ def certify(
     options: PlannerOptions,
     *,
     at_work: bool = True,
-    sag: ToolSag | None = None,
+    sag: Sag | None = None,
     tell: Callable[[int, int], None] | None = None,
 ) -> Certificate:
     """Look at a finished trajectory with fresh eyes.
@@ -132,7 +132,7 @@ def certify(
         Margin and tool deviation that were promised, and the optimiser's grid.
     at_work : bool
         False with the tool off: its deviation is measured, not bounded.
-    sag : ToolSag, optional
+    sag : Sag, optional
         Where it is compensated: the tool's deviation is that of the bent arm, as predicted.
     tell : callable, optional
         Called with the number of samples that are done, and of all.

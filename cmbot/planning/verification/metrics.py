@@ -9,7 +9,7 @@ import numpy as np
 
 from cmbot.collision.clearance import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.elastic.tool_sag import ToolSag
+from cmbot.elastic.sag import Sag
 from cmbot.planning.path.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 
@@ -96,7 +96,7 @@ def measure(
     clearances: Clearances,
     t: FloatArray,
     motion: Sequence[FloatArray],
-    sag: ToolSag | None = None,
+    sag: Sag | None = None,
     *,
     clearance: FloatArray | None = None,
 ) -> Samples:
@@ -110,7 +110,7 @@ def measure(
     t : (N,), s
     motion : four arrays (N, n)
         Position, velocity, acceleration and jerk.
-    sag : ToolSag, optional
+    sag : Sag, optional
         Where it is compensated: the tool's predicted displacement.
     clearance : (N,), m, optional
         Where it is known already.

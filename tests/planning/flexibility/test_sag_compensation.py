@@ -30,8 +30,7 @@ from cmbot.planning import (
     task_of,
 )
 from cmbot.planning.context import build_context
-from cmbot.scene import load_scene
-from cmbot.scene.tool_path import ShiftedToolPath
+from cmbot.scene import ShiftedToolPath, load_scene
 
 ALLOWED = 0.001
 
@@ -68,7 +67,7 @@ def test_commanded_and_expected_path_are_in_the_plan(compensated: Plan) -> None:
     samples = compensated.samples
     assert samples.expected_tool_point is not None
     assert compensated.sag is not None
-    exact = compensated.sag.at(samples.q[::37])
+    exact = compensated.sag.at(samples.q[::37]).tool
     found = (samples.expected_tool_point - samples.tool_point)[::37]
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7)
     assert samples.tool_deviation.max() <= ALLOWED
@@ -147,7 +146,7 @@ def test_sag_as_the_objective(tmp_path: Path) -> None:
     assert sag is not None
 
     def largest(of: Plan) -> float:
-        return float(np.linalg.norm(sag.at(of.samples.q), axis=1).max())
+        return float(np.linalg.norm(sag.at(of.samples.q).tool, axis=1).max())
 
     assert planned.objective.name == "sag"
     assert planned.objective.unit == "m"

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.errors import InputError
 from cmbot.planning.path.task import ToolTask
-from cmbot.scene.speed_profile import SpeedProfile
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene import SpeedProfile, ToolPath
 
 FloatArray = NDArray[np.float64]
 SIZES = {"pose": 6, "axis": 5, "position": 3}

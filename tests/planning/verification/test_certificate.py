@@ -19,7 +19,7 @@ from cmbot.common.errors import InputError, LimitViolation
 from cmbot.planning import Plan, QuinticTrajectory, plan
 from cmbot.planning.verification.certificate import Certificate, Check, _continuity_check, certify
 from cmbot.robot import Robot, load_robot
-from cmbot.scene.obstacles import Box, Obstacle, pose
+from cmbot.scene import Box, Obstacle, pose
 from cmbot.trajectory.spline_space import SplineSpace
 
 FloatArray = NDArray[np.float64]

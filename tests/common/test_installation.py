@@ -5,15 +5,15 @@ from pathlib import Path
 
 import pytest
 
-from cmbot.common import extras
+from cmbot.common import installation
 from cmbot.common.errors import MissingExtra
-from cmbot.common.extras import install_command
+from cmbot.common.installation import install_command
 
 
 def test_of_a_checkout_the_command_names_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     checkout = tmp_path / "a checkout"
     checkout.mkdir()
-    monkeypatch.setattr(extras, "_CHECKOUT", checkout)
+    monkeypatch.setattr(installation, "_CHECKOUT", checkout)
     assert shlex.split(install_command("fast")) == ["pip", "install", "cmbot-planner[fast]"]
     (checkout / "pyproject.toml").touch()
     assert shlex.split(install_command("fast")) == ["pip", "install", "-e", f"{checkout}[fast]"]

@@ -11,7 +11,7 @@ from scipy import linalg
 
 from cmbot.common.errors import InputError
 from cmbot.elastic import elastic_base
-from cmbot.elastic.guardrail_frame import guardrail_frame
+from cmbot.elastic.base import guardrail_frame
 from cmbot.scene import load_scene
 
 

@@ -10,7 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.beams import angle_outline, polygon
 
-from cmbot.elastic import AngleSection, BarSection, section_constants
+from cmbot.elastic import AngleSection, BarSection
+from cmbot.elastic.beam import section_constants
 
 legs = st.floats(0.01, 0.5)
 shares = st.floats(0.001, 0.999)

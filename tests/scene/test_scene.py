@@ -76,7 +76,7 @@ def test_an_ill_typed_option_is_named(option: str, value: Any, message: str) -> 
             lambda s: replace(s.robot, tool_length=-0.3),
             "RobotSource: tool_length: got -0.3, expected more than 0",
         ),
-        (lambda s: replace(s.speed_profile, ramp="0.2"), "SpeedProfile: ramp: got 0.2, expected a share"),
+        (lambda s: replace(s.speed_profile, ramp="0.2"), "SpeedProfile: ramp: got '0.2', expected a number"),
         (lambda _: Box(size=3), "Box: size: got 3, expected a list"),  # type: ignore[arg-type]
         (lambda _: Sphere(radius=np.inf), "Sphere: radius: got inf, expected a finite number"),
         (lambda _: Cylinder(radius=0.1, length=0.0), "Cylinder: length: got 0.0, expected more than 0"),

@@ -19,8 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cmbot.common.errors import InputError
-from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.pieces import cut_inertia
+from cmbot.elastic.arm import ElasticArm, ElasticOptions, cut_inertia, elastic_arm
 from cmbot.robot import Kinematics, Robot, load_robot
 
 SEGMENTS = (1, 2, 5)

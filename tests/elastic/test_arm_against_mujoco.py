@@ -10,8 +10,7 @@ import pytest
 from elastic_robots import FloatArray, random_base, random_robot
 from numpy.testing import assert_allclose
 
-from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.pieces import cut_inertia
+from cmbot.elastic.arm import ElasticArm, ElasticOptions, cut_inertia, elastic_arm
 from cmbot.robot import Robot
 
 AXES = np.eye(3)

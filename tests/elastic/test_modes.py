@@ -10,9 +10,9 @@ from elastic_robots import SHEAR, YOUNG, FloatArray, cantilever, random_base, ra
 from finite_differences import finite_difference
 
 from cmbot.common.errors import InputError
+from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.arm_modes import arm_modes
-from cmbot.elastic.base import elastic_base
+from cmbot.elastic.modes import arm_modes
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
 

@@ -1,0 +1,48 @@
+"""Where the shipped models and scenes lie, and the command that installs optional packages."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from shlex import quote
+
+__all__ = [
+    "DISTRIBUTION",
+    "assumptions_file",
+    "data_folder",
+    "install_command",
+    "model_folder",
+    "scene_folder",
+]
+
+# The import name and the command are cmbot; that name is another project's on the package index.
+DISTRIBUTION = "cmbot-planner"
+_PACKAGE = Path(__file__).resolve().parent.parent
+_CHECKOUT = _PACKAGE.parent
+
+
+def data_folder() -> Path:
+    """Return the folder with ``models/`` and ``scenes/``: inside the package in a wheel, else beside it."""
+    inside_wheel = _PACKAGE / "_data"
+    return inside_wheel if inside_wheel.is_dir() else _CHECKOUT
+
+
+def model_folder() -> Path:
+    """Return the folder with ``urdf/`` and ``meshes/``."""
+    return data_folder() / "models"
+
+
+def scene_folder() -> Path:
+    """Return the folder with the shipped scene files."""
+    return data_folder() / "scenes"
+
+
+def assumptions_file() -> Path:
+    """Return the page that lists every assumption, ``docs/assumptions.md``."""
+    return data_folder() / "docs" / "assumptions.md"
+
+
+def install_command(extra: str) -> str:
+    """Return the command that installs an extra such as ``fast``: of the checkout, where there is one."""
+    if (_CHECKOUT / "pyproject.toml").is_file():
+        return f"pip install -e {quote(f'{_CHECKOUT}[{extra}]')}"
+    return f"pip install {quote(f'{DISTRIBUTION}[{extra}]')}"

@@ -1,0 +1,126 @@
+"""Small vibrations of the arm about its static equilibrium: matrices, natural frequencies, modal damping."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from scipy import linalg
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.sag import Sag
+
+__all__ = ["ArmModes", "Linearised", "arm_modes", "linearised"]
+
+# Share of the largest squared period below which a squared period is rounding: its coordinate has no mass.
+_MASSLESS = 1e-13
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearised:
+    """Small motions of an arm about its static equilibria in N postures.
+
+    Attributes
+    ----------
+    u : (N, f), m and rad
+        The equilibria.
+    mass, stiffness : (N, f, f)
+        Of the elastic coordinates, with the guardrail's mass and the geometric stiffness of the weights;
+        symmetric.
+    coupling : (N, f, n)
+        Of the joint-space mass matrix: forces on the elastic coordinates by the joints' accelerations.
+    weight : (N, f, n)
+        Derivative of the weights' forces on the elastic coordinates with respect to the joint angles.
+    """
+
+    u: FloatArray
+    mass: FloatArray
+    stiffness: FloatArray
+    coupling: FloatArray
+    weight: FloatArray
+
+
+def linearised(arm: ElasticArm, q: FloatArray) -> Linearised:
+    """Linearise an arm about its equilibria in postures `q` (N, n), rad.
+
+    Raises
+    ------
+    InputError
+        When the arm is too soft to carry itself in one of them.
+    """
+    u, tangent, weight = Sag(arm).equilibria(q)
+    data = arm.model.createData()
+    M, coupling = np.empty_like(tangent), np.empty_like(weight)
+    to_elastic, to_driven = np.ix_(arm.elastic, arm.elastic), np.ix_(arm.elastic, arm.driven)
+    for k, configuration in enumerate(arm.configuration(q, u)):
+        upper = np.triu(pin.crba(arm.model, data, configuration))
+        whole = upper + np.triu(upper, 1).T
+        M[k], coupling[k] = whole[to_elastic] + arm.added_mass, whole[to_driven]
+    K = (tangent + tangent.transpose(0, 2, 1)) / 2
+    return Linearised(u=u, mass=M, stiffness=K, coupling=coupling, weight=weight)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ArmModes:
+    """Natural modes of an arm about its static equilibrium, the joints held still.
+
+    Attributes
+    ----------
+    frequencies : (k,), Hz
+        Ascending; fewer than f where some elastic coordinates move no mass.
+    shapes : (f, k)
+        Column i is mode i in the elastic coordinates, m and rad, of modal mass 1 kg m2.
+    u : (f,), m and rad
+        The equilibrium.
+    mass, stiffness : (f, f)
+        As those of `Linearised`.
+    """
+
+    frequencies: FloatArray
+    shapes: FloatArray
+    u: FloatArray
+    mass: FloatArray
+    stiffness: FloatArray
+
+    def damping(self, ratio: float) -> FloatArray:
+        """Return the damping matrix (f, f) that gives every mode the same damping ratio.
+
+        ``D = M Phi diag(2 ratio omega) Phi' M`` with the shapes Phi and the angular frequencies omega.
+
+        Raises
+        ------
+        InputError
+            When the ratio is negative or not finite.
+        """
+        if not (math.isfinite(ratio) and ratio >= 0):
+            raise InputError("ArmModes.damping", "ratio", ratio, "a number that is not negative")
+        momenta = self.mass @ self.shapes
+        return np.asarray((momenta * (4 * np.pi * ratio * self.frequencies)) @ momenta.T)
+
+
+def arm_modes(arm: ElasticArm, q: FloatArray) -> ArmModes:
+    """Find the modes of an arm in posture `q` (n,), rad.
+
+    Raises
+    ------
+    InputError
+        When the arm is too soft to carry itself there.
+    """
+    at = linearised(arm, q[None])
+    M, K = at.mass[0], at.stiffness[0]
+    # The roles of mass and stiffness are exchanged because the mass may be singular: eigenvalues 1/omega^2.
+    squares, X = linalg.eigh(M, K)
+    squares, X = squares[::-1], X[:, ::-1]
+    moving = squares > _MASSLESS * squares.max(initial=0.0)
+    squares, X = squares[moving], X[:, moving]
+    return ArmModes(
+        frequencies=1 / (2 * np.pi * np.sqrt(squares)),
+        shapes=X / np.sqrt(squares),
+        u=at.u[0],
+        mass=M,
+        stiffness=K,
+    )

@@ -1,0 +1,261 @@
+"""From a scene file to a scene, and from a scene, as Python may have changed it, back to its file."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.common.installation import scene_folder
+from cmbot.common.validation import given_path, hint, plain, shown, validated
+from cmbot.common.yaml_reader import read_yaml
+from cmbot.scene.fields import si_fields
+from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
+from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
+from cmbot.scene.scene import RobotSource, Scene
+from cmbot.scene.schema import ObstacleFile, RobotFile, SceneFile
+
+__all__ = ["load_scene", "scene_from_file", "shipped_scenes", "update_file"]
+
+
+def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
+    """Read and check a scene.
+
+    Parameters
+    ----------
+    source : str, Path or mapping
+        The name of a shipped scene, such as ``triangle``; the path of a scene file; or the content of one,
+        in which relative paths start at the current folder.
+
+    Returns
+    -------
+    Scene
+
+    Raises
+    ------
+    SceneError
+        The file is missing or unreadable, a key or value in it is wrong, or a file that it names is missing.
+    """
+    if isinstance(source, Mapping):
+        name = "scene"
+        return scene_from_file(validated(SceneFile, dict(source), name, SceneError), Path.cwd(), name)
+    path = _scene_path(source)
+    file = validated(SceneFile, read_yaml(path, SceneError), str(path), SceneError)
+    return scene_from_file(file, path.parent, str(path))
+
+
+def shipped_scenes() -> tuple[str, ...]:
+    """Return the names that `load_scene` knows, in alphabetical order."""
+    return tuple(sorted(path.stem for path in scene_folder().glob("*.yaml")))
+
+
+def scene_from_file(file: SceneFile, base_folder: Path, source: str) -> Scene:
+    """Return the scene that a checked file describes.
+
+    Parameters
+    ----------
+    file : SceneFile
+    base_folder : Path
+        Where relative paths in `file` start.
+    source : str
+        Where it came from, for messages.
+
+    Raises
+    ------
+    SceneError
+        A file that it names is missing.
+    """
+    own = tuple(
+        _obstacle(obstacle, f"obstacles[{index}]", base_folder, source)
+        for index, obstacle in enumerate(file.obstacles)
+    )
+    guardrail = guardrail_from_file(file.guardrail)
+    posture = np.radians(file.posture_deg)
+    posture.setflags(write=False)
+    return Scene(
+        name=file.name,
+        source=source,
+        robot=_robot(file.robot, base_folder, source),
+        posture=posture,
+        obstacles=(*own, *guardrail_obstacles(guardrail)),
+        guardrail=guardrail,
+        planner=file.planner,
+        file=file,
+        content_hash=_content_hash(file, own, source),
+        **dict(file.tool_path),
+    )
+
+
+def update_file(scene: Scene) -> Scene:
+    """Return a scene whose file and hash agree with its fields, its own obstacles before the guardrail's.
+
+    Raises
+    ------
+    SceneError
+        When no scene file can describe it.
+    """
+    own = _own_obstacles(scene)
+    obstacles = (*own, *(one for one in scene.obstacles if one not in own))
+    entries = {entry.name: entry for entry in scene.file.obstacles}
+    data = scene.file.as_data() | {
+        "name": scene.name,
+        "robot": _robot_data(scene.robot, scene.file.robot),
+        "posture_deg": _degrees(scene.posture, scene.file.posture_deg),
+        "tool_path": {
+            name: plain(getattr(scene, name), "Scene") for name in type(scene.file.tool_path).model_fields
+        },
+        "obstacles": [_obstacle_data(obstacle, entries.get(obstacle.name)) for obstacle in own],
+        "planner": plain(scene.planner, "Scene"),
+    }
+    file = validated(SceneFile, data, "Scene", SceneError)
+    if file == scene.file:
+        return replace(scene, obstacles=obstacles)
+    hashed = _content_hash(file, own, scene.source)
+    return replace(scene, obstacles=obstacles, file=file, content_hash=hashed)
+
+
+def _scene_path(source: str | Path) -> Path:
+    if isinstance(source, str) and source in shipped_scenes():
+        return scene_folder() / f"{source}.yaml"
+    path = given_path(source, "load_scene", "source", "the path of a scene file, or its content as a mapping")
+    if source == "":  # as a path that is the current folder
+        expected = "a scene file or the name of a shipped scene"
+        raise SceneError("load_scene", "source", "nothing", expected, shipped_scenes())
+    if not _exists(path):
+        expected = f"a scene file or the name of a shipped scene{hint(path.stem, shipped_scenes())}"
+        raise SceneError(_as_source(path), "", "no such file", expected, shipped_scenes())
+    return path
+
+
+def _as_source(path: Path) -> str:
+    text = str(path)
+    return text if text.isprintable() and len(text) <= 300 else shown(text)
+
+
+def _exists(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name too long, or one that no file can have
+        return False
+
+
+def _named_file(text: str, key: str, base_folder: Path, source: str) -> Path:
+    path = base_folder / text
+    try:
+        if path.is_file():
+            return path.resolve()
+    except (OSError, ValueError) as error:
+        raise SceneError(source, key, shown(text), "the path of a file") from error
+    expected = "a file that exists (relative to the scene file)"
+    if key == "robot.model":
+        expected += f", or cmbot{hint(text, ('cmbot',))}"
+    raise SceneError(source, key, shown(text), expected)
+
+
+def _robot(file: RobotFile, base_folder: Path, source: str) -> RobotSource:
+    values = si_fields(file)
+    for key in ("limits", "srdf", "elasticity", *(() if file.model == "cmbot" else ("model",))):
+        if values[key] is not None:
+            values[key] = _named_file(values[key], f"robot.{key}", base_folder, source)
+    mount = values.pop("mount")
+    placed = {} if mount is None else si_fields(mount)
+    return RobotSource(**values, mount_xyz=placed.get("xyz"), mount_rpy=placed.get("rpy"))
+
+
+def _obstacle(file: ObstacleFile, key: str, base_folder: Path, source: str) -> Obstacle:
+    X_WO = pose(file.xyz, np.radians(file.rpy_deg))
+    shape = _shape(file, key, base_folder, source)
+    return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece)
+
+
+def _shape(file: ObstacleFile, key: str, base_folder: Path, source: str) -> Shape:
+    if file.box is not None:
+        return Box(size=file.box)
+    if file.cylinder is not None:
+        return Cylinder(radius=file.cylinder[0], length=file.cylinder[1])
+    if file.capsule is not None:
+        return Capsule(radius=file.capsule[0], length=file.capsule[1])
+    if file.sphere is not None:
+        return Sphere(radius=file.sphere)
+    mesh = cast("str", file.mesh)  # the schema lets exactly one through
+    return Mesh(path=_named_file(mesh, f"{key}.mesh", base_folder, source))
+
+
+def _content_hash(file: SceneFile, obstacles: tuple[Obstacle, ...], source: str) -> str:
+    """`Scene.content_hash` of a file's content and of its own obstacles' meshes."""
+    total = hashlib.sha256(file.canonical_json().encode())
+    for index, obstacle in enumerate(obstacles):
+        if isinstance(obstacle.shape, Mesh):
+            try:
+                with obstacle.shape.path.open("rb") as mesh:
+                    total.update(hashlib.file_digest(mesh, "sha256").digest())
+            except OSError as error:
+                got = f"a file that cannot be read ({error.strerror})"
+                raise SceneError(source, f"obstacles[{index}].mesh", got, "a readable file") from error
+    return total.hexdigest()
+
+
+def _own_obstacles(scene: Scene) -> tuple[Obstacle, ...]:
+    """The scene's obstacles but the guardrail's members, which its file does not list."""
+    expected = "that of its file: change the file's guardrail block, and load it"
+    if plain(scene.guardrail, "Scene") != plain(guardrail_from_file(scene.file.guardrail), "Scene"):
+        raise SceneError("Scene", "guardrail", "another guardrail than its file's", expected)
+    members = {member.name: plain(member, "Scene") for member in guardrail_obstacles(scene.guardrail)}
+    there = {one.name for one in scene.obstacles if plain(one, "Scene") == members.get(one.name)}
+    if missing := ", ".join(sorted(members.keys() - there)):
+        expected = "all of it, as loaded; guardrail: {bays: 0} in the scene's file takes it away"
+        raise SceneError("Scene", "obstacles", f"a guardrail without {missing}, or with others", expected)
+    return tuple(one for one in scene.obstacles if one.name not in there)
+
+
+def _robot_data(robot: RobotSource, file: RobotFile) -> dict[str, Any]:
+    """What the file says of a robot; a path is written as the file has it, where it has one."""
+    files = {"limits": robot.limits, "srdf": robot.srdf, "elasticity": robot.elasticity}
+    shipped, mount = robot.model == "cmbot", None
+    if robot.mount_xyz is not None and robot.mount_rpy is not None:
+        rpy_deg = _degrees(robot.mount_rpy, file.mount.rpy_deg if file.mount else None)
+        mount = {"xyz": list(robot.mount_xyz), "rpy_deg": rpy_deg}
+    return {
+        "model": file.model if shipped == (file.model == "cmbot") else str(robot.model),
+        "base_frame": robot.base_frame,
+        "tool_frame": robot.tool_frame,
+        "mount": mount,
+        "tool_length_m": robot.tool_length,
+        "payload_kg": robot.payload,
+        **{key: None if path is None else getattr(file, key) or str(path) for key, path in files.items()},
+    }
+
+
+def _obstacle_data(obstacle: Obstacle, entry: ObstacleFile | None) -> dict[str, Any]:
+    """What the file says of an obstacle; as it did, where that is the same."""
+    X = obstacle.X_WO
+    xyz, rpy_deg = X[:3, 3].tolist(), Rotation.from_matrix(X[:3, :3]).as_euler("xyz", degrees=True).tolist()
+    if entry is not None and np.array_equal(pose(entry.xyz, np.radians(entry.rpy_deg)), X):
+        xyz, rpy_deg = entry.xyz, entry.rpy_deg
+    data = {"name": obstacle.name, "xyz": xyz, "rpy_deg": rpy_deg, "workpiece": obstacle.workpiece}
+    match obstacle.shape:
+        case Box(size=size):
+            return data | {"box": plain(size, "Box")}
+        case Cylinder(radius=radius, length=length):
+            return data | {"cylinder": plain([radius, length], "Cylinder")}
+        case Capsule(radius=radius, length=length):
+            return data | {"capsule": plain([radius, length], "Capsule")}
+        case Sphere(radius=radius):
+            return data | {"sphere": plain(radius, "Sphere")}
+        case Mesh(path=path):
+            text = entry.mesh if entry is not None else None
+            return data | {"mesh": text if text and Path(text).name == path.name else str(path)}
+
+
+def _degrees(radians: Sequence[float] | FloatArray, known: Sequence[float] | None) -> list[float]:
+    """Angles in degrees; those that are known where they are the same."""
+    if known is not None and np.array_equal(np.radians(known), radians):
+        return list(known)
+    return [float(angle) for angle in np.degrees(radians)]
