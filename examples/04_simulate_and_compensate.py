@@ -35,12 +35,12 @@ for what, part in (
     ("  of that vibration", "dynamic"),
     ("bent tool off its path", "path"),
 ):
-    values = [1e3 * getattr(motion.figures, part).rms[3] for motion in motions.values()]
+    values = [1e3 * getattr(motion.metrics, part).rms[3] for motion in motions.values()]
     print(f"{what:<28}" + "".join(f"{value:>13.3f}" for value in values))
 
-before = motions["baseline"].figures.path.rms[3]
+before = motions["baseline"].metrics.path.rms[3]
 for name in ("planned", "compensated"):
-    reduction = 1 - motions[name].figures.path.rms[3] / before
+    reduction = 1 - motions[name].metrics.path.rms[3] / before
     print(f"\n{name}: off its path {100 * reduction:.1f} % less than the baseline", end="")
 print(f"\npeak torque on the guardrail, Nm: {plain.figures.peak_guardrail_torque:.2f}, ", end="")
 print(f"compensated {compensated.figures.peak_guardrail_torque:.2f}")

@@ -79,7 +79,7 @@ def tracking(plan: cmbot.Plan) -> Iterator[tuple[str, list[float]]]:
     """Yield tracking errors, mm: of the baseline, of the plan, of a plan with compensation."""
     options = replace(plan.scene.planner, compensate=True)
     plain, compensated = cmbot.simulate(plan), cmbot.simulate(cmbot.plan(plan.scene, options=options))
-    figures = [motion.figures for motion in (plain.baseline, plain.planned, compensated.planned)]
+    figures = [motion.metrics for motion in (plain.baseline, plain.planned, compensated.planned)]
     for name, part in (
         ("error, RMS", "total"),
         ("its dynamic part, RMS", "dynamic"),

@@ -14,7 +14,7 @@ from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tables import table_csv
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, require_type
-from cmbot.simulation import ErrorFigures, MotionTracking, Statistics, Tracking
+from cmbot.simulation import ErrorMetrics, MotionTracking, Statistics, Tracking
 from cmbot.version import __version__
 
 __all__ = ["COLUMNS", "FORMAT", "TRACKING_FILES", "require_no_tracking", "save_tracking", "tracking_json"]
@@ -98,7 +98,7 @@ def tracking_json(tracking: Tracking) -> dict[str, Any]:
 
 
 def _motion(motion: MotionTracking) -> dict[str, Any]:
-    figures = motion.figures
+    figures = motion.metrics
     return {
         "stop": motion.stop,
         **{part: _statistics(getattr(figures, part)) for part in ("total", "static", "dynamic", "path")},
@@ -118,7 +118,7 @@ def _statistics(statistics: Statistics) -> dict[str, dict[str, float]]:
     return {key: dict(zip(names, value.tolist(), strict=True)) for key, value in vars(statistics).items()}
 
 
-def _residual(figures: ErrorFigures) -> dict[str, Any] | None:
+def _residual(figures: ErrorMetrics) -> dict[str, Any] | None:
     residual = figures.residual
     if residual is None:
         return None

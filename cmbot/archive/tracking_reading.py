@@ -17,9 +17,14 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import counted, given_path, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, require_plan
-from cmbot.simulation import MotionTracking, SimulationOptions, Tracking
-from cmbot.simulation.drive import PrescribedMotion, drive_along, drive_through
-from cmbot.simulation.tracking import completed, foreseen
+from cmbot.simulation import (
+    MotionTracking,
+    PrescribedMotion,
+    SimulationOptions,
+    Tracking,
+    expected_tool,
+    motion_tracking,
+)
 
 __all__ = ["load_tracking"]
 
@@ -63,8 +68,8 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
             raise ArchiveError(str(source), f"files.{name}", f"{got[:16]}… now", why)
     options = validated(SimulationOptions, _entry(data, source, "options"), str(source), ArchiveError)
     drives = {
-        "planned": (_PLANNED, drive_along(plan.trajectory), plan.sag),
-        "baseline": (_BASELINE, drive_through(plan.baseline.t, plan.baseline.q), None),
+        "planned": (_PLANNED, PrescribedMotion.along(plan.trajectory), plan.sag),
+        "baseline": (_BASELINE, PrescribedMotion.through(plan.baseline.t, plan.baseline.q), None),
     }
     motions = {
         name: _motion(plan, drive, contents[file], folder / file, _frequencies(data, source, name), sag)
@@ -89,8 +94,8 @@ def _motion(
         )
         raise ArchiveError(str(source), "", got, expected)
     t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:7].copy()
-    rigid, predicted = foreseen(plan.robot, drive, t, sag)
-    return completed(plan.task, drive, t, rigid + predicted, error, static, frequencies)
+    rigid, predicted = expected_tool(plan.robot, drive, t, sag)
+    return motion_tracking(plan.task, drive, t, rigid + predicted, error, static, frequencies)
 
 
 def _frequencies(data: dict[str, Any], source: Path, motion: str) -> FloatArray:

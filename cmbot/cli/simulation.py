@@ -204,9 +204,9 @@ def _print_goals(experiment: Experiment) -> None:
 
 
 def _print_answer(planned: Plan, tracking: Tracking) -> None:
-    from cmbot.simulation import tracking_answer, tracking_verdict
+    from cmbot.simulation import tracking_summary, tracking_verdict
 
-    rows = list(tracking_answer(tracking, compensated=planned.options.compensate))
+    rows = list(tracking_summary(tracking, compensated=planned.options.compensate))
     print_table(f"{planned.scene.name}, mm", ("", "baseline", "planned"), rows, text_columns=1)
     out.print(tracking_verdict(planned, tracking))
 

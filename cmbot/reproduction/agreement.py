@@ -99,7 +99,7 @@ def _sag(run: Run) -> str:
 
 
 def _dynamic_share(motion: MotionTracking) -> float:
-    figures = motion.figures
+    figures = motion.metrics
     return float((figures.dynamic.rms[3] / figures.total.rms[3]) ** 2)
 
 

@@ -11,8 +11,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import Plan
 from cmbot.reproduction.experiment import Variant, reduction
 from cmbot.reproduction.tables import GoalRow, GoalTable, Verdict
-from cmbot.simulation import Statistics, Tracking
-from cmbot.simulation.metrics import statistics
+from cmbot.simulation import Statistics, Tracking, statistics
 
 __all__ = ["compensation_goal"]
 
@@ -131,7 +130,7 @@ class _Case:
 
 def _compared(tracking: Tracking, name: str, predicted: Statistics) -> _Case:
     attribute = name.replace(" ", "_")
-    baseline, planned = tracking.baseline.figures, tracking.planned.figures
+    baseline, planned = tracking.baseline.metrics, tracking.planned.metrics
     before = np.abs(getattr(baseline.total, attribute)[:3])
     return _Case(
         stiffness=tracking.options.guardrail_factor,
@@ -172,7 +171,7 @@ def _judged(cases: list[_Case]) -> Iterator[tuple[Verdict, str]]:
 def _off_path(variant: Variant) -> str:
     parts = []
     for tracking in variant.trackings:
-        left, right = (motion.figures.path.rms[3] for motion in (tracking.baseline, tracking.planned))
+        left, right = (motion.metrics.path.rms[3] for motion in (tracking.baseline, tracking.planned))
         stiffness = tracking.options.guardrail_factor
         parts.append(f"{1e3 * right:.2f} instead of {1e3 * left:.2f} at stiffness times {stiffness:g}")
     return f"Distance of the elastic arm's tool from its path, RMS, mm: {', '.join(parts)}."

@@ -166,7 +166,7 @@ def reduction(without: FloatArray, planned: FloatArray) -> FloatArray:
 
 def axes(motion: MotionTracking) -> tuple[FloatArray, FloatArray]:
     """Return mean and standard deviation of a motion's error along x, y and z, both (3,), m."""
-    total = motion.figures.total
+    total = motion.metrics.total
     return total.mean[:3], total.standard_deviation[:3]
 
 

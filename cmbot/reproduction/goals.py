@@ -67,7 +67,7 @@ def posture_goal(run: Run) -> GoalTable:
 
 
 def _growing(run: Run) -> Iterator[str]:
-    figures = [motion.figures for motion in (run.equilibrium.baseline, run.equilibrium.planned)]
+    figures = [motion.metrics for motion in (run.equilibrium.baseline, run.equilibrium.planned)]
     means, sags = (
         np.array([1e3 * np.abs(getattr(found, part).mean[:3]) for found in figures])
         for part in ("total", "static")
@@ -179,7 +179,7 @@ def _residuals(experiment: Experiment) -> Iterator[_Residual]:
         if variant.plan is not None:
             simulated += [(setting, variant.plan, tracking) for tracking in variant.trackings]
     for setting, plan, tracking in simulated:
-        left, right = tracking.baseline.figures.residual, tracking.planned.figures.residual
+        left, right = tracking.baseline.metrics.residual, tracking.planned.metrics.residual
         if left is not None and right is not None:
             yield _Residual(
                 setting=setting,
@@ -203,7 +203,7 @@ def least_sag(torque: Run, variant: Variant) -> GoalTable:
     torques = np.array([found.peak_guardrail_torque for found in figures])
     rows = (
         _sag_row("sag of the tool", "peak, mm", sags),
-        _sag_row("sag of the tool", "mean, mm", [1e3 * motion.figures.static.mean[3] for motion in motions]),
+        _sag_row("sag of the tool", "mean, mm", [1e3 * motion.metrics.static.mean[3] for motion in motions]),
         _sag_row("torque on the guardrail", "peak, Nm", torques),
         _sag_row("torque on the guardrail", "mean, Nm", [found.mean_guardrail_torque for found in figures]),
     )

@@ -250,7 +250,7 @@ def _tracking_json(tracking: Tracking) -> dict[str, Any]:
 
 
 def _motion_json(motion: MotionTracking) -> dict[str, Any]:
-    figures = motion.figures
+    figures = motion.metrics
     return {
         **_vectors(axes(motion)),
         "rms_static": figures.static.rms.tolist(),

@@ -1,25 +1,42 @@
-"""What would happen: the motion on a guardrail and links that bend."""
+"""Elastic simulation: the motion of the arm on a guardrail and links that bend."""
 
 from __future__ import annotations
 
-from cmbot.simulation.answer import off_path, tracking_answer, tracking_verdict
-from cmbot.simulation.metrics import ErrorFigures, Residual, Statistics
+from cmbot.simulation.metrics import ErrorMetrics, Residual, Statistics, statistics
 from cmbot.simulation.options import SimulationOptions
-from cmbot.simulation.remarks import tracking_remarks, tracking_rows
-from cmbot.simulation.tracking import MotionTracking, Tracking, simulate, track
+from cmbot.simulation.prescribed_motion import PrescribedMotion
+from cmbot.simulation.summary import (
+    off_path,
+    tracking_remarks,
+    tracking_rows,
+    tracking_summary,
+    tracking_verdict,
+)
+from cmbot.simulation.tracking import (
+    MotionTracking,
+    Tracking,
+    expected_tool,
+    motion_tracking,
+    simulate,
+    track,
+)
 
 __all__ = [
-    "ErrorFigures",
+    "ErrorMetrics",
     "MotionTracking",
+    "PrescribedMotion",
     "Residual",
     "SimulationOptions",
     "Statistics",
     "Tracking",
+    "expected_tool",
+    "motion_tracking",
     "off_path",
     "simulate",
+    "statistics",
     "track",
-    "tracking_answer",
     "tracking_remarks",
     "tracking_rows",
+    "tracking_summary",
     "tracking_verdict",
 ]

@@ -1,41 +1,74 @@
-"""Generalized-alpha integration of springs behind driven joints (Chung and Hulbert, 1993).
+"""Generalized-alpha integration of elastic coordinates with driven joints (Chung and Hulbert, 1993).
 
-In the form of Arnold and Brüls (2007): the equation of motion holds at every step, and a filtered
-acceleration `a` carries the method's memory::
+In the form of Arnold and Brüls (2007): the equation of motion holds at every step, and the method's auxiliary
+acceleration is `a`::
 
     (1 - alpha_m) a' + alpha_m a = (1 - alpha_f) qdd' + alpha_f qdd
     q'  = q + h qd + h^2 ((1/2 - beta) a + beta a')
     qd' = qd + h ((1 - gamma) a + gamma a')
 
-It is of second order, unconditionally stable for linear systems, and damps what is too fast for the step:
-`rho_inf` is the factor by which it shrinks the infinitely fast at each.
+It is of second order and unconditionally stable for linear systems. `rho_inf` is the spectral radius at
+infinite frequency: the factor by which a step damps motions that it cannot resolve.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 from scipy.linalg.lapack import dpotrf, dpotrs
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import SimulationDiverged
-from cmbot.simulation.drive import PrescribedMotion
-from cmbot.simulation.system import ElasticSystem
+from cmbot.elastic.arm import ElasticArm
+from cmbot.simulation.prescribed_motion import PrescribedMotion
 
-__all__ = ["ElasticMotion", "GeneralizedAlpha"]
+__all__ = ["ElasticMotion", "ElasticSystem", "GeneralizedAlpha"]
 
-# Bent further than this, m or rad, springs between rigid bodies mean nothing any more.
-_FURTHEST = 1.0
-# Steps from one report of progress to the next.
-_REPORTED = 100
+# Displacement, m or rad, beyond which the model of springs between rigid bodies is not valid.
+_MAX_DISPLACEMENT = 1.0
+# Steps between two reports of progress.
+_PROGRESS_STEPS = 100
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ElasticSystem:
+    """A mechanism of d driven and f elastic coordinates.
+
+    Its equation of motion, with q_a prescribed, is that of the elastic coordinates alone::
+
+        (M_ff + added_mass) qdd_f = - stiffness q_f - damping qd_f - h_f(q, qd) - M_fa qdd_a
+
+    Attributes
+    ----------
+    model : pinocchio.Model
+        Configurations are vectors.
+    driven, elastic : (d,) and (f,)
+        Indices of these coordinates; together they are all.
+    stiffness, damping, added_mass : (f, f)
+        Symmetric. `added_mass` is mass outside the model, such as the guardrail's own.
+    """
+
+    model: Any
+    driven: IntArray
+    elastic: IntArray
+    stiffness: FloatArray
+    damping: FloatArray
+    added_mass: FloatArray
+
+    @classmethod
+    def of(cls, arm: ElasticArm, damping: FloatArray) -> ElasticSystem:
+        """Return the system of an arm with a damping matrix (f, f)."""
+        shared = ("model", "driven", "elastic", "stiffness", "added_mass")
+        return cls(damping=damping, **{name: getattr(arm, name) for name in shared})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElasticMotion:
-    """The motion of a system, step by step.
+    """The motion of a system at every step.
 
     Attributes
     ----------
@@ -54,7 +87,7 @@ class ElasticMotion:
 
 
 class GeneralizedAlpha:
-    """The integrator of one system; it owns working memory, so it is not to be shared between threads.
+    """The integrator of one system; it owns working memory, so threads must not share it.
 
     Parameters
     ----------
@@ -84,58 +117,55 @@ class GeneralizedAlpha:
 
     def run(
         self,
-        drives: Sequence[PrescribedMotion],
+        motions: Sequence[PrescribedMotion],
         u: FloatArray,
         v: FloatArray,
-        tell: Callable[[float], None] | None = None,
+        progress: Callable[[float], None] | None = None,
     ) -> ElasticMotion:
-        """Integrate along drives, one after the other.
+        """Integrate along prescribed motions, one after the other.
 
-        Each joins the last in position and velocity; acceleration may jump in between, and there the step
-        ends and begins anew.
+        Each continues the one before in position and velocity. Where the acceleration jumps, a step ends.
 
         Parameters
         ----------
-        drives : sequence of PrescribedMotion
+        motions : sequence of PrescribedMotion
         u, v : (f,)
             The elastic coordinates and their rates at first.
-        tell : callable, optional
-            Called every so often with the time that has been reached, s.
+        progress : callable, optional
+            Called every 100 steps with the time that has been reached, s.
 
         Raises
         ------
         SimulationDiverged
-            When the state is not finite or far beyond what the model can mean.
+            When the state is not finite or outside the validity of the model.
         """
         parts, start = [], 0.0
-        # What overflows on the way is found by the look at every state.
+        # An overflow shows in the state, which every step checks.
         with np.errstate(over="ignore", invalid="ignore"):
-            for drive in drives:
-                part = self._along(drive, u, v, start, tell or (lambda _: None))
-                u, v, start = part.u[-1], part.v[-1], start + drive.duration
+            for motion in motions:
+                part = self._along(motion, u, v, start, progress or (lambda _: None))
+                u, v, start = part.u[-1], part.v[-1], start + motion.duration
                 parts.append(part)
         first, *others = parts
-        # Where two meet, the state is the same and the acceleration that of the earlier.
-        return ElasticMotion(
-            t=np.concatenate([first.t, *(part.t[1:] for part in others)]),
-            joints=np.vstack([first.joints, *(part.joints[1:] for part in others)]),
-            u=np.vstack([first.u, *(part.u[1:] for part in others)]),
-            v=np.vstack([first.v, *(part.v[1:] for part in others)]),
-            a=np.vstack([first.a, *(part.a[1:] for part in others)]),
-        )
+
+        def joined(name: str) -> FloatArray:
+            # At a junction the state is the same; of the two accelerations the earlier is kept.
+            return np.concatenate([getattr(first, name), *(getattr(part, name)[1:] for part in others)])
+
+        return ElasticMotion(**{field.name: joined(field.name) for field in fields(ElasticMotion)})
 
     def _along(
         self,
-        drive: PrescribedMotion,
+        motion: PrescribedMotion,
         u: FloatArray,
         v: FloatArray,
         start: float,
-        tell: Callable[[float], None],
+        progress: Callable[[float], None],
     ) -> ElasticMotion:
-        steps = max(int(np.ceil(drive.duration / self._step * (1 - 1e-12))), 1)
-        h = drive.duration / steps
-        t = np.linspace(0.0, drive.duration, steps + 1)
-        joints, rates, accelerations = drive.states(t)
+        steps = max(int(np.ceil(motion.duration / self._step * (1 - 1e-12))), 1)
+        h = motion.duration / steps
+        t = np.linspace(0.0, motion.duration, steps + 1)
+        joints, rates, accelerations = motion.states(t)
         f = len(u)
         us, vs, as_ = (np.empty((steps + 1, f)) for _ in range(3))
         alpha_m, alpha_f, beta, gamma = self._alpha_m, self._alpha_f, self._beta, self._gamma
@@ -151,7 +181,7 @@ class GeneralizedAlpha:
         a = qdd.copy()
         us[0], vs[0], as_[0] = u1, v1, qdd
         for k in range(1, steps + 1):
-            # The first guess: the acceleration stays what it is.
+            # The predictor keeps the acceleration.
             a1 = (qdd - alpha_m * a) / (1 - alpha_m)
             u1 += h * v1
             u1 += h**2 * ((0.5 - beta) * a + beta * a1)
@@ -165,11 +195,11 @@ class GeneralizedAlpha:
                 a1 += share * change
             a = a1
             us[k], vs[k], as_[k] = u1, v1, qdd
-            # False for what is not a number, too.
-            if not abs(us[k]).max() < _FURTHEST:
+            # Also false for NaN.
+            if not abs(us[k]).max() < _MAX_DISPLACEMENT:
                 raise SimulationDiverged(time=start + float(t[k]), state=us[k].tolist())
-            if k % _REPORTED == 0:
-                tell(start + float(t[k]))
+            if k % _PROGRESS_STEPS == 0:
+                progress(start + float(t[k]))
         return ElasticMotion(t=start + t, joints=joints, u=us, v=vs, a=as_)
 
     def _prescribe(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
@@ -186,7 +216,7 @@ class GeneralizedAlpha:
             M.take(self._block, out=self._mass.reshape(-1), mode="clip")
             self._mass += tangent
             self._factor, failed = dpotrf(self._mass.T, overwrite_a=True, clean=False)
-            if failed:  # no mass moves like that; the look at the state that follows says when
+            if failed:  # not positive definite: the check of the next state raises, with its time
                 return np.full(f, np.nan)
         pin.rnea(system.model, self._data, self._q, self._v, self._a).take(
             elastic, out=self._force, mode="clip"

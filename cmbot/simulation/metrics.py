@@ -1,4 +1,4 @@
-"""Figures of a tracking error: its size, what is left of it after the stop, its power at the modes."""
+"""Metrics of a tracking error: its size, the residual vibration after the stop, its power at the modes."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from scipy.spatial.distance import pdist
 from cmbot.common.arrays import FloatArray
 
 __all__ = [
-    "ErrorFigures",
+    "ErrorMetrics",
     "Residual",
     "Statistics",
-    "error_figures",
+    "error_metrics",
     "mode_power",
     "power_density",
     "residual",
     "statistics",
 ]
 
-# A mode's band reaches at most this share of its frequency to either side: it moves with the posture.
+# Half-width of a mode's band, as a share of its frequency: the frequency changes with the posture.
 _BAND = 0.2
 _MODES = 4
 # Samples of a segment of Welch's method: at 5 ms a resolution of 0.1 Hz.
@@ -29,13 +29,13 @@ _SEGMENT = 2048
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Statistics:
-    """What a vector's components are over time, and its norm.
+    """Statistics over time of a vector's components and of its norm.
 
     Attributes
     ----------
     mean, standard_deviation, rms, peak_to_peak : (4,), m
-        Of x, y, z in W, then of the norm. Means are over time; the deviation is that of the whole motion, not
-        an estimate from a sample. The norm's are those of ``|e(t)|``, not norms of the others.
+        Of x, y, z in W, then of ``|e(t)|``. Means are over time; the deviation is that of the whole motion,
+        not an estimate from a sample.
     """
 
     mean: FloatArray
@@ -46,19 +46,19 @@ class Statistics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Residual:
-    """What the tool does after the joints have stopped.
+    """The residual vibration of the tool after the joints have stopped.
 
     Attributes
     ----------
     seconds : float, s
-        How long it is watched.
+        Simulated time after the stop.
     peak_to_peak : (3,), m
         Along x, y, z.
     diameter : float, m
-        Largest distance between two of the tool's places.
+        Largest distance between two positions of the tool.
     decay : float or None
-        RMS of the dynamic error in the last quarter of that time, as a share of that in the first; None where
-        nothing moves.
+        RMS of the dynamic error in the last quarter of that time, as a share of that in the first; None
+        without vibration.
     """
 
     seconds: float
@@ -68,21 +68,19 @@ class Residual:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ErrorFigures:
-    """The figures of a motion's tracking error.
+class ErrorMetrics:
+    """The metrics of a motion's tracking error.
 
     Attributes
     ----------
     total, static, dynamic : Statistics
-        Of the error, of the sag of its postures, of the rest, while the joints move.
+        Of the error, of its static part, of their difference, while the joints move.
     path : Statistics
-        Of the bent tool's way from the nearest point of the tool path's leg, while the joints move: what is
-        left where the sag was compensated.
+        Of the bent tool's offset from the nearest point of the tool path's leg, while the joints move.
     residual : Residual or None
-        None where the arm was not watched after the stop.
+        None where nothing was simulated after the stop.
     mode_frequencies : (k,), Hz
-        Of the first four modes in the motion's first posture; fewer where the samples are too far apart to
-        show them.
+        Of the first four modes in the motion's first posture; fewer where the sampling rate is too low.
     mode_power : (k,), m2
         Mean square of the dynamic error near each of them, while the joints move.
     """
@@ -96,15 +94,15 @@ class ErrorFigures:
     mode_power: FloatArray
 
 
-def error_figures(
+def error_metrics(
     t: FloatArray,
     error: FloatArray,
     static: FloatArray,
     path_error: FloatArray,
     moving: int,
     frequencies: FloatArray,
-) -> ErrorFigures:
-    """Reduce a tracking error to figures.
+) -> ErrorMetrics:
+    """Return the metrics of a tracking error.
 
     Parameters
     ----------
@@ -117,22 +115,20 @@ def error_figures(
         Of the modes, ascending.
     """
     dynamic, step = error - static, float(t[1] - t[0])
-    shown = frequencies[:_MODES]
-    shown = shown[(1 + _BAND) * shown < 0.5 / step]
-    rest = slice(moving - 1, None)
-    return ErrorFigures(
-        total=statistics(t[:moving], error[:moving]),
-        static=statistics(t[:moving], static[:moving]),
-        dynamic=statistics(t[:moving], dynamic[:moving]),
-        path=statistics(t[:moving], path_error[:moving]),
-        residual=residual(t[rest], dynamic[rest]) if moving < len(t) else None,
-        mode_frequencies=shown,
-        mode_power=mode_power(step, dynamic[:moving], shown),
+    modes = frequencies[:_MODES]
+    modes = modes[(1 + _BAND) * modes < 0.5 / step]
+    parts = {"total": error, "static": static, "dynamic": dynamic, "path": path_error}
+    after = slice(moving - 1, None)
+    return ErrorMetrics(
+        **{name: statistics(t[:moving], part[:moving]) for name, part in parts.items()},
+        residual=residual(t[after], dynamic[after]) if moving < len(t) else None,
+        mode_frequencies=modes,
+        mode_power=mode_power(step, dynamic[:moving], modes),
     )
 
 
 def statistics(t: FloatArray, error: FloatArray) -> Statistics:
-    """Reduce an error (N, 3) at times (N,) to figures."""
+    """Return the statistics of an error (N, 3) at times (N,)."""
     values = np.column_stack([error, np.linalg.norm(error, axis=1)])
     # Weights of the trapezoidal rule: the last step may be shorter.
     weight = np.gradient(t)
@@ -148,7 +144,7 @@ def statistics(t: FloatArray, error: FloatArray) -> Statistics:
 
 
 def residual(t: FloatArray, dynamic: FloatArray) -> Residual:
-    """Reduce the dynamic error (N, 3) at times (N,) after the stop to figures."""
+    """Return the metrics of the dynamic error (N, 3) at times (N,) after the stop."""
     square = np.einsum("ki,ki->k", dynamic, dynamic)
     quarter = max(len(t) // 4, 1)
     first, last = square[:quarter].mean(), square[-quarter:].mean()
@@ -163,8 +159,8 @@ def residual(t: FloatArray, dynamic: FloatArray) -> Residual:
 def mode_power(step: float, dynamic: FloatArray, frequencies: FloatArray) -> FloatArray:
     """Return the mean square of an error near each of some frequencies.
 
-    By Welch's method, summed over the axes. A mode's band ends half-way to its neighbours, and no further
-    than a fifth of its frequency away.
+    By Welch's method, summed over the axes. A mode's band ends half-way to its neighbours, and at most a
+    fifth of its frequency away.
 
     Parameters
     ----------
@@ -182,16 +178,15 @@ def mode_power(step: float, dynamic: FloatArray, frequencies: FloatArray) -> Flo
     middles = 0.5 * (frequencies[1:] + frequencies[:-1])
     low = np.maximum(np.concatenate([[0.0], middles]), (1 - _BAND) * frequencies)
     high = np.minimum(np.concatenate([middles, [np.inf]]), (1 + _BAND) * frequencies)
-    bands = zip(low, high, strict=True)
-    shares = [total[(at >= a) & (at < b)].sum() for a, b in bands]
-    return np.asarray(np.array(shares) * (at[1] - at[0]))
+    sums = [total[(at >= a) & (at < b)].sum() for a, b in zip(low, high, strict=True)]
+    return np.asarray(np.array(sums) * (at[1] - at[0]))
 
 
 def power_density(step: float, dynamic: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
     """Return the power density of an error, summed over the axes.
 
-    By Welch's method (1967), in segments that overlap by half, each less its mean and under Hann's window.
-    `scipy.signal.welch` does the same; to import it takes longer than the rest of a report.
+    By Welch's method (1967), in segments that overlap by half, without their mean, under Hann's window.
+    `scipy.signal.welch` does the same; importing it takes longer than the rest of a report.
 
     Parameters
     ----------
@@ -205,13 +200,12 @@ def power_density(step: float, dynamic: FloatArray, size: int) -> tuple[FloatArr
     -------
     frequencies, density : (size // 2 + 1,), Hz and m2/Hz
     """
-    hop = size - size // 2
-    starts = np.arange(0, len(dynamic) - size + 1, hop)
+    starts = np.arange(0, len(dynamic) - size + 1, size - size // 2)
     segments = dynamic[starts[:, None] + np.arange(size)]
     segments -= segments.mean(axis=1, keepdims=True)
     window = 0.5 - 0.5 * np.cos(2 * np.pi * np.arange(size) / size)
     waves = np.fft.rfft(segments * window[:, None], axis=1)
     density: FloatArray = (np.abs(waves) ** 2).mean(axis=0).sum(axis=1) * step / np.square(window).sum()
-    # One side stands for both, but for the mean and, where there is one, half the sampling rate.
+    # One-sided: doubled except at zero and, if it is there, at half the sampling rate.
     density[1 : (size + 1) // 2] *= 2
     return np.asarray(np.fft.rfftfreq(size, step)), density

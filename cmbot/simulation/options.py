@@ -7,9 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
-from cmbot.common.validation import checked_options
-
-__all__ = ["SimulationOptions", "checked"]
+__all__ = ["SimulationOptions"]
 
 PositiveFloat = Annotated[float, Field(gt=0)]
 
@@ -27,12 +25,11 @@ class SimulationOptions:
     output_step_s : float
         Step of the tracking errors, s.
     settle_s : float
-        How long the arm is watched after it has stopped, s.
+        Simulated time after the joints have stopped, s.
     damping : float
         Ratio of every mode in the motion's first posture. The paper gives none.
     initial : str
-        ``equilibrium``: the arm hangs at rest under its weight when the motion starts. ``undeformed``: it is
-        straight, and let go.
+        ``equilibrium``: the arm starts at rest, bent under its weight. ``undeformed``: it starts straight.
     segments : int
         Elastic joints per link tube.
     guardrail_factor, link_factor : float
@@ -40,8 +37,7 @@ class SimulationOptions:
     payload_kg : float or None
         Point mass at the tool in place of the scene's; the motion stays the same.
     spectral_radius : float
-        rho_inf of the generalized-alpha method, 0 to 1: what it leaves, at each step, of a motion that is too
-        fast for the step; 1 damps nothing.
+        rho_inf of the generalized-alpha method: the factor by which a step damps what it cannot resolve.
     corrections : int
         Newton corrections a step.
     """
@@ -59,14 +55,3 @@ class SimulationOptions:
     payload_kg: Annotated[float, Field(ge=0)] | None = None
     spectral_radius: Annotated[float, Field(ge=0, le=1)] = 0.8
     corrections: Annotated[int, Field(ge=1, le=10)] = 2
-
-
-def checked(options: SimulationOptions) -> SimulationOptions:
-    """Return `options` when every one is within its bounds.
-
-    Raises
-    ------
-    InputError
-        Naming the option, what it is and what it may be.
-    """
-    return checked_options(SimulationOptions, options, "SimulationOptions")

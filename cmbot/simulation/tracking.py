@@ -1,4 +1,4 @@
-"""How far the tool of the bending arm is from where the joints would put it: the tracking error."""
+"""The tracking error: the tool of the elastic arm against the tool that the joint angles give."""
 
 from __future__ import annotations
 
@@ -12,21 +12,29 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.validation import checked_options
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, ToolTask, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.simulation.drive import PrescribedMotion, drive_along, drive_through, held
-from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha
-from cmbot.simulation.metrics import ErrorFigures, error_figures
-from cmbot.simulation.options import SimulationOptions, checked
-from cmbot.simulation.system import ElasticSystem
+from cmbot.simulation.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
+from cmbot.simulation.metrics import ErrorMetrics, error_metrics
+from cmbot.simulation.options import SimulationOptions
+from cmbot.simulation.prescribed_motion import PrescribedMotion
 
-__all__ = ["MotionTracking", "Tracking", "completed", "elastic_arm_of", "foreseen", "simulate", "track"]
+__all__ = [
+    "MotionTracking",
+    "Tracking",
+    "elastic_arm_of",
+    "expected_tool",
+    "motion_tracking",
+    "simulate",
+    "track",
+]
 
-# Sag is computed every so often, s, and a cubic spline in between: on the shipped scenes within 3e-5 mm.
+# Step, s, at which the sag is computed; the cubic spline between is within 3e-5 mm on the shipped scenes.
 _SAG_STEP = 0.02
 
 
@@ -38,18 +46,18 @@ class MotionTracking:
     ----------
     t : (N,), s
     stop : float, s
-        When the joints stop; what comes after is what is left of the vibration.
+        When the joints stop; after it there is only residual vibration.
     error : (N, 3), m
-        Tool point of the bending arm less where the motion's maker expects it: where a rigid arm with the
-        same joint angles has it and, where the sag was compensated, the predicted sag from there.
+        Tool point of the elastic arm less the expected tool point: that of a rigid arm with the same joint
+        angles and, where the sag was compensated, the predicted sag added.
     static : (N, 3), m
-        The same at rest: the sag of the posture at that time, or what of it was not predicted.
+        The error at rest: the sag of the posture at that time, less the predicted one.
     command : (N, 3), m
-        Where the motion's maker expects the tool point less where the tool path has it at that time: it comes
-        from the joint motion, not from bending.
+        Expected tool point less that of the tool path at that time: it comes from the joint motion, not from
+        bending.
     path_error : (N, 3), m
-        From the nearest point of the leg of that time to the bending arm's tool point.
-    figures : ErrorFigures
+        From the nearest point of the current leg to the elastic arm's tool point.
+    metrics : ErrorMetrics
     """
 
     t: FloatArray
@@ -58,7 +66,7 @@ class MotionTracking:
     static: FloatArray
     command: FloatArray
     path_error: FloatArray
-    figures: ErrorFigures
+    metrics: ErrorMetrics
 
     @property
     def dynamic(self) -> FloatArray:
@@ -68,12 +76,11 @@ class MotionTracking:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracking:
-    """The tracking errors of a plan and of the baseline that it is compared with.
+    """The tracking errors of a plan and of its baseline.
 
     Attributes
     ----------
     options : SimulationOptions
-        What they were simulated with.
     baseline, planned : MotionTracking
     seconds : float, s
         Wall time.
@@ -91,41 +98,45 @@ def simulate(
     *,
     progress: Callable[[float], None] | None = None,
 ) -> Tracking:
-    """Drive the elastic arm of a plan's scene with its baseline and with its planned motion.
+    """Simulate the elastic arm of a plan's scene under its baseline and under its planned motion.
 
-    The joints do exactly what they are told; guardrail and links bend. The planned motion is driven as it is,
-    the baseline by the cubic spline through its postures.
+    The joints follow their motion exactly; guardrail and links bend. The baseline's motion is the cubic
+    spline through its postures.
 
     Parameters
     ----------
     plan : Plan
     options : SimulationOptions, optional
     progress : callable, optional
-        Called every so often with the share of the simulated time that is done, 0 to 1.
+        Called repeatedly with the share of the simulated time that is done, 0 to 1.
 
     Raises
     ------
     InputError
-        When `plan` is none, an option is out of its bounds, nothing of the arm bends, or it is too soft to
+        When `plan` is no plan, an option is out of its bounds, nothing of the arm bends, or it is too soft to
         carry itself.
     SimulationDiverged
         When the motion cannot be integrated.
     """
     require_plan(plan, "cmbot.simulate")
-    options = checked(options if options is not None else SimulationOptions())
+    options = SimulationOptions() if options is None else options
+    options = checked_options(SimulationOptions, options, "SimulationOptions")
     started = time.perf_counter()
-    # The matrices are small: more threads of linear algebra than one only wait for each other.
+    # The matrices are too small for several threads of linear algebra.
     with threadpool_limits(limits=1, user_api="blas"):
         arm = elastic_arm_of(plan, options)
-        drives = drive_through(plan.baseline.t, plan.baseline.q), drive_along(plan.trajectory)
-        first, second = (drive.duration + options.settle_s for drive in drives)
+        motions = (
+            PrescribedMotion.through(plan.baseline.t, plan.baseline.q),
+            PrescribedMotion.along(plan.trajectory),
+        )
+        first, second = (motion.duration + options.settle_s for motion in motions)
 
-        def tell(reached: float) -> None:
+        def report(reached: float) -> None:
             if progress is not None:
                 progress(reached / (first + second))
 
-        baseline = track(arm, plan.task, drives[0], options, tell)
-        planned = track(arm, plan.task, drives[1], options, lambda reached: tell(first + reached), plan.sag)
+        baseline = track(arm, plan.task, motions[0], options, report)
+        planned = track(arm, plan.task, motions[1], options, lambda t: report(first + t), plan.sag)
     seconds = time.perf_counter() - started
     return Tracking(options=options, baseline=baseline, planned=planned, seconds=seconds)
 
@@ -157,25 +168,24 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
 def track(
     arm: ElasticArm,
     task: ToolTask,
-    drive: PrescribedMotion,
+    motion: PrescribedMotion,
     options: SimulationOptions,
-    tell: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | None = None,
     sag: Sag | None = None,
 ) -> MotionTracking:
-    """Drive an elastic arm once.
+    """Simulate an elastic arm under one motion.
 
     Parameters
     ----------
     arm : ElasticArm
     task : ToolTask
-        Whose path the tool is to follow.
-    drive : PrescribedMotion
+        Its path is the one to follow.
+    motion : PrescribedMotion
     options : SimulationOptions
-    tell : callable, optional
-        Called every so often with the time that has been reached, s.
+    progress : callable, optional
+        Called repeatedly with the time that has been reached, s.
     sag : Sag, optional
-        What the motion's maker reckoned with: the error is measured from there. Without it the rigid arm is
-        expected.
+        The sag that the motion compensates.
 
     Raises
     ------
@@ -184,95 +194,91 @@ def track(
     SimulationDiverged
         When the motion cannot be integrated.
     """
-    modes = arm_modes(arm, drive.states([0.0])[0][0])
-    system = ElasticSystem.of(arm, modes.damping(options.damping))
+    modes = arm_modes(arm, motion.states([0.0])[0][0])
     start = modes.u if options.initial == "equilibrium" else np.zeros_like(modes.u)
-    drives = [drive]
+    motions = [motion]
     if options.settle_s > 0:
-        drives.append(held(drive.states([drive.duration])[0][0], options.settle_s))
+        motions.append(PrescribedMotion.held(motion.end, options.settle_s))
     integrator = GeneralizedAlpha(
-        system, step=options.step_s, rho_inf=options.spectral_radius, corrections=options.corrections
+        ElasticSystem.of(arm, modes.damping(options.damping)),
+        step=options.step_s,
+        rho_inf=options.spectral_radius,
+        corrections=options.corrections,
     )
-    motion = integrator.run(drives, start, np.zeros_like(start), tell)
+    bent = integrator.run(motions, start, np.zeros_like(start), progress)
 
-    t = _output_times(float(motion.t[-1]), options.output_step_s)
-    rigid, predicted = foreseen(arm.robot, drive, t, sag)
-    error = _bent_tool(arm, drive.states(t)[0], motion, t) - rigid - predicted
-    static = _sag(arm, drive, t) - predicted
-    return completed(task, drive, t, rigid + predicted, error, static, modes.frequencies)
+    outputs = int(np.floor(bent.t[-1] / options.output_step_s * (1 + 1e-12))) + 1
+    t = options.output_step_s * np.arange(outputs, dtype=np.float64)
+    rigid, predicted = expected_tool(arm.robot, motion, t, sag)
+    error = _bent_tool(arm, motion.states(t)[0], bent, t) - rigid - predicted
+    static = _sag(arm, motion, t) - predicted
+    return motion_tracking(task, motion, t, rigid + predicted, error, static, modes.frequencies)
 
 
-def foreseen(
-    robot: Robot, drive: PrescribedMotion, t: FloatArray, sag: Sag | None = None
+def expected_tool(
+    robot: Robot, motion: PrescribedMotion, t: FloatArray, sag: Sag | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the rigid arm's tool points at times `t` (N,), and the sag reckoned with, each (N, 3), m."""
-    q = drive.states(t)[0]
+    """Return the rigid arm's tool points at times `t` (N,) and the predicted sag, each (N, 3), m."""
+    q = motion.states(t)[0]
     rigid, _ = Kinematics(robot).tool_poses(q)
     return rigid, np.zeros_like(rigid) if sag is None else sag.along(t, q)
 
 
-def completed(
+def motion_tracking(
     task: ToolTask,
-    drive: PrescribedMotion,
+    motion: PrescribedMotion,
     t: FloatArray,
     expected: FloatArray,
     error: FloatArray,
     static: FloatArray,
     frequencies: FloatArray,
 ) -> MotionTracking:
-    """Add to a tracking error what follows from it and from the motion.
+    """Return a tracking error with all that follows from it and from the motion.
 
     Parameters
     ----------
     task : ToolTask
-        Whose path the tool is to follow.
-    drive : PrescribedMotion
+    motion : PrescribedMotion
     t : (N,), s
         Equal steps, from 0 to the stop or beyond.
     expected : (N, 3), m
-        Where the motion's maker expects the tool point.
+        The expected tool points.
     error, static : (N, 3), m
     frequencies : (f,), Hz
         Of the modes in the motion's first posture, ascending.
     """
     path_error = task.path.leg_offset(t, expected + error)
-    moving = int(np.searchsorted(t, drive.duration * (1 + 1e-12), side="right"))
+    moving = int(np.searchsorted(t, motion.duration * (1 + 1e-12), side="right"))
     return MotionTracking(
         t=t,
-        stop=drive.duration,
+        stop=motion.duration,
         error=error,
         static=static,
         command=expected - task.path.position(t),
         path_error=path_error,
-        figures=error_figures(t, error, static, path_error, moving, frequencies),
+        metrics=error_metrics(t, error, static, path_error, moving, frequencies),
     )
 
 
-def _output_times(duration: float, step: float) -> FloatArray:
-    return step * np.arange(int(np.floor(duration / step * (1 + 1e-12))) + 1, dtype=np.float64)
-
-
-def _sag(arm: ElasticArm, drive: PrescribedMotion, t: FloatArray) -> FloatArray:
+def _sag(arm: ElasticArm, motion: PrescribedMotion, t: FloatArray) -> FloatArray:
     """Displacement (N, 3), m, of the tool at rest in the postures at times `t` (N,)."""
-    # As in `cmbot.simulation.drive`: not for those who only plan.
     from scipy.interpolate import CubicSpline
 
-    steps = max(int(np.ceil(drive.duration / _SAG_STEP * (1 - 1e-12))), 1)
-    some = np.linspace(0.0, drive.duration, steps + 1)
-    tool = CubicSpline(some, Sag(arm).at(drive.states(some)[0]).tool)
-    # After the stop the posture stays.
-    return np.asarray(tool(np.minimum(t, drive.duration)))
+    steps = max(int(np.ceil(motion.duration / _SAG_STEP * (1 - 1e-12))), 1)
+    some = np.linspace(0.0, motion.duration, steps + 1)
+    tool = CubicSpline(some, Sag(arm).at(motion.states(some)[0]).tool)
+    return np.asarray(tool(np.minimum(t, motion.duration)))
 
 
-def _bent_tool(arm: ElasticArm, q: FloatArray, motion: ElasticMotion, t: FloatArray) -> FloatArray:
-    """Tool points (N, 3), m, at times `t` (N,), between the steps of the motion too."""
+def _bent_tool(arm: ElasticArm, q: FloatArray, bent: ElasticMotion, t: FloatArray) -> FloatArray:
+    """Tool points (N, 3), m, at times `t` (N,), which may be between the steps of the integrator."""
     from scipy.interpolate import CubicHermiteSpline
 
-    # Of fourth order, so finer than the integrator's own error.
-    u = CubicHermiteSpline(motion.t, motion.u, motion.v)(t)
+    # Of fourth order: its error is below that of the integrator.
+    u = CubicHermiteSpline(bent.t, bent.u, bent.v)(t)
     model, data, tool = arm.model, arm.model.createData(), arm.tool_frame_id
     p = np.empty((len(t), 3))
-    for k, bent in enumerate(arm.configuration(q, u)):
-        pin.forwardKinematics(model, data, bent)
+    for k, configuration in enumerate(arm.configuration(q, u)):
+        pin.forwardKinematics(model, data, configuration)
         p[k] = pin.updateFramePlacement(model, data, tool).translation
     return p

@@ -121,7 +121,7 @@ def _deviation(plan: Plan) -> Headline:
 def _tracking(plan: Plan, tracking: Tracking) -> Headline:
     compensated, bound = plan.options.compensate, plan.options.max_tool_deviation_m
     # Compensation lowers the distance from the path: the arm bends as much as before.
-    motions = (tracking.baseline.figures, tracking.planned.figures)
+    motions = (tracking.baseline.metrics, tracking.planned.metrics)
     before, after = (1e3 * (m.path if compensated else m.total).rms[3] for m in motions)
     residuals = [m.residual for m in motions if m.residual is not None]
     off = off_path(tracking.planned)

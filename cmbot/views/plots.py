@@ -191,7 +191,7 @@ def _shares(plan: Plan, samples: Samples) -> tuple[FloatArray, ...]:
 def _tracking(tracking: Tracking) -> Iterator[Figure]:
     yield _tracking_rows("tracking_error", "tracking error", tracking, "error")
     yield _tracking_rows("tracking_dynamic", "dynamic part", tracking, "dynamic")
-    if all(motion.figures.residual is not None for _, motion in tracked_motions(tracking)):
+    if all(motion.metrics.residual is not None for _, motion in tracked_motions(tracking)):
         yield _tracking_rows("tracking_residual", "dynamic part", tracking, "dynamic", after_stop=True)
 
 

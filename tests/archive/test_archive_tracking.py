@@ -60,12 +60,12 @@ def same(saved: Path, tracking: Tracking) -> None:
         ours, theirs = getattr(found, name), getattr(tracking, name)
         assert ours.stop == theirs.stop
         for field in fields(ours):
-            if field.name not in ("stop", "figures"):
+            if field.name not in ("stop", "metrics"):
                 left, right = getattr(ours, field.name), getattr(theirs, field.name)
                 np.testing.assert_allclose(left, right, atol=1e-12)
-        for key, value in asdict(ours.figures).items():
+        for key, value in asdict(ours.metrics).items():
             if isinstance(value, np.ndarray):
-                np.testing.assert_allclose(value, getattr(theirs.figures, key), rtol=1e-9, atol=1e-18)
+                np.testing.assert_allclose(value, getattr(theirs.metrics, key), rtol=1e-9, atol=1e-18)
 
 
 def test_a_plan_that_was_not_simulated_has_none(folder: Path, short_plan: Plan) -> None:

@@ -23,9 +23,9 @@ from cmbot.planning import Plan
 from cmbot.simulation import (
     MotionTracking,
     Tracking,
-    tracking_answer,
     tracking_remarks,
     tracking_rows,
+    tracking_summary,
     tracking_verdict,
 )
 
@@ -117,7 +117,7 @@ WRITTEN = (*TABLES, "tracking.json", "replay.html", "report.html")
 def test_it_answers_in_short(simulated: tuple[Path, Outcome], saved: Path, tracking: Tracking) -> None:
     folder, outcome = simulated
     lines = outcome.out.splitlines()
-    rows = list(tracking_answer(tracking, compensated=False))
+    rows = list(tracking_summary(tracking, compensated=False))
     assert lines[0] == "short, mm"
     assert lines[1].split() == ["baseline", "planned"]
     assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
@@ -143,7 +143,7 @@ def test_with_details_it_prints_all_figures(directory: Path, tracking: Tracking)
 
 
 def test_the_answer_is_what_was_measured(tracking: Tracking) -> None:
-    rows = {name: [float(x) for x in pair] for name, *pair in tracking_answer(tracking, compensated=False)}
+    rows = {name: [float(x) for x in pair] for name, *pair in tracking_summary(tracking, compensated=False)}
     motions = (tracking.baseline, tracking.planned)
     norms = {
         part: [1e3 * np.linalg.norm(getattr(m, part)[m.t <= m.stop + 1e-9], axis=1) for m in motions]
@@ -159,7 +159,7 @@ def test_the_answer_is_what_was_measured(tracking: Tracking) -> None:
         "bent tool off its path, at most": pytest.approx([x.max() for x in norms["path_error"]], abs=1e-3),
         "tool swings after the stop": pytest.approx(swings, abs=1e-3),
     }
-    (first, *_), *_ = tracking_answer(tracking, compensated=True)
+    (first, *_), *_ = tracking_summary(tracking, compensated=True)
     assert first == "tool sags beyond what was foreseen, mean"
 
 
@@ -169,7 +169,7 @@ def test_the_verdict_follows_the_margin(saved: Path, tracking: Tracking) -> None
         return tracking_verdict(replace(plan, options=options), tracking)
 
     plan: Plan = cmbot.load_plan(saved)
-    rows = {name: float(planned) for name, _, planned in tracking_answer(tracking, compensated=False)}
+    rows = {name: float(planned) for name, _, planned in tracking_summary(tracking, compensated=False)}
     off, sways = rows["bent tool off its path, at most"], rows["tool sways beside its sag, at most"]
     assert verdict(1.01 * off).startswith("Within the margin: bent as it is, the tool stays within ")
     assert verdict(0.5 * (off + sways)).endswith("compensate: true the plan makes up for it.")

@@ -11,7 +11,7 @@ from exudyn import itemInterface as items  # noqa: N813
 from exudyn.rigidBodyUtilities import RotationMatrix2EulerParameters
 from numpy.typing import NDArray
 
-from cmbot.simulation.drive import PrescribedMotion
+from cmbot.simulation import PrescribedMotion
 
 FloatArray = NDArray[np.float64]
 # cmbot's tubes neither stretch nor shear: neither may these, much.

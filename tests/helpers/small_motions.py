@@ -10,7 +10,7 @@ from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
-from cmbot.simulation.drive import PrescribedMotion, drive_through
+from cmbot.simulation import PrescribedMotion
 
 FloatArray = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def swing(seconds: float, size: float = 0.15) -> PrescribedMotion:
     """All joints out from the triangle's posture and back, from rest to rest."""
     t = np.linspace(0.0, seconds, 81)
     ways = np.sin(np.pi * t / seconds)[:, None] ** 2 * np.cos(np.arange(7) + t[:, None])
-    return drive_through(t, np.array(load_scene("triangle").posture) + size * (ways - ways[0]))
+    return PrescribedMotion.through(t, np.array(load_scene("triangle").posture) + size * (ways - ways[0]))
 
 
 def tool_points(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:

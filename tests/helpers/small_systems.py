@@ -9,9 +9,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from cmbot.simulation.drive import PrescribedMotion, drive_through, held
-from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha
-from cmbot.simulation.system import ElasticSystem
+from cmbot.simulation import PrescribedMotion
+from cmbot.simulation.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 
 FloatArray = NDArray[np.float64]
 NO_JOINTS: FloatArray = np.empty(0)
@@ -83,14 +82,14 @@ def soft_arm(softer: float = 1.0) -> ElasticSystem:
 
 
 def resting(joints: int, seconds: float) -> PrescribedMotion:
-    return held(np.zeros(joints), seconds)
+    return PrescribedMotion.held(np.zeros(joints), seconds)
 
 
 def swinging(joints: int, seconds: float = 2.0, size: float = 0.8) -> PrescribedMotion:
     """From rest to rest, each joint by another way."""
     t = np.linspace(0.0, seconds, 41)
     ways = [size * np.sin(np.pi * t / seconds) ** 2 * np.cos(k + t) for k in range(joints)]
-    return drive_through(t, np.column_stack(ways))
+    return PrescribedMotion.through(t, np.column_stack(ways))
 
 
 def integrate(

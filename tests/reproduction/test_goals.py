@@ -18,7 +18,7 @@ from cmbot.reproduction import FACTORS, PAPER, Experiment, GoalTable, Run, Varia
 from cmbot.reproduction.compensation_goal import compensation_goal
 from cmbot.reproduction.goals import least_sag, posture_goal, rest_goal
 from cmbot.simulation import (
-    ErrorFigures,
+    ErrorMetrics,
     MotionTracking,
     Residual,
     SimulationOptions,
@@ -48,7 +48,7 @@ def motion(
     if rest is not None:
         extent, diameter = MM * np.asarray(rest[:3], dtype=float), MM * float(rest[3])
         left = Residual(seconds=2.0, peak_to_peak=extent, diameter=diameter, decay=0.5)
-    figures = ErrorFigures(
+    figures = ErrorMetrics(
         total=statistics(mean, deviation),
         static=statistics(mean if static is None else static, deviation),
         dynamic=statistics(vibration, vibration),
@@ -64,7 +64,7 @@ def motion(
         static=nothing,
         command=nothing,
         path_error=nothing,
-        figures=figures,
+        metrics=figures,
     )
 
 
@@ -288,9 +288,9 @@ def test_an_arm_that_was_not_watched_has_no_rest() -> None:
 def test_least_sag_is_set_beside_least_torque() -> None:
     def sag_of(peak: float, mean: float) -> MotionTracking:
         made = motion([0, 0, 0])
-        static = replace(made.figures.static, mean=MM * np.array([0, 0, 0, mean]))
-        figures = replace(made.figures, static=static)
-        return replace(made, static=MM * np.array([[0, 0, 1], [0, 0.6 * peak, 0.8 * peak]]), figures=figures)
+        static = replace(made.metrics.static, mean=MM * np.array([0, 0, 0, mean]))
+        figures = replace(made.metrics, static=static)
+        return replace(made, static=MM * np.array([[0, 0, 1], [0, 0.6 * peak, 0.8 * peak]]), metrics=figures)
 
     def figures(peak: float, mean: float) -> Any:
         return SimpleNamespace(peak_guardrail_torque=peak, mean_guardrail_torque=mean)

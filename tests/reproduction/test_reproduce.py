@@ -127,10 +127,10 @@ def with_figures(tracking: Tracking, baseline: Any, planned: Any, vibration: flo
         motion = getattr(tracking, name)
         mean, deviation = (np.append(values, 1.0) for values in given)
         total = replace(
-            motion.figures.total, mean=mean, standard_deviation=deviation, rms=np.array([1.0, 1.0, 1.0, 2.0])
+            motion.metrics.total, mean=mean, standard_deviation=deviation, rms=np.array([1.0, 1.0, 1.0, 2.0])
         )
-        dynamic = replace(motion.figures.dynamic, rms=np.full(4, 2.0 * np.sqrt(vibration)))
-        motions[name] = replace(motion, figures=replace(motion.figures, total=total, dynamic=dynamic))
+        dynamic = replace(motion.metrics.dynamic, rms=np.full(4, 2.0 * np.sqrt(vibration)))
+        motions[name] = replace(motion, metrics=replace(motion.metrics, total=total, dynamic=dynamic))
     return replace(tracking, **motions)
 
 
@@ -334,7 +334,7 @@ def test_the_page_shows_the_figures(found: Reproduction) -> None:
         assert len(rows) == 30
         for row in rows:
             assert f"| {' | '.join(row)} |" in page
-        mean = 1e3 * entry.planned.equilibrium.baseline.figures.total.mean[:3]
+        mean = 1e3 * entry.planned.equilibrium.baseline.metrics.total.mean[:3]
         assert [float(x) for x in rows[6][2:]] == pytest.approx(mean, abs=6e-3)
         for told in (*findings(entry), *reasons(entry)):
             assert getattr(told, "text", told) in page
@@ -367,7 +367,7 @@ def test_json_holds_the_same(found: Reproduction) -> None:
     assert first["paper"]["without"]["mean"] == pytest.approx([-2.44e-3, 11.52e-3, -24.48e-3])
     ours = found.experiments[0].planned
     for key, tracking in (("equilibrium", ours.equilibrium), ("undeformed", ours.undeformed)):
-        assert first["sliding"][key]["with"]["mean"] == tracking.planned.figures.total.mean[:3].tolist()
+        assert first["sliding"][key]["with"]["mean"] == tracking.planned.metrics.total.mean[:3].tolist()
     assert first["sliding"]["torque_difference"] == ours.plan.largest_torque_difference[0]
     assert {"agrees", "text"} == set(first["findings"][0])
     tables = list(goals(found.experiments[0]))

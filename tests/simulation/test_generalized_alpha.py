@@ -23,9 +23,8 @@ from small_systems import (
 )
 
 from cmbot.common.errors import CmbotError, SimulationDiverged
-from cmbot.simulation.drive import PrescribedMotion, held
-from cmbot.simulation.generalized_alpha import ElasticMotion, GeneralizedAlpha
-from cmbot.simulation.system import ElasticSystem
+from cmbot.simulation import PrescribedMotion
+from cmbot.simulation.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 
 MASS, STIFFNESS, GRAVITY = 2.0, 800.0, 9.81
 SAG = MASS * GRAVITY / STIFFNESS
@@ -222,7 +221,8 @@ def test_where_the_acceleration_jumps_the_step_ends() -> None:
     ends = []
     for step in (0.004, 0.002, 0.001):
         integrator = GeneralizedAlpha(system, step=step, rho_inf=0.8, corrections=2)
-        motion = integrator.run([off, on, held(np.array([0.49]), 0.5)], np.zeros(1), np.zeros(1))
+        still = PrescribedMotion.held(np.array([0.49]), 0.5)
+        motion = integrator.run([off, on, still], np.zeros(1), np.zeros(1))
         assert motion.t[-1] == pytest.approx(1.9)
         assert np.diff(motion.t).min() > 0
         ends.append(motion.u[-1, 0])
@@ -257,5 +257,5 @@ def test_no_number_that_is_none_comes_out(change: dict[str, FloatArray]) -> None
 
 
 def test_without_driven_joints_there_is_still_a_motion() -> None:
-    motion = integrate(mass_on_spring(MASS, STIFFNESS), held(NO_JOINTS, 0.1), step=0.01)
+    motion = integrate(mass_on_spring(MASS, STIFFNESS), PrescribedMotion.held(NO_JOINTS, 0.1), step=0.01)
     assert motion.joints.shape == (11, 0)

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.signal import welch
 
-from cmbot.simulation.metrics import error_figures, mode_power, power_density, residual, statistics
+from cmbot.simulation.metrics import error_metrics, mode_power, power_density, residual, statistics
 
 FloatArray = NDArray[np.float64]
 STEP = 0.005
@@ -121,7 +121,7 @@ def test_figures_split_the_error_at_the_stop() -> None:
     static = along(np.full(len(T), -0.01), 2)
     dynamic = along(np.where(T <= 15.0, 1e-3, 2e-3) * np.sin(2 * np.pi * 5 * T))
     moving = 3001
-    figures = error_figures(
+    figures = error_metrics(
         T, static + dynamic, static, 3 * static, moving, np.array([5.0, 9.0, 20.0, 70.0, 400.0])
     )
     assert figures.static.mean[2] == pytest.approx(-0.01)
@@ -138,12 +138,12 @@ def test_figures_split_the_error_at_the_stop() -> None:
 
 def test_modes_that_the_samples_cannot_show_are_left_out() -> None:
     error = along(np.sin(T))
-    figures = error_figures(4 * T, error, error, error, len(T), np.array([5.0, 20.0, 22.0]))
+    figures = error_metrics(4 * T, error, error, error, len(T), np.array([5.0, 20.0, 22.0]))
     np.testing.assert_array_equal(figures.mode_frequencies, [5.0, 20.0])
     assert figures.residual is None
 
 
 def test_of_many_modes_the_first_four_count() -> None:
     error = along(np.sin(T))
-    figures = error_figures(T, error, error, error, len(T), np.arange(1.0, 20.0))
+    figures = error_metrics(T, error, error, error, len(T), np.arange(1.0, 20.0))
     np.testing.assert_array_equal(figures.mode_frequencies, [1.0, 2.0, 3.0, 4.0])

@@ -16,6 +16,7 @@ from cmbot.planning import Plan, ToolTask, plan
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import (
     MotionTracking,
+    PrescribedMotion,
     SimulationOptions,
     Tracking,
     simulate,
@@ -23,7 +24,6 @@ from cmbot.simulation import (
     tracking_remarks,
     tracking_rows,
 )
-from cmbot.simulation.drive import drive_along, held
 from cmbot.simulation.tracking import elastic_arm_of
 
 OPTIONS = SimulationOptions()
@@ -103,12 +103,12 @@ def test_a_compensated_motion_errs_from_where_it_expects_the_tool(
     motion = foreseen.planned
     assert np.abs(motion.static).max() < 1e-6
     assert np.abs(motion.error - motion.dynamic).max() < 1e-6
-    assert motion.figures.total.rms[3] < 0.05 * foreseen.baseline.figures.total.rms[3]
+    assert motion.metrics.total.rms[3] < 0.05 * foreseen.baseline.metrics.total.rms[3]
     np.testing.assert_array_equal(foreseen.baseline.error, tracking.baseline.error)
     np.testing.assert_array_equal(foreseen.baseline.command, tracking.baseline.command)
     # Measured from where a rigid tool would be, the error is the sag, as ever.
     arm = elastic_arm_of(compensated, OPTIONS)
-    from_rigid = track(arm, compensated.task, drive_along(compensated.trajectory), OPTIONS)
+    from_rigid = track(arm, compensated.task, PrescribedMotion.along(compensated.trajectory), OPTIONS)
     sag = Sag(arm).at(compensated.trajectory.evaluate(motion.t[:801:20])).tool
     np.testing.assert_allclose((from_rigid.error - motion.error)[:801:20], sag, atol=1e-6)
     assert np.linalg.norm(sag, axis=1).min() > 3e-3
@@ -125,7 +125,7 @@ def test_a_compensated_motion_expects_the_tool_on_its_path(compensated: Plan, fo
     np.testing.assert_allclose(motion.path_error, bent, atol=1e-12)
     largest = np.linalg.norm(motion.error, axis=1).max()
     assert np.linalg.norm(motion.path_error, axis=1).max() < allowed + largest
-    assert motion.figures.path.rms[3] < 0.15 * foreseen.baseline.figures.path.rms[3]
+    assert motion.metrics.path.rms[3] < 0.15 * foreseen.baseline.metrics.path.rms[3]
 
 
 def test_a_sag_that_was_not_foreseen_stays(compensated: Plan, foreseen: Tracking) -> None:
@@ -142,16 +142,16 @@ def test_a_sag_that_was_not_foreseen_stays(compensated: Plan, foreseen: Tracking
 
 def test_an_arm_at_rest_stays_at_rest(cmbot_robot: Robot, task: ToolTask) -> None:
     arm = arm_on_its_guardrail(cmbot_robot)
-    motion = track(arm, task, held(swing(1.0).states([0.0])[0][0], 1.0), OPTIONS)
+    motion = track(arm, task, PrescribedMotion.held(swing(1.0).states([0.0])[0][0], 1.0), OPTIONS)
     assert np.abs(motion.static).max() > 3e-3
     assert np.abs(motion.dynamic).max() < 1e-9
-    assert motion.figures.residual is not None
-    assert motion.figures.residual.diameter < 1e-9
+    assert motion.metrics.residual is not None
+    assert motion.metrics.residual.diameter < 1e-9
 
 
 def test_an_arm_that_is_let_go_swings_about_its_sag(cmbot_robot: Robot, task: ToolTask) -> None:
     arm = arm_on_its_guardrail(cmbot_robot)
-    still = held(swing(1.0).states([0.0])[0][0], 20.0)
+    still = PrescribedMotion.held(swing(1.0).states([0.0])[0][0], 20.0)
     options = replace(OPTIONS, initial="undeformed", damping=0.1)
     motion = track(arm, task, still, options)
     np.testing.assert_allclose(motion.error[0], 0.0, atol=1e-12)
@@ -164,12 +164,12 @@ def test_an_arm_that_is_let_go_swings_about_its_sag(cmbot_robot: Robot, task: To
 def test_the_damping_ratio_is_that_of_the_first_modes(cmbot_robot: Robot, task: ToolTask) -> None:
     """Seen in the decay of a free vibration, when the higher modes have gone: exp(-ratio omega t)."""
     arm = arm_on_its_guardrail(cmbot_robot)
-    still = held(swing(1.0).states([0.0])[0][0], 14.0)
+    still = PrescribedMotion.held(swing(1.0).states([0.0])[0][0], 14.0)
     for damping in (0.01, 0.03):
         motion = track(arm, task, still, replace(OPTIONS, initial="undeformed", damping=damping))
         square = (motion.dynamic**2).sum(axis=1)
         rate = -0.5 * np.log(square[2000:2800].mean() / square[1200:2000].mean()) / 4.0
-        first, second = 2 * np.pi * motion.figures.mode_frequencies[:2]
+        first, second = 2 * np.pi * motion.metrics.mode_frequencies[:2]
         assert damping * first < rate < damping * second
 
 
@@ -182,14 +182,14 @@ def test_what_hardly_bends_keeps_to_its_path(short_plan: Plan) -> None:
 def test_a_softer_arm_errs_more(short_plan: Plan, tracking: Tracking) -> None:
     for factors in ({"guardrail_factor": 0.7}, {"link_factor": 0.7}):
         soft = simulate(short_plan, replace(OPTIONS, **factors))
-        assert soft.planned.figures.total.rms[3] > 1.1 * tracking.planned.figures.total.rms[3]
-        assert soft.planned.figures.mode_frequencies[0] < tracking.planned.figures.mode_frequencies[0]
+        assert soft.planned.metrics.total.rms[3] > 1.1 * tracking.planned.metrics.total.rms[3]
+        assert soft.planned.metrics.mode_frequencies[0] < tracking.planned.metrics.mode_frequencies[0]
 
 
 def test_a_payload_in_place_of_the_scenes(short_plan: Plan, tracking: Tracking) -> None:
     heavy = simulate(short_plan, replace(OPTIONS, payload_kg=5.0))
     as_it_was = simulate(short_plan, replace(OPTIONS, payload_kg=0.0))
-    assert heavy.planned.figures.static.rms[3] > 1.15 * tracking.planned.figures.static.rms[3]
+    assert heavy.planned.metrics.static.rms[3] > 1.15 * tracking.planned.metrics.static.rms[3]
     np.testing.assert_array_equal(as_it_was.planned.error, tracking.planned.error)
 
 
@@ -197,7 +197,7 @@ def test_more_segments_change_little(short_plan: Plan, tracking: Tracking) -> No
     fine = simulate(short_plan, replace(OPTIONS, segments=3))
     np.testing.assert_allclose(fine.planned.static, tracking.planned.static, atol=1e-4)
     np.testing.assert_allclose(
-        fine.planned.figures.mode_frequencies, tracking.planned.figures.mode_frequencies, rtol=0.02
+        fine.planned.metrics.mode_frequencies, tracking.planned.metrics.mode_frequencies, rtol=0.02
     )
 
 
@@ -220,13 +220,13 @@ def test_the_output_does_not_change_the_motion(short_plan: Plan, tracking: Track
 def test_the_end_need_not_be_a_multiple_of_the_output(short_plan: Plan) -> None:
     motion = simulate(short_plan, replace(OPTIONS, output_step_s=0.007, settle_s=0.5)).planned
     assert motion.t[-1] == pytest.approx(0.007 * 642)
-    assert motion.figures.residual is not None
-    assert motion.figures.residual.seconds == pytest.approx(motion.t[-1] - 0.007 * 571)
+    assert motion.metrics.residual is not None
+    assert motion.metrics.residual.seconds == pytest.approx(motion.t[-1] - 0.007 * 571)
 
 
 def test_without_settling_there_is_no_residual(short_plan: Plan) -> None:
     found = simulate(short_plan, replace(OPTIONS, settle_s=0.0))
-    assert found.planned.figures.residual is None
+    assert found.planned.metrics.residual is None
     assert found.planned.t[-1] == pytest.approx(4.0)
     assert not any("after the stop" in row[0] for row in tracking_rows(found))
     assert not any("after the stop" in remark for remark in tracking_remarks(found))
@@ -235,7 +235,7 @@ def test_without_settling_there_is_no_residual(short_plan: Plan) -> None:
 def test_rows_are_the_figures_in_millimetres(tracking: Tracking) -> None:
     rows = {(name, motion): numbers for name, motion, *numbers in tracking_rows(tracking)}
     assert len(rows) == 34
-    figures = tracking.planned.figures
+    figures = tracking.planned.metrics
     for name, statistics in (
         ("error", figures.total),
         ("static part", figures.static),
@@ -253,7 +253,7 @@ def test_rows_are_the_figures_in_millimetres(tracking: Tracking) -> None:
 def test_remarks_state_initial_condition_and_damping(short_plan: Plan, tracking: Tracking) -> None:
     text = " ".join(tracking_remarks(tracking))
     assert "Starts hanging in equilibrium; damping 1 % of critical" in text
-    assert f"near {tracking.planned.figures.mode_frequencies[0]:.2f} Hz" in text
+    assert f"near {tracking.planned.metrics.mode_frequencies[0]:.2f} Hz" in text
     other = simulate(short_plan, replace(OPTIONS, initial="undeformed", damping=0.0, link_factor=0.8))
     text = " ".join(tracking_remarks(other))
     assert "Starts undeformed, and let go; damping 0 %" in text
@@ -307,6 +307,6 @@ def test_options_are_checked(short_plan: Plan, option: str, value: object, expec
 
 def test_a_trajectory_is_driven_as_it_is(short_plan: Plan, tracking: Tracking) -> None:
     arm = elastic_arm_of(short_plan, OPTIONS)
-    again = track(arm, short_plan.task, drive_along(short_plan.trajectory), OPTIONS)
+    again = track(arm, short_plan.task, PrescribedMotion.along(short_plan.trajectory), OPTIONS)
     assert isinstance(again, MotionTracking)
     np.testing.assert_array_equal(again.error, tracking.planned.error)

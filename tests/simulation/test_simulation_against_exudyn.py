@@ -13,9 +13,8 @@ from cmbot.elastic import ElasticBase
 from cmbot.elastic.arm import ElasticOptions, elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
-from cmbot.simulation.drive import PrescribedMotion, drive_through
-from cmbot.simulation.generalized_alpha import GeneralizedAlpha
-from cmbot.simulation.system import ElasticSystem
+from cmbot.simulation import PrescribedMotion
+from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
 
 FloatArray = NDArray[np.float64]
 DIAMETER, WALL, LENGTH, DENSITY, PAYLOAD = 0.04, 0.002, 0.9, 2700.0, 2.0
@@ -58,7 +57,7 @@ def base() -> ElasticBase:
 def drive() -> PrescribedMotion:
     t = np.linspace(0.0, 2.0, 41)
     out_and_back = np.sin(np.pi * t / 2.0) ** 2
-    return drive_through(t, np.column_stack([0.3 + 0.3 * out_and_back, -0.4 + 0.8 * out_and_back]))
+    return PrescribedMotion.through(t, np.column_stack([0.3 + 0.3 * out_and_back, -0.4 + 0.8 * out_and_back]))
 
 
 @pytest.fixture(scope="module")

@@ -9,8 +9,7 @@ from small_motions import arm_on_its_guardrail, swing, tool_points
 
 from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
-from cmbot.simulation.generalized_alpha import GeneralizedAlpha
-from cmbot.simulation.system import ElasticSystem
+from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
 
 OUTPUT = 0.02
 

@@ -31,7 +31,7 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert "rigid arm" in deviation.detail and "rigid arm" in clearance.detail
     # Sag takes the bent tool off its path by more than the bound: no verdict to be green about.
     assert error.state == "plain" and "mm off its path; bound 1 mm" in error.detail
-    assert error.value == f"{1e3 * triangle_tracking.planned.figures.total.rms[3]:.1f} mm"
+    assert error.value == f"{1e3 * triangle_tracking.planned.metrics.total.rms[3]:.1f} mm"
     assert {card.state for card in (peak, certified, clearance, deviation)} == {"good"}
 
 

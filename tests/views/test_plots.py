@@ -169,7 +169,7 @@ def motions(tracking: Tracking) -> tuple[tuple[str, MotionTracking], ...]:
 
 def test_where_nobody_watched_after_the_stop_nothing_is_drawn_of_it(tracking: Tracking) -> None:
     unwatched = {
-        name: replace(motion, figures=replace(motion.figures, residual=None))
+        name: replace(motion, metrics=replace(motion.metrics, residual=None))
         for name, motion in (("baseline", tracking.baseline), ("planned", tracking.planned))
     }
     assert tuple(labelled(plot(replace(tracking, **unwatched)))) == TRACKING[:2]

@@ -8,7 +8,7 @@ from finite_differences import FloatArray
 
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan, QuinticTrajectory
-from cmbot.simulation.drive import PrescribedMotion, drive_along, drive_through, held
+from cmbot.simulation import PrescribedMotion
 
 
 @pytest.fixture
@@ -31,7 +31,7 @@ def assert_consistent(drive: PrescribedMotion, times: FloatArray) -> None:
 
 
 def test_a_trajectory_is_followed_exactly(trajectory: QuinticTrajectory, rng: np.random.Generator) -> None:
-    drive = drive_along(trajectory)
+    drive = PrescribedMotion.along(trajectory)
     assert drive.duration == trajectory.duration
     times = np.sort(rng.uniform(0, 2.7, 200))
     for left, right in zip(drive.states(times), trajectory.states(times), strict=True):
@@ -42,15 +42,14 @@ def test_a_trajectory_is_followed_exactly(trajectory: QuinticTrajectory, rng: np
 def test_a_trajectory_that_starts_late_is_driven_from_zero(trajectory: QuinticTrajectory) -> None:
     late = QuinticTrajectory(t=trajectory.t + 5.0, q=trajectory.q, v=trajectory.v, a=trajectory.a)
     times = np.linspace(0, 2.7, 50)
-    for left, right in zip(
-        drive_along(late).states(times), drive_along(trajectory).states(times), strict=True
-    ):
+    got, expected = (PrescribedMotion.along(each).states(times) for each in (late, trajectory))
+    for left, right in zip(got, expected, strict=True):
         np.testing.assert_allclose(left, right, atol=1e-10)
 
 
 def test_samples_are_met_from_rest_to_rest(rng: np.random.Generator) -> None:
     t, q = np.linspace(0, 2, 41), rng.normal(size=(41, 3))
-    drive = drive_through(t, q)
+    drive = PrescribedMotion.through(t, q)
     met, v, _ = drive.states(t)
     np.testing.assert_allclose(met, q, atol=1e-13)
     np.testing.assert_allclose(v[[0, -1]], 0.0, atol=1e-12)
@@ -59,7 +58,7 @@ def test_samples_are_met_from_rest_to_rest(rng: np.random.Generator) -> None:
 
 def test_velocity_and_acceleration_do_not_jump_at_samples(rng: np.random.Generator) -> None:
     t, q = np.linspace(0, 2, 41), rng.normal(size=(41, 3))
-    drive, h = drive_through(t, q), 1e-9
+    drive, h = PrescribedMotion.through(t, q), 1e-9
     before, after = drive.states(t[1:-1] - h), drive.states(t[1:-1] + h)
     np.testing.assert_allclose(before[1], after[1], atol=1e-4)
     np.testing.assert_allclose(before[2], after[2], rtol=1e-4, atol=1e-2)
@@ -67,7 +66,7 @@ def test_velocity_and_acceleration_do_not_jump_at_samples(rng: np.random.Generat
 
 def test_a_smooth_motion_comes_back_from_its_samples() -> None:
     t = np.linspace(0, 2, 201)
-    drive = drive_through(t, np.sin(np.pi * t / 2)[:, None] ** 2)
+    drive = PrescribedMotion.through(t, np.sin(np.pi * t / 2)[:, None] ** 2)
     times = np.linspace(0, 2, 1777)
     q, v, a = (x[:, 0] for x in drive.states(times))
     np.testing.assert_allclose(q, np.sin(np.pi * times / 2) ** 2, atol=1e-8)
@@ -76,7 +75,7 @@ def test_a_smooth_motion_comes_back_from_its_samples() -> None:
 
 
 def test_outside_it_stays_at_its_ends(trajectory: QuinticTrajectory) -> None:
-    drive = drive_along(trajectory)
+    drive = PrescribedMotion.along(trajectory)
     outside = drive.states([-1.0, 9.0])
     ends = drive.states([0.0, 2.7])
     np.testing.assert_array_equal(outside[0], ends[0])
@@ -84,7 +83,7 @@ def test_outside_it_stays_at_its_ends(trajectory: QuinticTrajectory) -> None:
 
 def test_held_joints_do_not_move() -> None:
     q = np.array([0.3, -0.2])
-    drive = held(q, 1.5)
+    drive = PrescribedMotion.held(q, 1.5)
     assert drive.duration == 1.5
     positions, rates, accelerations = drive.states([0.0, 0.7, 1.5])
     np.testing.assert_array_equal(positions, [q, q, q])
@@ -94,7 +93,7 @@ def test_held_joints_do_not_move() -> None:
 
 def test_the_baseline_keeps_its_positions_and_hardly_needs_more_acceleration(triangle_plan: Plan) -> None:
     baseline = triangle_plan.baseline
-    drive = drive_through(baseline.t, baseline.q)
+    drive = PrescribedMotion.through(baseline.t, baseline.q)
     q, v, a = drive.states(baseline.t)
     np.testing.assert_allclose(q, baseline.q, atol=1e-14)
     # The rates of the file are the means to the next sample.
@@ -119,5 +118,5 @@ def test_the_baseline_keeps_its_positions_and_hardly_needs_more_acceleration(tri
 )
 def test_bad_samples_are_refused(t: list[float], q: list[object], key: str) -> None:
     with pytest.raises(InputError) as caught:
-        drive_through(np.array(t), np.array(q))
-    assert (caught.value.source, caught.value.key) == ("drive_through", key)
+        PrescribedMotion.through(np.array(t), np.array(q))
+    assert (caught.value.source, caught.value.key) == ("PrescribedMotion.through", key)

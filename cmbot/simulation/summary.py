@@ -1,0 +1,161 @@
+"""The results of a simulation in words: a short summary, a verdict, all metrics in rows, remarks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.validation import counted
+from cmbot.planning import Plan
+from cmbot.simulation.options import SimulationOptions
+from cmbot.simulation.tracking import MotionTracking, Tracking
+
+__all__ = ["off_path", "tracking_remarks", "tracking_rows", "tracking_summary", "tracking_verdict"]
+
+_QUANTITIES = (
+    ("mean", "mean"),
+    ("standard deviation", "standard_deviation"),
+    ("RMS", "rms"),
+    ("peak to peak", "peak_to_peak"),
+)
+_PARTS = (
+    ("error", "total"),
+    ("static part", "static"),
+    ("dynamic part", "dynamic"),
+    ("off the path", "path"),
+)
+
+
+def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple[str, str, str]]:
+    """Yield the main results in mm, each as its name, the baseline's and the planned motion's.
+
+    Parameters
+    ----------
+    tracking : Tracking
+    compensated : bool
+        The plan compensates the predicted sag.
+    """
+    both = tracking.baseline, tracking.planned
+    sag = "tool sags beyond what was foreseen, mean" if compensated else "tool sags, mean"
+    rows = {
+        sag: [motion.metrics.static.mean[3] for motion in both],
+        "tool sways beside its sag, at most": [_largest(motion.dynamic, motion) for motion in both],
+        "bent tool off its path, at most": [off_path(motion) for motion in both],
+    }
+    swings = [motion.metrics.residual.diameter for motion in both if motion.metrics.residual is not None]
+    if len(swings) == len(both):
+        rows["tool swings after the stop"] = swings
+    for name, (baseline, planned) in rows.items():
+        yield name, f"{1e3 * baseline:.3f}", f"{1e3 * planned:.3f}"
+
+
+def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
+    """Return whether the bent tool stays within the plan's margin, and what to do if not.
+
+    Parameters
+    ----------
+    plan : Plan
+    tracking : Tracking
+        Of that plan.
+    """
+    allowed, off = plan.options.max_tool_deviation_m, off_path(tracking.planned)
+    bound = f"{1e3 * allowed:g} mm (max_tool_deviation_m)"
+    if off <= allowed:
+        return f"Within the margin: bent as it is, the tool stays within {bound} of its path."
+    text = f"Not within the margin: bent as it is, the tool leaves its path by more than {bound}"
+    if plan.options.compensate:
+        return (
+            f"{text}, though the foreseen sag is compensated: what bends here is not what was planned with."
+        )
+    if _largest(tracking.planned.dynamic, tracking.planned) <= allowed:
+        return f"{text}. That is sag, which can be foreseen: with compensate: true the plan makes up for it."
+    return f"{text}. With compensate: true the plan makes up for the sag, not for the swaying."
+
+
+def off_path(motion: MotionTracking) -> float:
+    """Return the largest distance of the bent tool from its path while the joints move, m."""
+    return _largest(motion.path_error, motion)
+
+
+def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
+    """Yield all metrics in mm, each as its name, the motion's, and the numbers for x, y, z and the norm.
+
+    The norm after the stop is the largest distance between two places of the tool.
+    """
+    for part, attribute in _PARTS:
+        for quantity, field in _QUANTITIES:
+            for name, motion in _named(tracking):
+                statistics = getattr(motion.metrics, attribute)
+                yield f"{part}, {quantity}", name, *_numbers(getattr(statistics, field))
+    for name, motion in _named(tracking):
+        rest = motion.metrics.residual
+        if rest is not None:
+            numbers = _numbers(np.append(rest.peak_to_peak, rest.diameter))
+            yield "after the stop, peak to peak", name, *numbers
+
+
+def tracking_remarks(tracking: Tracking) -> Iterator[str]:
+    """Yield remarks on a simulation, a sentence or two each: definitions, vibration, options, wall time."""
+    yield (
+        "Error: the bent tool from where the same joint angles put the rigid one and, with compensation, its "
+        "predicted sag; static: at rest; mm in W."
+    )
+    yield "Off the path: the bent tool from the nearest point of its leg."
+    for remark in (_command, _vibration, _decay):
+        for name, motion in _named(tracking):
+            if text := remark(motion):
+                yield f"{name.capitalize()}: {text}."
+    yield _setting(tracking.options)
+    simulated = tracking.baseline.t[-1] + tracking.planned.t[-1]
+    yield f"Time: {tracking.seconds:.2f} s for {simulated:.0f} s of motion."
+
+
+def _named(tracking: Tracking) -> tuple[tuple[str, MotionTracking], ...]:
+    return ("baseline", tracking.baseline), ("planned", tracking.planned)
+
+
+def _largest(error: FloatArray, motion: MotionTracking) -> float:
+    """Largest norm of an error (N, 3) while the joints move, m."""
+    moving = motion.t <= motion.stop * (1 + 1e-12)
+    return float(np.linalg.norm(error[moving], axis=1).max())
+
+
+def _command(motion: MotionTracking) -> str:
+    largest = 1e3 * np.linalg.norm(motion.command, axis=1).max()
+    return f"apart from bending, the joints put the tool up to {largest:.3f} mm from its timed path"
+
+
+def _vibration(motion: MotionTracking) -> str:
+    metrics = motion.metrics
+    pairs = zip(metrics.mode_frequencies, 1e3 * np.sqrt(metrics.mode_power), strict=True)
+    listed = ", ".join(f"{size:.4f} near {frequency:.2f} Hz" for frequency, size in pairs)
+    return f"RMS of the dynamic part at the first modes, mm: {listed or 'none can be seen'}"
+
+
+def _decay(motion: MotionTracking) -> str:
+    residual = motion.metrics.residual
+    if residual is None:
+        return ""
+    if residual.decay is None:
+        return "nothing moves after the stop"
+    later = f"{0.75 * residual.seconds:.1f} s later"
+    return f"of the vibration after the stop {100 * residual.decay:.0f} % is left {later}"
+
+
+def _setting(options: SimulationOptions) -> str:
+    start = "hanging in equilibrium" if options.initial == "equilibrium" else "undeformed, and let go"
+    guardrail, links, stiffness = options.guardrail_factor, options.link_factor, ""
+    if (guardrail, links) != (1.0, 1.0):
+        stiffness = f"stiffness times {guardrail:g} (guardrail) and {links:g} (links), "
+    return (
+        f"Starts {start}; damping {100 * options.damping:g} % of critical for every mode in the first "
+        f"posture, {stiffness}{counted(options.segments, 'segment')} a link, "
+        f"steps of {1e3 * options.step_s:g} ms."
+    )
+
+
+def _numbers(values: FloatArray) -> tuple[str, ...]:
+    # Adding zero turns -0.0 into 0.0.
+    return tuple(f"{round(1e3 * value, 3) + 0.0:.3f}" for value in values)
