@@ -21,8 +21,7 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from cmbot import load_scene
-from cmbot.collision.clearance import Clearances
-from cmbot.collision.shape_pairs import PairedShapes
+from cmbot.collision import Clearances, PairedShapes
 from cmbot.planning import robot_of
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 from cmbot.scene import Scene
@@ -76,7 +75,7 @@ def measured(number: int) -> Iterator[Kernel]:
         ("tool poses", _ROUNDING, _tool_poses(robot, number)),
         ("smallest clearance", _GJK, _smallest(robot, scene, number)),
         ("smallest along a path", _GJK, _smallest_of_a_path(robot, scene, number)),
-        ("too near", 0.0, _too_near(robot, scene, number)),
+        ("collision check", 0.0, _collision_check(robot, scene, number)),
     ):
         expected = ways[0][2]()
         for way, used, run in ways:
@@ -185,15 +184,15 @@ def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[Way]:
     ]
 
 
-def _too_near(robot: Robot, scene: Scene, number: int) -> list[Way]:
+def _collision_check(robot: Robot, scene: Scene, number: int) -> list[Way]:
     clearances, (q, _, _) = Clearances(robot, scene.obstacles), states(robot, number)
     return [
         (
             "coal until a pair is",
             False,
-            lambda: np.hstack([clearances.too_near(q_k[None], _MARGIN) for q_k in q]).astype(float),
+            lambda: np.hstack([clearances.check_collision(q_k[None], _MARGIN) for q_k in q]).astype(float),
         ),
-        ("many in one call", True, lambda: clearances.too_near(q, _MARGIN).astype(float)),
+        ("many in one call", True, lambda: clearances.check_collision(q, _MARGIN).astype(float)),
     ]
 
 

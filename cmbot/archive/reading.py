@@ -16,7 +16,7 @@ from cmbot.archive.nearby import plans_nearby
 from cmbot.archive.schema import ApproachFile, CertificateFile, FiguresFile, PlanFile
 from cmbot.archive.strict_json import read_json
 from cmbot.archive.tables import read_motion
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
 from cmbot.elastic.sag import Sag

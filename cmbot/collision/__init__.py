@@ -1,1 +1,16 @@
 """Clearances: the smallest distances between the arm, the obstacles and the arm itself."""
+
+from cmbot.collision.clearance import Clearances, Nearest, Smallest
+from cmbot.collision.motion_bounds import raise_bounds, travel
+from cmbot.collision.shapes import PairedShapes, ShapePair, load_mesh
+
+__all__ = [
+    "Clearances",
+    "Nearest",
+    "PairedShapes",
+    "ShapePair",
+    "Smallest",
+    "load_mesh",
+    "raise_bounds",
+    "travel",
+]

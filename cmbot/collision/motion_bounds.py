@@ -1,15 +1,22 @@
-"""How far an arm's shapes reach from its joints: none moves a point faster than its rate times that."""
+"""Bounds on changes of distances: no joint moves a point faster than its rate times the point's reach."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from cmbot.common.arrays import BoolArray, FloatArray
 
-__all__ = ["pair_reach", "shape_reach", "spread", "way_covered"]
+__all__ = ["DistanceCache", "pair_reach", "raise_bounds", "shape_reach", "travel"]
+
+# When some point of the arm may have moved further than this, m, all pairs are measured again.
+_LARGEST_MOVE = 0.1
+# Most postures that are compared with a measured one in one call. Where it bounds fewer than the second
+# number, measuring all pairs does not pay.
+_SEGMENT, _FEWEST = 64, 12
 
 
 def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
@@ -57,28 +64,28 @@ def pair_reach(reach: FloatArray, joints: Sequence[int], pairs: Sequence[tuple[i
     return np.where(np.arange(reach.shape[1]) >= still, first, 0.0)
 
 
-def way_covered(q: FloatArray, reach: FloatArray) -> FloatArray:
-    """Way (N,) from the first posture of a path to each, m: no distance changes by more between two of them.
+def travel(q: FloatArray, reach: FloatArray) -> FloatArray:
+    """Bound (N,), m, on the way of any point since a path's start; distances change by no more in between.
 
     Parameters
     ----------
     q : (N, n), rad
     reach : (n,), m
-        Of the joints, for all that counts.
+        Of the joints, for all shapes.
     """
     return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ reach)])
 
 
-def spread(distance: FloatArray, measured: BoolArray, covered: FloatArray) -> None:
-    """Raise lower bounds on distances along a path by what was measured beside them.
+def raise_bounds(distance: FloatArray, measured: BoolArray, covered: FloatArray) -> None:
+    """Raise lower bounds on distances along a path by the measured samples before and after.
 
     Parameters
     ----------
     distance : (N,), m
-        As measured, lower bounds elsewhere: these are raised.
+        As measured, lower bounds elsewhere: these are raised in place.
     measured : (N,)
     covered : (N,), m
-        See `way_covered`.
+        `travel` of the path.
     """
     known = np.flatnonzero(measured)
     if len(known) == 0:
@@ -87,3 +94,52 @@ def spread(distance: FloatArray, measured: BoolArray, covered: FloatArray) -> No
     for beside in (known[np.maximum(after - 1, 0)], known[np.minimum(after, len(known) - 1)]):
         lower = distance[beside] - np.abs(covered - covered[beside])
         np.maximum(distance, lower, out=distance, where=~measured)
+
+
+class DistanceCache:
+    """All distances in the posture that was measured last, which bound those in postures near it.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+    geometry : pinocchio.GeometryModel
+        With P collision pairs.
+    data : pinocchio.GeometryData
+        Its distance requests say how distances are worked out.
+    reach : (P, n), m
+        Of each joint in each pair: `pair_reach`.
+    """
+
+    def __init__(self, model: Any, geometry: Any, data: Any, reach: FloatArray) -> None:
+        self._arguments = (model, model.createData(), geometry, data)
+        self._reach, self._furthest = reach, reach.max(axis=0, initial=0.0)
+        # The list of references is read much faster than the results' own container.
+        self._results = list(data.distanceResults)
+        self._q, self._distance = np.full(model.nv, np.nan), np.empty(len(reach))
+
+    def lower_bounds(self, q: FloatArray) -> FloatArray:
+        """Return lower bounds of all distances, (P,), m, in posture `q` (n,), rad."""
+        move = np.abs(q - self._q)
+        if not move @ self._furthest <= _LARGEST_MOVE:
+            pin.computeDistances(*self._arguments, q)
+            self._q = q.copy()
+            self._distance = np.array([result.min_distance for result in self._results])
+            return self._distance.copy()
+        return np.asarray(self._distance - self._reach @ move)
+
+    def suits(self, q: FloatArray) -> bool:
+        """Whether postures `q` (N, n) follow each other so closely that measuring a few bounds all."""
+        moved = float((np.abs(np.diff(q, axis=0)) @ self._furthest).sum())
+        return moved * _FEWEST <= _LARGEST_MOVE * len(q)
+
+    def segments(self, q: FloatArray) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
+        """Yield segments of postures `q` (N, n), with lower and upper bounds (N', P) of distances."""
+        first = 0
+        while first < len(q):
+            self.lower_bounds(q[first])
+            move = np.abs(q[first : first + _SEGMENT] - self._q)
+            far = np.flatnonzero(move @ self._furthest > _LARGEST_MOVE)
+            last = first + (int(far[0]) if len(far) else len(move))
+            moved = move[: last - first] @ self._reach.T
+            yield slice(first, last), self._distance - moved, self._distance + moved
+            first = last

@@ -1,7 +1,9 @@
-"""From an obstacle's shape to coal's."""
+"""Collision shapes: an obstacle's as coal's, and the pairs of shapes whose distances count."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -10,13 +12,14 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.errors import SceneError
+from cmbot.robot import Robot
 from cmbot.robot.hulls import convex_hull, encloses_volume
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Shape, Sphere
+from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["coal_shapes", "load_mesh"]
+__all__ = ["PairedShapes", "ShapePair", "coal_shapes", "load_mesh"]
 
 # What trimesh reads without further packages.
 _FORMATS = ("glb", "obj", "off", "ply", "stl")
@@ -31,6 +34,95 @@ _DAMAGED = (
     ArithmeticError,
     NotImplementedError,
 )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShapePair:
+    """Two shapes whose distance counts.
+
+    Attributes
+    ----------
+    link : str
+        Link of the arm.
+    other : str
+        Obstacle, or second link of the robot.
+    self_collision : bool
+        Both belong to the robot.
+    tool_at_work : bool
+        The tool (all that the last joint carries) and a workpiece, which are expected to be near each other.
+    """
+
+    link: str
+    other: str
+    self_collision: bool = False
+    tool_at_work: bool = False
+
+    @property
+    def avoidable(self) -> bool:
+        """Whether obstacle avoidance (Chang 2021, Eq. (17)) pushes the link away from the other shape."""
+        return not (self.self_collision or self.tool_at_work)
+
+    def describe(self, distance: float, margin: float) -> str:
+        """Return the sentence that a distance, m, is below the safety margin, m."""
+        if distance < 0:
+            how = f"{self.link} reaches {-distance:.4f} m into {self.other}"
+        else:
+            how = f"{self.link} comes within {distance:.4f} m of {self.other}"
+        return f"{how}, the safety margin is {margin:g} m"
+
+
+class PairedShapes:
+    """A robot's collision shapes and the obstacles', paired.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its own shapes stay as they are.
+    obstacles : sequence of Obstacle
+
+    Attributes
+    ----------
+    geometry : pinocchio.GeometryModel
+        All shapes, with P collision pairs.
+    pairs : list of ShapePair
+    shapes : list of two int
+        Indices of each pair's shapes: the second is carried by an earlier joint than the first, or by none.
+    joints : list of int
+        What carries each shape; 0: nothing.
+    """
+
+    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
+        self.geometry: Any = pin.GeometryModel(robot.collision_model)
+        self.pairs: list[ShapePair] = []
+        self.shapes: list[tuple[int, int]] = []
+        own, frames = list(self.geometry.geometryObjects), robot.model.frames
+        self.joints = joints = [int(shape.parentJoint) for shape in own]
+        links = [str(frames[shape.parentFrame].name) for shape in own]
+        own_pairs = [(pair.first, pair.second) for pair in self.geometry.collisionPairs]
+        self.geometry.removeAllCollisionPairs()
+        for pair in own_pairs:
+            # The link further out is the one that moves.
+            second, first = sorted(pair, key=joints.__getitem__)
+            if joints[first] != joints[second]:
+                names = ShapePair(link=links[first], other=links[second], self_collision=True)
+                self._add(first, second, names)
+        tool_joint = frames[robot.tool_frame_id].parentJoint
+        for obstacle in obstacles:
+            for k, (shape, X_OS) in enumerate(coal_shapes(obstacle.shape, obstacle.name)):
+                X_WS = pin.SE3(np.array(obstacle.X_WO)) * X_OS
+                name = f"obstacle {obstacle.name} {k}"
+                second = self.geometry.addGeometryObject(pin.GeometryObject(name, 0, X_WS, shape))
+                joints.append(0)
+                for first, link in enumerate(links):
+                    if joints[first] > 0:
+                        at_work = obstacle.workpiece and joints[first] == tool_joint
+                        names = ShapePair(link=link, other=obstacle.name, tool_at_work=at_work)
+                        self._add(first, second, names)
+
+    def _add(self, first: int, second: int, names: ShapePair) -> None:
+        self.geometry.addCollisionPair(pin.CollisionPair(first, second))
+        self.shapes.append((first, second))
+        self.pairs.append(names)
 
 
 def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:

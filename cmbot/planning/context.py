@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError, PathNotFound, SceneError
 from cmbot.elastic import elastic_base

@@ -183,7 +183,7 @@ def _require_clear_start(context: PlanningContext) -> None:
         else "move the obstacle"
     )
     raise context.path_not_found(
-        f"in the scene's posture {shapes.too_near(distance, margin)}; take another posture_deg, lower "
+        f"in the scene's posture {shapes.describe(distance, margin)}; take another posture_deg, lower "
         f"planner.safety_margin_m, or {other}",
         q,
         pair=(shapes.link, shapes.other),

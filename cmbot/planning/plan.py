@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import require_type

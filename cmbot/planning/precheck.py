@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances, ShapePair
+from cmbot.collision import Clearances, ShapePair
 from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import counted
 from cmbot.planning.context import robot_of, task_of
@@ -130,7 +130,7 @@ def _beginning(
 def _near(scene: Scene, nearest: _Nearest | None) -> Iterator[Finding]:
     margin = scene.planner.safety_margin_m
     if nearest is not None and nearest.distance < margin:
-        got = nearest.pair.too_near(nearest.distance, margin)
+        got = nearest.pair.describe(nearest.distance, margin)
         expected = (
             "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
         )

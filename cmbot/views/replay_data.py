@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import require_type

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from cmbot.collision.shapes import load_mesh
+from cmbot.collision import load_mesh
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere

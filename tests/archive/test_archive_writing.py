@@ -11,7 +11,7 @@ from plan_folders import FILES, MOTIONS
 
 import cmbot
 from cmbot.archive import save
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Check, Plan, QuinticTrajectory, Samples
 from cmbot.planning.verification.metrics import measure

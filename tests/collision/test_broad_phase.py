@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 from seven_joint_arms import endless_scene, panda_scene
 
+from cmbot.collision import Clearances, PairedShapes
 from cmbot.collision.broad_phase import BroadPhase
-from cmbot.collision.clearance import Clearances
-from cmbot.collision.shape_pairs import PairedShapes
 from cmbot.planning import robot_of
 from cmbot.robot import Robot, load_robot
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_scene, pose
@@ -64,7 +63,7 @@ def test_smallest_of_many_is_the_smallest_of_all(
 ) -> None:
     clearances, every = triangle
     got = clearances.smallest(q, avoidable_only=avoidable_only)
-    left_out = [avoidable_only and (pair.of_arm or pair.at_work) for pair in every.pairs]
+    left_out = [avoidable_only and not pair.avoidable for pair in every.pairs]
     distances = all_distances(every, q)
     distances[left_out] = np.inf
     np.testing.assert_allclose(got.distance, distances.min(axis=0), rtol=0, atol=TOLERANCE)
@@ -73,7 +72,7 @@ def test_smallest_of_many_is_the_smallest_of_all(
 
 @settings(max_examples=10)
 @given(q=paths | jumps, share=st.floats(0, 1))
-def test_too_near_is_any_distance_below_the_margin(
+def test_a_collision_is_any_distance_below_the_margin(
     triangle: tuple[Clearances, Clearances], q: FloatArray, share: float
 ) -> None:
     clearances, every = triangle
@@ -81,8 +80,8 @@ def test_too_near_is_any_distance_below_the_margin(
     # Between two of the postures, so that it parts them as it should; a margin is not negative.
     margin = max(float(np.quantile(smallest, share)) + 1e-5, 0.0)
     if np.abs(smallest - margin).min() > TOLERANCE:
-        np.testing.assert_array_equal(clearances.too_near(q, margin), smallest < margin)
-        np.testing.assert_array_equal(clearances.too_near(q[:3], margin), smallest[:3] < margin)
+        np.testing.assert_array_equal(clearances.check_collision(q, margin), smallest < margin)
+        np.testing.assert_array_equal(clearances.check_collision(q[:3], margin), smallest[:3] < margin)
 
 
 def test_one_by_one_and_many_in_any_order_agree(
@@ -111,8 +110,8 @@ def test_among_many_postures_one_that_is_no_number(triangle: tuple[Clearances, C
         known = np.arange(MANY) != 7
         np.testing.assert_allclose(got.distance[known], whole.distance[known], rtol=0, atol=TOLERANCE)
         # Of shapes that are nowhere coal says that they touch.
-        np.testing.assert_array_equal(clearances.too_near(q, 0.0), ~known)
-        assert clearances.too_near(q[7:8], 0.0).all()
+        np.testing.assert_array_equal(clearances.check_collision(q, 0.0), ~known)
+        assert clearances.check_collision(q[7:8], 0.0).all()
 
 
 @settings(max_examples=25)
@@ -153,7 +152,7 @@ def test_along_a_path_that_is_partly_no_number(triangle: tuple[Clearances, Clear
 def test_along_a_path_with_nothing_to_hit(cmbot_robot: Robot) -> None:
     bare = replace(cmbot_robot, collision_model=type(cmbot_robot.collision_model)())
     assert np.isposinf(Clearances(bare, []).along(smooth_path(5, 0.1, MANY), 0.01)).all()
-    assert not Clearances(bare, []).too_near(smooth_path(5, 0.1, MANY), 1.0).any()
+    assert not Clearances(bare, []).check_collision(smooth_path(5, 0.1, MANY), 1.0).any()
 
 
 SHAPES: dict[str, Shape] = {
@@ -192,7 +191,7 @@ def looked(
 ) -> Iterator[tuple[FloatArray, FloatArray]]:
     """Bounds and better bounds (P, N) of all pairs."""
     paired = PairedShapes(robot, obstacles)
-    for bounds in BroadPhase(robot, list(paired.geometry.geometryObjects), paired.shapes).look(q):
+    for bounds in BroadPhase(robot, list(paired.geometry.geometryObjects), paired.shapes).lower_bounds(q):
         pair, posture = (index.ravel() for index in np.indices(bounds.value.shape))
         yield bounds.value, bounds.tightened(pair, posture).reshape(bounds.value.shape)
 
@@ -217,7 +216,7 @@ def test_bounds_are_not_far_too_low(cmbot_robot: Robot, random_states: StateSamp
     q = random_states(cmbot_robot, 200)[0]
     distances = all_distances(clearances, q)
     ((bounds, better),) = looked(cmbot_robot, [box], q)
-    apart = (distances > 0) & np.array([not pair.of_arm for pair in clearances.pairs])[:, None]
+    apart = (distances > 0) & np.array([not pair.self_collision for pair in clearances.pairs])[:, None]
     assert np.quantile((distances - better)[apart], 0.9) < 1e-3
     assert np.median((distances - bounds)[apart]) < 0.2
 

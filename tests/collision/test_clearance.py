@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from oracles.distances import between_hulls, capsule_of, from_capsule
 from scipy.spatial.transform import Rotation
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.robot import Robot
 from cmbot.scene import Box, Capsule, Cylinder, Obstacle, Shape, Sphere
 
@@ -84,7 +84,7 @@ def test_distances_of_the_arm_to_itself(cmbot_robot: Robot, random_states: State
                 expected.setdefault((link, other), []).append(distance)
         got: dict[tuple[str, str], list[float]] = {}
         for k, pair in enumerate(clearances.pairs):
-            assert pair.of_arm
+            assert pair.self_collision
             got.setdefault((pair.link, pair.other), []).append(clearances.nearest(q, k).distance)
         assert {key: len(value) for key, value in got.items()} == {
             key: len(value) for key, value in expected.items()
@@ -149,7 +149,7 @@ def test_gradient(
         clearances = Clearances(cmbot_robot, [obstacle(shape, turned_pose(rng))])
         for pair, names in enumerate(clearances.pairs):
             # Deep inside, the way out jumps from face to face.
-            if not names.of_arm and clearances.nearest(q, pair).distance > -0.02:
+            if not names.self_collision and clearances.nearest(q, pair).distance > -0.02:
                 check_gradient(clearances, q, pair)
                 checked += 1
     assert checked > 50

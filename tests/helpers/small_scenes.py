@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.planning import ToolTask, robot_of, task_of
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import fixed_guess

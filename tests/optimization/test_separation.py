@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_scenes import short_scene
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.optimization import separation as violations
 from cmbot.optimization.separation import broken_bound, values_of
 from cmbot.optimization.working_set import _Sites

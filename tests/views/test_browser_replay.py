@@ -12,7 +12,7 @@ from browser import chromium, connections, console_errors, next_frame, open_page
 from PIL import Image
 from selenium import webdriver
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
 from cmbot.views import replay

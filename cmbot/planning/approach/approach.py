@@ -9,7 +9,7 @@ from scipy import sparse
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.approach.joint_paths import FreeSpace, connect, shorten
 from cmbot.planning.context import PlanningContext

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.robot import Robot
 
@@ -58,7 +58,7 @@ class FreeSpace:
         limits = self.robot.limits
         within: BoolArray = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
         free = within.copy()
-        free[within] = ~self.clearances.too_near(q[within], self.margin + self.spare)
+        free[within] = ~self.clearances.check_collision(q[within], self.margin + self.spare)
         return free
 
     def straight(self, start: FloatArray, end: FloatArray) -> bool:

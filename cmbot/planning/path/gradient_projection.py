@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances, Nearest
+from cmbot.collision import Clearances, Nearest
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.context import PlanningContext
 from cmbot.robot import Kinematics
@@ -171,7 +171,7 @@ def _require_free(context: PlanningContext, q: FloatArray, time: float, error: F
     pair = None
     if not clearance >= margin:
         shapes = context.clearances.pairs[smallest.pair[0]]
-        reason, pair = shapes.too_near(clearance, margin), (shapes.link, shapes.other)
+        reason, pair = shapes.describe(clearance, margin), (shapes.link, shapes.other)
     elif len(outside):
         i = outside[0]
         low, high, angle = np.rad2deg([robot.limits.lower[i], robot.limits.upper[i], q[i]])

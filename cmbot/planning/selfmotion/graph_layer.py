@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray
 from cmbot.planning.selfmotion.charts import Chart
 
@@ -27,7 +27,7 @@ class GraphLayer:
         new = np.flatnonzero(which & ~self._looked)
         if len(new) == 0:
             return False
-        near = self._clearances.too_near(self.chart.q[new], self._margin)
+        near = self._clearances.check_collision(self.chart.q[new], self._margin)
         self._looked[new] = True
         self.too_near[new] = near
         self.admissible[new] = ~near

@@ -260,7 +260,7 @@ class _Search:
         # Cells that reach further hold something clear nearly always.
         look = np.flatnonzero(hopeful | (reach < _WIDE))
         # How much it is that is missing costs more to know than that something is.
-        near = look[context.clearances.too_near(cells.q[look], margin)]
+        near = look[context.clearances.check_collision(cells.q[look], margin)]
         distance = np.full(len(value), np.inf)
         distance[near] = context.clearances.smallest(cells.q[near]).distance
         admissible = hopeful & (distance >= margin)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from cmbot.collision.motion_bounds import spread, way_covered
+from cmbot.collision import raise_bounds, travel
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.torque.constraints import ClearanceMargin, StateSamples
 
@@ -60,11 +60,11 @@ class ClearanceLooks:
             distance[here], pair[here], measured[here] = smallest.distance, smallest.pair, True
 
         near = margin.margin - margin.scale * matters
-        covered = way_covered(states.q, reach)
+        covered = travel(states.q, reach)
         for every in _STRIDES:
             # Not "<=": what is no number is measured, too.
             measure(~(distance > near) & (np.arange(len(distance)) % every == 0))
-            spread(distance, measured, covered)
+            raise_bounds(distance, measured, covered)
         wanted = ~(distance > near)
         measure(wanted | np.append(wanted[1:], False) | np.append(False, wanted[:-1]))
         self._q[some], self._at_least[some] = states.q, distance

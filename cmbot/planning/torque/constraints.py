@@ -11,7 +11,7 @@ from typing import Protocol
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning.path.task import ToolTask
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.torque.constraints import (

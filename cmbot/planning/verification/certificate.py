@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
 from cmbot.elastic.sag import Sag

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
 from cmbot.planning.path.task import ToolTask

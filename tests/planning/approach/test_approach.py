@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_scenes import context_of, parts, short_scene
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, certify_approach, plan
 from cmbot.planning.approach.approach import plan_approach

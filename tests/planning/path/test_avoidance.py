@@ -63,7 +63,7 @@ def test_self_motion_leaves_the_tool_alone(
 def test_switch_is_equation_17_to_the_letter(triangle_path: Followed, near_postures: FloatArray) -> None:
     context, path = triangle_path
     kinematics, clearances = Kinematics(context.robot), context.clearances
-    avoidable = [k for k, pair in enumerate(clearances.pairs) if not (pair.of_arm or pair.at_work)]
+    avoidable = [k for k, pair in enumerate(clearances.pairs) if pair.avoidable]
     far = path.q[clearances.smallest(path.q, avoidable_only=True).distance > 0.16][:3]
     assert len(far) == 3
     assert len(near_postures) > 5

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small_scenes import context_of, parts, short_scene
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.path.gradient_projection import JointPath, follow_path, robust_inverse
 from cmbot.planning.path.task import ToolTask

@@ -144,7 +144,7 @@ def test_refining_never_raises_the_peak() -> None:
         points = task.path.position(context.times)
         assert np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max() < 1e-9
         assert (np.abs(np.diff(better, axis=0)) <= steps).all()
-        assert not context.clearances.too_near(better, context.options.safety_margin_m).any()
+        assert not context.clearances.check_collision(better, context.options.safety_margin_m).any()
         peak = context.objective.at_rest(at).max()
         assert peak <= before
         assert (peak < before - 10) != stays

@@ -48,7 +48,7 @@ def admissible(context: PlanningContext, q: FloatArray) -> NDArray[np.bool_]:
     limits, at = context.robot.limits, Postures(context.robot).at(q)
     holds = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
     holds &= (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
-    holds[holds] = ~context.clearances.too_near(q[holds], context.options.safety_margin_m)
+    holds[holds] = ~context.clearances.check_collision(q[holds], context.options.safety_margin_m)
     return holds
 
 

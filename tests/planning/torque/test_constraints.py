@@ -11,7 +11,7 @@ from finite_differences import check_derivative
 from numpy.typing import NDArray
 from small_scenes import parts, short_scene
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,

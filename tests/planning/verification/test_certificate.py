@@ -14,7 +14,7 @@ from oracles import newton_euler
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.common.errors import InputError, LimitViolation
 from cmbot.planning import Plan, QuinticTrajectory, plan
 from cmbot.planning.verification.certificate import Certificate, Check, _continuity_check, certify

@@ -7,7 +7,7 @@ from dataclasses import asdict, fields
 import numpy as np
 import pytest
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.planning import Plan
 from cmbot.planning.verification import certificate as certifying
 from cmbot.planning.verification.certificate import Certificate, Check, certify

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 from oracles.distances import between_hulls, capsule_of
 from robot_files import pose as pose_of
 
-from cmbot.collision.clearance import Clearances
-from cmbot.collision.shapes import load_mesh
+from cmbot.collision import Clearances, load_mesh
 from cmbot.common.errors import SceneError
 from cmbot.robot import Robot
 from cmbot.robot.hulls import convex_hull, encloses_volume
@@ -40,14 +39,14 @@ def distances(robot: Robot, shapes: list[Shape], q: FloatArray) -> FloatArray:
     """Smallest distance of every link to any of the shapes, all at `X_WO`, (N, 5)."""
     obstacles = [Obstacle(name=f"o{k}", shape=shape, X_WO=X_WO) for k, shape in enumerate(shapes)]
     clearances = Clearances(robot, obstacles)
-    links = sorted({pair.link for pair in clearances.pairs if not pair.of_arm})
+    links = sorted({pair.link for pair in clearances.pairs if not pair.self_collision})
     return np.array(
         [
             [
                 min(
                     clearances.nearest(q_k, k).distance
                     for k, pair in enumerate(clearances.pairs)
-                    if pair.link == link and not pair.of_arm
+                    if pair.link == link and not pair.self_collision
                 )
                 for link in links
             ]

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from robot_files import load_copy
 
-from cmbot.collision.clearance import Clearances
+from cmbot.collision import Clearances
 from cmbot.robot import Robot, load_robot
 from cmbot.scene import Box, Obstacle, Sphere, load_scene, pose
 
@@ -54,7 +54,7 @@ def test_smallest_is_the_smallest_of_all(
     pair_of_clearances: tuple[Clearances, Clearances], q: FloatArray, avoidable_only: bool
 ) -> None:
     clearances, every = pair_of_clearances
-    counted = [not avoidable_only or not (pair.of_arm or pair.at_work) for pair in every.pairs]
+    counted = [not avoidable_only or pair.avoidable for pair in every.pairs]
     got = clearances.smallest(q, avoidable_only=avoidable_only)
     assert got.distance.shape == got.pair.shape == (len(q),)
     for k in range(len(q)):
@@ -69,7 +69,7 @@ def test_within_is_every_avoidable_pair_that_near(
     pair_of_clearances: tuple[Clearances, Clearances], q: FloatArray, last: int
 ) -> None:
     clearances, every = pair_of_clearances
-    avoidable = [k for k, pair in enumerate(every.pairs) if not (pair.of_arm or pair.at_work)]
+    avoidable = [k for k, pair in enumerate(every.pairs) if pair.avoidable]
     for q_k in q:
         distances = np.sort([every.nearest(q_k, pair).distance for pair in avoidable])
         # Just beyond one of the pairs, so that nothing can be left out unnoticed.
@@ -105,14 +105,14 @@ def test_reach_is_not_far_too_long(cmbot_robot: Robot) -> None:
 def test_pairs_of_the_triangle(cmbot_robot: Robot) -> None:
     obstacles = load_scene("triangle").obstacles
     pairs = Clearances(cmbot_robot, obstacles).pairs
-    with_obstacles = [(pair.link, pair.other) for pair in pairs if not pair.of_arm]
+    with_obstacles = [(pair.link, pair.other) for pair in pairs if not pair.self_collision]
     assert set(with_obstacles) == {(link, obstacle.name) for link in MOVING for obstacle in obstacles}
     assert len(with_obstacles) == len(set(with_obstacles))
     # Only what the last joint carries is at work, and only on a workpiece.
-    at_work = {(pair.link, pair.other) for pair in pairs if pair.at_work}
+    at_work = {(pair.link, pair.other) for pair in pairs if pair.tool_at_work}
     assert at_work == {("tool", f"bracket_{side}") for side in ("ab", "bc", "ca")}
     # The further link comes first; what never moves against each other is left out.
-    for pair in (pair for pair in pairs if pair.of_arm):
+    for pair in (pair for pair in pairs if pair.self_collision):
         assert pair.link in MOVING
         assert pair.other not in MOVING or MOVING.index(pair.link) > MOVING.index(pair.other)
 
