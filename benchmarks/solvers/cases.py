@@ -10,15 +10,15 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from cmbot.optimization.continuation import SMOOTH
 
 from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed, PathNotFound
-from cmbot.optimization.continuation import SMOOTH
+from cmbot.optimization.program import StateSamples
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.solvers import family_through
-from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Postures

@@ -23,8 +23,8 @@ from scipy import sparse
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.planning.torque.constraints import JointTorque, StateSamples, ToolDeviation
-from cmbot.planning.torque.null_space import LONGEST_SLIDE
 from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.torque.task_manifold import LONGEST_SLIDE
 from cmbot.robot import Kinematics, Postures
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.quintic import QuinticTrajectory

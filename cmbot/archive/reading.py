@@ -20,6 +20,7 @@ from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
 from cmbot.elastic.sag import Sag
+from cmbot.optimization.program import StateSamples
 from cmbot.planning import (
     Approach,
     Certificate,
@@ -34,8 +35,7 @@ from cmbot.planning import (
     task_of,
 )
 from cmbot.planning.objective_metrics import objective_metrics
-from cmbot.planning.torque.constraints import StateSamples
-from cmbot.planning.torque.objectives import objective_of
+from cmbot.planning.objectives import objective_of
 from cmbot.planning.verification.certificate import certificate_grid, certify
 from cmbot.planning.verification.metrics import figures, measure
 from cmbot.robot import Robot

@@ -11,7 +11,7 @@ from pydantic import Field
 from cmbot.archive.goal_schema import ChoiceFile, Count, FloorFile, NonNegative, ObjectiveFile
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import FileModel
-from cmbot.optimization.working_set import Violation
+from cmbot.optimization.constraint_set import Violation
 from cmbot.planning import (
     Certificate,
     Check,

@@ -1,91 +1,122 @@
-"""The working set while the sparse solver steps: it grows where steps lead, and is thinned where they led."""
+"""The constraints that a solver works with: of infinitely many those at a few times."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field, replace
+
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.optimization.linearization import Sites
-from cmbot.optimization.working_set import Violation, WorkingSet
-from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.local_basis import SparseSplines
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["ConstraintSet"]
+__all__ = ["OBJECTIVE", "ConstraintSet", "Violation"]
 
+OBJECTIVE = 0
+"""Family of the objective; behind it come the program's constraints, then its bounds."""
 
-# At most so many sites of a constraint are added for a step: the worst, which usually hold the others.
-_MOST = 40
-# Once there are so many times as many constraints as there were, and a few more, some are forgotten.
-_MANY, _MORE = 1.2, 50
-# Those without a multiplier, as a share of all: the ones this far from their bounds, as shares of these, and
-# all but the worst within so many grid steps.
+# Constraints nearer than this share of a sampling step are the same; sharpened, this share of that.
+_SAME, _SHARPER = 0.005, 0.1
+# A set that has grown by this factor and a few more is thinned. Constraints without a multiplier (as a share
+# of all) go where they are this far from their bounds, and all but the worst within so many sampling steps.
+_GROWTH, _MORE = 1.2, 50
 _NEGLIGIBLE, _FAR, _WINDOW = 1e-6, -0.5, 2.0
 
 
-class ConstraintSet:
-    """A working set, and what the solver has to know of it.
+@dataclass(frozen=True)
+class Violation:
+    """The constraint that is violated most, as a share of its bound."""
 
-    Parameters
+    name: str
+    value: float
+
+
+def _none() -> IntArray:
+    return np.empty(0, dtype=np.intp)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConstraintSet:
+    """Which component of which family of constraints has to hold at which time: K of them.
+
+    A set never changes. What `extended` returns has the constraints that were there first, in the same order,
+    so values and multipliers of the old set are the first ones of the new one.
+
+    Attributes
     ----------
-    problem : TorqueProblem
-    working : WorkingSet
+    step : float, s
+        Sampling step of the program.
+    family, component : (K,)
+    time : (K,), s
     """
 
-    def __init__(self, problem: TorqueProblem, working: WorkingSet) -> None:
-        self.problem, self.working = problem, working
-        self._sites: Sites | None = None
-        self._sizes: dict[int, tuple[int, ...]] = {}
-        self._were = len(working)
+    step: float
+    family: IntArray = field(default_factory=_none)
+    component: IntArray = field(default_factory=_none)
+    time: FloatArray = field(default_factory=lambda: np.empty(0))
+    _same: float = _SAME
+    _base: int = 0
 
-    def sites(self, splines: SparseSplines) -> Sites:
-        """Where constraints are looked at now; the same object as long as there are no more of them."""
-        if self._sites is None or self._sites.sizes != self.working.sizes:
-            self._sites = Sites(self.working, splines)
-            # Between two thinnings their number tells which ones there were.
-            self._sizes[sum(self._sites.sizes)] = self._sites.sizes
-        return self._sites
+    def __len__(self) -> int:
+        return len(self.time)
 
-    def look(self, trajectory: QuinticTrajectory, bound: float) -> Violation:
-        """Add what a trajectory violates, with the scaled torque compared with `bound`."""
-        tolerance = self.problem.options.constraint_tolerance
-        return self.working.add_violated(trajectory, bound, tolerance, 1, _MOST)[1]
-
-    def lifted(self, multipliers: FloatArray) -> FloatArray:
-        """Multipliers of the constraints that are known now from those of fewer, known some time before."""
-        now = self.working.sizes
-        before = self._sizes.get(len(multipliers), (0,) * len(now))
-        parts = np.split(multipliers, np.cumsum(before)[:-1])
-        return np.concatenate(
-            [np.append(part, np.zeros(size - len(part))) for part, size in zip(parts, now, strict=True)]
+    def extended(self, family: IntArray, component: IntArray, time: FloatArray) -> ConstraintSet:
+        """Add the constraints that are not there yet; the same object where all are."""
+        new = ~self._known(family, component, time)
+        if not new.any():
+            return self
+        return replace(
+            self,
+            family=np.append(self.family, family[new]),
+            component=np.append(self.component, component[new]),
+            time=np.append(self.time, time[new]),
         )
 
-    def needed(self, sites: Sites, value: FloatArray, multipliers: FloatArray) -> BoolArray | None:
-        """Forget constraints that do not matter where they have become many.
+    def at_all(self, families: list[int], times: FloatArray) -> ConstraintSet:
+        """Add component 0 of some families at `times` (N,)."""
+        family = np.repeat(np.asarray(families, dtype=np.intp), len(times))
+        return self.extended(family, np.zeros_like(family), np.tile(times, len(families)))
 
-        Parameters
-        ----------
-        sites : Sites
-            All that are known now.
-        value, multipliers : (K,)
+    def sharpened(self) -> ConstraintSet:
+        """Tell constraints apart from now on that are nearer to each other than before."""
+        return replace(self, _same=_SHARPER * self._same)
 
-        Returns
-        -------
-        (K,) or None
-            Which are left; None when all are.
-        """
-        if len(value) < _MANY * self._were + _MORE:
-            return None
-        kind, times, component = sites.kind, np.concatenate(sites.times), np.concatenate(sites.component)
-        window = np.floor(times / (_WINDOW * (self.problem.grid[1] - self.problem.grid[0])))
+    def rebased(self) -> ConstraintSet:
+        """Count growth from here."""
+        return replace(self, _base=len(self))
+
+    def kept(self, which: BoolArray) -> ConstraintSet:
+        """Return those of the K constraints that `which` names."""
+        return replace(
+            self,
+            family=self.family[which],
+            component=self.component[which],
+            time=self.time[which],
+            _base=int(which.sum()),
+        )
+
+    def needed(self, value: FloatArray, multipliers: FloatArray) -> BoolArray:
+        """Which constraints (K,) matter, by their values and multipliers (K,); all while the set is small."""
+        if len(self) < _GROWTH * self._base + _MORE:
+            return np.ones(len(self), dtype=np.bool_)
+        window = np.floor(self.time / (_WINDOW * self.step))
         idle = multipliers <= _NEGLIGIBLE * multipliers.sum()
-        # Those alike in kind, component and window side by side: with multipliers first, then the worst.
-        order = np.lexsort((-value, idle, window, component, kind))
-        alike = [np.diff(each[order], prepend=-1) == 0 for each in (window, component, kind)]
+        # Those alike in family, component and window side by side: with multipliers first, then the worst.
+        order = np.lexsort((-value, idle, window, self.component, self.family))
+        alike = [np.diff(each[order], prepend=-1) == 0 for each in (window, self.component, self.family)]
         needless = np.zeros(len(value), dtype=np.bool_)
         needless[order] = np.logical_and.reduce(alike)
-        needless |= (value < _FAR) & (kind > 0)
-        needless &= idle
-        self.working.keep(~needless)
-        self._were, self._sites = len(self.working), None
-        return ~needless
+        needless |= (value < _FAR) & (self.family != OBJECTIVE)
+        return np.asarray(~(needless & idle))
+
+    def _known(self, family: IntArray, component: IntArray, time: FloatArray) -> BoolArray:
+        """Which of some constraints are nearly in time, and otherwise exactly, one of the set."""
+        if len(self) == 0 or len(time) == 0:
+            return np.zeros(len(time), dtype=np.bool_)
+        within = self._same * self.step
+        # Components one after the other, families too, as if they were later times.
+        width = 1 + max(int(self.component.max()), int(component.max()))
+        far = 3.0 * max(float(np.abs(self.time).max()), float(np.abs(time).max()), within)
+        known = np.sort(self.time + far * (width * self.family + self.component))
+        new = time + far * (width * family + component)
+        after = np.searchsorted(known, new)
+        before = np.abs(new - known[np.maximum(after - 1, 0)])
+        return np.asarray(np.minimum(before, np.abs(new - known[np.minimum(after, len(known) - 1)])) < within)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.planning.torque.constraints import StateConstraint, StateSamples
+from cmbot.optimization.program import StateFunction, StateSamples
 
 __all__ = ["convexified", "state_curvature"]
 
@@ -23,7 +23,7 @@ _LEAST = 1e-9
 
 
 def state_curvature(
-    function: StateConstraint,
+    function: StateFunction,
     states: StateSamples,
     component: IntArray,
     multipliers: FloatArray,
@@ -33,7 +33,7 @@ def state_curvature(
 
     Parameters
     ----------
-    function : StateConstraint
+    function : StateFunction
     states : StateSamples
         N of them.
     component : (N,)
@@ -68,8 +68,8 @@ def state_curvature(
     return active, M
 
 
-def _gradients(function: StateConstraint, states: StateSamples, component: IntArray) -> FloatArray:
-    at = function.linearise(states, component)
+def _gradients(function: StateFunction, states: StateSamples, component: IntArray) -> FloatArray:
+    at = function.linearize(states, component)
     return np.hstack([at.d_q, at.d_v, at.d_a])
 
 

@@ -1,64 +1,89 @@
-"""Exchange: solve with few constraints, look for violated ones everywhere, add them, solve again."""
+"""Exchange: solve with few constraints, find those that are violated at any time, add them, solve again.
+
+A lexicographic program is solved in stages: the peak of the objective as low as it can be, then its mean
+square with the peak held. Where the lower bound of the peak can be attained the first stage is not needed.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import cast
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.common.validation import counted
-from cmbot.optimization.continuation import COARSE, LIGHTER, SKETCH, SMOOTH, Effort
+from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet, Violation
+from cmbot.optimization.evaluation import NlpEvaluation, Stage
+from cmbot.optimization.linearization import families_of
+from cmbot.optimization.program import Program
+from cmbot.optimization.separation import Separation, find_violations
 from cmbot.optimization.slsqp import solve_slsqp
-from cmbot.optimization.sparse_passes import SparsePasses
-from cmbot.optimization.subproblems import mean_square_subproblem, peak_subproblem
-from cmbot.optimization.working_set import Violation, WorkingSet
-from cmbot.planning.torque.decomposition import joined, stretch_of, stretches
-from cmbot.planning.torque.families import FixedKnots
-from cmbot.planning.torque.feasibility import check_feasible
-from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.optimization.sqp import SqpOptions, SqpResult, SqpStatus, solve_sqp
 from cmbot.trajectory.parametrization import Parametrization
-from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["ExchangeReport", "Optimised", "optimise"]
-
-
-# SLSQP's line search can stall short of the constraints; started afresh from there it gets on.
-_MOST_STALLS = 3
-# A peak this near to that of the resting ends cannot be told from it.
-_AT_REST = 1e-6
+__all__ = ["ExchangeOptions", "ExchangeReport", "Result", "minimize_peak"]
 
 
-# A pass that ends worse than it began is done again with the smoothing this many times heavier, so often.
-_CAUTION, _RETRIES = 10.0, 3
-# The solver can end early; started afresh it ends for good when it gains no more than this.
-_SETTLED = 1e-7
-# A lighter smoothing must lower the peak by this share of the gap target for a still lighter one to be tried.
-_WORTHWHILE = 0.1
+@dataclass(frozen=True, kw_only=True)
+class ExchangeOptions:
+    """How a program is solved.
 
-# The mean square falls off slowly; its passes must be so much more accurate not to end far from feasible.
-_MEAN_ACCURACY = 0.1
+    Attributes
+    ----------
+    solver : str
+        ``sqp`` or ``slsqp``.
+    smoothing : float
+        Weight of half the mean squared jerk, in units of its bounds, beside the objective.
+    peak_tolerance : float
+        The peak is low enough within this share of its lower bound, or of the lowest that was attained.
+    feasibility_tolerance : float
+        Violations up to this count as met.
+    max_passes, max_iterations : int
+        Exchange iterations of all stages, and iterations of the solver in each.
+    continuation : tuple of float
+        Factors of the smoothing while the peak is minimised, one after the other: a light smoothing alone
+        lets splines swing between the few times that are known.
+    worthwhile : float
+        A lighter smoothing must lower the peak by this share for a still lighter one to be tried.
+    most_violations : int
+        Constraints of a family that are added in an exchange iteration, at most.
+    stalls : int
+        So often a solver may end short of the constraints before it is given up.
+    slsqp_accuracy : float
+    sqp : SqpOptions
+    """
+
+    solver: str = "sqp"
+    smoothing: float = 0.1
+    peak_tolerance: float = 1e-4
+    feasibility_tolerance: float = 1e-5
+    max_passes: int = 40
+    max_iterations: int = 1000
+    continuation: tuple[float, ...] = (1.0, 0.1, 1e-2, 1e-3)
+    worthwhile: float = 1e-5
+    most_violations: int = 400
+    stalls: int = 3
+    slsqp_accuracy: float = 1e-8
+    sqp: SqpOptions = field(default_factory=SqpOptions)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ExchangeReport:
-    """Where the optimisation stands after a pass.
+    """Where the optimisation stands after an exchange iteration.
 
     Attributes
     ----------
     stage : str
         ``peak`` or ``mean square``.
     number : int
-        Passes so far.
+        Exchange iterations so far.
     iterations : int
-        Solver iterations of this pass.
+        Solver iterations of this one.
     constraints : int
-        Size of the working set.
-    peak_torque : float, Nm
-        Largest torque on the guardrail at the samples.
+        Size of the constraint set.
+    peak_torque : float
+        Largest value of the objective at the samples, in its own unit.
     worst : Violation
         Constraint violated most; below the tolerance all are met.
     """
@@ -72,238 +97,178 @@ class ExchangeReport:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optimised:
-    """An optimised trajectory and how it was found.
+class Result:
+    """A solved program.
 
     Attributes
     ----------
-    trajectory : QuinticTrajectory
-    via_points : (n, d), rad
-        What it was to pass through: those given, or where they slid to.
+    parametrization : Parametrization
+        Built around the solution.
     passes : tuple of ExchangeReport
-    whole_because : str
-        Of a long path that had to be solved whole: why its stretches could not be; else empty.
+    peak_bound : float
+        What the peak was held below, in units of the program's scale.
     """
 
-    trajectory: QuinticTrajectory
-    via_points: FloatArray
+    parametrization: Parametrization
     passes: tuple[ExchangeReport, ...]
-    whole_because: str = ""
+    peak_bound: float
 
 
-def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None = None) -> Optimised:
-    """Solve the torque problem, with the solver that its family of splines is made for.
+def minimize_peak(
+    program: Program,
+    options: ExchangeOptions,
+    progress: Callable[[ExchangeReport], None] | None = None,
+) -> Result:
+    """Minimise the peak as far as its lower bound allows, and among those motions the mean square.
+
+    With p the lower bound where that can be attained, otherwise the smallest peak that can, it solves
+    ``min mean f^2 / 2 + smoothing, f(t) <= p (1 + peak_tolerance)`` subject to the program's constraints.
 
     Parameters
     ----------
-    problem : TorqueProblem
+    program : Program
+    options : ExchangeOptions
     progress : callable, optional
-        Called with a `ExchangeReport` after every pass.
+        Called after every exchange iteration.
 
     Raises
     ------
     OptimisationFailed
-        When the via-points admit no trajectory within the limits, or none was found.
+        When no trajectory was found that meets the constraints.
     """
-    at_rest = problem.peak_at_rest * (1 + _AT_REST)
-    parts = stretches(problem)
-    if len(parts) > 1:
-        try:
-            return _stretch_by_stretch(problem, parts, at_rest, progress)
-        except OptimisationFailed as failure:
-            # To rest at every end of a stretch may be too much to ask; the path as a whole does not ask it.
-            return replace(_whole(problem, at_rest, progress), whole_because=failure.reason)
-    return _whole(problem, at_rest, progress)
+    exchange = _Exchange(program, options, progress)
+    bound = program.lower_bound * (1 + options.peak_tolerance)
+    try:
+        if program.lower_bound <= 0:
+            raise _failure("nothing is known of the peak", Violation("peak", 0.0))
+        exchange.run(options.smoothing, bound=bound, stalls=0)
+    except OptimisationFailed:
+        exchange.restart()
+        peak = exchange.lowest_peak(bound)
+        bound = max(bound, peak * (1 + options.peak_tolerance))
+        exchange.run(options.smoothing, bound=bound)
+    return Result(parametrization=exchange.form, passes=tuple(exchange.reports), peak_bound=bound)
 
 
-def _stretch_by_stretch(
-    problem: TorqueProblem,
-    parts: list[tuple[int, int]],
-    at_rest: float,
-    progress: Callable[[ExchangeReport], None] | None,
-) -> Optimised:
-    """Solve a long path's problem in parts; passes are counted through."""
-    done: list[Optimised] = []
-    passes: list[ExchangeReport] = []
+class _Exchange:
+    """The exchange iterations of one program; its constraint set is kept from stage to stage."""
 
-    def tell(report: ExchangeReport) -> None:
-        passes.append(replace(report, number=len(passes) + 1))
-        if progress is not None:
-            progress(passes[-1])
-
-    for first, last in parts:
-        done.append(_whole(stretch_of(problem, first, last), at_rest, tell))
-    return Optimised(
-        trajectory=joined([each.trajectory for each in done]),
-        via_points=np.concatenate([*(each.via_points[:-1] for each in done[:-1]), done[-1].via_points]),
-        passes=tuple(passes),
-    )
-
-
-def _whole(
-    problem: TorqueProblem, at_rest: float, progress: Callable[[ExchangeReport], None] | None
-) -> Optimised:
-    """Solve a problem at once; `at_rest` is what a posture asks that the arm cannot help resting in."""
-    if not problem.family.sliding:
-        check_feasible(problem)
-    run = _Run(problem, progress)
-    # Where a resting end that cannot change asks the most, there is nothing to lower but the mean square.
-    # With sliding knots that is known beforehand.
-    peak = problem.via_point_peak if problem.family.slides else problem.scale
-    lowered = peak > at_rest
-    if lowered:
-        peak = problem.scale * run.stage("peak", 1.0)
-    if peak <= at_rest:
-        try:
-            run.stage("mean square", at_rest / problem.scale)
-        except OptimisationFailed:
-            if lowered:
-                raise
-            # The arm may be unable to set off without asking more than at rest: then that is made small.
-            run = _Run(problem, progress)
-            run.stage("peak", 1.0)
-    return Optimised(
-        trajectory=problem.trajectory(run.family, run.x),
-        via_points=run.family.via_points_at(run.x),
-        passes=tuple(run.reports),
-    )
-
-
-class _Run:
-    """The passes of one optimisation; its working set is kept from stage to stage."""
-
-    def __init__(self, problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None) -> None:
-        self._problem = problem
-        self._progress = progress
-        self._working = WorkingSet(problem)
-        t = problem.space.t
-        self._working.add_everywhere(0.5 * (t[1:] + t[:-1]))
-        if isinstance(problem.family, Parametrization):
-            # Few more rows for it, and its first steps need not find out that the peak moves.
-            self._working.add_torque(t)
-        self._sparse = SparsePasses(problem, self._working)
-        self.family = problem.family
-        self.x = problem.family.start
+    def __init__(
+        self,
+        program: Program,
+        options: ExchangeOptions,
+        progress: Callable[[ExchangeReport], None] | None,
+    ) -> None:
+        self._program, self._options, self._progress = program, options, progress
+        self._families = len(families_of(program))
         self.reports: list[ExchangeReport] = []
+        self.restart()
 
-    def stage(self, name: str, bound: float) -> float:
-        """Run one stage from where the last one ended; return its scaled peak torque.
+    def restart(self) -> None:
+        """Go back to the initial guess and the first constraints."""
+        t = self._program.parametrization.space.t
+        step = float(t[1] - t[0]) / self._program.samples_per_segment
+        middles = 0.5 * (t[1:] + t[:-1])
+        # Without a first hold at all times the first steps would go far where nothing has been added yet.
+        single = [
+            number
+            for number, function in enumerate((self._program.objective, *self._program.constraints))
+            if function.components == 1
+        ]
+        self._constraints = ConstraintSet(step=step).at_all(single, middles).at_all([OBJECTIVE], t).rebased()
+        self.form = self._program.parametrization
+        self._warm: SqpResult[NlpEvaluation] | None = None
 
-        A lighter smoothing that leads nowhere is given up for what was found with the heavier one: its last
-        report then has a violated constraint.
+    def lowest_peak(self, target: float) -> float:
+        """Minimise the peak with ever less smoothing, as long as that is worthwhile; return it.
+
+        A lighter smoothing that leads nowhere is given up for what was found with the heavier one.
         """
-        # The sparse solver takes no step for the worse, however rough the way: it needs no sketch of one.
-        sketches = (SKETCH, COARSE) if self.family.slides else (COARSE,)
-        first = (SMOOTH,) if isinstance(self.family, Parametrization) else (*sketches, SMOOTH)
-        self._look(bound, first[0])
-        peak = bound
-        for effort in first:
-            bound, peak = self._passes(name, bound, effort)
-        for effort in LIGHTER if name == "peak" else ():
-            if peak <= self._problem.low_enough:
-                break
-            kept = self.family, self.x
+        lowest = np.inf
+        for factor in self._options.continuation:
+            kept = self.form
             try:
-                bound, lower = self._passes(name, bound, effort)
+                peak = self.run(factor * self._options.smoothing, target=target)
             except OptimisationFailed:
-                self.family, self.x = kept
+                if not np.isfinite(lowest):
+                    raise
+                self.form, self._warm = kept, None
                 break
-            gain, peak = peak - lower, lower
-            # Without a floor to be content with, the peak is lowered to the end.
-            if self._problem.low_enough > 0 and gain < _WORTHWHILE * self._problem.options.gap_target * peak:
+            gain, lowest = lowest - peak, min(lowest, peak)
+            if peak <= target or gain < self._options.worthwhile * peak:
                 break
-        return peak
+        return lowest
 
-    def _passes(self, name: str, bound: float, effort: Effort) -> tuple[float, float]:
-        """Solve and look until nothing is violated; return the subproblem's bound and the scaled peak."""
-        options, stalls = self._problem.options, 0
-        while True:
-            if len(self.reports) >= options.max_passes:
-                passes = counted(options.max_passes, "pass", "passes")
-                reason = f"no solution in {passes}, and planner.max_passes allows no more"
-                raise self._failure(reason, self.reports[-1].worst)
-            bound, iterations, gain = self._solve(name, bound, effort)
-            added, worst, peak = self._look(bound, effort)
-            self._report(name, iterations, peak, worst)
-            if effort.slides_only:
-                return bound, peak
-            if added:
-                continue
-            if effort is COARSE:
-                return bound, peak
-            if worst.value <= options.constraint_tolerance:
-                sparse = isinstance(self.family, Parametrization)
-                if gain > _SETTLED and (sparse or effort is LIGHTER[-1]):
-                    continue
-                return bound, peak
-            if stalls == _MOST_STALLS:
-                raise self._failure("the solver stopped before the constraints were met", worst)
-            stalls += 1
-            # What is violated can lie so near to what is known that it counted as known.
-            self._working.sharpen()
-            self._look(bound, effort)
+    def run(
+        self, smoothing: float, *, bound: float | None = None, target: float = 0.0, stalls: int | None = None
+    ) -> float:
+        """Solve and separate until nothing is violated; return the peak.
 
-    def _look(self, bound: float, effort: Effort) -> tuple[int, Violation, float]:
-        """Add what the present trajectory violates."""
-        trajectory = self._problem.trajectory(self.family, self.x)
-        tolerance = self._problem.options.constraint_tolerance
-        return self._working.add_violated(trajectory, bound, tolerance, effort.stride, effort.most)
-
-    def _solve(self, name: str, bound: float, effort: Effort) -> tuple[float, int, float]:
-        """Solve a subproblem from where the last one ended; return its bound, the iterations and the gain.
-
-        The solver can diverge; a step for the worse is not taken but tried again more cautiously.
+        Where the solver ends short of the constraints it is started again from there, `stalls` times.
         """
-        if isinstance(self.family, Parametrization):
-            self.family, peak, iterations, gain = self._sparse.solve(
-                self.family, None if name == "peak" else bound, effort
-            )
-            self.x = self.family.start
-            return peak, iterations, gain
-        iterations, weight = 0, self._problem.options.smoothing_weight * effort.smoothing
-        # The way through the charts is rough; smoothing it is all that is wanted of the first pass.
-        lower_peak = name == "peak" or effort.slides_only
-        for _ in range(_RETRIES + 1):
-            family = cast(FixedKnots, self.family).rebuilt(self.x, weight)
-            subproblem = (
-                peak_subproblem(self._working, family, bound, effort)
-                if lower_peak
-                else mean_square_subproblem(self._problem, self._working, family, bound)
-            )
-            try:
-                x, count = solve_slsqp(
-                    subproblem.problem,
-                    effort.accuracy if lower_peak else _MEAN_ACCURACY * effort.accuracy,
-                    min(effort.iterations, self._problem.options.max_iterations),
-                )
-                iterations += count
-                gain = -np.inf
-                if np.isfinite(x).all():
-                    gain = subproblem.merit(subproblem.problem.start) - subproblem.merit(x)
-            except (OptimisationFailed, np.linalg.LinAlgError):
-                gain = -np.inf
-            if gain >= -effort.accuracy:
-                self.family, self.x = family, subproblem.unknowns(x)
-                return (float(x[-1]) if name == "peak" else bound), iterations, gain
-            weight *= _CAUTION
-        if effort.slides_only:
-            # Sliding alone may be no way to go on; with all unknowns there may be one.
-            return bound, iterations, 0.0
-        look = self._look(bound, effort)
-        raise self._failure("the solver diverges, however cautiously it is asked", look[1])
+        o = self._options
+        stage = Stage(smoothing=smoothing, bound=bound, target=target, tolerance=o.feasibility_tolerance)
+        found = self._separated(np.inf if bound is None else bound)
+        self._constraints, left = found.added_to(self._constraints), o.stalls if stalls is None else stalls
+        while True:
+            if len(self.reports) >= o.max_passes:
+                passes = counted(o.max_passes, "pass", "passes")
+                reason = f"no solution in {passes}, and planner.max_passes allows no more"
+                raise _failure(reason, found.worst)
+            start = NlpEvaluation.around(self._program, stage, self.form, self._constraints)
+            end, iterations, done = self._solved(start)
+            self.form, self._constraints = end.parametrization, end.constraints
+            limit = max(end.peak, target) if bound is None else bound
+            found = self._separated(limit)
+            known, self._constraints = self._constraints, found.added_to(self._constraints)
+            self._report(stage, iterations, found)
+            worst = max(found.worst, Violation("peak", found.peak - limit), key=lambda each: each.value)
+            if worst.value <= o.feasibility_tolerance and self._constraints is known:
+                if done:
+                    return found.peak
+            elif end.values.violation > o.feasibility_tolerance:
+                if left == 0:
+                    raise _failure("the solver stopped before the constraints were met", worst)
+                left -= 1
+                # What is violated can lie so near to what is known that it counted as known.
+                self._constraints = found.added_to(self._constraints.sharpened())
 
-    def _report(self, stage: str, iterations: int, peak: float, worst: Violation) -> None:
+    def _solved(self, start: NlpEvaluation) -> tuple[NlpEvaluation, int, bool]:
+        """Solve with the constraints of `start`; return the end, the iterations, and whether it converged."""
+        o = self._options
+        if o.solver == "slsqp":
+            end, iterations = solve_slsqp(start, o.slsqp_accuracy, o.max_iterations)
+            return end, iterations, iterations < o.max_iterations
+        result = solve_sqp(start, self._families, o.sqp, self._warm)
+        self._warm = result
+        if result.status is SqpStatus.INFEASIBLE:
+            self.form = result.iterate.parametrization
+            limit = result.iterate.peak if start.stage.bound is None else start.stage.bound
+            found = self._separated(limit)
+            worst = max(found.worst, Violation("peak", found.peak - limit), key=lambda each: each.value)
+            reason = "near the trajectory that was found the constraints cannot all be met"
+            raise OptimisationFailed(reason, constraint=worst.name, violation=worst.value)
+        return result.iterate, result.iterations, result.status is not SqpStatus.ITERATION_LIMIT
+
+    def _separated(self, bound: float) -> Separation:
+        """Find what the present trajectory violates."""
+        o = self._options
+        trajectory = self.form.trajectory
+        return find_violations(self._program, trajectory, bound, o.feasibility_tolerance, o.most_violations)
+
+    def _report(self, stage: Stage, iterations: int, found: Separation) -> None:
         report = ExchangeReport(
-            stage=stage,
+            stage=stage.name,
             number=len(self.reports) + 1,
             iterations=iterations,
-            constraints=len(self._working),
-            peak_torque=peak * self._problem.scale,
-            worst=worst,
+            constraints=len(self._constraints),
+            peak_torque=found.peak * self._program.scale,
+            worst=found.worst,
         )
         self.reports.append(report)
         if self._progress is not None:
             self._progress(report)
 
-    def _failure(self, reason: str, worst: Violation) -> OptimisationFailed:
-        return OptimisationFailed(reason, constraint=worst.name, violation=worst.value, undecided=True)
+
+def _failure(reason: str, worst: Violation) -> OptimisationFailed:
+    return OptimisationFailed(reason, constraint=worst.name, violation=worst.value, undecided=True)

@@ -1,192 +1,121 @@
-"""What the constraints of a working set are, and how they change, where a trajectory passes their sites."""
+"""Values and derivatives of a program's constraints along one trajectory."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.optimization.working_set import WorkingSet, signed_bound
-from cmbot.planning.torque.constraints import Linearisation, StateConstraint, StateSamples, ToolDeviation
-from cmbot.planning.torque.problem import KinematicBound
-from cmbot.trajectory.local_basis import LocalRows, SparseSplines
+from cmbot.optimization.constraint_set import ConstraintSet
+from cmbot.optimization.program import KinematicBound, Linearization, Program, StateFunction, StateSamples
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["SiteValues", "Sites", "site_values"]
+__all__ = ["ConstraintValues", "families_of", "linearize"]
 
 # Position, velocity, acceleration and jerk.
 _ORDERS = (0, 1, 2, 3)
 
-_Kind = StateConstraint | KinematicBound
 
-
-class Sites:
-    """The sites of a working set as they are now: of K constraints, kind after kind.
-
-    Parameters
-    ----------
-    working : WorkingSet
-    splines : SparseSplines
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ConstraintValues:
+    """K constraints along a trajectory, and the C direction cuts of some of them.
 
     Attributes
     ----------
-    kinds : tuple of StateConstraint or KinematicBound
-    times, component : tuple of (K_k,)
-        Of each kind.
-    sizes : tuple of int
-        The numbers K_k.
-    torques : int
-        Number of the first kind: what is made small.
-    """
-
-    def __init__(self, working: WorkingSet, splines: SparseSplines) -> None:
-        every: list[tuple[_Kind, FloatArray, IntArray]] = [*working.state_sites(), *working.bound_sites()]
-        self._splines = splines
-        self.kinds = tuple(kind for kind, _, _ in every)
-        self.times = tuple(times for _, times, _ in every)
-        self.component = tuple(component for _, _, component in every)
-        self.sizes = tuple(len(times) for times in self.times)
-        self.torques = self.sizes[0]
-
-    @cached_property
-    def kind(self) -> IntArray:
-        """Number of each constraint's kind, (K,)."""
-        return np.repeat(np.arange(len(self.sizes)), self.sizes)
-
-    @cached_property
-    def rows(self) -> LocalRows:
-        """The splines there, K of them."""
-        return self._splines.rows(np.concatenate(self.times))
-
-    @cached_property
-    def faced(self) -> IntArray:
-        """Which of the constraints, (T,), have faces: see `ToolDeviation.faces`."""
-        deviation = [isinstance(kind, ToolDeviation) for kind in self.kinds]
-        return np.flatnonzero(np.repeat(deviation, self.sizes))
-
-
-@dataclass(frozen=True, kw_only=True)
-class SiteValues:
-    """Constraints at their sites, kind after kind, along one trajectory.
-
-    Attributes
-    ----------
-    sites : Sites
-    value : tuple of (K_k,)
-    derivative : tuple of (4, K_k, d)
+    value : (K,)
+    derivative : (4, K, d)
         By position, velocity, acceleration and jerk.
-    face_value : (F, T)
-    face_derivative : (F, T, d)
-        Of the faces by position.
+    cut_of : (C,)
+        Which of the constraints each cut belongs to.
+    cut_value : (C,)
+    cut_derivative : (4, C, d)
     """
 
-    sites: Sites
-    value: tuple[FloatArray, ...]
-    derivative: tuple[FloatArray, ...]
-    face_value: FloatArray
-    face_derivative: FloatArray
+    value: FloatArray
+    derivative: FloatArray
+    cut_of: IntArray
+    cut_value: FloatArray
+    cut_derivative: FloatArray
 
-    @cached_property
-    def all_values(self) -> FloatArray:
-        """Values (K,)."""
-        return np.concatenate(self.value)
-
-    @cached_property
-    def all_derivatives(self) -> FloatArray:
-        """Derivatives (4, K, d)."""
-        return np.concatenate(self.derivative, axis=1)
-
-    def kept(self, which: BoolArray, sites: Sites) -> SiteValues:
-        """Return those of the K constraints that are left in `sites`."""
-        parts = np.split(which, np.cumsum(self.sites.sizes)[:-1])
-        faced = which[self.sites.faced]
-        return SiteValues(
-            sites=sites,
-            value=tuple(value[part] for value, part in zip(self.value, parts, strict=True)),
-            derivative=tuple(d[:, part] for d, part in zip(self.derivative, parts, strict=True)),
-            face_value=self.face_value[:, faced],
-            face_derivative=self.face_derivative[:, faced],
+    def kept(self, which: BoolArray) -> ConstraintValues:
+        """Return those of the K constraints that `which` names, with their cuts."""
+        cuts = which[self.cut_of]
+        return ConstraintValues(
+            value=self.value[which],
+            derivative=self.derivative[:, which],
+            cut_of=(np.cumsum(which) - 1)[self.cut_of[cuts]],
+            cut_value=self.cut_value[cuts],
+            cut_derivative=self.cut_derivative[:, cuts],
         )
 
 
-def site_values(sites: Sites, trajectory: QuinticTrajectory, before: SiteValues | None = None) -> SiteValues:
-    """Evaluate constraints where a trajectory passes their sites.
+def families_of(program: Program) -> tuple[StateFunction | KinematicBound, ...]:
+    """Return the families of a program's constraints in order: objective, constraints, bounds."""
+    return (program.objective, *program.constraints, *program.bounds)
+
+
+def linearize(
+    program: Program,
+    constraints: ConstraintSet,
+    trajectory: QuinticTrajectory,
+    known: ConstraintValues | None = None,
+) -> ConstraintValues:
+    """Evaluate constraints along a trajectory.
 
     Parameters
     ----------
-    sites : Sites
+    program : Program
+    constraints : ConstraintSet
     trajectory : QuinticTrajectory
-    before : SiteValues, optional
-        Of the same trajectory at fewer of the sites, the first ones of each kind: not evaluated again.
+    known : ConstraintValues, optional
+        Of the first constraints of the set along the same trajectory: not evaluated again.
     """
-    known = (0,) * len(sites.sizes) if before is None else before.sites.sizes
-    new = [times[first:] for times, first in zip(sites.times, known, strict=True)]
-    ends = np.cumsum([len(times) for times in new])
-    orders = trajectory.derivatives(np.concatenate(new), _ORDERS)
-    values: list[FloatArray] = []
-    derivatives: list[FloatArray] = []
-    faces: tuple[Linearisation, ...] = ()
-    for number, kind in enumerate(sites.kinds):
-        if before is not None and len(new[number]) == 0:
-            values.append(before.value[number])
-            derivatives.append(before.derivative[number])
+    first = 0 if known is None else len(known.value)
+    family, component = constraints.family[first:], constraints.component[first:]
+    times = constraints.time[first:]
+    orders = trajectory.derivatives(times, _ORDERS)
+    K, d = len(times), trajectory.q.shape[1]
+    value, derivative = np.empty(K), np.zeros((4, K, d))
+    cut_of, cut_value, cut_derivative = [_NO_INDEX], [np.empty(0)], [np.empty((4, 0, d))]
+    for number, each in enumerate(families_of(program)):
+        here = np.flatnonzero(family == number)
+        if len(here) == 0:
             continue
-        here = slice(ends[number] - len(new[number]), ends[number])
-        at = tuple(order[here] for order in orders)
-        component = sites.component[number][known[number] :]
-        if isinstance(kind, KinematicBound):
-            value, derivative = _bound(kind, at, component)
-        else:
-            states = StateSamples(new[number], at[0], at[1], at[2])
-            function, *more = _linearised(kind, states, component)
-            faces = (*faces, *more)
-            value = function.value
-            derivative = np.stack([function.d_q, function.d_v, function.d_a, np.zeros(function.d_q.shape)])
-        if before is not None:
-            value = np.append(before.value[number], value)
-            derivative = np.concatenate([before.derivative[number], derivative], axis=1)
-        values.append(value)
-        derivatives.append(derivative)
-    face_value, face_derivative = _faces(faces, before)
-    return SiteValues(
-        sites=sites,
-        value=tuple(values),
-        derivative=tuple(derivatives),
-        face_value=face_value,
-        face_derivative=face_derivative,
+        if isinstance(each, KinematicBound):
+            value[here], derivative[each.order, here] = each.values(orders[each.order][here], component[here])
+            continue
+        q, v, a = (order[here] for order in orders[:3])
+        states = StateSamples(times[here], q, v, a)
+        at = each.linearize(states, component[here])
+        value[here], derivative[:3, here] = at.value, at.derivatives
+        for cut in at.cuts:
+            cut_of.append(first + here)
+            cut_value.append(cut.value)
+            cut_derivative.append(_with_jerk(cut))
+    new = ConstraintValues(
+        value=value,
+        derivative=derivative,
+        cut_of=np.concatenate(cut_of),
+        cut_value=np.concatenate(cut_value),
+        cut_derivative=np.concatenate(cut_derivative, axis=1),
     )
+    return new if known is None else _joined(known, new)
 
 
-def _bound(
-    bound: KinematicBound, at: tuple[FloatArray, ...], component: IntArray
-) -> tuple[FloatArray, FloatArray]:
-    """Values (N,) and derivatives (4, N, d) of a joint's bound."""
-    value, joint, factor = signed_bound(bound, at[bound.order], component)
-    derivative = np.zeros((len(at), *at[0].shape))
-    derivative[bound.order, np.arange(len(joint)), joint] = factor
-    return value, derivative
+_NO_INDEX = np.empty(0, dtype=np.intp)
 
 
-def _faces(faces: tuple[Linearisation, ...], before: SiteValues | None) -> tuple[FloatArray, FloatArray]:
-    """Values (F, T) and derivatives (F, T, d), those that were there before first."""
-    if before is not None and not faces:
-        return before.face_value, before.face_derivative
-    value = np.stack([face.value for face in faces])
-    derivative = np.stack([face.d_q for face in faces])
-    if before is None:
-        return value, derivative
-    return (
-        np.concatenate([before.face_value, value], axis=1),
-        np.concatenate([before.face_derivative, derivative], axis=1),
+def _with_jerk(at: Linearization) -> FloatArray:
+    return np.concatenate([at.derivatives, np.zeros((1, *at.d_q.shape))])
+
+
+def _joined(a: ConstraintValues, b: ConstraintValues) -> ConstraintValues:
+    return replace(
+        a,
+        value=np.append(a.value, b.value),
+        derivative=np.concatenate([a.derivative, b.derivative], axis=1),
+        cut_of=np.append(a.cut_of, b.cut_of),
+        cut_value=np.append(a.cut_value, b.cut_value),
+        cut_derivative=np.concatenate([a.cut_derivative, b.cut_derivative], axis=1),
     )
-
-
-def _linearised(
-    function: StateConstraint, states: StateSamples, component: IntArray
-) -> tuple[Linearisation, ...]:
-    """Linearise a function, and behind it its faces if it has some."""
-    if isinstance(function, ToolDeviation):
-        return function.linearise_with_faces(states)
-    return (function.linearise(states, component),)

@@ -1,38 +1,68 @@
-"""Where a trajectory breaks a constraint most: at samples and a little between them, or at exact extrema."""
+"""Separation: where a trajectory violates the constraints of a program most.
+
+Functions of the state are sampled, and evaluated between the samples where they are near their bounds; bounds
+on the splines' derivatives are met at exact extrema of polynomials.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.torque.constraints import StateConstraint, StateSamples
-from cmbot.planning.torque.problem import KinematicBound
+from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet, Violation
+from cmbot.optimization.program import KinematicBound, Program, StateFunction, StateSamples
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["NEAR", "WorstViolations", "broken_between_samples", "broken_bound", "values_of"]
+__all__ = ["Separation", "WorstViolations", "find_violations", "violated_bound", "violated_function"]
 
-NEAR = 0.02
-"""Sampled constraints within this of their bound are looked at between the samples, too."""
-
+# Sampled functions within this of their bound are evaluated between the samples, too.
+_NEAR = 0.02
 # So many states are evaluated at once: more only ask for memory, and lose its nearness.
 _BLOCK = 4096
+# The peak is the objective: what exceeds it counts at this share of the constraints' tolerance.
+_PEAK = 0.1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Separation:
+    """What a trajectory violates.
+
+    Attributes
+    ----------
+    family, component : (K,)
+    time : (K,), s
+        Local maxima of violated constraints, family after family, the worst of each first.
+    worst : Violation
+        Of all constraints but the bound on the objective.
+    peak : float
+        Largest value of the objective that was seen.
+    """
+
+    family: IntArray
+    component: IntArray
+    time: FloatArray
+    worst: Violation
+    peak: float
+
+    def added_to(self, constraints: ConstraintSet) -> ConstraintSet:
+        """Return a set with what is violated; the same object where all of it is there."""
+        return constraints.extended(self.family, self.component, self.time)
 
 
 @dataclass(frozen=True, kw_only=True)
 class WorstViolations:
-    """Where a constraint is broken, the worst first.
+    """Where one family of constraints is violated, the worst first.
 
     Attributes
     ----------
     times : (K,), s
     component : (K,)
     largest : float
-        The constraint's largest value anywhere; where it is not broken, the largest that was seen.
+        The largest value anywhere; where nothing is violated, the largest that was seen.
     joint : int
-        With the largest value, of a joint's bound; -1 for other constraints.
+        With the largest value, of a bound on a joint; -1 otherwise.
     """
 
     times: FloatArray
@@ -41,23 +71,74 @@ class WorstViolations:
     joint: int = -1
 
 
-def values_of(
-    functions: Sequence[StateConstraint], states: StateSamples
+def find_violations(
+    program: Program, trajectory: QuinticTrajectory, bound: float, tolerance: float, most: int
+) -> Separation:
+    """Find the local maxima of every constraint that a trajectory violates.
+
+    Parameters
+    ----------
+    program : Program
+    trajectory : QuinticTrajectory
+    bound : float
+        What the objective is compared with.
+    tolerance : float
+        Violations up to this count as met.
+    most : int
+        At most so many of each family, the worst.
+    """
+    t = trajectory.t
+    grid = np.linspace(t[:-1], t[1:], program.samples_per_segment, endpoint=False, axis=1)
+    states = StateSamples(np.append(grid.ravel(), t[-1]), *trajectory.sampled(program.samples_per_segment))
+    functions = (program.objective, *program.constraints)
+    limits = [bound] + [0.0] * len(program.constraints)
+    found: list[WorstViolations] = []
+    worst = Violation("none", -np.inf)
+    for number, (sampled, function, limit) in enumerate(
+        zip(_sampled(functions, states, limits), functions, limits, strict=True)
+    ):
+        room = _PEAK * tolerance if number == OBJECTIVE else tolerance
+        found.append(violated_function(trajectory, states.t, sampled, function, limit, room))
+        if number != OBJECTIVE:
+            worst = max(worst, Violation(function.name, found[-1].largest), key=lambda each: each.value)
+    for each in program.bounds:
+        found.append(violated_bound(trajectory, each, tolerance))
+        name = f"{each.name} of {program.joints[found[-1].joint]}"
+        worst = max(worst, Violation(name, found[-1].largest), key=lambda each: each.value)
+    sizes = [min(len(each.times), most) for each in found]
+    return Separation(
+        family=np.repeat(np.arange(len(found)), sizes),
+        component=np.concatenate([each.component[:most] for each in found]),
+        time=np.concatenate([each.times[:most] for each in found]),
+        worst=worst,
+        peak=found[OBJECTIVE].largest,
+    )
+
+
+def _sampled(
+    functions: tuple[StateFunction, ...], states: StateSamples, limits: list[float]
 ) -> list[tuple[FloatArray, IntArray]]:
-    """Return values and components of functions at N states, block by block: what they share is shared."""
+    """Values and components of functions at N states, block by block, so that what they share is shared.
+
+    What is skipped below a threshold depends on its neighbours, so such functions get all states at once.
+    """
     each: list[list[tuple[FloatArray, IntArray]]] = [[] for _ in functions]
-    for k in range(0, len(states.t), _BLOCK):
-        block = states[k : k + _BLOCK]
+    for first in range(0, len(states.t), _BLOCK):
+        block = states[first : first + _BLOCK]
         for parts, function in zip(each, functions, strict=True):
-            parts.append(function.values(block))
+            if function.components is not None:
+                parts.append(function.sample(block))
+    for parts, function, limit in zip(each, functions, limits, strict=True):
+        if function.components is None:
+            parts.append(function.sample(states, limit - _NEAR))
     return [(np.concatenate([v for v, _ in parts]), np.concatenate([c for _, c in parts])) for parts in each]
 
 
-def broken_between_samples(
+def violated_function(
     trajectory: QuinticTrajectory,
     times: FloatArray,
     sampled: tuple[FloatArray, IntArray],
-    exact: Callable[[StateSamples], tuple[FloatArray, IntArray]],
+    function: StateFunction,
     limit: float,
     tolerance: float,
 ) -> WorstViolations:
@@ -68,20 +149,19 @@ def broken_between_samples(
     trajectory : QuinticTrajectory
     times : (N,), s
     sampled : value and component, (N, c) each
-        At those times; exact where a value exceeds `limit` less `NEAR`, and beside.
-    exact : callable
-        The function itself: from states to values and components.
+        At those times; exact where a value exceeds `limit` less 0.02, and beside.
+    function : StateFunction
     limit, tolerance : float
     """
     value, component = sampled
-    row, column = np.nonzero(_local_maxima(value) & (value > limit - NEAR))
+    row, column = np.nonzero(_local_maxima(value) & (value > limit - _NEAR))
     if len(row) == 0:
         return WorstViolations(
             times=np.empty(0), component=np.empty(0, dtype=np.intp), largest=float(value.max())
         )
     top, where = value[row, column], component[row, column]
     shifted = times[row] + _shifts(times, value, row, column)
-    again, which = exact(StateSamples(shifted, *trajectory.states(shifted)))
+    again, which = function.sample(StateSamples.along(trajectory, shifted))
     k = np.arange(len(row))
     better = again[k, column] > top
     when = np.where(better, shifted, times[row])
@@ -92,15 +172,12 @@ def broken_between_samples(
     return WorstViolations(times=when[order], component=where[order], largest=float(top.max()))
 
 
-def broken_bound(trajectory: QuinticTrajectory, bound: KinematicBound, tolerance: float) -> WorstViolations:
-    """Find the worst time of each segment, joint and side at which a joint's bound is broken.
-
-    Component 2 j is the upper bound of joint j, 2 j + 1 the lower one.
-    """
+def violated_bound(trajectory: QuinticTrajectory, bound: KinematicBound, tolerance: float) -> WorstViolations:
+    """Find the worst time of each segment, joint and side at which a bound is violated."""
     at_knots = trajectory.evaluate(trajectory.t, bound.order)
     attained = np.maximum(bound.above(at_knots), bound.below(at_knots))
     joint, largest = int(attained.max(axis=0).argmax()), float(attained.max())
-    # Extrema are worked out only where one may be broken.
+    # Extrema are worked out only where one may be violated.
     low, high = trajectory.hull(bound.order)
     possible = np.maximum(bound.above(high), bound.below(low))
     segment, joints = np.nonzero(possible > tolerance)

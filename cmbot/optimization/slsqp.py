@@ -1,81 +1,112 @@
-"""The reference solver: SciPy's SLSQP, on the working set of an exchange."""
+"""SciPy's SLSQP on a program made dense and whitened."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import optimize
+from scipy import linalg, optimize
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import OptimisationFailed
+from cmbot.optimization.constraint_set import OBJECTIVE
+from cmbot.optimization.evaluation import NlpEvaluation
 
-__all__ = ["Remembered", "Subproblem", "solve_slsqp"]
+__all__ = ["solve_slsqp"]
 
-
-@dataclass(frozen=True, kw_only=True)
-class Subproblem:
-    """A smooth problem ``min f(x), c(x) >= 0``.
-
-    Attributes
-    ----------
-    start : (n,)
-    objective : callable
-        x to f and its gradient (n,).
-    constraints : callable
-        x to c (K,) and its Jacobian (K, n).
-    """
-
-    start: FloatArray
-    objective: Callable[[FloatArray], tuple[float, FloatArray]]
-    constraints: Callable[[FloatArray], tuple[FloatArray, FloatArray]]
+# Unknowns without any effect keep the Hessian regular by this.
+_LEAST_CURVATURE = 1e-6
+# What a point costs that cannot be evaluated: the line search turns back from it.
+_NOWHERE = 1e6
 
 
-def solve_slsqp(subproblem: Subproblem, accuracy: float, max_iterations: int) -> tuple[FloatArray, int]:
-    """Solve a subproblem by SciPy's sequential quadratic programming.
+def solve_slsqp(start: NlpEvaluation, accuracy: float, max_iterations: int) -> tuple[NlpEvaluation, int]:
+    """Minimise with the constraints of `start`; none is added on the way.
 
-    There are no equality constraints, so SLSQP's abort on more equalities than variables cannot happen. Its
-    success flag is not believed: whoever calls looks at the constraints again.
+    Unknowns are whitened by the Hessian of the smoothing and, by Gauss and Newton, of the mean square; it
+    then is the identity, which SLSQP starts with. The peak is minimised in epigraph form. There are no
+    equality constraints, with which SLSQP can abort the process. Its success flag is not believed: whoever
+    calls evaluates the constraints again.
 
     Parameters
     ----------
-    subproblem : Subproblem
+    start : NlpEvaluation
     accuracy : float
         It stops when the objective changes by less and the constraints' violations sum to less.
     max_iterations : int
 
     Returns
     -------
-    x : (n,)
-        Where it ended.
+    end : NlpEvaluation
     iterations : int
+
+    Raises
+    ------
+    OptimisationFailed
+        When it ends where the program cannot be evaluated.
     """
-    constraints = Remembered(subproblem.constraints)
+    dense = _Dense(start)
+    epigraph = start.stage.bound is None
     result = optimize.minimize(
-        subproblem.objective,
-        subproblem.start,
-        jac=True,
+        lambda y: dense.at(y).objective,
+        np.append(np.zeros(dense.n), [max(start.peak, start.stage.target)] if epigraph else []),
+        jac=lambda y: dense.at(y).gradient,
         method="SLSQP",
+        bounds=[(None, None)] * dense.n + [(start.stage.target, None)] * epigraph,
         constraints={
             "type": "ineq",
-            "fun": lambda x: constraints(x)[0],
-            "jac": lambda x: constraints(x)[1],
+            "fun": lambda y: -dense.at(y).constraints,
+            "jac": lambda y: -dense.at(y).jacobian,
         },
         options={"maxiter": max_iterations, "ftol": accuracy},
     )
-    return np.asarray(result.x), int(result.nit)
+    if not np.isfinite(result.x).all():
+        raise OptimisationFailed("SLSQP diverged", constraint="any", violation=float("inf"), undecided=True)
+    return start.displaced(dense.whitening @ result.x[: dense.n]), int(result.nit)
 
 
-class Remembered:
-    """SLSQP asks for values and Jacobian apart; both come from one evaluation."""
+@dataclass(frozen=True)
+class _Values:
+    """Objective, its gradient (n,), constraints ``c <= 0`` (K,) and their Jacobian (K, n) at y."""
 
-    def __init__(self, function: Callable[[FloatArray], tuple[FloatArray, FloatArray]]) -> None:
-        self._function = function
-        self._x: FloatArray | None = None
-        self._result: tuple[FloatArray, FloatArray]
+    y: FloatArray
+    objective: float
+    gradient: FloatArray
+    constraints: FloatArray
+    jacobian: FloatArray
 
-    def __call__(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Evaluate, unless `x` is what it was the last time."""
-        if self._x is None or not np.array_equal(x, self._x):
-            self._x, self._result = x.copy(), self._function(x)
-        return self._result
+
+class _Dense:
+    """A program by whitened unknowns y, with the peak behind them where that is minimised."""
+
+    def __init__(self, start: NlpEvaluation) -> None:
+        self._start, form = start, start.parametrization
+        self.n = form.dimension
+        residuals = start.dense(form.map.toarray())[2]
+        H = start.stage.smoothing * form.jerk_hessian.toarray() + residuals.T @ residuals
+        L = np.linalg.cholesky(H + _LEAST_CURVATURE * np.eye(self.n))
+        self.whitening = linalg.solve_triangular(L, np.eye(self.n), lower=True).T
+        self._last: _Values | None = None
+
+    def at(self, y: FloatArray) -> _Values:
+        """Evaluate, unless `y` is what it was the last time: SLSQP asks for each value apart."""
+        if self._last is None or not np.array_equal(y, self._last.y):
+            self._last = self._evaluated(y.copy())
+        return self._last
+
+    def _evaluated(self, y: FloatArray) -> _Values:
+        x, bound = self.whitening @ y[: self.n], self._start.stage.bound
+        try:
+            here = self._start.displaced(x)
+            by = self._start.parametrization.step_jacobian(x) @ self.whitening
+        except OptimisationFailed:
+            before = self.at(np.append(np.zeros(self.n), y[self.n :]))
+            return _Values(y, _NOWHERE, before.gradient, before.constraints, before.jacobian)
+        objective, value = here.values.objective, here.values.value
+        gradient, jacobian, _ = here.dense(by)
+        if bound is None:
+            in_epigraph = here.constraints.family == OBJECTIVE
+            objective, gradient = objective + float(y[self.n]), np.append(gradient, 1.0)
+            value = value - y[self.n] * in_epigraph
+            jacobian = np.hstack([jacobian, -in_epigraph[:, None].astype(float)])
+        return _Values(y, objective, gradient, value, jacobian)

@@ -1,17 +1,19 @@
 """Sequential quadratic programming with an exact penalty and damped steps, for sparse problems.
 
-The merit is the objective, plus the largest of some constraints (the peak), plus for each kind of the others
-a penalty times their largest violation. A step minimises the merit's second-order model plus half the damping
-times its square; it is taken if the merit falls as far as that promises, roughly. So the merit falls with
-every step that is taken, and the loop ends (Nocedal and Wright, Numerical Optimization, 2006, Section 18.5).
+The merit is the objective, plus the largest of the constraints in the epigraph (the peak), plus for each
+family of the others a penalty times its largest violation. A step minimises the merit's second-order model
+plus half the damping times its square; it is accepted if the merit falls by a share of what the model
+predicts. So the merit falls with every accepted step, and the loop ends (Nocedal and Wright, Numerical
+Optimization, 2006, Section 18.5).
 
-Of very many constraints only some are known; where a step leads to others come into view, and count from
+Of very many constraints only some are known; where a step violates others they are added, and count from
 then on. Where constraints bend away from a step it is corrected by the least change that meets them as they
-look from where it led: a second-order correction with fresh derivatives (there, Section 18.3).
+are linearized after the step: a second-order correction with fresh derivatives (there, Section 18.3).
 """
 
 from __future__ import annotations
 
+import enum
 from dataclasses import dataclass, replace
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -20,285 +22,348 @@ from scipy import sparse
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.optimization.qp import LocalModel, LocalValues, Step, solve_qp
+from cmbot.optimization.qp import NlpModel, NlpValues, QpStep, solve_qp
 
-__all__ = ["Descent", "Iterate", "solve_sqp"]
+__all__ = ["Iterate", "SqpOptions", "SqpResult", "SqpStatus", "solve_sqp"]
+
+# Predictions are no smaller than this, so that ratios exist.
+_LEAST_PREDICTION = 1e-15
 
 
-# Shares of the promised decrease: below, a step is not taken; below, it is too long; above, it may be longer.
-_TAKEN, _TOO_LONG, _LONGER = 1e-3, 0.25, 0.75
-# A step that keeps less than this is corrected, so often at most; by how much more a correction cares for
-# violations than for the rest, and how much it costs to change all of the step.
-_CORRECTED, _CORRECTIONS, _FIRM, _STIFF = 0.5, 2, 1e3, 100.0
-_LEAST_PROMISE = 1e-15
-# The box that steps stay in, at first and at most: it doubles where steps reach its sides and keep their
-# promise. How far a promise is made when it tells whether the end is reached.
-_BOX, _LARGEST_BOX, _UNIT = 4.0, 1e3, 1.0
-# The least damping is next to none: where via-points are dense, many unknowns move far together.
-_LEAST_DAMPING, _MOST_DAMPING, _DAMPING_STEP, _RELEASE = 1e-10, 1e6, 4.0, 16.0
-_MOST_PENALTY, _PENALTY_STEP = 1e4, 10.0
-# A step that leaves this share of the violations does little about them; a larger penalty is worthwhile if it
-# brings that down to this share; where none brings violations down to this share they cannot be met.
-_STAYS, _WORTHWHILE, _HOPELESS = 0.5, 0.5, 0.9
-# So many steps that together gain less than the accuracy are enough; so many that leave this share of what is
-# violated by more than that lead nowhere.
-_SLOW = 5
-_LONG, _LEFT, _FAR = 30, 0.8, 2e-2
-# Objective and peak below this do not make the accuracy finer.
-_SMALLEST = 1e-2
+@dataclass(frozen=True, kw_only=True)
+class SqpOptions:
+    """Constants of the method.
+
+    Attributes
+    ----------
+    optimality_tolerance : float
+        It has converged when the undamped model predicts no larger decrease in a box of radius
+        `optimality_radius`; as a share of objective and peak where these are below 1, down to `small`.
+    feasibility_tolerance : float
+        Violations up to this count as met.
+    optimality_radius, small : float
+    max_iterations : int
+        Quadratic programs, but for corrections.
+    initial_penalty, min_penalty, max_penalty : float
+        Weights of the largest violation of each family.
+    penalty_growth : float
+        Factor by which a penalty grows where violations stay.
+    penalty_margin : float
+        How far penalties stay above the sums of multipliers.
+    initial_damping, min_damping, max_damping : float
+        Weight of half the step's square. The least is next to none: where via-points are dense, many
+        unknowns move far together.
+    damping_growth, damping_release : float
+        Factors by which the damping grows after a refused step, and falls after a good one.
+    accept, shrink, expand : float
+        Shares of the predicted decrease: a step is accepted above the first, too long below the second, and
+        the next one may be longer above the third.
+    correct_below : float
+        A step that keeps less than this share is corrected.
+    max_corrections : int
+    correction_penalty, correction_damping : float
+        By how much more a correction weighs violations than the rest, and what a change of all of the step
+        costs, in units of its predicted decrease.
+    initial_radius, max_radius : float
+        The box that steps stay in: it doubles where steps reach its sides and keep their prediction.
+    stays : float
+        A step that leaves this share of the violations does little about them.
+    helps : float
+        A larger penalty is worthwhile if it brings what is left down to this share.
+    hopeless : float
+        Where no penalty brings violations down to this share they cannot be met.
+    stall_steps : int
+        So many accepted steps that together gain less than the tolerance end it.
+    stuck_steps, stuck_share, stuck_violation : int, float, float
+        So many steps that leave this share of what is violated by more than that end it.
+    """
+
+    optimality_tolerance: float = 1e-8
+    feasibility_tolerance: float = 5e-6
+    optimality_radius: float = 1.0
+    small: float = 1e-2
+    max_iterations: int = 60
+    initial_penalty: float = 1e-2
+    min_penalty: float = 1e-3
+    max_penalty: float = 1e4
+    penalty_growth: float = 10.0
+    penalty_margin: float = 2.0
+    initial_damping: float = 1e-4
+    min_damping: float = 1e-10
+    max_damping: float = 1e6
+    damping_growth: float = 4.0
+    damping_release: float = 16.0
+    accept: float = 1e-3
+    shrink: float = 0.25
+    expand: float = 0.75
+    correct_below: float = 0.5
+    max_corrections: int = 2
+    correction_penalty: float = 1e3
+    correction_damping: float = 100.0
+    initial_radius: float = 4.0
+    max_radius: float = 1e3
+    stays: float = 0.5
+    helps: float = 0.5
+    hopeless: float = 0.9
+    stall_steps: int = 5
+    stuck_steps: int = 30
+    stuck_share: float = 0.8
+    stuck_violation: float = 2e-2
+
+
+class SqpStatus(enum.Enum):
+    """How a run ended."""
+
+    CONVERGED = "no step promises more than the tolerance, and the constraints are met"
+    STALLED = "the constraints are met, and the last steps together gained no more than the tolerance"
+    INFEASIBLE = "constraints are violated, and no step, or none of many, does much about it"
+    ITERATION_LIMIT = "it was stopped before it ended by itself"
 
 
 class Iterate(Protocol):
-    """A point of the problem, with the constraints that were known when it was made."""
+    """A point of a nonlinear program with some of its constraints."""
 
     @property
-    def values(self) -> LocalValues:
+    def values(self) -> NlpValues:
         """Values alone."""
 
     @property
-    def first(self) -> LocalModel:
+    def model(self) -> NlpModel:
         """Values and first derivatives; the Hessian is left empty."""
 
-    def curvature(self, multipliers: FloatArray) -> sparse.csr_array:
+    def hessian(self, multipliers: FloatArray) -> sparse.csr_array:
         """Positive definite Hessian (n, n) of the Lagrangian; multipliers (K,) as constraints."""
 
-    def moved(self, p: FloatArray) -> Self:
-        """Step by `p` (n,); what is violated there is known from then on.
+    def step(self, p: FloatArray) -> Self:
+        """Step by `p` (n,); what is violated there is among the new point's constraints, the old ones first.
 
         Raises
         ------
         OptimisationFailed
-            When that leads nowhere.
+            When there is no such point.
         """
 
-    def renewed(self) -> Self:
-        """Return the same point with the constraints that are known by now: itself, if these are the same."""
+    def refresh(self, other: Self) -> Self:
+        """Return the same point with the constraints of `other`, which extend its own: itself if they are."""
 
-    def lifted(self, multipliers: FloatArray) -> FloatArray:
-        """Multipliers of the constraints known by now, from those of constraints known some time before."""
-
-    def thinned(self, multipliers: FloatArray) -> tuple[Self, FloatArray]:
-        """Return the same point when constraints that do not matter are forgotten, and multipliers (K,)."""
+    def drop_constraints(self, multipliers: FloatArray) -> tuple[Self, FloatArray]:
+        """Return the same point without constraints that do not matter, and the others' multipliers."""
 
 
 AnyIterate = TypeVar("AnyIterate", bound=Iterate)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Descent(Generic[AnyIterate]):
-    """Where a descent ended.
+class SqpResult(Generic[AnyIterate]):
+    """Where a run ended, and what the next one may go on with.
 
     Attributes
     ----------
-    place : Iterate
+    iterate : Iterate
+    status : SqpStatus
     multipliers : (K,)
-    penalty : (kinds,)
+    penalty : (families,)
     damping : float
-        To go on with.
     iterations : int
         Quadratic programs, but for corrections.
-    merits : tuple of (kinds,), float, float
-        Penalty, and the merit for it before and after, of each step that was taken.
-    settled : bool
-        No step promises more than the accuracy, and the constraints are met.
-    stuck : bool
-        Constraints are violated, and no step makes that better, or many have done little about it.
-    slow : bool
-        Constraints are met, and the last steps together gained no more than the accuracy.
+    merits : tuple of (families,), float, float
+        Penalty, and the merit for it before and after, of each accepted step.
     """
 
-    place: AnyIterate
+    iterate: AnyIterate
+    status: SqpStatus
     multipliers: FloatArray
     penalty: FloatArray
     damping: float
     iterations: int
     merits: tuple[tuple[FloatArray, float, float], ...]
-    settled: bool
-    stuck: bool
-    slow: bool
 
 
 def solve_sqp(
-    place: AnyIterate,
-    multipliers: FloatArray,
-    *,
-    penalty: FloatArray,
-    damping: float,
-    accuracy: float,
-    tolerance: float,
-    max_iterations: int,
-) -> Descent[AnyIterate]:
-    """Lower the merit from `place` until nothing more is to be gained.
+    start: AnyIterate,
+    families: int,
+    options: SqpOptions,
+    warm: SqpResult[AnyIterate] | None = None,
+) -> SqpResult[AnyIterate]:
+    """Lower the merit from `start` until nothing more is to be gained.
 
     Parameters
     ----------
-    place : Iterate
-    multipliers : (K,)
-        First guess.
-    penalty : (kinds,)
-        Weight of the largest violation of each kind of constraints; grows where violations stay.
-    damping : float
-        Weight of half the step's square; grows where the model promises too much.
-    accuracy : float
-        It ends when the model, not damped, promises less in a box of radius 1; as a share of objective and
-        peak where these are below 1.
-    tolerance : float
-        Violations up to this count as met.
-    max_iterations : int
+    start : Iterate
+    families : int
+        Number of families of constraints.
+    options : SqpOptions
+    warm : SqpResult, optional
+        Of a run with the first of the constraints, for its multipliers, penalties and damping.
     """
-    walk = _SqpState(place, multipliers, penalty, damping, accuracy, tolerance)
+    state = _SqpState(start, families, options, warm)
     iterations = 0
-    while iterations < max_iterations and not (walk.settled or walk.stuck or walk.slow):
+    while iterations < options.max_iterations and state.status is SqpStatus.ITERATION_LIMIT:
         iterations += 1
-        model = walk.model()
-        step = walk.steered(model)
-        promised = walk.promise(model, step.p)
-        if promised > walk.accuracy or not walk.ends(model, step):
-            walk.take(model, step, promised)
-    return Descent(
-        place=walk.place,
-        multipliers=walk.place.lifted(walk.multipliers),
-        penalty=walk.penalty,
-        damping=walk.damping,
+        model = replace(state.iterate.model, hessian=state.hessian)
+        step = state.steered(model)
+        predicted = state.predicted(model, step.p)
+        if predicted > state.optimality_tolerance or not state.ends(model, step):
+            state.take(model, step, predicted)
+    return SqpResult(
+        iterate=state.iterate,
+        status=state.status,
+        multipliers=_extended(state.multipliers, state.iterate),
+        penalty=state.penalty,
+        damping=state.damping,
         iterations=iterations,
-        merits=tuple(walk.merits),
-        settled=walk.settled,
-        stuck=walk.stuck,
-        slow=walk.slow,
+        merits=tuple(state.merits),
     )
 
 
 class _SqpState(Generic[AnyIterate]):
-    """Where a descent has come to."""
+    """Where a run has come to."""
 
     def __init__(
-        self,
-        place: AnyIterate,
-        multipliers: FloatArray,
-        penalty: FloatArray,
-        damping: float,
-        accuracy: float,
-        tolerance: float,
+        self, start: AnyIterate, families: int, options: SqpOptions, warm: SqpResult[AnyIterate] | None
     ) -> None:
-        self.place, self.multipliers = place, multipliers
-        self.penalty, self.damping = penalty, damping
-        self.settled = self.stuck = False
+        self._options = options
+        self.iterate = start
+        self.multipliers, self.damping = np.zeros(len(start.values.value)), options.initial_damping
+        self.penalty = np.full(families, options.initial_penalty)
+        if warm is not None:
+            self.multipliers = _extended(warm.multipliers, start)
+            self.damping = min(warm.damping, self.damping)
+            # Penalties may fall again to what multipliers ask for.
+            needed, others = np.zeros(families), ~start.values.in_epigraph
+            np.add.at(needed, start.values.family[others], options.penalty_margin * self.multipliers[others])
+            self.penalty = np.minimum(np.maximum(options.min_penalty, needed), warm.penalty)
+        self.hessian = start.hessian(self.multipliers)
         self.merits: list[tuple[FloatArray, float, float]] = []
-        self._accuracy, self._tolerance = accuracy, tolerance
-        self._hessian = place.curvature(multipliers)
-        self._excused, self._box = False, _BOX
-        self._violations = [place.values.violation]
+        self._status = SqpStatus.ITERATION_LIMIT
+        self._excused, self._radius = False, options.initial_radius
+        self._violations = [start.values.violation]
 
     @property
-    def accuracy(self) -> float:
-        """What nothing is worth doing for, where the walk is."""
-        here = self.place.values
-        return self._accuracy * min(1.0, max(abs(here.objective + here.peak), _SMALLEST))
+    def optimality_tolerance(self) -> float:
+        """Decrease that nothing is worth doing for, at the iterate."""
+        here = self.iterate.values
+        share = min(1.0, max(abs(here.objective + here.peak), self._options.small))
+        return self._options.optimality_tolerance * share
 
     @property
-    def slow(self) -> bool:
-        """The last steps together gained no more than the accuracy."""
-        last = self.merits[-_SLOW:]
-        gained = sum(before - after for _, before, after in last)
-        met = self.place.values.violation <= self._tolerance
-        return met and len(last) == _SLOW and gained <= self.accuracy
+    def status(self) -> SqpStatus:
+        """How it has ended; the iteration limit while it has not."""
+        if self._status is SqpStatus.ITERATION_LIMIT:
+            last = self.merits[-self._options.stall_steps :]
+            gained = sum(before - after for _, before, after in last)
+            met = self.iterate.values.violation <= self._options.feasibility_tolerance
+            if met and len(last) == self._options.stall_steps and gained <= self.optimality_tolerance:
+                return SqpStatus.STALLED
+        return self._status
 
-    def model(self) -> LocalModel:
-        """Return the problem to second order where the walk is."""
-        return replace(self.place.first, hessian=self._hessian)
-
-    def steered(self, model: LocalModel) -> Step:
+    def steered(self, model: NlpModel) -> QpStep:
         """Solve the quadratic program; where violations stay that need not, with larger penalties."""
-        step = solve_qp(model, self.penalty, self._box, self.damping)
-        kinds = len(self.penalty)
-        here, left = model.violations(kinds=kinds), model.violations(step.p, kinds=kinds)
+        o, families = self._options, len(self.penalty)
+        step = solve_qp(model, self.penalty, self._radius, self.damping)
+        here, left = model.violations(families=families), model.violations(step.p, families=families)
         while True:
-            stays = (left > np.maximum(self._tolerance, _STAYS * here)) & (self.penalty < _MOST_PENALTY)
+            stays = left > np.maximum(o.feasibility_tolerance, o.stays * here)
+            stays &= self.penalty < o.max_penalty
             if not stays.any():
                 return step
-            penalty = np.where(stays, _PENALTY_STEP, 1.0) * self.penalty
-            firmer = solve_qp(model, penalty, self._box, self.damping)
-            better = model.violations(firmer.p, kinds=kinds)
-            helps = stays & (better < _WORTHWHILE * left)
+            penalty = np.where(stays, o.penalty_growth, 1.0) * self.penalty
+            firmer = solve_qp(model, penalty, self._radius, self.damping)
+            better = model.violations(firmer.p, families=families)
+            helps = stays & (better < o.helps * left)
             if not helps.any():
                 return step
             step, left, self.penalty = firmer, better, np.where(helps, penalty, self.penalty)
 
-    def promise(self, model: LocalModel, p: FloatArray) -> float:
-        """How far the merit falls by the step `p` (n,) if the model is right."""
-        return max(model.merit(self.penalty) - model.after(p, self.penalty), _LEAST_PROMISE)
+    def predicted(self, model: NlpModel, p: FloatArray) -> float:
+        """Decrease of the merit by the step `p` (n,) if the model is right."""
+        return max(model.merit(self.penalty) - model.after(p, self.penalty), _LEAST_PREDICTION)
 
-    def ends(self, model: LocalModel, step: Step) -> bool:
-        """Whether a step that promises little is not worth taking; settle then, or find out what is wrong."""
-        if not step.solved or self.damping > _MOST_DAMPING:
-            self.stuck = self.damping > _MOST_DAMPING
-            self.damping *= _DAMPING_STEP
+    def ends(self, model: NlpModel, step: QpStep) -> bool:
+        """Whether a step that promises little is not worth taking; end then, or find out what is wrong."""
+        o, families = self._options, len(self.penalty)
+        if not step.solved or self.damping > o.max_damping:
+            if self.damping > o.max_damping:
+                self._status = SqpStatus.INFEASIBLE
+            self.damping *= o.damping_growth
             return True
-        if model.violation <= self._tolerance:
-            far = solve_qp(model, self.penalty, _UNIT, 0.0).p
-            self.settled = self.promise(model, far) <= self.accuracy
-            return self.settled
-        kinds = len(self.penalty)
-        if model.violations(step.p, kinds=kinds).max() <= _STAYS * model.violation:
+        if model.violation <= o.feasibility_tolerance:
+            far = solve_qp(model, self.penalty, o.optimality_radius, 0.0).p
+            converged = self.predicted(model, far) <= self.optimality_tolerance
+            if converged:
+                self._status = SqpStatus.CONVERGED
+            return converged
+        if model.violations(step.p, families=families).max() <= o.stays * model.violation:
             return False
-        firmest = solve_qp(model, np.full(kinds, _MOST_PENALTY), _UNIT, 0.0).p
-        least = model.violations(firmest, kinds=kinds).max()
-        self.stuck = bool(self.penalty.min() >= _MOST_PENALTY or least > _HOPELESS * model.violation)
-        self.penalty = np.minimum((1.0 if self.stuck else _PENALTY_STEP) * self.penalty, _MOST_PENALTY)
+        firmest = solve_qp(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
+        least = model.violations(firmest, families=families).max()
+        if self.penalty.min() >= o.max_penalty or least > o.hopeless * model.violation:
+            self._status = SqpStatus.INFEASIBLE
+        else:
+            self.penalty = np.minimum(o.penalty_growth * self.penalty, o.max_penalty)
         return True
 
-    def take(self, model: LocalModel, step: Step, promised: float) -> None:
-        """Try a step; move if the merit falls, and judge the damping by how far it does."""
-        trial, gained = self._tried(model, step.p, promised)
-        missed = self.place.renewed() is not self.place
-        self.place = self.place.renewed()
+    def take(self, model: NlpModel, step: QpStep, predicted: float) -> None:
+        """Try a step; accept it if the merit falls, and adapt the damping to how far it does."""
+        o, before_step = self._options, self.iterate
+        trial, gained = self._tried(model, step.p, predicted)
         # What a step overlooked does not make it too long, unless it does so again.
-        self._excused = missed and gained < _TOO_LONG * promised and not self._excused
-        if gained < _TOO_LONG * promised and not self._excused:
-            halving = promised / max(float(step.p @ step.p), _LEAST_PROMISE)
-            self.damping = max(_DAMPING_STEP * self.damping, halving)
-            self._box = max(0.5 * self._box, _BOX)
-        elif gained > _LONGER * promised:
-            self.damping = max(self.damping / _RELEASE, _LEAST_DAMPING)
-            if float(np.abs(step.p).max()) > 0.9 * self._box:
-                self._box = min(2.0 * self._box, _LARGEST_BOX)
-        if trial is not None and gained > _TAKEN * promised:
-            trial = trial.renewed()
-            before, after = (at.values.merit(self.penalty) for at in (self.place, trial))
+        overlooked = self.iterate is not before_step
+        self._excused = overlooked and gained < o.shrink * predicted and not self._excused
+        if gained < o.shrink * predicted and not self._excused:
+            halving = predicted / max(float(step.p @ step.p), _LEAST_PREDICTION)
+            self.damping = max(o.damping_growth * self.damping, halving)
+            self._radius = max(0.5 * self._radius, o.initial_radius)
+        elif gained > o.expand * predicted:
+            self.damping = max(self.damping / o.damping_release, o.min_damping)
+            if float(np.abs(step.p).max()) > 0.9 * self._radius:
+                self._radius = min(2.0 * self._radius, o.max_radius)
+        if trial is not None and gained > o.accept * predicted:
+            before, after = (at.values.merit(self.penalty) for at in (self.iterate, trial))
             self.merits.append((self.penalty, before, after))
-            self.place, self.multipliers = trial.thinned(trial.lifted(step.multipliers))
-            self._hessian = self.place.curvature(self.multipliers)
-        elif self.damping > _MOST_DAMPING:
-            self.settled = model.violation <= self._tolerance
-            self.stuck = not self.settled
-        self._violations.append(self.place.values.violation)
-        last = self._violations[-1 - _LONG :]
-        self.stuck |= len(last) > _LONG and min(last) > max(_FAR, _LEFT * last[0])
+            self.iterate, self.multipliers = trial.drop_constraints(_extended(step.multipliers, trial))
+            self.hessian = self.iterate.hessian(self.multipliers)
+        elif self.damping > o.max_damping:
+            met = model.violation <= o.feasibility_tolerance
+            self._status = SqpStatus.CONVERGED if met else SqpStatus.INFEASIBLE
+        self._violations.append(self.iterate.values.violation)
+        last = self._violations[-1 - o.stuck_steps :]
+        if len(last) > o.stuck_steps and min(last) > max(o.stuck_violation, o.stuck_share * last[0]):
+            self._status = SqpStatus.INFEASIBLE
 
-    def _tried(self, model: LocalModel, p: FloatArray, promised: float) -> tuple[AnyIterate | None, float]:
-        """Take the step `p` (n,) and look what it gains; where that is little, correct it."""
-        length = float(np.abs(p).max())
-        stiffness = _STIFF * promised / max(length**2, _LEAST_PROMISE)
-        trial = _moved(self.place, p)
-        best: tuple[AnyIterate | None, float] = (None, -np.inf)
-        for correction in range(_CORRECTIONS + 1):
+    def _tried(self, model: NlpModel, p: FloatArray, predicted: float) -> tuple[AnyIterate | None, float]:
+        """Take the step `p` (n,) and evaluate what it gains; where that is little, correct it.
+
+        The iterate gets every constraint that one of the trials violates.
+        """
+        o, length = self._options, float(np.abs(p).max())
+        stiffness = o.correction_damping * predicted / max(length**2, _LEAST_PREDICTION)
+        trial = _stepped(self.iterate, p)
+        best: AnyIterate | None = None
+        most = -np.inf
+        for correction in range(o.max_corrections + 1):
             if trial is None:
                 break
-            here, trial = self.place.renewed(), trial.renewed()
-            gained = here.values.merit(self.penalty) - trial.values.merit(self.penalty)
-            if gained > best[1]:
-                best = trial, gained
-            if gained >= _CORRECTED * promised or correction == _CORRECTIONS:
+            self.iterate = self.iterate.refresh(trial)
+            gained = self.iterate.values.merit(self.penalty) - trial.values.merit(self.penalty)
+            if gained > most:
+                best, most = trial, gained
+            if gained >= o.correct_below * predicted or correction == o.max_corrections:
                 break
-            bent = replace(trial.first, gradient=model.gradient + model.hessian @ p, hessian=model.hessian)
-            change = solve_qp(bent, _FIRM * self.penalty, length, stiffness).p
-            p, trial = p + change, _moved(trial, change)
-        return best
+            bent = replace(trial.model, gradient=model.gradient + model.hessian @ p, hessian=model.hessian)
+            change = solve_qp(bent, o.correction_penalty * self.penalty, length, stiffness).p
+            p, trial = p + change, _stepped(trial, change)
+        return (None if best is None else best.refresh(self.iterate)), most
 
 
-def _moved(place: AnyIterate, p: FloatArray) -> AnyIterate | None:
+def _extended(multipliers: FloatArray, iterate: Iterate) -> FloatArray:
+    """Multipliers of the constraints of `iterate` from those of the first of them."""
+    return np.append(multipliers, np.zeros(len(iterate.values.value) - len(multipliers)))
+
+
+def _stepped(iterate: AnyIterate, p: FloatArray) -> AnyIterate | None:
     try:
-        trial = place.moved(p)
+        trial = iterate.step(p)
     except OptimisationFailed:
         return None
     at = trial.values

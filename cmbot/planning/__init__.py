@@ -4,6 +4,7 @@ from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning.approach.approach import Approach, certify_approach
 from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
 from cmbot.planning.objective_metrics import ObjectiveMetrics
+from cmbot.planning.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
 from cmbot.planning.path.gradient_projection import JointPath
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.plan import Plan, Seconds, Start, require_plan
@@ -13,10 +14,9 @@ from cmbot.planning.progress import Progress
 from cmbot.planning.remarks import remarks
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.torque.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
-from cmbot.planning.torque.wrench_functions import WeightedMoment, WrenchFunction
 from cmbot.planning.verification.certificate import Certificate, Check
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples
+from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 

@@ -13,10 +13,10 @@ from cmbot.common.errors import ModelError, PathNotFound, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
+from cmbot.planning.objectives import Objective, objective_of
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.progress import ProgressReporter
-from cmbot.planning.torque.objectives import Objective, objective_of
-from cmbot.planning.torque.wrench_functions import WrenchFunction
+from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene, ToolPath, pose
 

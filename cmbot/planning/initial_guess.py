@@ -14,9 +14,7 @@ from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.charts import Chart
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.solvers import family_through
-from cmbot.planning.torque.family import Family
-from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 
 __all__ = ["Choice", "InitialGuess", "fixed_guess", "shifted_problem", "sliding_guess"]
 
@@ -84,11 +82,10 @@ def fixed_guess(context: PlanningContext) -> InitialGuess:
     """
     path, failures = find_path(context)
     rough = np.stack([np.interp(context.times, path.t, joint) for joint in path.q.T], axis=1)
-    family = family_through(context, _placed(context, rough), sliding=False)
-    least = float(context.objective.at_rest(context.postures.at(family.via_points)).max())
-    resting = (0, -1)
-    problem = _problem(context, family, resting, least)
-    return InitialGuess(problem=problem, resting=resting, least=least, failures=failures)
+    form = parametrization_through(context, _placed(context, rough), sliding=False)
+    least = float(context.objective.at_rest(context.postures.at(form.via_points)).max())
+    problem = TorqueProblem(context, form, least)
+    return InitialGuess(problem=problem, resting=(0, -1), least=least, failures=failures)
 
 
 def sliding_guess(
@@ -131,11 +128,10 @@ def sliding_guess(
     else:
         solution, failures = stage.solve_elsewhere(pinned)
     stays = solution is not free
-    family = family_through(context, solution.q, sliding=True, pinned=stays)
-    resting = (0,) if stays else ()
+    form = parametrization_through(context, solution.q, sliding=True, pinned=stays)
     return InitialGuess(
-        problem=_problem(context, family, resting, stage.floor.value),
-        resting=resting,
+        problem=TorqueProblem(context, form, stage.floor.value),
+        resting=(0,) if stays else (),
         least=stage.floor.value,
         failures=failures,
         floor=stage.floor,
@@ -165,8 +161,9 @@ def shifted_problem(context: PlanningContext, way: InitialGuess, via_points: Flo
     """
     sliding = way.floor is not None
     pinned = sliding and 0 in way.resting
-    family = family_through(context, _placed(context, via_points), sliding=sliding, pinned=pinned)
-    return _problem(context, family, way.resting, way.least)
+    placed = _placed(context, via_points)
+    form = parametrization_through(context, placed, sliding=sliding, pinned=pinned)
+    return TorqueProblem(context, form, way.least)
 
 
 def _require_clear_start(context: PlanningContext) -> None:
@@ -195,21 +192,6 @@ def _tried(stage: GlobalSearch, *, pinned: bool) -> GlobalSolution | PathNotFoun
         return stage.solve(pinned=pinned)
     except PathNotFound as failure:
         return failure
-
-
-def _problem(
-    context: PlanningContext, family: Family, resting: tuple[int, ...], least: float
-) -> TorqueProblem:
-    return TorqueProblem(
-        context.robot,
-        context.task,
-        family,
-        context.clearances,
-        context.options,
-        resting=resting,
-        floor=least,
-        objective=context.objective,
-    )
 
 
 def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:

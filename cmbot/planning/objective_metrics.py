@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from cmbot.planning.torque.constraints import StateSamples
-from cmbot.planning.torque.objectives import Objective
+from cmbot.optimization.program import StateSamples
+from cmbot.planning.objectives import Objective
 from cmbot.planning.verification.metrics import MotionMetrics
 from cmbot.scene import PlannerOptions
 

@@ -13,7 +13,8 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, OptimisationFailed, PathNotFound
 from cmbot.common.validation import checked_options, require_type
-from cmbot.optimization.exchange import ExchangeReport, Optimised, optimise
+from cmbot.optimization.exchange import ExchangeReport
+from cmbot.optimization.program import StateSamples
 from cmbot.planning.approach.approach import Approach, plan_approach
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
@@ -27,12 +28,11 @@ from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.retries import followed
 from cmbot.planning.solvers import solver_of
 from cmbot.planning.tool_reach import require_within_reach
-from cmbot.planning.torque.constraints import StateSamples
-from cmbot.planning.torque.decomposition import stretches
-from cmbot.planning.torque.wrench_functions import WrenchFunction
+from cmbot.planning.torque.decomposition import Optimised, optimise, segments
 from cmbot.planning.verification.baseline import baseline_samples
 from cmbot.planning.verification.certificate import Certificate, certificate_grid, certify
 from cmbot.planning.verification.metrics import figures
+from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 
@@ -196,7 +196,7 @@ def _work(context: PlanningContext, clock: _Clock, way: InitialGuess) -> _Work:
     reporter.stage("optimise")
 
     # Every stretch of a long path may have as many.
-    most = context.options.max_passes * len(stretches(way.problem))
+    most = context.options.max_passes * len(segments(way.problem))
 
     def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
         reporter.passed(report, context.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)

@@ -101,7 +101,7 @@ def calmer_ways(
 
 def roughness(problem: TorqueProblem) -> float:
     """Largest velocity, acceleration or jerk where a problem starts, as a share of its bound."""
-    start = problem.trajectory(problem.family, problem.family.start)
+    start = problem.parametrization.trajectory
     shares = (
         np.abs(start.extrema(bound.order).value) / bound.scale[:, None]
         for bound in problem.bounds

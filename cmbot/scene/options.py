@@ -93,11 +93,13 @@ class PlannerOptions:
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are looked for violations.
     smoothing_weight : float
-        Weight rho of the mean squared jerk (in units of its bounds) beside the peak torque (in units of its
-        value at the start): breaks ties between trajectories of equal peak.
+        Weight rho of half the mean squared jerk (in units of its bounds) beside half the mean square of the
+        objective (in units of its peak at the initial guess): decides between motions of nearly equal torque.
+    peak_tolerance : float
+        The peak may exceed the least that was found attainable, its lower bound where that is, by this share;
+        the mean square is minimised below that.
     gap_target : float
-        The peak torque is low enough when it is within this share of its floor: from there on smoothness
-        counts for more.
+        The arm leaves the scene's posture only where that lowers the peak by more than this share.
     constraint_tolerance : float
         Relative violation below which a constraint counts as met by the optimiser.
     max_passes : int
@@ -131,7 +133,8 @@ class PlannerOptions:
     max_tool_deviation_m: PositiveFloat = 0.001
     solver: Literal["auto", "sqp", "slsqp"] = "auto"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
-    smoothing_weight: Annotated[float, Field(gt=0, le=1)] = 1e-4
+    smoothing_weight: Annotated[float, Field(gt=0, le=100)] = 0.1
+    peak_tolerance: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
     gap_target: NonNegativeFloat = 2e-3
     constraint_tolerance: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
     max_passes: PositiveInt = 40

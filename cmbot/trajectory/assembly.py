@@ -1,6 +1,6 @@
-"""Sparse derivatives by a family's unknowns, put together from derivatives by the states.
+"""Sparse derivatives by the unknowns of a parametrization, assembled from derivatives by the states.
 
-Where a spline lives on a segment is known beforehand, so every row of a Jacobian is a small dense product and
+The support of every spline is known beforehand, so every row of a Jacobian is a small dense product and
 its columns are looked up: no sparse matrices are multiplied.
 """
 
@@ -25,26 +25,26 @@ AnyNumber = TypeVar("AnyNumber", np.float64, np.intp)
 
 @dataclass(frozen=True, kw_only=True)
 class Assembly:
-    """What the unknowns x move on each of m segments, on which w splines of d joints live at most.
+    """What the unknowns x move on each of m segments, in the support of at most w splines of d joints.
 
     Attributes
     ----------
     size : int
         Number of unknowns.
-    number : (m, w, d)
-        Unknown that each spline is a multiple of; -1 for splines of via-points, and where there is none.
+    coefficient : (m, w, d)
+        Unknown that is each spline's coefficient; -1 for splines of via-points, and where there is none.
     unit : (m, w, d)
-        Of those multiples.
-    slide : (m, w, a)
-        Unknowns that slide the via-point whose spline it is; -1 for basis splines and via-points that stay.
+        Of those coefficients.
+    displacement : (m, w, a)
+        Unknowns that move the via-point whose spline it is; -1 for basis splines and via-points that stay.
     tangent : (m, w, a, d)
-        Directions of these slides.
+        Directions of these displacements.
     """
 
     size: int
-    number: IntArray
+    coefficient: IntArray
     unit: FloatArray
-    slide: IntArray
+    displacement: IntArray
     tangent: FloatArray
 
     def jacobian(self, rows: LocalRows, derivative: FloatArray) -> sparse.csr_array:
@@ -62,9 +62,9 @@ class Assembly:
         (N, size)
         """
         at, by_spline = rows.segment, rows.by_spline(derivative)
-        by_slide = np.einsum("nwd,nwad->nwa", by_spline, self.tangent[at])
+        by_displacement = np.einsum("nwd,nwad->nwa", by_spline, self.tangent[at])
         N, column = len(at), self._columns[at]
-        data = np.hstack([_flat(by_spline * self.unit[at], 1), _flat(by_slide, 1)])
+        data = np.hstack([_flat(by_spline * self.unit[at], 1), _flat(by_displacement, 1)])
         there = (column >= 0) & (data != 0.0)
         ends = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
         return sparse.csr_array((data[there], column[there], ends), shape=(N, self.size))
@@ -87,11 +87,11 @@ class Assembly:
         N, w = len(at), self.unit.shape[1]
         column = self._columns[at]
         weight = rows.weight[:, :3]
-        by_number = np.zeros((N, 3, d, w, d))
+        by_coefficient = np.zeros((N, 3, d, w, d))
         joint = np.arange(d)
-        by_number[:, :, joint, :, joint] = weight * self.unit[at].transpose(2, 0, 1)[:, :, None, :]
-        by_slide = np.einsum("now,nwad->nodwa", weight, self.tangent[at])
-        B = np.concatenate([_flat(by_number, 3), _flat(by_slide, 3)], axis=3)
+        by_coefficient[:, :, joint, :, joint] = weight * self.unit[at].transpose(2, 0, 1)[:, :, None, :]
+        by_displacement = np.einsum("now,nwad->nodwa", weight, self.tangent[at])
+        B = np.concatenate([_flat(by_coefficient, 3), _flat(by_displacement, 3)], axis=3)
         B = B.reshape(N, 3 * d, column.shape[1])
         data = B.transpose(0, 2, 1) @ curvature @ B
         row, column = np.broadcast_arrays(column[:, :, None], column[:, None, :])
@@ -102,7 +102,7 @@ class Assembly:
     @cached_property
     def _columns(self) -> IntArray:
         """Unknowns of what a row of a segment has entries for, (m, w (d + a)); -1 where there is none."""
-        return np.hstack([_flat(self.number, 1), _flat(self.slide, 1)])
+        return np.hstack([_flat(self.coefficient, 1), _flat(self.displacement, 1)])
 
 
 def _flat(array: NDArray[AnyNumber], axes: int) -> NDArray[AnyNumber]:

@@ -1,4 +1,4 @@
-"""C3 splines through movable via-points, in a basis that is local: what makes sparse optimisation possible.
+"""C3 splines through movable via-points in a basis of local support: what makes sparse optimisation possible.
 
 The knot vectors of `SplineSpace` are ``z = K u``, where u holds, for each joint, n - 4 multiples of the
 basis splines, which vanish at every knot, and the n via-points. Each via-point has a spline of its own that
@@ -16,13 +16,12 @@ from scipy import sparse
 from scipy.sparse.linalg import SuperLU, splu
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.robot import JointLimits
 from cmbot.trajectory.spline_space import SplineSpace
 
 __all__ = ["LocalRows", "SparseSplines"]
 
 _ORDERS = 4
-# How far a unit of a basis spline moves a joint at most, rad.
+# A unit of a basis spline moves a joint by no more than this, rad.
 _FAR = 0.02
 
 
@@ -33,7 +32,7 @@ class LocalRows:
     Attributes
     ----------
     segment : (N,)
-        Of each time; what lives on it is in `SparseSplines.living`.
+        Of each time; what lives on it is in `SparseSplines.support`.
     weight : (N, 4, w)
         Position, velocity, acceleration and jerk of the splines that live there.
     """
@@ -56,12 +55,13 @@ class SparseSplines:
     Parameters
     ----------
     space : SplineSpace
-    limits : JointLimits
+    bounds : (3, d)
+        Magnitudes that velocity, acceleration and jerk of each joint may have: their units.
     """
 
-    def __init__(self, space: SplineSpace, limits: JointLimits) -> None:
+    def __init__(self, space: SplineSpace, bounds: FloatArray) -> None:
         self.space = space
-        self.limits = limits
+        self.bounds = bounds
         self.columns = sparse.csr_array(sparse.hstack([space.basis, space.cardinal]))
         self.gram = sparse.csr_array(space.jerk_products(self.columns))
 
@@ -77,19 +77,18 @@ class SparseSplines:
         largest = np.zeros((_ORDERS, self.count))
         for share in np.linspace(0.0, 1.0, 5):
             rows = self.rows(t[:-1] + share * np.diff(t))
-            column = self.living[rows.segment]
+            column = self.support[rows.segment]
             inside = (column >= 0) & (column < self.count)
             for order in range(_ORDERS):
                 np.maximum.at(largest[order], column[inside], np.abs(rows.weight[:, order][inside]))
-        limits = self.limits
-        far = np.full(len(limits.jerk), _FAR)
-        bounds = np.stack([far, limits.velocity, limits.acceleration, limits.jerk])
+        bounds = np.vstack([np.full(self.bounds.shape[1], _FAR), self.bounds])
         return np.asarray((bounds[:, None, :] / largest[:, :, None]).min(axis=0))
 
     @cached_property
     def jerk_curvature(self) -> sparse.csr_array:
         """Hessian (size of u, size of u) of half the time mean of squared jerk, joints' bounds as units."""
-        weights = 1.0 / (len(self.limits.jerk) * self.limits.jerk**2)
+        jerk = self.bounds[2]
+        weights = 1.0 / (len(jerk) * jerk**2)
         return sparse.csr_array(sparse.kron(self.gram, sparse.diags_array(weights), format="csr"))
 
     def least_jerk(self, q: FloatArray) -> FloatArray:
@@ -109,9 +108,19 @@ class SparseSplines:
         segment, hermite = self.space.hermite_weights(times, _ORDERS)
         return LocalRows(segment, hermite.transpose(1, 0, 2) @ self._segments[1][segment])
 
+    def jacobian(self, rows: LocalRows, derivative: FloatArray) -> sparse.csr_array:
+        """Take derivatives (k, N, d) by the states to those (N, size of u) by u."""
+        by_spline = rows.by_spline(derivative)
+        column = self.support[rows.segment][:, :, None] * by_spline.shape[2] + np.arange(by_spline.shape[2])
+        there = np.broadcast_to(self.support[rows.segment][:, :, None] >= 0, by_spline.shape)
+        row = np.broadcast_to(np.arange(len(rows.segment))[:, None, None], by_spline.shape)
+        size = self.columns.shape[1] * by_spline.shape[2]
+        entries = (by_spline[there], (row[there], column[there]))
+        return sparse.csr_array(entries, shape=(len(rows.segment), size))
+
     @property
-    def living(self) -> IntArray:
-        """Which of the splines, the basis first, then those of the via-points, live on each segment: (m, w).
+    def support(self) -> IntArray:
+        """Which splines, the basis first, then those of the via-points, are not zero on each segment: (m, w).
 
         In ascending order; -1 fills up where there are fewer than w.
         """

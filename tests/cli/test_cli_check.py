@@ -10,7 +10,7 @@ from small_scenes import SHORT
 
 import cmbot
 from cmbot.common.installation import model_folder
-from cmbot.planning.torque.objectives import objective_of
+from cmbot.planning.objectives import objective_of
 from cmbot.robot import Postures
 
 

@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from solvers.cases import Case, judged
 
 from cmbot.optimization.exchange import optimise
+from cmbot.optimization.program import StateSamples
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import fixed_guess, sliding_guess
 from cmbot.planning.solvers import family_through
-from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.planning.torque.wrench_functions import WrenchFunction
+from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.scene import Scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 

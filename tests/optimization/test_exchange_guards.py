@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from cmbot.optimization.continuation import LIGHTER, Effort
 from numpy.typing import NDArray
 from small_scenes import problem_of, short_scene
 
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization import exchange as optimiser
-from cmbot.optimization.continuation import LIGHTER, Effort
 from cmbot.optimization.slsqp import Subproblem, solve_slsqp
 from cmbot.planning import plan
 from cmbot.planning.torque.problem import TorqueProblem

@@ -6,6 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from cmbot.optimization.working_set import _Sites
+from cmbot.planning.torque.clearance_samples import ClearanceLooks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_scenes import short_scene
@@ -13,11 +15,9 @@ from small_scenes import short_scene
 from cmbot.collision import Clearances
 from cmbot.optimization import separation as violations
 from cmbot.optimization.separation import broken_bound, values_of
-from cmbot.optimization.working_set import _Sites
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.solvers import family_through
 from cmbot.planning.torque import feasibility
-from cmbot.planning.torque.clearance_samples import ClearanceLooks
 from cmbot.planning.torque.constraints import ClearanceMargin, StateSamples
 from cmbot.planning.torque.problem import KinematicBound, TorqueProblem
 from cmbot.trajectory import quintic as trajectory

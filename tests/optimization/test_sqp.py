@@ -10,6 +10,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 import pytest
+from cmbot.optimization.sparse_passes import SparsePasses
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -22,7 +23,6 @@ from cmbot.common.errors import MissingExtra, OptimisationFailed
 from cmbot.optimization import sqp
 from cmbot.optimization.exchange import Optimised, optimise
 from cmbot.optimization.qp import LocalModel, LocalValues, solve_qp
-from cmbot.optimization.sparse_passes import SparsePasses
 from cmbot.planning import plan
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess

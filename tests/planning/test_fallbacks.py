@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from cmbot.optimization.sparse_passes import SparsePasses
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization import exchange as optimiser
-from cmbot.optimization.sparse_passes import SparsePasses
 from cmbot.planning import Plan, plan, remarks
 from cmbot.planning.torque import decomposition as stretches
 

@@ -15,9 +15,10 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.elastic.sag import Sag
-from cmbot.optimization.exchange import ExchangeReport, Optimised, optimise
+from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
+from cmbot.planning.torque.decomposition import Optimised, optimise
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.scene import ShiftedToolPath
 

@@ -14,7 +14,7 @@ from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SUPPORT, SplineSpace
 
-__all__ = ["Leg", "QuietWindow", "legs_by_window", "slopes"]
+__all__ = ["Leg", "QuietWindow", "legs_by_window"]
 
 # Legs share a window up to so many segments, and as long as it has fewer than so many.
 _MOST, _FEWEST = 64, 12
@@ -76,7 +76,7 @@ class QuietWindow:
 
     def __init__(self, problem: TorqueProblem, legs: list[Leg]) -> None:
         space = problem.space
-        self._space, self._jerk = space, problem.robot.limits.jerk
+        self._space, self._jerk = space, problem.context.robot.limits.jerk
         self.start = float(space.t[legs[0][0]])
         near = [np.arange(max(first, last - _MOST), last) for first, last in legs]
         numbers = np.concatenate(near)
@@ -128,21 +128,3 @@ class QuietWindow:
         by_number = rows.transpose(1, 0, 2).reshape(s, k * d)
         y = linalg.solve_triangular(self._factor, by_number, lower=True).reshape(s, k, d) * self._jerk
         return np.asarray(y.transpose(1, 0, 2).reshape(k, s * d))
-
-
-def slopes(design: sparse.csr_array, by: FloatArray) -> sparse.csr_array:
-    """Derivatives (K, (n - 4) d) by the splines' numbers.
-
-    Parameters
-    ----------
-    design : (K, n - 4)
-        Values of the basis splines.
-    by : (K, d)
-        Derivatives by the joints.
-    """
-    entries, d = design.tocoo(), by.shape[1]
-    row, number = entries.coords
-    data = entries.data[:, None] * by[row]
-    columns = number[:, None] * d + np.arange(d)
-    shape = (design.shape[0], design.shape[1] * d)
-    return sparse.csr_array((data.ravel(), (np.repeat(row, d), columns.ravel())), shape=shape)

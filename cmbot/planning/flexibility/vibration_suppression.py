@@ -22,12 +22,13 @@ from scipy import sparse
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.optimization.exchange import Optimised
-from cmbot.optimization.working_set import WorkingSet, bound_values
+from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet
+from cmbot.optimization.linearization import linearize
+from cmbot.optimization.separation import Separation, find_violations
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.flexibility.leg_vibration import LegVibration
-from cmbot.planning.flexibility.suppression_windows import QuietWindow, legs_by_window, slopes
-from cmbot.planning.torque.constraints import StateSamples, ToolDeviation
+from cmbot.planning.flexibility.suppression_windows import QuietWindow, legs_by_window
+from cmbot.planning.torque.decomposition import Optimised
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory.quintic import QuinticTrajectory
 
@@ -134,12 +135,13 @@ class _Search:
         self, problem: TorqueProblem, trajectory: QuinticTrajectory, windows: list[QuietWindow]
     ) -> None:
         self._problem, self._windows, self._given = problem, windows, trajectory
-        self._tolerance = problem.options.constraint_tolerance
+        self._tolerance = problem.context.options.constraint_tolerance
         self._z = _knot_vector(trajectory)
         self._starts = np.array([window.start for window in windows])
-        self._working = WorkingSet(problem)
-        _, worst, peak = self._working.add_violated(trajectory, np.inf, self._tolerance, 1, 0)
-        self._peak, self._allowed = peak * (1 + _PEAK_RISE), max(worst.value, self._tolerance)
+        self._constraints = ConstraintSet(step=float(problem.grid[1] - problem.grid[0]))
+        found = self._separated(trajectory, np.inf, 0)
+        self._peak = found.peak * (1 + _PEAK_RISE)
+        self._allowed = max(found.worst.value, self._tolerance)
         self._X = np.zeros((problem.space.dimension, trajectory.q.shape[1]))
         self._shares, self._hopeless = np.zeros(len(windows)), np.zeros(len(windows), dtype=np.bool_)
         self._here, self._broken = trajectory, 0.0
@@ -168,8 +170,9 @@ class _Search:
         """Which of the windows break a bound, or have not been changed yet."""
         space, most = self._problem.space, _MOST_SITES * len(self._windows)
         self._here = space.trajectory(self._z + space.basis @ self._X)
-        _, worst, peak = self._working.add_violated(self._here, self._peak, self._tolerance, 1, most)
-        self._broken, self._held = max(worst.value, peak - self._peak), self._held_here()
+        found = self._separated(self._here, self._peak, most)
+        self._constraints = found.added_to(self._constraints)
+        self._broken, self._held = max(found.worst.value, found.peak - self._peak), self._held_here()
         unfit = self._shares == 0
         np.logical_or.at(unfit, self._window_at(self._held.times), self._held.value > self._tolerance)
         return np.asarray(unfit & ~self._hopeless)
@@ -194,27 +197,18 @@ class _Search:
     def _window_at(self, times: FloatArray) -> IntArray:
         return np.asarray(np.searchsorted(self._starts[1:], times, side="right"))
 
+    def _separated(self, trajectory: QuinticTrajectory, bound: float, most: int) -> Separation:
+        return find_violations(self._problem, trajectory, bound, self._tolerance, most)
+
     def _held_here(self) -> _Held:
-        space, here, d = self._problem.space, self._here, self._X.shape[1]
-        when, values, rows = [np.empty(0)], [np.empty(0)], [sparse.csr_array((0, space.dimension * d))]
-        for number, (function, times, component) in enumerate(self._working.state_sites()):
-            if len(times):
-                states = StateSamples(times, *here.states(times))
-                faces = function.faces(states) if isinstance(function, ToolDeviation) else ()
-                for at in (function.linearise(states, component), *faces):
-                    parts = enumerate((at.d_q, at.d_v, at.d_a))
-                    by_number = (slopes(space.design(times, order) @ space.basis, by) for order, by in parts)
-                    rows.append(sum(by_number))
-                    values.append(at.value - (self._peak if number == 0 else 0.0))
-                    when.append(times)
-        for bound, times, component in self._working.bound_sites():
-            if len(times):
-                value, joint, factor = bound_values(bound, times, component, here)
-                by = np.eye(d)[joint] * factor[:, None]
-                rows.append(slopes(space.design(times, bound.order) @ space.basis, by))
-                values.append(value)
-                when.append(times)
-        return _Held(np.concatenate(when), np.concatenate(values), sparse.csr_array(sparse.vstack(rows)))
+        """Constraints and their cuts, linearized by the coefficients of the basis splines."""
+        splines, known = self._problem.parametrization.splines, self._constraints
+        at = linearize(self._problem, known, self._here)
+        limit = np.where(known.family == OBJECTIVE, self._peak, 0.0)
+        which = np.concatenate([np.arange(len(known)), at.cut_of])
+        derivative = np.concatenate([at.derivative, at.cut_derivative], axis=1)
+        rows = splines.jacobian(splines.rows(known.time[which]), derivative)[:, : self._X.size]
+        return _Held(known.time[which], np.concatenate([at.value - limit, at.cut_value]), rows)
 
 
 def _knot_vector(trajectory: QuinticTrajectory) -> FloatArray:

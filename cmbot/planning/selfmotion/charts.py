@@ -15,10 +15,10 @@ from itertools import pairwise
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.objectives import Objective
 from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
-from cmbot.planning.torque.objectives import Objective
 from cmbot.robot import JointLimits, Postures
 
 __all__ = ["Chart", "SelfMotionSampler", "charts_of"]

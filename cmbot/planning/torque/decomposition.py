@@ -1,39 +1,92 @@
-"""Long paths, stretch by stretch: cost in proportion to the path, however long it is.
+"""Solving the torque problem; long paths in segments, so that the cost grows in proportion to the path.
 
-Steps of one large problem are refused as a whole for what is violated anywhere, so the longer the path, the
-smaller the steps. Where legs meet the tool rests, and the arm may rest as well: in the posture of the global
-stage, with no acceleration and no jerk. What lies between two such rests is a problem of its own.
+Steps of one large program are refused as a whole for what is violated anywhere, so the longer the path, the
+smaller the steps. Where legs meet the tool rests, and the arm may rest as well: in the posture of the initial
+guess, with no acceleration and no jerk. What lies between two such rests is a program of its own.
 """
 
 from __future__ import annotations
 
-from typing import cast
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import OptimisationFailed
+from cmbot.optimization.exchange import ExchangeOptions, ExchangeReport, minimize_peak
+from cmbot.optimization.sqp import SqpOptions
+from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["LONGEST_WHOLE", "joined", "stretch_of", "stretches"]
+__all__ = ["LONGEST_WHOLE", "Optimised", "exchange_options", "joined", "optimise", "segments"]
 
 LONGEST_WHOLE = 300
-"""Paths of up to so many via-points are one stretch."""
+"""Paths of up to so many via-points are one segment."""
 
 # Longer ones are parted at the first corner after so many via-points, or a better one soon after.
 _LEAST, _MOST = 100, 200
+# The SQP meets known constraints so much better than they have to be met.
+_CLOSER = 0.5
 
 
-def stretches(problem: TorqueProblem) -> list[tuple[int, int]]:
-    """Return the first and the last via-point of each stretch of a problem's path; short paths are one.
+@dataclass(frozen=True, kw_only=True)
+class Optimised:
+    """An optimised trajectory and how it was found.
 
-    Of the corners in reach a stretch ends at the one where the least is asked at rest.
+    Attributes
+    ----------
+    trajectory : QuinticTrajectory
+    via_points : (n, d), rad
+        What it was to pass through: those given, or where they moved to.
+    passes : tuple of ExchangeReport
+    whole_because : str
+        Of a long path that had to be solved whole: why its segments could not be; else empty.
     """
-    last = len(problem.space.t) - 1
-    if last + 1 <= LONGEST_WHOLE or not isinstance(problem.family, Parametrization):
+
+    trajectory: QuinticTrajectory
+    via_points: FloatArray
+    passes: tuple[ExchangeReport, ...]
+    whole_because: str = ""
+
+
+def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None = None) -> Optimised:
+    """Solve the torque problem.
+
+    Parameters
+    ----------
+    problem : TorqueProblem
+    progress : callable, optional
+        Called with an `ExchangeReport` after every exchange iteration.
+
+    Raises
+    ------
+    OptimisationFailed
+        When the via-points admit no trajectory within the limits, or none was found.
+    """
+    parts = segments(problem)
+    if len(parts) > 1:
+        try:
+            return _in_segments(problem, parts, progress)
+        except OptimisationFailed as failure:
+            # To rest at every end of a segment may be too much to ask; the whole path does not ask it.
+            return replace(_whole(problem, progress), whole_because=failure.reason)
+    return _whole(problem, progress)
+
+
+def segments(problem: TorqueProblem) -> list[tuple[int, int]]:
+    """Return the first and the last via-point of each segment of a problem's path; short paths are one.
+
+    Of the corners in reach a segment ends at the one where the objective at rest is least.
+    """
+    t = problem.space.t
+    last = len(t) - 1
+    if last + 1 <= LONGEST_WHOLE or problem.context.options.solver == "slsqp":
         return [(0, last)]
-    corners, parts, first = _corners(problem), [], 0
+    # Inner via-points at which legs meet; `ToolPath.via_times` puts one exactly there.
+    corners = np.flatnonzero(np.isin(t, problem.context.task.path.leg_times[1:-1]))
+    parts, first = [], 0
     while last - first > _MOST:
         candidates = corners[(corners >= first + _LEAST) & (corners <= last - _LEAST)]
         near = candidates[candidates <= first + _MOST]
@@ -43,29 +96,6 @@ def stretches(problem: TorqueProblem) -> list[tuple[int, int]]:
         parts.append((first, end))
         first = end
     return [*parts, (first, last)]
-
-
-def stretch_of(problem: TorqueProblem, first: int, last: int) -> TorqueProblem:
-    """Return the problem of a stretch: at ends inside the path the arm rests in a posture that stays.
-
-    Parameters
-    ----------
-    problem : TorqueProblem
-        Of a family that has stretches, see `stretches`.
-    first, last : int
-        Via-points.
-    """
-    return TorqueProblem(
-        problem.robot,
-        problem.task,
-        cast(Parametrization, problem.family).stretch(first, last),
-        problem.clearances,
-        problem.options,
-        resting=(),
-        floor=problem.floor,
-        content=problem.floor,
-        objective=problem.objective,
-    )
 
 
 def joined(trajectories: list[QuinticTrajectory]) -> QuinticTrajectory:
@@ -78,6 +108,42 @@ def joined(trajectories: list[QuinticTrajectory]) -> QuinticTrajectory:
     return QuinticTrajectory(t=all_of("t"), q=all_of("q"), v=all_of("v"), a=all_of("a"))
 
 
-def _corners(problem: TorqueProblem) -> IntArray:
-    """Inner via-points at which legs meet; `ToolPath.via_times` puts one exactly there."""
-    return np.flatnonzero(np.isin(problem.space.t, problem.task.path.leg_times[1:-1]))
+def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
+    """Return how a problem's own options have it solved."""
+    o = problem.context.options
+    return ExchangeOptions(
+        solver=o.solver,
+        smoothing=o.smoothing_weight,
+        peak_tolerance=o.peak_tolerance,
+        feasibility_tolerance=o.constraint_tolerance,
+        max_passes=o.max_passes,
+        max_iterations=o.max_iterations,
+        sqp=SqpOptions(feasibility_tolerance=_CLOSER * o.constraint_tolerance),
+    )
+
+
+def _in_segments(
+    problem: TorqueProblem,
+    parts: list[tuple[int, int]],
+    progress: Callable[[ExchangeReport], None] | None,
+) -> Optimised:
+    """Solve a long path's problem in parts; exchange iterations are counted through."""
+    passes: list[ExchangeReport] = []
+
+    def report(each: ExchangeReport) -> None:
+        passes.append(replace(each, number=len(passes) + 1))
+        if progress is not None:
+            progress(passes[-1])
+
+    done = [_whole(problem.segment(first, last), report) for first, last in parts]
+    trajectory = joined([each.trajectory for each in done])
+    return Optimised(trajectory=trajectory, via_points=trajectory.q, passes=tuple(passes))
+
+
+def _whole(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None) -> Optimised:
+    """Solve a problem at once."""
+    if problem.parametrization.retraction is None:
+        check_feasible(problem)
+    result = minimize_peak(problem, exchange_options(problem), progress)
+    form = result.parametrization
+    return Optimised(trajectory=form.trajectory, via_points=form.via_points, passes=result.passes)

@@ -9,8 +9,9 @@ from scipy import optimize, sparse
 
 from cmbot.common.arrays import BoolArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.planning.torque.constraints import ClearanceMargin, StateSamples
-from cmbot.planning.torque.problem import KinematicBound, TorqueProblem
+from cmbot.optimization.program import KinematicBound, StateSamples
+from cmbot.planning.torque.constraints import ClearanceMargin
+from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 __all__ = ["check_feasible"]
@@ -36,7 +37,7 @@ def check_feasible(problem: TorqueProblem) -> None:
         Naming the constraint that cannot be met, and by how much.
     """
     _check_via_points(problem)
-    least_jerk = problem.trajectory(problem.family, problem.family.start)
+    least_jerk = problem.parametrization.trajectory
     bounds = [bound for bound in problem.bounds if bound.order > 0]
     for joint, broken in enumerate(_broken_segments(least_jerk, bounds).T):
         for first, last in _stretches(broken):
@@ -45,7 +46,7 @@ def check_feasible(problem: TorqueProblem) -> None:
                 raise OptimisationFailed(
                     "the via-points are too far apart for the time between them: give the legs more seconds, "
                     "a speed_profile of kind jerk_limited, or fewer via-points where these are close",
-                    constraint=f"velocity, acceleration or jerk of {problem.robot.joints[joint]}",
+                    constraint=f"velocity, acceleration or jerk of {problem.joints[joint]}",
                     violation=share - 1.0,
                 )
 
@@ -101,12 +102,11 @@ def _least_share(
 
 
 def _check_via_points(problem: TorqueProblem) -> None:
-    q = problem.family.via_points
-    at_rest = StateSamples(problem.space.t, q, np.zeros_like(q), np.zeros_like(q))
-    for function in problem.functions:
-        value = function.values(at_rest)[0].max(axis=1)
+    at_rest = StateSamples.at_rest(problem.space.t, problem.parametrization.via_points)
+    for function in problem.constraints:
+        value = function.sample(at_rest)[0].max(axis=1)
         fixed = value if isinstance(function, ClearanceMargin) else value[[0, -1]]
-        if fixed.max() > problem.options.constraint_tolerance:
+        if fixed.max() > problem.context.options.constraint_tolerance:
             raise OptimisationFailed(
                 "a via-point of the path breaks a bound, so every trajectory through it does",
                 constraint=function.name,

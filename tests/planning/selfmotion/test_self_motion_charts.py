@@ -15,11 +15,11 @@ from seven_joint_arms import endless_scene, panda_scene
 from small_scenes import task_at
 
 from cmbot.planning import robot_of, task_of
+from cmbot.planning.objectives import objective_of
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.selfmotion.charts import SelfMotionSampler
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neighbours
-from cmbot.planning.torque.objectives import objective_of
 from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
 

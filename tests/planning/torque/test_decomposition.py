@@ -12,11 +12,11 @@ from small_scenes import short_scene
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization import exchange as optimiser
 from cmbot.optimization.exchange import ExchangeReport, optimise
+from cmbot.optimization.program import StateSamples
 from cmbot.planning import Progress, plan
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.torque import decomposition as stretches
-from cmbot.planning.torque.constraints import StateSamples
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.planning.verification.certificate import certify
 from cmbot.trajectory.quintic import QuinticTrajectory

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cmbot.planning.torque.families import FixedKnots, SlidingKnots, WhitenedSplines
 from finite_differences import check_derivative
 from small_scenes import parts, problem_of, short_scene
 
-from cmbot.planning.torque.families import FixedKnots, SlidingKnots, WhitenedSplines
 from cmbot.robot import Postures
 from cmbot.trajectory.spline_space import SplineSpace
 

@@ -19,10 +19,10 @@ from small_scenes import short_scene
 
 import cmbot
 from cmbot.common.errors import ArchiveError, InputError, SceneError
+from cmbot.optimization.program import StateSamples
 from cmbot.planning import GlobalSearch, ObjectiveMetrics, Plan, PostureObjective, WeightedMoment, remarks
 from cmbot.planning.context import build_context
-from cmbot.planning.torque.constraints import StateSamples
-from cmbot.planning.torque.objectives import Objective, ObjectiveShare, WrenchObjective, objective_of
+from cmbot.planning.objectives import Objective, ObjectiveShare, WrenchObjective, objective_of
 from cmbot.robot import Dynamics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene
 

@@ -7,6 +7,9 @@ from functools import cache
 
 import numpy as np
 import pytest
+from cmbot.optimization.iterate import NlpEvaluation
+from cmbot.optimization.working_set import WorkingSet
+from cmbot.planning.torque.families import FixedKnots, WhitenedSplines
 from finite_differences import check_derivative
 from numpy.typing import NDArray
 from scipy import sparse
@@ -14,12 +17,9 @@ from small_scenes import parts, problem_of, short_scene
 
 from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.curvature import convexified, state_curvature
-from cmbot.optimization.iterate import NlpEvaluation
-from cmbot.optimization.working_set import WorkingSet
 from cmbot.planning.torque.constraints import Linearisation, StateConstraint, StateSamples
-from cmbot.planning.torque.families import FixedKnots, WhitenedSplines
-from cmbot.planning.torque.null_space import TaskAtViaPoints
 from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.torque.task_manifold import TaskAtViaPoints
 from cmbot.robot import Postures, Robot
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.parametrization import Parametrization

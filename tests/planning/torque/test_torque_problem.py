@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from cmbot.optimization.working_set import WorkingSet
+from cmbot.planning.torque.families import FixedKnots, SlidingKnots
 from finite_differences import check_derivative
 from numpy.typing import NDArray
 from small_scenes import problem_of, short_scene
 
-from cmbot.optimization.working_set import WorkingSet
-from cmbot.planning.torque.families import FixedKnots, SlidingKnots
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Dynamics, Postures
 

@@ -1,4 +1,4 @@
-"""Via-points that slide along the self-motion, the tool task kept exactly."""
+"""Postures that hold the tool task, as the manifolds on which via-points move."""
 
 from __future__ import annotations
 
@@ -12,19 +12,16 @@ from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.path.task import ToolTask
 from cmbot.robot import Postures
 
-__all__ = ["LONGEST_SLIDE", "TaskAtViaPoints"]
+__all__ = ["TaskManifold"]
 
-LONGEST_SLIDE = 0.3
-"""A via-point slides at most so far, rad, before tangents are taken anew."""
-
-# Newton steps that project slid via-points onto the tool task, and the error that they leave.
+# Newton steps that project moved via-points onto the tool task, and the error that they leave.
 _NEWTON_STEPS = 13
 _ON_TASK = 1e-11
 
 
-@dataclass(frozen=True, kw_only=True)
-class TaskAtViaPoints:
-    """The tool task at n via-points.
+@dataclass(frozen=True)
+class TaskManifold:
+    """The postures that hold the tool task at n via-points (a retraction of the parametrization).
 
     Attributes
     ----------
@@ -38,29 +35,29 @@ class TaskAtViaPoints:
     task: ToolTask
     points: FloatArray
 
-    def null_spaces(self, q: FloatArray) -> FloatArray:
+    def tangents(self, q: FloatArray) -> FloatArray:
         """Orthonormal directions (n, a, d) of the self-motion at postures `q` (n, d)."""
         return null_space(self.postures, self.task, q)
 
-    def slid(
-        self, q: FloatArray, null: FloatArray, u: FloatArray, which: IntArray
+    def retract(
+        self, q: FloatArray, tangents: FloatArray, u: FloatArray, which: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Slide via-points by `u` (k, a), rad: ``task(q) = 0, N^T (q - q_start) = u``.
+        """Move via-points by `u` (k, a), rad: ``task(q) = 0, N^T (q - q_start) = u``, with N the tangents.
 
         Parameters
         ----------
         q : (n, d), rad
             Where all via-points start.
-        null : (k, a, d)
-            Directions N of those that slide.
+        tangents : (k, a, d)
+            Of those that move.
         u : (k, a), rad
         which : (k,)
-            Which of them slide.
+            Which of them move.
 
         Returns
         -------
         q : (k, d), rad
-        tangent : (k, a, d)
+        slope : (k, a, d)
             Derivative of q by u.
 
         Raises
@@ -71,21 +68,25 @@ class TaskAtViaPoints:
         q, reached = project_onto_task(
             self.postures,
             self.task,
-            q[which] + np.einsum("ka,kai->ki", u, null),
+            q[which] + np.einsum("ka,kai->ki", u, tangents),
             self.points[which],
             steps=_NEWTON_STEPS,
             tolerance=_ON_TASK,
-            held=null,
+            held=tangents,
         )
         at = self.postures.tool_at(q)
         if not reached.all():
             error = self.task.errors(at.tool_point, at.tool_rotation, self.points[which])
             raise OptimisationFailed(
-                "a via-point slid to where the tool task cannot be held",
+                "a via-point moved to where the tool task cannot be held",
                 constraint="tool task at a via-point",
                 violation=float(np.abs(error).max()),
             )
-        A = np.concatenate([self.task.jacobian(at.tool_rotation, at.jacobian), null], axis=1)
+        A = np.concatenate([self.task.jacobian(at.tool_rotation, at.jacobian), tangents], axis=1)
         rhs = np.zeros((len(q), A.shape[1], u.shape[1]))
         rhs[:, A.shape[1] - u.shape[1] :] = np.eye(u.shape[1])
         return q, np.linalg.solve(A, rhs).transpose(0, 2, 1)
+
+    def part(self, first: int, last: int) -> TaskManifold:
+        """Return the task at the via-points `first` to `last`."""
+        return TaskManifold(self.postures, self.task, self.points[first : last + 1])

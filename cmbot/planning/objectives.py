@@ -7,22 +7,27 @@ from typing import Protocol
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.sag import Sag
-from cmbot.planning.torque.constraints import Linearisation, StateSamples
-from cmbot.planning.torque.wrench_functions import WeightedMoment, WrenchFunction, check_wrench_function
-from cmbot.robot import Dynamics, PostureBatch, Postures, Robot
+from cmbot.optimization.program import Linearization, StateSamples
+from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction, check_wrench_function
+from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
 from cmbot.scene import PlannerOptions
 
 __all__ = [
     "Objective",
-    "ObjectiveShare",
     "PostureFunction",
     "PostureObjective",
     "WrenchObjective",
+    "efforts_of",
     "objective_of",
 ]
+
+
+def efforts_of(dynamics: Dynamics, states: StateSamples) -> Efforts:
+    """Return what a motion asks of a robot: computed once, whichever functions of the states need it."""
+    return states.computed(id(dynamics.robot), lambda s: dynamics.efforts(s.q, s.v, s.a))
 
 
 class Objective(Protocol):
@@ -46,10 +51,10 @@ class Objective(Protocol):
     def values(self, states: StateSamples) -> FloatArray:
         """Return its values (N,) at N states."""
 
-    def linearise(self, states: StateSamples) -> Linearisation:
+    def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
 
-    def parts(self, states: StateSamples) -> tuple[Linearisation, ...]:
+    def residuals(self, states: StateSamples) -> tuple[Linearization, ...]:
         """Return quantities whose squares sum to its own, for Gauss-Newton: as smooth as there are."""
 
 
@@ -81,23 +86,23 @@ class WrenchObjective:
 
     def values(self, states: StateSamples) -> FloatArray:
         """Return its values (N,) at N states."""
-        efforts = states.efforts(self._dynamics)
+        efforts = efforts_of(self._dynamics, states)
         return self.function(np.hstack([efforts.guardrail_force, efforts.guardrail_torque]))[0]
 
-    def linearise(self, states: StateSamples) -> Linearisation:
+    def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
         at = self._dynamics.wrench_derivatives(states.q, states.v, states.a)
         value, gradient = self.function(at.value)
-        return Linearisation(value, *(np.einsum("ki,kij->kj", gradient, d) for d in (at.d_q, at.d_v, at.d_a)))
+        return Linearization(value, *(np.einsum("ki,kij->kj", gradient, d) for d in (at.d_q, at.d_v, at.d_a)))
 
-    def parts(self, states: StateSamples) -> tuple[Linearisation, ...]:
+    def residuals(self, states: StateSamples) -> tuple[Linearization, ...]:
         """Return the components of a moment, and of anything else its value."""
         if not isinstance(self.function, WeightedMoment):
-            return (self.linearise(states),)
+            return (self.linearize(states),)
         A = self.function.matrix
         at = self._dynamics.wrench_derivatives(states.q, states.v, states.a)
         return tuple(
-            Linearisation(at.value @ row, *(np.einsum("i,kij->kj", row, d) for d in (at.d_q, at.d_v, at.d_a)))
+            Linearization(at.value @ row, *(np.einsum("i,kij->kj", row, d) for d in (at.d_q, at.d_v, at.d_a)))
             for row in A
         )
 
@@ -126,42 +131,14 @@ class PostureObjective:
         """Return its values (N,) at N states."""
         return self.function(states.q)[0]
 
-    def linearise(self, states: StateSamples) -> Linearisation:
+    def linearize(self, states: StateSamples) -> Linearization:
         """Return its values and derivatives at N states."""
         value, gradient = self.function(states.q)
-        return Linearisation(value, gradient, np.zeros_like(gradient), np.zeros_like(gradient))
+        return Linearization(value, gradient, np.zeros_like(gradient), np.zeros_like(gradient))
 
-    def parts(self, states: StateSamples) -> tuple[Linearisation, ...]:
+    def residuals(self, states: StateSamples) -> tuple[Linearization, ...]:
         """Return its value."""
-        return (self.linearise(states),)
-
-
-@dataclass(frozen=True)
-class ObjectiveShare:
-    """An objective in units of `scale`, as a state function; its bound is not subtracted.
-
-    Chang 2021, Eqs. (12) and (30).
-    """
-
-    objective: Objective
-    scale: float
-    components: int = 1
-
-    @property
-    def name(self) -> str:
-        """The objective's."""
-        return self.objective.name
-
-    def values(self, states: StateSamples) -> tuple[FloatArray, IntArray]:
-        """Return the values (N, 1)."""
-        value = self.objective.values(states)[:, None] / self.scale
-        return value, np.zeros(value.shape, dtype=np.intp)
-
-    def linearise(self, states: StateSamples, component: IntArray) -> Linearisation:
-        """Linearise the value."""
-        del component
-        at = self.objective.linearise(states)
-        return Linearisation(*(x / self.scale for x in (at.value, at.d_q, at.d_v, at.d_a)))
+        return (self.linearize(states),)
 
 
 def objective_of(

@@ -1,0 +1,246 @@
+"""A program at one trajectory, with its derivatives: what solvers step from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet
+from cmbot.optimization.curvature import convexified, state_curvature
+from cmbot.optimization.linearization import ConstraintValues, families_of, linearize
+from cmbot.optimization.program import KinematicBound, Linearization, Program, StateSamples
+from cmbot.optimization.qp import NlpModel, NlpValues
+from cmbot.optimization.separation import find_violations
+from cmbot.trajectory.local_basis import LocalRows
+from cmbot.trajectory.parametrization import Parametrization
+
+__all__ = ["NlpEvaluation", "Stage"]
+
+# At most so many constraints of a family are added for a step: the worst, which usually hold the others.
+_MOST = 40
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stage:
+    """Which of a program's objectives is minimised, and with how much smoothing.
+
+    Attributes
+    ----------
+    smoothing : float
+        Weight of half the mean squared jerk beside the objective.
+    bound : float or None
+        What the objective's peak is held below while its mean square is minimised; None where the peak is
+        minimised.
+    target : float
+        The peak need not fall below this.
+    tolerance : float
+        Violations up to this count as met.
+    """
+
+    smoothing: float
+    bound: float | None = None
+    target: float = 0.0
+    tolerance: float
+
+    @property
+    def name(self) -> str:
+        """How reports call it."""
+        return "peak" if self.bound is None else "mean square"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NlpEvaluation:
+    """A stage of a program at one trajectory: an iterate of a solver.
+
+    Attributes
+    ----------
+    program : Program
+    stage : Stage
+    parametrization : Parametrization
+        Built around the trajectory.
+    constraints : ConstraintSet
+    at : ConstraintValues
+        The constraints there.
+    """
+
+    program: Program
+    stage: Stage
+    parametrization: Parametrization
+    constraints: ConstraintSet
+    at: ConstraintValues
+
+    @staticmethod
+    def around(
+        program: Program, stage: Stage, parametrization: Parametrization, constraints: ConstraintSet
+    ) -> NlpEvaluation:
+        """Evaluate a program at the trajectory that a parametrization was built around."""
+        return NlpEvaluation(
+            program=program,
+            stage=stage,
+            parametrization=parametrization,
+            constraints=constraints,
+            at=linearize(program, constraints, parametrization.trajectory),
+        )
+
+    def displaced(self, p: FloatArray) -> NlpEvaluation:
+        """Return the program after a step `p` (n,), with the same constraints."""
+        return self.around(self.program, self.stage, self.parametrization.step(p), self.constraints)
+
+    def step(self, p: FloatArray) -> NlpEvaluation:
+        """Return the program after a step `p` (n,), with what is violated there among its constraints."""
+        trial = self.displaced(p)
+        limit = trial.values.peak if self.stage.bound is None else self.stage.bound
+        trajectory = trial.parametrization.trajectory
+        found = find_violations(self.program, trajectory, limit, self.stage.tolerance, _MOST)
+        return trial._with(found.added_to(self.constraints))
+
+    def refresh(self, other: NlpEvaluation) -> NlpEvaluation:
+        """Return the same point with the constraints of another one, which extend its own."""
+        return self._with(other.constraints)
+
+    def drop_constraints(self, multipliers: FloatArray) -> tuple[NlpEvaluation, FloatArray]:
+        """Return the same point without constraints that do not matter, and the multipliers of the others."""
+        needed = self.constraints.needed(self.values.value, multipliers)
+        if needed.all():
+            return self, multipliers
+        left = replace(self, constraints=self.constraints.kept(needed), at=self.at.kept(needed))
+        return left, multipliers[needed]
+
+    def _with(self, constraints: ConstraintSet) -> NlpEvaluation:
+        if constraints is self.constraints:
+            return self
+        at = linearize(self.program, constraints, self.parametrization.trajectory, self.at)
+        return replace(self, constraints=constraints, at=at)
+
+    @property
+    def peak(self) -> float:
+        """Largest value of the objective at the constraints' times."""
+        return float(self.at.value[self.constraints.family == OBJECTIVE].max())
+
+    @cached_property
+    def values(self) -> NlpValues:
+        """Values alone."""
+        bound, value = self.stage.bound, self.at.value
+        objective = self.stage.smoothing * self._jerk[0]
+        if bound is not None:
+            value = value - bound * (self.constraints.family == OBJECTIVE)
+            objective += 0.5 * sum(float(part.value @ part.value) for part in self._residuals)
+        return NlpValues(
+            objective=objective,
+            value=value,
+            family=self.constraints.family,
+            epigraph=bound is None,
+            least=self.stage.target,
+        )
+
+    @cached_property
+    def model(self) -> NlpModel:
+        """Values and first derivatives; the Hessian is left empty."""
+        form, at, values = self.parametrization, self.at, self.values
+        gradient = self.stage.smoothing * (form.map.T @ self._jerk[1])
+        if self.stage.bound is not None:
+            gradient = gradient + self._mean_jacobian.T @ self._residual
+        rows = self._rows
+        return NlpModel(
+            objective=values.objective,
+            value=values.value,
+            family=values.family,
+            epigraph=values.epigraph,
+            least=values.least,
+            gradient=gradient,
+            hessian=sparse.csr_array((form.dimension, form.dimension)),
+            jacobian=form.assembly.jacobian(rows, at.derivative),
+            cut_value=at.cut_value,
+            cut_jacobian=form.assembly.jacobian(rows[at.cut_of], at.cut_derivative),
+            cut_family=values.family[at.cut_of],
+        )
+
+    def hessian(self, multipliers: FloatArray) -> sparse.csr_array:
+        """Positive definite Hessian (n, n) of the Lagrangian, with multipliers (K,) of the constraints."""
+        form = self.parametrization
+        H = self.stage.smoothing * form.jerk_hessian
+        if self.stage.bound is not None:
+            H = H + self._mean_jacobian.T @ self._mean_jacobian
+        if multipliers.any():
+            H = H + form.assembly.hessian(*self._curvatures(multipliers))
+        if form.displacements:
+            H = H + form.bend_hessian(self._pullback(multipliers))
+        return convexified(sparse.csr_array(H), form.block_ends)
+
+    def dense(self, M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return gradient (m,), constraints' Jacobian (K, m) and the residuals' (R, m) by other unknowns.
+
+        Parameters
+        ----------
+        M : (size of u, m)
+            Derivatives by them of coefficients and via-points.
+        """
+        splines = self.parametrization.splines
+        jacobian = splines.jacobian(self._rows, self.at.derivative) @ M
+        gradient, residuals = self.stage.smoothing * (M.T @ self._jerk[1]), np.empty((0, M.shape[1]))
+        if self.stage.bound is not None:
+            rows = splines.rows(self.program.mean_times)
+            J = sparse.vstack([splines.jacobian(rows, part.derivatives) for part in self._residuals])
+            residuals = J @ M
+            gradient = gradient + residuals.T @ self._residual
+        return gradient, jacobian, residuals
+
+    def _curvatures(self, multipliers: FloatArray) -> tuple[LocalRows, FloatArray]:
+        """Where the constraints' multipliers bend the Lagrangian, and by how much."""
+        known, total = self.constraints, float(multipliers.sum())
+        active: list[IntArray] = [np.empty(0, dtype=np.intp)]
+        d = self.parametrization.via_points.shape[1]
+        curvatures: list[FloatArray] = [np.empty((0, 3 * d, 3 * d))]
+        for number, function in enumerate(families_of(self.program)):
+            here = np.flatnonzero(known.family == number)
+            if isinstance(function, KinematicBound) or not multipliers[here].any():
+                continue
+            states = StateSamples.along(self.parametrization.trajectory, known.time[here])
+            which, curvature = state_curvature(
+                function, states, known.component[here], multipliers[here], total
+            )
+            active.append(here[which])
+            curvatures.append(curvature)
+        return self._rows[np.concatenate(active)], np.concatenate(curvatures)
+
+    def _pullback(self, multipliers: FloatArray) -> FloatArray:
+        """Gradient (size of u,) of the Lagrangian by u."""
+        form = self.parametrization
+        gradient = self.stage.smoothing * self._jerk[1]
+        if self.stage.bound is not None:
+            for part in self._residuals:
+                gradient = gradient + form.pullback(self._mean_rows, part.value[:, None] * part.derivatives)
+        active = np.flatnonzero(multipliers)
+        by_state = multipliers[active, None] * self.at.derivative[:, active]
+        return gradient + form.pullback(self._rows[active], by_state)
+
+    @cached_property
+    def _jerk(self) -> tuple[float, FloatArray]:
+        return self.parametrization.mean_squared_jerk()
+
+    @cached_property
+    def _rows(self) -> LocalRows:
+        """The splines at the constraints' times."""
+        return self.parametrization.splines.rows(self.constraints.time)
+
+    @cached_property
+    def _residuals(self) -> tuple[Linearization, ...]:
+        return self.program.mean_residuals(self.parametrization.trajectory)
+
+    @cached_property
+    def _residual(self) -> FloatArray:
+        return np.concatenate([part.value for part in self._residuals])
+
+    @cached_property
+    def _mean_rows(self) -> LocalRows:
+        return self.parametrization.splines.rows(self.program.mean_times)
+
+    @cached_property
+    def _mean_jacobian(self) -> sparse.csr_array:
+        assembly = self.parametrization.assembly
+        each = [assembly.jacobian(self._mean_rows, part.derivatives) for part in self._residuals]
+        return sparse.csr_array(sparse.vstack(each))
