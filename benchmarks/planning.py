@@ -9,10 +9,10 @@ from measure import command, process_time, wall_time
 from solvers.cases import way_of
 
 from cmbot import load_scene
-from cmbot.optimization.exchange import optimise
 from cmbot.planning import plan
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import sliding_guess
+from cmbot.planning.torque.decomposition import optimise
 from cmbot.simulation import simulate
 
 __all__ = ["Planned", "planned", "start_up"]

@@ -9,7 +9,7 @@ from measure import process_time
 
 from cmbot import load_scene
 from cmbot.common.validation import counted
-from cmbot.optimization.exchange import optimise
+from cmbot.planning.torque.decomposition import optimise
 from cmbot.trajectory.quintic import QuinticTrajectory
 from solvers.cases import Case, fixed_case, judged, random_scene, sliding_case
 from solvers.ipopt import Answer, solve_sampled

@@ -7,7 +7,6 @@ from io import StringIO
 from pathlib import Path
 
 import pytest
-from cmbot.optimization.working_set import Violation
 from command_line import on_a_terminal, without_colours, write_scene
 from rich.console import Console
 from small_scenes import SHORT
@@ -15,6 +14,7 @@ from small_scenes import SHORT
 import cmbot.cli.console
 from cmbot.cli.console import ConsoleProgress
 from cmbot.common.eta import Eta
+from cmbot.optimization.constraint_set import Violation
 from cmbot.planning import ExchangeReport, Progress
 
 

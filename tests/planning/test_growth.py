@@ -15,7 +15,6 @@ from small_scenes import short_scene
 
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import install_command
-from cmbot.optimization.exchange import optimise
 from cmbot.planning import plan, problem_size
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import sliding_guess
@@ -26,6 +25,7 @@ from cmbot.planning.selfmotion import charts as self_motion
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.selfmotion.graph_layer import GraphLayer
+from cmbot.planning.torque.decomposition import optimise
 from cmbot.robot import Postures, Robot
 from cmbot.scene import Scene, SpeedProfile, ToolPath, share_out_segments
 from cmbot.trajectory.local_basis import SparseSplines

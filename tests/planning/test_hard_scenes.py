@@ -8,10 +8,11 @@ import pytest
 from six_joint_arms import ur_scene
 
 from cmbot.common.errors import OptimisationFailed
-from cmbot.optimization.exchange import ExchangeReport, optimise
+from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning import plan
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import sliding_guess
+from cmbot.planning.torque.decomposition import optimise
 
 PINNED = {"start": "pinned", "solver": "sqp"}
 

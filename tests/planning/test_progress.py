@@ -5,13 +5,13 @@ from __future__ import annotations
 from itertools import pairwise
 
 import pytest
-from cmbot.optimization.working_set import Violation
 from hypothesis import given
 from hypothesis import strategies as st
 from small_scenes import short_scene
 
 import cmbot
 from cmbot.common.errors import PathNotFound
+from cmbot.optimization.constraint_set import Violation
 from cmbot.planning import ExchangeReport, Progress
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS
 from cmbot.planning.progress import ProgressReporter
