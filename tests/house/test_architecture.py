@@ -19,7 +19,7 @@ from cmbot.cli import app
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FILES = sorted((ROOT / "cmbot").rglob("*.py"))
-LONGEST_FILE = 330
+LONGEST_FILE = 500
 # The files of the command line.
 PRINTING = ROOT / "cmbot" / "cli"
 BROAD = {"Exception", "BaseException"}
