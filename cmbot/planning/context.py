@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -10,6 +11,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError, PathNotFound, SceneError
+from cmbot.common.validation import counted
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
@@ -20,7 +22,15 @@ from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene, ToolPath, pose
 
-__all__ = ["PlanningContext", "bending_arm", "build_context", "robot_of", "sag_of", "task_of"]
+__all__ = [
+    "PlanningContext",
+    "bending_arm",
+    "build_context",
+    "no_start_left",
+    "robot_of",
+    "sag_of",
+    "task_of",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,6 +88,28 @@ class PlanningContext:
             smallest_singular_value=self.task.smallest_singular_value(self.robot, q),
             pair=pair,
         )
+
+
+def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNotFound:
+    """Return the first failure, with the number of the others, and a remedy where it has none."""
+    first, others = failures[0], len(failures) - 1
+    reason = first.reason
+    if others:
+        furthest = max(failure.progress for failure in failures)
+        fail = "fails" if others == 1 else "fail"
+        reason += (
+            f"; {counted(others, 'other starting posture')} {fail} as well "
+            f"(the best at {furthest:.0%} of the path)"
+        )
+    if remedy:
+        reason += f"; {remedy}"
+    return PathNotFound(
+        reason,
+        time=first.time,
+        progress=first.progress,
+        smallest_singular_value=first.smallest_singular_value,
+        pair=first.pair,
+    )
 
 
 def build_context(

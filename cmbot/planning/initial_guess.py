@@ -130,11 +130,11 @@ def sliding_guess(
     stays = solution is not free
     form = parametrization_through(context, solution.q, sliding=True, pinned=stays)
     return InitialGuess(
-        problem=TorqueProblem(context, form, stage.floor.value),
+        problem=TorqueProblem(context, form, stage.lower_bound.value),
         resting=(0,) if stays else (),
-        least=stage.floor.value,
+        least=stage.lower_bound.value,
         failures=failures,
-        floor=stage.floor,
+        floor=stage.lower_bound,
         choice=Choice(free=free.peak, pinned=pinned.peak if isinstance(pinned, GlobalSolution) else None),
         chart=stage.first_chart,
         stage=stage,

@@ -22,9 +22,9 @@ from cmbot.planning.path.projection import TangentPredictor, project_onto_task
 from cmbot.planning.precheck import precheck_scene
 from cmbot.planning.problem_size import MOST_UNKNOWNS, oversized
 from cmbot.planning.selfmotion import charts as self_motion
+from cmbot.planning.selfmotion.charts import GraphLayer
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges
 from cmbot.planning.selfmotion.global_search import GlobalSearch
-from cmbot.planning.selfmotion.graph_layer import GraphLayer
 from cmbot.planning.torque.decomposition import optimise
 from cmbot.robot import Postures, Robot
 from cmbot.scene import Scene, SpeedProfile, ToolPath, share_out_segments
@@ -64,7 +64,7 @@ def test_edges_grow_in_proportion_and_are_all_there_are(stage: GlobalSearch) -> 
     def pairs(reachable: np.ndarray, before: np.ndarray, after: np.ndarray) -> set[tuple[int, int]]:
         return {(int(i), int(j)) for j, i in np.argwhere(reachable.T & before & after[:, None])}
 
-    for a, b, step, found in zip(stage._nodes, stage._nodes[1:], stage._steps, stage._edges, strict=False):
+    for a, b, step, found in zip(stage._layers, stage._layers[1:], stage._steps, stage._edges, strict=False):
         reachable = (np.abs(a.chart.q[:, None] - b.chart.q) <= step).all(axis=2)
         got = set(zip(found.before.tolist(), found.after.tolist(), strict=True))
         assert len(got) == len(found.before)
@@ -111,12 +111,12 @@ def test_the_best_way_is_the_same_when_all_clearances_are_looked_at(every: int) 
     def way(nodes: list[GraphLayer]) -> list[int]:
         return BottleneckDynamicProgram(context, nodes, stage._edges, starts).best()
 
-    lazily = way(stage._nodes)
+    lazily = way(stage._layers)
     eagerly = [
-        GraphLayer(node.chart, context.clearances, context.options.safety_margin_m) for node in stage._nodes
+        GraphLayer(node.chart, context.clearances, context.options.safety_margin_m) for node in stage._layers
     ]
     for node in eagerly:
-        node.look(node.admissible)
+        node.check_clearance(node.admissible)
     assert any(node.too_near.any() for node in eagerly)
     assert lazily == way(eagerly)
 
@@ -124,10 +124,10 @@ def test_the_best_way_is_the_same_when_all_clearances_are_looked_at(every: int) 
 def test_charts_evaluated_one_by_one_are_the_same(
     stage: GlobalSearch, context: PlanningContext, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    each = [node.chart.q for node in stage._nodes]
+    each = [node.chart.q for node in stage._layers]
     monkeypatch.setattr(self_motion, "_TOGETHER", 1)
     again = self_motion.charts_of(Postures(context.robot), context.robot.limits, context.objective, each)
-    for node, chart in zip(stage._nodes, again, strict=True):
+    for node, chart in zip(stage._layers, again, strict=True):
         np.testing.assert_allclose(chart.value, node.chart.value, rtol=1e-13)
         np.testing.assert_allclose(chart.joint_use, node.chart.joint_use, rtol=1e-11, atol=1e-12)
 
@@ -135,7 +135,7 @@ def test_charts_evaluated_one_by_one_are_the_same(
 def test_leaning_is_what_a_projection_does_first(stage: GlobalSearch, context: PlanningContext) -> None:
     postures, task = Postures(context.robot), context.task
     points = task.path.position(context.times)
-    q = stage._nodes[0].chart.q
+    q = stage._layers[0].chart.q
     leaning = TangentPredictor.of(postures, task, q, points[0])
     first, _ = project_onto_task(postures, task, q, points[1], steps=1)
     np.testing.assert_allclose(leaning.towards(points[1]), first, atol=1e-8)

@@ -51,7 +51,7 @@ def test_half_the_steps_from_the_same_charts(rough: tuple[PlanningContext, Initi
     assert way.stage.step_share == context.options.step_share
     half = way.stage.halved()
     assert half.step_share == 0.5 * way.stage.step_share
-    assert half.floor is way.stage.floor
+    assert half.lower_bound is way.stage.lower_bound
     # Shorter steps are some of the longer ones, and what was known before stays as it was.
     assert half.solve(pinned=True).peak >= way.stage.solve(pinned=True).peak
     np.testing.assert_array_equal(

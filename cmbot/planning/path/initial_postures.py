@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -13,12 +12,11 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.common.validation import counted
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.gradient_projection import JointPath, follow_path
 from cmbot.planning.path.projection import null_space, project_onto_task
 
-__all__ = ["find_path", "no_start_left", "self_motion_postures"]
+__all__ = ["find_path", "self_motion_postures"]
 
 
 # Length of the steps along a self-motion, rad, and how many are taken each way; every fourth posture is
@@ -66,28 +64,6 @@ def find_path(context: PlanningContext) -> tuple[JointPath, tuple[PathNotFound, 
             failures.append(error)
     moved = "the obstacle or the tool path" if failures[0].pair else "the tool path"
     raise no_start_left(failures, f"take another posture_deg, or move {moved}") from failures[0]
-
-
-def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNotFound:
-    """Return the first failure, with the number of the others, and a remedy where it has none."""
-    first, others = failures[0], len(failures) - 1
-    reason = first.reason
-    if others:
-        furthest = max(failure.progress for failure in failures)
-        fail = "fails" if others == 1 else "fail"
-        reason += (
-            f"; {counted(others, 'other starting posture')} {fail} as well "
-            f"(the best at {furthest:.0%} of the path)"
-        )
-    if remedy:
-        reason += f"; {remedy}"
-    return PathNotFound(
-        reason,
-        time=first.time,
-        progress=first.progress,
-        smallest_singular_value=first.smallest_singular_value,
-        pair=first.pair,
-    )
 
 
 def self_motion_postures(context: PlanningContext) -> list[FloatArray]:

@@ -1,9 +1,11 @@
-"""The best sequence of postures, one of each via-point's chart, that the arm can follow."""
+"""Dynamic programming over the charts: the best sequence of postures that the joints can follow."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -11,20 +13,24 @@ from scipy.spatial import cKDTree
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.selfmotion.graph_layer import GraphLayer
+from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.selfmotion.charts import GraphLayer, charts_of
 
-__all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_between", "nearest_turn"]
+__all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_along", "nearest_turn", "refine"]
 
 # Weight of the squared steps, in shares of what the joints may do between via-points, beside the squared
 # objective.
 _STEP_WEIGHT = 0.02
-# A step in units of itself, a little more for rounding.
+# A step in units of itself, with room for rounding.
 _A_STEP = 1 + 1e-9
+# Of the refinement: postures drawn around each in every round, rounds, the factor of their distance from one
+# round to the next, and the gap to the lower bound, as a share of it, that ends them.
+_AROUND, _ROUNDS, _NEARER, _NEAR_BOUND = 30, 24, 0.8, 1e-3
 
 
 @dataclass(frozen=True)
 class Edges:
-    """Which postures of one via-point can follow which of the one before, few of all pairs.
+    """Which postures of one via-point can follow which of the one before, as a sparse list.
 
     Attributes
     ----------
@@ -42,9 +48,9 @@ class Edges:
     number: int
 
     def smallest(self, value: FloatArray) -> tuple[FloatArray, IntArray]:
-        """Return the smallest of the edges' values (E,) that leads to each posture, and which edge it is.
+        """Return the smallest of the edges' values (E,) to each posture, and the first edge that has it.
 
-        Infinite where none does; of equal ones the first.
+        Infinite where no edge leads.
         """
         least, which = self.least(value), np.zeros(self.number, dtype=np.intp)
         best = np.flatnonzero(value == least[self.after])[::-1]
@@ -60,7 +66,7 @@ class Edges:
 
     @cached_property
     def _first(self) -> IntArray:
-        """The first edge to each posture that any leads to."""
+        """The first edge to each posture with edges."""
         return np.flatnonzero(np.diff(self.after, prepend=-1))
 
 
@@ -71,12 +77,12 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray
     ----------
     q_a, q_b : (M, n) and (N, n), rad
     step : (n,), rad
-        The longest that each joint can make.
+        The longest of each joint.
     endless : (n,)
-        Which joints have no range: a turn more or less is the same to them.
+        Which joints have no range, so that angles count modulo a turn.
     """
     turn = np.where(endless, 2 * np.pi / step, 0.0)
-    # A box without periods is searched through more slowly than none.
+    # A tree with a box is slower, also without periods.
     box = turn if endless.any() else None
     trees = (cKDTree(_in_steps(q, step, turn), boxsize=box) for q in (q_a, q_b))
     near = next(trees).sparse_distance_matrix(next(trees), _A_STEP, p=np.inf, output_type="ndarray")
@@ -91,14 +97,17 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray
     return Edges(before[order], after[order], (moves[order] ** 2).sum(axis=1), len(q_b))
 
 
-def edges_between(before: GraphLayer, after: GraphLayer, step: FloatArray, endless: BoolArray) -> Edges:
-    """Find which nodes of one via-point can follow which of the one before; see `edges`.
+def edges_along(layers: Sequence[GraphLayer], steps: FloatArray, endless: BoolArray) -> list[Edges]:
+    """Find the edges between layers, `steps` (k, n) apart at most; see `edges`.
 
-    Those that are known to be inadmissible lead nowhere.
+    Nodes that are known to be inadmissible have none.
     """
-    i, j = np.flatnonzero(before.admissible), np.flatnonzero(after.admissible)
-    found = edges(before.chart.q[i], after.chart.q[j], step, endless)
-    return Edges(i[found.before], j[found.after], found.length, len(after.chart.q))
+    found = []
+    for (before, after), step in zip(pairwise(layers), steps, strict=True):
+        i, j = np.flatnonzero(before.admissible), np.flatnonzero(after.admissible)
+        few = edges(before.chart.q[i], after.chart.q[j], step, endless)
+        found.append(Edges(i[few.before], j[few.after], few.length, len(after.chart.q)))
+    return found
 
 
 def _in_steps(q: FloatArray, step: FloatArray, turn: FloatArray) -> FloatArray:
@@ -117,10 +126,20 @@ def nearest_turn(angle: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class BottleneckDynamicProgram:
-    """Dynamic programming over the nodes of all via-points."""
+    """Dynamic programming over the layers of all via-points.
+
+    Attributes
+    ----------
+    context : PlanningContext
+    layers : sequence of GraphLayer
+    edges : list of Edges
+        From each layer to the next one.
+    starts : (M,)
+        Which nodes of the first layer a path may start in.
+    """
 
     context: PlanningContext
-    nodes: list[GraphLayer]
+    layers: Sequence[GraphLayer]
     edges: list[Edges]
     starts: BoolArray
 
@@ -130,43 +149,41 @@ class BottleneckDynamicProgram:
         while True:
             peak = self._smallest_peak()
             chosen = self._smallest_squares(peak)
-            # Clearances cost most: at first only those of the best way are looked at. If they hold, no way
-            # is better, whatever the clearances beside it.
-            refused = [k for k, node in enumerate(self.nodes) if node.look_at(chosen[k])]
+            # Clearances cost most, so only those of the best path are computed at first. If they hold, no
+            # path is better, whatever the clearances beside it.
+            refused = [k for k, layer in enumerate(self.layers) if layer.check_clearance(chosen[k])]
             if not refused:
                 return chosen
-            # Where one was refused its neighbours will be, too. Going further in every round, there are few.
-            for k in _neighbourhood(refused, around, len(self.nodes)):
-                node = self.nodes[k]
-                node.look(node.admissible & (node.chart.value <= peak))
+            # Neighbours of a refused node are likely to be refused, too. The neighbourhood grows from round
+            # to round, so that there are few rounds.
+            for k in _neighbourhood(refused, around, len(self.layers)):
+                layer = self.layers[k]
+                layer.check_clearance(layer.admissible & (layer.chart.value <= peak))
             around = 2 * around + 1
 
     def _smallest_peak(self) -> float:
         """Smallest peak of any sequence of nodes that are not known to be inadmissible."""
-        first = self.nodes[0]
-        reached = np.where(first.admissible & self.starts, first.chart.value, np.inf)
-        if not np.isfinite(reached).any():
-            raise blocked(self.context, self.nodes, 0)
-        for k, (node, edge) in enumerate(zip(self.nodes[1:], self.edges, strict=True), start=1):
-            before = edge.least(reached[edge.before])
-            reached = np.where(node.admissible, np.maximum(before, node.chart.value), np.inf)
+        reached = np.empty(0)
+        for k, layer in enumerate(self.layers):
+            before = self.edges[k - 1].least(reached[self.edges[k - 1].before]) if k else -np.inf
+            allowed = layer.admissible if k else layer.admissible & self.starts
+            reached = np.where(allowed, np.maximum(before, layer.chart.value), np.inf)
             if not np.isfinite(reached).any():
-                raise blocked(self.context, self.nodes, k)
+                raise blocked(self.context, self.layers, k)
         return float(reached.min())
 
     def _smallest_squares(self, peak: float) -> list[int]:
         """Nodes with no value above `peak` and the smallest sum of squared values and steps."""
-        first = self.nodes[0]
-        cost = np.where(
-            first.admissible & (first.chart.value <= peak) & self.starts, first.chart.value**2, np.inf
-        )
+        first = self.layers[0]
+        allowed = first.admissible & (first.chart.value <= peak) & self.starts
+        cost = np.where(allowed, first.chart.value**2, np.inf)
         came_from = []
-        for node, edge in zip(self.nodes[1:], self.edges, strict=True):
-            way = cost[edge.before] + _STEP_WEIGHT * peak**2 * edge.length
-            cost, which = edge.smallest(way)
-            came_from.append(edge.before[which] if len(way) else which)
-            allowed = node.admissible & (node.chart.value <= peak)
-            cost = np.where(allowed, cost + node.chart.value**2, np.inf)
+        for layer, edge in zip(self.layers[1:], self.edges, strict=True):
+            summed = cost[edge.before] + _STEP_WEIGHT * peak**2 * edge.length
+            cost, which = edge.smallest(summed)
+            came_from.append(edge.before[which] if len(summed) else which)
+            allowed = layer.admissible & (layer.chart.value <= peak)
+            cost = np.where(allowed, cost + layer.chart.value**2, np.inf)
         chosen = [int(cost.argmin())]
         for origin in reversed(came_from):
             chosen.append(int(origin[chosen[-1]]))
@@ -174,24 +191,93 @@ class BottleneckDynamicProgram:
 
 
 def _neighbourhood(some: list[int], around: int, number: int) -> IntArray:
-    """Those of `number` things in a row that are at most `around` places from one of `some`."""
+    """Those of `number` indices that are at most `around` from one of `some`."""
     near = np.zeros(number, dtype=np.bool_)
     for k in some:
         near[max(k - around, 0) : k + around + 1] = True
     return np.flatnonzero(near)
 
 
-def blocked(context: PlanningContext, nodes: list[GraphLayer], k: int) -> PathNotFound:
-    """Say at which via-point the sequence ends, and what excluded most postures there."""
-    node = nodes[k]
-    if not node.chart.within.any():
+def refine(
+    context: PlanningContext,
+    q: FloatArray,
+    steps: FloatArray,
+    reach: float,
+    lower_bound: float,
+    *,
+    start_stays: bool,
+) -> FloatArray:
+    """Lower the peak of the objective at rest by iterative dynamic programming (Luus, 1990).
+
+    Around the postures others are drawn, nearer ones in every round, and dynamic programming finds the best
+    sequence of all these. The sequence before is among them, so the peak never rises.
+
+    Parameters
+    ----------
+    context : PlanningContext
+    q : (k, n), rad
+        Admissible postures at the via-points, one after the other within `steps`.
+    steps : (k - 1, n), rad
+        The longest that the joints may move between via-points.
+    reach : float, rad
+        How far from them others are drawn at first.
+    lower_bound : float
+        Of the peak.
+    start_stays : bool
+        The first posture is not changed.
+
+    Returns
+    -------
+    (k, n), rad
+    """
+    rng, robot, margin = np.random.default_rng(0), context.robot, context.options.safety_margin_m
+    for done in range(_ROUNDS):
+        context.reporter.part("refining the choice", done, _ROUNDS, at_most=True)
+        each = _candidates(context, q, reach, rng)
+        if start_stays:
+            each[0] = q[:1]
+        charts = charts_of(context.postures, robot.limits, context.objective, each)
+        layers = [GraphLayer(chart, context.clearances, margin) for chart in charts]
+        links = edges_along(layers, steps, np.isinf(robot.limits.lower))
+        starts = np.ones(len(each[0]), dtype=np.bool_)
+        chosen = BottleneckDynamicProgram(context, layers, links, starts).best()
+        q = np.stack([chart.q[k] for chart, k in zip(charts, chosen, strict=True)])
+        peak = max(chart.value[k] for chart, k in zip(charts, chosen, strict=True))
+        if peak <= lower_bound * (1 + _NEAR_BOUND):
+            break
+        reach *= _NEARER
+    return q
+
+
+def _candidates(
+    context: PlanningContext, q: FloatArray, reach: float, rng: np.random.Generator
+) -> list[FloatArray]:
+    """Postures at every via-point: its own, those of its neighbours projected there, and others around."""
+    n, d = q.shape
+    null = null_space(context.postures, context.task, q)
+    directions = rng.normal(size=(n, _AROUND, null.shape[1]))
+    directions /= np.linalg.norm(directions, axis=2, keepdims=True)
+    # The square of the share draws more postures near by.
+    length = reach * rng.uniform(0, 1, (n, _AROUND, 1)) ** 2
+    around = q[:, None] + (length * directions) @ null
+    neighbours = np.stack([np.vstack([q[:1], q[:-1]]), np.vstack([q[1:], q[-1:]])], axis=1)
+    some = np.concatenate([neighbours, around], axis=1).reshape(-1, d)
+    of = np.repeat(np.arange(n), _AROUND + 2)
+    placed, reached = project_onto_task(context.postures, context.task, some, context.points[of])
+    return [np.vstack([q[k : k + 1], placed[reached & (of == k)]]) for k in range(n)]
+
+
+def blocked(context: PlanningContext, layers: Sequence[GraphLayer], k: int) -> PathNotFound:
+    """Return the error that says why no sequence leads to via-point `k`, or through it."""
+    layer = layers[k]
+    if not layer.chart.within.any():
         why = (
             "out of reach: no posture within the joint ranges holds the tool there; "
             "take another posture_deg, move the tool path, or keep less of the pose (tool_path.keep)"
         )
-    elif not node.admissible.any():
-        weak = int((node.chart.within & (node.chart.joint_use > 1.0)).sum())
-        near = int(node.too_near.sum())
+    elif not layer.admissible.any():
+        weak = int((layer.chart.within & (layer.chart.joint_use > 1.0)).sum())
+        near = int(layer.too_near.sum())
         why = (
             f"{near} postures come within the safety margin, {weak} ask too much of a joint's torque; "
             "move obstacles or tool path, or lower planner.safety_margin_m"
@@ -206,7 +292,7 @@ def blocked(context: PlanningContext, nodes: list[GraphLayer], k: int) -> PathNo
             "its admissible postures are too far from those before for the joints' velocities; "
             "give the leg more seconds"
         )
-    q = node.chart.q[:1] if len(node.chart.q) else nodes[k - 1].chart.q[:1]
+    q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
     return context.path_not_found(
-        f"via-point {k + 1} of {len(nodes)} is blocked: {why}", q[0], context.times[k]
+        f"via-point {k + 1} of {len(layers)} is blocked: {why}", q[0], context.times[k]
     )

@@ -1,8 +1,8 @@
-"""The global stage: which postures, via-point by via-point, make the objective smallest at rest.
+"""The global search: postures at all via-points that minimise the peak of the objective at rest.
 
-Charts of self-motion at every via-point, and dynamic programming over them. The result is the best there is
-up to the charts' spacing, and it carries a floor: whatever the arm does, at the via-point named it cannot
-rest in an admissible posture with a smaller objective.
+Charts of self-motion at every via-point, and dynamic programming over them. The result is optimal up to the
+charts' spacing, and comes with a lower bound: at the via-point that sets it, no admissible posture has a
+smaller objective at rest, as far as the sampled self-motion is complete.
 """
 
 from __future__ import annotations
@@ -10,32 +10,32 @@ from __future__ import annotations
 import copy
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning.context import PlanningContext
-from cmbot.planning.path.initial_postures import no_start_left
+from cmbot.planning.context import PlanningContext, no_start_left
+from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.selfmotion.charts import Chart, SelfMotionSampler, charts_of
+from cmbot.planning.selfmotion.charts import Chart, GraphLayer, SelfMotionSampler, charts_of
 from cmbot.planning.selfmotion.dynamic_programming import (
     BottleneckDynamicProgram,
-    edges_between,
+    blocked,
+    edges_along,
     nearest_turn,
+    refine,
 )
-from cmbot.planning.selfmotion.graph_layer import GraphLayer
 from cmbot.planning.selfmotion.lower_bound import find_lower_bound
-from cmbot.planning.selfmotion.refinement import refined, ways_beside
-from cmbot.robot import Postures
 
-__all__ = ["GlobalSearch", "GlobalSolution"]
+__all__ = ["GlobalSearch", "GlobalSolution", "sequences_beside"]
 
 # Two postures nearer than this in every joint are one, rad.
 _SAME_POSTURE = 1e-9
 # Task coordinates of a whole pose.
 _POSE = 6
+# Sequences beside one.
+_BESIDE = 40
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,11 +59,19 @@ class GlobalSolution:
 
 
 class GlobalSearch:
-    """Charts of self-motion at all via-points, what is admissible in them, and the best ways through.
+    """Charts of self-motion at all via-points, and the best sequences of their postures.
 
     Parameters
     ----------
-    setting : PlanningContext
+    context : PlanningContext
+
+    Attributes
+    ----------
+    lower_bound : LowerBound
+    step_share : float
+        Share of the joints' velocity bounds that steps between via-points may use.
+    first_chart : Chart
+        At the start of the path.
 
     Raises
     ------
@@ -72,24 +80,28 @@ class GlobalSearch:
     """
 
     def __init__(self, context: PlanningContext) -> None:
-        self._setting = context
-        options, limits = context.options, context.robot.limits
-        maker, charts = self._charts(context.task)
-        self._nodes = [GraphLayer(chart, context.clearances, options.safety_margin_m) for chart in charts]
-        self.floor, lowest = find_lower_bound(context, self._nodes, maker.spacing)
-        self._spacing = maker.spacing
+        self._context = context
+        self._endless = np.isinf(context.robot.limits.lower)
+        self._spacing, charts = self._charts(context.task)
+        self._layers = self._layers_of(charts)
+        for k, layer in enumerate(self._layers):
+            if layer.best() is None:
+                raise blocked(context, self._layers, k)
+        self.lower_bound, lowest = find_lower_bound(context, self._layers, self._spacing)
         self._wide = context.robot.dof - context.task.dimension > 1
         if self._wide:
             charts = self._with_more(charts, lowest)
-            self._nodes = [GraphLayer(chart, context.clearances, options.safety_margin_m) for chart in charts]
-        self._endless = np.isinf(limits.lower)
-        self._allow(options.step_share)
+            self._layers = self._layers_of(charts)
+        self._allow(context.options.step_share)
         self.first_chart = charts[0]
-        self._away = np.abs(self._from_the_scenes(charts[0].q)).max(axis=1)
+        # The shorter way round for endless joints.
+        moves = charts[0].q - context.posture
+        moves[:, self._endless] = nearest_turn(moves[:, self._endless])
+        self._away = np.abs(moves).max(axis=1)
         self._pinned = self._away < _SAME_POSTURE
 
     def halved(self) -> GlobalSearch:
-        """Return the same charts with half the steps between via-points: its ways are calmer."""
+        """Return the same charts with half the steps between via-points."""
         half = copy.copy(self)
         half._allow(0.5 * self.step_share)
         return half
@@ -117,23 +129,23 @@ class GlobalSearch:
         Parameters
         ----------
         failed : PathNotFound
-            What happened from the scene's posture.
+            The failure of the scene's posture.
 
         Returns
         -------
         solution : GlobalSolution
         failures : tuple of PathNotFound
-            That, then where the postures led that are nearer than the solution's.
+            That, then those of the postures that are nearer than the solution's.
 
         Raises
         ------
         PathNotFound
             When none of `PlannerOptions.other_starts` postures leads to the end.
         """
-        others = np.flatnonzero(self._nodes[0].chart.within & ~self._pinned)
+        others = np.flatnonzero(self._layers[0].chart.within & ~self._pinned)
         nearest = others[np.argsort(self._away[others], kind="stable")]
         failures = [failed]
-        for k in nearest[: self._setting.options.other_starts]:
+        for k in nearest[: self._context.options.other_starts]:
             try:
                 return self._solve(np.arange(len(self._away)) == k), tuple(failures)
             except PathNotFound as failure:
@@ -142,67 +154,101 @@ class GlobalSearch:
 
     def _allow(self, step_share: float) -> None:
         """Let joints use that share of their velocity bounds between via-points."""
-        context = self._setting
+        context = self._context
         self.step_share = step_share
         self._steps = (
             step_share * context.robot.limits.velocity * np.diff(context.times)[:, None]
             + 0.5 * context.options.chart_spacing
         )
-        self._edges = [
-            edges_between(a, b, step, self._endless)
-            for (a, b), step in zip(pairwise(self._nodes), self._steps, strict=True)
-        ]
+        self._edges = edges_along(self._layers, self._steps, self._endless)
 
     def _solve(self, starts: BoolArray) -> GlobalSolution:
-        self._setting.reporter.step("choosing the postures of least torque")
-        way = BottleneckDynamicProgram(self._setting, self._nodes, self._edges, starts)
-        chosen = way.best()
-        q = np.stack([node.chart.q[k] for node, k in zip(self._nodes, chosen, strict=True)])
+        context, layers = self._context, self._layers
+        context.reporter.step("choosing the postures of least torque")
+        chosen = BottleneckDynamicProgram(context, layers, self._edges, starts).best()
+        q = np.stack([layer.chart.q[k] for layer, k in zip(layers, chosen, strict=True)])
         if self._wide:
             stays = not starts.all()
-            # A start that stays is a floor of its own.
-            floor = max(self.floor.value, float(self._nodes[0].chart.value[chosen[0]]) if stays else 0.0)
-            q = refined(self._setting, q, self._steps, self._spacing, floor, start_stays=stays)
-        value = self._setting.objective.at_rest(Postures(self._setting.robot).at(q))
+            # A start that stays is a lower bound as well.
+            at_start = float(layers[0].chart.value[chosen[0]]) if stays else 0.0
+            bound = max(self.lower_bound.value, at_start)
+            q = refine(context, q, self._steps, self._spacing, bound, start_stays=stays)
+        value = context.objective.at_rest(context.postures.at(q))
         return GlobalSolution(q=self._unwound(q), value=value)
 
-    def _charts(self, task: ToolTask) -> tuple[SelfMotionSampler, list[Chart]]:
-        context, options = self._setting, self._setting.options
-        maker = SelfMotionSampler(
-            Postures(context.robot),
+    def _charts(self, task: ToolTask) -> tuple[float, list[Chart]]:
+        """Spacing of the charts, and charts at all via-points."""
+        context, options = self._context, self._context.options
+        sampler = SelfMotionSampler(
+            context.postures,
             task,
             context.robot.limits,
             context.objective,
             spacing=options.chart_spacing,
             seeds=options.chart_seeds,
         )
-        tell = partial(context.reporter.part, f"charting the postures that hold the tool's {task.keep}")
-        return maker, maker.along(task.path.position(context.times), context.posture[None], tell)
+        report = partial(context.reporter.part, f"charting the postures that hold the tool's {task.keep}")
+        charts = sampler.along(context.points, context.posture[None], report)
+        return sampler.spacing, charts
+
+    def _layers_of(self, charts: list[Chart]) -> list[GraphLayer]:
+        clearances, margin = self._context.clearances, self._context.options.safety_margin_m
+        return [GraphLayer(chart, clearances, margin) for chart in charts]
 
     def _with_more(self, charts: list[Chart], lowest: FloatArray) -> list[Chart]:
-        """Add to coarse charts the finer ones of the whole pose, and what lies along the way of `lowest`.
+        """Add to coarse charts the finer ones of the whole pose, and sequences beside the posture `lowest`.
 
-        So freedom never costs anything, and the scene's own posture leads somewhere.
+        So freedom never raises the peak, and a sequence leads on from the scene's own posture.
         """
-        context = self._setting
+        context = self._context
         each = [chart.q for chart in charts]
-        more = [ways_beside(context, lowest, self.floor.via_point, self._spacing)]
+        more = [sequences_beside(context, lowest, self.lower_bound.via_point, self._spacing)]
         if context.robot.dof > _POSE:
             more.append([chart.q for chart in self._charts(replace(context.task, keep="pose"))[1]])
         for some in more:
             each = [np.vstack([q, others]) for q, others in zip(each, some, strict=True)]
-        return charts_of(Postures(context.robot), context.robot.limits, context.objective, each)
-
-    def _from_the_scenes(self, q: FloatArray) -> FloatArray:
-        """Moves (N, n) from the scene's posture to `q` (N, n), the shorter way round for endless joints."""
-        moves = q - self._setting.posture
-        moves[:, self._endless] = nearest_turn(moves[:, self._endless])
-        return moves
+        return charts_of(context.postures, context.robot.limits, context.objective, each)
 
     def _unwound(self, q: FloatArray) -> FloatArray:
         """The same postures (n, d) on the turns of endless joints that lie nearest to those before."""
-        q = q.copy()
-        before = np.vstack([self._setting.posture, q[:-1]])[:, self._endless]
+        q, posture = q.copy(), self._context.posture
+        before = np.vstack([posture, q[:-1]])[:, self._endless]
         steps = nearest_turn(q[:, self._endless] - before)
-        q[:, self._endless] = self._setting.posture[self._endless] + np.cumsum(steps, axis=0)
+        q[:, self._endless] = posture[self._endless] + np.cumsum(steps, axis=0)
         return q
+
+
+def sequences_beside(
+    context: PlanningContext, posture: FloatArray, via_point: int, spacing: float
+) -> list[FloatArray]:
+    """Carry a posture, and others beside it, along the path as far as they hold the task.
+
+    Parameters
+    ----------
+    context : PlanningContext
+    posture : (d,), rad
+        At the via-point with that index.
+    via_point : int
+    spacing : float
+        How far beside, rad.
+
+    Returns
+    -------
+    list of (m, d), rad
+        One for every via-point.
+    """
+    rng = np.random.default_rng(0)
+    # The same offsets everywhere give sequences that run side by side.
+    offsets = rng.normal(size=(_BESIDE, len(posture)))
+    offsets *= spacing * rng.uniform(size=(_BESIDE, 1)) / np.linalg.norm(offsets, axis=1, keepdims=True)
+    points = context.points
+    each = [np.empty((0, len(posture))) for _ in points]
+    for direction in (range(via_point, len(points)), range(via_point - 1, -1, -1)):
+        q = posture
+        for k in direction:
+            near = np.vstack([q, q + offsets])
+            placed, reached = project_onto_task(context.postures, context.task, near, points[k])
+            if not reached[0]:
+                break
+            each[k], q = placed[reached], placed[0]
+    return each

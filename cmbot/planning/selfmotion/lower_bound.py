@@ -1,13 +1,13 @@
-"""The floor: at one via-point no admissible posture has a smaller objective at rest.
+"""The lower bound: at one via-point no admissible posture has a smaller objective at rest.
 
-Branch and bound over the self-motion: cells around the postures of a chart are halved wherever something
-below the best admissible posture may lie. What may lie in a cell is told by differences of samples in it, so
-the bound is an estimate, which gets sharp as the cells get small; it needs nothing of the objective but
-values.
+Branch and bound over the self-motion: cells around the postures of a chart are halved wherever values below
+the incumbent may lie. Values in a cell are bounded by differences of samples in it, so the bound is an
+estimate, which gets sharp as the cells get small; it needs only values of the objective.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,42 +15,40 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.planning.selfmotion.dynamic_programming import blocked
-from cmbot.planning.selfmotion.graph_layer import GraphLayer
-from cmbot.robot import Postures
+from cmbot.planning.selfmotion.charts import GraphLayer
 
 __all__ = ["LowerBound", "find_lower_bound"]
 
-# The floor is known well enough to this share of it; cells are halved at most so many times along each edge.
+# Accuracy of the bound, as a share of it, and halvings of a cell at most along each edge.
 _ACCURACY, _MOST_HALVINGS = 2e-6, 24
-# Via-points that are looked at together where the self-motion is a curve; where it is wider they are looked
-# at one by one, and at most so many cells are kept: the error says what that cost.
+# Via-points that are searched together where the self-motion is a curve; where it is wider they are searched
+# one by one, and this many cells are kept at most: the error includes the cells that are left out.
 _TOGETHER, _MOST_CELLS = 4, 200
-# Where cells had to be left out the best posture is settled by so many steps, so many tries each.
+# Random descent where cells had to be left out: steps, tries in each, factor of their length.
 _STEPS, _TRIES, _SHORTER = 60, 40, 0.87
-# Halves are taken so much longer than they are, for the curvature of the self-motion.
+# Factor of the length of halves, for the curvature of the self-motion.
 _WIDER = 1.1
-# Cells in which the arm moves further than this, m, are not searched for clearances.
+# In cells in which the arm moves further than this, m, clearances are not computed.
 _WIDE = 0.3
-# Joint torques beyond what a cell can hold are told from samples with this much doubt.
+# Safety factor of the estimated change of joint torques within a cell.
 _DOUBT = 1.5
 
 
 @dataclass(frozen=True, kw_only=True)
 class LowerBound:
-    """What no admissible plan can go below.
+    """A lower bound of the peak of the objective at rest, over all admissible plans.
 
     Attributes
     ----------
     value : float
         The largest, over the via-points, of the smallest value at rest of any admissible posture there.
     error : float
-        The true value lies at most so far below it, by an estimate from samples, and as far as the charts are
+        How far the true value may lie below it, by an estimate from samples, as far as the charts are
         complete.
     via_point : int
         Index of the via-point that sets it.
     each : (n,)
-        The smallest value found at every via-point; only those that may set the floor are looked at closely.
+        The smallest value found at every via-point; exact only where it may set the bound.
     """
 
     value: float
@@ -60,51 +58,45 @@ class LowerBound:
 
 
 def find_lower_bound(
-    context: PlanningContext, nodes: list[GraphLayer], spacing: float
+    context: PlanningContext, layers: Sequence[GraphLayer], spacing: float
 ) -> tuple[LowerBound, FloatArray]:
-    """Find the floor from charts of the self-motion at all via-points.
+    """Find the lower bound from charts of the self-motion at all via-points.
 
     Parameters
     ----------
-    setting : PlanningContext
-    nodes : list of GraphLayer
+    context : PlanningContext
+    layers : sequence of GraphLayer
+        With an admissible posture each.
     spacing : float
         Of the charts, rad.
 
     Returns
     -------
-    floor : LowerBound
+    bound : LowerBound
     posture : (d,), rad
         Admissible, with that value at that via-point.
-
-    Raises
-    ------
-    PathNotFound
-        When no posture of a chart is admissible.
     """
-    each = np.array([node.least() for node in nodes])
-    for k, least in enumerate(each):
-        if not np.isfinite(least):
-            raise blocked(context, nodes, k)
-    search = _Search(context, nodes, spacing)
-    postures = np.stack([node.chart.q[node.best()] for node in nodes])
+    best = [layer.best() for layer in layers]
+    each = np.array([layer.chart.value[k] for layer, k in zip(layers, best, strict=True)])
+    postures = np.stack([layer.chart.q[k] for layer, k in zip(layers, best, strict=True)])
+    search = _BranchAndBound(context, layers, spacing)
     together = _TOGETHER if context.robot.dof - context.task.dimension == 1 else 1
     bound = np.full(len(each), -np.inf)
     order = np.argsort(-each)
-    # From the largest down, until those looked at exceed all that are left: what is left only gets smaller.
-    enough = -np.inf
+    # From the largest down, until the incumbent exceeds the values of all that are left, which only decrease.
+    incumbent = -np.inf
     for first in range(0, len(order), together):
         some = order[first : first + together]
-        if each[some[0]] <= enough:
+        if each[some[0]] <= incumbent:
             break
-        # Those still open, at most: those looked at may close some of them.
-        open_ = int((each[order[first:]] > enough).sum())
+        # The search of these may close some of the others.
+        open_ = int((each[order[first:]] > incumbent).sum())
         context.reporter.part("finding the least torque at rest", first, first + open_, at_most=True)
-        each[some], bound[some] = search.least(some, each[some], enough, postures)
-        enough = max(enough, float(each[some].max()))
-    looked = np.flatnonzero(np.isfinite(bound))
-    where = int(looked[each[looked].argmax()])
-    # No objective is ever negative, whatever samples of a wide self-motion leave open.
+        each[some], bound[some] = search.minimise(some, each[some], incumbent, postures)
+        incumbent = max(incumbent, float(each[some].max()))
+    searched = np.flatnonzero(np.isfinite(bound))
+    where = int(searched[each[searched].argmax()])
+    # No objective is negative, whatever samples of a wide self-motion leave open.
     error = float(each[where] - max(bound.max(), 0.0))
     return LowerBound(value=float(each[where]), error=error, via_point=where, each=each), postures[where]
 
@@ -122,115 +114,99 @@ class _Cells:
         return _Cells(self.q[index], self.edges[index], self.half[index], self.of[index])
 
 
-@dataclass(frozen=True)
-class _Content:
-    """What is known of cells: the objective at the centre (M,), how far it may fall along edges (M, d)."""
-
-    value: FloatArray
-    fall: FloatArray
-
-    @property
-    def lowest(self) -> FloatArray:
-        return np.asarray(self.value - self.fall.sum(axis=1))
-
-    def __getitem__(self, index: BoolArray | IntArray) -> _Content:
-        return _Content(self.value[index], self.fall[index])
-
-
-class _Search:
+class _BranchAndBound:
     """Branch and bound at several via-points at a time."""
 
-    def __init__(self, context: PlanningContext, nodes: list[GraphLayer], spacing: float) -> None:
-        self._setting = context
-        self._nodes = nodes
+    def __init__(self, context: PlanningContext, layers: Sequence[GraphLayer], spacing: float) -> None:
+        self._context = context
+        self._layers = layers
         self._spacing = spacing
-        self._postures = Postures(context.robot)
-        self._points = context.task.path.position(context.times)
 
-    def least(
-        self, some: IntArray, best: FloatArray, enough: float, postures: FloatArray
+    def minimise(
+        self, some: IntArray, best: FloatArray, incumbent: float, postures: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Smallest admissible values at the via-points `some`, and what they cannot go below.
+        """Smallest admissible values at the via-points `some`, and lower bounds of them.
 
         Parameters
         ----------
         some : (s,)
         best : (s,)
             Values that are known to be admissible there.
-        enough : float
-            A via-point with an admissible value down here cannot set the floor; it is not looked at any
-            closer, and nothing is said of what it cannot go below.
+        incumbent : float
+            A via-point with an admissible value down here cannot set the lower bound: its search ends, and
+            its bound is minus infinity.
         postures : (n, d), rad
-            Of all via-points, with the values known; better ones are put there.
+            Of all via-points, with the values known; better ones replace them.
         """
         best, left_out = best.copy(), np.full(len(some), np.inf)
-        self._some, self._point_of = some, self._points[some]
-        q = np.concatenate([self._nodes[k].chart.q for k in some])
-        of = np.repeat(np.arange(len(some)), [len(self._nodes[k].chart.q) for k in some])
-        edges = self._null_spaces(q)
+        self._some, self._points = some, self._context.points[some]
+        charts = [self._layers[k].chart.q for k in some]
+        q, of = np.concatenate(charts), np.repeat(np.arange(len(some)), [len(chart) for chart in charts])
+        edges = self._null_space(q)
         if edges.shape[1] == 0:
-            # Without self-motion the postures that are known are all there are.
-            return best, np.where(best > enough, best * (1 - _ACCURACY), -np.inf)
+            # Without self-motion there are no other postures.
+            return best, np.where(best > incumbent, best * (1 - _ACCURACY), -np.inf)
         cells = _Cells(q, edges, np.full(edges.shape[:2], self._spacing), of)
         for _ in range(_MOST_HALVINGS * edges.shape[1]):
-            content, possible = self._content(cells)
-            worth = possible & (content.lowest < best[cells.of] * (1 - _ACCURACY))
-            cells, content = cells[worth], content[worth]
-            best, possible = self._looked(cells, content.value, best, postures)
-            worth = possible & (content.lowest < best[cells.of] * (1 - _ACCURACY))
-            worth &= best[cells.of] > enough
-            keep = worth & _most_promising(cells.of, np.where(worth, content.lowest, np.inf))
+            value, fall, possible = self._bounded(cells)
+            lowest = value - fall.sum(axis=1)
+            worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY))
+            cells, value, fall, lowest = cells[worth], value[worth], fall[worth], lowest[worth]
+            best, possible = self._checked(cells, value, best, postures)
+            worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY)) & (best[cells.of] > incumbent)
+            keep = worth & _most_promising(cells.of, np.where(worth, lowest, np.inf))
             dropped = worth & ~keep
-            np.minimum.at(left_out, cells.of[dropped], content.lowest[dropped])
-            cells, content = cells[keep], content[keep]
+            np.minimum.at(left_out, cells.of[dropped], lowest[dropped])
+            cells, lowest = cells[keep], lowest[keep]
             if len(cells.q) == 0:
                 break
-            cells = self._halved(cells, content.fall)
+            cells = self._halved(cells, fall[keep])
         else:
-            np.minimum.at(left_out, cells.of, np.tile(content.lowest, 2)[: len(cells.of)])
+            np.minimum.at(left_out, cells.of, np.tile(lowest, 2)[: len(cells.of)])
         if edges.shape[1] > 1:
-            best = self._settled(best, postures, np.flatnonzero(best > enough))
+            best = self._descended(best, postures, np.flatnonzero(best > incumbent))
         bound = np.minimum(left_out, best * (1 - _ACCURACY))
-        return best, np.where(best > enough, bound, -np.inf)
+        return best, np.where(best > incumbent, bound, -np.inf)
 
-    def _settled(self, best: FloatArray, postures: FloatArray, which: IntArray) -> FloatArray:
-        """Values after random steps downwards, ever shorter ones, from the best postures known."""
+    def _descended(self, best: FloatArray, postures: FloatArray, which: IntArray) -> FloatArray:
+        """Values after random steps of decreasing length from the best postures known."""
         rng, best = np.random.default_rng(0), best.copy()
         for k in which:
             reach = self._spacing
             for _ in range(_STEPS):
                 q = postures[self._some[k]]
-                null = self._null_spaces(q[None])[0]
+                null = self._null_space(q[None])[0]
                 moves = reach * rng.uniform(size=(_TRIES, 1)) * rng.normal(size=(_TRIES, len(null))) @ null
-                placed, reached = project_onto_task(
-                    self._postures, self._setting.task, q + moves, self._point_of[k]
-                )
+                placed, reached = self._placed(q + moves, np.full(_TRIES, k))
                 some = placed[reached]
                 value, _ = self._measured(some)
-                cells = _Cells(
-                    some, np.zeros((len(some), 1, len(q))), np.zeros((len(some), 1)), np.full(len(some), k)
-                )
+                # Cells of no extent.
+                edges, half = np.zeros((len(some), 1, len(q))), np.zeros((len(some), 1))
                 better = value < best[k]
-                best, _ = self._looked(cells[better], value[better], best, postures)
+                cells = _Cells(some, edges, half, np.full(len(some), k))[better]
+                best, _ = self._checked(cells, value[better], best, postures)
                 reach *= _SHORTER
         return best
 
-    def _null_spaces(self, q: FloatArray) -> FloatArray:
-        return null_space(self._postures, self._setting.task, q)
+    def _null_space(self, q: FloatArray) -> FloatArray:
+        return null_space(self._context.postures, self._context.task, q)
 
-    def _content(self, cells: _Cells) -> tuple[_Content, BoolArray]:
-        """What the objective may fall to in each cell, and whether anything admissible may be in it."""
+    def _placed(self, q: FloatArray, of: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Postures projected onto the task at their via-points, and which of them lie on it."""
+        return project_onto_task(self._context.postures, self._context.task, q, self._points[of])
+
+    def _bounded(self, cells: _Cells) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Values at the centres, how far they may fall along each edge, and which cells may be admissible."""
         N, d, n = cells.edges.shape
-        limits = self._setting.robot.limits
+        limits = self._context.robot.limits
         extent = np.einsum("kd,kdn->kn", cells.half, np.abs(cells.edges))
         possible = ((cells.q + extent >= limits.lower) & (cells.q - extent <= limits.upper)).all(axis=1)
         shifts = 0.5 * cells.half[:, :, None] * cells.edges
         around = np.stack([cells.q[:, None] + shifts, cells.q[:, None] - shifts], axis=2).reshape(-1, n)
-        points = np.repeat(self._point_of[cells.of], 2 * d, axis=0)
-        placed, reached = project_onto_task(self._postures, self._setting.task, around, points)
+        placed, reached = self._placed(around, np.repeat(cells.of, 2 * d))
         value, use = self._measured(np.concatenate([cells.q, placed]))
         centre, centre_use = value[:N], use[:N]
-        # Where a sample leaves the workspace, its cell counts as if it were as the centre there.
+        # A sample outside the workspace counts as the centre of its cell.
         beside = np.where(reached, value[N:], np.repeat(centre, 2 * d)).reshape(N, d, 2)
         beside_use = np.where(reached, use[N:], np.repeat(centre_use, 2 * d)).reshape(N, d, 2)
         slope = np.abs(beside[:, :, 0] - beside[:, :, 1])
@@ -238,51 +214,48 @@ class _Search:
         # Mixed second differences are taken to be as large as the others allow.
         fall = slope + 0.5 * bend * bend.sum(axis=1, keepdims=True)
         change = 2 * np.abs(beside_use - centre_use[:, None, None]).max(axis=2).sum(axis=1)
-        possible &= centre_use - _DOUBT * change <= 1.0
-        return _Content(centre, fall), possible
+        return centre, fall, possible & (centre_use - _DOUBT * change <= 1.0)
 
     def _measured(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Objective at rest and largest share of a joint torque's bound, (N,) each."""
-        at = self._postures.at(q)
-        use = (np.abs(at.joint_torque) / self._setting.robot.limits.torque).max(axis=1)
-        return self._setting.objective.at_rest(at), use
+        at = self._context.postures.at(q)
+        use = (np.abs(at.joint_torque) / self._context.robot.limits.torque).max(axis=1)
+        return self._context.objective.at_rest(at), use
 
-    def _looked(
+    def _checked(
         self, cells: _Cells, value: FloatArray, best: FloatArray, postures: FloatArray
     ) -> tuple[FloatArray, BoolArray]:
-        """Look at the clearances of cells: the best values then, and which cells may be clear somewhere."""
-        context, limits = self._setting, self._setting.robot.limits
-        margin = context.options.safety_margin_m
+        """Compute clearances in cells: the best values then, and which cells may be clear somewhere."""
+        limits, clearances = self._context.robot.limits, self._context.clearances
+        margin = self._context.options.safety_margin_m
         within = ((cells.q >= limits.lower) & (cells.q <= limits.upper)).all(axis=1)
         hopeful = within & (value < best[cells.of])
         hopeful[hopeful] = self._measured(cells.q[hopeful])[1] <= 1.0
-        reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), context.clearances.reach)
-        # Cells that reach further hold something clear nearly always.
-        look = np.flatnonzero(hopeful | (reach < _WIDE))
-        # How much it is that is missing costs more to know than that something is.
-        near = look[context.clearances.check_collision(cells.q[look], margin)]
+        reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
+        # Cells that reach further are nearly always clear somewhere.
+        check = np.flatnonzero(hopeful | (reach < _WIDE))
+        # The test against the margin is quicker than the distance.
+        near = check[clearances.check_collision(cells.q[check], margin)]
         distance = np.full(len(value), np.inf)
-        distance[near] = context.clearances.smallest(cells.q[near]).distance
-        admissible = hopeful & (distance >= margin)
+        distance[near] = clearances.smallest(cells.q[near]).distance
         best = best.copy()
-        for k in np.flatnonzero(admissible):
+        for k in np.flatnonzero(hopeful & (distance >= margin)):
             if value[k] < best[cells.of[k]]:
                 best[cells.of[k]], postures[self._some[cells.of[k]]] = value[k], cells.q[k]
         return best, distance + reach >= margin
 
     def _halved(self, cells: _Cells, fall: FloatArray) -> _Cells:
-        """Halve every cell along the edge that matters most; where none does, along the longest."""
+        """Halve every cell along the edge of the largest fall; where none falls, along the longest."""
         k = np.arange(len(cells.q))
-        matters = fall.max(axis=1) > _ACCURACY * np.abs(fall).max()
-        edge = np.where(matters, fall.argmax(axis=1), cells.half.argmax(axis=1))
+        falls = fall.max(axis=1) > _ACCURACY * np.abs(fall).max()
+        edge = np.where(falls, fall.argmax(axis=1), cells.half.argmax(axis=1))
         shift = 0.5 * cells.half[k, edge, None] * cells.edges[k, edge]
         half = cells.half.copy()
         half[k, edge] *= 0.5 * _WIDER
         of = np.tile(cells.of, 2)
-        around = np.concatenate([cells.q + shift, cells.q - shift])
-        q, reached = project_onto_task(self._postures, self._setting.task, around, self._point_of[of])
+        q, reached = self._placed(np.concatenate([cells.q + shift, cells.q - shift]), of)
         # The parent's edges, turned the least way into the self-motion here.
-        null = self._null_spaces(q)
+        null = self._null_space(q)
         U, _, V = np.linalg.svd(np.tile(cells.edges, (2, 1, 1)) @ null.transpose(0, 2, 1))
         return _Cells(q, U @ V @ null, np.tile(half, (2, 1)), of)[reached]
 

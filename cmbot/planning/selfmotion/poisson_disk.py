@@ -1,6 +1,6 @@
-"""Postures of several charts that are made together: those of one chart keep a distance from each other.
+"""Poisson-disk sets: the postures of each keep a distance from each other.
 
-Angles of joints that go round are on a circle: those beyond half a turn are near those on the other side.
+Angles of endless joints lie on a circle.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ _TURN = 2 * np.pi
 
 
 class PoissonDiskSets:
-    """Crowds of postures, empty at first; each has a tree of its own, which is quicker than one of all.
+    """Several sets of postures, empty at first; each has its own k-d tree, which is quicker than one of all.
 
     Parameters
     ----------
     number : int
     apart : float, rad
-        No two postures of a crowd are nearer to each other.
+        Smallest distance of two postures of a set.
     round_ : (n,)
-        Which joints' angles are on a circle.
+        Which joints' angles lie on a circle.
     """
 
     def __init__(self, number: int, apart: float, round_: BoolArray) -> None:
@@ -40,22 +40,22 @@ class PoissonDiskSets:
 
     @property
     def sizes(self) -> IntArray:
-        """How many postures each has."""
+        """Number of postures in each."""
         return np.array([len(q) for q in self.postures])
 
     def far(self, q: FloatArray, of: IntArray) -> BoolArray:
-        """Which of postures `q` (N, n) are apart from those of their crowds, `of` (N,), which ascends."""
+        """Which of postures `q` (N, n) are apart from those in their sets, whose indices `of` (N,) ascend."""
         return self._far(self._on_circle(q), of)
 
     def take(self, q: FloatArray, of: IntArray) -> BoolArray:
-        """Take in those of `q` (N, n) that are apart from all others, the first ones first; return which.
+        """Add those of `q` (N, n) that are apart from all others, in their order; return which.
 
-        `of` (N,), the crowd of each, ascends.
+        The indices `of` (N,) of their sets ascend.
         """
         turned = self._on_circle(q)
         taken = self._far(turned, of)
         candidates = np.flatnonzero(taken)
-        for crowd, some in _groups(of[candidates]):
+        for k, some in _groups(of[candidates]):
             mine = candidates[some]
             tree = cKDTree(turned[mine], boxsize=self._circle)
             pairs = tree.query_pairs(self._apart, output_type="ndarray")
@@ -63,45 +63,45 @@ class PoissonDiskSets:
                 keep = without_neighbours(len(mine), pairs)
                 taken[mine] = keep
                 mine = mine[keep]
-            alone = len(pairs) == 0 and len(self.postures[crowd]) == 0
-            self._trees[crowd] = tree if alone else None
-            self.postures[crowd] = np.concatenate([self.postures[crowd], q[mine]])
-            self._turned[crowd] = np.concatenate([self._turned[crowd], turned[mine]])
+            alone = len(pairs) == 0 and len(self.postures[k]) == 0
+            self._trees[k] = tree if alone else None
+            self.postures[k] = np.concatenate([self.postures[k], q[mine]])
+            self._turned[k] = np.concatenate([self._turned[k], turned[mine]])
         return taken
 
     def _far(self, turned: FloatArray, of: IntArray) -> BoolArray:
         far = np.ones(len(turned), dtype=np.bool_)
-        for crowd, some in _groups(of):
-            if len(self.postures[crowd]):
-                distance, _ = self._tree(crowd).query(turned[some], distance_upper_bound=self._apart)
+        for k, some in _groups(of):
+            if len(self.postures[k]):
+                distance, _ = self._tree(k).query(turned[some], distance_upper_bound=self._apart)
                 far[some] = distance >= self._apart
         return far
 
-    def _tree(self, crowd: int) -> cKDTree:
-        tree = self._trees[crowd]
+    def _tree(self, k: int) -> cKDTree:
+        tree = self._trees[k]
         if tree is None:
-            tree = self._trees[crowd] = cKDTree(self._turned[crowd], boxsize=self._circle)
+            tree = self._trees[k] = cKDTree(self._turned[k], boxsize=self._circle)
         return tree
 
     def _on_circle(self, q: FloatArray) -> FloatArray:
-        # The tree wants angles from 0 to below a whole turn; a tiny negative one would round up to it.
+        # The tree needs angles from 0 to below a whole turn; a tiny negative one would round up to it.
         turned: FloatArray = q - self._circle * np.floor(q / _TURN)
         turned[self._round & (turned >= _TURN)] = 0.0
         return turned
 
 
 def _groups(of: IntArray) -> Iterator[tuple[int, slice]]:
-    """Go through the numbers that occur in `of`, which ascends, with the places of each."""
+    """Yield the numbers in `of`, which ascend, and the slice of each."""
     ends = [0, *(np.flatnonzero(of[1:] != of[:-1]) + 1).tolist(), len(of)] if len(of) else []
     for start, end in pairwise(ends):
         yield int(of[start]), slice(start, end)
 
 
 def without_neighbours(number: int, pairs: IntArray) -> BoolArray:
-    """Which of so many things remain when each removes its later neighbours, the first one first."""
+    """Which of `number` items remain when each in turn removes its later neighbours of `pairs` (k, 2)."""
     keep, open_ = np.ones(number, dtype=np.bool_), np.ones(number, dtype=np.bool_)
     while len(pairs):
-        # What has no earlier neighbour left stays, and those beside it go.
+        # Items without an earlier neighbour stay, and their neighbours go.
         waiting = np.zeros(number, dtype=np.bool_)
         waiting[pairs[:, 1]] = True
         settled = open_ & ~waiting

@@ -1,4 +1,4 @@
-"""The global stage: best ways through the charts, the floor below all of them, and honest failure."""
+"""The global stage: best sequences through the charts, the floor below all of them, and honest failure."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from small_scenes import short_scene
 from cmbot.common.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalSearch, plan
 from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.selfmotion.refinement import refined, ways_beside
+from cmbot.planning.selfmotion.dynamic_programming import refine
+from cmbot.planning.selfmotion.global_search import sequences_beside
 from cmbot.robot import Dynamics, Postures
 from cmbot.scene import Scene
 
@@ -51,7 +52,7 @@ def test_a_solution_is_admissible(context: PlanningContext, stage: GlobalSearch,
 
 def test_freedom_never_costs_torque(stage: GlobalSearch) -> None:
     free, pinned = stage.solve(pinned=False).peak, stage.solve(pinned=True).peak
-    assert stage.floor.value - stage.floor.error <= free <= pinned
+    assert stage.lower_bound.value - stage.lower_bound.error <= free <= pinned
 
 
 def test_the_floor_is_below_what_random_postures_ask(context: PlanningContext, stage: GlobalSearch) -> None:
@@ -59,9 +60,9 @@ def test_the_floor_is_below_what_random_postures_ask(context: PlanningContext, s
     finer = GlobalSearch(
         replace(context, options=replace(context.options, chart_spacing=0.05, chart_seeds=500))
     )
-    floor = stage.floor
-    assert finer.floor.value >= floor.value - floor.error - 1e-9
-    assert floor.value == pytest.approx(finer.floor.value, rel=1e-4)
+    floor = stage.lower_bound
+    assert finer.lower_bound.value >= floor.value - floor.error - 1e-9
+    assert floor.value == pytest.approx(finer.lower_bound.value, rel=1e-4)
     assert floor.value == floor.each[floor.via_point] == floor.each.max()
 
 
@@ -78,7 +79,7 @@ def test_no_plan_rests_below_the_floor(by: tuple[float, float, float]) -> None:
         fixed = plan(scene)
     except PlanningError:
         return
-    floor = GlobalSearch(setting_of(scene)).floor
+    floor = GlobalSearch(setting_of(scene)).lower_bound
     static = Dynamics(fixed.robot).static_efforts(fixed.trajectory.q).guardrail_torque
     assert np.linalg.norm(static, axis=1).max() >= floor.value - floor.error
 
@@ -123,23 +124,23 @@ def test_wide_self_motions(keep: str, pinned: bool) -> None:
     test_a_solution_is_admissible(context, stage, pinned)
     assert solution.peak <= GlobalSearch(pose).solve(pinned=pinned).peak + 1e-9
     if not pinned:
-        assert solution.peak <= stage.floor.value * (1 + 2e-3)
+        assert solution.peak <= stage.lower_bound.value * (1 + 2e-3)
 
 
 def test_refining_never_raises_the_peak() -> None:
     context = setting_of(short_scene(tool_path={"keep": "axis"}))
     postures, task = Postures(context.robot), context.task
-    ways = ways_beside(context, context.posture, 0, 0.3)
-    q = np.stack([each[0] for each in ways])
+    sequences = sequences_beside(context, context.posture, 0, 0.3)
+    q = np.stack([each[0] for each in sequences])
     np.testing.assert_array_equal(q[0], context.posture)
-    for each, point in zip(ways, task.path.position(context.times), strict=True):
+    for each, point in zip(sequences, task.path.position(context.times), strict=True):
         at = postures.at(each)
         assert len(each) > 20
         assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
     steps = np.full((len(q) - 1, 7), 0.3)
     before = context.objective.at_rest(postures.at(q)).max()
     for stays in (True, False):
-        better = refined(context, q, steps, 0.3, 0.0, start_stays=stays)
+        better = refine(context, q, steps, 0.3, 0.0, start_stays=stays)
         at = postures.at(better)
         points = task.path.position(context.times)
         assert np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max() < 1e-9

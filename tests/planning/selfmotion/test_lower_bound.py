@@ -41,7 +41,7 @@ def context(kind: str) -> PlanningContext:
 
 @pytest.fixture(scope="module")
 def floor(context: PlanningContext) -> LowerBound:
-    return GlobalSearch(context).floor
+    return GlobalSearch(context).lower_bound
 
 
 def admissible(context: PlanningContext, q: FloatArray) -> NDArray[np.bool_]:
@@ -122,7 +122,7 @@ def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, floor: Lo
 
 def test_more_freedom_has_a_lower_floor(kind: str, floor: LowerBound) -> None:
     scene = scene_of("pose")
-    pose = GlobalSearch(build_context(scene, scene.planner)).floor
+    pose = GlobalSearch(build_context(scene, scene.planner)).lower_bound
     assert floor.value <= pose.value + pose.error
     assert (floor.value < pose.value - 5.0) == (kind == "position")
 
@@ -141,7 +141,7 @@ def test_a_plan_comes_near_it(kind: str, floor: LowerBound) -> None:
 def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator) -> None:
     scene = make(tmp_path, keep=keep)
     context = build_context(scene, scene.planner)
-    floor = GlobalSearch(context).floor
+    floor = GlobalSearch(context).lower_bound
     q = restarts(context, floor.via_point, rng)
     q = q[admissible(context, q)]
     assert len(q) > 50

@@ -27,7 +27,9 @@ SPACING = 0.1
 PITCHES = np.linspace(-np.pi, np.pi, 181)
 
 
-def maker_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> SelfMotionSampler:
+def sampler_for(
+    robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300
+) -> SelfMotionSampler:
     objective = objective_of(robot, PlannerOptions())
     return SelfMotionSampler(Postures(robot), task, robot.limits, objective, spacing=spacing, seeds=seeds)
 
@@ -59,7 +61,7 @@ def test_charts_are_complete_against_the_closed_form(cmbot_robot: Robot, rng: np
     for q in rng.uniform(limits.lower, limits.upper, (200, 7)):
         task = task_at(cmbot_robot, q)
         start = task.path.corners[0]
-        chart = maker_for(cmbot_robot, task, spacing, seeds=200).first(start, q[None])
+        chart = sampler_for(cmbot_robot, task, spacing, seeds=200).first(start, q[None])
         oracle = closed_form(start, task.path.orientation, PITCHES)
         oracle = oracle[((oracle >= limits.lower) & (oracle <= limits.upper)).all(axis=1)]
         if len(oracle):
@@ -74,7 +76,7 @@ def test_a_charts_postures_hold_the_task_apart_from_each_other(
 ) -> None:
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q, keep)
-    chart = maker_for(cmbot_robot, task, spacing).first(task.path.corners[0], q[None])
+    chart = sampler_for(cmbot_robot, task, spacing).first(task.path.corners[0], q[None])
     at = Postures(cmbot_robot).at(chart.q)
     assert np.abs(task.errors(at.tool_point, at.tool_rotation, task.path.corners[0])).max() < 1e-9
     np.testing.assert_allclose(chart.q[0], q, atol=1e-15)
@@ -90,7 +92,7 @@ def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
     limits, scene = cmbot_robot.limits, load_scene("triangle")
     task = task_of(scene, cmbot_robot)
     points = task.path.position(task.path.via_times(50))
-    charts = maker_for(cmbot_robot, task, 0.2).along(points, scene.posture[None])
+    charts = sampler_for(cmbot_robot, task, 0.2).along(points, scene.posture[None])
     assert len(charts) == len(points)
     for point, chart in zip(points, charts, strict=True):
         at = Postures(cmbot_robot).at(chart.q)
@@ -114,8 +116,8 @@ def test_other_arms_charts_are_complete(
     scene = make(tmp_path, keep=keep)
     robot = robot_of(scene)
     task, limits = task_of(scene, robot), robot.limits
-    maker = maker_for(robot, task, 0.15, seeds=200)
-    chart = maker.first(task.path.corners[0], scene.posture[None])
+    sampler = sampler_for(robot, task, 0.15, seeds=200)
+    chart = sampler.first(task.path.corners[0], scene.posture[None])
     lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
     q, reached = project_onto_task(
         Postures(robot), task, rng.uniform(lower, upper, (3000, 7)), task.path.corners[0], steps=40
@@ -124,7 +126,7 @@ def test_other_arms_charts_are_complete(
     q[:, endless] = (q[:, endless] + np.pi) % (2 * np.pi) - np.pi
     q = q[reached & ((q >= lower) & (q <= upper)).all(axis=1)]
     assert len(q) > 300
-    assert distance_on_circle(chart.q, q).max() < 1.1 * maker.spacing
+    assert distance_on_circle(chart.q, q).max() < 1.1 * sampler.spacing
 
 
 @pytest.mark.parametrize("count", [1, 2, 6, 7, 8, 14])
@@ -132,12 +134,12 @@ def test_charts_along_any_number_of_points(cmbot_robot: Robot, count: int) -> No
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q)
     points = task.path.corners[0] + np.linspace(0, 0.1, count)[:, None] * [0, 0, 1]
-    charts = maker_for(cmbot_robot, task).along(points, q[None])
+    charts = sampler_for(cmbot_robot, task).along(points, q[None])
     assert len(charts) == count
     for point, chart in zip(points, charts, strict=True):
         at = Postures(cmbot_robot).at(chart.q)
         assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
-    anew = maker_for(cmbot_robot, task).first(points[-1], charts[-1].q[:1])
+    anew = sampler_for(cmbot_robot, task).first(points[-1], charts[-1].q[:1])
     assert distance_on_circle(charts[-1].q, anew.q).max() < 1.5 * SPACING
 
 
