@@ -12,8 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.errors import SceneError
-from cmbot.robot import Robot
-from cmbot.robot.hulls import convex_hull, encloses_volume
+from cmbot.robot import Robot, convex_hull, encloses_volume
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 
 if TYPE_CHECKING:

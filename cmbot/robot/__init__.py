@@ -1,14 +1,13 @@
 """What moves: the robot, its kinematics and its dynamics."""
 
-from cmbot.robot.chain import Chain
-from cmbot.robot.dynamics import Dynamics, EffortDerivatives, Efforts, WrenchDerivatives
+from cmbot.robot.arm_model import convex_hull, encloses_volume
+from cmbot.robot.dynamics import Dynamics, EffortDerivatives, Efforts
 from cmbot.robot.elasticity import LinkTube
-from cmbot.robot.inspection import Finding, inspect_urdf, parse_urdf
+from cmbot.robot.inspection import Finding, inspect_urdf, overview, parse_urdf
 from cmbot.robot.kinematics import Kinematics
 from cmbot.robot.limits import JointLimits
 from cmbot.robot.loading import load_robot
-from cmbot.robot.overview import overview
-from cmbot.robot.postures import PostureBatch, Postures, ToolBatch
+from cmbot.robot.postures import Chain, PostureBatch, Postures, ToolBatch
 from cmbot.robot.robot import Robot
 
 __all__ = [
@@ -24,7 +23,8 @@ __all__ = [
     "Postures",
     "Robot",
     "ToolBatch",
-    "WrenchDerivatives",
+    "convex_hull",
+    "encloses_volume",
     "inspect_urdf",
     "load_robot",
     "overview",

@@ -10,12 +10,12 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.robot.robot import Robot
 
-__all__ = ["Dynamics", "EffortDerivatives", "Efforts", "WrenchDerivatives"]
+__all__ = ["Dynamics", "EffortDerivatives", "Efforts"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Efforts:
-    """What a motion asks of the joints and of the guardrail.
+    """Joint torques and wrench on the guardrail at N states.
 
     Attributes
     ----------
@@ -23,7 +23,7 @@ class Efforts:
         Chang 2021, Eq. (13).
     guardrail_force, guardrail_torque : (N, 3), N and Nm
         Wrench that the moving arm exerts on the guardrail, at O0, in W: at rest the force is the arm's
-        weight. The torque is minus n_0 of Eq. (12); the constant share of what does not move is not in it
+        weight. The torque is minus n_0 of Eq. (12), without the constant share of what does not move
         (`Robot.carrier_torque`).
     """
 
@@ -34,31 +34,12 @@ class Efforts:
 
 @dataclass(frozen=True, kw_only=True)
 class EffortDerivatives:
-    """Guardrail torque and joint torques at N states, stacked, with their derivatives.
+    """Some rows of the efforts at N states, with their derivatives.
 
     Attributes
     ----------
-    value : (N, 3 + n), Nm
-        Guardrail torque about O0 in W, then joint torques.
-    d_q, d_v, d_a : (N, 3 + n, n)
-        Derivatives of `value` with respect to position, velocity and acceleration.
-    """
-
-    value: FloatArray
-    d_q: FloatArray
-    d_v: FloatArray
-    d_a: FloatArray
-
-
-@dataclass(frozen=True, kw_only=True)
-class WrenchDerivatives:
-    """Wrench on the guardrail at N states, with its derivatives.
-
-    Attributes
-    ----------
-    value : (N, 6), N and Nm
-        Force and torque about O0, in W.
-    d_q, d_v, d_a : (N, 6, n)
+    value : (N, k), N and Nm
+    d_q, d_v, d_a : (N, k, n)
         Derivatives of `value` with respect to position, velocity and acceleration.
     """
 
@@ -71,9 +52,9 @@ class WrenchDerivatives:
 class Dynamics:
     """Inverse dynamics of a robot whose base is held still.
 
-    Values come from one call for all states, `pinocchio.rneaInParallel`; derivatives from one call a state. A
-    compiled closed form is quicker, but importing its compiler takes longer than all the derivatives of a
-    plan: ``benchmarks/kernels.py`` measures both.
+    Values come from one call for all states, `pinocchio.rneaInParallel`; derivatives from one call a state.
+    ``benchmarks/kernels.py`` compares a compiled closed form: it is quicker, but importing its compiler takes
+    longer than all the derivatives of a plan.
 
     It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
 
@@ -99,7 +80,7 @@ class Dynamics:
         q_f, v_f, a_f = np.zeros((N, 7 + n)), np.zeros((N, 6 + n)), np.zeros((N, 6 + n))
         q_f[:, 6] = 1.0
         q_f[:, 7:], v_f[:, 6:], a_f[:, 6:] = q, v, a
-        # A call is short: one thread, which waits for no other.
+        # One thread: a call is too short to wait for others.
         tau = pin.rneaInParallel(1, self._pool, q_f.T, v_f.T, a_f.T)
         # It returns a single state as a vector. The first six rows are the wrench of the base on the arm.
         tau = tau.reshape(6 + n, N).T
@@ -113,7 +94,7 @@ class Dynamics:
         return self.efforts(q, still, still)
 
     def derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> EffortDerivatives:
-        """Evaluate guardrail torque and joint torques with their derivatives at N states.
+        """Evaluate guardrail torque about O0 in W, then joint torques: 3 + n rows.
 
         Parameters
         ----------
@@ -132,8 +113,8 @@ class Dynamics:
             array[:, :3] *= -1.0
         return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)
 
-    def wrench_derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> WrenchDerivatives:
-        """Evaluate the wrench on the guardrail with its derivatives at N states.
+    def wrench_derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> EffortDerivatives:
+        """Evaluate the wrench on the guardrail about O0 in W: 6 rows, force then torque.
 
         Parameters
         ----------
@@ -141,9 +122,9 @@ class Dynamics:
         """
         N, n = q.shape
         model, data = self.robot.model, self._data
-        # On the way to the joint torques pinocchio works out what every joint adds to the forces in W, one
-        # column a joint: for a chain these are the columns of the wrench's derivatives, of which dtau/dq and
-        # its like are projections. Its arrays run along columns: turned, they are copied in one go.
+        # For the derivatives of the joint torques pinocchio computes each joint's contribution to the forces
+        # in W, one column a joint: for a chain these are the columns of the wrench's derivatives. Its arrays
+        # run along columns: transposed, they are copied in one go.
         dF_dq, dF_dv, dF_da = data.dFdq.T, data.dFdv.T, data.dFda.T
         value = np.empty((N, 6))
         d_q, d_v, d_a = (np.empty((N, n, 6)) for _ in range(3))
@@ -154,4 +135,4 @@ class Dynamics:
         for array in (value, d_q, d_v, d_a):
             array *= -1.0
         d_q, d_v, d_a = (array.transpose(0, 2, 1) for array in (d_q, d_v, d_a))
-        return WrenchDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)
+        return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)

@@ -1,6 +1,6 @@
-"""Which links bend: tubes, from a file beside the URDF.
+"""Links that bend: tubes, from a file beside the URDF.
 
-URDF has no words for elasticity, so an arm whose links bend has an elasticity file::
+URDF does not describe elasticity, so an arm whose links bend has an elasticity file::
 
     format: cmbot-elasticity/1
     links:
@@ -26,25 +26,25 @@ from cmbot.common.yaml_reader import read_yaml
 
 __all__ = ["LinkTube", "read_elasticity"]
 
-# The bounds keep every power of a length finite, and catch millimetres and gigapascals.
+# The bounds keep every power of a length finite, and catch lengths in millimetres and moduli in gigapascals.
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
 Length = Annotated[float, Field(gt=0, le=1e4)]
 Modulus = Annotated[float, Field(ge=1e3, le=1e13)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 
-_SHORTEST = 1e-3
+_SHORTEST = 1e-3  # m
 
 
 @dataclass(frozen=True, kw_only=True)
 class LinkTube:
-    """The round tube that a link bends like.
+    """The round tube that models the bending of a link.
 
     Attributes
     ----------
     link : str
         Name of the link.
     start, end : tuple of float
-        (3,), ends of the tube's axis in the link's frame, m; the start is towards the base.
+        (3,), ends of the tube's axis in the link's frame, m; the start is nearer to the base.
     outer_diameter, wall : float
         m; a wall of half the diameter is a solid bar.
     young, shear : float
@@ -72,19 +72,19 @@ class LinkTube:
 
 
 class _TubeEntry(FileModel):
-    start_m: Point
-    end_m: Point
-    outer_diameter_m: Length
-    wall_m: Length
-    young_pa: Modulus
-    shear_pa: Modulus
+    start: Point = Field(alias="start_m")
+    end: Point = Field(alias="end_m")
+    outer_diameter: Length = Field(alias="outer_diameter_m")
+    wall: Length = Field(alias="wall_m")
+    young: Modulus = Field(alias="young_pa")
+    shear: Modulus = Field(alias="shear_pa")
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if math.dist(self.start_m, self.end_m) < _SHORTEST:
-            raise refusal("an end a millimetre or more apart from start_m", got=self.end_m, key=("end_m",))
-        if 2 * self.wall_m > self.outer_diameter_m:
-            raise refusal("at most half of outer_diameter_m", got=self.wall_m, key=("wall_m",))
+        if math.dist(self.start, self.end) < _SHORTEST:
+            raise refusal("an end a millimetre or more apart from start_m", got=self.end, key=("end_m",))
+        if 2 * self.wall > self.outer_diameter:
+            raise refusal("at most half of outer_diameter_m", got=self.wall, key=("wall_m",))
         return self
 
 
@@ -96,14 +96,13 @@ class _ElasticityFile(FileModel):
 def read_elasticity(path: Path, model: Any) -> tuple[LinkTube, ...]:
     """Read the tubes of the links that move with the arm, in the order of its joints.
 
-    What the joints of the arm do not move is rigid: a tube of such a link is checked and left out.
+    A tube of a link that the arm's joints do not move is checked and left out.
 
     Parameters
     ----------
     path : pathlib.Path
-        The elasticity file.
     model : pinocchio.Model
-        Of the arm alone.
+        Of the arm, all other joints locked.
 
     Raises
     ------
@@ -123,17 +122,5 @@ def read_elasticity(path: Path, model: Any) -> tuple[LinkTube, ...]:
             got = f"a tube beside that of {by_joint[joint].link}"
             raise ModelError(str(path), f"links.{name}", got, expected)
         if joint > 0:
-            by_joint[joint] = _tube(name, entry)
+            by_joint[joint] = LinkTube(link=name, **dict(entry))
     return tuple(by_joint[joint] for joint in sorted(by_joint))
-
-
-def _tube(link: str, entry: _TubeEntry) -> LinkTube:
-    return LinkTube(
-        link=link,
-        start=entry.start_m,
-        end=entry.end_m,
-        outer_diameter=entry.outer_diameter_m,
-        wall=entry.wall_m,
-        young=entry.young_pa,
-        shear=entry.shear_pa,
-    )

@@ -1,15 +1,15 @@
-"""What a URDF must hold before it is used: readers of URDF accept far more than can be right.
+"""Inspection of a URDF before it is used, and a summary of its content.
 
-pinocchio loads a NaN mass, a zero axis, a lower limit above the upper one, and drops a shape or a mass that
-it cannot read; yourdfpy accepts cycles and missing links. `inspect_urdf` looks at the file itself and lists
-everything it finds.
+Readers of URDF accept invalid files: pinocchio loads a NaN mass, a zero axis, a lower limit above the upper
+one, and drops a shape or a mass that it cannot read; yourdfpy accepts cycles and missing links.
 """
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,13 +19,14 @@ import numpy as np
 
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import counted
+from cmbot.robot.limits import read_joint_limits
 
-__all__ = ["Finding", "inspect_urdf", "parse_robot_xml", "parse_urdf"]
+__all__ = ["Finding", "inspect_urdf", "overview", "parse_robot_xml", "parse_urdf"]
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-# How many numbers each attribute holds, by element.
+# Number of values of each attribute, by element.
 _COUNTS = {
     "origin": {"xyz": 3, "rpy": 3},
     "mass": {"value": 1},
@@ -39,7 +40,7 @@ _COUNTS = {
     "limit": dict.fromkeys(("lower", "upper", "velocity", "effort"), 1),
     "mimic": {"multiplier": 1, "offset": 1},
 }
-# Without these the URDF reader drops the element or refuses the file.
+# Attributes without which the URDF reader drops the element or refuses the file.
 _REQUIRED = {
     "mass": ("value",),
     "inertia": _INERTIA,
@@ -53,22 +54,22 @@ _REQUIRED = {
     "material": ("name",),
     "texture": ("filename",),
 }
-# Narrower than Python's: the URDF reader knows no 1_000 and no other script's digits.
+# Narrower than Python's: the URDF reader refuses 1_000 and digits of other scripts.
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
-# Tables are rounded: an inertia this close to the boundary of the possible counts as possible.
+# Tables are rounded: tolerance, relative, for inertias at the boundary of the physically possible.
 _ROUNDING = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
 class Finding:
-    """One thing that is wrong (``error``) or doubtful (``warning``) in a URDF.
+    """An error or a warning about a file.
 
     Attributes
     ----------
     severity : str
-        ``error``: the model cannot be used. ``warning``: it can, but look at it.
+        ``error``: it cannot be used. ``warning``: it can, but is doubtful.
     key, got, expected : str
-        Where, what stands there, what should.
+        The place in the file, the value there, the value required.
     """
 
     severity: Literal["error", "warning"]
@@ -113,14 +114,14 @@ def parse_robot_xml(path: Path, kind: str) -> ElementTree.Element:
 
 
 def inspect_urdf(root: ElementTree.Element) -> list[Finding]:
-    """List everything that is wrong or doubtful in a URDF, errors first.
+    """List all errors and warnings about a URDF, errors first.
 
     Parameters
     ----------
     root : xml.etree.ElementTree.Element
         From `parse_urdf`.
     """
-    findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root), *_turning(root)]
+    findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root), *_joint_types(root)]
     for link in root.findall("link"):
         findings += _inertial(link)
         findings += _shapes(link)
@@ -138,7 +139,7 @@ def _name(element: ElementTree.Element) -> str:
 
 
 def _float(element: ElementTree.Element, attribute: str, default: float) -> float:
-    """Value of an attribute; NaN where it is no number (`_attributes` reports those)."""
+    """Value of an attribute; NaN where it is not a number, which `_attributes` reports."""
     try:
         return float(element.get(attribute, default))
     except ValueError:
@@ -146,7 +147,7 @@ def _float(element: ElementTree.Element, attribute: str, default: float) -> floa
 
 
 def _header(root: ElementTree.Element) -> Iterator[Finding]:
-    """Name and version: the robot has both, the version one that the URDF reader knows."""
+    """The robot has a name, and a version that the URDF reader knows."""
     if not root.get("name"):
         yield _error("robot.name", "nothing", "a name")
     version = root.get("version", "1.0")
@@ -155,7 +156,7 @@ def _header(root: ElementTree.Element) -> Iterator[Finding]:
 
 
 def _attributes(root: ElementTree.Element) -> Iterator[Finding]:
-    """Every element has the attributes it needs; those that hold numbers hold finite ones, enough of them."""
+    """Every element has its required attributes, with the right count of finite numbers."""
     for parent in (child for tag in ("material", "link", "joint") for child in root.findall(tag)):
         for element in parent.iter():
             key = f"{_name(parent)}.{element.tag}"
@@ -177,7 +178,7 @@ def _numbers(key: str, text: str, count: int) -> Iterator[Finding]:
 
 
 def _materials(root: ElementTree.Element) -> Iterator[Finding]:
-    """Every material that links share has a look."""
+    """Every shared material has a colour or a texture."""
     for material in root.findall("material"):
         if material.find("color") is None and material.find("texture") is None:
             yield _error(_name(material), "neither colour nor texture", "<color> or <texture>")
@@ -221,18 +222,18 @@ def _tree(root: ElementTree.Element) -> Iterator[Finding]:
             yield _error(f"link[{link}]", "a cycle of joints", "a tree")
 
 
-def _turning(root: ElementTree.Element) -> Iterator[Finding]:
-    """Some joint turns: an arm is planned with such joints only."""
+def _joint_types(root: ElementTree.Element) -> Iterator[Finding]:
+    """Some joint is revolute or continuous: only an arm of such joints can be planned."""
     kinds = [joint.get("type") for joint in root.findall("joint")]
-    sliding = kinds.count("prismatic")
-    if sliding and not {"revolute", "continuous"} & set(kinds):
-        got = f"{counted(sliding, 'prismatic joint')} and none that turns"
+    prismatic = kinds.count("prismatic")
+    if prismatic and not {"revolute", "continuous"} & set(kinds):
+        got = f"{counted(prismatic, 'prismatic joint')} and none that turns"
         expected = "an arm of revolute or continuous joints between base and tool frame"
         yield Finding(severity="warning", key="joint", got=got, expected=expected)
 
 
 def _inertial(link: ElementTree.Element) -> Iterator[Finding]:
-    """Masses and inertias are those of possible rigid bodies."""
+    """Masses and inertias are physically possible."""
     inertial = link.find("inertial")
     if inertial is None:
         return
@@ -298,3 +299,68 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
     for name in ("velocity", "effort"):
         if _float(limit, name, 0.0) < 0:
             yield _error(f"{_name(joint)}.limit.{name}", limit.get(name), "a number that is not negative")
+
+
+def overview(path: Path, root: ElementTree.Element) -> Iterator[tuple[str, str]]:
+    """Summarise a URDF and the files beside it, as names and values.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    root : xml.etree.ElementTree.Element
+        From `parse_urdf`, without errors in `inspect_urdf`.
+
+    Raises
+    ------
+    ModelError
+        When the joint-limits file beside it cannot be read.
+    """
+    joints = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
+    links = [link.get("name", "") for link in root.findall("link")]
+    parents, children = (
+        {element.get("link", "") for element in root.findall(f"joint/{end}")} for end in ("parent", "child")
+    )
+    mass = sum(float(mass.get("value", "0")) for mass in root.findall("link/inertial/mass"))
+    yield "robot", root.get("name", "")
+    yield "links", f"{len(links)}, {mass:.2f} kg in all"
+    kinds = Counter(joint.get("type", "") for joint in joints)
+    listed = ", ".join(f"{number} {kind}" for kind, number in kinds.items())
+    yield "movable joints", f"{len(joints)} ({listed})" if listed else "none"
+    if kinds["prismatic"]:
+        where = (
+            "not between base and tool frame: an arm that is planned has revolute or continuous joints only"
+        )
+        yield "prismatic joints", f"{kinds['prismatic']}, {where}"
+    yield "limits in the URDF", _limits(joints)
+    yield "joint_limits.yaml beside it", _joint_limits(path.with_name("joint_limits.yaml"), joints)
+    srdf = path.with_suffix(".srdf")
+    yield "SRDF beside it", srdf.name if srdf.exists() else "none: only neighbouring links may touch"
+    elasticity = path.with_suffix(".elasticity.yaml")
+    yield "elasticity file beside it", elasticity.name if elasticity.exists() else "none: no link bends"
+    yield "base frame", f"any link; the root is {next(link for link in links if link not in children)}"
+    ends = [link for link in links if link not in parents]
+    yield "tool frame", f"any link that joints move below it; at the ends: {', '.join(ends)}"
+
+
+def _limits(joints: Sequence[ElementTree.Element]) -> str:
+    """Count the joints that have each limit; a continuous one needs no range of positions."""
+    numbers = {"position": 0, "velocity": 0, "effort": 0}
+    for joint in joints:
+        limit = joint.find("limit")
+        lower, upper, velocity, effort = (
+            0.0 if limit is None else float(limit.get(name, "0"))
+            for name in ("lower", "upper", "velocity", "effort")
+        )
+        numbers["position"] += lower < upper or joint.get("type") == "continuous"
+        numbers["velocity"] += velocity > 0
+        numbers["effort"] += effort > 0
+    listed = ", ".join(f"{name} {number}" for name, number in numbers.items())
+    return f"of {counted(len(joints), 'movable joint')}: {listed}"
+
+
+def _joint_limits(path: Path, joints: Sequence[ElementTree.Element]) -> str:
+    if not path.exists():
+        return "none: the scene has to name one, with acceleration and jerk"
+    known = read_joint_limits(path)
+    number = sum(joint.get("name") in known for joint in joints)
+    return f"acceleration and jerk of {number} of {counted(len(joints), 'movable joint')}"

@@ -1,4 +1,4 @@
-"""Where the tool is and how it moves with the joints (Chang 2021, Eqs. (1)-(3) and (15))."""
+"""Forward kinematics and Jacobians of the tool and the centre of mass (Chang 2021, Eqs. (1)-(3), (15))."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cmbot.robot.robot import Robot
 
 __all__ = ["Kinematics"]
 
-# From this many postures on all together are quicker than one after the other: benchmarks/kernels.py.
+# From this number of postures on a batch is quicker than one call each: benchmarks/kernels.py.
 _MANY = 64
 
 
@@ -79,6 +79,6 @@ class Kinematics:
     def centre_of_mass(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Centre of mass (3,) of the moving arm, m, in W, and its Jacobian (3, n) at `q` (n,)."""
         model, data = self.robot.model, self._data
-        # The universe's inertia does not enter pinocchio's centre of mass: it is the arm's alone.
+        # pinocchio leaves the universe's inertia out: this is the arm's centre of mass alone.
         J = pin.jacobianCenterOfMass(model, data, q)
         return data.com[0].copy(), J.copy()

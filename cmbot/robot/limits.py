@@ -1,6 +1,6 @@
-"""What each joint may do: ranges, velocity and torque from the URDF, acceleration and jerk from a file.
+"""Joint limits: ranges, velocity and torque from the URDF, acceleration and jerk from a file.
 
-URDF has no place for acceleration and jerk limits, so they live in a joint-limits file beside it::
+URDF has no acceleration and jerk limits; they are in a joint-limits file beside it::
 
     format: cmbot-joint-limits/1
     joints:
@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
@@ -21,14 +21,14 @@ from cmbot.common.errors import InputError, ModelError
 from cmbot.common.validation import FileModel, validated
 from cmbot.common.yaml_reader import read_yaml
 
-__all__ = ["JointLimits", "joints_with_limits", "read_joint_limits"]
+__all__ = ["JointLimits", "joint_limits", "read_joint_limits"]
 
 Positive = Annotated[float, Field(gt=0)]
 
 
 @dataclass(frozen=True, kw_only=True)
 class JointLimits:
-    """Bounds of every joint, all along a motion (Chang 2021, Eqs. (31)-(32) and Table 3).
+    """Bounds of every joint (Chang 2021, Eqs. (31)-(32) and Table 3); the arrays are read-only.
 
     Attributes
     ----------
@@ -38,6 +38,11 @@ class JointLimits:
         Bounds of the magnitude.
     torque : (n,), Nm
         Bound of the magnitude.
+
+    Raises
+    ------
+    InputError
+        When an array has another length or is not a number.
     """
 
     lower: FloatArray
@@ -51,9 +56,8 @@ class JointLimits:
         for field in fields(self):
             array = np.array(getattr(self, field.name), dtype=float)
             if array.shape != np.shape(self.lower) or np.isnan(array).any():
-                raise InputError(
-                    "JointLimits", field.name, array.tolist(), f"numbers, shape {np.shape(self.lower)}"
-                )
+                expected = f"numbers, shape {np.shape(self.lower)}"
+                raise InputError("JointLimits", field.name, array.tolist(), expected)
             array.setflags(write=False)
             object.__setattr__(self, field.name, array)
 
@@ -68,46 +72,41 @@ class _JointLimitsFile(FileModel):
     joints: dict[str, _JointEntry]
 
 
-def read_joint_limits(path: Path, joints: tuple[str, ...]) -> tuple[FloatArray, FloatArray]:
-    """Read acceleration and jerk limits.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The joint-limits file.
-    joints : tuple of str
-        Names of the joints, in order.
-
-    Returns
-    -------
-    acceleration, jerk : (n,), rad/s2, rad/s3
-
-    Raises
-    ------
-    ModelError
-        When the file cannot be read or misses a joint.
-    """
-    listed = _entries(path)
-    missing = [name for name in joints if name not in listed]
-    if missing:
-        raise ModelError(str(path), f"joints.{missing[0]}", "nothing", "acceleration_deg and jerk_deg")
-    entries = [listed[name] for name in joints]
-    return (
-        np.deg2rad([entry.acceleration_deg for entry in entries]),
-        np.deg2rad([entry.jerk_deg for entry in entries]),
-    )
-
-
-def joints_with_limits(path: Path) -> frozenset[str]:
-    """Return the names of the joints that a joint-limits file lists.
+def read_joint_limits(path: Path) -> dict[str, _JointEntry]:
+    """Read a joint-limits file.
 
     Raises
     ------
     ModelError
         When the file cannot be read.
     """
-    return frozenset(_entries(path))
-
-
-def _entries(path: Path) -> dict[str, _JointEntry]:
     return validated(_JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError).joints
+
+
+def joint_limits(model: Any, urdf: Path, path: Path) -> JointLimits:
+    """Join the limits in the model of an arm, from `urdf`, and those in the joint-limits file `path`.
+
+    Raises
+    ------
+    ModelError
+        When the file cannot be read or misses a joint, or the URDF has no velocity or torque limit for one.
+    """
+    listed, names = read_joint_limits(path), list(model.names)[1:]
+    missing = [name for name in names if name not in listed]
+    if missing:
+        raise ModelError(str(path), f"joints.{missing[0]}", "nothing", "acceleration_deg and jerk_deg")
+    entries = [listed[name] for name in names]
+    velocity, torque = model.upperVelocityLimit, model.upperEffortLimit
+    for i, name in enumerate(names):
+        for key, value in (("velocity", velocity[i]), ("effort", torque[i])):
+            if not (np.isfinite(value) and value > 0):
+                raise ModelError(str(urdf), f"joint[{name}].limit.{key}", value, "a positive bound")
+    unlimited = np.abs(model.upperPositionLimit) >= 1e9
+    return JointLimits(
+        lower=np.where(unlimited, -np.inf, model.lowerPositionLimit),
+        upper=np.where(unlimited, np.inf, model.upperPositionLimit),
+        velocity=velocity,
+        acceleration=np.deg2rad([entry.acceleration_deg for entry in entries]),
+        jerk=np.deg2rad([entry.jerk_deg for entry in entries]),
+        torque=torque,
+    )

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,16 +12,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.installation import model_folder
 from cmbot.common.validation import given_path, hint
 from cmbot.robot.arm_model import arm_model
 from cmbot.robot.elasticity import read_elasticity
 from cmbot.robot.inspection import inspect_urdf, parse_urdf
-from cmbot.robot.limits import JointLimits, read_joint_limits
+from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
-from cmbot.robot.semantics import enable_pairs, read_semantics
 from cmbot.robot.tool import attach_payload, set_tool_length
 
 __all__ = ["load_robot"]
@@ -42,9 +39,9 @@ def load_robot(
 ) -> Robot:
     """Load a robot from its URDF.
 
-    The joints between `base_frame` and `tool_frame` move; every other joint is locked, where the SRDF has a
-    ``group_state`` for it at that state, else at zero. A collision mesh is replaced by its convex hull: a
-    clearance with it is never overestimated.
+    The joints between `base_frame` and `tool_frame` move; every other joint is locked at its value in the
+    SRDF's ``group_state``, else at zero. A collision mesh is replaced by its convex hull: a clearance with it
+    is never overestimated.
 
     Parameters
     ----------
@@ -69,7 +66,7 @@ def load_robot(
     Raises
     ------
     ModelError
-        When a file is missing or unusable, a frame does not exist, or a joint of the arm does not turn.
+        When a file is missing or unusable, a frame does not exist, or a joint of the arm is not revolute.
     """
     if str(model) == "cmbot":
         urdf = model_folder() / "urdf" / "cmbot.urdf"
@@ -79,13 +76,13 @@ def load_robot(
     if base_frame is None or tool_frame is None:
         expected = f"the links that bound the arm{hint(urdf.name, ('cmbot',))}"
         raise ModelError(str(urdf), "base_frame, tool_frame", "none", expected)
-    files = _files(urdf, limits, srdf, elasticity)
-    root = _sound(urdf)
-    semantics = read_semantics(files.srdf) if files.srdf is not None else None
-    arm, (collision, visual) = arm_model(urdf, root, semantics, base_frame, tool_frame)
+    srdf_file = _given_or_existing("srdf", srdf, urdf.with_suffix(".srdf"))
+    limits_file = _given("limits", limits) or urdf.with_name("joint_limits.yaml")
+    elasticity_file = _given_or_existing("elasticity", elasticity, urdf.with_suffix(".elasticity.yaml"))
+    root = _inspected(urdf)
+    arm, collision, visual = arm_model(urdf, root, srdf_file, base_frame, tool_frame)
     if mount is not None:
         _move_root(arm, (collision, visual), base_frame, mount)
-    enable_pairs(arm, collision, semantics)
     if tool_length is not None:
         set_tool_length(arm, (collision, visual), tool_frame, tool_length, source=str(urdf))
     attach_payload(arm, tool_frame, payload)
@@ -96,37 +93,12 @@ def load_robot(
         floating_model=_on_free_flyer(arm),
         collision_model=collision,
         visual_model=visual,
-        limits=_limits(arm, str(urdf), *read_joint_limits(files.limits, tuple(arm.names)[1:])),
-        elasticity=read_elasticity(files.elasticity, arm) if files.elasticity is not None else (),
+        limits=joint_limits(arm, urdf, limits_file),
+        elasticity=() if elasticity_file is None else read_elasticity(elasticity_file, arm),
         base_frame=base_frame,
         tool_frame=tool_frame,
         payload=payload,
-        content_hash=files.content_hash(),
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Files:
-    """The files of a robot; None where there is none of a kind."""
-
-    urdf: Path
-    srdf: Path | None
-    limits: Path
-    elasticity: Path | None
-
-    def content_hash(self) -> str:
-        files = (self.urdf, self.srdf, self.limits, self.elasticity)
-        return hashlib.sha256(b"\0".join(file.read_bytes() for file in files if file is not None)).hexdigest()
-
-
-def _files(
-    urdf: Path, limits: str | Path | None, srdf: str | Path | None, elasticity: str | Path | None
-) -> _Files:
-    return _Files(
-        urdf=urdf,
-        srdf=_given_or_there("srdf", srdf, urdf.with_suffix(".srdf")),
-        limits=_given("limits", limits) or urdf.with_name("joint_limits.yaml"),
-        elasticity=_given_or_there("elasticity", elasticity, urdf.with_suffix(".elasticity.yaml")),
+        content_hash=_content_hash(urdf, srdf_file, limits_file, elasticity_file),
     )
 
 
@@ -134,12 +106,16 @@ def _given(key: str, path: str | Path | None) -> Path | None:
     return None if path is None else given_path(path, "load_robot", key, "the path of a file")
 
 
-def _given_or_there(key: str, path: str | Path | None, beside: Path) -> Path | None:
-    return _given(key, path) or (beside if beside.exists() else None)
+def _given_or_existing(key: str, path: str | Path | None, default: Path) -> Path | None:
+    return _given(key, path) or (default if default.exists() else None)
 
 
-def _sound(urdf: Path) -> ElementTree.Element:
-    """Return what stands in a URDF when nothing in it is wrong."""
+def _content_hash(*files: Path | None) -> str:
+    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files if file is not None)).hexdigest()
+
+
+def _inspected(urdf: Path) -> ElementTree.Element:
+    """Parse a URDF; the first error in it is raised."""
     root = parse_urdf(urdf)
     for finding in inspect_urdf(root):
         if finding.severity == "error":
@@ -148,7 +124,7 @@ def _sound(urdf: Path) -> ElementTree.Element:
 
 
 def _move_root(model: Any, shapes: Sequence[Any], base_frame: str, mount: ArrayLike) -> None:
-    """Place `base_frame` at `mount` in W by moving everything that hangs on the universe."""
+    """Place `base_frame` at `mount` in W by moving everything that is fixed to the universe."""
     X_WU = _pose(mount) * model.frames[model.getFrameId(base_frame)].placement.inverse()
     for i in range(1, model.njoints):
         if model.parents[i] == 0:
@@ -188,21 +164,3 @@ def _on_free_flyer(model: Any) -> Any:
     floating.inertias[root] = pin.Inertia.Zero()
     floating.gravity = model.gravity
     return floating
-
-
-def _limits(model: Any, source: str, acceleration: FloatArray, jerk: FloatArray) -> JointLimits:
-    for name, velocity, torque in zip(
-        list(model.names)[1:], model.upperVelocityLimit, model.upperEffortLimit, strict=True
-    ):
-        for key, value in (("velocity", velocity), ("effort", torque)):
-            if not (np.isfinite(value) and value > 0):
-                raise ModelError(source, f"joint[{name}].limit.{key}", value, "a positive bound")
-    unlimited = np.abs(model.upperPositionLimit) >= 1e9
-    return JointLimits(
-        lower=np.where(unlimited, -np.inf, model.lowerPositionLimit),
-        upper=np.where(unlimited, np.inf, model.upperPositionLimit),
-        velocity=model.upperVelocityLimit,
-        acceleration=acceleration,
-        jerk=jerk,
-        torque=model.upperEffortLimit,
-    )

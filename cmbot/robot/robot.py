@@ -1,4 +1,4 @@
-"""The robot: a URDF with everything but the working arm locked, placed in the world of the foot."""
+"""The robot: a working arm, all other joints locked, placed in the world frame of the foot."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ __all__ = ["Robot"]
 
 @dataclass(frozen=True, kw_only=True)
 class Robot:
-    """An arm on its base, ready for planning. The pinocchio models in it are not to be changed.
+    """An arm on its base, ready for planning. Its pinocchio models must not be changed.
 
     World frame W = O0: at the foot's contact with the guardrail; x along the guardrail, y outward, z up.
 
@@ -31,18 +31,17 @@ class Robot:
     urdf : pathlib.Path
         The file it was read from.
     model : pinocchio.Model
-        The arm, fixed base, universe = W. ``model.inertias[0]`` is what does not move.
+        The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move.
     floating_model : pinocchio.Model
         The same arm below a massless free-flyer at W: held still, the first six rows of its inverse dynamics
         are the wrench that the base exerts on the arm, and their derivatives are exact.
     collision_model : pinocchio.GeometryModel
-        Collision shapes and the pairs of them that may touch.
+        Collision shapes and the pairs of them that may collide.
     visual_model : pinocchio.GeometryModel
-        Shapes to look at.
     limits : JointLimits
         Of the n joints of the arm.
     elasticity : tuple of LinkTube
-        The links of the arm that bend, base to tool; `model` does not know of it. Empty: all are rigid.
+        The links of the arm that bend, base to tool; in `model` they are rigid. Empty: all are rigid.
     base_frame, tool_frame : str
         Names of the arm's first and last frame; the tool point is the origin of `tool_frame`, the tool's
         axis its z axis.
@@ -87,19 +86,19 @@ class Robot:
 
     @property
     def reach(self) -> float:
-        """How far from `base_point` the tool point can be at most, m: from joint to joint, all stretched."""
+        """Upper bound of the tool point's distance from `base_point`, m: the sum of the links' lengths."""
         steps = [placement.translation for placement in list(self.model.jointPlacements)[2:]]
         steps.append(self.model.frames[self.tool_frame_id].placement.translation)
         return float(np.linalg.norm(steps, axis=1).sum())
 
     @property
     def arm_mass(self) -> float:
-        """Mass of everything that the joints move, payload included, kg."""
+        """Mass that the joints move, payload included, kg."""
         return float(sum(inertia.mass for inertia in self.model.inertias[1:]))
 
     @property
     def carrier_mass(self) -> float:
-        """Mass of everything that does not move, kg: it loads the guardrail with a constant share."""
+        """Mass that does not move, kg: its load on the guardrail is constant."""
         return float(self.model.inertias[0].mass)
 
     @property
@@ -109,7 +108,7 @@ class Robot:
 
     @property
     def carrier_torque(self) -> FloatArray:
-        """Constant torque (3,) about O0 on the guardrail from the weight of what does not move, Nm."""
+        """Constant torque (3,) about O0 on the guardrail by the weight of `carrier_mass`, Nm."""
         inertia = self.model.inertias[0]
         return np.cross(inertia.lever, inertia.mass * self.model.gravity.linear)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.errors import ModelError
-from cmbot.robot.hulls import convex_hull
+from cmbot.robot.arm_model import convex_hull
 
 __all__ = ["attach_payload", "set_tool_length"]
 
@@ -19,18 +19,16 @@ __all__ = ["attach_payload", "set_tool_length"]
 def set_tool_length(
     model: Any, shapes: Sequence[Any], tool_frame: str, length: float, *, source: str
 ) -> None:
-    """Move the tool point along the flange's z axis and stretch the tool's shapes with it.
+    """Move the tool point along the flange's z axis and stretch the tool's shapes with it, in place.
 
     The flange is the frame that carries `tool_frame`'s link; the tool's shapes are those fixed to it.
 
     Parameters
     ----------
     model : pinocchio.Model
-        Changed in place.
     shapes : sequence of pinocchio.GeometryModel
-        Changed in place.
     tool_frame : str
-        Name of the tool frame; it must lie on its flange's z axis, off the flange.
+        It lies on its flange's z axis, off the flange.
     length : float
         New distance from the flange, m.
     source : str
@@ -89,7 +87,8 @@ def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
     X_FS = X_JF.inverse() * shape.placement
     geometry = shape.geometry
     if isinstance(geometry, coal.ConvexBase):
-        shape.geometry = _stretched_hull(geometry, X_FS, ratio)
+        stretched = (X_FS.act(geometry.point(i)) * [1.0, 1.0, ratio] for i in range(geometry.num_points))
+        shape.geometry = convex_hull(np.array([X_FS.actInv(p_F) for p_F in stretched]))
         return
     axis = int(np.argmax(np.abs(X_FS.rotation[2])))
     long = isinstance(geometry, coal.Capsule | coal.Cylinder)
@@ -99,7 +98,7 @@ def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
         expected = "a tool of capsules, cylinders, boxes and meshes, whose axes are its flange's"
         raise ModelError(source, f"tool_length, {shape.name}", f"a {kind} that cannot be stretched", expected)
     if isinstance(geometry, coal.Capsule):
-        # The far end of the cap scales with the tool, not its centre.
+        # The tip of the cap scales with the tool, not the cap's centre.
         near = X_FS.translation[2] - geometry.halfLength
         far = (X_FS.translation[2] + geometry.halfLength + geometry.radius) * ratio - geometry.radius
         far = max(far, near)
@@ -114,12 +113,7 @@ def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
             geometry.halfLength *= ratio
         else:
             shape.meshScale = shape.meshScale * scale
-            # The shape in memory does not follow it by itself.
+            # The loaded shape does not follow the scale.
             shape.geometry = coal.MeshLoader().load(shape.meshPath, shape.meshScale)
         X_FS.translation = X_FS.translation * [1.0, 1.0, ratio]
     shape.placement = X_JF * X_FS
-
-
-def _stretched_hull(hull: Any, X_FS: Any, ratio: float) -> Any:
-    stretched = (X_FS.act(hull.point(i)) * [1.0, 1.0, ratio] for i in range(hull.num_points))
-    return convex_hull(np.array([X_FS.actInv(p_F) for p_F in stretched]))

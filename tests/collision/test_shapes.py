@@ -15,8 +15,7 @@ from robot_files import pose as pose_of
 
 from cmbot.collision import Clearances, load_mesh
 from cmbot.common.errors import SceneError
-from cmbot.robot import Robot
-from cmbot.robot.hulls import convex_hull, encloses_volume
+from cmbot.robot import Robot, convex_hull, encloses_volume
 from cmbot.scene import Box, Mesh, Obstacle, Shape, pose
 
 FloatArray = NDArray[np.float64]
