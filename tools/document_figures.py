@@ -55,7 +55,11 @@ def operation(plan: cmbot.Plan) -> Iterator[Row]:
         mean = (seconds * mean + moved * way.mean_guardrail_torque) / (seconds + moved)
     left = f"{base.peak_guardrail_torque:.2f}", f"{base.mean_guardrail_torque:.2f}"
     yield "peak torque while working, Nm", left[0], f"{work.peak_guardrail_torque:.2f}"
-    yield "lower bound of that peak, Nm", "-", "-" if plan.floor is None else f"{plan.floor.value:.2f}"
+    yield (
+        "lower bound of that peak, Nm",
+        "-",
+        "-" if plan.lower_bound is None else f"{plan.lower_bound.value:.2f}",
+    )
     yield "peak torque over the whole job, with the approach, Nm", left[0], f"{peak:.2f}"
     yield "mean torque while working, Nm", left[1], f"{work.mean_guardrail_torque:.2f}"
     yield "mean torque over the whole job, Nm", left[1], f"{mean:.2f}"

@@ -28,7 +28,7 @@ class FloorFile(FileModel):
     each: tuple[NonNegative, ...]
     """The smallest value at every via-point."""
 
-    def floor(self) -> LowerBound:
+    def lower_bound(self) -> LowerBound:
         """Return it as the planner has it."""
         return LowerBound(
             value=self.value, error=self.error, via_point=self.via_point, each=np.array(self.each)

@@ -91,7 +91,7 @@ def _motion_files(
 def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
     given = update_file(plan.scene)
     scene = _resolved(given)
-    approach, floor, choice, quieting = plan.approach, plan.floor, plan.choice, plan.quieting
+    approach, bound, choice, quieting = plan.approach, plan.lower_bound, plan.choice, plan.quieting
     holds = plan.certificate.holds and (approach is None or approach.certificate.holds)
     data = {
         "format": FORMAT,
@@ -104,7 +104,7 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "torque_floor": plan.torque_floor,
         "gap_to_floor": plan.gap_to_floor,
         "objective": {**asdict(plan.objective), "gap": plan.objective.gap},
-        "floor": None if floor is None else {**asdict(floor), "each": floor.each.tolist()},
+        "floor": None if bound is None else {**asdict(bound), "each": bound.each.tolist()},
         "choice": None if choice is None else asdict(choice),
         "fallbacks": plan.fallbacks,
         "seconds": asdict(plan.seconds),

@@ -91,7 +91,7 @@ class Plan:
         How the optimiser came there.
     objective : ObjectiveMetrics
         What was made small.
-    floor : LowerBound or None
+    lower_bound : LowerBound or None
         What no admissible plan can go below at rest; None with fixed knots.
     choice : Choice or None
         The global stage's peaks for both choices of the start; None with fixed knots.
@@ -122,7 +122,7 @@ class Plan:
     certificate: Certificate
     passes: tuple[ExchangeReport, ...]
     objective: ObjectiveMetrics
-    floor: LowerBound | None
+    lower_bound: LowerBound | None
     choice: Choice | None
     approach: Approach | None
     compensation: Compensation | None
@@ -163,9 +163,9 @@ class Plan:
     @property
     def torque_floor(self) -> float | None:
         """Floor of the torque on the guardrail, Nm; None with fixed knots or another objective."""
-        if self.floor is None or not self.objective.is_guardrail_torque:
+        if self.lower_bound is None or not self.objective.is_guardrail_torque:
             return None
-        return self.floor.value
+        return self.lower_bound.value
 
     @property
     def gap_to_floor(self) -> float | None:

@@ -161,7 +161,7 @@ def _plan(
         certificate=work.certificate,
         passes=work.optimised.passes,
         objective=made_small,
-        floor=way.floor,
+        lower_bound=way.floor,
         choice=way.choice,
         approach=work.approach,
         compensation=work.compensation,

@@ -167,13 +167,13 @@ def _floor(plan: Plan) -> Iterator[str]:
             f"{_value(objective, objective.baseline_peak)} in the baseline to "
             f"{_value(objective, objective.planned_peak)}."
         )
-    if plan.floor is None or plan.choice is None:
+    if plan.lower_bound is None or plan.choice is None:
         return
     gap = "" if objective.gap is None else f"; the peak is {100 * objective.gap:+.3f} % from it"
-    value, error = _value(objective, plan.floor.value), _value(objective, plan.floor.error, 1)
-    at, all_ = plan.floor.via_point + 1, len(plan.floor.each)
+    value, error = _value(objective, plan.lower_bound.value), _value(objective, plan.lower_bound.error, 1)
+    at, all_ = plan.lower_bound.via_point + 1, len(plan.lower_bound.each)
     where = f"at via-point {at} of the {all_} that the motion passes through, no posture"
-    if plan.floor.error <= _SETTLED * plan.floor.value:
+    if plan.lower_bound.error <= _SETTLED * plan.lower_bound.value:
         yield (f"Floor: no admissible plan rests below {value} (error {error}): {where} asks less{gap}.")
     else:
         yield (

@@ -66,7 +66,9 @@ def _peak(plan: Plan) -> Headline:
 def _floor(plan: Plan) -> Headline:
     floor, gap = plan.torque_floor, plan.gap_to_floor
     if floor is None or gap is None:
-        why = "not computed for fixed knots" if plan.floor is None else "another objective was minimised"
+        why = (
+            "not computed for fixed knots" if plan.lower_bound is None else "another objective was minimised"
+        )
         return Headline(title="Above the floor", value="–", detail=why)
     return Headline(
         title="Above the floor",

@@ -54,7 +54,7 @@ def test_round_trip(loaded, triangle_plan):
     np.testing.assert_allclose(plan.start.posture, triangle_plan.start.posture, rtol=1e-15)
     assert plan.start.moved == pytest.approx(triangle_plan.start.moved, rel=1e-15)
     assert plan.start.failures == ()
-    same_arrays(plan.floor, triangle_plan.floor)
+    same_arrays(plan.lower_bound, triangle_plan.lower_bound)
     assert plan.summary() == triangle_plan.summary()
     same_arrays(plan.samples, triangle_plan.samples)
 
@@ -88,7 +88,7 @@ def test_round_trip_with_fixed_knots(short_plan, tmp_path):
     assert {path.name for path in folder.iterdir()} == FILES - set(APPROACH_FILES)
     assert set(data["files"]) == FILES - {"plan.json", *APPROACH_FILES}
     read = load_plan(folder, verify=True)
-    assert (read.floor, read.choice, read.approach, read.gap_to_floor) == (None, None, None, None)
+    assert (read.lower_bound, read.choice, read.approach, read.gap_to_floor) == (None, None, None, None)
     same_arrays(read.trajectory, short_plan.trajectory)
     assert read.baseline_figures == short_plan.baseline_figures
     assert read.start.moved == 0

@@ -55,10 +55,10 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
         assert set(data[motion]["limit_use"]) == {"velocity", "acceleration", "jerk", "torque"}
     assert data["planned"]["peak_guardrail_torque"] == triangle_plan.figures.peak_guardrail_torque
     assert data["baseline"]["min_clearance"] == triangle_plan.baseline_figures.min_clearance
-    assert data["torque_floor"] == triangle_plan.floor.value
+    assert data["torque_floor"] == triangle_plan.lower_bound.value
     assert data["gap_to_floor"] == triangle_plan.gap_to_floor
     assert set(data["floor"]) == {"value", "error", "via_point", "each"}
-    assert data["floor"]["each"] == triangle_plan.floor.each.tolist()
+    assert data["floor"]["each"] == triangle_plan.lower_bound.each.tolist()
     assert data["objective"] == {
         "name": "torque",
         "unit": "Nm",
@@ -67,7 +67,7 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
         "axis_weights": [1.0, 1.0, 1.0],
         "baseline_peak": triangle_plan.baseline_figures.peak_guardrail_torque,
         "planned_peak": triangle_plan.figures.peak_guardrail_torque,
-        "floor": triangle_plan.floor.value,
+        "floor": triangle_plan.lower_bound.value,
         "gap": triangle_plan.gap_to_floor,
     }
     assert data["choice"] == {"free": triangle_plan.choice.free, "pinned": triangle_plan.choice.pinned}

@@ -17,10 +17,10 @@ from cmbot.common.errors import PathNotFound
 def test_planned_with_sliding_knots(tmp_path: Path, arm: str, keep: str) -> None:
     made = plan(arm_scene(tmp_path, arm, keep))
     assert made.certificate.holds
-    assert made.floor is not None
-    assert 0 <= made.floor.error <= made.floor.value
+    assert made.lower_bound is not None
+    assert 0 <= made.lower_bound.error <= made.lower_bound.value
     at_rest = made.certificate.figures.peak_static_guardrail_torque
-    assert made.floor.value - made.floor.error <= at_rest * (1 + 1e-3)
+    assert made.lower_bound.value - made.lower_bound.error <= at_rest * (1 + 1e-3)
 
 
 def test_six_joints_that_hold_a_pose_have_one_way_to_go(tmp_path: Path) -> None:

@@ -86,8 +86,8 @@ def test_one_leg_that_cannot_be_quieted_does_not_hide_the_others(
 
 
 def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Plan) -> None:
-    assert triangle_plan.floor is not None
-    at = triangle_plan.floor.via_point + 1
+    assert triangle_plan.lower_bound is not None
+    at = triangle_plan.lower_bound.via_point + 1
     assert f"at via-point {at} of the 50 that the motion passes through, no posture asks less" in line(
         triangle_plan, "Floor: "
     )
@@ -118,9 +118,9 @@ def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan:
 
 
 def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> None:
-    assert triangle_plan.floor is not None
-    floor = replace(triangle_plan.floor, error=0.3 * triangle_plan.floor.value)
-    said = line(replace(triangle_plan, floor=floor), "Floor, not settled: ")
+    assert triangle_plan.lower_bound is not None
+    floor = replace(triangle_plan.lower_bound, error=0.3 * triangle_plan.lower_bound.value)
+    said = line(replace(triangle_plan, lower_bound=floor), "Floor, not settled: ")
     assert f"the search was given up with {floor.error:.3f} Nm open" in said
     assert "no admissible plan" not in said
 

@@ -143,9 +143,9 @@ def test_the_plot_shades_the_approach_and_draws_the_floor(
 ) -> None:
     bare = dataclasses.replace(triangle_plan.robot, visual_model=pin.GeometryModel())  # quick
     plots = []
-    for floor in (triangle_plan.floor, None):
+    for floor in (triangle_plan.lower_bound, None):
         path = tmp_path / f"{len(plots)}.html"
-        replay(dataclasses.replace(triangle_plan, approach=None, floor=floor, robot=bare), path)
+        replay(dataclasses.replace(triangle_plan, approach=None, lower_bound=floor, robot=bare), path)
         open_page(chrome, path)
         assert chrome.execute_script("return [cmbotReplay.start, cmbotReplay.time]") == [0, 0]
         plots.append(plotted(chrome))

@@ -94,7 +94,7 @@ def test_a_slow_approach_has_no_more_frames(triangle_plan: Plan, approach: Appro
 
 
 def test_the_floor_is_the_plans(data: dict[str, Any], triangle_plan: Plan) -> None:
-    assert triangle_plan.floor is not None
+    assert triangle_plan.lower_bound is not None
     assert data["floor"] == triangle_plan.torque_floor
 
 
