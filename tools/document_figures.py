@@ -63,7 +63,8 @@ def operation(plan: cmbot.Plan) -> Iterator[Row]:
     yield "peak torque over the whole job, with the approach, Nm", left[0], f"{peak:.2f}"
     yield "mean torque while working, Nm", left[1], f"{work.mean_guardrail_torque:.2f}"
     yield "mean torque over the whole job, Nm", left[1], f"{mean:.2f}"
-    yield "smallest clearance over the whole job, mm", f"{1e3 * base.min_clearance:.1f}", f"{1e3 * clearance:.1f}"
+    closest = f"{1e3 * base.min_clearance:.1f}", f"{1e3 * clearance:.1f}"
+    yield "smallest clearance over the whole job, mm", *closest
     yield "time of the work, s", f"{seconds:.1f}", f"{seconds:.1f}"
     yield "time of the approach, s", "-", f"{moved:.1f}"
     yield "time to plan, s", "-", f"{plan.seconds.total:.1f}"
