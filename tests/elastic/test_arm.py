@@ -11,16 +11,18 @@ from elastic_robots import (
     YOUNG,
     FloatArray,
     cantilever,
+    make_arm,
     random_base,
     random_robot,
     second_moment,
 )
 from hypothesis import given
 from hypothesis import strategies as st
+from robot_files import load_copy
 
 from cmbot.common.errors import InputError
-from cmbot.elastic.arm import ElasticArm, ElasticOptions, cut_inertia, elastic_arm
-from cmbot.robot import Kinematics, Robot, load_robot
+from cmbot.elastic.arm import ElasticArm, ElasticOptions, cut_inertia
+from cmbot.robot import Kinematics, Robot
 
 SEGMENTS = (1, 2, 5)
 
@@ -56,7 +58,7 @@ def mass_matrix(model: Any, q: FloatArray) -> FloatArray:
 def test_a_cantilever_bends_as_a_beam(tmp_path: Path, segments: int, direction: int) -> None:
     L, area_moment = 0.7, second_moment()
     robot = cantilever(tmp_path, length=L, mass=1.0, direction=direction)
-    C = compliance(elastic_arm(robot, None, ElasticOptions(segments=segments)), np.zeros(1))
+    C = compliance(make_arm(robot, segments=segments), np.zeros(1))
     # Along x, forces and moments about x, y, z; the others by turning the axes in a circle.
     EI, GJ = YOUNG * area_moment, SHEAR * 2 * area_moment
     expected = np.zeros((6, 6))
@@ -91,7 +93,7 @@ def test_any_arm_bends_as_a_chain_of_beams(tmp_path: Path, rng: np.random.Genera
         for x, w in zip((1 + points) / 2, weights / 2, strict=True):
             moment = _moved(tool - start - x * (end - start))[3:]
             expected += w * tube.length * moment.T @ flexibility @ moment
-    got = compliance(elastic_arm(robot, base, ElasticOptions(segments=segments)), q)
+    got = compliance(make_arm(robot, base, segments=segments), q)
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
@@ -104,8 +106,8 @@ def _moved(arm: FloatArray) -> FloatArray:
 
 def test_stiffness_factors(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     base = random_base(rng)
-    usual = elastic_arm(cmbot_robot, base).stiffness
-    other = elastic_arm(cmbot_robot, base, ElasticOptions(guardrail_factor=0.7, link_factor=1.3)).stiffness
+    usual = make_arm(cmbot_robot, base).stiffness
+    other = make_arm(cmbot_robot, base, guardrail_factor=0.7, link_factor=1.3).stiffness
     np.testing.assert_allclose(other[:6, :6], 0.7 * usual[:6, :6], rtol=1e-15)
     np.testing.assert_allclose(other[6:, 6:], 1.3 * usual[6:, 6:], rtol=1e-15)
     np.testing.assert_array_equal(usual[:6, :6], base.stiffness)
@@ -179,21 +181,16 @@ def test_mass_stays_on_its_side_of_a_cut() -> None:
     point = pin.Inertia(1.0, np.array([0.2, 0, 0]), np.zeros((3, 3)))
     near, far = cut_inertia(point, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.5]))
     assert (near.mass, far.mass) == (1.0, 0.0)
-    assert [piece.mass for piece in cut_inertia(pin.Inertia.Zero(), np.zeros(3), np.ones(3), np.ones(1))] == [
-        0,
-        0,
-    ]
+    nothing = cut_inertia(pin.Inertia.Zero(), np.zeros(3), np.ones(3), np.ones(1))
+    assert [piece.mass for piece in nothing] == [0, 0]
 
 
 def test_the_payload_is_at_the_end_of_a_bending_link(tmp_path: Path) -> None:
-    arms = [
-        elastic_arm(
-            cantilever(tmp_path, length=0.7, mass=1.0, payload=payload), None, ElasticOptions(segments=2)
-        )
-        for payload in (0.0, 4.0)
-    ]
-    masses = [[inertia.mass for inertia in arm.model.inertias] for arm in arms]
-    difference = np.subtract(masses[1], masses[0])
+    without, loaded = (
+        [inertia.mass for inertia in make_arm(robot, segments=2).model.inertias]
+        for robot in (cantilever(tmp_path, length=0.7, mass=1.0, payload=payload) for payload in (0.0, 4.0))
+    )
+    difference = np.subtract(loaded, without)
     assert difference[-1] == pytest.approx(4.0)
     np.testing.assert_allclose(difference[:-1], 0, atol=1e-12)
 
@@ -204,7 +201,7 @@ def test_undeformed_it_is_the_rigid_arm(
 ) -> None:
     for robot in (cmbot_robot, *(random_robot(tmp_path / str(n), rng, n) for n in (3, 5, 7))):
         n = robot.dof
-        arm = elastic_arm(robot, random_base(rng), ElasticOptions(segments=segments))
+        arm = make_arm(robot, random_base(rng), segments=segments)
         assert arm.model.nq == arm.model.nv == n + 6 + 5 * segments * len(robot.elasticity)
         q, v, a = rng.uniform(-2, 2, (3, n))
         u = np.zeros(len(arm.elastic))
@@ -223,7 +220,7 @@ def test_undeformed_it_is_the_rigid_arm(
 
 
 def test_the_foot_feels_everything(cmbot_robot: Robot, rng: np.random.Generator) -> None:
-    arm = elastic_arm(cmbot_robot, random_base(rng))
+    arm = make_arm(cmbot_robot, random_base(rng))
     q = rng.uniform(-2, 2, 7)
     weight = pin.computeGeneralizedGravity(
         arm.model, arm.model.createData(), arm.configuration(q, np.zeros(len(arm.elastic)))
@@ -240,7 +237,7 @@ def test_the_foot_feels_everything(cmbot_robot: Robot, rng: np.random.Generator)
 
 def test_order_of_the_coordinates(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     base = random_base(rng)
-    arm = elastic_arm(cmbot_robot, base, ElasticOptions(segments=2))
+    arm = make_arm(cmbot_robot, base, segments=2)
     assert sorted([*arm.driven, *arm.elastic]) == list(range(arm.model.nv))
     names = list(arm.model.names)[1:]
     assert tuple(names[i] for i in arm.driven) == cmbot_robot.joints
@@ -256,16 +253,14 @@ def test_order_of_the_coordinates(cmbot_robot: Robot, rng: np.random.Generator) 
 
 
 def test_rigid_hold_and_rigid_links(urdf_folder: Path, rng: np.random.Generator) -> None:
-    rigid = load_robot(urdf_folder / "cmbot.urdf", base_frame="arm_base", tool_frame="tool0")
-    assert len(elastic_arm(rigid, None).elastic) == 0
-    assert elastic_arm(rigid, None).stiffness.shape == (0, 0)
-    base = random_base(rng)
-    arm = elastic_arm(rigid, base)
-    np.testing.assert_array_equal(arm.stiffness, base.stiffness)
+    rigid, base = load_copy(urdf_folder), random_base(rng)
+    assert len(make_arm(rigid).elastic) == 0
+    assert make_arm(rigid).stiffness.shape == (0, 0)
+    np.testing.assert_array_equal(make_arm(rigid, base).stiffness, base.stiffness)
 
 
 def test_configurations_are_joined_by_rows(cmbot_robot: Robot, rng: np.random.Generator) -> None:
-    arm = elastic_arm(cmbot_robot, None)
+    arm = make_arm(cmbot_robot)
     q, u = rng.normal(size=(3, 7)), rng.normal(size=(3, 20))
     joined = arm.configuration(q, u)
     np.testing.assert_array_equal(joined[:, arm.driven], q)
@@ -273,7 +268,7 @@ def test_configurations_are_joined_by_rows(cmbot_robot: Robot, rng: np.random.Ge
 
 
 def test_arrays_are_read_only(cmbot_robot: Robot) -> None:
-    arm = elastic_arm(cmbot_robot, None)
+    arm = make_arm(cmbot_robot)
     for array in (arm.driven, arm.elastic, arm.stiffness, arm.added_mass):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0

@@ -7,10 +7,10 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 import pytest
-from elastic_robots import FloatArray, random_base, random_robot
+from elastic_robots import FloatArray, make_arm, random_base, random_robot
 from numpy.testing import assert_allclose
 
-from cmbot.elastic.arm import ElasticArm, ElasticOptions, cut_inertia, elastic_arm
+from cmbot.elastic.arm import ElasticArm, cut_inertia
 from cmbot.robot import Robot
 
 AXES = np.eye(3)
@@ -114,9 +114,8 @@ def arm(
     request: pytest.FixtureRequest, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
 ) -> ElasticArm:
     if request.param == "random":
-        return elastic_arm(random_robot(tmp_path, rng, 6), random_base(rng), ElasticOptions(segments=2))
-    base = random_base(rng) if request.param == "cmbot" else None
-    return elastic_arm(cmbot_robot, base)
+        return make_arm(random_robot(tmp_path, rng, 6), random_base(rng), segments=2)
+    return make_arm(cmbot_robot, random_base(rng) if request.param == "cmbot" else None)
 
 
 def test_mass_matrix_and_bias_forces(arm: ElasticArm, rng: np.random.Generator) -> None:

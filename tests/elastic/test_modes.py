@@ -1,4 +1,4 @@
-"""Vibrations about the static equilibrium: beams in closed form, orthogonality, modal damping."""
+"""Vibrations about the static equilibrium: matrices, beams in closed form, orthogonality, modal damping."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,13 +6,23 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from elastic_robots import SHEAR, YOUNG, FloatArray, cantilever, random_base, random_robot, second_moment
-from finite_differences import finite_difference
+from elastic_robots import (
+    SHEAR,
+    YOUNG,
+    FloatArray,
+    cantilever,
+    make_arm,
+    make_random_arm,
+    random_base,
+    second_moment,
+)
+from finite_differences import check_derivative, finite_difference
 
 from cmbot.common.errors import InputError
 from cmbot.elastic import elastic_base
-from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.modes import arm_modes
+from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.modes import arm_modes, linearised
+from cmbot.elastic.sag import Sag
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
 
@@ -20,9 +30,8 @@ EI = YOUNG * second_moment()
 
 
 @pytest.fixture
-def random_arm(tmp_path: Path, rng: np.random.Generator) -> ElasticArm:
-    robot = random_robot(tmp_path, rng, 5, payload=1.0)
-    return elastic_arm(robot, random_base(rng), ElasticOptions(segments=2, link_factor=0.05))
+def arm(tmp_path: Path, rng: np.random.Generator) -> ElasticArm:
+    return make_random_arm(tmp_path, rng, 5)
 
 
 # In closed form
@@ -33,7 +42,7 @@ def test_a_mass_on_a_cantilever(tmp_path: Path, segments: int) -> None:
     """Two bending modes; what has no mass has no mode."""
     L, payload = 0.7, 3.0
     robot = cantilever(tmp_path, length=L, mass=1e-12, payload=payload)
-    modes = arm_modes(elastic_arm(robot, None, ElasticOptions(segments=segments)), np.zeros(1))
+    modes = arm_modes(make_arm(robot, segments=segments), np.zeros(1))
     expected = np.sqrt(3 * EI / (payload * L**3)) / (2 * np.pi)
     np.testing.assert_allclose(modes.frequencies[:2], expected, rtol=1e-4)  # the weight stiffens it a little
     assert (modes.frequencies[2:] > 1e3 * expected).all()
@@ -45,8 +54,7 @@ def test_a_uniform_cantilever(tmp_path: Path) -> None:
     unit = np.sqrt(EI / (mass * L**3)) / (2 * np.pi)
     exact = np.array([1.875104, 1.875104, 4.694091, 4.694091, 7.854757, 7.854757]) ** 2 * unit
     one, ten = (
-        arm_modes(elastic_arm(robot, None, ElasticOptions(segments=segments)), np.zeros(1)).frequencies[:6]
-        for segments in (1, 10)
+        arm_modes(make_arm(robot, segments=segments), np.zeros(1)).frequencies[:6] for segments in (1, 10)
     )
     np.testing.assert_allclose(one[:2], exact[:2], rtol=0.01)
     np.testing.assert_allclose(ten[:2], exact[:2], rtol=1e-4)
@@ -61,7 +69,7 @@ def test_a_disc_that_turns_on_a_tube(tmp_path: Path) -> None:
     model = robot.model.copy()
     disc = pin.Inertia(1.0, np.array([L, 0, 0]), np.diag([polar, polar / 2, polar / 2]))
     model.inertias[1] += disc
-    modes = arm_modes(elastic_arm(replace(robot, model=model), None), np.zeros(1))
+    modes = arm_modes(make_arm(replace(robot, model=model)), np.zeros(1))
     twisting = np.abs(modes.shapes[2]) > 0.5 / np.sqrt(polar)
     expected = np.sqrt(2 * SHEAR * second_moment() / L / polar) / (2 * np.pi)
     np.testing.assert_allclose(modes.frequencies[twisting], [expected], rtol=1e-3)
@@ -70,20 +78,20 @@ def test_a_disc_that_turns_on_a_tube(tmp_path: Path) -> None:
 # What modes are
 
 
-def test_modes_solve_the_equation_of_motion(random_arm: ElasticArm, rng: np.random.Generator) -> None:
+def test_modes_solve_the_equation_of_motion(arm: ElasticArm, rng: np.random.Generator) -> None:
     """Accelerations from the full inverse dynamics, the stiffness from its differences."""
     q = rng.uniform(-2, 2, 5)
-    modes = arm_modes(random_arm, q)
-    model, data, elastic = random_arm.model, random_arm.model.createData(), random_arm.elastic
+    modes = arm_modes(arm, q)
+    model, data, elastic = arm.model, arm.model.createData(), arm.elastic
     still = np.zeros(model.nv)
 
     def force(u: FloatArray, a: FloatArray) -> FloatArray:
-        full = random_arm.configuration(np.zeros(5), a)
-        tau = pin.rnea(model, data, random_arm.configuration(q, u), still, full)[elastic]
-        return np.asarray(tau + random_arm.stiffness @ u + random_arm.added_mass @ a)
+        full = arm.configuration(np.zeros(5), a)
+        tau = pin.rnea(model, data, arm.configuration(q, u), still, full)[elastic]
+        return np.asarray(tau + arm.stiffness @ u + arm.added_mass @ a)
 
     zero = np.zeros(len(elastic))
-    assert np.abs(force(modes.u, zero)).max() < 1e-9 * np.abs(random_arm.stiffness @ modes.u).max()
+    assert np.abs(force(modes.u, zero)).max() < 1e-9 * np.abs(arm.stiffness @ modes.u).max()
     K = finite_difference(lambda u: force(u, zero), modes.u)
     M = np.array([force(modes.u, a) - force(modes.u, zero) for a in np.eye(len(zero))]).T
     omega2 = (2 * np.pi * modes.frequencies) ** 2
@@ -93,9 +101,9 @@ def test_modes_solve_the_equation_of_motion(random_arm: ElasticArm, rng: np.rand
     np.testing.assert_allclose(modes.mass, M, rtol=0, atol=1e-10 * np.abs(M).max())
 
 
-def test_modes_are_orthonormal(random_arm: ElasticArm, rng: np.random.Generator) -> None:
-    modes = arm_modes(random_arm, rng.uniform(-2, 2, 5))
-    f = len(random_arm.elastic)
+def test_modes_are_orthonormal(arm: ElasticArm, rng: np.random.Generator) -> None:
+    modes = arm_modes(arm, rng.uniform(-2, 2, 5))
+    f = len(arm.elastic)
     assert modes.shapes.shape == (f, len(modes.frequencies))
     assert (np.diff(modes.frequencies) >= 0).all()
     omega2 = (2 * np.pi * modes.frequencies) ** 2
@@ -105,10 +113,8 @@ def test_modes_are_orthonormal(random_arm: ElasticArm, rng: np.random.Generator)
 
 
 @pytest.mark.parametrize("ratio", [0.0, 0.01, 0.3])
-def test_damping_gives_every_mode_its_ratio(
-    random_arm: ElasticArm, rng: np.random.Generator, ratio: float
-) -> None:
-    modes = arm_modes(random_arm, rng.uniform(-2, 2, 5))
+def test_damping_gives_every_mode_its_ratio(arm: ElasticArm, rng: np.random.Generator, ratio: float) -> None:
+    modes = arm_modes(arm, rng.uniform(-2, 2, 5))
     D = modes.damping(ratio)
     assert np.abs(D - D.T).max() <= 1e-12 * np.abs(D).max()
     omega = 2 * np.pi * modes.frequencies
@@ -117,7 +123,7 @@ def test_damping_gives_every_mode_its_ratio(
 
 
 def test_damped_vibrations_decay_at_the_ratio(cmbot_robot: Robot, rng: np.random.Generator) -> None:
-    modes = arm_modes(elastic_arm(cmbot_robot, random_base(rng)), rng.uniform(-2, 2, 7))
+    modes = arm_modes(make_arm(cmbot_robot, random_base(rng)), rng.uniform(-2, 2, 7))
     f = len(modes.u)
     inverse = np.linalg.inv(modes.mass)
     state = np.block(
@@ -133,23 +139,62 @@ def test_damped_vibrations_decay_at_the_ratio(cmbot_robot: Robot, rng: np.random
 
 @pytest.mark.parametrize("ratio", [-0.01, float("nan"), float("inf")])
 def test_the_ratio_is_checked(cmbot_robot: Robot, ratio: float) -> None:
-    modes = arm_modes(elastic_arm(cmbot_robot, None), np.full(7, 0.3))
+    modes = arm_modes(make_arm(cmbot_robot), np.full(7, 0.3))
     with pytest.raises(InputError, match=r"ArmModes.damping: ratio"):
         modes.damping(ratio)
 
 
 def test_mass_of_the_guardrail_slows_everything(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     base, q = random_base(rng), rng.uniform(-2, 2, 7)
-    bare = arm_modes(elastic_arm(cmbot_robot, replace(base, mass=np.zeros((6, 6)))), q).frequencies
-    heavy = arm_modes(elastic_arm(cmbot_robot, replace(base, mass=50 * base.mass)), q).frequencies
+    bare = arm_modes(make_arm(cmbot_robot, replace(base, mass=np.zeros((6, 6)))), q).frequencies
+    heavy = arm_modes(make_arm(cmbot_robot, replace(base, mass=50 * base.mass)), q).frequencies
     assert (heavy <= bare * (1 + 1e-9)).all()
     assert heavy[0] < 0.9 * bare[0]
 
 
 def test_what_does_not_bend_has_no_modes(cmbot_robot: Robot) -> None:
-    modes = arm_modes(elastic_arm(replace(cmbot_robot, elasticity=()), None), np.zeros(7))
+    modes = arm_modes(make_arm(replace(cmbot_robot, elasticity=())), np.zeros(7))
     assert modes.frequencies.shape == (0,)
     assert modes.damping(0.01).shape == (0, 0)
+
+
+# The matrices
+
+
+def test_mass_and_coupling_are_what_accelerations_ask_for(arm: ElasticArm, rng: np.random.Generator) -> None:
+    q = rng.uniform(-2, 2, (3, len(arm.driven)))
+    at = linearised(arm, q)
+    data = arm.model.createData()
+    for k in range(3):
+        configuration, still = arm.configuration(q[k], at.u[k]), np.zeros(arm.model.nv)
+
+        def force(a: FloatArray, x: FloatArray = configuration, still: FloatArray = still) -> FloatArray:
+            return np.asarray(pin.rnea(arm.model, data, x, still, a)[arm.elastic])
+
+        rest = force(still)
+        for axes, matrix in (
+            (arm.elastic, at.mass[k] - arm.added_mass),
+            (arm.driven, at.coupling[k]),
+        ):
+            columns = np.stack([force(np.eye(arm.model.nv)[axis]) - rest for axis in axes], axis=1)
+            np.testing.assert_allclose(matrix, columns, atol=1e-9 * np.abs(columns).max())
+
+
+def test_the_equilibrium_moves_with_the_joints_as_its_matrices_say(
+    arm: ElasticArm, rng: np.random.Generator
+) -> None:
+    q = rng.uniform(-2, 2, len(arm.driven))
+    at = linearised(arm, q[None])
+    slope = -np.linalg.solve(at.stiffness[0], at.weight[0])
+    sag = Sag(arm)
+    check_derivative(lambda x: sag.at(x[None]).u[0], q, slope, rtol=1e-7)
+    np.testing.assert_array_equal(at.u[0], sag.at(q[None]).u[0])
+    for matrix in (at.mass[0], at.stiffness[0]):
+        np.testing.assert_array_equal(matrix, matrix.T)
+    assert np.linalg.eigvalsh(at.stiffness[0]).min() > 0
+    # What is between two segments has no mass of its own.
+    energies = np.linalg.eigvalsh(at.mass[0])
+    assert energies.min() > -1e-12 * energies.max()
 
 
 # What is measured
@@ -159,8 +204,7 @@ def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:
     scene = load_scene("triangle")
     base = elastic_base(scene.guardrail)
     one, four, eight = (
-        arm_modes(elastic_arm(cmbot_robot, base, ElasticOptions(segments=segments)), scene.posture)
-        for segments in (1, 4, 8)
+        arm_modes(make_arm(cmbot_robot, base, segments=segments), scene.posture) for segments in (1, 4, 8)
     )
     np.testing.assert_allclose(one.frequencies[:6], eight.frequencies[:6], rtol=0.005)
     np.testing.assert_allclose(four.frequencies[:6], eight.frequencies[:6], rtol=0.0005)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cmbot.elastic import ElasticBase
+from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.robot import Robot, load_robot
 
 FloatArray = NDArray[np.float64]
@@ -102,6 +103,16 @@ def random_robot(folder: Path, rng: np.random.Generator, joints: int, **options:
             )
         )
     return write_robot(folder, links, rng.uniform(-0.3, 0.3, 3), **options)
+
+
+def make_arm(robot: Robot, base: ElasticBase | None = None, **options: Any) -> ElasticArm:
+    return elastic_arm(robot, base, ElasticOptions(**options))
+
+
+def make_random_arm(folder: Path, rng: np.random.Generator, joints: int) -> ElasticArm:
+    """A random robot with a payload on a random hold, its links soft and in two segments."""
+    robot = random_robot(folder, rng, joints, payload=1.0)
+    return make_arm(robot, random_base(rng), segments=2, link_factor=0.05)
 
 
 def random_base(rng: np.random.Generator) -> ElasticBase:
