@@ -20,16 +20,7 @@ _SEGMENT, _FEWEST = 64, 12
 
 
 def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
-    """Largest distance (S, n) that any point of a shape can have from each joint's origin, m.
-
-    Zero where the joint does not move it.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        A serial chain.
-    shapes : S pinocchio.GeometryObject
-    """
+    """Largest distance (S, n), m, of any point of a shape from each joint of a serial chain that moves it."""
     offset = [float(np.linalg.norm(placement.translation)) for placement in model.jointPlacements]
     reach = np.zeros((len(shapes), model.nv))
     for k, shape in enumerate(shapes):
@@ -46,18 +37,9 @@ def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
 
 
 def pair_reach(reach: FloatArray, joints: Sequence[int], pairs: Sequence[tuple[int, int]]) -> FloatArray:
-    """Reach (P, n) of each joint in P pairs of shapes, m; zero where it moves both alike.
+    """Reach (P, n), m, of the joints in P pairs of S shapes, from their `shape_reach` and what carries each.
 
-    No distance changes by more than the joints' moves times these.
-
-    Parameters
-    ----------
-    reach : (S, n), m
-        Of S shapes: `shape_reach`.
-    joints : S int
-        What carries each shape; 0: nothing.
-    pairs : P pairs of int
-        Indices of shapes: the second is carried by an earlier joint than the first, or does not move.
+    No distance changes by more than the joints' moves times it; it is zero where a joint moves both shapes.
     """
     first = np.array([reach[i] for i, _ in pairs]).reshape(-1, reach.shape[1])
     still = np.array([joints[j] for _, j in pairs]).reshape(-1, 1)
@@ -71,7 +53,7 @@ def travel(q: FloatArray, reach: FloatArray) -> FloatArray:
     ----------
     q : (N, n), rad
     reach : (n,), m
-        Of the joints, for all shapes.
+        `Clearances.reach`.
     """
     return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(q, axis=0)) @ reach)])
 
@@ -97,18 +79,7 @@ def raise_bounds(distance: FloatArray, measured: BoolArray, covered: FloatArray)
 
 
 class DistanceCache:
-    """All distances in the posture that was measured last, which bound those in postures near it.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-    geometry : pinocchio.GeometryModel
-        With P collision pairs.
-    data : pinocchio.GeometryData
-        Its distance requests say how distances are worked out.
-    reach : (P, n), m
-        Of each joint in each pair: `pair_reach`.
-    """
+    """All P distances in the posture measured last, which bound those in postures near it by `pair_reach`."""
 
     def __init__(self, model: Any, geometry: Any, data: Any, reach: FloatArray) -> None:
         self._arguments = (model, model.createData(), geometry, data)

@@ -127,16 +127,7 @@ class PairedShapes:
 def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
     """Return the convex coal shapes that cover `shape`, with their poses in its frame.
 
-    Parameters
-    ----------
-    shape : Box, Cylinder, Capsule, Sphere or Mesh
-        A mesh becomes the convex hull of each of its connected parts.
-    name : str
-        The obstacle's, to name in an error.
-
-    Returns
-    -------
-    list of (coal shape, pinocchio.SE3)
+    A mesh becomes the convex hull of each of its connected parts; `name` is the obstacle's.
 
     Raises
     ------

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, TypeVar, get_type_hints
+from typing import Any, ClassVar, TypeVar, get_type_hints
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError, create_model
@@ -18,6 +18,7 @@ from pydantic_core import ErrorDetails, PydanticCustomError
 from cmbot.common.errors import InputError
 
 __all__ = [
+    "CheckedFields",
     "FileModel",
     "check_fields",
     "checked_options",
@@ -126,6 +127,15 @@ def check_fields(instance: object, model: type[BaseModel] | None = None) -> None
     source, model = kind.__name__, model or _fields_model(kind)
     data = {name: plain(getattr(instance, name), source, (name,)) for name in model.model_fields}
     validated(model, data, source, InputError)
+
+
+class CheckedFields:
+    """Base of frozen dataclasses whose fields are checked by `check_fields`, in files and in Python."""
+
+    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 @cache

@@ -17,6 +17,7 @@ __all__ = [
     "Coordinate",
     "Length",
     "Mass",
+    "Posture",
     "Slug",
     "Text",
     "Vector",
@@ -44,6 +45,7 @@ Angle = Annotated[float, Field(ge=-360, le=360)]
 Angles = tuple[Angle, Angle, Angle]
 Mass = Annotated[float, Field(ge=0, le=1e4)]
 Text = Annotated[str, Field(min_length=1)]
+Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
 Slug = Annotated[
     str, AfterValidator(_slug), WithJsonSchema({"type": "string", "pattern": f"^{_SLUG.pattern}$"})
 ]

@@ -11,14 +11,14 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import check_fields, require_type, shown
+from cmbot.common.validation import CheckedFields, require_type, shown
 from cmbot.scene.fields import Length
 
 __all__ = ["Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "Shape", "Sphere", "pose"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Box:
+class Box(CheckedFields):
     """A cuboid about its centre.
 
     Attributes
@@ -29,12 +29,9 @@ class Box:
 
     size: tuple[Length, Length, Length]
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Cylinder:
+class Cylinder(CheckedFields):
     """A cylinder along z, about its centre.
 
     Attributes
@@ -46,12 +43,9 @@ class Cylinder:
     radius: Length
     length: Length
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Capsule:
+class Capsule(CheckedFields):
     """A capsule along z, about its centre.
 
     Attributes
@@ -65,12 +59,9 @@ class Capsule:
     radius: Length
     length: Length
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True, kw_only=True)
-class Sphere:
+class Sphere(CheckedFields):
     """A ball about its centre.
 
     Attributes
@@ -80,9 +71,6 @@ class Sphere:
     """
 
     radius: Length
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)

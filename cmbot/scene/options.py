@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Literal
 
 from pydantic import AfterValidator, ConfigDict, Field
 
-from cmbot.common.validation import refusal
+from cmbot.common.validation import FileModel, refusal
 
 __all__ = ["PlannerOptions"]
 
@@ -35,25 +35,25 @@ class PlannerOptions:
     Attributes
     ----------
     knots : str
-        ``sliding``: the via-points slide along the self-motion to where the torque on the guardrail is least.
+        ``sliding``: the via-points move in the null space of the task to where the objective is least.
         ``fixed``: they stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
     start : str
         With sliding knots: ``free`` lets the arm first go to a better posture with the same tool pose, where
         that lowers the peak by more than `gap_target`; ``pinned`` keeps the scene's posture as long as a path
         leads on from there.
     objective : str
-        What is made small; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
-        ``sag``: how far guardrail and links let the tool sag at rest.
+        What is minimised; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
+        ``sag``: the tool's displacement at rest by the elasticity of guardrail and links.
     moment_about : str
         Of the torque. ``foot``: about O0, n_0. ``base``: about the origin of the arm's base frame, n_1
         without the lever of Eq. (12).
     axis_weights : three floats
-        By which the torque's components along x, y and z of W are multiplied before their norm is taken.
+        Factors of the torque's components along x, y and z of W in its norm.
     compensate : bool
         Shift the via-points by the tool's predicted sag, so that the bent arm follows the path.
     quiet_modes : int
-        With sliding knots: so many elastic modes, the slowest first, are brought to rest at the ends of the
-        legs; 0: none. Splines cannot follow modes much faster than their segments.
+        With sliding knots: number of elastic modes, the slowest first, that are brought to rest at the ends
+        of the legs. Splines cannot follow modes much faster than their segments.
     avoidance : str
         ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
         near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
@@ -67,31 +67,31 @@ class PlannerOptions:
     damping_max : float
         lambda_0 of Eq. (21).
     damping_threshold : float
-        s_h of Eq. (21): damping sets in when the smallest singular value falls below it.
+        s_h of Eq. (21): smallest singular value below which damping sets in.
     drift_gain : float
         Feedback from the tool's pose error to its commanded velocity along the path, 1/s.
     path_step_s : float
         Step at which Eq. (22) is integrated, s.
     other_starts : int
-        When no path leads on from the scene's posture: how many others with the same tool pose, reached by
-        self-motion, are tried at most, the nearest first; 0 keeps the scene's posture.
+        When no path leads on from the scene's posture: most other postures with the same tool pose, reached
+        by self-motion, that are tried, the nearest first; 0 keeps the scene's posture.
     chart_spacing : float
         Distance between neighbouring postures of a chart of self-motion, rad.
     chart_seeds : int
         Random postures from which the first chart is grown.
     step_share : float
-        Share of the velocity bounds that the global stage lets joints use between via-points. Where no
-        trajectory follows its way, smaller ones are tried: a plan's options name the one that was used.
+        Share of the velocity bounds that the global search lets joints use between via-points. Where no
+        trajectory follows its path, smaller ones are tried: a plan's options name the one that was used.
     safety_margin_m : float
         Smallest clearance that a plan may have, m.
     max_tool_deviation_m : float
-        How far the tool point may leave the legs between via-points, m.
+        Largest distance of the tool point from the legs between via-points, m.
     solver : str
         ``sqp``: sequential quadratic programming on sparse matrices; needs the extra ``fast``.
         ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``, and
-        also where ``sqp`` gives up. A plan's options name the one that was used.
+        also where ``sqp`` fails. A plan's options name the one that was used.
     samples_per_segment : int
-        Samples per spline segment at which nonlinear constraints are looked for violations.
+        Samples per spline segment at which nonlinear constraints are checked for violations.
     smoothing_weight : float
         Weight rho of half the mean squared jerk (in units of its bounds) beside half the mean square of the
         objective (in units of its peak at the initial guess): decides between motions of nearly equal torque.
@@ -101,14 +101,14 @@ class PlannerOptions:
     gap_target : float
         The arm leaves the scene's posture only where that lowers the peak by more than this share.
     constraint_tolerance : float
-        Relative violation below which a constraint counts as met by the optimiser.
+        Relative violation below which the optimiser takes a constraint for met.
     max_passes : int
-        Exchange passes before the optimisation is given up.
+        Most exchange iterations.
     max_iterations : int
-        Iterations of the solver per pass (the paper's bound).
+        Most iterations of the solver in each of them (the paper's bound).
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
 
     knots: Literal["sliding", "fixed"] = "sliding"
     start: Literal["free", "pinned"] = "free"

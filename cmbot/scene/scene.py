@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, GetPydanticSchema
+from pydantic import GetPydanticSchema
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.validation import check_fields, require_type
+from cmbot.common.validation import CheckedFields, check_fields, require_type
 from cmbot.elastic import Guardrail
-from cmbot.scene.fields import Coordinate, Length, Mass, Text, Vector
+from cmbot.scene.fields import Length, Mass, Posture, Text, Vector
 from cmbot.scene.obstacles import Obstacle
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.schema import SceneFile, ToolPathFile
@@ -25,7 +25,7 @@ _AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobotSource:
+class RobotSource(CheckedFields):
     """Where the robot comes from; the fields that may be None are None exactly for the shipped model.
 
     Attributes
@@ -61,14 +61,11 @@ class RobotSource:
     tool_length: Length | None
     payload: Mass
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 class _SceneFields(ToolPathFile):
     """The bounds of a `Scene`'s fields that hold text and numbers: those of the scene file."""
 
-    posture: Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
+    posture: Posture
     planner: PlannerOptions
 
 

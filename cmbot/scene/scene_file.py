@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
@@ -23,6 +24,10 @@ from cmbot.scene.scene import RobotSource, Scene
 from cmbot.scene.schema import ObstacleFile, RobotFile, SceneFile
 
 __all__ = ["load_scene", "scene_from_file", "shipped_scenes", "update_file"]
+
+_LONGEST_SOURCE = 300
+
+_Find = Callable[[str, str], Path]
 
 
 def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
@@ -72,17 +77,23 @@ def scene_from_file(file: SceneFile, base_folder: Path, source: str) -> Scene:
     SceneError
         A file that it names is missing.
     """
-    own = tuple(
-        _obstacle(obstacle, f"obstacles[{index}]", base_folder, source)
-        for index, obstacle in enumerate(file.obstacles)
-    )
+
+    def find(text: str, key: str) -> Path:
+        path = base_folder / text
+        if os.path.isfile(path):  # noqa: PTH113  Path.is_file raises for names that no file can have
+            return path.resolve()
+        shipped = f", or cmbot{hint(text, ('cmbot',))}" if key == "robot.model" else ""
+        expected = f"a file that exists (relative to the scene file){shipped}"
+        raise SceneError(source, key, shown(text), expected)
+
+    own = tuple(_obstacle(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
     guardrail = guardrail_from_file(file.guardrail)
     posture = np.radians(file.posture_deg)
     posture.setflags(write=False)
     return Scene(
         name=file.name,
         source=source,
-        robot=_robot(file.robot, base_folder, source),
+        robot=_robot(file.robot, find),
         posture=posture,
         obstacles=(*own, *guardrail_obstacles(guardrail)),
         guardrail=guardrail,
@@ -122,70 +133,45 @@ def update_file(scene: Scene) -> Scene:
 
 
 def _scene_path(source: str | Path) -> Path:
-    if isinstance(source, str) and source in shipped_scenes():
+    names = shipped_scenes()
+    if isinstance(source, str) and source in names:
         return scene_folder() / f"{source}.yaml"
     path = given_path(source, "load_scene", "source", "the path of a scene file, or its content as a mapping")
+    expected = "a scene file or the name of a shipped scene"
     if source == "":  # as a path that is the current folder
-        expected = "a scene file or the name of a shipped scene"
-        raise SceneError("load_scene", "source", "nothing", expected, shipped_scenes())
-    if not _exists(path):
-        expected = f"a scene file or the name of a shipped scene{hint(path.stem, shipped_scenes())}"
-        raise SceneError(_as_source(path), "", "no such file", expected, shipped_scenes())
+        raise SceneError("load_scene", "source", "nothing", expected, names)
+    if not os.path.exists(path):  # noqa: PTH110  Path.exists raises for names that no file can have
+        text = str(path)
+        where = text if text.isprintable() and len(text) <= _LONGEST_SOURCE else shown(text)
+        raise SceneError(where, "", "no such file", f"{expected}{hint(path.stem, names)}", names)
     return path
 
 
-def _as_source(path: Path) -> str:
-    text = str(path)
-    return text if text.isprintable() and len(text) <= 300 else shown(text)
-
-
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):  # a name too long, or one that no file can have
-        return False
-
-
-def _named_file(text: str, key: str, base_folder: Path, source: str) -> Path:
-    path = base_folder / text
-    try:
-        if path.is_file():
-            return path.resolve()
-    except (OSError, ValueError) as error:
-        raise SceneError(source, key, shown(text), "the path of a file") from error
-    expected = "a file that exists (relative to the scene file)"
-    if key == "robot.model":
-        expected += f", or cmbot{hint(text, ('cmbot',))}"
-    raise SceneError(source, key, shown(text), expected)
-
-
-def _robot(file: RobotFile, base_folder: Path, source: str) -> RobotSource:
+def _robot(file: RobotFile, find: _Find) -> RobotSource:
     values = si_fields(file)
     for key in ("limits", "srdf", "elasticity", *(() if file.model == "cmbot" else ("model",))):
         if values[key] is not None:
-            values[key] = _named_file(values[key], f"robot.{key}", base_folder, source)
+            values[key] = find(values[key], f"robot.{key}")
     mount = values.pop("mount")
     placed = {} if mount is None else si_fields(mount)
     return RobotSource(**values, mount_xyz=placed.get("xyz"), mount_rpy=placed.get("rpy"))
 
 
-def _obstacle(file: ObstacleFile, key: str, base_folder: Path, source: str) -> Obstacle:
-    X_WO = pose(file.xyz, np.radians(file.rpy_deg))
-    shape = _shape(file, key, base_folder, source)
-    return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece)
-
-
-def _shape(file: ObstacleFile, key: str, base_folder: Path, source: str) -> Shape:
+def _obstacle(file: ObstacleFile, key: str, find: _Find) -> Obstacle:
+    shape: Shape
     if file.box is not None:
-        return Box(size=file.box)
-    if file.cylinder is not None:
-        return Cylinder(radius=file.cylinder[0], length=file.cylinder[1])
-    if file.capsule is not None:
-        return Capsule(radius=file.capsule[0], length=file.capsule[1])
-    if file.sphere is not None:
-        return Sphere(radius=file.sphere)
-    mesh = cast("str", file.mesh)  # the schema lets exactly one through
-    return Mesh(path=_named_file(mesh, f"{key}.mesh", base_folder, source))
+        shape = Box(size=file.box)
+    elif file.cylinder is not None:
+        shape = Cylinder(radius=file.cylinder[0], length=file.cylinder[1])
+    elif file.capsule is not None:
+        shape = Capsule(radius=file.capsule[0], length=file.capsule[1])
+    elif file.sphere is not None:
+        shape = Sphere(radius=file.sphere)
+    else:
+        mesh = cast("str", file.mesh)  # the schema lets exactly one through
+        shape = Mesh(path=find(mesh, f"{key}.mesh"))
+    X_WO = pose(file.xyz, np.radians(file.rpy_deg))
+    return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece)
 
 
 def _content_hash(file: SceneFile, obstacles: tuple[Obstacle, ...], source: str) -> str:
@@ -216,25 +202,26 @@ def _own_obstacles(scene: Scene) -> tuple[Obstacle, ...]:
 
 
 def _robot_data(robot: RobotSource, file: RobotFile) -> dict[str, Any]:
-    """What the file says of a robot; a path is written as the file has it, where it has one."""
-    files = {"limits": robot.limits, "srdf": robot.srdf, "elasticity": robot.elasticity}
-    shipped, mount = robot.model == "cmbot", None
-    if robot.mount_xyz is not None and robot.mount_rpy is not None:
-        rpy_deg = _degrees(robot.mount_rpy, file.mount.rpy_deg if file.mount else None)
-        mount = {"xyz": list(robot.mount_xyz), "rpy_deg": rpy_deg}
-    return {
-        "model": file.model if shipped == (file.model == "cmbot") else str(robot.model),
+    """The file's entry of a robot; a path is written as the file has it, where it has one."""
+    data: dict[str, Any] = {
         "base_frame": robot.base_frame,
         "tool_frame": robot.tool_frame,
-        "mount": mount,
         "tool_length_m": robot.tool_length,
         "payload_kg": robot.payload,
-        **{key: None if path is None else getattr(file, key) or str(path) for key, path in files.items()},
     }
+    shipped = robot.model == "cmbot"
+    data["model"] = file.model if shipped == (file.model == "cmbot") else str(robot.model)
+    for key in ("limits", "srdf", "elasticity"):
+        path = getattr(robot, key)
+        data[key] = None if path is None else getattr(file, key) or str(path)
+    if robot.mount_xyz is not None and robot.mount_rpy is not None:
+        rpy_deg = _degrees(robot.mount_rpy, file.mount.rpy_deg if file.mount else None)
+        data["mount"] = {"xyz": list(robot.mount_xyz), "rpy_deg": rpy_deg}
+    return data
 
 
 def _obstacle_data(obstacle: Obstacle, entry: ObstacleFile | None) -> dict[str, Any]:
-    """What the file says of an obstacle; as it did, where that is the same."""
+    """The file's entry of an obstacle; its numbers as they stand there, where they are the same."""
     X = obstacle.X_WO
     xyz, rpy_deg = X[:3, 3].tolist(), Rotation.from_matrix(X[:3, :3]).as_euler("xyz", degrees=True).tolist()
     if entry is not None and np.array_equal(pose(entry.xyz, np.radians(entry.rpy_deg)), X):
@@ -255,7 +242,7 @@ def _obstacle_data(obstacle: Obstacle, entry: ObstacleFile | None) -> dict[str, 
 
 
 def _degrees(radians: Sequence[float] | FloatArray, known: Sequence[float] | None) -> list[float]:
-    """Angles in degrees; those that are known where they are the same."""
+    """Angles in degrees; the known ones where these are the same in radians."""
     if known is not None and np.array_equal(np.radians(known), radians):
         return list(known)
     return [float(angle) for angle in np.degrees(radians)]

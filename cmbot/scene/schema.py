@@ -10,9 +10,9 @@ from pydantic import ConfigDict, Field, model_validator
 from cmbot.common.validation import FileModel, hint, refusal, shown
 from cmbot.scene.fields import (
     Angles,
-    Coordinate,
     Length,
     Mass,
+    Posture,
     Slug,
     Text,
     Vector,
@@ -128,7 +128,7 @@ class SceneFile(FileModel):
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
-    posture_deg: Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
+    posture_deg: Posture
     """Joint angles at the start, from the base to the tool."""
     tool_path: ToolPathFile
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()

@@ -1,4 +1,4 @@
-"""The timed path of the tool: straight legs from the initial tool pose, the tool's orientation kept."""
+"""The tool path: straight legs from the initial tool pose, each timed by a speed profile."""
 
 from __future__ import annotations
 
@@ -6,24 +6,24 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from heapq import heapify, heapreplace
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AfterValidator, ConfigDict, Field
+from pydantic import AfterValidator, Field
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import FileModel, check_fields, refusal
+from cmbot.common.validation import CheckedFields, refusal
 from cmbot.scene.fields import Vector
 
 __all__ = ["Leg", "ShiftedToolPath", "SpeedProfile", "ToolPath", "share_out_segments"]
 
 _SHORTEST_LEG = 1e-6  # m
 _NO_LENGTH = 1e-300
-# Corners that are the same to so many digits after the point, m, are one: the rest comes from adding up legs.
+# Corners that agree to this many digits after the point, m, are one: the rest is rounding of the legs' sum.
 _DIGITS = 12
-# So many points are held against the legs at once.
+# Points whose nearest legs are sought in one call.
 _BLOCK = 512
 
 
@@ -34,7 +34,7 @@ def _long_enough(by: Vector) -> Vector:
 
 
 @dataclass(frozen=True, kw_only=True)
-class SpeedProfile:
+class SpeedProfile(CheckedFields):
     """How the tool speeds up and slows down along a leg: from rest to rest, symmetric in time.
 
     Attributes
@@ -51,13 +51,8 @@ class SpeedProfile:
         When `kind` is unknown or `ramp` is out of range.
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
-
     kind: Literal["trapezoidal", "jerk_limited"] = "trapezoidal"
     ramp: Annotated[float, Field(gt=0, le=0.5)] = 0.2
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
     def share(self, u: FloatArray) -> FloatArray:
         """Share of the length covered at share `u` of the duration, both in [0, 1]."""
@@ -85,7 +80,7 @@ class SpeedProfile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Leg:
+class Leg(CheckedFields):
     """A straight leg of the tool's path.
 
     Attributes
@@ -101,13 +96,8 @@ class Leg:
         When a field is out of its bounds, or the leg shorter than a micrometre.
     """
 
-    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
-
     by: Annotated[Vector, AfterValidator(_long_enough)]
     seconds: Annotated[float, Field(gt=0, le=1e6)]
-
-    def __post_init__(self) -> None:
-        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -143,59 +133,27 @@ class ToolPath:
     @cached_property
     def lengths(self) -> FloatArray:
         """Lengths (L,) of the legs, m."""
-        return np.asarray(np.linalg.norm(np.diff(self.corners, axis=0), axis=1))
+        return np.asarray(np.linalg.norm(self._edges, axis=1))
+
+    @cached_property
+    def _edges(self) -> FloatArray:
+        return np.diff(self.corners, axis=0)
 
     def position(self, times: ArrayLike) -> FloatArray:
         """Return the tool point p_WT (N, 3), m, at `times` (N,)."""
         leg, u = self._locate(times)
-        return self.corners[leg] + self.profile.share(u)[:, None] * np.diff(self.corners, axis=0)[leg]
+        return self.corners[leg] + self.profile.share(u)[:, None] * self._edges[leg]
 
     def velocity(self, times: ArrayLike) -> FloatArray:
         """Return the tool point's velocity (N, 3), m/s, at `times` (N,)."""
         leg, u = self._locate(times)
-        rate = self.profile.rate(u) / self.seconds[leg]
-        return rate[:, None] * np.diff(self.corners, axis=0)[leg]
+        return np.asarray((self.profile.rate(u) / self.seconds[leg])[:, None] * self._edges[leg])
 
     def progress(self, time: float) -> float:
         """Share of the path's length that is covered at `time`."""
         leg, u = self._locate([time])
         covered = self.lengths[: leg[0]].sum() + self.profile.share(u)[0] * self.lengths[leg[0]]
         return float(covered / self.lengths.sum())
-
-    def offset(self, p: FloatArray) -> FloatArray:
-        """Return the vector from the nearest point of the legs to each of `p` (N, 3), (N, 3), m."""
-        blocks = [self._nearest_offset(p[k : k + _BLOCK]) for k in range(0, len(p), _BLOCK)]
-        return np.concatenate([np.empty((0, 3)), *blocks])
-
-    def _nearest_offset(self, p: FloatArray) -> FloatArray:
-        """The same for few points near each other: most legs are then too far from all of them."""
-        every = self._different
-        centre = p.mean(axis=0)
-        radius = np.linalg.norm(p - centre, axis=1).max()
-        away = np.linalg.norm(self._offset_from(every, np.tile(centre, (len(every), 1))), axis=1)
-        # Not ">": what is no number leaves nothing out.
-        some = every[~(away - radius > away.min() + radius)]
-        offsets = self._offset_from(some, p[:, None])
-        nearest = np.einsum("nld,nld->nl", offsets, offsets).argmin(axis=1)
-        return np.asarray(offsets[np.arange(len(p)), nearest])
-
-    @cached_property
-    def _different(self) -> IntArray:
-        """Legs without those that lie where an earlier one does: strokes to and fro share one."""
-        corner = np.unique(np.round(self.corners, _DIGITS), axis=0, return_inverse=True)[1].ravel()
-        ends = np.sort(np.stack([corner[:-1], corner[1:]], axis=1), axis=1)
-        return np.sort(np.unique(ends, axis=0, return_index=True)[1])
-
-    def leg_offset(self, times: ArrayLike, p: FloatArray) -> FloatArray:
-        """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the leg at `times`."""
-        return self._offset_from(self._locate(times)[0], p)
-
-    def leg_directions(self, times: ArrayLike) -> FloatArray:
-        """Return unit vectors (N, 3) along the legs at `times`; zero for a leg of no length."""
-        leg, _ = self._locate(times)
-        return np.asarray(
-            np.diff(self.corners, axis=0)[leg] / np.maximum(self.lengths[leg], _NO_LENGTH)[:, None]
-        )
 
     def via_times(self, count: int) -> FloatArray:
         """Times t_j (count,) of the via-points: leg ends, and equal steps within each leg (Eq. (23)).
@@ -212,11 +170,42 @@ class ToolPath:
         ]
         return np.concatenate([*pieces, self.leg_times[-1:]])
 
+    def leg_directions(self, times: ArrayLike) -> FloatArray:
+        """Return unit vectors (N, 3) along the legs at `times`; zero for a leg of no length."""
+        leg, _ = self._locate(times)
+        return np.asarray(self._edges[leg] / np.maximum(self.lengths[leg], _NO_LENGTH)[:, None])
+
+    def leg_offset(self, times: ArrayLike, p: FloatArray) -> FloatArray:
+        """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the leg at `times`."""
+        return self._offset_from(self._locate(times)[0], p)
+
+    def offset(self, p: FloatArray) -> FloatArray:
+        """Return the vector from the nearest point of the legs to each of `p` (N, 3), (N, 3), m."""
+        blocks = [self._nearest_offset(p[k : k + _BLOCK]) for k in range(0, len(p), _BLOCK)]
+        return np.concatenate([np.empty((0, 3)), *blocks])
+
+    def _nearest_offset(self, p: FloatArray) -> FloatArray:
+        """`offset` of points near each other: most legs are then too far from all of them."""
+        legs = self._distinct_legs
+        centre = p.mean(axis=0)
+        radius = np.linalg.norm(p - centre, axis=1).max()
+        away = np.linalg.norm(self._offset_from(legs, np.tile(centre, (len(legs), 1))), axis=1)
+        # Not "<=": points that are not finite leave no leg out.
+        near = legs[~(away - radius > away.min() + radius)]
+        offsets = self._offset_from(near, p[:, None])
+        nearest = np.einsum("nld,nld->nl", offsets, offsets).argmin(axis=1)
+        return np.asarray(offsets[np.arange(len(p)), nearest])
+
+    @cached_property
+    def _distinct_legs(self) -> IntArray:
+        """Legs without those between the same corners as an earlier one, such as strokes to and fro."""
+        corner = np.unique(np.round(self.corners, _DIGITS), axis=0, return_inverse=True)[1].ravel()
+        ends = np.sort(np.stack([corner[:-1], corner[1:]], axis=1), axis=1)
+        return np.sort(np.unique(ends, axis=0, return_index=True)[1])
+
     def _offset_from(self, leg: IntArray, p: FloatArray) -> FloatArray:
         """Vectors (..., 3) from the nearest points of legs (...) to points (..., 3)."""
-        start, edge = self.corners[leg], np.diff(self.corners, axis=0)[leg]
-        # A leg of no length has but one point.
-        away = p - start
+        edge, away = self._edges[leg], p - self.corners[leg]
         along = np.einsum("...d,...d->...", away, edge) / np.maximum(self.lengths[leg] ** 2, _NO_LENGTH)
         return np.asarray(away - np.clip(along, 0.0, 1.0)[..., None] * edge)
 
@@ -229,7 +218,7 @@ class ToolPath:
 
 @dataclass(frozen=True, kw_only=True)
 class ShiftedToolPath(ToolPath):
-    """A tool path that is displaced as time goes by; distances are measured from where it would be without.
+    """A tool path that is displaced over time; `offset` is measured from the path without displacement.
 
     Attributes
     ----------
@@ -252,10 +241,9 @@ class ShiftedToolPath(ToolPath):
 
 
 def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> list[int]:
-    """Share out spline segments over legs by their durations.
+    """Distribute spline segments over legs by their durations (D'Hondt's method).
 
-    Every leg has one; each further segment goes to the leg whose segments would then still be longest
-    (D'Hondt's method), the earlier leg first.
+    Every leg has one; each further one goes to the leg, the earlier first, whose segments then are longest.
 
     Raises
     ------
