@@ -1,13 +1,16 @@
-"""Plan directories: written whole or not at all, read back with every doubt spoken."""
+"""Plan directories: written whole or not at all, checked when they are read."""
 
 from cmbot.archive.folder import add_file, require_free, write_file
+from cmbot.archive.motion_files import columns
 from cmbot.archive.reading import load_plan
-from cmbot.archive.tracking import require_no_tracking, save_tracking, tracking_json
-from cmbot.archive.tracking_reading import load_tracking
+from cmbot.archive.strict_json import json_bytes
+from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
 from cmbot.archive.writing import save
 
 __all__ = [
     "add_file",
+    "columns",
+    "json_bytes",
     "load_plan",
     "load_tracking",
     "require_free",

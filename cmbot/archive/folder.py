@@ -9,6 +9,7 @@ import shutil
 import stat
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from difflib import get_close_matches
 from pathlib import Path
 
 from cmbot.archive.strict_json import read_json
@@ -21,6 +22,7 @@ __all__ = [
     "PLAN_FILE",
     "SAVED_FILES",
     "add_file",
+    "plans_nearby",
     "read_file",
     "require_free",
     "write_file",
@@ -36,6 +38,9 @@ APPROACH_FILES = ("approach.csv", "approach.npz", "approach.ros.json")
 
 _FORMAT_OF_ANY_VERSION = re.compile(r"cmbot-plan/\d+")
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
+# Where the command line puts plans by default.
+_DEFAULT_PLACE = Path("out")
+_MOST_SUGGESTED = 3
 
 
 def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool) -> None:
@@ -169,6 +174,35 @@ def read_file(path: Path) -> bytes:
     except OSError as error:
         got = f"a file that cannot be read ({error.strerror})"
         raise ArchiveError(str(path), "", got, "a readable file") from error
+
+
+def plans_nearby(folder: Path) -> str:
+    """Return a question that names the plan directories that may have been meant.
+
+    Those in `folder`, the one of its name in ``out``, or those with similar names here and there. It is empty
+    where there are none, or `folder` is one itself.
+    """
+    try:
+        if (folder / PLAN_FILE).exists():
+            return ""
+        default = _DEFAULT_PLACE / folder
+        found = sorted(path.parent for path in folder.glob(f"*/{PLAN_FILE}"))
+        found = found or ([default] if (default / PLAN_FILE).is_file() else [])
+        found = found or [*_similar(folder), *_similar(default)]
+    except OSError:  # a folder without permission, a name that is too long
+        return ""
+    if not found:
+        return ""
+    more = " or another one there" if len(found) > _MOST_SUGGESTED else ""
+    return f"; did you mean {' or '.join(map(str, found[:_MOST_SUGGESTED]))}{more}?"
+
+
+def _similar(folder: Path) -> list[Path]:
+    """The plan directory beside a missing folder whose name is most similar."""
+    if folder.exists():
+        return []
+    names = [path.parent.name for path in folder.parent.glob(f"*/{PLAN_FILE}")]
+    return [folder.parent / name for name in get_close_matches(folder.name, names, n=1)]
 
 
 def _in_bytes(content: bytes | str) -> bytes:

@@ -1,4 +1,4 @@
-"""From a plan directory back to a plan."""
+"""A plan from its directory."""
 
 from __future__ import annotations
 
@@ -9,13 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from cmbot.archive.fitting import require_fit, require_times, require_unchanged
-from cmbot.archive.folder import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES, read_file
-from cmbot.archive.knots import read_knots
-from cmbot.archive.nearby import plans_nearby
-from cmbot.archive.schema import ApproachFile, CertificateFile, FiguresFile, PlanFile
+from cmbot.archive.consistency import require_fit, require_times, require_unchanged
+from cmbot.archive.folder import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES, plans_nearby, read_file
+from cmbot.archive.motion_files import read_knots, read_motion
+from cmbot.archive.schema import ApproachFile, CertificateFile, MetricsFile, PlanFile, made
 from cmbot.archive.strict_json import read_json
-from cmbot.archive.tables import read_motion
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
@@ -24,7 +22,9 @@ from cmbot.optimization.program import StateSamples
 from cmbot.planning import (
     Approach,
     Certificate,
+    Check,
     MotionMetrics,
+    ObjectiveMetrics,
     Plan,
     QuinticTrajectory,
     ToolTask,
@@ -98,23 +98,23 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         options=file.options,
         robot=robot,
         task=task,
-        start=file.start.start(),
+        start=file.start.made(),
         baseline=measure(robot, task, clearances, t, motion),
-        baseline_figures=file.baseline.figures(),
+        baseline_figures=made(MotionMetrics, file.baseline),
         drift=file.drift,
         smallest_singular_value=file.smallest_singular_value,
         trajectory=trajectory,
         certificate=certificate,
-        passes=tuple(entry.report() for entry in file.passes),
-        objective=file.objective.figures(),
-        lower_bound=None if file.floor is None else file.floor.lower_bound(),
-        choice=None if file.choice is None else file.choice.choice(),
+        passes=file.passes,
+        objective=made(ObjectiveMetrics, file.objective),
+        lower_bound=None if file.floor is None else file.floor.made(),
+        choice=file.choice,
         approach=approach,
-        compensation=None if file.compensation is None else file.compensation.compensation(),
-        quieting=None if file.quieting is None else file.quieting.quieting(),
+        compensation=file.compensation,
+        quieting=None if file.quieting is None else file.quieting.made(),
         sag=_sag(scene, robot, file.options) if file.options.compensate else None,
         fallbacks=file.fallbacks,
-        seconds=file.seconds.seconds(),
+        seconds=file.seconds,
     )
     return _verified(plan, clearances, source) if verify else plan
 
@@ -173,13 +173,13 @@ def _changed(source: Path, key: str, got: str, expected: str, what: str) -> Arch
     return ArchiveError(str(source), key, f"{got[:16]}… now", f"{expected[:16]}…: {what}; plan again")
 
 
-def _certificate(entry: CertificateFile, motion: FiguresFile, source: Path, key: str) -> Certificate:
-    certificate = entry.certificate(motion)
-    for index, (stored, check) in enumerate(zip(entry.checks, certificate.checks, strict=True)):
+def _certificate(entry: CertificateFile, metrics: MetricsFile, source: Path, key: str) -> Certificate:
+    checks = tuple(made(Check, check) for check in entry.checks)
+    for index, (stored, check) in enumerate(zip(entry.checks, checks, strict=True)):
         if not (check.holds and stored.holds):
             where, got = f"{key}.checks[{index}]", f"a broken promise ({check.quantity})"
             raise ArchiveError(str(source), where, got, "kept ones")
-    return certificate
+    return made(Certificate, entry, checks=checks, figures=made(MotionMetrics, metrics))
 
 
 def _trajectory(

@@ -1,196 +1,142 @@
-"""plan.json as pydantic models, each with the way back to what it was made from."""
+"""plan.json as pydantic models.
+
+A dataclass whose fields are the entry's keys is read directly. The other entries have keys that are computed
+from the fields, numbers in degrees, or null for an infinite number: `made` makes their dataclasses.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo, WrapValidator
 
-from cmbot.archive.goal_schema import ChoiceFile, Count, FloorFile, NonNegative, ObjectiveFile
 from cmbot.common.errors import PathNotFound
-from cmbot.common.validation import FileModel
-from cmbot.optimization.constraint_set import Violation
-from cmbot.planning import (
-    Certificate,
-    Check,
-    ExchangeReport,
-    LimitUse,
-    MotionMetrics,
-    Seconds,
-    Start,
-)
+from cmbot.common.validation import FileModel, refusal
+from cmbot.planning import ExchangeReport, LimitUse, LowerBound, Seconds, Start
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
+from cmbot.planning.initial_guess import Choice
 from cmbot.scene import PlannerOptions, SceneFile
 
-__all__ = [
-    "ApproachFile",
-    "CertificateFile",
-    "CheckFile",
-    "FailureFile",
-    "FiguresFile",
-    "HashesFile",
-    "LimitUseFile",
-    "PassFile",
-    "PlanFile",
-    "SecondsFile",
-    "StartFile",
-    "ViolationFile",
-    "or_null",
-]
+__all__ = ["ApproachFile", "CertificateFile", "MetricsFile", "PlanFile", "made"]
 
+T = TypeVar("T")
+
+
+def _at_least_zero(*names: str) -> AfterValidator:
+    """Check that fields of a dataclass, by default all, are not negative; None is allowed."""
+
+    def check(entry: Any) -> Any:
+        for name in names or [field.name for field in fields(entry)]:
+            if (value := getattr(entry, name)) is not None and value < 0:
+                raise refusal("at least 0", got=value, key=(name,))
+        return entry
+
+    return AfterValidator(check)
+
+
+def _or_infinite(value: object, handler: Callable[[object], float], info: ValidationInfo) -> float:
+    infinite = value is None or (info.mode == "python" and value == math.inf)
+    return math.inf if infinite else handler(value)
+
+
+NonNegative = Annotated[float, Field(ge=0)]
+Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
+NullIfInfinite = PlainSerializer(lambda value: None if value == math.inf else value)
+OrInfinite = Annotated[float, WrapValidator(_or_infinite), NullIfInfinite]
+"""null: infinite."""
+Truth = Annotated[bool, BeforeValidator(lambda value: bool(value) if isinstance(value, np.bool_) else value)]
 
 
-def or_null(value: float) -> float | None:
-    """Return a number as JSON can hold it: nothing for plus infinity."""
-    return None if value == math.inf else value
-
-
-def _or_infinite(value: float | None) -> float:
-    return math.inf if value is None else value
-
-
-class LimitUseFile(FileModel):
-    """Largest share of each bound that is used; 1 is at the bound."""
-
-    velocity: NonNegative
-    acceleration: NonNegative
-    jerk: NonNegative
-    torque: NonNegative
-
-
-class FiguresFile(FileModel):
-    """The figures of one motion, in SI units."""
+class MetricsFile(FileModel):
+    """`MotionMetrics` of one motion, in SI units."""
 
     peak_guardrail_torque: NonNegative
     mean_guardrail_torque: NonNegative
-    min_clearance: float | None
-    """null: there is nothing to be hit."""
     peak_static_guardrail_torque: NonNegative
+    min_clearance: OrInfinite
     max_tool_deviation: NonNegative
     max_tool_rotation: NonNegative
-    limit_use: LimitUseFile
-
-    def figures(self) -> MotionMetrics:
-        """Return them as the planner has them."""
-        use = self.limit_use
-        return MotionMetrics(
-            peak_guardrail_torque=self.peak_guardrail_torque,
-            mean_guardrail_torque=self.mean_guardrail_torque,
-            peak_static_guardrail_torque=self.peak_static_guardrail_torque,
-            min_clearance=_or_infinite(self.min_clearance),
-            max_tool_deviation=self.max_tool_deviation,
-            max_tool_rotation=self.max_tool_rotation,
-            limit_use=LimitUse(
-                velocity=use.velocity, acceleration=use.acceleration, jerk=use.jerk, torque=use.torque
-            ),
-        )
-
-
-class SecondsFile(FileModel):
-    """Wall time of each stage, s."""
-
-    path: NonNegative
-    optimise: NonNegative
-    certify: NonNegative
-    total: NonNegative
-
-    def seconds(self) -> Seconds:
-        """Return them as the planner has them."""
-        return Seconds(path=self.path, optimise=self.optimise, certify=self.certify, total=self.total)
+    limit_use: Annotated[LimitUse, _at_least_zero()]
 
 
 class CheckFile(FileModel):
-    """One promise of a plan: the worst value found, when, and its bound."""
+    """`Check`, and whether it holds."""
 
     quantity: str
     time: float
-    value: float | None
-    """null: infinite."""
-    bound: float | None
-    """null: none."""
+    value: OrInfinite
+    bound: OrInfinite
     unit: str
     at_least: bool
-    """The bound is a lower one."""
-    holds: bool
-
-    def check(self) -> Check:
-        """Return it as the certificate has it."""
-        return Check(
-            quantity=self.quantity,
-            time=self.time,
-            value=_or_infinite(self.value),
-            bound=_or_infinite(self.bound),
-            unit=self.unit,
-            at_least=self.at_least,
-        )
+    holds: Truth
 
 
 class CertificateFile(FileModel):
-    """What a trajectory was found to do."""
+    """`Certificate` without the metrics, which the motion has."""
 
-    clearance_bound: float | None
-    """No distance is smaller at any time, m; null: there is nothing to be hit."""
+    clearance_bound: OrInfinite
     checks: Annotated[tuple[CheckFile, ...], Field(min_length=1)]
 
-    def certificate(self, figures: FiguresFile) -> Certificate:
-        """Return it, with its motion's `figures`, as the planner has it."""
-        return Certificate(
-            checks=tuple(entry.check() for entry in self.checks),
-            figures=figures.figures(),
-            clearance_bound=_or_infinite(self.clearance_bound),
-        )
 
-
-class ApproachFile(FiguresFile):
-    """How the arm gets from the scene's posture to where the work starts: its figures, and more."""
+class ApproachFile(MetricsFile):
+    """Metrics, duration in s and certificate of an `Approach`."""
 
     seconds: Annotated[float, Field(gt=0)]
-    """How long it takes, s."""
     along_self_motion: bool
-    """The tool stays about where it is."""
     certificate: CertificateFile
 
 
-class CompensationFile(FileModel):
-    """How the predicted sag was compensated."""
-
-    rounds: Count
-    largest_shift: NonNegative
-    """Of a commanded tool point from where the path has it, m."""
-    last_change: NonNegative
-    """How far the last round moved any of them still, m."""
-
-    def compensation(self) -> Compensation:
-        """Return it as the planner has it."""
-        return Compensation(**self.model_dump())
-
-
-class QuietingFile(FileModel):
-    """What was done about the vibration."""
+class SuppressionFile(FileModel):
+    """`VibrationSuppression`, and the mean of its shares."""
 
     modes: Count
-    share: Share
-    """Mean over the legs of how much of it was taken away."""
     shares: tuple[Share, ...] = ()
-    """That of each leg; empty in files that do not tell them apart."""
+    """Empty in files that have only the mean."""
     before: NonNegative
-    """Amplitude of the tool that these modes leave at the end, as predicted, m: without the change."""
     after: NonNegative
-    """With it."""
+    share: Share
 
-    def quieting(self) -> VibrationSuppression:
+    def made(self) -> VibrationSuppression:
         """Return it as the planner has it."""
-        shares = self.shares or (self.share,)
-        return VibrationSuppression(modes=self.modes, shares=shares, before=self.before, after=self.after)
+        return made(VibrationSuppression, self, shares=self.shares or (self.share,))
+
+
+class ObjectiveFile(FileModel):
+    """`ObjectiveMetrics`, and the gap to the floor."""
+
+    name: Annotated[str, Field(min_length=1)]
+    unit: str
+    own: bool
+    moment_about: Literal["foot", "base"] | None
+    axis_weights: tuple[NonNegative, NonNegative, NonNegative] | None
+    baseline_peak: NonNegative
+    planned_peak: NonNegative
+    floor: NonNegative | None
+    gap: float | None
+
+
+class LowerBoundFile(FileModel):
+    """`LowerBound`, its array as a list."""
+
+    value: NonNegative
+    error: NonNegative
+    via_point: Count
+    each: tuple[NonNegative, ...]
+
+    def made(self) -> LowerBound:
+        """Return it as the planner has it."""
+        return made(LowerBound, self, each=np.array(self.each))
 
 
 class FailureFile(FileModel):
-    """Why no path led on from a starting posture."""
+    """`PathNotFound`, from one start."""
 
     reason: str
     time: float
@@ -198,72 +144,32 @@ class FailureFile(FileModel):
     smallest_singular_value: float
     pair: tuple[str, str] | None
 
-    def failure(self) -> PathNotFound:
-        """Return it as it was raised."""
-        return PathNotFound(
-            self.reason,
-            time=self.time,
-            progress=self.progress,
-            smallest_singular_value=self.smallest_singular_value,
-            pair=self.pair,
-        )
-
 
 class StartFile(FileModel):
-    """Where the motion starts, and why not elsewhere."""
+    """`Start`, in degrees."""
 
     posture_deg: Annotated[tuple[float, ...], Field(min_length=1)]
     moved_deg: NonNegative
-    """Largest difference of a joint from the scene's posture."""
     failures: tuple[FailureFile, ...]
 
-    def start(self) -> Start:
+    def made(self) -> Start:
         """Return it as the planner has it."""
         return Start(
             posture=np.radians(self.posture_deg),
             moved=math.radians(self.moved_deg),
-            failures=tuple(failure.failure() for failure in self.failures),
-        )
-
-
-class ViolationFile(FileModel):
-    """The constraint that is violated most, as a share of its bound."""
-
-    name: str
-    value: float
-
-
-class PassFile(FileModel):
-    """A pass of the optimiser."""
-
-    stage: str
-    number: Count
-    iterations: Count
-    constraints: Count
-    peak_torque: float
-    worst: ViolationFile
-
-    def report(self) -> ExchangeReport:
-        """Return it as the optimiser has it."""
-        return ExchangeReport(
-            stage=self.stage,
-            number=self.number,
-            iterations=self.iterations,
-            constraints=self.constraints,
-            peak_torque=self.peak_torque,
-            worst=Violation(name=self.worst.name, value=self.worst.value),
+            failures=tuple(PathNotFound(**dict(failure)) for failure in self.failures),
         )
 
 
 class HashesFile(FileModel):
-    """SHA-256 of what went in; whether it is still the same is seen by them."""
+    """SHA-256 of the inputs."""
 
     robot: Sha256
     """`Robot.content_hash`."""
     scene: Sha256
     """`Scene.content_hash` of the scene as it was read."""
     resolved_scene: Sha256
-    """The same of the scene as it stands here, its paths made absolute."""
+    """The same of the scene in this file, whose paths are absolute."""
 
 
 class PlanFile(FileModel):
@@ -271,24 +177,23 @@ class PlanFile(FileModel):
 
     format: Literal["cmbot-plan/1"]
     status: Literal["certified"]
-    baseline: FiguresFile
-    planned: FiguresFile
+    baseline: MetricsFile
+    planned: MetricsFile
     approach: ApproachFile | None
     """null: the work starts in the scene's posture, or the knots are fixed."""
-    torque_floor: NonNegative | None
-    """Of the torque on the guardrail, Nm; null with fixed knots, and when something else was made small."""
-    gap_to_floor: float | None
-    """How far the planned peak lies above it, as a share of it."""
-    objective: ObjectiveFile
-    floor: FloorFile | None
-    choice: ChoiceFile | None
-    compensation: CompensationFile | None = None
+    quieting: SuppressionFile | None = None
+    """null: the vibration was not suppressed."""
+    compensation: Annotated[Compensation, _at_least_zero()] | None = None
     """null: the sag was not compensated."""
-    quieting: QuietingFile | None = None
-    """null: nothing was done about the vibration."""
+    torque_floor: NonNegative | None
+    """Of the torque on the guardrail, Nm; null with fixed knots or another objective."""
+    gap_to_floor: float | None
+    """Planned peak less its floor, as a share of the floor."""
+    objective: ObjectiveFile
+    floor: LowerBoundFile | None
+    choice: Annotated[Choice, _at_least_zero()] | None
     fallbacks: tuple[str, ...] = ()
-    """What did not work, and was done in another way."""
-    seconds: SecondsFile
+    seconds: Annotated[Seconds, _at_least_zero()]
     certificate: CertificateFile
     start: StartFile
     drift: NonNegative
@@ -296,9 +201,15 @@ class PlanFile(FileModel):
     smallest_singular_value: NonNegative
     """Along the baseline."""
     options: PlannerOptions
-    scene: SceneFile
+    scene: Annotated[SceneFile, PlainSerializer(SceneFile.as_data)]
     versions: dict[str, str]
     hashes: HashesFile
     files: dict[str, Sha256]
     """SHA-256 of the files beside this one."""
-    passes: tuple[PassFile, ...]
+    passes: tuple[Annotated[ExchangeReport, _at_least_zero("number", "iterations", "constraints")], ...]
+
+
+def made(kind: type[T], entry: FileModel, **changes: object) -> T:
+    """Return the dataclass whose fields an entry has among its keys, some of them changed or added."""
+    values = dict(entry) | changes
+    return kind(**{field.name: values[field.name] for field in fields(kind)})  # type: ignore[arg-type]

@@ -1,36 +1,70 @@
-"""Tracking errors beside the plan they belong to: two tables and their figures."""
+"""Tracking errors in the directory of their plan: a table for each motion, and their metrics."""
 
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import ConfigDict
 
 from cmbot.archive.folder import PLAN_FILE, add_file, read_file
-from cmbot.archive.strict_json import json_bytes
-from cmbot.archive.tables import table_csv
+from cmbot.archive.motion_files import read_table, table_csv
+from cmbot.archive.strict_json import json_bytes, read_json
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
-from cmbot.common.validation import given_path, require_type
-from cmbot.simulation import ErrorMetrics, MotionTracking, Statistics, Tracking
+from cmbot.common.validation import FileModel, given_path, require_type, shown, validated
+from cmbot.planning import Plan, require_plan
+from cmbot.simulation import (
+    MotionTracking,
+    PrescribedMotion,
+    SimulationOptions,
+    Tracking,
+    expected_tool,
+    motion_tracking,
+)
 from cmbot.version import __version__
 
-__all__ = ["COLUMNS", "FORMAT", "TRACKING_FILES", "require_no_tracking", "save_tracking", "tracking_json"]
+__all__ = ["load_tracking", "require_no_tracking", "save_tracking", "tracking_json"]
 
-TRACKING_FILES = ("tracking.csv", "tracking_baseline.csv", "tracking.json")
-"""What `save_tracking` writes, the figures last: where they are, the tables are, too."""
+_FORMAT = "cmbot-tracking/1"
+_PLANNED, _BASELINE, _METRICS = "tracking.csv", "tracking_baseline.csv", "tracking.json"
+_TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
+# The metrics are written last: where they are, the tables are, too.
+_FILES = (*_TABLES, _METRICS)
+_COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
 
-FORMAT = "cmbot-tracking/1"
-COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
+
+class _Entry(FileModel):
+    """What is read of an entry; all else is computed again."""
+
+    model_config = ConfigDict(extra="ignore")
+
+
+class _Mode(_Entry):
+    frequency: float
+
+
+class _Motion(_Entry):
+    modes: tuple[_Mode, ...]
+
+
+class _TrackingFile(_Entry):
+    options: SimulationOptions
+    seconds: float
+    baseline: _Motion
+    planned: _Motion
+    files: dict[str, str]
 
 
 def save_tracking(tracking: Tracking, directory: str | Path, *, force: bool = False) -> tuple[Path, ...]:
     """Add the tracking errors to a plan directory, each file whole or not at all.
 
-    The figures have a file of their own, ``tracking.json``, not a block in ``plan.json``: that one is the
-    certified record of what was planned, with the hashes of the files beside it, and stays as it was written.
+    The metrics have a file of their own, ``tracking.json``: ``plan.json``, the certified record of the plan
+    with the hashes of its files, is never changed.
 
     Parameters
     ----------
@@ -48,7 +82,7 @@ def save_tracking(tracking: Tracking, directory: str | Path, *, force: bool = Fa
     Raises
     ------
     InputError
-        When `tracking` is none, or `directory` no path.
+        When `tracking` is no Tracking, or `directory` no path.
     ArchiveError
         When `directory` is no plan directory, holds tracking errors already, a number is not finite, or the
         system refuses.
@@ -57,21 +91,18 @@ def save_tracking(tracking: Tracking, directory: str | Path, *, force: bool = Fa
     require_type(tracking, Tracking, "cmbot.save_tracking", "tracking", expected)
     folder = given_path(directory, "cmbot.save_tracking", "directory", "the path of a plan directory")
     require_no_tracking(folder, force=force)
-    tables = {
-        name: _table(motion, name)
-        for name, motion in zip(TRACKING_FILES, (tracking.planned, tracking.baseline), strict=False)
-    }
-    plan = read_file(folder / PLAN_FILE)
-    hashes = {
-        name: hashlib.sha256(content).hexdigest() for name, content in {PLAN_FILE: plan, **tables}.items()
-    }
-    figures = json_bytes(tracking_json(tracking) | {"files": hashes}, indent=2)
-    contents = {**tables, TRACKING_FILES[-1]: figures}
+    contents = {}
+    for name, attribute in _TABLES.items():
+        motion: MotionTracking = getattr(tracking, attribute)
+        table = np.column_stack([motion.t, motion.error, motion.static])
+        contents[name] = table_csv(_COLUMNS, table, name)
+    hashes = _hashes({PLAN_FILE: read_file(folder / PLAN_FILE), **contents})
+    contents[_METRICS] = json_bytes(tracking_json(tracking) | {"files": hashes}, indent=2)
     return tuple(add_file(folder, name, content) for name, content in contents.items())
 
 
 def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
-    """Refuse a directory that `save_tracking` would refuse; worth asking before the simulation.
+    """Refuse a directory that `save_tracking` would refuse, before the simulation.
 
     Raises
     ------
@@ -79,16 +110,68 @@ def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
         When tracking errors are there and are not to be replaced.
     """
     folder = Path(directory)
-    for name in TRACKING_FILES:
+    for name in _FILES:
         if (folder / name).exists() and not force:
             expected = "a plan without tracking errors; --force (in Python force=True) replaces them"
             raise ArchiveError(str(folder / name), "", "a file that is already there", expected)
 
 
+def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
+    """Read the tracking errors beside a plan; their metrics are computed again.
+
+    Parameters
+    ----------
+    plan : Plan
+        From that directory.
+    directory : str or Path
+
+    Returns
+    -------
+    Tracking or None
+        None where the plan has not been simulated.
+
+    Raises
+    ------
+    InputError
+        When `plan` is no plan, or `directory` no path.
+    ArchiveError
+        When a file is missing, damaged, of another version, or does not belong to the others.
+    """
+    require_plan(plan, "cmbot.load_tracking")
+    folder = given_path(directory, "cmbot.load_tracking", "directory", "the path of a plan directory")
+    if not any((folder / name).exists() for name in _FILES):
+        return None
+    source = str(folder / _METRICS)
+    data = read_json(read_file(folder / _METRICS), source)
+    if data.get("format") != _FORMAT:
+        raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMAT))
+    file = validated(_TrackingFile, data, source, ArchiveError)
+    contents = {name: read_file(folder / name) for name in (PLAN_FILE, *_TABLES)}
+    for name, got in _hashes(contents).items():
+        if got != (expected := file.files.get(name)):
+            why = f"{shown(expected)[:16]}…: {name} has changed since the simulation; simulate again"
+            raise ArchiveError(source, f"files.{name}", f"{got[:16]}… now", why)
+    baseline = PrescribedMotion.through(plan.baseline.t, plan.baseline.q)
+    motions = {}
+    for name, motion, sag in (
+        (_BASELINE, baseline, None),
+        (_PLANNED, PrescribedMotion.along(plan.trajectory), plan.sag),
+    ):
+        table = read_table(contents[name], str(folder / name), _COLUMNS)
+        t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:].copy()
+        rigid, predicted = expected_tool(plan.robot, motion, t, sag)
+        entry: _Motion = getattr(file, _TABLES[name])
+        frequencies = np.array([mode.frequency for mode in entry.modes], dtype=np.float64)
+        motions[_TABLES[name]] = motion_tracking(
+            plan.task, motion, t, rigid + predicted, error, static, frequencies
+        )
+    return Tracking(options=file.options, seconds=file.seconds, **motions)
+
+
 def tracking_json(tracking: Tracking) -> dict[str, Any]:
-    """Return the figures of tracking errors as JSON can hold them, SI units."""
+    """Return the metrics of tracking errors ready for JSON, SI units."""
     return {
-        "format": FORMAT,
+        "format": _FORMAT,
         "cmbot": __version__,
         "options": asdict(tracking.options),
         "seconds": tracking.seconds,
@@ -98,42 +181,26 @@ def tracking_json(tracking: Tracking) -> dict[str, Any]:
 
 
 def _motion(motion: MotionTracking) -> dict[str, Any]:
-    figures = motion.metrics
+    metrics, residual = motion.metrics, motion.metrics.residual
+    modes = zip(metrics.mode_frequencies.tolist(), metrics.mode_power.tolist(), strict=True)
     return {
         "stop": motion.stop,
-        **{part: _statistics(getattr(figures, part)) for part in ("total", "static", "dynamic", "path")},
-        "residual": _residual(figures),
-        "modes": [
-            {"frequency": frequency, "power": power}
-            for frequency, power in zip(
-                figures.mode_frequencies.tolist(), figures.mode_power.tolist(), strict=True
-            )
-        ],
+        **{
+            part: {name: _by_axis(values) for name, values in vars(getattr(metrics, part)).items()}
+            for part in ("total", "static", "dynamic", "path")
+        },
+        "residual": None
+        if residual is None
+        else {**vars(residual), "peak_to_peak": _by_axis(residual.peak_to_peak)},
+        "modes": [{"frequency": frequency, "power": power} for frequency, power in modes],
         "largest_command_error": float(np.linalg.norm(motion.command, axis=1).max()),
     }
 
 
-def _statistics(statistics: Statistics) -> dict[str, dict[str, float]]:
-    names = ("x", "y", "z", "norm")
-    return {key: dict(zip(names, value.tolist(), strict=True)) for key, value in vars(statistics).items()}
+def _by_axis(values: FloatArray) -> dict[str, float]:
+    """Numbers of x, y, z and, if there is a fourth, the norm."""
+    return dict(zip(("x", "y", "z", "norm"), values.tolist(), strict=False))
 
 
-def _residual(figures: ErrorMetrics) -> dict[str, Any] | None:
-    residual = figures.residual
-    if residual is None:
-        return None
-    return {
-        "seconds": residual.seconds,
-        "peak_to_peak": dict(zip("xyz", residual.peak_to_peak.tolist(), strict=True)),
-        "diameter": residual.diameter,
-        "decay": residual.decay,
-    }
-
-
-def _table(motion: MotionTracking, name: str) -> bytes:
-    table = np.column_stack([motion.t, motion.error, motion.static])
-    if not np.isfinite(table).all():
-        row, column = np.argwhere(~np.isfinite(table))[0]
-        key = f"line {row + 2}, {COLUMNS[column]}"
-        raise ArchiveError(name, key, table[row, column], "a finite number")
-    return table_csv(COLUMNS, table)
+def _hashes(contents: Mapping[str, bytes]) -> dict[str, str]:
+    return {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()}

@@ -7,8 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cmbot.archive import add_file, require_free, save, save_tracking, write_file
-from cmbot.archive.strict_json import json_bytes
+from cmbot.archive import add_file, json_bytes, require_free, save, save_tracking, write_file
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.reproduction.agreement import findings, reasons

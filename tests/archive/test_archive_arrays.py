@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from plan_folders import npz, refused, rewrite
 
-from cmbot.archive.knots import read_knots
-from cmbot.archive.tables import read_motion
+from cmbot.archive.motion_files import read_knots, read_motion
 from cmbot.common.errors import ArchiveError
 
 

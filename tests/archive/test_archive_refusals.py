@@ -88,8 +88,8 @@ def test_other_versions(triangle_folder, version):
     assert error.expected == "'cmbot-plan/1'"
 
 
-def with_drift(number):
-    return lambda text: re.sub(r'"drift": [^,]+', f'"drift": {number}', text)
+def with_number(number, name="drift"):
+    return lambda text: re.sub(rf'"{name}": [^,]+', f'"{name}": {number}', text, count=1)
 
 
 @pytest.mark.parametrize(
@@ -100,9 +100,9 @@ def with_drift(number):
         (lambda text: "[1]", "", "[1]"),
         (lambda text: "[" * 100_000, "", "recursion"),
         (lambda text: text.replace('"drift"', '"status"', 1), "'status'", "the same key again"),
-        (with_drift("NaN"), "", "NaN"),
-        (with_drift("-Infinity"), "", "-Infinity"),
-        (with_drift("9" * 5000), "", "integer"),
+        (with_number("NaN"), "", "NaN"),
+        (with_number("-Infinity"), "", "-Infinity"),
+        (with_number("9" * 5000), "", "integer"),
     ],
 )
 def test_damaged_json(triangle_folder, change, key, got):
@@ -126,6 +126,10 @@ def test_json_in_another_encoding(triangle_folder):
         (lambda data: data.update(torque_floor=1.0), "torque_floor"),
         (lambda data: data["planned"].update(peak_guardrail_torque="486"), "planned.peak_guardrail_torque"),
         (lambda data: data["planned"]["limit_use"].pop("jerk"), "planned.limit_use.jerk"),
+        (lambda data: data["planned"]["limit_use"].update(jerk=-0.1), "planned.limit_use.jerk"),
+        (lambda data: data["seconds"].update(total=-1.0), "seconds.total"),
+        (lambda data: data["passes"][0].update(iterations=-1), "passes[0].iterations"),
+        (lambda data: data["passes"][0]["worst"].update(colour="red"), "passes[0].worst.colour"),
         (lambda data: data["scene"]["tool_path"].update(legs=[]), "scene.tool_path.legs"),
         (lambda data: data["options"].update(damping_max=-1), "options.damping_max"),
         (lambda data: data["hashes"].update(robot="0"), "hashes.robot"),
@@ -144,10 +148,18 @@ def test_wrong_content_is_named_by_its_key(triangle_folder, change, key):
     refused(triangle_folder, "plan.json", key)
 
 
-def test_a_number_too_large_for_a_float(triangle_folder):
+@pytest.mark.parametrize(
+    ("name", "key"),
+    [
+        ("drift", "drift"),
+        ("velocity", "baseline.limit_use.velocity"),
+        ("min_clearance", "baseline.min_clearance"),
+    ],
+)
+def test_a_number_too_large_for_a_float(triangle_folder, name, key):
     path = triangle_folder / "plan.json"
-    path.write_text(with_drift("1e999")(path.read_text()))
-    refused(triangle_folder, "plan.json", "drift")
+    path.write_text(with_number("1e999", name)(path.read_text()))
+    refused(triangle_folder, "plan.json", key)
 
 
 def test_a_baseline_that_ends_too_early(triangle_folder):

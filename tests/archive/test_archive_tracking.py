@@ -100,12 +100,12 @@ def test_a_changed_file_is_an_error(folder: Path, short_plan: Plan, name: str) -
         (lambda data: data.update(format="cmbot-tracking/2"), "format"),
         (lambda data: data.pop("files"), "files"),
         (lambda data: data.pop("options"), "options"),
-        (lambda data: data["options"].update(damping=2.0), "damping"),
+        (lambda data: data["options"].update(damping=2.0), "options.damping"),
         (lambda data: data.update(seconds="long"), "seconds"),
-        (lambda data: data.update(planned=[]), "planned.modes"),
+        (lambda data: data.update(planned=[]), "planned"),
         (lambda data: data["planned"].update(modes={}), "planned.modes"),
-        (lambda data: data["baseline"]["modes"][0].pop("frequency"), "baseline.modes.0.frequency"),
-        (lambda data: data["baseline"]["modes"][1].update(frequency=True), "baseline.modes.1.frequency"),
+        (lambda data: data["baseline"]["modes"][0].pop("frequency"), "baseline.modes[0].frequency"),
+        (lambda data: data["baseline"]["modes"][1].update(frequency=True), "baseline.modes[1].frequency"),
     ],
 )
 def test_a_strange_entry_is_an_error(

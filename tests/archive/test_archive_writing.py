@@ -10,10 +10,12 @@ import pytest
 from plan_folders import FILES, MOTIONS
 
 import cmbot
-from cmbot.archive import save
+from cmbot.archive import load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Check, Plan, QuinticTrajectory, Samples
+from cmbot.planning.flexibility.sag_compensation import Compensation
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.verification.metrics import measure
 from cmbot.scene import PlannerOptions
 
@@ -71,6 +73,13 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
         "gap": triangle_plan.gap_to_floor,
     }
     assert data["choice"] == {"free": triangle_plan.choice.free, "pinned": triangle_plan.choice.pinned}
+    assert set(data["start"]) == {"posture_deg", "moved_deg", "failures"}
+    assert set(data["hashes"]) == {"robot", "scene", "resolved_scene"}
+    keys = {"stage", "number", "iterations", "constraints", "peak_torque", "worst"}
+    assert {frozenset(entry) for entry in data["passes"]} == {frozenset(keys)}
+    assert set(data["passes"][0]["worst"]) == {"name", "value"}
+    keys = {"quantity", "time", "value", "bound", "unit", "at_least", "holds"}
+    assert {frozenset(entry) for entry in data["certificate"]["checks"]} == {frozenset(keys)}
     certificate, approach = triangle_plan.approach.certificate, data["approach"]
     assert set(approach) == FIGURES | {"seconds", "along_self_motion", "certificate"}
     assert approach["peak_guardrail_torque"] == certificate.figures.peak_guardrail_torque
@@ -90,6 +99,23 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
         checks = block["certificate"]["checks"]
         assert [check["quantity"] for check in checks] == [check.quantity for check in made.checks]
         assert all(check["holds"] is True for check in checks)
+
+
+def test_what_was_done_about_sag_and_vibration_has_the_promised_keys(thin_plan, tmp_path):
+    compensation = Compensation(rounds=2, largest_shift=0.01, last_change=1e-6)
+    suppression = VibrationSuppression(modes=2, shares=(1.0, 0.5), before=1e-3, after=1e-4)
+    plan = replace(thin_plan, compensation=compensation, quieting=suppression)
+    data = json.loads((save(plan, tmp_path / "plan") / "plan.json").read_text())
+    assert data["compensation"] == {"rounds": 2, "largest_shift": 0.01, "last_change": 1e-6}
+    assert data["quieting"] == {
+        "modes": 2,
+        "shares": [1.0, 0.5],
+        "before": 1e-3,
+        "after": 1e-4,
+        "share": 0.75,
+    }
+    read = load_plan(tmp_path / "plan")
+    assert (read.compensation, read.quieting) == (compensation, suppression)
 
 
 def test_json_is_strict_and_comes_out_the_same_each_time(saved_triangle, triangle_plan, tmp_path):

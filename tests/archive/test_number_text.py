@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from cmbot.archive.number_text import number_rows
+from cmbot.archive.motion_files import number_rows
 
 
 @given(arrays.arrays(np.float64, st.tuples(st.integers(0, 6), st.integers(1, 6))))

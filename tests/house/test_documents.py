@@ -12,7 +12,7 @@ import typer.main
 from ruamel.yaml import YAML
 
 from cmbot import __version__
-from cmbot.archive.tables import columns
+from cmbot.archive import columns
 from cmbot.cli import app
 from cmbot.planning import Plan, plan, remarks
 from cmbot.scene import load_scene

@@ -11,7 +11,7 @@ import pytest
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
-from cmbot.archive.schema import QuietingFile
+from cmbot.archive.schema import SuppressionFile
 from cmbot.optimization.least_distance import LeastChange
 from cmbot.planning import Plan, plan, remarks
 from cmbot.planning.flexibility.suppression_windows import QuietWindow
@@ -123,8 +123,8 @@ def test_a_window_that_cannot_be_quieted_leaves_the_others_theirs(
     save(made, tmp_path / "plan")
     assert load_plan(tmp_path / "plan").quieting == made.quieting
     # Files of before do not tell the legs apart.
-    file = QuietingFile(modes=2, share=0.5, before=1e-3, after=5e-4)
-    assert file.quieting().shares == (0.5,)
+    file = SuppressionFile(modes=2, share=0.5, before=1e-3, after=5e-4)
+    assert file.made().shares == (0.5,)
 
 
 def test_it_is_kept_in_the_plan_directory(quiet: Plan, tmp_path: Path) -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from cmbot.archive.folder import PLAN_FILE
-from cmbot.archive.schema import PlanFile
+from cmbot.archive.schema import PlanFile, made
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import counted, shown
-from cmbot.planning import Approach, QuinticTrajectory
+from cmbot.planning import Approach, ObjectiveMetrics, QuinticTrajectory
 
 __all__ = ["require_fit", "require_times", "require_unchanged"]
 
@@ -75,7 +75,7 @@ def require_fit(
 
 
 def _require_start(file: PlanFile, work: QuinticTrajectory, source: str) -> None:
-    start = file.start.start().posture
+    start = file.start.made().posture
     if start.shape != work.q[0].shape:
         got, expected = (counted(len(posture), "joint") for posture in (start, work.q[0]))
         raise ArchiveError(source, "start.posture_deg", got, expected)
@@ -93,7 +93,7 @@ def _require_there(block: object, expected: bool, source: str, key: str) -> None
 
 def _require_floor(file: PlanFile, via_points: int, source: str) -> None:
     """Refuse a floor that is not one of this plan's via-points, and figures that are not the floor's."""
-    floor, objective = file.floor, file.objective.figures()
+    floor, objective = file.floor, made(ObjectiveMetrics, file.objective)
     value = None if floor is None else floor.value
     reported = value if objective.is_guardrail_torque else None
     _require_number(file.torque_floor, reported, source, "torque_floor")
@@ -124,7 +124,7 @@ def _require_objective(file: PlanFile, source: str) -> None:
         if getattr(objective, key) != value:
             got = shown(getattr(objective, key))
             raise ArchiveError(source, f"objective.{key}", got, f"{shown(value)}, by the options")
-    if objective.figures().is_guardrail_torque:
+    if made(ObjectiveMetrics, objective).is_guardrail_torque:
         for key, motion in (("baseline_peak", file.baseline), ("planned_peak", file.planned)):
             peak = motion.peak_guardrail_torque
             _require_number(getattr(objective, key), peak, source, f"objective.{key}")
