@@ -1,0 +1,165 @@
+"""The torque problem: its units and bounds, a mean square that is one, and problems of its segments."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from finite_differences import check_derivative
+from numpy.typing import NDArray
+from seven_joint_arms import endless_scene
+from small_scenes import context_of, short_scene
+
+from cmbot.optimization.constraint_set import ConstraintSet
+from cmbot.optimization.linearization import linearize
+from cmbot.optimization.separation import find_violations
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.initial_guess import fixed_guess
+from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
+from cmbot.robot import Dynamics
+from cmbot.trajectory.parametrization import Parametrization
+from cmbot.trajectory.quintic import QuinticTrajectory
+
+FloatArray = NDArray[np.float64]
+
+
+@cache
+def given() -> tuple[PlanningContext, FloatArray]:
+    context = context_of(short_scene())
+    return context, fixed_guess(context).problem.parametrization.via_points
+
+
+@cache
+def problem_with(kind: str, least: float = 0.0) -> TorqueProblem:
+    context, via_points = given()
+    form = parametrization_through(context, via_points, sliding=kind != "fixed", pinned=kind == "pinned")
+    return TorqueProblem(context, form, least)
+
+
+@pytest.fixture(scope="module")
+def fixed() -> TorqueProblem:
+    return problem_with("fixed")
+
+
+@pytest.fixture(scope="module", params=["fixed", "free", "pinned"])
+def problem(request: pytest.FixtureRequest) -> TorqueProblem:
+    return problem_with(request.param)
+
+
+def wild(form: Parametrization, rng: np.random.Generator, size: float) -> Parametrization:
+    """Splines that break every bound; via-points stay."""
+    x = np.zeros(form.dimension)
+    x[form.coefficient_index] = size * rng.normal(size=form.coefficients.shape)
+    return form.step(x)
+
+
+def torques(problem: TorqueProblem, trajectory: QuinticTrajectory, times: FloatArray) -> FloatArray:
+    efforts = Dynamics(problem.context.robot).efforts(*trajectory.states(times))
+    return np.linalg.norm(efforts.guardrail_torque, axis=1)
+
+
+@pytest.mark.parametrize("kind", ["fixed", "free", "pinned"])
+def test_units_and_the_lower_bound(kind: str) -> None:
+    """What rests in a posture that stays cannot ask less; what is known of all postures counts, too."""
+    problem = problem_with(kind)
+    form, robot = problem.parametrization, problem.context.robot
+    assert len(problem.grid) == 7 * problem.samples_per_segment + 1
+    on_grid = torques(problem, form.trajectory, problem.grid)
+    assert problem.scale == pytest.approx(on_grid.max())
+    at_rest = np.linalg.norm(Dynamics(robot).static_efforts(form.via_points).guardrail_torque, axis=1)
+    np.testing.assert_allclose(problem.at_via_points, at_rest, rtol=1e-12)
+    resting = {"fixed": [0, -1], "free": [], "pinned": [0]}[kind]
+    assert problem.lower_bound == pytest.approx(at_rest[resting].max(initial=0.0) / problem.scale)
+    known = 2 * problem.scale
+    assert problem_with(kind, known).lower_bound == pytest.approx(2.0)
+
+
+@pytest.mark.parametrize(("size", "tolerance"), [(0.0, 1e-5), (0.5, 5e-3)])
+def test_residuals_square_to_the_mean(
+    problem: TorqueProblem, rng: np.random.Generator, size: float, tolerance: float
+) -> None:
+    """Three Gauss points a segment are enough for calm splines, and nearly so for wild ones."""
+    form = problem.parametrization.step(size * rng.normal(size=problem.parametrization.dimension))
+    residuals = problem.mean_residuals(form.trajectory)
+    t, h = problem.space.t, np.diff(problem.space.t)[:, None]
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    times, share = (t[:-1, None] + 0.5 * h * (1 + nodes)).ravel(), (0.5 * h * weights).ravel() / t[-1]
+    mean = share @ (torques(problem, form.trajectory, times) / problem.scale) ** 2
+    assert sum(part.value @ part.value for part in residuals) == pytest.approx(mean, rel=tolerance)
+
+    def value(y: FloatArray) -> float:
+        moved = form.step(y).trajectory
+        return sum(float(part.value @ part.value) for part in problem.mean_residuals(moved))
+
+    rows = form.splines.rows(problem.mean_times)
+    gradient = sum(2 * form.pullback(rows, part.value[:, None] * part.derivatives) for part in residuals)
+    check_derivative(value, np.zeros(form.dimension), form.map.T @ gradient, rtol=1e-6, atol=1e-10)
+
+
+@pytest.mark.parametrize("order", range(4))
+def test_bounds_of_the_joints(fixed: TorqueProblem, rng: np.random.Generator, order: int) -> None:
+    """At its worst time a violated bound counts as its violation, as a share of the limit."""
+    limits, bound, tolerance = fixed.context.robot.limits, fixed.bounds[order], 1e-6
+    trajectory = wild(fixed.parametrization, rng, 400.0).trajectory
+    if order == 0:
+        middle, half = 0.5 * (limits.lower + limits.upper), 0.5 * (limits.upper - limits.lower)
+        share = np.abs(trajectory.extrema(0).value - middle[:, None]).max(axis=(0, 2)) / half
+    else:
+        limit = (limits.velocity, limits.acceleration, limits.jerk)[order - 1]
+        share = trajectory.extrema(order).largest()[0] / limit
+    assert share.max() > 1
+    found = find_violations(fixed, trajectory, np.inf, tolerance, 1000)
+    family = 1 + len(fixed.constraints) + order
+    here = found.family == family
+    known = ConstraintSet(step=0.01).extended(found.family[here], found.component[here], found.time[here])
+    values = linearize(fixed, known, trajectory).value
+    # The bound lies ten tolerances inside the limit.
+    inside = 1 - 10 * fixed.context.options.constraint_tolerance
+    for joint in np.flatnonzero(share > 1):
+        assert np.abs(values - (share[joint] - inside)).min() < 1e-9
+    assert values.max() == pytest.approx(share.max() - inside, abs=1e-9)
+    assert values.max() <= found.worst.value + 1e-9
+    assert (bound.order, bound.name) == (order, ("position", "velocity", "acceleration", "jerk")[order])
+
+
+def test_endless_joints_have_no_ends(tmp_path: Path) -> None:
+    """Positions of a joint without ends are never violated, whatever they are."""
+    robot = (context := context_of(endless_scene(tmp_path), knots="fixed")).robot
+    bound = fixed_guess(context).problem.bounds[0]
+    endless = ~np.isfinite(robot.limits.lower)
+    assert 0 < endless.sum() < 7
+    assert (bound.scale[endless] == 1.0).all()
+    far = np.full((1, 7), 50.0)
+    for value in (bound.above(far), bound.below(-far)):
+        assert np.isneginf(value[0, endless]).all()
+        assert (value[0, ~endless] > 0).all()
+
+
+def test_sampled_constraints_are_kept_a_little_inside(fixed: TorqueProblem) -> None:
+    """For what is not seen between samples, the less the more there are."""
+    context, options = fixed.context, fixed.context.options
+    torque, deviation, clearance = fixed.constraints
+    inside = 1 - 0.5 / options.samples_per_segment**2
+    np.testing.assert_allclose(torque.bound, context.robot.limits.torque * inside, rtol=1e-14)
+    assert deviation.bound == pytest.approx(options.max_tool_deviation_m * inside)
+    assert clearance.margin == pytest.approx(options.safety_margin_m + 1e-5)
+    assert [each.components for each in fixed.constraints] == [14, 1, None]
+    assert fixed.joints == context.robot.joints
+
+
+@pytest.mark.parametrize("kind", ["fixed", "free", "pinned"])
+def test_segments(kind: str) -> None:
+    """At ends inside the path the arm rests and stays; what is known of the whole path is known of them."""
+    problem = problem_with(kind, 1.0)
+    resting = {"fixed": {0, 7}, "free": set(), "pinned": {0}}[kind]
+    for first, last in ((0, 4), (2, 6), (3, 7)):
+        segment = problem.segment(first, last)
+        part = slice(first, last + 1)
+        np.testing.assert_array_equal(segment.space.t, problem.space.t[part])
+        np.testing.assert_array_equal(segment.at_via_points, problem.at_via_points[part])
+        assert segment.least == pytest.approx(problem.lower_bound * problem.scale)
+        stays = [k for k in (first, last) if k in resting or 0 < k < 7]
+        at_rest = problem.at_via_points[stays].max(initial=segment.least)
+        assert segment.lower_bound * segment.scale == pytest.approx(at_rest)
