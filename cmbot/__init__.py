@@ -1,4 +1,4 @@
-"""Plans the motion of a robot arm that works from a base that bends.
+"""Plans the motion of a robot arm on a flexible base.
 
 The reading order::
 

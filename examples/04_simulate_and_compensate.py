@@ -1,4 +1,4 @@
-"""Let guardrail and links bend under a plan, and compensate the sag that is predicted.
+"""Simulate a plan with an elastic guardrail and elastic links, and compensate the predicted sag.
 
 Run it with ``python examples/04_simulate_and_compensate.py``.
 """

@@ -1,4 +1,4 @@
-"""Make something else small: any function of the wrench on the guardrail.
+"""Minimise another objective: any function of the wrench on the guardrail.
 
 Run it with ``python examples/05_your_own_objective.py``.
 
@@ -39,10 +39,10 @@ scene = cmbot.load_scene(
         "planner": {"chart_spacing": 0.4},  # rad, coarse: a self-motion of four dimensions is wide
     }
 )
-usual = cmbot.plan(scene)  # makes the torque on the guardrail small
+usual = cmbot.plan(scene)  # minimises the torque on the guardrail
 own = cmbot.plan(scene, objective=stress)  # a wrong gradient would be refused before anything is planned
 
-for name, plan in (("made small: torque", usual), (f"made small: {own.objective.name}", own)):
+for name, plan in (("minimised: torque", usual), (f"minimised: {own.objective.name}", own)):
     samples = plan.samples
     peak, _ = stress(np.hstack([samples.guardrail_force, samples.guardrail_torque]))
     print(f"{name:<20} stress {peak.max():6.2f} MPa, torque {plan.figures.peak_guardrail_torque:6.2f} Nm")

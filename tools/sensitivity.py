@@ -12,7 +12,7 @@ from typing import Any
 
 import cmbot
 
-# Where in the scene file, and what stands there instead.
+# Keys of the scene file and the values that replace theirs.
 CHANGES: list[dict[str, object]] = [
     {"planner.start": "pinned"},
     {"planner.step_share": 0.3},

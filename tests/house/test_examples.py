@@ -95,7 +95,7 @@ def numbers(pattern: str, text: str) -> list[str]:
 def test_your_own_objective(tmp_path: Path) -> None:
     text = run("05_your_own_objective.py", tmp_path)
     torque, stress = (
-        [number(rf"made small: {name} +{figure} +(\S+)", text) for figure in ("stress", r"stress.*torque")]
+        [number(rf"minimised: {name} +{figure} +(\S+)", text) for figure in ("stress", r"stress.*torque")]
         for name in ("torque", "stress")
     )
     # Each is the better one at what it makes small, and at that only.
