@@ -28,7 +28,7 @@ _COMPENSATED = (
     "Elastic arm's tool minus its expected position: the rigid arm's at the same joint angles and, for the "
     "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
-_FLOOR = "Floor: static lower bound; at one via-point no admissible posture at rest has a smaller torque."
+_FLOOR = "Floor: lower bound of the peak; at one via-point no admissible posture at rest has a smaller torque."
 _NOT_SIMULATED = "not simulated"
 
 Motion = Literal["planned", "baseline"]

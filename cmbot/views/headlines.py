@@ -73,7 +73,7 @@ def _floor(plan: Plan) -> Headline:
     return Headline(
         title="Above the floor",
         value=f"{100 * gap:+.3f} %",
-        detail=f"floor {floor:.1f} Nm: static lower bound; at one via-point no admissible posture at rest "
+        detail=f"floor {floor:.1f} Nm: lower bound; at one via-point no admissible posture at rest "
         "has a smaller torque",
     )
 

@@ -1,4 +1,4 @@
-// A plot as SVG: curves over the time of the whole page, bounds shaded, and a cursor at the present moment.
+// A plot as SVG: curves over the page's whole time, shaded bounds, and a cursor at the present time.
 const SVG = "http://www.w3.org/2000/svg";
 
 function make(name, attributes = {}, parent = null, text = null) {
@@ -9,7 +9,7 @@ function make(name, attributes = {}, parent = null, text = null) {
   return element;
 }
 
-// Values at which an axis is labelled: 1, 2 or 5 times a power of ten apart.
+// Labelled values of an axis, 1, 2 or 5 times a power of ten apart.
 function ticks(low, high, count) {
   const rough = (high - low) / count, power = 10 ** Math.floor(Math.log10(rough));
   const step = power * [1, 2, 5, 10].find((factor) => factor * power >= rough);
@@ -47,7 +47,7 @@ class Curve {
     return this.y.reduce(([low, high], y) => [Math.min(low, y), Math.max(high, y)], [Infinity, -Infinity]);
   }
 
-  // Largest share of the bounds that it uses, 1 at a bound.
+  // Largest share of the bounds, 1 at a bound.
   use([low, high]) {
     const middle = (low + high) / 2, half = (high - low) / 2;
     return Math.max(...this.extent.map((y) => Math.abs(y - middle) / half));
@@ -57,7 +57,7 @@ class Curve {
 let clips = 0;
 
 class Chart {
-  // `timeline`: start, end and legTimes of the page. `small`: one of many, with little beside its curves.
+  // `timeline`: start, end and legTimes of the page. `small`: without caption, ticks and marks.
   constructor(spec, timeline, onSeek, { small = false, name = spec.title } = {}) {
     Object.assign(this, { spec, timeline, small, name, zoomed: false, time: timeline.start });
     this.curves = spec.curves.map((source) => new Curve(source));
@@ -101,7 +101,7 @@ class Chart {
     return start + ((x - left) / (this.width - left - right)) * (end - start);
   }
 
-  // The axis shows the bounds, or the curves alone.
+  // Range of the axis: the bounds, or the curves alone.
   get range() {
     if (!this.zoomed) return this.spec.axis;
     const extents = this.curves.map((curve) => curve.extent);
@@ -110,7 +110,6 @@ class Chart {
     return [low - room, high + room];
   }
 
-  // As wide as there is room for, or as the printer has room for.
   draw(width = this.figure.clientWidth) {
     const { svg, small } = this;
     this.width = Math.max(width, 60);
@@ -157,7 +156,7 @@ class Chart {
     if (start < 0) this.nameApproach(svg);
   }
 
-  // Its name and, below it, why it has no curve.
+  // The approach's name and, below it, why it has no curve.
   nameApproach(svg) {
     const x = this.x(this.timeline.start) + 5, y = this.height - this.inset.bottom - 5, room = this.x(0) - x;
     const lines = [this.spec.approach, "approach"].filter((words) => words && 6.2 * words.length < room);
@@ -182,7 +181,7 @@ class Chart {
     }
   }
 
-  // Where a level's name, so long, hides least of the curves: above or below it, somewhere along the axis.
+  // Where a level's name hides least of the curves: above or below the level, somewhere along the axis.
   freePlace(y, long) {
     const { left, right, top, bottom } = this.inset, last = this.width - right - long - 5;
     const places = [y - 4, y + 13].flatMap((base) => [1, 0.75, 0.5, 0.25, 0].map((share) => [left + 5 + share * (last - left - 5), base]));
@@ -201,7 +200,7 @@ class Chart {
     return places[counts.indexOf(Math.min(...counts))];
   }
 
-  // Of a small plot, above and below its frame: what its edges are, and how much of the bound each motion uses.
+  // Above and below the frame of a small plot: the ends of its axis, and each motion's share of the bounds.
   drawCorners(svg) {
     const { bounds, unit } = this.spec, [low, high] = this.axis, bound = bounds[1];
     const top = bound === null || this.zoomed ? high : bound;
@@ -225,7 +224,6 @@ class Chart {
     return `${this.name}: ${said.join(", ")}`;
   }
 
-  // The present moment.
   show(time) {
     this.time = time;
     if (!this.cursor) return;

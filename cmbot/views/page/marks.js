@@ -1,4 +1,4 @@
-// What is drawn beside the arms: the smallest clearance as a line, and where bending carries the tool, magnified.
+// Marks in the 3-D view: the smallest clearance as a line, and the tool's deflection, magnified.
 const COLOURS = { planned: 0xe0560f, baseline: 0x2f6fb7, near: 0xb8860b, tooNear: 0xd00000 };
 
 class Marks {
@@ -15,7 +15,7 @@ class Marks {
     }
   }
 
-  // In front of everything: it is seen wherever it is.
+  // Drawn in front of everything.
   material(kind, colour) {
     return new kind({ color: colour, transparent: true, opacity: 0.95, depthTest: false });
   }
@@ -54,7 +54,7 @@ class Marks {
     stick.ends[1].position.copy(to);
   }
 
-  // Nearest points of one motion now; null: nothing is near.
+  // Nearest points of one motion; null: nothing is near.
   setNear(name, found) {
     const stick = this.near[name];
     stick.on = found !== null;
@@ -63,14 +63,14 @@ class Marks {
     stick.material.color.setHex(found.distance < this.data.margin ? COLOURS.tooNear : COLOURS.near);
   }
 
-  // Tool point and tracking error of one motion now; null: not simulated.
+  // Tool point and tracking error of one motion; null: not simulated.
   setBent(name, tool, error) {
     const stick = this.bent[name];
     stick.on = error !== null;
     if (error) this.place(stick, tool, tool.clone().addScaledVector(error, this.factor));
   }
 
-  // Where the bent tool goes during the work, at so many times its deflection.
+  // The elastic arm's tool path during the work, its deflection times `factor`.
   setFactor(factor, motions) {
     this.factor = factor;
     for (const name of MOTIONS) {
@@ -81,7 +81,7 @@ class Marks {
     }
   }
 
-  // Before a picture is drawn: of which motion, compared how.
+  // Show the marks of a motion; with the ghost, of both.
   show(motion, compare) {
     for (const name of MOTIONS) {
       const wanted = name === motion || compare === "ghost";

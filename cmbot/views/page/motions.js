@@ -1,5 +1,5 @@
-// The motions as functions of time: the arms move in phases, the approach if there is one, the work, and after it
-// a rest if what bends is shown swinging on.
+// The motions as functions of time, in phases: the approach if there is one, the work, and after it the rest, in
+// which elastic parts vibrate, if that was simulated.
 class Motion {
   constructor(source, links) {
     this.links = links;
@@ -28,7 +28,7 @@ class Motion {
     link.quaternion.copy(r[0].slerp(r[1], share));
   }
 
-  // A vector of every frame, at a moment: `width` numbers a frame, the vector from number `first` on.
+  // Interpolated vector of values with `width` numbers a frame, from number `first` on.
   vectorAt(values, moment, width = 3, first = 0) {
     const [frame, share] = this.between(moment);
     const v = [0, 1].map((k) => new THREE.Vector3().fromArray(values, width * (frame + k) + first));
@@ -44,7 +44,7 @@ class Motion {
     return share ? (1 - share) * this.clearance[frame] + share * this.clearance[frame + 1] : this.clearance[frame];
   }
 
-  // Nearest points at a moment. Between frames with other pairs there is nothing to blend.
+  // Nearest points. Between frames with different pairs they are not interpolated.
   nearAt(moment) {
     const [frame, share] = this.between(moment);
     const nearest = share < 0.5 ? frame : frame + 1, pair = this.pair[nearest];
@@ -63,7 +63,7 @@ class Motion {
   }
 }
 
-// A stretch of the timeline in which both arms have a motion each.
+// A part of the timeline in which each arm has one motion.
 class Phase {
   constructor(start, end, label, source, links) {
     Object.assign(this, { start, end, label });

@@ -1,5 +1,5 @@
-// Time: what the arms and the numbers show at a moment, and how the moment changes. The work starts at time 0, the
-// approach before it. `onTime` is told of every moment: plots follow it.
+// Sets arms and numbers for a time, and plays. The work starts at time 0, the approach before it. `onTime` is called
+// with every new time.
 class Player {
   constructor(data, onTime) {
     this.data = data;
@@ -49,13 +49,10 @@ class Player {
     const { target, key } = event;
     if (event.ctrlKey || event.altKey || event.metaKey || target.tagName === "SELECT") return;
     const step = event.shiftKey ? 1 : 0.1;
-    const onControl = ["BUTTON", "SUMMARY"].includes(target.tagName) || target.type === "checkbox";
-    const onSlider = target.id === "deflection";
+    const onControl = target.tagName === "BUTTON" || target.type === "checkbox";
+    const times = { ArrowLeft: this.time - step, ArrowRight: this.time + step, Home: this.data.start, End: this.data.end };
     if (key === " " && !onControl) this.playing ? this.pause() : this.play();
-    else if (key === "ArrowLeft" && !onSlider) this.seek(this.time - step);
-    else if (key === "ArrowRight" && !onSlider) this.seek(this.time + step);
-    else if (key === "Home" && !onSlider) this.seek(this.data.start);
-    else if (key === "End" && !onSlider) this.seek(this.data.end);
+    else if (key in times && target.id !== "deflection") this.seek(times[key]);
     else return;
     event.preventDefault();
   }
@@ -108,7 +105,7 @@ class Player {
     let last = performance.now();
     const advance = (now) => {
       if (!this.playing) return;
-      // A tab that was in the background goes on where it was left.
+      // A tab that was in the background continues where it stopped.
       const passed = Math.min(Math.max(now - last, 0), 500) / 1000;
       last = now;
       this.seek(this.time + Number(this.ui.speed.value) * passed);
@@ -128,7 +125,7 @@ class Player {
     this.ui.play.setAttribute("aria-label", playing ? "Pause" : "Play");
   }
 
-  // What is written on a part of the view: whose it is, and the planned motion's torque and smallest clearance.
+  // Labels on a part of the view: the motion's name, and the planned motion's torque and smallest clearance.
   placeLabels(part) {
     const { ui, stage } = this, { left, top, wide, motion } = part;
     ui[`half-${motion}`].style.transform = `translate(${left + wide - 10}px, ${top + 10}px) translateX(-100%)`;
@@ -152,7 +149,7 @@ const seconds = (value) => (Math.round(100 * value) / 100 + 0).toFixed(2);
 const newtonMetres = (value) => `${value.toFixed(1)} Nm`;
 const millimetres = (value) => (Number.isFinite(value) ? `${(1000 * value).toFixed(1)} mm` : "–");
 
-// Start a page: `begin` makes a player of the data. Tests and the film drive the page by what it leaves behind.
+// Start a page: `begin` makes a player of the data. Tests and the film control the page by `cmbotReplay`.
 function start(begin) {
   try {
     const data = JSON.parse(document.getElementById("replay-data").textContent), player = begin(data);
@@ -167,10 +164,8 @@ function start(begin) {
       play: () => player.play(),
       pause: () => player.pause(),
       compare: (how) => player.compare(how),
-      magnify: (factor) => player.magnify(factor),
       resetView: () => player.stage.resetView(),
       draw: () => player.stage.render(),
-      still: () => player.stage.still(),
       pose: (link, arm = "planned") => player.stage.pose(arm, data.links.indexOf(link)),
     };
   } catch (error) {

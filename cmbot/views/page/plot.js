@@ -60,13 +60,14 @@ class TorquePlot {
     }
   }
 
-  // What no plan can go below during the work.
+  // Lower bound of the peak torque during the work.
   drawFloor() {
     const { floor, duration } = this.data;
     if (floor === null) return;
     this.pen.setLineDash([5, 4]);
     this.line([[this.x(0), this.y(floor)], [this.x(duration), this.y(floor)]], this.colour("ink"), 1);
     this.pen.setLineDash([]);
+    if (this.height < 50) return;  // no room for its label
     const label = `floor ${newtonMetres(floor)}`, right = this.x(duration) - 4;
     this.text(label, right - this.pen.measureText(label).width, this.y(floor) + 12);
   }

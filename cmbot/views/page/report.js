@@ -1,4 +1,4 @@
-// The report page: plots beside the view, all at one moment; for the printer the view becomes stills.
+// The report page: plots beside the view, all at one time; for the printer the view becomes stills.
 start((data) => {
   const charts = [];
   let player;
@@ -12,7 +12,7 @@ start((data) => {
   const small = addJoints();
   charts.push(...small);
 
-  // Joint by joint downwards, quantity by quantity across.
+  // A row for each joint, a column for each quantity.
   function addJoints() {
     const grid = document.getElementById("joint-grid"), joints = data.joints.length;
     const quantities = data.jointCharts.filter((_, k) => k % joints === 0);
@@ -36,7 +36,7 @@ start((data) => {
     });
   }
 
-  // Beside the plots the view ends above the bar, wherever it begins.
+  // Beside the plots the view fills the window down to the bar.
   function fitView() {
     const view = document.getElementById("view"), bar = document.getElementById("bar");
     const top = Math.max(view.parentElement.getBoundingClientRect().top, 10);
@@ -69,7 +69,7 @@ start((data) => {
   const { controls } = player.stage.viewer;
   player.stage.view.addEventListener("wheel", (event) => { controls.enableZoom = event.ctrlKey; }, { capture: true });
 
-  // Paper is as wide as it is, whatever the window: pictures and plots get sizes of their own, px.
+  // On paper, pictures and plots have fixed sizes, px, whatever the window.
   const STILL = [440, 500], PLOT = 690, SMALL_PLOT = 112;
   window.addEventListener("beforeprint", () => {
     const now = player.time, stills = document.getElementById("stills");

@@ -1,12 +1,12 @@
 "use strict";
-// The 3-D picture: meshcat's viewer, the arm and its twin, the torque arrow, the light and the camera.
+// The 3-D view: meshcat's viewer, the arm and the baseline's ghost, the torque arrow, the light and the camera.
 const { THREE } = MeshCat;
 
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 const floats = (text) => new Float32Array(bytesOf(text).buffer);
 const degrees = (angle) => (angle * 180) / Math.PI;
 const MOTIONS = ["planned", "baseline"];
-const HALF_ANGLE = Math.tan(Math.PI / 10);  // tangent of half the view's angle, as it is fitted
+const HALF_ANGLE = Math.tan(Math.PI / 10);  // tangent of half the fitted field of view
 
 class Stage {
   constructor(data) {
@@ -37,7 +37,7 @@ class Stage {
     viewer.set_3d_pane_size();
   }
 
-  // Be so large for a while, px, and show on the shorter side what it shows now. Returns what ends it.
+  // Take another size, px, and keep the scale of the shorter side. Returns a function that restores the size.
   borrowSize(wide, high) {
     const { style } = this.view, { width, height } = style, { fitted } = this;
     const shorter = () => Math.min(this.parts[0].wide, this.parts[0].high), before = shorter();
@@ -51,7 +51,7 @@ class Stage {
     };
   }
 
-  // Light or dark, as the page is.
+  // Background for the light or the dark page.
   dress() {
     const dark = window.matchMedia("(prefers-color-scheme: dark)");
     const colour = () => {
@@ -87,7 +87,7 @@ class Stage {
     this.redraw();
   }
 
-  // The parts of the view and the motion in each: two of them share its longer side.
+  // The parts of the view and the motion in each: two parts divide its longer side.
   get parts() {
     const [wide, high] = [this.view.clientWidth || 1, this.view.clientHeight || 1];
     const whole = { motion: "planned", left: 0, top: 0, wide, high };
@@ -116,7 +116,7 @@ class Stage {
     viewer.needs_render = false;
   }
 
-  // Draw with the arm where one motion has it. The baseline's own picture borrows the planned arm's shapes.
+  // Draw with the arm in the pose of one motion. The baseline's own picture uses the planned arm's shapes.
   posed(motion, draw) {
     const { planned, baseline } = this.arms;
     const borrowed = motion === "baseline" ? planned.map((link) => [link.position.clone(), link.quaternion.clone()]) : [];
@@ -135,8 +135,8 @@ class Stage {
     });
   }
 
-  // The baseline's arm shares the planned arm's shapes. It is drawn twice, first into the depth buffer only, so
-  // that no shape shows through another; a little behind, so that it vanishes where both arms are the same.
+  // The ghost shares the planned arm's shapes. It is drawn twice, first into the depth buffer only, so that no shape
+  // shows through another; with an offset in depth, so that it vanishes where both arms coincide.
   addGhost() {
     const behind = { polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4 };
     const depth = new THREE.MeshBasicMaterial({ colorWrite: false, ...behind });
@@ -177,7 +177,7 @@ class Stage {
     return { group, shaft, heads, thick, material, tip: new THREE.Vector3() };
   }
 
-  // Longer and redder the more of the largest torque of both motions it is.
+  // Length and redness grow with the share of the largest torque of both motions.
   drawTorque(vector) {
     const { group, shaft, heads, thick, material, tip } = this.arrow;
     const share = vector.length() / this.peak;
@@ -212,7 +212,7 @@ class Stage {
     sun.shadow.radius = 3;
   }
 
-  // The ball of interest in the middle of what a bar in front of the view leaves free of its first part.
+  // Centre the focus in the first part of the view, above the bar where that covers it.
   resetView() {
     const { centre, radius, azimuth } = this.data.focus;
     const { camera, controls } = this.viewer;
