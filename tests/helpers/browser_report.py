@@ -41,6 +41,17 @@ def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
     return chrome
 
 
+def slide(chrome: webdriver.Chrome, slider: str, value: float) -> None:
+    """Move a slider of a page as a person would."""
+    chrome.execute_script(
+        """const slider = document.getElementById(arguments[0]);
+        slider.value = arguments[1];
+        slider.dispatchEvent(new Event("input"));""",
+        slider,
+        value,
+    )
+
+
 def picture(chrome: webdriver.Chrome) -> np.ndarray:
     next_frame(chrome)
     png = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]

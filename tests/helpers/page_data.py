@@ -1,11 +1,15 @@
-"""What stands in a page for its scripts, read back."""
+"""Pages for tests: plans to make them of, and the data for their scripts, read back."""
 
 import base64
 import json
 import re
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
+
+from cmbot.planning import Plan
 
 
 def floats(packed: str, *shape: int) -> np.ndarray:
@@ -19,3 +23,16 @@ def data_of(text: str) -> dict[str, Any]:
     assert found
     data: dict[str, Any] = json.loads(found[1])
     return data
+
+
+def without_shapes(plan: Plan) -> Plan:
+    """The plan of a robot without visual meshes: a browser opens its pages quickly."""
+    return replace(plan, robot=replace(plan.robot, visual_model=pin.GeometryModel()))
+
+
+def hostile(plan: Plan, name: str) -> Plan:
+    """The plan with this name for its scene, its robot and, numbered, its obstacles."""
+    valid = name.encode("utf-8", "ignore").decode()  # pinocchio requires UTF-8
+    obstacles = tuple(replace(o, name=f"{valid}{k}") for k, o in enumerate(plan.scene.obstacles))
+    scene = replace(plan.scene, name=name, obstacles=obstacles)
+    return replace(plan, scene=scene, robot=replace(plan.robot, name=name))

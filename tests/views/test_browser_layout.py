@@ -21,10 +21,8 @@ pytestmark = pytest.mark.browser
 
 def test_it_is_dark_where_the_system_is(shown: webdriver.Chrome) -> None:
     light = picture(shown)
-    features = [{"name": "prefers-color-scheme", "value": "dark"}]
-    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
-    dark, readable = picture(shown), contrast(shown)
-    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": []})
+    with media(shown, features=[{"name": "prefers-color-scheme", "value": "dark"}]):
+        dark, readable = picture(shown), contrast(shown)
     assert light.mean() > 190
     assert dark.mean() < 80
     assert min(readable, contrast(shown)) > 4.5
@@ -55,22 +53,19 @@ def test_the_printed_page_is_still_and_shows_every_plot(shown: webdriver.Chrome)
     image = Image.open(io.BytesIO(base64.b64decode(stills[0].split(",")[1]))).convert("RGB")
     assert len(np.unique(np.asarray(image).reshape(-1, 3), axis=0)) > 300
     assert shown.execute_script("return cmbotReplay.time") == 7
-    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
-    hidden = shown.execute_script(
-        """const seen = (name) => document.querySelector(name).getBoundingClientRect().height > 0;
-        const kept = [...document.querySelectorAll("svg, .part, #stills")];
-        const there = kept.every((element) => element.getBoundingClientRect().height > 20);
-        return [["#bar", "#view", "footer"].filter(seen), there];"""
-    )
-    shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
+    with media(shown, media="print"):
+        hidden = shown.execute_script(
+            """const seen = (name) => document.querySelector(name).getBoundingClientRect().height > 0;
+            const kept = [...document.querySelectorAll("svg, .part, #stills")];
+            const there = kept.every((element) => element.getBoundingClientRect().height > 20);
+            return [["#bar", "#view", "footer"].filter(seen), there];"""
+        )
     assert hidden == [[], True]
 
 
 def test_what_belongs_together_is_printed_on_one_page(shown: webdriver.Chrome) -> None:
     """Nothing but a long table is parted, and what must not be parted is shorter than a page of A4."""
-    with screen(shown, 703):  # 186 mm
-        shown.execute_script("window.dispatchEvent(new Event('beforeprint'))")
-        shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "print"})
+    with screen(shown, 703), printing(shown), media(shown, media="print"):  # 186 mm
         kept = shown.execute_script(
             """const names = ".card, .chart, #stills, #joints, .part:not(.long)";
             const kept = [...document.querySelectorAll(names)];
@@ -81,8 +76,6 @@ def test_what_belongs_together_is_printed_on_one_page(shown: webdriver.Chrome) -
         parted = shown.execute_script(
             "return [...document.querySelectorAll('.part.long h2')].map((heading) => heading.textContent)"
         )
-        shown.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": ""})
-        shown.execute_script("window.dispatchEvent(new Event('afterprint'))")
     assert {how for how, _ in kept} == {"avoid"}
     assert max(height for _, height in kept) < 273 / 25.4 * 96
     assert parted == ["Simulation"]
@@ -138,14 +131,13 @@ def test_a_narrow_window_prints_as_a_wide_one(shown: webdriver.Chrome) -> None:
     for width in (1280, 860, 420):
         with screen(shown, width):
             before = view_and_plots(shown)
-            shown.execute_script("window.dispatchEvent(new Event('beforeprint'))")
-            stills = shown.execute_script(
-                """const stills = [...document.querySelectorAll("#stills img")];
-                return Promise.all(stills.map((image) => image.decode())).then(
-                    () => stills.map((image) => [image.naturalWidth, image.naturalHeight]));"""
-            )
-            printed.append([stills, view_and_plots(shown)[1:]])
-            shown.execute_script("window.dispatchEvent(new Event('afterprint'))")
+            with printing(shown):
+                stills = shown.execute_script(
+                    """const stills = [...document.querySelectorAll("#stills img")];
+                    return Promise.all(stills.map((image) => image.decode())).then(
+                        () => stills.map((image) => [image.naturalWidth, image.naturalHeight]));"""
+                )
+                printed.append([stills, view_and_plots(shown)[1:]])
             next_frame(shown)
             assert view_and_plots(shown) == before
     assert printed[0] == printed[1] == printed[2]
@@ -172,3 +164,23 @@ def screen(chrome: webdriver.Chrome, width: int) -> Iterator[None]:
     finally:
         chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics | {"width": 1280})
         next_frame(chrome)
+
+
+@contextmanager
+def media(chrome: webdriver.Chrome, **settings: object) -> Iterator[None]:
+    """Emulate a medium or its features for a while."""
+    chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", settings)
+    try:
+        yield
+    finally:
+        chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+@contextmanager
+def printing(chrome: webdriver.Chrome) -> Iterator[None]:
+    """Prepare the page for the printer for a while."""
+    chrome.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    try:
+        yield
+    finally:
+        chrome.execute_script("window.dispatchEvent(new Event('afterprint'))")

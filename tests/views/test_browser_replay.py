@@ -1,14 +1,16 @@
 """The replay page in a browser without a network: it shows the plan, at any time, and nothing else runs."""
 
-import dataclasses
 import io
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from browser import chromium, connections, console_errors, next_frame, open_page
+from browser_report import slide
+from page_data import hostile, without_shapes
 from PIL import Image
 from selenium import webdriver
 
@@ -141,11 +143,10 @@ def plotted(chrome: webdriver.Chrome) -> np.ndarray:
 def test_the_plot_shades_the_approach_and_draws_the_floor(
     chrome: webdriver.Chrome, page: Path, triangle_plan: Plan, tmp_path: Path
 ) -> None:
-    bare = dataclasses.replace(triangle_plan.robot, visual_model=pin.GeometryModel())  # quick
-    plots = []
+    bare, plots = without_shapes(triangle_plan), []
     for floor in (triangle_plan.lower_bound, None):
         path = tmp_path / f"{len(plots)}.html"
-        replay(dataclasses.replace(triangle_plan, approach=None, lower_bound=floor, robot=bare), path)
+        replay(replace(bare, approach=None, lower_bound=floor), path)
         open_page(chrome, path)
         assert chrome.execute_script("return [cmbotReplay.start, cmbotReplay.time]") == [0, 0]
         plots.append(plotted(chrome))
@@ -257,11 +258,7 @@ def test_keys_and_slider(shown: webdriver.Chrome) -> None:
     assert shown.execute_script("return cmbotReplay.playing") is True
     body.send_keys(" ")
     assert shown.execute_script("return cmbotReplay.playing") is False
-    shown.execute_script(
-        """const scrub = document.getElementById("scrub");
-        scrub.value = 7.25;
-        scrub.dispatchEvent(new Event("input"));"""
-    )
+    slide(shown, "scrub", 7.25)
     assert time() == pytest.approx(7.25)
 
 
@@ -277,12 +274,8 @@ def test_a_seek_beyond_the_ends_stays_within(
 def test_hostile_names_are_text_and_nothing_else(
     chrome: webdriver.Chrome, triangle_plan: Plan, tmp_path: Path
 ) -> None:
-    scene = triangle_plan.scene
-    obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
-    scene = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
-    robot = dataclasses.replace(triangle_plan.robot, name=EVIL, visual_model=pin.GeometryModel())  # quick
     path = tmp_path / "evil.html"
-    replay(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path)
+    replay(hostile(without_shapes(triangle_plan), EVIL), path)
     open_page(chrome, path)
     next_frame(chrome)
     assert chrome.execute_script("return window.hacked") is None

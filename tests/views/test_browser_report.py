@@ -1,17 +1,17 @@
 """The report page in a browser without a network: view, plots and time go together, and nothing else runs."""
 
-import dataclasses
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from browser import connections, console_errors, next_frame, open_page
 from browser_report import chrome as chrome
 from browser_report import page as page
-from browser_report import picture
+from browser_report import picture, slide
 from browser_report import shown as shown
+from page_data import hostile, without_shapes
 from selenium import webdriver
 from selenium.webdriver.common.action_chains import ActionChains
 
@@ -85,12 +85,7 @@ def test_there_is_a_plot_of_everything(shown: webdriver.Chrome, triangle_plan: P
 @pytest.mark.parametrize("time", [-5.0, 3.0, 17.5])
 def test_the_slider_moves_arms_and_cursors_together(shown: webdriver.Chrome, time: float) -> None:
     before = tool_of(shown, "planned")
-    shown.execute_script(
-        """const scrub = document.getElementById("scrub");
-        scrub.value = arguments[0];
-        scrub.dispatchEvent(new Event("input"));""",
-        time,
-    )
+    slide(shown, "scrub", time)
     start, end = shown.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
     assert end == pytest.approx(22.0)
     np.testing.assert_allclose(cursors(shown), (time - start) / (end - start), atol=1e-3)
@@ -187,12 +182,7 @@ def test_deflection_is_magnified(shown: webdriver.Chrome) -> None:
     shown.execute_script("cmbotReplay.seek(5)")
     pictures = []
     for factor in (0, 100):
-        shown.execute_script(
-            """const slider = document.getElementById("deflection");
-            slider.value = arguments[0];
-            slider.dispatchEvent(new Event("input"));""",
-            factor,
-        )
+        slide(shown, "deflection", factor)
         pictures.append(picture(shown)[200:720, 20:480])
     assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > 60).sum() > 200
     assert shown.find_element("id", "factor").text == "× 100"
@@ -222,16 +212,14 @@ def test_plots_of_what_bends_say_that_the_approach_is_not_simulated(shown: webdr
 def test_hostile_names_are_text_and_nothing_else(
     chrome: webdriver.Chrome, triangle_plan: Plan, triangle_tracking: Tracking, tmp_path: Path
 ) -> None:
-    scene, robot = triangle_plan.scene, triangle_plan.robot
-    obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
-    scene = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
-    model = robot.model.copy()
+    evil = hostile(without_shapes(triangle_plan), EVIL)
+    model = evil.robot.model.copy()
     for number in range(1, model.njoints):
         model.names[number] = f"{EVIL}{number}"
-    robot = dataclasses.replace(robot, name=EVIL, model=model, visual_model=pin.GeometryModel())  # quick
+    robot = replace(evil.robot, model=model)
     assert robot.joints[0].startswith(EVIL)
     path = tmp_path / "evil.html"
-    report(dataclasses.replace(triangle_plan, scene=scene, robot=robot), path, tracking=triangle_tracking)
+    report(replace(evil, robot=robot), path, tracking=triangle_tracking)
     open_page(chrome, path)
     chrome.execute_script("cmbotReplay.seek(3)")
     next_frame(chrome)
@@ -249,9 +237,8 @@ def test_hostile_names_are_text_and_nothing_else(
 def test_without_simulation_and_approach_there_is_less(
     chrome: webdriver.Chrome, short_plan: Plan, tmp_path: Path
 ) -> None:
-    bare = dataclasses.replace(short_plan.robot, visual_model=pin.GeometryModel())  # quick
     path = tmp_path / "short.html"
-    report(dataclasses.replace(short_plan, robot=bare), path)
+    report(without_shapes(short_plan), path)
     open_page(chrome, path)
     assert console_errors(chrome) == []
     assert chrome.execute_script("return [cmbotReplay.start, cmbotReplay.end]") == [0, 4]

@@ -10,7 +10,7 @@ from page_data import floats
 
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views.charts import MOST_POINTS, charts, joint_charts, thinned
+from cmbot.views.charts import MOST_POINTS, Chart, charts, joint_charts, thinned
 
 
 def test_peaks_survive_the_thinning(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
@@ -42,12 +42,17 @@ def test_joint_plots_reach_from_bound_to_bound(triangle_plan: Plan) -> None:
         assert chart.axis[0] < chart.bounds[0] < chart.bounds[1] < chart.axis[1]
 
 
-def test_tracking_errors_share_one_scale(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
-    along = [
-        chart
-        for chart in charts(triangle_plan, triangle_tracking)
-        if chart.title.startswith("Tracking error")
-    ]
+def tracking_charts(plan: Plan, tracking: Tracking) -> list[Chart]:
+    return [chart for chart in charts(plan, tracking) if chart.title.startswith("Tracking error")]
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.03])
+def test_tracking_errors_share_one_scale_and_stay_inside_their_frames(
+    triangle_plan: Plan, triangle_tracking: Tracking, offset: float
+) -> None:
+    planned, aside = triangle_tracking.planned, np.array([0.0, offset, 0.0])
+    apart = replace(planned, error=planned.error + aside, static=planned.static + aside)
+    along = tracking_charts(triangle_plan, replace(triangle_tracking, planned=apart))
     assert len(along) == 3
     spans = [chart.axis[1] - chart.axis[0] for chart in along]
     assert spans == pytest.approx([spans[0]] * 3)
@@ -56,29 +61,15 @@ def test_tracking_errors_share_one_scale(triangle_plan: Plan, triangle_tracking:
             assert chart.axis[0] < curve.y.min() <= curve.y.max() < chart.axis[1]
 
 
-def test_tracking_errors_that_lie_apart_stay_inside_their_frames(
-    triangle_plan: Plan, triangle_tracking: Tracking
-) -> None:
-    planned = triangle_tracking.planned
-    aside = np.array([0.0, 0.03, 0.0])
-    apart = replace(planned, error=planned.error + aside, static=planned.static + aside)
-    along = list(charts(triangle_plan, replace(triangle_tracking, planned=apart)))
-    for chart in (chart for chart in along if chart.title.startswith("Tracking error")):
-        for curve in chart.curves:
-            assert chart.axis[0] < curve.y.min() <= curve.y.max() < chart.axis[1]
-
-
-def test_it_is_said_where_an_error_is_measured_from(
+def test_the_note_says_where_an_error_is_measured_from(
     triangle_plan: Plan, triangle_tracking: Tracking, compensated_short: tuple[Plan, Tracking]
 ) -> None:
-    for made, words in (
-        ((triangle_plan, triangle_tracking), "minus the rigid arm's at the same joint angles. "),
-        (compensated_short, "predicted sag"),
-    ):
-        notes = [chart.note for chart in charts(*made) if chart.title.startswith("Tracking error")]
-        assert words in notes[0]
-        assert notes[1:] == ["", ""]
-        assert ("expected position" in notes[0]) == (made is compensated_short)
+    notes = [chart.note for chart in tracking_charts(triangle_plan, triangle_tracking)]
+    assert "minus the rigid arm's at the same joint angles. " in notes[0]
+    assert "expected position" not in notes[0]
+    compensated = [chart.note for chart in tracking_charts(*compensated_short)]
+    assert "predicted sag" in compensated[0] and "expected position" in compensated[0]
+    assert notes[1:] == compensated[1:] == ["", ""]
 
 
 def test_plots_without_the_approach_say_why(triangle_plan: Plan, triangle_tracking: Tracking) -> None:

@@ -5,13 +5,12 @@ import json
 import shutil
 import subprocess
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pinocchio as pin
 import pytest
 from browser import programs
+from page_data import without_shapes
 
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan
@@ -64,8 +63,7 @@ def test_a_speed_that_is_none(tmp_path: Path, speed: float) -> None:
 
 @pytest.fixture(scope="module")
 def light_page(short_plan: Plan) -> str:
-    bare = replace(short_plan.robot, visual_model=pin.GeometryModel())
-    return replay_page(replace(short_plan, robot=bare))
+    return replay_page(without_shapes(short_plan))
 
 
 @pytest.mark.browser

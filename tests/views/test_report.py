@@ -1,12 +1,12 @@
 """The report without a browser: what stands in it."""
 
-import dataclasses
 import re
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from page_data import data_of, floats
+from page_data import data_of, floats, hostile
 
 import cmbot
 from cmbot.common.errors import InputError
@@ -39,17 +39,14 @@ def test_every_figure_check_and_remark_is_in_it(
         assert check.quantity.replace("'", "&#x27;") in cells
     for remark in remarks(triangle_plan):
         assert f"<li>{remark}</li>".replace("'", "&#x27;") in text
-    for name in dataclasses.asdict(triangle_plan.options):
+    for name in asdict(triangle_plan.options):
         assert name in cells
     assert cmbot.__version__ in cells
     assert "NO" not in cells
 
 
 def test_names_are_text(triangle_plan: Plan) -> None:
-    scene = triangle_plan.scene
-    obstacles = tuple(dataclasses.replace(o, name=f"{EVIL}{k}") for k, o in enumerate(scene.obstacles))
-    evil = dataclasses.replace(scene, name=EVIL, obstacles=obstacles)
-    page = report_page(dataclasses.replace(triangle_plan, scene=evil))
+    page = report_page(hostile(triangle_plan, EVIL))
     assert "<img src" not in page
     assert page.count("</script>") == report_page(triangle_plan).count("</script>")
     assert data_of(page)["title"] == EVIL
@@ -77,27 +74,22 @@ def test_the_tracking_of_another_plan_is_refused(short_plan: Plan, triangle_trac
 
 def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
     """An infinite clearance and a continuous joint, which JSON has no numbers for."""
-    figures = dataclasses.replace(short_plan.figures, min_clearance=np.inf)
-    checks = tuple(
-        dataclasses.replace(check, value=np.inf) if check.at_least else check
-        for check in short_plan.certificate.checks
-    )
-    certificate = dataclasses.replace(
-        short_plan.certificate, checks=checks, figures=figures, clearance_bound=np.inf
-    )
-    scene = dataclasses.replace(short_plan.scene, obstacles=())
-    limits = short_plan.robot.limits
+    certificate, limits = short_plan.certificate, short_plan.robot.limits
+    checks = tuple(replace(c, value=np.inf) if c.at_least else c for c in certificate.checks)
+    figures = replace(short_plan.figures, min_clearance=np.inf)
     lower, upper = limits.lower.copy(), limits.upper.copy()
     lower[1], upper[1] = -np.inf, np.inf
-    limits = dataclasses.replace(limits, lower=lower, upper=upper)
     alone = short_plan.robot.collision_model.copy()
     alone.removeAllCollisionPairs()
-    robot = dataclasses.replace(short_plan.robot, limits=limits, collision_model=alone)
-    baseline = dataclasses.replace(
-        short_plan.baseline, clearance=np.full_like(short_plan.baseline.clearance, np.inf)
+    limits = replace(limits, lower=lower, upper=upper)
+    plan = replace(
+        short_plan,
+        certificate=replace(certificate, checks=checks, figures=figures, clearance_bound=np.inf),
+        scene=replace(short_plan.scene, obstacles=()),
+        robot=replace(short_plan.robot, limits=limits, collision_model=alone),
+        baseline=replace(short_plan.baseline, clearance=np.full_like(short_plan.baseline.clearance, np.inf)),
     )
-    parts = {"certificate": certificate, "scene": scene, "robot": robot, "baseline": baseline}
-    page = report_page(dataclasses.replace(short_plan, **parts))
+    page = report_page(plan)
     data = data_of(page)
     assert data["planned"]["minClearance"] is None
     assert data["charts"][1]["curves"] == []
@@ -107,22 +99,20 @@ def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
     assert ">unbounded</td>" in page
 
 
-def test_what_was_done_about_the_sag_is_in_a_table(
-    compensated_short: tuple[Plan, Tracking], short_plan: Plan
-) -> None:
-    made, tracking = compensated_short
-    done = made.compensation
+def test_sag_compensation_is_in_a_table(compensated_short: tuple[Plan, Tracking], short_plan: Plan) -> None:
+    done = compensated_short[0].compensation
     assert done is not None
-    page = report_page(made, tracking)
-    rows = {"sag compensation, rounds": str(done.rounds)}
-    rows["largest shift of the tool from its path, mm"] = f"{1e3 * done.largest_shift:.3f}"
     assert done.largest_shift > 1e-3
-    for name, value in rows.items():
+    page, without = report_page(*compensated_short), report_page(short_plan)
+    for name, value in (
+        ("sag compensation, rounds", str(done.rounds)),
+        ("largest shift of the tool from its path, mm", f"{1e3 * done.largest_shift:.3f}"),
+    ):
         assert f'{name}</th><td class="number">{value}</td>' in page
-        assert name not in report_page(short_plan)
+        assert name not in without
 
 
-def test_what_was_done_about_the_vibration_is_in_a_table(text: str, triangle_plan: Plan) -> None:
+def test_vibration_suppression_is_in_a_table(text: str, triangle_plan: Plan) -> None:
     quiet = triangle_plan.quieting
     assert quiet is not None
     for name, value in (
