@@ -105,7 +105,7 @@ def reproduce(
         found = run(
             factors=QUICK_FACTORS if quick else FACTORS,
             least_sag=not quick,
-            tell=lambda scene, what, share: console_progress.say(f"{scene}: {what}", share),
+            on_step=lambda scene, what, share: console_progress.say(f"{scene}: {what}", share),
             progress=lambda scene, step: console_progress.tell(step, about=f"{scene}: "),
         )
     written = save_reproduction(found, output, force=force)

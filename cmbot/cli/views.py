@@ -117,4 +117,4 @@ def _film(planned: Plan, tracking: Tracking | None, video: Path) -> None:
     page = replay_page(planned, tracking)
     with ConsoleProgress() as console_progress:
         console_progress.say("filming")
-        film(page, video, tell=lambda share: console_progress.say(f"filming, {100 * share:.0f} %"))
+        film(page, video, progress=lambda share: console_progress.say(f"filming, {100 * share:.0f} %"))

@@ -99,7 +99,7 @@ def reproduce(
     *,
     factors: Sequence[float] = FACTORS,
     least_sag: bool = True,
-    tell: Callable[[str, str, float], None] | None = None,
+    on_step: Callable[[str, str, float], None] | None = None,
     progress: Callable[[str, Progress], None] | None = None,
 ) -> Reproduction:
     """Plan and simulate both of the paper's experiments.
@@ -113,7 +113,7 @@ def reproduce(
         compensated plan and the baseline are simulated.
     least_sag : bool
         Plan with the sag as the objective, too.
-    tell : callable, optional
+    on_step : callable, optional
         Called with the scene's name, the present step, and the share of all steps that is done.
     progress : callable, optional
         Called with the scene's name and the planner's progress.
@@ -130,7 +130,7 @@ def reproduce(
     stiffnesses = tuple(replace(options, guardrail_factor=x, link_factor=x) for x in factors)
     # Plans and simulations: sliding, fixed, compensated, unsuppressed, of least sag.
     total = len(PAPER) * (3 + 3 + (1 + len(stiffnesses)) + 2 + 2 * least_sag)
-    bench = _Bench(tell or (lambda *_: None), progress, total)
+    bench = _Bench(on_step or (lambda *_: None), progress, total)
     experiments = []
     for paper in PAPER:
         scene = load_scene(paper.scene)
@@ -175,11 +175,11 @@ class _Bench:
 
     def __init__(
         self,
-        tell: Callable[[str, str, float], None],
+        on_step: Callable[[str, str, float], None],
         progress: Callable[[str, Progress], None] | None,
         total: int,
     ) -> None:
-        self._tell, self._progress, self._total, self._done = tell, progress, total, 0
+        self._on_step, self._progress, self._total, self._done = on_step, progress, total, 0
 
     def run(
         self, about: str, scene: Scene, planner: PlannerOptions, simulated: tuple[SimulationOptions, ...]
@@ -187,7 +187,7 @@ class _Bench:
         """Plan, then simulate with each of the options; all these steps count as done even after an error."""
         first = self._done
         self._done += 1 + len(simulated)
-        self._tell(scene.name, about, first / self._total)
+        self._on_step(scene.name, about, first / self._total)
         progress = None if self._progress is None else partial(self._progress, scene.name)
         planned = plan(scene, options=planner, progress=progress)
         trackings = []
@@ -196,7 +196,7 @@ class _Bench:
             what = f"{about}: simulating, stiffness times {options.link_factor:g}{released}"
 
             def share(done: float, before: int = number, what: str = what) -> None:
-                self._tell(scene.name, what, (before + done) / self._total)
+                self._on_step(scene.name, what, (before + done) / self._total)
 
             share(0.0)
             trackings.append(simulate(planned, options, progress=share))

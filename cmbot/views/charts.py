@@ -28,7 +28,7 @@ _COMPENSATED = (
     "Elastic arm's tool minus its expected position: the rigid arm's at the same joint angles and, for the "
     "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
-_FLOOR = "Floor: lower bound of the peak; at one via-point no admissible posture at rest has a smaller torque."
+_FLOOR = "Floor: lower bound of the peak; at a via-point no admissible posture at rest has a smaller torque."
 _NOT_SIMULATED = "not simulated"
 
 Motion = Literal["planned", "baseline"]
@@ -104,15 +104,31 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
 def joint_charts(plan: Plan) -> Iterator[Chart]:
     """Yield the small plots, quantity by quantity, each with one chart a joint; angles in deg."""
     limits, deg = plan.robot.limits, float(np.rad2deg(1.0))
-    symmetric = (
-        ("velocity", "v", limits.velocity, "deg/s", deg),
-        ("acceleration", "a", limits.acceleration, "deg/s²", deg),
-        ("jerk", "j", limits.jerk, "deg/s³", deg),
-        ("torque", "joint_torque", limits.torque, "Nm", 1.0),
-    )
-    yield from _quantity(plan, "angle", "q", (limits.lower, limits.upper), "deg", deg)
-    for title, name, bound, unit, factor in symmetric:
-        yield from _quantity(plan, title, name, (-bound, bound), unit, factor)
+    for title, name, (lower, upper), unit, factor in (
+        ("angle", "q", (limits.lower, limits.upper), "deg", deg),
+        ("velocity", "v", (-limits.velocity, limits.velocity), "deg/s", deg),
+        ("acceleration", "a", (-limits.acceleration, limits.acceleration), "deg/s²", deg),
+        ("jerk", "j", (-limits.jerk, limits.jerk), "deg/s³", deg),
+        ("torque", "joint_torque", (-limits.torque, limits.torque), "Nm", 1.0),
+    ):
+        for joint in range(plan.robot.dof):
+            curves = _curves(plan, _of_joint(name, joint, factor))
+            low, high = factor * float(lower[joint]), factor * float(upper[joint])
+            finite = bool(np.isfinite([low, high]).all())
+            if finite:
+                room = 0.5 * (ROOM - 1) * (high - low)
+                axis = (low - room, high + room)
+            else:
+                axis = (min(float(c.y.min()) for c in curves), max(float(c.y.max()) for c in curves))
+            yield Chart(
+                key="joint",
+                title=title,
+                unit=unit,
+                digits=1,
+                curves=curves,
+                axis=axis,
+                bounds=(low, high) if finite else (None, None),
+            )
 
 
 def thinned(t: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
@@ -224,29 +240,6 @@ def _off_path(tracking: Tracking) -> Chart:
         note="To the nearest point of the path: elastic deflection and joint motion together.",
         approach=_NOT_SIMULATED,
     )
-
-
-def _quantity(
-    plan: Plan, title: str, name: str, bounds: tuple[FloatArray, FloatArray], unit: str, factor: float
-) -> Iterator[Chart]:
-    for joint in range(plan.robot.dof):
-        curves = _curves(plan, _of_joint(name, joint, factor))
-        low, high = (factor * float(side[joint]) for side in bounds)
-        finite = bool(np.isfinite([low, high]).all())
-        if finite:
-            room = 0.5 * (ROOM - 1) * (high - low)
-            axis = (low - room, high + room)
-        else:
-            axis = (min(float(c.y.min()) for c in curves), max(float(c.y.max()) for c in curves))
-        yield Chart(
-            key="joint",
-            title=title,
-            unit=unit,
-            digits=1,
-            curves=curves,
-            axis=axis,
-            bounds=(low, high) if finite else (None, None),
-        )
 
 
 def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], FloatArray]:

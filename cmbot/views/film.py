@@ -42,7 +42,7 @@ def film(
     path: str | Path,
     *,
     speed: float = 1.0,
-    tell: Callable[[float], None] = lambda _: None,
+    progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Film a replay page from its start to its end.
 
@@ -54,7 +54,7 @@ def film(
         Video to write, in the format of its suffix, such as ``.mp4``. It appears whole or not at all.
     speed : float
         Seconds of motion in a second of video.
-    tell : callable
+    progress : callable
         Called with the share that has been filmed, after every tenth.
 
     Raises
@@ -73,7 +73,7 @@ def film(
     draft = path.parent / f".{uuid.uuid4().hex}{path.suffix}"
     try:
         with _opened(page, browser, driver) as chrome:
-            _encode(encoder, draft, str(path), _frames(chrome, speed, tell))
+            _encode(encoder, draft, str(path), _frames(chrome, speed, progress))
         draft.replace(path)
     except OSError as error:
         raise cannot_write(path, error) from error
@@ -114,7 +114,7 @@ def _opened(page: str, browser: str, driver: str) -> Iterator[Any]:
             chrome.quit()
 
 
-def _frames(chrome: Any, speed: float, tell: Callable[[float], None]) -> Iterator[bytes]:
+def _frames(chrome: Any, speed: float, progress: Callable[[float], None]) -> Iterator[bytes]:
     start, end = chrome.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
     count = max(int(np.ceil((end - start) / speed * FRAME_RATE)), 1) + 1
     for k, time in enumerate(np.linspace(start, end, count)):
@@ -122,7 +122,7 @@ def _frames(chrome: Any, speed: float, tell: Callable[[float], None]) -> Iterato
         shot = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "jpeg", "quality": 92})
         yield base64.b64decode(shot["data"])
         if (10 * k) // count > (10 * (k - 1)) // count:
-            tell(k / count)
+            progress(k / count)
 
 
 def _encode(encoder: str, draft: Path, target: str, frames: Iterator[bytes]) -> None:

@@ -252,7 +252,7 @@ def test_the_assumptions_are_those_of_the_page() -> None:
 
 def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
     told: list[tuple[str, str, float]] = []
-    found = reproduce(tell=lambda *words: told.append(words), factors=(1.0, 0.7))
+    found = reproduce(on_step=lambda *words: told.append(words), factors=(1.0, 0.7))
     assert planner == ["", "knots: fixed", "compensate: True", "quiet_modes: 0", "objective: sag"] * 2
     assert [scene for scene, *_ in told] == ["triangle"] * 21 + ["line"] * 21
     # Plans and simulations of an experiment: 3 + 3 + 3 + 2 + 2.
@@ -288,7 +288,7 @@ def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
 
 def test_least_sag_can_be_left_out(planner: list[str]) -> None:
     told: list[float] = []
-    found = reproduce(tell=lambda *words: told.append(words[-1]), factors=(1.0,), least_sag=False)
+    found = reproduce(on_step=lambda *words: told.append(words[-1]), factors=(1.0,), least_sag=False)
     assert len(planner) == 8
     assert all(entry.least_sag is None for entry in found.experiments)
     assert told[-1] == pytest.approx((20 - 0.5) / 20)

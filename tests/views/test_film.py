@@ -70,7 +70,7 @@ def light_page(short_plan: Plan) -> str:
 def test_it_films_from_start_to_end(light_page: str, tmp_path: Path) -> None:
     programs(*PROGRAMS)
     path, told = tmp_path / "film.mp4", []
-    film(light_page, path, speed=10.0, tell=told.append)
+    film(light_page, path, speed=10.0, progress=told.append)
     words = ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json"]
     done = subprocess.run([*words, str(path)], capture_output=True, text=True, check=True)
     (stream,) = json.loads(done.stdout)["streams"]
