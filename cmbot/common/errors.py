@@ -1,4 +1,4 @@
-"""Every failure has a type of its own and a message that a person can act on.
+"""The errors of cmbot.
 
 ::
 
@@ -51,7 +51,7 @@ class InputError(CmbotError, ValueError):
     key : str
         Where in it: a key's path such as ``tool_path.legs[1].seconds``; empty for the whole.
     got : object
-        What stands there; of what is missing, ``no such file`` or the like, which needs no "got".
+        What stands there. ``no such file`` and the like are written without "got".
     expected : str
         What should stand there, or what to do.
     choices : sequence of str, optional
@@ -85,7 +85,7 @@ class ArchiveError(InputError):
 
 
 _TIME = "more seconds for the legs"
-# What most often helps, by a word of the constraint that is furthest from being met.
+# What most often helps, by a word in the name of the worst constraint.
 _REMEDIES = (
     ("velocity", _TIME),
     ("acceleration", _TIME),
@@ -106,18 +106,18 @@ class PlanningError(CmbotError, RuntimeError):
 
 
 class PathNotFound(PlanningError):
-    """The joint path could not be carried to the end of the tool path.
+    """No joint path follows the tool path to its end.
 
     Parameters
     ----------
     reason : str
-        What stopped it, in a sentence.
+        What stopped the path, in a sentence.
     time : float
-        Time on the tool path at which it stopped, s.
+        Where it stopped, s.
     progress : float
         Share of the tool path's length that was covered, 0 to 1.
     smallest_singular_value : float
-        Of the task Jacobian where the path stopped, Chang 2021, Eqs. (18)-(19).
+        Of the task Jacobian there, Chang 2021, Eqs. (18)-(19).
     pair : tuple of str, optional
         The link and the obstacle (or second link) that came too close.
     """
@@ -154,7 +154,7 @@ class OptimisationFailed(PlanningError):
     violation : float
         By how much, as a share of its bound.
     undecided : bool
-        The solver gave up; another one may get further.
+        The solver failed without a proof of infeasibility; another one may succeed.
     """
 
     def __init__(self, reason: str, *, constraint: str, violation: float, undecided: bool = False) -> None:
@@ -172,7 +172,7 @@ class OptimisationFailed(PlanningError):
 
 
 class LimitViolation(PlanningError):
-    """A finished trajectory breaks a limit, so it is not a plan.
+    """A finished trajectory violates a limit.
 
     Parameters
     ----------
@@ -198,12 +198,12 @@ class LimitViolation(PlanningError):
 
 
 class SimulationDiverged(CmbotError, RuntimeError):
-    """The elastic motion left what its model can mean; no part of it is a result.
+    """The elastic motion left the range of its model.
 
     Parameters
     ----------
     time : float
-        Of the first state that is none, s.
+        Of the first state outside, s.
     state : sequence of float
         The elastic coordinates there, m and rad.
     """
@@ -215,7 +215,7 @@ class SimulationDiverged(CmbotError, RuntimeError):
         lost = sum(not math.isfinite(x) for x in self.state)
         super().__init__(
             f"the simulation diverges at t = {time:.4f} s: the largest elastic coordinate is {largest:.3g} "
-            f"(m or rad), {lost} of {len(self.state)} are not finite; take a smaller step, or look at the "
+            f"(m or rad), {lost} of {len(self.state)} are not finite; take a smaller step, or check the "
             "stiffness and the mass"
         )
 
@@ -230,7 +230,7 @@ class MissingExtra(CmbotError, ImportError):
     extra : str
         The extra of cmbot that it belongs to.
     command : str, optional
-        What installs it, where that is not the extra's own: see `cmbot.common.installation.install_command`.
+        What installs it; left out: `cmbot.common.installation.install_command` of the extra.
     """
 
     def __init__(self, package: str, extra: str, command: str = "") -> None:

@@ -1,4 +1,4 @@
-"""How long work will still take, from how long its parts took so far; no figure where there is no basis."""
+"""Estimates of the time that work still takes, from the time that its parts took so far."""
 
 from __future__ import annotations
 
@@ -12,18 +12,16 @@ _SHORT = 10.0
 
 @dataclass(frozen=True, kw_only=True)
 class Eta:
-    """What is left of some work.
+    """The time that work still takes.
 
     Attributes
     ----------
     seconds : float
-        Of all that is left; with `most`, of one part.
+        For all that is left; with `most`, for one part.
     most : int or None
-        Parts that are left at most, where nobody knows how many it will be.
-    part : str
-        What they are called, with `most`.
-    parts : str
-        Several of them.
+        Most parts that are left, where their number is not known.
+    part, parts : str
+        With `most`: the name of a part, and its plural.
     at_most : bool
         The work may end before all of it is done.
     """
@@ -35,7 +33,7 @@ class Eta:
     at_most: bool = False
 
     def after(self, seconds: float) -> Eta | None:
-        """Return what is left so many seconds later; None when the estimate has run out."""
+        """Return the estimate that is left `seconds` later; None when it has run out."""
         if self.most is not None:
             return self
         if seconds >= self.seconds:
@@ -43,9 +41,8 @@ class Eta:
         return Eta(seconds=self.seconds - seconds, at_most=self.at_most)
 
     def sentence(self) -> str:
-        """Return it in words."""
+        """Return the estimate in words, such as ``about 12 s left``."""
         if self.most is None:
-            # What takes less than a second is over before it is read.
             return f"{'at most' if self.at_most else 'about'} {max(round(self.seconds), 1)} s left"
         each = f"{self.seconds:.{0 if self.seconds >= _SHORT else 1}f} s each"
         return f"at most {self.most} more {self.part if self.most == 1 else self.parts}, {each}"
@@ -57,9 +54,9 @@ class Remaining:
     Parameters
     ----------
     now : float, s
-        When it begins, by a clock that does not go back.
+        When it begins, by a monotonic clock.
     share : float
-        What is done by then: how long that took is not known, or is no measure.
+        What is done by then, in a time that is not known or no measure.
     at_most : bool
         It may end before all of it is done.
     """
@@ -71,12 +68,12 @@ class Remaining:
         """What is done, 0 to 1; never falls."""
 
     def note(self, share: float, now: float) -> None:
-        """Take note of the share that is done at a time; one that falls is none."""
+        """Note the share that is done at a time; a share that falls is ignored."""
         if share > self.share:
             self.share, self._noted = min(share, 1.0), now
 
     def left(self, now: float) -> Eta | None:
-        """Return what is left at a time; None before the first part is done, and when it takes longer."""
+        """Return the estimate at a time; None before the first part is done, and when it has run out."""
         done = self.share - self._first
         if not done > 0.0:
             return None

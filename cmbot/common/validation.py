@@ -25,7 +25,6 @@ __all__ = [
     "counted",
     "given_path",
     "hint",
-    "input_error",
     "key_path",
     "plain",
     "refusal",
@@ -100,7 +99,7 @@ def validated(model: type[T], data: object, source: str, error_type: type[InputE
     try:
         checked: T = _adapter(model).validate_json(text)  # type: ignore[arg-type]
     except ValidationError as error:
-        raise input_error(source, error, error_type, model) from error
+        raise _input_error(source, error, error_type, model) from error
     return checked
 
 
@@ -183,21 +182,12 @@ def given_path(value: object, source: str, key: str, expected: str) -> Path:
 
 
 def plain(value: object, source: str, steps: Sequence[str | int] = ()) -> Any:
-    """Return a value as a file would hold it: mappings, lists, text, numbers.
-
-    Parameters
-    ----------
-    value : object
-        Of these, paths, arrays and dataclasses.
-    source : str
-        For messages.
-    steps : sequence of str or int
-        Where the value stands in the source, for messages.
+    """Return paths, arrays and dataclasses as a file would hold them: text, lists, numbers, mappings.
 
     Raises
     ------
     InputError
-        When something in it is none of these.
+        When something in `value` is none of these; `source` and `steps` name its place.
     """
     if value is None or isinstance(value, str | int | float):
         return value
@@ -214,19 +204,8 @@ def plain(value: object, source: str, steps: Sequence[str | int] = ()) -> Any:
     raise InputError(source, key_path(steps), shown(value), "text, a number or a list of them")
 
 
-def input_error(source: str, error: ValidationError, error_type: type[InputError], model: Any) -> InputError:
-    """Return the one error to raise for a pydantic `ValidationError`.
-
-    Parameters
-    ----------
-    source : str
-        The file or argument that was validated.
-    error : ValidationError
-    error_type : type
-        The type of the result.
-    model : type
-        What was validated against; its JSON Schema has the known keys and values.
-    """
+def _input_error(source: str, error: ValidationError, error_type: type[InputError], model: Any) -> InputError:
+    """The one error to raise for those that pydantic found against `model`."""
     detail = _most_telling(error.errors(include_url=False))
     loc, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
     schema = TypeAdapter(model).json_schema()
@@ -261,7 +240,7 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
 def refusal(
     expected: str, *, got: object, key: Sequence[str | int] = (), choices: Sequence[str] = ()
 ) -> PydanticCustomError:
-    """Return what a validator of cmbot raises, for `input_error` to read.
+    """Return what a validator of cmbot raises, which becomes an `InputError`.
 
     Parameters
     ----------

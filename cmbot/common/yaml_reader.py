@@ -1,17 +1,24 @@
-"""Reads a YAML 1.2 file into plain data, and refuses whatever could mean something else than it seems to."""
+"""Reads a YAML 1.2 file into plain data; what could be misread is refused."""
 
 from __future__ import annotations
 
 import math
 import stat
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 from ruamel.yaml import YAML
-from ruamel.yaml.composer import Composer
 from ruamel.yaml.error import MarkedYAMLError, YAMLError
-from ruamel.yaml.events import AliasEvent, ScalarEvent, StreamEndEvent
-from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
+from ruamel.yaml.events import (
+    AliasEvent,
+    MappingEndEvent,
+    MappingStartEvent,
+    ScalarEvent,
+    SequenceEndEvent,
+    StreamEndEvent,
+)
+from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.reader import ReaderError
 
 from cmbot.common.errors import InputError
@@ -27,16 +34,6 @@ _TEXT = "tag:yaml.org,2002:str"
 _PLAIN_TYPES = (str, int, float, type(None))  # bool is an int
 
 _Path = tuple[str | int, ...]
-
-
-class _RefusedError(Exception):
-    """Something stands in the file that we do not accept; `read_yaml` says in which file."""
-
-    def __init__(self, key: _Path, got: str, expected: str, mark: Any) -> None:
-        super().__init__(got)
-        self.key = key_path(key)
-        self.got = f"{got} ({_place(mark)})"
-        self.expected = expected
 
 
 def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
@@ -66,20 +63,17 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
 
 
 def yaml_value(text: str, source: str, error_type: type[InputError]) -> Any:
-    """Return what a YAML text says: a mapping, a list, text, a number, true, false, or None for nothing.
+    """Return the content of a YAML text, None for nothing, as `read_yaml` does.
 
     Raises
     ------
     InputError
-        Of `error_type`, as `read_yaml`; `source` is named as the place where it stands.
+        Of `error_type`, with `source` as its source.
     """
-    yaml = YAML(typ="safe", pure=True)
-    yaml.Composer = _StrictComposer
     try:
-        node = yaml.compose(text)
-        return None if node is None else _data(yaml, node, ())
-    except _RefusedError as error:
-        raise error_type(source, error.key, error.got, error.expected) from error
+        return _Document(text, source, error_type).read()
+    except InputError:
+        raise
     except MarkedYAMLError as error:
         raise error_type(source, "", _syntax_problem(error), "valid YAML 1.2") from error
     except ReaderError as error:
@@ -112,87 +106,83 @@ def _read_text(path: Path, source: str, error_type: type[InputError]) -> str:
         raise error_type(source, "", got, "text in UTF-8") from error
 
 
-class _StrictComposer(Composer):
-    """Composes one document and refuses what the plain data would no longer show."""
+class _Document:
+    """Plain data from the events of one YAML document; refuses what the data would no longer show."""
 
-    def __init__(self, loader: Any = None) -> None:
-        super().__init__(loader)
-        self._steps: list[str | int] = []
+    def __init__(self, text: str, source: str, error_type: type[InputError]) -> None:
+        self._source, self._error_type = source, error_type
+        self._yaml = YAML(typ="safe", pure=True)
+        self._events: Iterator[Any] = self._yaml.parse(text)
 
-    def get_single_node(self) -> Any:
-        self.parser.get_event()  # start of the stream
-        document = None
-        if not self.parser.check_event(StreamEndEvent):
-            document = self.compose_document()
-        event = self.parser.get_event()
-        if not isinstance(event, StreamEndEvent):
-            raise _RefusedError((), "a second document", "one document", event.start_mark)
-        return document
+    def read(self) -> Any:
+        next(self._events)  # start of the stream
+        start = next(self._events)
+        if isinstance(start, StreamEndEvent):
+            return None
+        if start.version is not None or start.tags:
+            raise self._refused((), "a % directive", "YAML 1.2 without directives", start.start_mark)
+        data = self._data(next(self._events), ())
+        next(self._events)  # end of the document
+        end = next(self._events)
+        if not isinstance(end, StreamEndEvent):
+            raise self._refused((), "a second document", "one document", end.start_mark)
+        return data
 
-    def compose_document(self) -> Any:
-        event = self.parser.peek_event()
-        if event.version is not None or event.tags:
-            raise _RefusedError((), "a % directive", "YAML 1.2 without directives", event.start_mark)
-        return super().compose_document()
+    def _data(self, event: Any, path: _Path) -> Any:
+        self._check(event, path)
+        if isinstance(event, ScalarEvent):
+            return self._scalar(event, path)
+        if isinstance(event, MappingStartEvent):
+            return self._mapping(path)
+        items: list[Any] = []
+        while not isinstance(event := next(self._events), SequenceEndEvent):
+            items.append(self._data(event, (*path, len(items))))
+        return items
 
-    def compose_node(self, parent: Any, index: Any) -> Any:
-        step = index.value if isinstance(index, ScalarNode) else index
-        nested = isinstance(step, str | int)  # neither the root nor a key
-        if nested:
-            self._steps.append(step)
-        self._check(self.parser.peek_event(), is_key=parent is not None and not nested)
-        node = super().compose_node(parent, index)
-        if nested:
-            self._steps.pop()
-        return node
+    def _mapping(self, path: _Path) -> dict[str, Any]:
+        mapping: dict[str, Any] = {}
+        while not isinstance(event := next(self._events), MappingEndEvent):
+            self._check(event, path)
+            if not isinstance(event, ScalarEvent):
+                raise self._refused(path, "a list or mapping as key", "a key that is text", event.start_mark)
+            key = event.value
+            if str(self._node(event).tag) != _TEXT:
+                raise self._refused(path, f"the key {shown(key)}", "a key that is text", event.start_mark)
+            if key in mapping:
+                raise self._refused((*path, key), "the same key again", "each key once", event.start_mark)
+            mapping[key] = self._data(next(self._events), (*path, key))
+        return mapping
 
-    def _check(self, event: Any, *, is_key: bool) -> None:
-        key = tuple(self._steps)
-        if len(key) > _DEEPEST:
-            raise _RefusedError(key[:3], "nesting too deep", f"at most {_DEEPEST} levels", event.start_mark)
+    def _scalar(self, event: Any, path: _Path) -> Any:
+        got = shown(event.value)
+        try:
+            value = self._yaml.constructor.construct_object(self._node(event))
+        except ValueError as error:  # such as a date with a 13th month, or an integer of ten thousand digits
+            raise self._refused(path, got, "a number or text in quotes", event.start_mark) from error
+        if not isinstance(value, _PLAIN_TYPES):
+            got = f"the {type(value).__name__} {got}"
+            raise self._refused(path, got, "text in quotes", event.start_mark)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise self._refused(path, got, "a finite number", event.start_mark)
+        return value
+
+    def _node(self, event: Any) -> ScalarNode:
+        tag = self._yaml.resolver.resolve(ScalarNode, event.value, event.implicit)
+        return ScalarNode(tag, event.value, event.start_mark, event.end_mark, style=event.style)
+
+    def _check(self, event: Any, path: _Path) -> None:
+        mark = event.start_mark
+        if len(path) > _DEEPEST:
+            raise self._refused(path[:3], "nesting too deep", f"at most {_DEEPEST} levels", mark)
         if isinstance(event, AliasEvent):
-            raise _RefusedError(key, f"the alias *{event.anchor}", "the value itself", event.start_mark)
+            raise self._refused(path, f"the alias *{event.anchor}", "the value itself", mark)
         if event.anchor is not None:
-            raise _RefusedError(key, f"the anchor &{event.anchor}", "no anchor", event.start_mark)
+            raise self._refused(path, f"the anchor &{event.anchor}", "no anchor", mark)
         if event.tag is not None:
-            raise _RefusedError(key, f"the tag {event.tag}", "no tag", event.start_mark)
-        if is_key and not isinstance(event, ScalarEvent):
-            raise _RefusedError(key, "a list or mapping as key", "a key that is text", event.start_mark)
+            raise self._refused(path, f"the tag {event.tag}", "no tag", mark)
 
-
-def _data(yaml: YAML, node: Node, path: _Path) -> Any:
-    if isinstance(node, MappingNode):
-        return _mapping(yaml, node, path)
-    if isinstance(node, SequenceNode):
-        return [_data(yaml, item, (*path, index)) for index, item in enumerate(node.value)]
-    return _scalar(yaml, node, path)
-
-
-def _mapping(yaml: YAML, node: MappingNode, path: _Path) -> dict[str, Any]:
-    mapping: dict[str, Any] = {}
-    for key, value in node.value:
-        if str(key.tag) != _TEXT:
-            got = f"the key {shown(key.value)}"
-            raise _RefusedError(path, got, "a key that is text", key.start_mark)
-        inner = (*path, key.value)
-        if key.value in mapping:
-            raise _RefusedError(inner, "the same key again", "each key once", key.start_mark)
-        mapping[key.value] = _data(yaml, value, inner)
-    return mapping
-
-
-def _scalar(yaml: YAML, node: Node, path: _Path) -> Any:
-    try:
-        value = yaml.constructor.construct_object(node)
-    except ValueError as error:  # such as a date with a 13th month, or an integer of ten thousand digits
-        got = shown(node.value)
-        raise _RefusedError(path, got, "a number or text in quotes", node.start_mark) from error
-    if not isinstance(value, _PLAIN_TYPES):
-        got = f"the {type(value).__name__} {shown(node.value)}"
-        raise _RefusedError(path, got, "text in quotes", node.start_mark)
-    if isinstance(value, float) and not math.isfinite(value):
-        raise _RefusedError(path, shown(node.value), "a finite number", node.start_mark)
-    return value
+    def _refused(self, path: _Path, got: str, expected: str, mark: Any) -> InputError:
+        return self._error_type(self._source, key_path(path), f"{got} ({_place(mark)})", expected)
 
 
 def _syntax_problem(error: MarkedYAMLError) -> str:
