@@ -25,6 +25,7 @@ __all__ = [
     "counted",
     "given_path",
     "hint",
+    "input_error",
     "key_path",
     "plain",
     "refusal",
@@ -99,7 +100,7 @@ def validated(model: type[T], data: object, source: str, error_type: type[InputE
     try:
         checked: T = _adapter(model).validate_json(text)  # type: ignore[arg-type]
     except ValidationError as error:
-        raise _input_error(source, error, error_type, model) from error
+        raise input_error(source, error, error_type, model) from error
     return checked
 
 
@@ -204,8 +205,8 @@ def plain(value: object, source: str, steps: Sequence[str | int] = ()) -> Any:
     raise InputError(source, key_path(steps), shown(value), "text, a number or a list of them")
 
 
-def _input_error(source: str, error: ValidationError, error_type: type[InputError], model: Any) -> InputError:
-    """The one error to raise for those that pydantic found against `model`."""
+def input_error(source: str, error: ValidationError, error_type: type[InputError], model: Any) -> InputError:
+    """Return the one error to raise for those that pydantic found against `model`."""
     detail = _most_telling(error.errors(include_url=False))
     loc, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
     schema = TypeAdapter(model).json_schema()
