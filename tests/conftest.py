@@ -14,10 +14,12 @@ from plan_folders import saved_triangle as saved_triangle
 from plan_folders import short_plan as short_plan
 from plan_folders import thin_plan as thin_plan
 from plan_folders import triangle_folder as triangle_folder
+from seven_joint_arms import endless_scene
 from small_scenes import short_scene
+from urdf_arms import arm_scene
 
 from cmbot.common.installation import model_folder
-from cmbot.planning import Plan, plan
+from cmbot.planning import Plan, plan, robot_of
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
@@ -77,6 +79,19 @@ def fixed_triangle_plan() -> Plan:
 @pytest.fixture(scope="session")
 def fixed_line_plan() -> Plan:
     return _with_fixed_knots("line")
+
+
+@pytest.fixture(scope="session", params=["cmbot", "panda", "kinova", "endless"])
+def any_arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
+    """The shipped arm with a load; on a mount a Panda, a Kinova and an arm with endless joints."""
+    folder = tmp_path_factory.mktemp(request.param)
+    match request.param:
+        case "cmbot":
+            return load_robot(payload=3.0)
+        case "endless":
+            return robot_of(endless_scene(folder))
+        case name:
+            return robot_of(arm_scene(folder, name))
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from guardrails import guardrail, relative_difference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from oracles.beams import angle_outline, cantilever, polygon
+from oracles.beams import angle_cantilever, angle_outline, polygon
 from scipy import linalg, sparse
 
 from cmbot.common.errors import InputError
@@ -64,26 +64,12 @@ guardrails = st.builds(
 # Closed forms.
 
 
-def turned_moments(leg: float, thickness: float, roll: float) -> tuple[float, FloatArray]:
-    """Area of an angle and the moments (2, 2) of its outline, turned by `roll`, deg."""
-    area, _, moments = polygon(angle_outline(leg, thickness))
-    c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
-    R = np.array([(c, -s), (s, c)])
-    return area, R @ moments @ R.T
-
-
 @pytest.mark.parametrize("roll", [-90.0, 0.0, 30.0, 200.0])
 def test_a_post_without_rails_is_a_cantilever(roll: float) -> None:
     """The roll as the scene file means it: the legs' outline, turned about z."""
     found = guardrail(rails=(), post={"roll_deg": roll, "top_m": 0.3})
-    area, moments = turned_moments(0.075, 0.008, roll)
-    expected = cantilever(
-        along=(0, 0, 1.05),
-        moments=linalg.block_diag(moments, 0.0),
-        young=206e9,
-        axial=206e9 * area,
-        torsional=79e9 * section_constants(found.post.section).torsion,
-    )
+    c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
+    expected = angle_cantilever((0, 0, 1.05), 0.075, 0.008, [(c, s, 0), (-s, c, 0)])
     assert relative_difference(np.linalg.inv(stiffness(found)), expected) < 1e-8
 
 
@@ -97,7 +83,10 @@ def test_a_rail_between_rigid_posts_is_a_beam_clamped_at_both_ends(roll: float) 
         rails=(rail(section={"angle": (0.063, 0.006)}, roll_deg=roll),),
         foot={"post": 1, "offset_m": 1.0},
     )
-    area, S = turned_moments(0.063, 0.006, roll)
+    area, _, moments = polygon(angle_outline(0.063, 0.006))
+    c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
+    R = np.array([(c, -s), (s, c)])
+    S = R @ moments @ R.T
     # Each half takes half the load; at its middle a beam clamped at both ends neither turns for a force
     # across it nor moves for a moment. A moment about y bends it in z: m x e turns the moments' axes.
     turn = np.array([(0.0, -1.0), (1.0, 0.0)])

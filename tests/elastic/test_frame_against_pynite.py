@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from guardrails import guardrail, relative_difference
 from numpy.typing import NDArray
-from oracles.beams import angle_outline, cantilever, polygon
+from oracles.beams import angle_cantilever, angle_outline, polygon
 from Pynite import FEModel3D
 
 from cmbot.elastic import AngleSection, BarSection, Guardrail, elastic_base
@@ -83,15 +83,8 @@ def test_pynite_turns_a_section_as_we_think(upright: bool, roll: float) -> None:
     made.add_member("member", "clamp", "tip", "steel", section, rotation=rotation(math.radians(roll)))
     support(made, "clamp")
     c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
-    axes = np.array([(c, s, 0), (-s, c, 0)] if upright else [(0, c, s), (0, -s, c)])
-    area, _, moments = polygon(angle_outline(0.075, 0.008))
-    expected = cantilever(
-        along=along,
-        moments=axes.T @ moments @ axes,
-        young=YOUNG,
-        axial=YOUNG * area,
-        torsional=SHEAR * area * 0.008**2 / 3,
-    )
+    axes = [(c, s, 0), (-s, c, 0)] if upright else [(0, c, s), (0, -s, c)]
+    expected = angle_cantilever(along, 0.075, 0.008, axes, YOUNG, SHEAR)
     assert relative_difference(compliance(made, "tip"), expected) < 1e-9
 
 
@@ -124,9 +117,7 @@ def pynite_compliance(found: Guardrail) -> FloatArray:
     [
         pytest.param(guardrail(), id="default"),
         pytest.param(guardrail(foot={"offset_m": 0.875}), id="foot at mid-rail"),
-        pytest.param(
-            guardrail(bays=3, foot={"post": 1}, post={"roll_deg": 25.0}), id="skewed posts at an end"
-        ),
+        pytest.param(guardrail(bays=3, foot={"post": 1}, post={"roll_deg": 25.0}), id="skewed end post"),
     ],
 )
 def test_all_entries_of_the_compliance(found: Guardrail) -> None:

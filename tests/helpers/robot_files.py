@@ -17,7 +17,7 @@ def load_copy(folder: Path, **options: Any) -> Robot:
     return load_robot(folder / "cmbot.urdf", **{"base_frame": "arm_base", "tool_frame": "tool0", **options})
 
 
-def replace(file: Path, old: str, new: str) -> None:
+def replace(file: Path, old: str, new: str, count: int = -1) -> None:
     text = file.read_text(encoding="utf-8")
     assert old in text
-    file.write_text(text.replace(old, new), encoding="utf-8")
+    file.write_text(text.replace(old, new, count), encoding="utf-8")

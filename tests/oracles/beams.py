@@ -56,3 +56,17 @@ def cantilever(
     C[3:, :3] = turn @ S * L**2 / 2
     C[3:, 3:] = turn @ S @ across * L + np.outer(e, e) * L / torsional
     return C
+
+
+def angle_cantilever(
+    along: ArrayLike, leg: float, thickness: float, axes: ArrayLike, young: float = 206e9, shear: float = 79e9
+) -> FloatArray:
+    """The same for an angle whose legs point along the rows of `axes` (2, 3); torsion of two thin walls."""
+    area, _, moments = polygon(angle_outline(leg, thickness))
+    return cantilever(
+        along=along,
+        moments=np.transpose(axes) @ moments @ np.asarray(axes),
+        young=young,
+        axial=young * area,
+        torsional=shear * area * thickness**2 / 3,
+    )

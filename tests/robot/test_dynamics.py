@@ -7,6 +7,8 @@ import pinocchio as pin
 import pytest
 from conftest import FloatArray, StateSamples
 from finite_differences import check_derivative, finite_difference
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from oracles import newton_euler
 
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
@@ -173,14 +175,13 @@ def test_tool_length_has_no_mass(
     np.testing.assert_array_equal(longer.guardrail_torque, cmbot_dynamics.efforts(*states).guardrail_torque)
 
 
-def test_derivatives_are_those_of_the_efforts(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
-) -> None:
-    q, v, a = random_states(cmbot_robot, 60)
-    got = cmbot_dynamics.derivatives(q, v, a)
+def test_derivatives_are_those_of_the_efforts(any_arm: Robot, random_states: StateSamples) -> None:
+    q, v, a = random_states(any_arm, 60)
+    dynamics = Dynamics(any_arm)
+    got = dynamics.derivatives(q, v, a)
 
     def value(q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-        efforts = cmbot_dynamics.efforts(q[None], v[None], a[None])
+        efforts = dynamics.efforts(q[None], v[None], a[None])
         return np.concatenate([efforts.guardrail_torque[0], efforts.joint_torque[0]])
 
     for k in range(len(q)):
@@ -201,18 +202,88 @@ def test_derivative_to_acceleration_is_the_mass_matrix(
     assert np.linalg.eigvalsh(M).min() > 0
 
 
-def test_results_do_not_alias_working_memory(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
-) -> None:
-    q, v, a = random_states(cmbot_robot, 2)
-    first = cmbot_dynamics.derivatives(q[:1], v[:1], a[:1])
-    kept = first.d_a.copy(), first.value.copy()
-    cmbot_dynamics.derivatives(q[1:], v[1:], a[1:])
-    np.testing.assert_array_equal(first.d_a, kept[0])
-    np.testing.assert_array_equal(first.value, kept[1])
-
-
 def test_no_states_give_empty_results(cmbot_dynamics: Dynamics) -> None:
     none = np.empty((0, 7))
     assert cmbot_dynamics.efforts(none, none, none).guardrail_torque.shape == (0, 3)
     assert cmbot_dynamics.derivatives(none, none, none).d_q.shape == (0, 10, 7)
+
+
+# Other arms, many states in one call
+
+
+states = st.tuples(
+    st.integers(0, 2**32 - 1),
+    st.sampled_from([1, 2, 9]),
+    st.sampled_from([0.0, 0.3, 4.0]),
+    st.sampled_from([0.0, 1.0, 30.0]),
+)
+
+
+def drawn(robot: Robot, seed: int, number: int, rate: float, push: float) -> tuple[FloatArray, ...]:
+    rng = np.random.default_rng(seed)
+    scales = (np.pi, rate, push)
+    return tuple(scale * rng.uniform(-1, 1, (number, robot.dof)) for scale in scales)
+
+
+def free_flying(robot: Robot, q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, ...]:
+    """Wrench of the base on the arm and joint torques (N, 6 + n), and their derivatives (N, 6 + n, n)."""
+    model, data = robot.floating_model, robot.floating_model.createData()
+    rows: list[tuple[FloatArray, ...]] = []
+    for k in range(len(q)):
+        still = np.zeros(6)
+        parts = pin.computeRNEADerivatives(
+            model,
+            data,
+            np.concatenate([still, [1.0], q[k]]),
+            np.concatenate([still, v[k]]),
+            np.concatenate([still, a[k]]),
+        )
+        rows.append((data.tau.copy(), *(part[:, 6:].copy() for part in parts)))
+    return tuple(np.array(column) for column in zip(*rows, strict=True))
+
+
+def same(got: FloatArray, expected: FloatArray) -> None:
+    np.testing.assert_allclose(got, expected, rtol=0, atol=1e-10 * max(1.0, np.abs(expected).max()))
+
+
+@settings(max_examples=20)
+@given(drawn_from=states)
+def test_efforts_are_those_of_the_arm_at_each_state(
+    any_arm: Robot, drawn_from: tuple[int, int, float, float]
+) -> None:
+    q, v, a = drawn(any_arm, *drawn_from)
+    got = Dynamics(any_arm).efforts(q, v, a)
+    data = any_arm.model.createData()
+    for k in range(len(q)):
+        same(got.joint_torque[k], pin.rnea(any_arm.model, data, q[k], v[k], a[k]))
+        # What the base exerts on the first joint's subtree, moved to W.
+        wrench = data.liMi[1].act(data.f[1])
+        same(got.guardrail_force[k], -wrench.linear)
+        same(got.guardrail_torque[k], -wrench.angular)
+
+
+@settings(max_examples=20)
+@given(drawn_from=states)
+def test_derivatives_are_those_of_the_free_flying_arm(
+    any_arm: Robot, drawn_from: tuple[int, int, float, float]
+) -> None:
+    q, v, a = drawn(any_arm, *drawn_from)
+    value, d_q, d_v, d_a = free_flying(any_arm, q, v, a)
+    wrench, efforts = Dynamics(any_arm).wrench_derivatives(q, v, a), Dynamics(any_arm).derivatives(q, v, a)
+    for name, expected in {"value": value, "d_q": d_q, "d_v": d_v, "d_a": d_a}.items():
+        same(getattr(wrench, name), -expected[:, :6])
+        same(getattr(efforts, name)[:, :3], -expected[:, 3:6])
+        same(getattr(efforts, name)[:, 3:], expected[:, 6:])
+
+
+def test_results_are_nobodys_working_memory(any_arm: Robot) -> None:
+    dynamics = Dynamics(any_arm)
+    first = drawn(any_arm, 1, 3, 1.0, 1.0)
+    methods = (dynamics.efforts, dynamics.derivatives, dynamics.wrench_derivatives)
+    results = [vars(method(*first)) for method in methods]
+    kept = [{name: array.copy() for name, array in result.items()} for result in results]
+    for method in methods:
+        method(*drawn(any_arm, 2, 3, 1.0, 1.0))
+    for result, copies in zip(results, kept, strict=True):
+        for name, copied in copies.items():
+            np.testing.assert_array_equal(result[name], copied)

@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from robot_files import load_copy, replace
 
 from cmbot.common.errors import ModelError
 from cmbot.common.installation import model_folder
-from cmbot.robot import Finding, Robot, inspect_urdf, load_robot, parse_urdf
+from cmbot.robot import Finding, inspect_urdf, load_robot, parse_urdf
 
 BOX = '<box size="0.13 0.05 0.15" />'
 JOINT_2 = '<parent link="link_1" />\n    <child link="link_2" />'
+LOWER_1 = 'lower="-2.9670597283903604"'
+RED = '<material name="red"><color rgba="1 0 0 1"/></material>'
 INERTIA_1 = 'ixx="0.02" iyy="0.32" izz="0.32" ixy="0.0" ixz="-0.01" iyz="0.0"'
 
 # What is replaced by what; the key that the error names; a word of the message.
@@ -27,28 +30,13 @@ DAMAGE = {
     "underscore": ('value="7.8"', 'value="7_8"', "link[link_1].mass.value", "7_8"),
     "comma": ('value="7.8"', 'value="7,8"', "link[link_1].mass.value", "7,8"),
     "foreign digits": ('value="7.8"', 'value="٧"', "link[link_1].mass.value", "number"),
-    "inertia not definite": (
-        INERTIA_1,
-        INERTIA_1.replace("0.02", "-0.5"),
-        "link[link_1].inertial",
-        "none neg",
-    ),
-    "inertia incomplete": (
-        INERTIA_1,
-        INERTIA_1.replace('iyz="0.0"', ""),
-        "link[link_1].inertia.iyz",
-        "a value",
-    ),
+    "inertia not definite": (INERTIA_1, INERTIA_1.replace("0.02", "-0.5"), "[link_1].inertial", "none neg"),
+    "inertia incomplete": (INERTIA_1, INERTIA_1[:-10], "link[link_1].inertia.iyz", "a value"),
     "zero axis": ('<axis xyz="0.0 0.0 1.0" />', '<axis xyz="0 0 0" />', ".axis", "not zero"),
     "short axis": ('<axis xyz="0.0 0.0 1.0" />', '<axis xyz="0 1" />', ".axis.xyz", "3 finite"),
     "tab between": ('<axis xyz="0.0 0.0 1.0" />', '<axis xyz="0&#9;0 1" />', ".axis.xyz", "3 finite"),
     "empty rpy": ('rpy="-1.5707963267948966 0.0 0.0"', 'rpy=""', ".origin.rpy", "3 finite"),
-    "lower above upper": (
-        'lower="-2.9670597283903604"',
-        'lower="3"',
-        "joint[joint_1].limit",
-        "lower <= upper",
-    ),
+    "lower above upper": (LOWER_1, 'lower="3"', "joint[joint_1].limit", "lower <= upper"),
     "no limit": ("<limit ", "<no_limit ", "joint[climb_1].limit", "<limit>"),
     "no velocity": ('velocity="0.2"', "", "joint[climb_1].limit.velocity", "a value"),
     "negative velocity": ('velocity="0.2"', 'velocity="-1"', "joint[climb_1].limit.velocity", "not negative"),
@@ -57,19 +45,9 @@ DAMAGE = {
     "two links of a name": ('link name="link_2"', 'link name="link_1"', "link[link_1]", "unique"),
     "two joints of a name": ('joint name="joint_2"', 'joint name="joint_1"', "joint[joint_1]", "unique"),
     "link without name": ('link name="link_2"', "link", "link[]", "unique"),
-    "joint called like a link": (
-        'joint name="joint_2"',
-        'joint name="tool"',
-        "joint[tool]",
-        "name of a link",
-    ),
+    "name of a link": ('joint name="joint_2"', 'joint name="tool"', "joint[tool]", "name of a link"),
     "name of the world": ('joint name="joint_2"', 'joint name="universe"', "joint[universe]", "another name"),
-    "two materials": (
-        "</robot>",
-        '<material name="red"><color rgba="1 0 0 1"/></material></robot>',
-        "[red]",
-        "unique",
-    ),
+    "two materials": ("</robot>", f"{RED}</robot>", "[red]", "unique"),
     "material without a look": ("</robot>", '<material name="a"/></robot>', "material[a]", "neither"),
     "too bright": ('rgba="0.16', 'rgba="16', "material[dark].color.rgba", "0 to 1"),
     "unknown parent": (JOINT_2, JOINT_2.replace("link_1", "nowhere"), "joint[joint_2].parent", "nowhere"),
@@ -94,24 +72,13 @@ DAMAGE = {
 }
 
 
-def load(folder: Path) -> Robot:
-    return load_robot(folder / "cmbot.urdf", base_frame="arm_base", tool_frame="tool0")
-
-
-def damage(folder: Path, old: str, new: str) -> None:
-    file = folder / "cmbot.urdf"
-    text = file.read_text(encoding="utf-8")
-    assert old in text
-    file.write_text(text.replace(old, new), encoding="utf-8")
-
-
 @pytest.mark.parametrize(("old", "new", "key", "word"), DAMAGE.values(), ids=DAMAGE.keys())
 def test_damage_is_named(
     urdf_folder: Path, capfd: pytest.CaptureFixture[str], old: str, new: str, key: str, word: str
 ) -> None:
-    damage(urdf_folder, old, new)
+    replace(urdf_folder / "cmbot.urdf", old, new)
     with pytest.raises(ModelError) as caught:
-        load(urdf_folder)
+        load_copy(urdf_folder)
     error = caught.value
     assert error.source == str(urdf_folder / "cmbot.urdf")
     assert key in error.key
@@ -179,7 +146,7 @@ def test_an_arm_that_only_slides_is_doubtful(bare_urdf: str) -> None:
 
 
 def test_everything_is_listed_errors_first(bare_urdf: str) -> None:
-    text = bare_urdf.replace('value="7.8"', 'value="-1"').replace('lower="-2.9670597283903604"', 'lower="3"')
+    text = bare_urdf.replace('value="7.8"', 'value="-1"').replace(LOWER_1, 'lower="3"')
     text = text.replace('ixx="0.25" iyy="0.25" izz="0.01"', 'ixx="0.25" iyy="0.25" izz="0.9"')
     listed = findings(text)
     assert [finding.severity for finding in listed] == ["error"] * 6 + ["warning"]
@@ -198,22 +165,8 @@ def original(bare_urdf: str) -> ElementTree.Element:
     return ElementTree.fromstring(bare_urdf)
 
 
-JUNK = (
-    "",
-    " ",
-    "nan",
-    "-inf",
-    "1e999",
-    "-1",
-    "0",
-    "1e308",
-    "1e-320",
-    "junk",
-    "0 0",
-    "0 0 0",
-    "1 2 3 4",
-    "universe",
-)
+NO_NUMBERS = ("", " ", "nan", "-inf", "1e999", "0 0", "0 0 0", "1 2 3 4", "junk", "universe")
+JUNK = (*NO_NUMBERS, "-1", "0", "1e308", "1e-320")
 
 
 @settings(max_examples=120, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -234,7 +187,7 @@ def test_any_damage_ends_in_an_error_or_a_robot(
             element.set(name, value)
     (urdf_folder / "cmbot.urdf").write_bytes(ElementTree.tostring(root, encoding="utf-8"))
     try:
-        robot = load(urdf_folder)
+        robot = load_copy(urdf_folder)
     except ModelError as error:
         assert str(urdf_folder) in str(error)
     else:
@@ -257,7 +210,7 @@ def test_any_missing_or_doubled_element_ends_in_an_error_or_a_robot(
         parent.append(child)
     (urdf_folder / "cmbot.urdf").write_bytes(ElementTree.tostring(root, encoding="utf-8"))
     try:
-        load(urdf_folder)
+        load_copy(urdf_folder)
     except ModelError as error:
         assert str(urdf_folder) in str(error)
     assert capfd.readouterr() == ("", "")

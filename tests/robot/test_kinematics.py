@@ -82,15 +82,20 @@ def test_centre_of_mass_is_the_moving_arms(cmbot_kinematics: Kinematics, q: np.n
     check_derivative(lambda x: cmbot_kinematics.centre_of_mass(x)[0], q, J, rtol=1e-10)
 
 
+def test_tool_jacobian_of_other_arms(any_arm: Robot, random_states: StateSamples) -> None:
+    kinematics = Kinematics(any_arm)
+    for q in random_states(any_arm, 5)[0]:
+        J = kinematics.tool_jacobian(q)[1]
+        check_derivative(lambda x: kinematics.tool_pose(x).translation, q, J[:3], rtol=1e-9)
+
+
 def test_results_do_not_alias_working_memory(cmbot_kinematics: Kinematics) -> None:
     q = np.linspace(-1, 1, 7)
-    X_WT = cmbot_kinematics.tool_pose(q)
-    beside, J = cmbot_kinematics.tool_jacobian(q)
-    centre, J_c = cmbot_kinematics.centre_of_mass(q)
+    methods = (cmbot_kinematics.tool_pose, cmbot_kinematics.tool_jacobian, cmbot_kinematics.centre_of_mass)
+    X_WT, (beside, J), (centre, J_c) = (method(q) for method in methods)
     kept = [array.copy() for array in (X_WT.homogeneous, beside.homogeneous, J, centre, J_c)]
-    cmbot_kinematics.tool_pose(-q)
-    cmbot_kinematics.tool_jacobian(-q)
-    cmbot_kinematics.centre_of_mass(-q)
+    for method in methods:
+        method(-q)
     now = (X_WT.homogeneous, beside.homogeneous, J, centre, J_c)
     for array, copy in zip(now, kept, strict=True):
         np.testing.assert_array_equal(array, copy)

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import StateSamples
-from finite_differences import check_derivative
+from robot_files import load_copy, replace
 from scipy.spatial import ConvexHull
 from urdf_arms import KINOVA, KINOVA_JOINTS, PANDA, PANDA_JOINTS, limits_file
 
@@ -26,12 +26,6 @@ def panda(tmp_path_factory: pytest.TempPathFactory) -> Robot:
 def kinova(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     limits = limits_file(tmp_path_factory.mktemp("kinova"), KINOVA_JOINTS)
     return load_robot(KINOVA, base_frame="base", tool_frame="j2s6s200_end_effector", limits=limits)
-
-
-@pytest.fixture(params=["panda", "kinova"])
-def robot(request: pytest.FixtureRequest) -> Robot:
-    loaded: Robot = request.getfixturevalue(request.param)
-    return loaded
 
 
 def test_arm_of_the_panda(panda: Robot) -> None:
@@ -73,23 +67,6 @@ def test_kinova_is_the_reference_model(kinova: Robot, random_states: StateSample
         coordinates = pin.integrate(reference, pin.neutral(reference), q[k])
         expected = pin.rnea(reference, data, coordinates, v[k], a[k])
         np.testing.assert_allclose(got[k], expected, rtol=0, atol=1e-11)
-
-
-def test_derivatives(robot: Robot, random_states: StateSamples) -> None:
-    q, v, a = random_states(robot, 5)
-    dynamics, kinematics = Dynamics(robot), Kinematics(robot)
-    got = dynamics.derivatives(q, v, a)
-
-    def value(q: Any, v: Any, a: Any) -> Any:
-        efforts = dynamics.efforts(q[None], v[None], a[None])
-        return np.concatenate([efforts.guardrail_torque[0], efforts.joint_torque[0]])
-
-    for k in range(len(q)):
-        expected = value(q[k], v[k], a[k])
-        np.testing.assert_allclose(got.value[k], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
-        check_derivative(lambda x, k=k: value(x, v[k], a[k]), q[k], got.d_q[k], rtol=1e-9)
-        J = kinematics.tool_jacobian(q[k])[1]
-        check_derivative(lambda x: kinematics.tool_pose(x).translation, q[k], J[:3], rtol=1e-9)
 
 
 def test_collision_meshes_become_their_convex_hulls(panda: Robot) -> None:
@@ -150,13 +127,9 @@ FLAT = {
 def test_mesh_without_volume(urdf_folder: Path, vertices: list[list[float]]) -> None:
     lines = [f"v {x} {y} {z}" for x, y, z in vertices] + ["f 1 2 3"] + ["f 2 3 4"] * (len(vertices) > 3)
     (urdf_folder / "flat.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    file = urdf_folder / "cmbot.urdf"
-    text = file.read_text(encoding="utf-8")
-    box = '<box size="0.13 0.05 0.15" />'
-    assert box in text
-    file.write_text(text.replace(box, '<mesh filename="flat.obj" />'), encoding="utf-8")
+    replace(urdf_folder / "cmbot.urdf", '<box size="0.13 0.05 0.15" />', '<mesh filename="flat.obj" />')
     with pytest.raises(ModelError, match=r"foot_1_0: got the mesh .*flat.obj, expected a mesh that encloses"):
-        load_robot(file, base_frame="arm_base", tool_frame="tool0")
+        load_copy(urdf_folder)
 
 
 def test_loading_is_silent(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:

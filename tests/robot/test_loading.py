@@ -22,10 +22,9 @@ RANGE_DEG = (170, 170, 150, 170, 170, 130, 170)
 
 def test_limits_are_table_3(cmbot_robot: Robot) -> None:
     limits = cmbot_robot.limits
-    velocity = np.array(VELOCITY_DEG)
-    np.testing.assert_allclose(limits.velocity, np.deg2rad(velocity), rtol=1e-15)
-    np.testing.assert_allclose(limits.acceleration, np.deg2rad(3 * velocity), rtol=1e-15)
-    np.testing.assert_allclose(limits.jerk, np.deg2rad(8 * velocity), rtol=1e-15)
+    for name, factor in (("velocity", 1), ("acceleration", 3), ("jerk", 8)):
+        expected = np.deg2rad(factor * np.array(VELOCITY_DEG))
+        np.testing.assert_allclose(getattr(limits, name), expected, rtol=1e-15)
     np.testing.assert_array_equal(limits.torque, [240, 240, 240, 160, 160, 160, 160])
     np.testing.assert_allclose(limits.upper, np.deg2rad(RANGE_DEG), rtol=1e-15)
     np.testing.assert_array_equal(limits.lower, -limits.upper)
@@ -154,17 +153,12 @@ def test_unknown_frame_lists_the_links(urdf_folder: Path, key: str, name: str) -
     assert {"foot_1", "arm_base", "link_7", "tool0"} <= set(caught.value.choices)
 
 
-@pytest.mark.parametrize(
-    ("base", "tool"),
-    [
-        ("tool0", "arm_base"),
-        ("tool0", "tool0"),
-        ("link_7", "tool0"),
-        ("foot_2", "tool0"),
-        ("link_3", "foot_2"),
-    ],
-)
-def test_no_arm_between_the_frames(urdf_folder: Path, base: str, tool: str) -> None:
+NO_ARMS = ("tool0 arm_base", "tool0 tool0", "link_7 tool0", "foot_2 tool0", "link_3 foot_2")
+
+
+@pytest.mark.parametrize("frames", NO_ARMS)
+def test_no_arm_between_the_frames(urdf_folder: Path, frames: str) -> None:
+    base, tool = frames.split()
     with pytest.raises(ModelError, match=r"tool_frame: .* joints move below"):
         load_copy(urdf_folder, base_frame=base, tool_frame=tool)
 
@@ -191,25 +185,23 @@ def test_a_shorter_arm(urdf_folder: Path) -> None:
 JOINT_4 = '<joint name="joint_4" type="revolute">'
 
 
-def test_sliding_joint_in_the_arm(urdf_folder: Path) -> None:
-    replace(urdf_folder / "cmbot.urdf", JOINT_4, JOINT_4.replace("revolute", "prismatic"))
-    with pytest.raises(ModelError, match=r"joint\[joint_4\].type: got prismatic, .* revolute or continuous"):
+@pytest.mark.parametrize(
+    ("new", "message"),
+    [
+        (JOINT_4.replace("revolute", "prismatic"), "type: got prismatic, .* revolute or continuous"),
+        (JOINT_4 + '<mimic joint="joint_3"/>', "mimic"),
+    ],
+)
+def test_prismatic_or_following_joint_in_the_arm(urdf_folder: Path, new: str, message: str) -> None:
+    replace(urdf_folder / "cmbot.urdf", JOINT_4, new)
+    with pytest.raises(ModelError, match=rf"joint\[joint_4\].{message}"):
         load_copy(urdf_folder)
 
 
 def test_sliding_joint_beside_the_arm_is_locked(urdf_folder: Path) -> None:
-    replace(
-        urdf_folder / "cmbot.urdf",
-        '<joint name="climb_5" type="revolute">',
-        '<joint name="climb_5" type="prismatic">',
-    )
+    climb_5 = '<joint name="climb_5" type="revolute">'
+    replace(urdf_folder / "cmbot.urdf", climb_5, climb_5.replace("revolute", "prismatic"))
     assert load_copy(urdf_folder).dof == 7
-
-
-def test_following_joint_in_the_arm(urdf_folder: Path) -> None:
-    replace(urdf_folder / "cmbot.urdf", JOINT_4, JOINT_4 + '<mimic joint="joint_3"/>')
-    with pytest.raises(ModelError, match=r"joint\[joint_4\].mimic"):
-        load_copy(urdf_folder)
 
 
 @pytest.mark.parametrize("key", ["velocity", "effort"])

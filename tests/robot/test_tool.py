@@ -72,19 +72,11 @@ def test_derivatives_follow_the_mount(random_states: StateSamples) -> None:
     np.testing.assert_allclose(value[:, 3:], efforts.joint_torque, rtol=0, atol=1e-9)
 
 
-@pytest.mark.parametrize(
-    "mount",
-    [
-        np.eye(3),
-        np.zeros((4, 4)),
-        2 * np.eye(4),
-        np.full((4, 4), np.nan),
-        np.diag([1.0, 1, -1, 1]),
-        np.diag([1.0, 1, 1, 2]),
-        "here",
-        [[1, 2], [3]],
-    ],
-)
+NO_POSES = [np.eye(3), np.zeros((4, 4)), 2 * np.eye(4), np.full((4, 4), np.nan)]
+NO_POSES += [np.diag([1.0, 1, -1, 1]), np.diag([1.0, 1, 1, 2]), "here", [[1, 2], [3]]]
+
+
+@pytest.mark.parametrize("mount", NO_POSES)
 def test_mount_that_is_no_pose(mount: Any) -> None:
     with pytest.raises(ModelError, match=r"load_robot: mount: .* a pose"):
         load_robot("cmbot", mount=mount)
@@ -106,10 +98,16 @@ def test_tool_length(cmbot_robot: Robot, random_states: StateSamples, length: fl
     assert ends[1] + 0.04 == pytest.approx(max(length, 0.04), abs=1e-12)
 
 
-@pytest.mark.parametrize("length", [0.0, -0.1, np.nan, np.inf])
-def test_tool_length_that_is_none(length: float) -> None:
-    with pytest.raises(ModelError, match=r"tool_length: .* positive length"):
-        load_robot("cmbot", tool_length=length)
+@pytest.mark.parametrize(
+    ("option", "message"),
+    [
+        *(({"tool_length": bad}, "tool_length: .* positive length") for bad in (0.0, -0.1, np.nan, np.inf)),
+        *(({"payload": bad}, "payload: .* not negative") for bad in (-1e-9, -5.0, np.nan, np.inf)),
+    ],
+)
+def test_lengths_and_masses_are_positive(option: dict[str, float], message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        load_robot("cmbot", **option)
 
 
 def test_tool_that_does_not_lie_ahead_of_its_flange(urdf_folder: Path) -> None:
@@ -149,12 +147,6 @@ def test_tool_that_cannot_be_stretched(urdf_folder: Path, shape: str | None) -> 
         replace(urdf_folder / "cmbot.urdf", 'xyz="0.0 0.0 0.13" rpy="0.0', 'xyz="0.0 0.0 0.13" rpy="0.5')
     with pytest.raises(ModelError, match=r"tool_length, tool_0: .* cannot be stretched"):
         load_copy(urdf_folder, tool_length=0.6)
-
-
-@pytest.mark.parametrize("payload", [-1e-9, -5.0, np.nan, np.inf])
-def test_payload_that_is_no_mass(payload: float) -> None:
-    with pytest.raises(ModelError, match="payload"):
-        load_robot("cmbot", payload=payload)
 
 
 def test_joint_called_guardrail(
