@@ -142,7 +142,7 @@ def fixed_case(scene: Scene) -> Case:
 def sliding_case(scene: Scene) -> Case:
     """Return the problem with via-points that slide, from where the global stage puts them."""
     context, way = way_of(scene, "sliding")
-    q, pinned = way.problem.family.via_points, 0 in way.resting
+    q, pinned = way.problem.family.via_points, way.pinned
     return Case(name=scene.name, context=context, via_points=q, sliding=True, pinned=pinned)
 
 

@@ -34,8 +34,8 @@ from cmbot.planning import (
     sag_of,
     task_of,
 )
-from cmbot.planning.objective_metrics import objective_metrics
 from cmbot.planning.objectives import objective_of
+from cmbot.planning.plan import objective_metrics
 from cmbot.planning.verification.certificate import certificate_grid, certify
 from cmbot.planning.verification.metrics import figures, measure
 from cmbot.robot import Robot

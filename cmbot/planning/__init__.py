@@ -3,11 +3,10 @@
 from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning.approach.approach import Approach, certify_approach
 from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
-from cmbot.planning.objective_metrics import ObjectiveMetrics
 from cmbot.planning.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
 from cmbot.planning.path.gradient_projection import JointPath
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.plan import Plan, Seconds, Start, require_plan
+from cmbot.planning.plan import ObjectiveMetrics, Plan, Seconds, Start, require_plan
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress

@@ -1,4 +1,4 @@
-"""The two ways to via-points: on the path of gradient projection, or sliding to where the torque is least."""
+"""Initial guesses: via-points on the path of gradient projection, or of least torque at rest."""
 
 from __future__ import annotations
 
@@ -11,22 +11,21 @@ from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.initial_postures import find_path
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.selfmotion.charts import Chart
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 
-__all__ = ["Choice", "InitialGuess", "fixed_guess", "shifted_problem", "sliding_guess"]
+__all__ = ["Choice", "InitialGuess", "fixed_guess", "initial_guess", "shifted_problem", "sliding_guess"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """What the global stage found for each choice of the start.
+    """What the global search found for each choice of the start.
 
     Attributes
     ----------
     free, pinned : float or None
-        Peak of the objective at rest over the via-points; None where there is no way.
+        Peak of the objective at rest over the via-points; None where no sequence of postures was found.
     """
 
     free: float | None
@@ -40,36 +39,34 @@ class InitialGuess:
     Attributes
     ----------
     problem : TorqueProblem
-    resting : tuple of int
-        Via-points where the arm rests in a posture that does not slide.
-    least : float
-        What the objective's peak cannot fall below, but for what motion takes off.
+    pinned : bool
+        The first via-point does not slide.
+    lower_bound : LowerBound
+        Of the peak of the objective at rest; with fixed knots that of these via-points.
     failures : tuple of PathNotFound
-        Starts that led nowhere, the scene's posture first.
-    floor : LowerBound or None
-        With sliding knots only.
+        Of the starts before this one, the scene's posture first.
     choice : Choice or None
         With sliding knots only.
-    chart : Chart or None
-        Of the self-motion at the start; with sliding knots only.
-    stage : GlobalSearch or None
-        Where it comes from; with sliding knots only.
+    search : GlobalSearch or None
+        With sliding knots only.
     unreached : PathNotFound or None
         Why no approach leads to where ``start: free`` would have the arm start, if that was tried.
-    instead_of : str
-        Where the steps between via-points had to be shorter than asked for: why; else empty.
     """
 
     problem: TorqueProblem
-    resting: tuple[int, ...]
-    least: float
+    pinned: bool
+    lower_bound: LowerBound
     failures: tuple[PathNotFound, ...] = ()
-    floor: LowerBound | None = None
     choice: Choice | None = None
-    chart: Chart | None = None
-    stage: GlobalSearch | None = None
+    search: GlobalSearch | None = None
     unreached: PathNotFound | None = None
-    instead_of: str = ""
+
+
+def initial_guess(context: PlanningContext, search: GlobalSearch | None = None) -> InitialGuess:
+    """Return the guess that the option ``knots`` asks for; see `fixed_guess` and `sliding_guess`."""
+    if context.options.knots == "fixed":
+        return fixed_guess(context)
+    return sliding_guess(context, search=search)
 
 
 def fixed_guess(context: PlanningContext) -> InitialGuess:
@@ -83,27 +80,28 @@ def fixed_guess(context: PlanningContext) -> InitialGuess:
     path, failures = find_path(context)
     rough = np.stack([np.interp(context.times, path.t, joint) for joint in path.q.T], axis=1)
     form = parametrization_through(context, _placed(context, rough), sliding=False)
-    least = float(context.objective.at_rest(context.postures.at(form.via_points)).max())
-    problem = TorqueProblem(context, form, least)
-    return InitialGuess(problem=problem, resting=(0, -1), least=least, failures=failures)
+    each = context.objective.at_rest(context.postures.at(form.via_points))
+    bound = LowerBound(value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each)
+    problem = TorqueProblem(context, form, bound.value)
+    return InitialGuess(problem=problem, pinned=True, lower_bound=bound, failures=failures)
 
 
 def sliding_guess(
-    context: PlanningContext, unreached: PathNotFound | None = None, stage: GlobalSearch | None = None
+    context: PlanningContext, unreached: PathNotFound | None = None, search: GlobalSearch | None = None
 ) -> InitialGuess:
-    """Take via-points from the global stage, to slide along the self-motion.
+    """Take via-points from the global search, to slide along the self-motion.
 
-    With ``start: free`` the arm starts wherever the tool is the same, if that is worth leaving the scene's
-    posture; with ``pinned`` in the scene's posture, or, where no path leads on from there, in the nearest one
-    from which a path does.
+    With ``start: free`` the arm starts wherever the tool pose is the scene's, if that gains enough; with
+    ``pinned`` in the scene's posture, or, where no path leads on from there, in the nearest one from which a
+    path does.
 
     Parameters
     ----------
-    setting : PlanningContext
+    context : PlanningContext
     unreached : PathNotFound, optional
         Why no approach leads to where ``start: free`` would have the arm start: it is treated as pinned.
-    stage : GlobalSearch, optional
-        Of the same setting, where its charts are known already.
+    search : GlobalSearch, optional
+        Of the same context, where its charts are known already.
 
     Raises
     ------
@@ -112,10 +110,10 @@ def sliding_guess(
         nothing leads from one to the next.
     """
     options = context.options
-    if stage is None:
+    if search is None:
         _require_clear_start(context)
-        stage = GlobalSearch(context)
-    free, pinned = (_tried(stage, pinned=choice) for choice in (False, True))
+        search = GlobalSearch(context)
+    free, pinned = (_solved(search, pinned=choice) for choice in (False, True))
     failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
     if isinstance(free, PathNotFound):
         raise free
@@ -126,30 +124,28 @@ def sliding_guess(
     elif may_leave:
         solution = free
     else:
-        solution, failures = stage.solve_elsewhere(pinned)
+        solution, failures = search.solve_elsewhere(pinned)
     stays = solution is not free
     form = parametrization_through(context, solution.q, sliding=True, pinned=stays)
     return InitialGuess(
-        problem=TorqueProblem(context, form, stage.lower_bound.value),
-        resting=(0,) if stays else (),
-        least=stage.lower_bound.value,
+        problem=TorqueProblem(context, form, search.lower_bound.value),
+        pinned=stays,
+        lower_bound=search.lower_bound,
         failures=failures,
-        floor=stage.lower_bound,
         choice=Choice(free=free.peak, pinned=pinned.peak if isinstance(pinned, GlobalSolution) else None),
-        chart=stage.first_chart,
-        stage=stage,
+        search=search,
         unreached=unreached,
     )
 
 
-def shifted_problem(context: PlanningContext, way: InitialGuess, via_points: FloatArray) -> TorqueProblem:
-    """Return the problem of a way once more, along a tool path that lies a little beside.
+def shifted_problem(context: PlanningContext, guess: InitialGuess, via_points: FloatArray) -> TorqueProblem:
+    """Return the problem of a guess along a tool path that is shifted a little.
 
     Parameters
     ----------
-    setting : PlanningContext
-        With the tool path as it is now.
-    way : InitialGuess
+    context : PlanningContext
+        With the shifted tool path.
+    guess : InitialGuess
         Along the tool path as it was.
     via_points : (n, d), rad
         Near those to start from.
@@ -157,17 +153,17 @@ def shifted_problem(context: PlanningContext, way: InitialGuess, via_points: Flo
     Raises
     ------
     PathNotFound
-        When a via-point cannot be put onto the tool path.
+        When a via-point cannot be projected onto the shifted tool path.
     """
-    sliding = way.floor is not None
-    pinned = sliding and 0 in way.resting
     placed = _placed(context, via_points)
-    form = parametrization_through(context, placed, sliding=sliding, pinned=pinned)
-    return TorqueProblem(context, form, way.least)
+    form = parametrization_through(
+        context, placed, sliding=guess.search is not None, pinned=guess.search is not None and guess.pinned
+    )
+    return TorqueProblem(context, form, guess.lower_bound.value)
 
 
 def _require_clear_start(context: PlanningContext) -> None:
-    """Refuse a scene's posture that nothing can lead out of: neither the work nor an approach."""
+    """Refuse a scene's posture within the safety margin: neither work nor approach can start there."""
     margin, q = context.options.safety_margin_m, context.posture
     smallest = context.clearances.smallest(q[None])
     distance = float(smallest.distance[0])
@@ -187,9 +183,9 @@ def _require_clear_start(context: PlanningContext) -> None:
     )
 
 
-def _tried(stage: GlobalSearch, *, pinned: bool) -> GlobalSolution | PathNotFound:
+def _solved(search: GlobalSearch, *, pinned: bool) -> GlobalSolution | PathNotFound:
     try:
-        return stage.solve(pinned=pinned)
+        return search.solve(pinned=pinned)
     except PathNotFound as failure:
         return failure
 

@@ -1,4 +1,4 @@
-"""What planning yields: a certified trajectory beside the baseline it is compared with."""
+"""The plan: a certified trajectory beside the baseline that it is compared with."""
 
 from __future__ import annotations
 
@@ -14,11 +14,12 @@ from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
 from cmbot.optimization.exchange import ExchangeReport
+from cmbot.optimization.program import StateSamples
 from cmbot.planning.approach.approach import Approach
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.objective_metrics import ObjectiveMetrics
+from cmbot.planning.objectives import Objective
 from cmbot.planning.path.task import ToolTask
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.verification.certificate import Certificate
@@ -27,7 +28,7 @@ from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-__all__ = ["Plan", "Seconds", "Start", "require_plan"]
+__all__ = ["ObjectiveMetrics", "Plan", "Seconds", "Start", "objective_metrics", "require_plan"]
 
 # Step of the sampled motions, s.
 _SAMPLE_STEP = 0.01
@@ -45,7 +46,7 @@ class Seconds:
 
 @dataclass(frozen=True, kw_only=True)
 class Start:
-    """Where a motion starts, and why not elsewhere.
+    """Where a motion starts, and the starts that failed.
 
     Attributes
     ----------
@@ -53,7 +54,7 @@ class Start:
     moved : float, rad
         Largest difference of a joint from the scene's posture; 0 when that is kept.
     failures : tuple of PathNotFound
-        What happened from the scene's posture, then from the others that were tried.
+        Of the scene's posture, then of the others that were tried.
     """
 
     posture: FloatArray
@@ -62,8 +63,56 @@ class Start:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ObjectiveMetrics:
+    """The objective of a plan, and its peaks.
+
+    Attributes
+    ----------
+    name : str
+        As in the options; of a custom function, its name in Python.
+    unit : str
+        Of the peaks; empty when it is not known.
+    own : bool
+        It is a custom function: a file holds its name only, so its peaks cannot be checked again.
+    moment_about : str or None
+    axis_weights : three floats or None
+        As in the options; None with another objective than torque.
+    baseline_peak, planned_peak : float
+        Its largest value over each motion.
+    floor : float or None
+        Lower bound of its peak at rest; None with fixed knots.
+    """
+
+    name: str
+    unit: str
+    own: bool
+    moment_about: str | None
+    axis_weights: tuple[float, float, float] | None
+    baseline_peak: float
+    planned_peak: float
+    floor: float | None
+
+    @property
+    def gap(self) -> float | None:
+        """How far the planned peak lies above the floor, as a share of it; None without one, or at 0.
+
+        Negative where a moving arm undercuts the static bound a little.
+        """
+        return self.planned_peak / self.floor - 1.0 if self.floor else None
+
+    @property
+    def is_guardrail_torque(self) -> bool:
+        """Whether it is the norm of the torque on the guardrail about O0, as metrics report it."""
+        return not self.own and (self.name, self.moment_about, self.axis_weights) == (
+            "torque",
+            "foot",
+            (1.0, 1.0, 1.0),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
 class Plan:
-    """A motion that keeps every promise of its certificate, and the baseline.
+    """A motion whose certificate holds, and the baseline.
 
     Attributes
     ----------
@@ -73,12 +122,11 @@ class Plan:
     robot : Robot
     task : ToolTask
     start : Start
-        Where the planned motion starts, and why, if not at the scene's posture.
     baseline : Samples
         The paper's motion without optimisation: Chang 2021, Eq. (22) integrated from the scene's posture;
         its acceleration and jerk are central differences of its rates, with rest before and after, and its
-        first and last acceleration are those of rest. It is a motion to compare with, not a plan: it may
-        break limits, and when the planned motion had to start elsewhere it runs into something.
+        first and last acceleration are those of rest. It may break limits, and collides where the planned
+        motion had to start elsewhere.
     baseline_figures : MotionMetrics
     drift : float, m
         Largest distance of the baseline's tool point from where it should be at that time.
@@ -88,24 +136,22 @@ class Plan:
         The planned motion.
     certificate : Certificate
     passes : tuple of ExchangeReport
-        How the optimiser came there.
+        Exchange iterations of the optimisation.
     objective : ObjectiveMetrics
-        What was made small.
     lower_bound : LowerBound or None
-        What no admissible plan can go below at rest; None with fixed knots.
+        None with fixed knots.
     choice : Choice or None
-        The global stage's peaks for both choices of the start; None with fixed knots.
+        Peaks of the global search for both choices of the start; None with fixed knots.
     approach : Approach or None
-        How the arm gets from the scene's posture to the start; None where it starts there, or where the knots
-        are fixed.
+        From the scene's posture to the start; None where it starts there, or where the knots are fixed.
     compensation : Compensation or None
-        How the predicted sag was compensated; None where it was not.
+        Of the predicted sag.
     quieting : VibrationSuppression or None
-        What was done about the vibration; None with fixed knots, where nothing bends, or unasked.
+        None with fixed knots, where nothing bends, or unasked.
     sag : Sag or None
-        That sag.
+        The sag that was compensated.
     fallbacks : tuple of str
-        What did not work, and was done in another way, a sentence each.
+        What failed, and what was done instead, a sentence each.
     seconds : Seconds
     """
 
@@ -162,16 +208,16 @@ class Plan:
 
     @property
     def torque_floor(self) -> float | None:
-        """Floor of the torque on the guardrail, Nm; None with fixed knots or another objective."""
+        """Lower bound of the torque on the guardrail, Nm; None with fixed knots or another objective."""
         if self.lower_bound is None or not self.objective.is_guardrail_torque:
             return None
         return self.lower_bound.value
 
     @property
     def gap_to_floor(self) -> float | None:
-        """How far the certified peak torque lies above its floor, as a share of it; None where that is.
+        """How far the certified peak torque lies above its floor, as a share of it; None without one.
 
-        A moving arm may undercut a static floor a little: then it is negative.
+        Negative where a moving arm undercuts the static bound a little.
         """
         floor = self.torque_floor
         return self.figures.peak_guardrail_torque / floor - 1.0 if floor else None
@@ -195,7 +241,7 @@ class Plan:
             left, right = (f"{factor * getattr(figures, attribute):.{digits}f}" for figures in pair)
             yield f"{name}, {unit}", left, right
             if attribute == "peak_guardrail_torque":
-                # It may ask more than the work: nobody should take the work's peak for all there is.
+                # It may be higher than that of the work.
                 yield "peak on the way there (approach), Nm", "-", self._approach_peak()
         for limit in ("velocity", "acceleration", "jerk", "torque"):
             left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in pair)
@@ -207,14 +253,46 @@ class Plan:
         return f"{self.approach.certificate.figures.peak_guardrail_torque:.2f}"
 
 
-def require_plan(value: object, source: str) -> None:
-    """Refuse what is no plan, such as the path of a plan directory.
+def objective_metrics(
+    objective: Objective,
+    options: PlannerOptions,
+    *,
+    own: bool,
+    baseline: tuple[MotionMetrics, StateSamples],
+    planned: tuple[MotionMetrics, StateSamples],
+    floor: float | None,
+) -> ObjectiveMetrics:
+    """Evaluate an objective over both motions.
 
     Parameters
     ----------
-    value : object
-    source : str
-        What it was handed to.
+    objective : Objective
+    options : PlannerOptions
+    own : bool
+        It is a custom function, not the options' objective.
+    baseline, planned : MotionMetrics and StateSamples
+        The motions' metrics, and the motions on the grid of these.
+    floor : float or None
+    """
+    of_torque = not own and options.objective == "torque"
+    return ObjectiveMetrics(
+        name=objective.name,
+        unit=objective.unit,
+        own=own,
+        moment_about=options.moment_about if of_torque else None,
+        axis_weights=options.axis_weights if of_torque else None,
+        baseline_peak=_peak(objective, *baseline),
+        planned_peak=_peak(objective, *planned),
+        floor=floor,
+    )
+
+
+def _peak(objective: Objective, figures: MotionMetrics, states: StateSamples) -> float:
+    return figures.peak_guardrail_torque if objective.reported else float(objective.values(states).max())
+
+
+def require_plan(value: object, source: str) -> None:
+    """Refuse what is no plan, such as the path of a plan directory, as an argument of `source`.
 
     Raises
     ------

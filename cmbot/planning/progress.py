@@ -102,13 +102,23 @@ class ProgressReporter:
         self._now = Progress(stage="path")
         self._remaining = Remaining(clock())
         self._told = 0.0
+        self._seconds = dict.fromkeys(_STAGES, 0.0)
+        self._stage_began = clock()
         # When the optimisation began, and when the passes before compensation and each round of it ended.
         self._ends = [clock()]
 
     def stage(self, stage: str, *, failed_starts: int = 0) -> None:
         """Begin a stage."""
-        self._ends = [self._clock()]
+        now = self._clock()
+        self._seconds[self._now.stage] += now - self._stage_began
+        self._stage_began, self._ends = now, [now]
         self._begin(Progress(stage=stage, failed_starts=failed_starts))
+
+    def seconds(self) -> dict[str, float]:
+        """Return the time of each stage so far, and ``total``, s."""
+        seconds = dict(self._seconds)
+        seconds[self._now.stage] += self._clock() - self._stage_began
+        return {**seconds, "total": sum(seconds.values())}
 
     def step(self, step: str) -> None:
         """Begin a step of the stage, of which nobody knows how long it takes."""

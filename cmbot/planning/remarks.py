@@ -9,8 +9,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import counted
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
-from cmbot.planning.objective_metrics import ObjectiveMetrics
-from cmbot.planning.plan import Plan
+from cmbot.planning.plan import ObjectiveMetrics, Plan
 
 __all__ = ["remarks"]
 

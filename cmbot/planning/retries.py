@@ -1,102 +1,177 @@
-"""Calmer ways through the charts, for where no trajectory follows the way of least torque.
+"""Retries: what is tried where no certified motion is found, in the order of `RETRIES`.
 
-The global stage bounds the steps between via-points by the joints' velocities alone. Steps may so turn round
-from one via-point to the next, faster than accelerations and jerks allow; the shorter the steps, the less.
+1. `shorter_steps`: a guess with shorter steps between via-points.
+2. `scene_start`: a guess that starts in the scene's posture, and 1.
+3. `dense_solver`: SLSQP, and 1 and 2.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import replace
-from typing import TypeVar
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Protocol, TypeVar
 
 import numpy as np
 
-from cmbot.common.errors import OptimisationFailed, PathNotFound
+from cmbot.common.errors import OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.initial_guess import InitialGuess, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, sliding_guess
 from cmbot.planning.torque.problem import TorqueProblem
 
-__all__ = ["calmer_ways", "followed", "roughness"]
+__all__ = [
+    "RETRIES",
+    "Attempt",
+    "dense_solver",
+    "guesses_in_shorter_steps",
+    "roughness",
+    "scene_start",
+    "shorter_steps",
+    "with_retries",
+]
 
-# Steps are halved so often at most, and so many other ways are tried. A way is worth another optimisation
-# when it is rough by no more than this share of the one before.
-_HALVINGS, _TRIES, _CALMER = 4, 2, 0.9
+# Halvings of the steps, and guesses among these that are optimised, at most. A guess is worth it when its
+# roughness is at most this share of that before.
+_HALVINGS, _TRIES, _SMOOTHER = 4, 2, 0.9
+# Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
+_FEW_VIA_POINTS = 100
 
 Work = TypeVar("Work")
 
 
-def followed(
-    context: PlanningContext, way: InitialGuess, work: Callable[[InitialGuess], Work]
-) -> tuple[InitialGuess, Work]:
-    """Return a way and the work along it: `way`, or where no trajectory follows that, a calmer one.
+@dataclass(frozen=True, kw_only=True)
+class Attempt:
+    """What a motion is planned from.
+
+    Attributes
+    ----------
+    context : PlanningContext
+    guess : InitialGuess
+    automatic : bool
+        The solver was chosen by ``auto``.
+    fallbacks : tuple of str
+        What failed before, and what was done instead, a sentence each.
+    """
+
+    context: PlanningContext
+    guess: InitialGuess
+    automatic: bool = False
+    fallbacks: tuple[str, ...] = ()
+
+
+Run = Callable[[Attempt], tuple[Attempt, Work]]
+
+
+class Retry(Protocol):
+    """Runs other attempts in place of a failed one, or raises its failure."""
+
+    def __call__(self, failed: Attempt, failure: PlanningError, run: Run[Work], /) -> tuple[Attempt, Work]:
+        """Return the attempt that succeeded and its result."""
+
+
+def shorter_steps(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where no trajectory follows a guess: the first one in shorter steps that a trajectory follows.
+
+    The global search bounds the steps between via-points by the joints' velocities alone. They may turn round
+    from one via-point to the next faster than accelerations and jerks allow; the shorter, the less.
+    """
+    if isinstance(failure, OptimisationFailed):
+        for attempt in guesses_in_shorter_steps(failed, failure):
+            try:
+                return run(attempt)
+            except OptimisationFailed:
+                continue
+            except PathNotFound:
+                # No approach leads to its start; only a free start has another retry.
+                if not attempt.guess.pinned:
+                    raise
+    raise failure
+
+
+def scene_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where no approach leads to a better start: the scene's posture."""
+    context, guess = failed.context, failed.guess
+    if not isinstance(failure, PathNotFound) or guess.search is None or guess.pinned:
+        raise failure
+    context.reporter.stage("path")
+    pinned = sliding_guess(context, unreached=failure, search=guess.search)
+    return run(replace(failed, guess=pinned))
+
+
+def dense_solver(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where the sparse solver that ``auto`` chose ended undecided: SLSQP, for few via-points."""
+    context = failed.context
+    sparse = failed.automatic and context.options.solver == "sqp" and len(context.times) <= _FEW_VIA_POINTS
+    if not (sparse and isinstance(failure, OptimisationFailed) and failure.undecided):
+        raise failure
+    context.reporter.step("sqp gave up; trying slsqp")
+    context.reporter.stage("path")
+    context = replace(context, options=replace(context.options, solver="slsqp"))
+    fallback = f"The solver sqp gave up ({failure.reason}): planned with slsqp instead."
+    guess = initial_guess(context, failed.guess.search)
+    return run(Attempt(context=context, guess=guess, fallbacks=(fallback,)))
+
+
+RETRIES: tuple[Retry, ...] = (shorter_steps, scene_start, dense_solver)
+
+
+def with_retries(
+    attempt: Attempt, work: Callable[[Attempt], Work], retries: Sequence[Retry] = RETRIES
+) -> tuple[Attempt, Work]:
+    """Return the first attempt that succeeds, and its result.
 
     Parameters
     ----------
-    setting : PlanningContext
-    way : InitialGuess
+    attempt : Attempt
     work : callable
-        What is to be done along a way.
+        What is done with an attempt.
+    retries : sequence of Retry
+        Each runs its attempts with all retries before it.
 
     Raises
     ------
     OptimisationFailed
-        Of `way`, when no calmer one is found that a trajectory follows.
+        When no trajectory follows the guess, nor any other.
     PathNotFound
-        When no approach leads to where a way starts that may start elsewhere.
+        When a guess cannot be made, or no approach leads to its start.
     """
+    if not retries:
+        return attempt, work(attempt)
+    run: Run[Work] = partial(with_retries, work=work, retries=retries[:-1])
     try:
-        return way, work(way)
-    except OptimisationFailed as failure:
-        for calmer in calmer_ways(context, way, failure):
-            try:
-                return calmer, work(calmer)
-            except OptimisationFailed:
-                continue
-            except PathNotFound:
-                # No approach leads to where it starts; of a start that may be given up the caller knows more.
-                if 0 not in calmer.resting:
-                    raise
-        raise
+        return run(attempt)
+    except (OptimisationFailed, PathNotFound) as failure:
+        return retries[-1](attempt, failure, run)
 
 
-def calmer_ways(
-    context: PlanningContext, way: InitialGuess, failure: OptimisationFailed
-) -> Iterator[InitialGuess]:
-    """Yield ways with ever shorter steps between via-points, each calmer than the one before.
+def guesses_in_shorter_steps(failed: Attempt, failure: OptimisationFailed) -> Iterator[Attempt]:
+    """Yield attempts with ever shorter steps between via-points, each smoother than the one before.
 
     Their peak at rest may be higher. Where no path leads on from the scene's posture in shorter steps, they
-    start elsewhere, as `sliding_guess` has it.
-
-    Parameters
-    ----------
-    setting : PlanningContext
-    way : InitialGuess
-        That led to no trajectory; with fixed knots there is no other.
-    failure : OptimisationFailed
-        Why not.
+    start elsewhere; see `sliding_guess`. With fixed knots there are none.
     """
-    if way.stage is None:
+    context, search = failed.context, failed.guess.search
+    if search is None:
         return
-    stage, rough, tries = way.stage, roughness(way.problem), 0
+    rough, tries = roughness(failed.guess.problem), 0
     for _ in range(_HALVINGS):
         if tries == _TRIES:
             return
-        stage = stage.halved()
-        context.reporter.step(f"no trajectory follows that way; trying step_share {stage.step_share:.3g}")
+        search = search.halved()
+        context.reporter.step(f"no trajectory follows that guess; trying step_share {search.step_share:.3g}")
         try:
-            calmer = sliding_guess(context, way.unreached, stage)
+            guess = sliding_guess(context, failed.guess.unreached, search)
         except PathNotFound:
             return
-        found = roughness(calmer.problem)
-        if found <= _CALMER * rough:
+        found = roughness(guess.problem)
+        if found <= _SMOOTHER * rough:
             rough, tries = found, tries + 1
-            instead_of = (
+            fallback = (
                 f"With planner.step_share {context.options.step_share:g} no trajectory was found "
-                f"({failure.reason}; {failure.constraint}): planned with {stage.step_share:.3g} instead, a "
-                "calmer way through the postures."
+                f"({failure.reason}; {failure.constraint}): planned with {search.step_share:.3g} instead, "
+                "a smoother sequence of postures."
             )
-            yield replace(calmer, instead_of=instead_of)
+            yield replace(failed, guess=guess, fallbacks=(*failed.fallbacks, fallback))
 
 
 def roughness(problem: TorqueProblem) -> float:

@@ -15,12 +15,11 @@ from small_scenes import short_scene
 
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import install_command
-from cmbot.planning import plan, problem_size
+from cmbot.planning import plan, precheck
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import sliding_guess
 from cmbot.planning.path.projection import TangentPredictor, project_onto_task
-from cmbot.planning.precheck import precheck_scene
-from cmbot.planning.problem_size import MOST_UNKNOWNS, oversized
+from cmbot.planning.precheck import MOST_UNKNOWNS, oversized, precheck_scene
 from cmbot.planning.selfmotion import charts as self_motion
 from cmbot.planning.selfmotion.charts import GraphLayer
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges
@@ -224,8 +223,8 @@ def test_how_many_via_points_are_too_many_for_slsqp() -> None:
 
 
 def test_without_the_sparse_solver_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(problem_size, "solver_of", lambda _: "slsqp")
-    monkeypatch.setattr(problem_size.importlib.util, "find_spec", lambda _: None)
+    monkeypatch.setattr(precheck, "solver_of", lambda _: "slsqp")
+    monkeypatch.setattr(precheck.importlib.util, "find_spec", lambda _: None)
     scene = large(1000, solver="auto")
     found = oversized(scene, 7, scene.planner)
     assert found is not None

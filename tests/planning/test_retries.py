@@ -1,20 +1,26 @@
-"""Where no trajectory follows the way of least torque, one in shorter steps between via-points is planned."""
+"""Retries: shorter steps between via-points, the scene's start, the other solver, in that order."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from six_joint_arms import ur_scene
-from small_scenes import short_scene
+from small_scenes import context_of, short_scene
 
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.planning import plan, remarks
-from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
-from cmbot.planning.retries import calmer_ways, followed, roughness
+from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.retries import (
+    Attempt,
+    guesses_in_shorter_steps,
+    roughness,
+    shorter_steps,
+    with_retries,
+)
 from cmbot.scene import Scene
 
 FAILURE = OptimisationFailed("no", constraint="jerk of joint_3", violation=1.0)
@@ -24,15 +30,18 @@ UNREACHED = PathNotFound("no approach", time=0.0, progress=0.0, smallest_singula
 
 
 def rough_scene(start: str = "pinned") -> Scene:
-    """Its charts are so coarse that the way of least torque jumps to and fro."""
+    """Its charts are so coarse that the sequence of least torque jumps to and fro."""
     return short_scene(planner={"knots": "sliding", "start": start, "chart_spacing": 0.4, "quiet_modes": 0})
 
 
 @pytest.fixture(scope="module")
-def rough() -> tuple[PlanningContext, InitialGuess]:
-    scene = rough_scene()
-    context = build_context(scene, scene.planner)
-    return context, sliding_guess(context)
+def rough() -> Attempt:
+    return attempt_at(rough_scene())
+
+
+def attempt_at(scene: Scene, **options: Any) -> Attempt:
+    context = context_of(scene, **options)
+    return Attempt(context=context, guess=initial_guess(context), automatic=True)
 
 
 def turned_wrist(folder: Path, **planner: object) -> Scene:
@@ -41,113 +50,130 @@ def turned_wrist(folder: Path, **planner: object) -> Scene:
     return ur_scene(folder, "ur3", POSTURE, {"legs": legs, "via_points": 25}, **planner)
 
 
-def longest_step(way: InitialGuess) -> float:
-    return float(np.abs(np.diff(way.problem.family.via_points, axis=0)).max())
+class Failing:
+    """Work that fails in the order of `failures`, then returns the number of attempts."""
+
+    def __init__(self, *failures: Exception | None) -> None:
+        self.failures, self.attempts = list(failures), list[Attempt]()
+
+    def __call__(self, attempt: Attempt) -> int:
+        self.attempts.append(attempt)
+        failure = self.failures.pop(0) if self.failures else None
+        if failure is not None:
+            raise failure
+        return len(self.attempts)
 
 
-def test_half_the_steps_from_the_same_charts(rough: tuple[PlanningContext, InitialGuess]) -> None:
-    context, way = rough
-    assert way.stage is not None
-    assert way.stage.step_share == context.options.step_share
-    half = way.stage.halved()
-    assert half.step_share == 0.5 * way.stage.step_share
-    assert half.lower_bound is way.stage.lower_bound
+def test_half_the_steps_from_the_same_charts(rough: Attempt) -> None:
+    search = rough.guess.search
+    assert search is not None
+    assert search.step_share == rough.context.options.step_share
+    half = search.halved()
+    assert half.step_share == 0.5 * search.step_share
+    assert half.lower_bound is search.lower_bound
     # Shorter steps are some of the longer ones, and what was known before stays as it was.
-    assert half.solve(pinned=True).peak >= way.stage.solve(pinned=True).peak
-    np.testing.assert_array_equal(
-        sliding_guess(context).problem.family.via_points, way.problem.family.via_points
-    )
+    assert half.solve(pinned=True).peak >= search.solve(pinned=True).peak
+    again = initial_guess(rough.context).problem.parametrization.via_points
+    np.testing.assert_array_equal(again, rough.guess.problem.parametrization.via_points)
 
 
-def test_roughness_is_the_largest_share_of_any_bound(rough: tuple[PlanningContext, InitialGuess]) -> None:
-    problem = rough[1].problem
-    start = problem.trajectory(problem.family, problem.family.start)
+def test_roughness_is_the_largest_share_of_any_bound(rough: Attempt) -> None:
+    start, limits = rough.guess.problem.parametrization.trajectory, rough.context.robot.limits
     t = np.linspace(start.t[0], start.t[-1], 20001)
     shares = [
         np.abs(start.evaluate(t, order)).max(axis=0) / bound
-        for order, bound in (
-            (1, problem.robot.limits.velocity),
-            (2, problem.robot.limits.acceleration),
-            (3, problem.robot.limits.jerk),
-        )
+        for order, bound in ((1, limits.velocity), (2, limits.acceleration), (3, limits.jerk))
     ]
-    assert roughness(problem) == pytest.approx(np.max(shares), rel=1e-3)
+    assert roughness(rough.guess.problem) == pytest.approx(np.max(shares), rel=1e-3)
 
 
-def test_other_ways_are_few_and_each_is_calmer(rough: tuple[PlanningContext, InitialGuess]) -> None:
-    context, way = rough
-    found = list(calmer_ways(context, way, FAILURE))
+def test_other_guesses_are_few_and_each_is_smoother(rough: Attempt) -> None:
+    found = list(guesses_in_shorter_steps(rough, FAILURE))
     assert 1 <= len(found) <= 2
-    for before, after in zip([way, *found], found, strict=False):
-        assert roughness(after.problem) <= 0.9 * roughness(before.problem)
-        assert after.stage is not None
-        assert before.stage is not None
-        assert after.stage.step_share < before.stage.step_share
-        assert 0 in after.resting
-        assert "jerk of joint_3" in after.instead_of
-        assert f"planned with {after.stage.step_share:.3g} instead" in after.instead_of
-    assert not way.instead_of
+    for before, after in zip([rough, *found], found, strict=False):
+        assert roughness(after.guess.problem) <= 0.9 * roughness(before.guess.problem)
+        assert after.guess.search is not None
+        assert before.guess.search is not None
+        assert after.guess.search.step_share < before.guess.search.step_share
+        assert after.guess.pinned
+        (sentence,) = after.fallbacks
+        assert "jerk of joint_3" in sentence
+        assert f"planned with {after.guess.search.step_share:.3g} instead" in sentence
+    assert not rough.fallbacks
 
 
-def test_with_fixed_knots_there_is_no_other_way() -> None:
-    scene = short_scene()
-    context = build_context(scene, scene.planner)
-    assert not list(calmer_ways(context, fixed_guess(context), FAILURE))
-
-
-def test_a_way_that_is_followed_is_kept(rough: tuple[PlanningContext, InitialGuess]) -> None:
-    context, way = rough
-    assert followed(context, way, longest_step) == (way, longest_step(way))
-
-
-def test_the_first_calmer_way_that_is_followed_is_taken(rough: tuple[PlanningContext, InitialGuess]) -> None:
-    context, way = rough
-    tried: list[InitialGuess] = []
-
-    def work(some: InitialGuess) -> int:
-        tried.append(some)
-        if some is way:
-            raise FAILURE
-        return len(tried)
-
-    calmer, done = followed(context, way, work)
-    assert done == 2
-    assert tried == [way, calmer]
-
-
-def test_where_none_is_followed_the_first_failure_is_told(
-    rough: tuple[PlanningContext, InitialGuess],
-) -> None:
-    context, way = rough
-    other = OptimisationFailed("neither", constraint="velocity of joint_1", violation=2.0)
-    tried: list[InitialGuess] = []
-
-    def work(some: InitialGuess) -> int:
-        tried.append(some)
-        raise FAILURE if some is way else other
-
+def test_with_fixed_knots_there_is_no_other_guess() -> None:
+    attempt, work = attempt_at(short_scene()), Failing(FAILURE)
+    assert not list(guesses_in_shorter_steps(attempt, FAILURE))
     with pytest.raises(OptimisationFailed) as caught:
-        followed(context, way, work)
+        with_retries(attempt, work)
     assert caught.value is FAILURE
-    assert len(tried) == 1 + len(list(calmer_ways(context, way, FAILURE)))
+    assert work.attempts == [attempt]
+
+
+def test_a_guess_that_is_followed_is_kept(rough: Attempt) -> None:
+    assert with_retries(rough, Failing()) == (rough, 1)
+
+
+def test_the_first_smoother_guess_that_is_followed_is_taken(rough: Attempt) -> None:
+    work = Failing(FAILURE)
+    attempt, done = with_retries(rough, work)
+    assert done == 2
+    assert work.attempts == [rough, attempt]
+
+
+def test_where_none_is_followed_the_first_failure_is_raised(rough: Attempt) -> None:
+    other = OptimisationFailed("neither", constraint="velocity of joint_1", violation=2.0)
+    work = Failing(FAILURE, *9 * [other])
+    with pytest.raises(OptimisationFailed) as caught:
+        with_retries(rough, work)
+    assert caught.value is FAILURE
+    assert len(work.attempts) == 1 + len(list(guesses_in_shorter_steps(rough, FAILURE)))
 
 
 @pytest.mark.parametrize(("start", "expected"), [("free", UNREACHED), ("pinned", FAILURE)])
-def test_an_approach_that_fails_is_told_where_the_start_may_be_given_up(
+def test_an_approach_that_fails_is_raised_where_the_start_may_be_given_up(
     monkeypatch: pytest.MonkeyPatch, start: str, expected: Exception
 ) -> None:
-    monkeypatch.setattr("cmbot.planning.retries._CALMER", np.inf)
-    scene = rough_scene(start)
-    context = build_context(scene, replace(scene.planner, gap_target=0.0))
-    way = sliding_guess(context)
-    assert [0 in other.resting for other in calmer_ways(context, way, FAILURE)] == 2 * [start == "pinned"]
-
-    def work(some: InitialGuess) -> int:
-        raise FAILURE if some is way else UNREACHED
-
+    monkeypatch.setattr("cmbot.planning.retries._SMOOTHER", np.inf)
+    attempt = attempt_at(rough_scene(start), gap_target=0.0)
+    others = guesses_in_shorter_steps(attempt, FAILURE)
+    assert [other.guess.pinned for other in others] == 2 * [start == "pinned"]
     with pytest.raises(type(expected)) as caught:
-        followed(context, way, work)
+        with_retries(attempt, Failing(FAILURE, *9 * [UNREACHED]), [shorter_steps])
     assert caught.value is expected
+
+
+def test_where_no_approach_leads_to_a_better_start_the_scenes_is_taken() -> None:
+    attempt, work = attempt_at(rough_scene("free"), gap_target=0.0), Failing(UNREACHED)
+    assert not attempt.guess.pinned
+    found, done = with_retries(attempt, work)
+    assert done == 2
+    assert found.guess.pinned
+    assert found.guess.failures == (UNREACHED,)
+    first = found.guess.problem.parametrization.via_points[0]
+    np.testing.assert_allclose(first, attempt.context.posture, rtol=0, atol=1e-12)
+    # It is the last: what fails then is raised.
+    again = OptimisationFailed("again", constraint="jerk", violation=1.0)
+    with pytest.raises(OptimisationFailed) as caught:
+        with_retries(attempt, Failing(UNREACHED, *9 * [again]))
+    assert caught.value is again
+
+
+@pytest.mark.parametrize("automatic", [True, False])
+def test_slsqp_is_tried_where_the_sparse_solver_of_auto_is_undecided(rough: Attempt, automatic: bool) -> None:
+    undecided = OptimisationFailed("gave up", constraint="none", violation=1.0, undecided=True)
+    first = replace(rough, automatic=automatic, context=context_of(rough_scene(), solver="sqp"))
+    few = len(list(guesses_in_shorter_steps(first, undecided)))
+    work = Failing(*(1 + few) * [undecided])
+    if not automatic:
+        with pytest.raises(OptimisationFailed) as caught:
+            with_retries(first, work)
+        assert caught.value is undecided
+        return
+    found, _ = with_retries(first, work)
+    assert found.context.options.solver == "slsqp"
+    assert found.fallbacks == ("The solver sqp gave up (gave up): planned with slsqp instead.",)
 
 
 def test_a_plan_says_that_its_steps_are_shorter(tmp_path: Path) -> None:

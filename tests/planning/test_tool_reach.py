@@ -6,8 +6,8 @@ from small_scenes import parts, short_scene
 
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import plan, precheck_scene
+from cmbot.planning.precheck import beyond_reach
 from cmbot.planning.progress import Progress
-from cmbot.planning.tool_reach import beyond_reach
 
 # The second leg ends 3 m further down, the third comes back.
 FAR = {
