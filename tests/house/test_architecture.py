@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer.main
@@ -19,21 +20,19 @@ from cmbot.cli import app
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 FILES = sorted((ROOT / "cmbot").rglob("*.py"))
+MAKEFILE = (ROOT / "Makefile").read_text(encoding="utf-8")
 LONGEST_FILE = 500
 # The files of the command line.
 PRINTING = ROOT / "cmbot" / "cli"
 BROAD = {"Exception", "BaseException"}
 
 
-def name_of(path: Path) -> str:
-    return str(path.relative_to(ROOT))
-
-
-every_file = pytest.mark.parametrize("path", FILES, ids=name_of)
-
-
 def syntax(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
+
+
+def project() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 
 
 def test_imports_point_downwards(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -41,15 +40,12 @@ def test_imports_point_downwards(capsys: pytest.CaptureFixture[str], monkeypatch
     status = lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True)
     printed = capsys.readouterr().out
     assert status == EXIT_STATUS_SUCCESS, printed
-    contracts = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["importlinter"][
-        "contracts"
-    ]
+    contracts = project()["tool"]["importlinter"]["contracts"]
     assert f"Contracts: {len(contracts)} kept, 0 broken." in printed
 
 
-@every_file
-def test_files_are_short(path: Path) -> None:
-    assert len(path.read_text(encoding="utf-8").splitlines()) < LONGEST_FILE
+def test_files_are_short() -> None:
+    assert not [path for path in FILES if len(path.read_text("utf-8").splitlines()) > LONGEST_FILE]
 
 
 def forbidden(tree: ast.AST, *, may_print: bool) -> Iterator[tuple[int, str]]:
@@ -80,9 +76,9 @@ def named(node: ast.AST) -> Iterator[str]:
             yield from named(element)
 
 
-@every_file
-def test_no_print_no_assert_no_broad_except(path: Path) -> None:
-    assert not list(forbidden(syntax(path), may_print=path.is_relative_to(PRINTING)))
+def test_no_print_no_assert_no_broad_except() -> None:
+    for path in FILES:
+        assert not list(forbidden(syntax(path), may_print=path.is_relative_to(PRINTING))), path
 
 
 @pytest.mark.parametrize(
@@ -114,15 +110,10 @@ def undocumented(node: ast.Module | ast.ClassDef, where: str = "") -> Iterator[s
                 yield from undocumented(inner, f"{where}{inner.name}.")
 
 
-@every_file
-def test_every_public_name_has_a_docstring(path: Path) -> None:
-    tree = syntax(path)
-    assert ast.get_docstring(tree), "the module itself"
-    assert not list(undocumented(tree))
-
-
-def used_tools(text: str) -> set[str]:
-    return set(re.findall(r"\$\(BIN\)/([\w-]+)", text))
+def test_every_public_name_has_a_docstring() -> None:
+    for path in FILES:
+        assert ast.get_docstring(syntax(path)), path
+        assert not list(undocumented(syntax(path))), path
 
 
 def installed_scripts(requirements: list[str]) -> set[str]:
@@ -137,23 +128,16 @@ def installed_scripts(requirements: list[str]) -> set[str]:
 
 
 def test_the_makefile_runs_commands_that_exist() -> None:
-    text = (ROOT / "Makefile").read_text(encoding="utf-8")
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    offered = installed_scripts(project["optional-dependencies"]["test"]) | set(project["scripts"])
-    assert used_tools(text) >= {"cmbot", "pytest", "ruff", "mypy", "lint-imports", "python"}
-    assert used_tools(text) <= offered | {"python"}
-    scripts = re.findall(r"^\t\$\(BIN\)/python (\S+\.py)(?: (--\w+))?$", text, flags=re.MULTILINE)
-    assert len(scripts) == text.count(".py")
+    declared, used = project()["project"], set(re.findall(r"\$\(BIN\)/([\w-]+)", MAKEFILE))
+    offered = installed_scripts(declared["optional-dependencies"]["test"]) | set(declared["scripts"])
+    assert {"cmbot", "pytest", "ruff", "mypy", "lint-imports", "python"} <= used <= offered | {"python"}
+    scripts = re.findall(r"^\t\$\(BIN\)/python (\S+\.py)(?: (--\w+))?$", MAKEFILE, flags=re.MULTILINE)
+    assert len(scripts) == MAKEFILE.count(".py")
     for script, option in scripts:
         assert (ROOT / script).is_file(), script
         assert option in (ROOT / script).read_text(encoding="utf-8"), f"{script} {option}"
-
-
-def test_the_makefile_uses_the_command_line_as_it_is() -> None:
     verbs = typer.main.get_command(app).commands  # type: ignore[attr-defined]
-    lines = re.findall(
-        r"^\t\$\(BIN\)/cmbot (.+)$", (ROOT / "Makefile").read_text("utf-8"), flags=re.MULTILINE
-    )
+    lines = re.findall(r"^\t\$\(BIN\)/cmbot (.+)$", MAKEFILE, flags=re.MULTILINE)
     assert lines
     for line in lines:
         verb, *words = line.split()
@@ -163,17 +147,14 @@ def test_the_makefile_uses_the_command_line_as_it_is() -> None:
 
 def test_ci_makes_targets_that_exist() -> None:
     script = ROOT / ".ci" / "run"
-    targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text("utf-8"), flags=re.MULTILINE)
+    targets = re.findall(r"^([a-z]+):", MAKEFILE, flags=re.MULTILINE)
     made = re.findall(r"^make (\w+)$", script.read_text("utf-8"), flags=re.MULTILINE)
     assert {"lint", "demo", "test"} <= set(made) <= set(targets)
     assert os.access(script, os.X_OK)
+    assert "\nexport CMBOT_REQUIRE_BROWSER=1\n" in script.read_text("utf-8")
     subprocess.run(["bash", "-n", str(script)], check=True)
     dry = subprocess.run(["make", "-n", *made], cwd=ROOT, capture_output=True, text=True, check=False)
     assert dry.returncode == 0, dry.stderr
-
-
-def test_ci_requires_the_browser() -> None:
-    assert "\nexport CMBOT_REQUIRE_BROWSER=1\n" in (ROOT / ".ci" / "run").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(("value", "outcome"), [("1", pytest.fail.Exception), (None, pytest.skip.Exception)])
@@ -189,9 +170,11 @@ def test_a_missing_browser_is_no_excuse_where_it_is_required(
 
 
 def test_python_is_one_that_the_project_supports() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    lowest = re.fullmatch(r">=3\.(\d+)", project["requires-python"])
+    declared = project()["project"]
+    lowest = re.fullmatch(r">=3\.(\d+)", declared["requires-python"])
     assert lowest is not None
     assert sys.version_info >= (3, int(lowest[1]))
-    classified = {int(minor) for minor in re.findall(r"Python :: 3\.(\d+)", " ".join(project["classifiers"]))}
+    classified = {
+        int(minor) for minor in re.findall(r"Python :: 3\.(\d+)", " ".join(declared["classifiers"]))
+    }
     assert min(classified) == int(lowest[1])
