@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from cmbot.collision import Clearances
 from cmbot.planning import ToolTask, robot_of, task_of
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import fixed_guess
-from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene, SpeedProfile, ToolPath, load_scene
 
@@ -66,3 +67,18 @@ def problem_of(scene: Scene) -> tuple[TorqueProblem, ToolTask, Clearances]:
     """The torque problem of a scene with fixed knots, started at the least-jerk spline."""
     context = context_of(scene)
     return fixed_guess(context).problem, context.task, context.clearances
+
+
+@cache
+def short_context() -> tuple[PlanningContext, FloatArray]:
+    """The context of the short scene, and its via-points by gradient projection."""
+    context = context_of(short_scene())
+    return context, fixed_guess(context).problem.parametrization.via_points
+
+
+@cache
+def torque_problem(kind: str, least: float = 0.0) -> TorqueProblem:
+    """The short scene's problem with via-points that are ``fixed``, ``free``, or ``pinned`` at the start."""
+    context, via_points = short_context()
+    form = parametrization_through(context, via_points, sliding=kind != "fixed", pinned=kind == "pinned")
+    return TorqueProblem(context, form, least)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +9,13 @@ import pytest
 from finite_differences import check_derivative
 from numpy.typing import NDArray
 from seven_joint_arms import endless_scene
-from small_scenes import context_of, short_scene
+from small_scenes import context_of, torque_problem
 
 from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.linearization import linearize
 from cmbot.optimization.separation import find_violations
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import fixed_guess
-from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
+from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Dynamics
 from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -25,27 +23,14 @@ from cmbot.trajectory.quintic import QuinticTrajectory
 FloatArray = NDArray[np.float64]
 
 
-@cache
-def given() -> tuple[PlanningContext, FloatArray]:
-    context = context_of(short_scene())
-    return context, fixed_guess(context).problem.parametrization.via_points
-
-
-@cache
-def problem_with(kind: str, least: float = 0.0) -> TorqueProblem:
-    context, via_points = given()
-    form = parametrization_through(context, via_points, sliding=kind != "fixed", pinned=kind == "pinned")
-    return TorqueProblem(context, form, least)
-
-
 @pytest.fixture(scope="module")
 def fixed() -> TorqueProblem:
-    return problem_with("fixed")
+    return torque_problem("fixed")
 
 
 @pytest.fixture(scope="module", params=["fixed", "free", "pinned"])
 def problem(request: pytest.FixtureRequest) -> TorqueProblem:
-    return problem_with(request.param)
+    return torque_problem(request.param)
 
 
 def wild(form: Parametrization, rng: np.random.Generator, size: float) -> Parametrization:
@@ -63,7 +48,7 @@ def torques(problem: TorqueProblem, trajectory: QuinticTrajectory, times: FloatA
 @pytest.mark.parametrize("kind", ["fixed", "free", "pinned"])
 def test_units_and_the_lower_bound(kind: str) -> None:
     """What rests in a posture that stays cannot ask less; what is known of all postures counts, too."""
-    problem = problem_with(kind)
+    problem = torque_problem(kind)
     form, robot = problem.parametrization, problem.context.robot
     assert len(problem.grid) == 7 * problem.samples_per_segment + 1
     on_grid = torques(problem, form.trajectory, problem.grid)
@@ -73,7 +58,7 @@ def test_units_and_the_lower_bound(kind: str) -> None:
     resting = {"fixed": [0, -1], "free": [], "pinned": [0]}[kind]
     assert problem.lower_bound == pytest.approx(at_rest[resting].max(initial=0.0) / problem.scale)
     known = 2 * problem.scale
-    assert problem_with(kind, known).lower_bound == pytest.approx(2.0)
+    assert torque_problem(kind, known).lower_bound == pytest.approx(2.0)
 
 
 @pytest.mark.parametrize(("size", "tolerance"), [(0.0, 1e-5), (0.5, 5e-3)])
@@ -152,7 +137,7 @@ def test_sampled_constraints_are_kept_a_little_inside(fixed: TorqueProblem) -> N
 @pytest.mark.parametrize("kind", ["fixed", "free", "pinned"])
 def test_segments(kind: str) -> None:
     """At ends inside the path the arm rests and stays; what is known of the whole path is known of them."""
-    problem = problem_with(kind, 1.0)
+    problem = torque_problem(kind, 1.0)
     resting = {"fixed": {0, 7}, "free": set(), "pinned": {0}}[kind]
     for first, last in ((0, 4), (2, 6), (3, 7)):
         segment = problem.segment(first, last)
