@@ -34,7 +34,6 @@ MOST_OBSTACLE_FACES = 12_000
 
 SHORTEST_REACH = 0.05
 """m."""
-
 CREASE = np.deg2rad(35.0)
 """Edges with a larger angle are shaded as sharp."""
 
@@ -42,7 +41,6 @@ CONCRETE, STEEL, WORKPIECE, PATH = 0xC2BDB3, 0x7D8C99, 0x2F9E8F, 0x7B2CBF
 SHINE = 0x303030
 DOUBLE_SIDE = 2
 """three.js: draw the back faces too."""
-BACKGROUND_TOP, BACKGROUND_BOTTOM = (0.98, 0.985, 0.99), (0.72, 0.78, 0.84)
 
 # The viewer's MessagePack codes for typed arrays.
 _TYPED_ARRAYS = {
@@ -65,7 +63,12 @@ def scene_commands(plan: Plan) -> list[bytes]:
     ModelError, SceneError
         When a shape cannot be drawn.
     """
-    commands = [*_backdrop(), *_robot(plan.robot), *_bridge(plan.scene), *_path(plan)]
+    commands: list[Command] = [
+        {"type": "set_property", "path": f"/{hidden}", "property": "visible", "value": False}
+        for hidden in ("Grid", "Axes", "Lights")
+    ]
+    path = tube(plan.task.path.corners, 0.002 * reach(plan.robot))
+    commands += [*_robot(plan.robot), *_bridge(plan.scene), _set_mesh("/path", [path], PATH)]
     return [umsgpack.packb(command) for command in commands]
 
 
@@ -75,13 +78,6 @@ def reach(robot: Robot) -> float:
     offsets = [X.translation for X in robot.model.jointPlacements[2:]]
     length = float(sum(np.linalg.norm(p) for p in (*offsets, tool.translation)))
     return max(length, SHORTEST_REACH)
-
-
-def _backdrop() -> Iterator[Command]:
-    for hidden in ("Grid", "Axes", "Lights"):
-        yield _set_property(f"/{hidden}", "visible", False)
-    yield _set_property("/Background", "top_color", BACKGROUND_TOP)
-    yield _set_property("/Background", "bottom_color", BACKGROUND_BOTTOM)
 
 
 def _robot(robot: Robot) -> Iterator[Command]:
@@ -106,14 +102,6 @@ def _bridge(scene: Scene) -> Iterator[Command]:
         groups.setdefault(colour, []).append(surface)
     for number, (colour, group) in enumerate(groups.items()):
         yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
-
-
-def _path(plan: Plan) -> Iterator[Command]:
-    yield _set_mesh("/path", [tube(plan.task.path.corners, 0.002 * reach(plan.robot))], PATH)
-
-
-def _set_property(path: str, name: str, value: object) -> Command:
-    return {"type": "set_property", "path": path, "property": name, "value": value}
 
 
 def _set_mesh(
