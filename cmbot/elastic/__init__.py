@@ -1,4 +1,4 @@
-"""What bends: the guardrail under the foot, and the links of the arm.
+"""Elasticity of the guardrail under the foot and of the links of the arm.
 
 The arm's elasticity needs the robot, and pinocchio with it: it is imported from its own modules,
 `cmbot.elastic.arm`, `cmbot.elastic.sag` and `cmbot.elastic.modes`, so that a scene is read without them.

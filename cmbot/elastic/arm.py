@@ -2,22 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
+from pydantic import Field
 from scipy.linalg import block_diag
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.common.errors import InputError
+from cmbot.common.validation import check_fields
 from cmbot.elastic.base import ElasticBase
 from cmbot.robot import LinkTube, Robot
 
 __all__ = ["ElasticArm", "ElasticOptions", "cut_inertia", "elastic_arm"]
 
-_MOST_SEGMENTS = 50
 # A body thinner than this share of the axis' length lies in a plane across it.
 _FLAT = 1e-9
 # Share of a piece's own second moment along the axis that is kept: about what the consistent mass matrix of a
@@ -40,22 +39,15 @@ class ElasticOptions:
     Raises
     ------
     InputError
-        When a value is not positive.
+        When a value is out of its bounds.
     """
 
-    segments: int = 1
-    guardrail_factor: float = 1.0
-    link_factor: float = 1.0
+    segments: Annotated[int, Field(ge=1, le=50)] = 1
+    guardrail_factor: Annotated[float, Field(gt=0)] = 1.0
+    link_factor: Annotated[float, Field(gt=0)] = 1.0
 
     def __post_init__(self) -> None:
-        segments = self.segments
-        if isinstance(segments, bool) or not isinstance(segments, int) or not 1 <= segments <= _MOST_SEGMENTS:
-            expected = f"a whole number from 1 to {_MOST_SEGMENTS}"
-            raise InputError("ElasticOptions", "segments", segments, expected)
-        for key in ("guardrail_factor", "link_factor"):
-            value = getattr(self, key)
-            if not (math.isfinite(value) and value > 0):
-                raise InputError("ElasticOptions", key, value, "a positive number")
+        check_fields(self)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -134,7 +126,7 @@ def elastic_arm(robot: Robot, base: ElasticBase | None, options: ElasticOptions 
 
 
 class _Builder:
-    """Adds joints to the end of the chain."""
+    """Adds joints at the end of the chain."""
 
     def __init__(self, robot: Robot, options: ElasticOptions) -> None:
         self.robot, self.options = robot, options
@@ -150,11 +142,10 @@ class _Builder:
 
     def add_base(self, base: ElasticBase) -> None:
         """Add the base's six elastic coordinates; the climbing mechanism moves with them."""
-        kinds = (pin.JointModelPX, pin.JointModelPY, pin.JointModelPZ)
-        turns = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
-        names = ("displacement x", "displacement y", "displacement z", "turn x", "turn y", "turn z")
-        for kind, name in zip((*kinds, *turns), names, strict=True):
-            self._add_elastic(kind(), pin.SE3.Identity(), f"guardrail {name}")
+        for kind, letter in (("displacement", "P"), ("turn", "R")):
+            for axis in "xyz":
+                joint = getattr(pin, f"JointModel{letter}{axis.upper()}")()
+                self.elastic.append(self._add(joint, pin.SE3.Identity(), f"guardrail {kind} {axis}"))
         self.blocks.append(self.options.guardrail_factor * base.stiffness)
         self.add_inertia(self.robot.model.inertias[0])
 
@@ -186,8 +177,9 @@ class _Builder:
         self.add_inertia(pieces[0])
         for number, (share, piece) in enumerate(zip(cuts, pieces[1:], strict=True), start=1):
             X_JT = pin.SE3(R_JT, start + share * (end - start))
-            for kind, name in zip(kinds, names, strict=True):
-                self._add_elastic(kind(), self.X_LB * X_JT, f"{tube.link} segment {number} {name}")
+            for kind, coordinate in zip(kinds, names, strict=True):
+                name = f"{tube.link} segment {number} {coordinate}"
+                self.elastic.append(self._add(kind(), self.X_LB * X_JT, name))
                 self.X_LB = X_JT.inverse()
             self.blocks.append(self.options.link_factor * stiffness)
             self.add_inertia(piece)
@@ -226,9 +218,6 @@ class _Builder:
             added_mass=added_mass,
             tool_frame_id=int(tool_frame_id),
         )
-
-    def _add_elastic(self, joint: Any, placement: Any, name: str) -> None:
-        self.elastic.append(self._add(joint, placement, name))
 
     def _add(self, joint: Any, placement: Any, name: str) -> int:
         self.last = self.model.addJoint(self.last, joint, placement, name)

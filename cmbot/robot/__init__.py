@@ -1,4 +1,4 @@
-"""What moves: the robot, its kinematics and its dynamics."""
+"""The robot: its model from a URDF, its kinematics and its dynamics."""
 
 from cmbot.robot.arm_model import convex_hull, encloses_volume
 from cmbot.robot.dynamics import Dynamics, EffortDerivatives, Efforts

@@ -14,7 +14,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import hint
-from cmbot.robot.inspection import parse_robot_xml
+from cmbot.robot.inspection import parse_urdf
 
 __all__ = ["arm_model", "convex_hull", "encloses_volume"]
 
@@ -51,7 +51,7 @@ def arm_model(
         When pinocchio refuses the file, a frame does not exist, a joint of the arm is not revolute, a mesh
         encloses no volume, or the SRDF is unusable.
     """
-    semantics = None if srdf is None else parse_robot_xml(srdf, "an SRDF")
+    semantics = None if srdf is None else parse_urdf(srdf, "an SRDF")
     full, shapes = _build(urdf, root)
     moving = _chain(full, str(urdf), base_frame, tool_frame)
     _require_revolute(root, str(urdf), [full.names[i] for i in moving])

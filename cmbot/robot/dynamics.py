@@ -23,8 +23,8 @@ class Efforts:
         Chang 2021, Eq. (13).
     guardrail_force, guardrail_torque : (N, 3), N and Nm
         Wrench that the moving arm exerts on the guardrail, at O0, in W: at rest the force is the arm's
-        weight. The torque is minus n_0 of Eq. (12), without the constant share of what does not move
-        (`Robot.carrier_torque`).
+        weight. The torque is minus n_0 of Eq. (12), without the constant part
+        `Robot.carrier_torque`.
     """
 
     joint_torque: FloatArray

@@ -21,7 +21,7 @@ from cmbot.common.errors import ModelError
 from cmbot.common.validation import counted
 from cmbot.robot.limits import read_joint_limits
 
-__all__ = ["Finding", "inspect_urdf", "overview", "parse_robot_xml", "parse_urdf"]
+__all__ = ["Finding", "inspect_urdf", "overview", "parse_urdf"]
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
@@ -67,7 +67,7 @@ class Finding:
     Attributes
     ----------
     severity : str
-        ``error``: it cannot be used. ``warning``: it can, but is doubtful.
+        ``error``: it cannot be used. ``warning``: it can, but is questionable.
     key, got, expected : str
         The place in the file, the value there, the value required.
     """
@@ -78,24 +78,13 @@ class Finding:
     expected: str
 
 
-def parse_urdf(path: Path) -> ElementTree.Element:
-    """Parse a URDF file into its XML tree.
+def parse_urdf(path: Path, kind: str = "a URDF") -> ElementTree.Element:
+    """Parse a URDF or, as an error names its `kind`, an SRDF into its XML tree.
 
     Raises
     ------
     ModelError
-        When the file is missing, unreadable, no XML or no URDF.
-    """
-    return parse_robot_xml(path, "a URDF")
-
-
-def parse_robot_xml(path: Path, kind: str) -> ElementTree.Element:
-    """Parse an XML file whose root element is ``<robot>``: a URDF or an SRDF, as `kind` says.
-
-    Raises
-    ------
-    ModelError
-        When the file is missing, unreadable, no XML or something else.
+        When the file is missing, unreadable, no XML or its root element is not ``<robot>``.
     """
     try:
         root = ElementTree.fromstring(path.read_bytes())
@@ -105,9 +94,8 @@ def parse_robot_xml(path: Path, kind: str) -> ElementTree.Element:
         got = f"a file that cannot be read ({error.strerror or error})"
         raise ModelError(str(path), "", got, f"{kind} file") from error
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
-        raise ModelError(
-            str(path), "", f"text that is not well-formed XML ({error})", f"{kind} file"
-        ) from error
+        got = f"text that is not well-formed XML ({error})"
+        raise ModelError(str(path), "", got, f"{kind} file") from error
     if root.tag != "robot":
         raise ModelError(str(path), "", f"<{root.tag}>", f"{kind}, whose root element is <robot>")
     return root
@@ -147,7 +135,7 @@ def _float(element: ElementTree.Element, attribute: str, default: float) -> floa
 
 
 def _header(root: ElementTree.Element) -> Iterator[Finding]:
-    """The robot has a name, and a version that the URDF reader knows."""
+    """The robot has a name, and a version that the URDF reader accepts."""
     if not root.get("name"):
         yield _error("robot.name", "nothing", "a name")
     version = root.get("version", "1.0")
