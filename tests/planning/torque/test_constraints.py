@@ -1,0 +1,237 @@
+"""Functions of the state: values by definition, derivatives by finite differences, samples by thresholds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from conftest import StateSamples as RandomStates
+from finite_differences import check_derivative
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+from small_scenes import parts, short_context, short_scene
+
+from cmbot.collision import Clearances
+from cmbot.optimization.program import StateFunction, StateSamples
+from cmbot.planning.objectives import efforts_of
+from cmbot.planning.path.task import ToolTask
+from cmbot.planning.torque.constraints import ClearanceMargin, JointTorque, ToolDeviation
+from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
+from cmbot.trajectory.quintic import QuinticTrajectory
+
+FloatArray = NDArray[np.float64]
+N = 6
+
+
+@pytest.fixture(scope="module")
+def corner() -> tuple[Robot, ToolTask, Clearances]:
+    """Two legs with a corner between them, and the guardrail."""
+    legs = [{"by": [0, -0.3, 0], "seconds": 2}, {"by": [0, 0, 0.2], "seconds": 2}]
+    robot, task, _, clearances = parts(short_scene(tool_path={"legs": legs}))
+    return robot, task, clearances
+
+
+@pytest.fixture
+def states(cmbot_robot: Robot, random_states: RandomStates, rng: np.random.Generator) -> StateSamples:
+    return StateSamples(rng.uniform(0, 4, N), *random_states(cmbot_robot, N))
+
+
+def check_linearization(
+    function: StateFunction, states: StateSamples, component: NDArray[np.intp], step: float, tolerance: float
+) -> None:
+    """Value and derivatives of one component at each state; clearances are rough, torques are not."""
+    got = function.linearize(states, component)
+    assert got.value.shape == (N,)
+
+    def alone(k: int, **changed: FloatArray) -> float:
+        state = {"q": states.q[k], "v": states.v[k], "a": states.a[k]} | changed
+        at = StateSamples(states.t[k : k + 1], *(x[None] for x in state.values()))
+        return float(function.linearize(at, component[k : k + 1]).value[0])
+
+    for k in range(N):
+        assert got.value[k] == pytest.approx(alone(k), abs=1e-12)
+        for name, derivative in zip("qva", got.derivatives, strict=True):
+            changed: Callable[[FloatArray], float] = lambda y, k=k, name=name: alone(k, **{name: y})  # noqa: E731
+            x = getattr(states, name)[k]
+            check_derivative(changed, x, derivative[k], step=step, rtol=tolerance, atol=tolerance)
+
+
+def test_joint_torque(cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: StateSamples) -> None:
+    bound = cmbot_robot.limits.torque
+    function = JointTorque(cmbot_dynamics, bound)
+    value, component = function.sample(states)
+    assert value.shape == component.shape == (N, function.components) == (N, 14)
+    torque = cmbot_dynamics.efforts(states.q, states.v, states.a).joint_torque
+    np.testing.assert_allclose(value, np.hstack([torque, -torque]) / np.tile(bound, 2) - 1, atol=1e-12)
+    # Above zero exactly where the bound is passed, on the side where it is.
+    np.testing.assert_array_equal(value > 0, np.hstack([torque > bound, torque < -bound]))
+    assert (value > 0).any()
+    np.testing.assert_array_equal(component, np.tile(np.arange(14), (N, 1)))
+
+
+@pytest.mark.parametrize("chosen", [*range(14), [0, 13, 6, 7, 3, 3]])
+def test_derivatives_of_a_joint_torque(
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: StateSamples, chosen: int | list[int]
+) -> None:
+    """Of one component at all states, or of another one at each."""
+    function = JointTorque(cmbot_dynamics, cmbot_robot.limits.torque)
+    component = np.broadcast_to(chosen, N)
+    expected = function.sample(states)[0][np.arange(N), component]
+    np.testing.assert_allclose(function.linearize(states, component).value, expected, rtol=0, atol=1e-12)
+    check_linearization(function, states, component, 1e-3, 1e-8)
+
+
+def test_tool_deviation(corner: tuple[Robot, ToolTask, Clearances], states: StateSamples) -> None:
+    robot, task, _ = corner
+    function = ToolDeviation(Kinematics(robot), task, 0.5)
+    value, component = function.sample(states)
+    p_WT, _ = Kinematics(robot).tool_poses(states.q)
+    start, middle, end = task.path.corners
+    for k in range(N):
+        a, b = (start, middle) if states.t[k] < 2 else (middle, end)
+        along = a + np.linspace(0, 1, 2001)[:, None] * (b - a)
+        nearest = np.linalg.norm(along - p_WT[k], axis=1).min()
+        assert value[k, 0] == pytest.approx(nearest / 0.5 - 1, abs=1e-6)
+    check_linearization(function, states, component[:, 0], 1e-3, 1e-7)
+
+
+def test_direction_cuts_of_the_tool_deviation(
+    corner: tuple[Robot, ToolTask, Clearances], rng: np.random.Generator
+) -> None:
+    """In eight directions across the leg, the offset's own among them; none ever exceeds the deviation."""
+    robot, task, _ = corner
+    bound = 0.01
+    function, kinematics = ToolDeviation(Kinematics(robot), task, bound), Kinematics(robot)
+    t = np.array([0.0, 0.0, 0.0])
+    q = np.deg2rad([-10.0, -90, 90, 0, 10, 50, 0]) + 0.01 * rng.normal(size=(3, 7))
+    at = function.linearize(StateSamples.at_rest(t, q), np.zeros(3, dtype=np.intp))
+    cuts = np.array([cut.value for cut in at.cuts])
+    assert cuts.shape == (7, 3)
+    assert (cuts <= at.value + 1e-12).all()
+    leg = (task.path.corners[1] - task.path.corners[0]) / 0.3
+    offset = task.path.leg_offset(t, kinematics.tool_poses(q)[0])
+    across = offset - (offset @ leg)[:, None] * leg
+    for k in range(3):
+        u = across[k] / np.linalg.norm(across[k])
+        for number, cut in enumerate(at.cuts, start=1):
+            angle = number * np.pi / 4
+            direction = np.cos(angle) * u + np.sin(angle) * np.cross(leg, u)
+
+            def towards(x: FloatArray, k: int = k, direction: FloatArray = direction) -> float:
+                there = task.path.leg_offset(t[[k]], kinematics.tool_poses(x[None])[0])[0]
+                return float(direction @ there / bound - 1)
+
+            assert cut.value[k] == pytest.approx(towards(q[k]), abs=1e-10)
+            check_derivative(lambda x, f=towards: f(x), q[k], cut.d_q[k], rtol=1e-6)
+            assert not (cut.d_v.any() or cut.d_a.any())
+
+
+def test_tool_deviation_on_the_path_is_flat(corner: tuple[Robot, ToolTask, Clearances]) -> None:
+    """A distance has no derivative at zero: none is made up, and nothing is divided by."""
+    robot, task, _ = corner
+    q = np.deg2rad([[-10.0, -90, 90, 0, 10, 50, 0]])
+    got = ToolDeviation(Kinematics(robot), task, 1e-3).linearize(
+        StateSamples.at_rest(np.zeros(1), q), np.zeros(1, dtype=np.intp)
+    )
+    assert got.value[0] == pytest.approx(-1, abs=1e-9)
+    for each in (got, *got.cuts):
+        assert np.isfinite(each.d_q).all()
+    # Where the deviation knows no direction its cuts do.
+    assert all(np.abs(cut.d_q).max() > 100 for cut in got.cuts)
+
+
+def test_clearance_margin(corner: tuple[Robot, ToolTask, Clearances], states: StateSamples) -> None:
+    _, _, clearances = corner
+    function = ClearanceMargin(clearances, 0.02)
+    value, component = function.sample(states)
+    smallest = clearances.smallest(states.q)
+    np.testing.assert_allclose(value[:, 0], (0.02 - smallest.distance) / 0.1, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(component[:, 0], smallest.pair)
+    # Violated exactly where something is nearer than the margin.
+    np.testing.assert_array_equal(value[:, 0] > 0, smallest.distance < 0.02)
+    outside = np.array([k for k, pair in enumerate(clearances.pairs) if pair.link == "tool"][:1] * N)
+    check_linearization(function, states, outside, 1e-4, 1e-3)
+
+
+def swinging(seed: int, number: int = 300) -> FloatArray:
+    """Postures (number, 7) along a smooth motion."""
+    rng = np.random.default_rng(seed)
+    q, v, a = rng.normal(size=(3, 8, 7)) * np.array([0.3, 0.3, 0.5])[:, None, None]
+    return QuinticTrajectory(t=np.arange(8.0), q=q, v=v, a=a).evaluate(np.linspace(0, 7, number))
+
+
+@settings(max_examples=10)
+@given(st.integers(0, 2**32 - 1), st.floats(0.02, 0.6), st.sampled_from([-0.02, -0.5, 0.1]))
+def test_clearances_are_measured_wherever_they_matter(seed: int, margin: float, threshold: float) -> None:
+    """Along motions that come nearer to each other, with few samples or many, as an optimisation asks."""
+    context, _ = short_context()
+    clearance = ClearanceMargin(context.clearances, margin)
+    here, there = (context.posture + 0.5 * swinging(seed + k) for k in (0, 1))
+    for share, every in ((0.0, 10), (0.0, 1), (0.5, 1), (0.6, 10), (0.6, 1), (0.61, 1), (0.611, 1)):
+        q = ((1 - share) * here + share * there)[::every]
+        states = StateSamples.at_rest(np.linspace(0, 7, len(q)), q)
+        exact, nearest = (each[:, 0] for each in clearance.sample(states))
+        value, pair = (each[:, 0] for each in clearance.sample(states, threshold))
+        known = np.isfinite(value)
+        np.testing.assert_allclose(value[known], exact[known], atol=1e-6)
+        # Where two pairs are equally near either may be named.
+        other = known & (pair != nearest)
+        np.testing.assert_allclose(
+            clearance.linearize(states[np.flatnonzero(other)], pair[other]).value, exact[other], atol=1e-6
+        )
+        above = exact > threshold
+        near = above | np.append(above[1:], False) | np.append(False, above[:-1])
+        assert known[near].all()
+        assert np.isneginf(value[~known]).all()
+
+
+def test_clearances_that_hardly_change_are_not_measured_again() -> None:
+    measured: list[int] = []
+
+    class Counted(Clearances):
+        def smallest(self, q, *, avoidable_only=False):  # type: ignore[no-untyped-def]
+            measured.append(len(q))
+            return super().smallest(q, avoidable_only=avoidable_only)
+
+    context, _ = short_context()
+    clearance = ClearanceMargin(Counted(context.robot, ()), 0.0)
+    t = np.linspace(0, 9, 4000)
+    q = context.posture + 0.05 * np.sin(t)[:, None]
+    for shift in (0.0, 1e-4, 2e-4):
+        clearance.sample(StateSamples.at_rest(t, q + shift), -0.02)
+        if shift == 0.0:
+            assert 0 < sum(measured) <= 4000 / 16 + 1
+            measured.clear()
+    assert sum(measured) == 0
+
+
+def test_a_posture_that_is_no_number_is_measured() -> None:
+    """What was remembered says nothing of it."""
+    context, _ = short_context()
+    clearance, t = ClearanceMargin(context.clearances, 0.0), np.linspace(0, 1, 50)
+    q = np.repeat(context.posture[None], 50, axis=0)
+    clearance.sample(StateSamples.at_rest(t, q), -0.02)
+    q[20] = np.nan
+    value = clearance.sample(StateSamples.at_rest(t, q), -0.02)[0]
+    assert np.isnan(value[20, 0])
+
+
+def test_what_a_motion_asks_is_worked_out_once_for_every_robot(
+    cmbot_robot: Robot, states: StateSamples, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Robot] = []
+    efforts = Dynamics.efforts
+
+    def counted(self: Dynamics, q: FloatArray, v: FloatArray, a: FloatArray) -> Efforts:
+        asked.append(self.robot)
+        return efforts(self, q, v, a)
+
+    monkeypatch.setattr(Dynamics, "efforts", counted)
+    loaded = parts(short_scene(robot={"payload_kg": 3.0}))[0]
+    for robot in (cmbot_robot, loaded, cmbot_robot, loaded):
+        got = efforts_of(Dynamics(robot), states).joint_torque
+        expected = efforts(Dynamics(robot), states.q, states.v, states.a).joint_torque
+        np.testing.assert_array_equal(got, expected)
+    assert asked == [cmbot_robot, loaded]
