@@ -1,7 +1,10 @@
-"""Clearances against closed forms and plain minimisation; their derivatives against finite differences."""
+"""Clearances against closed forms and all distances; their derivatives against finite differences."""
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import coal
@@ -9,17 +12,23 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import StateSamples
+from distance_tables import TOLERANCE, all_distances
 from finite_differences import check_derivative
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 from oracles.distances import between_hulls, capsule_of, from_capsule
+from robot_files import load_copy
 from scipy.spatial.transform import Rotation
 
 from cmbot.collision import Clearances
-from cmbot.robot import Robot
-from cmbot.scene import Box, Capsule, Cylinder, Obstacle, Shape, Sphere
+from cmbot.robot import Robot, load_robot
+from cmbot.scene import Box, Capsule, Cylinder, Obstacle, Shape, Sphere, load_scene, pose
 
 FloatArray = NDArray[np.float64]
 LINKS = ("link_1", "link_2", "link_3", "link_5", "tool")
+# More postures than are measured one by one, and more than a block of the broad phase.
+MANY, BLOCKS = 60, 1200
 SHAPES: dict[str, tuple[Shape, Any]] = {
     "box": (Box(size=(0.3, 0.5, 0.9)), coal.Box(0.3, 0.5, 0.9)),
     "cylinder": (Cylinder(radius=0.2, length=0.7), coal.Cylinder(0.2, 0.7)),
@@ -217,3 +226,247 @@ def test_distances_do_not_depend_on_what_was_asked_before(
     assert once.min() < 0
     np.testing.assert_array_equal(once, again)
     np.testing.assert_array_equal(clearances.smallest(q).distance, once.min(axis=1))
+
+
+@pytest.fixture(scope="module")
+def triangle() -> tuple[Clearances, Clearances]:
+    """Of the triangle: one to be tested, with its cache, one for the distances of every pair."""
+    robot, obstacles = load_robot(), load_scene("triangle").obstacles
+    return Clearances(robot, obstacles), Clearances(robot, obstacles)
+
+
+def smooth_path(seed: int, length: float, number: int) -> FloatArray:
+    """A path (N, 7) through the shipped arm's room that swings by about `length`, rad."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0, 2 * np.pi, number)[:, None]
+    swings = length * rng.uniform(-1, 1, 7) * np.sin(rng.integers(1, 4, 7) * t + rng.uniform(0, 6, 7))
+    return np.deg2rad([-10, -90, 90, 0, 10, 50, 0]) + swings
+
+
+paths = st.builds(smooth_path, st.integers(0, 2**32 - 1), st.sampled_from([0.02, 0.2, 1.0]), st.just(MANY))
+jumps = st.builds(
+    lambda seed: np.random.default_rng(seed).uniform(-2.8, 2.8, (MANY, 7)), st.integers(0, 2**32 - 1)
+)
+
+
+def walk(seed: int, jumps: list[float]) -> FloatArray:
+    """Postures, each a random step of a given size from the one before."""
+    rng = np.random.default_rng(seed)
+    steps = [jump * rng.uniform(-1, 1, 7) for jump in jumps]
+    return np.deg2rad([-10, -90, 90, 0, 10, 50, 0]) + np.cumsum(steps, axis=0)
+
+
+walks = st.builds(
+    walk,
+    st.integers(0, 2**32 - 1),
+    st.lists(st.sampled_from([0.0, 1e-4, 1e-3, 3e-3, 0.01, 0.03, 0.3, 3.0]), min_size=1, max_size=8),
+)
+
+
+@settings(max_examples=50)
+@given(q=walks | paths | jumps, avoidable_only=st.booleans())
+def test_smallest_is_the_smallest_of_all(
+    triangle: tuple[Clearances, Clearances], q: FloatArray, avoidable_only: bool
+) -> None:
+    clearances, every = triangle
+    got = clearances.smallest(q, avoidable_only=avoidable_only)
+    assert got.distance.shape == got.pair.shape == (len(q),)
+    distances = all_distances(every, q)
+    distances[[avoidable_only and not pair.avoidable for pair in every.pairs]] = np.inf
+    np.testing.assert_allclose(got.distance, distances.min(axis=0), rtol=0, atol=TOLERANCE)
+    np.testing.assert_allclose(distances[got.pair, np.arange(len(q))], got.distance, rtol=0, atol=TOLERANCE)
+
+
+@settings(max_examples=10)
+@given(q=paths | jumps, share=st.floats(0, 1))
+def test_a_collision_is_any_distance_below_the_margin(
+    triangle: tuple[Clearances, Clearances], q: FloatArray, share: float
+) -> None:
+    clearances, every = triangle
+    smallest = every.smallest(q).distance
+    # Between two of the postures, so that it parts them as it should; a margin is not negative.
+    margin = max(float(np.quantile(smallest, share)) + 1e-5, 0.0)
+    if np.abs(smallest - margin).min() > TOLERANCE:
+        np.testing.assert_array_equal(clearances.check_collision(q, margin), smallest < margin)
+        np.testing.assert_array_equal(clearances.check_collision(q[:3], margin), smallest[:3] < margin)
+
+
+def test_one_by_one_and_many_in_any_order_agree(
+    triangle: tuple[Clearances, Clearances], rng: np.random.Generator
+) -> None:
+    clearances, other = triangle
+    q = smooth_path(1, 0.5, BLOCKS)
+    got = clearances.smallest(q).distance
+    assert np.ptp(got) > 0.1
+    order = rng.permutation(BLOCKS)
+    np.testing.assert_allclose(clearances.smallest(q[order]).distance, got[order], rtol=0, atol=TOLERANCE)
+    some = order[:100]
+    alone = [float(other.smallest(q[k : k + 1]).distance[0]) for k in some]
+    np.testing.assert_allclose(alone, got[some], rtol=0, atol=TOLERANCE)
+
+
+@pytest.mark.parametrize("number", [3, MANY])
+@pytest.mark.parametrize("nothing", [np.nan, np.inf])
+def test_a_posture_that_is_not_finite_has_no_clearance(
+    triangle: tuple[Clearances, Clearances], number: int, nothing: float
+) -> None:
+    clearances, _ = triangle
+    q = smooth_path(2, 0.02, number)
+    whole = clearances.smallest(q)
+    q[1, 3] = nothing
+    got = clearances.smallest(q)
+    assert np.isnan(got.distance[1])
+    assert got.pair[1] == -1
+    known = np.arange(number) != 1
+    np.testing.assert_allclose(got.distance[known], whole.distance[known], rtol=0, atol=TOLERANCE)
+    # Of shapes that are nowhere coal says that they touch.
+    np.testing.assert_array_equal(clearances.check_collision(q, 0.0), ~known)
+    assert clearances.check_collision(q[1:2], 0.0).all()
+
+
+@settings(max_examples=25)
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    length=st.sampled_from([0.005, 0.05, 0.3]),
+    number=st.sampled_from([1, 2, 199, 200, 350]),
+    spare=st.sampled_from([0.0, 1e-3, 0.05]),
+)
+def test_along_a_path_the_smallest_is_exact(
+    triangle: tuple[Clearances, Clearances], seed: int, length: float, number: int, spare: float
+) -> None:
+    clearances, every = triangle
+    q = smooth_path(seed, length, number)
+    got, expected = clearances.along(q, spare), every.smallest(q).distance
+    assert got.min() == pytest.approx(expected.min(), abs=TOLERANCE)
+    assert abs(expected[got.argmin()] - expected.min()) < TOLERANCE
+    near = expected <= expected.min() + spare
+    np.testing.assert_allclose(got[near], expected[near], rtol=0, atol=TOLERANCE)
+    assert (got <= expected + TOLERANCE).all()
+    assert (got[~near] > expected.min() + spare - TOLERANCE).all()
+
+
+def test_along_a_path_far_samples_are_not_looked_at(triangle: tuple[Clearances, Clearances]) -> None:
+    clearances, every = triangle
+    # Slow enough for a bound to reach from sample to sample.
+    q = smooth_path(3, 0.05, 3000)
+    got, expected = clearances.along(q, 0.0), every.smallest(q).distance
+    assert (got < expected - TOLERANCE).mean() > 0.5
+
+
+def test_along_a_path_that_is_partly_no_number(triangle: tuple[Clearances, Clearances]) -> None:
+    q = smooth_path(4, 0.05, 300)
+    q[20, 1] = np.nan
+    assert np.isnan(triangle[0].along(q, 0.0).min())
+
+
+def test_along_a_path_with_nothing_to_hit(cmbot_robot: Robot) -> None:
+    bare = replace(cmbot_robot, collision_model=type(cmbot_robot.collision_model)())
+    assert np.isposinf(Clearances(bare, []).along(smooth_path(5, 0.1, MANY), 0.01)).all()
+    assert not Clearances(bare, []).check_collision(smooth_path(5, 0.1, MANY), 1.0).any()
+
+
+@settings(max_examples=30)
+@given(q=walks, last=st.integers(0, 20))
+def test_within_is_every_avoidable_pair_that_near(
+    triangle: tuple[Clearances, Clearances], q: FloatArray, last: int
+) -> None:
+    clearances, every = triangle
+    avoidable = [k for k, pair in enumerate(every.pairs) if pair.avoidable]
+    for q_k in q:
+        distances = np.sort([every.nearest(q_k, pair).distance for pair in avoidable])
+        # Just beyond one of the pairs, so that nothing can be left out unnoticed.
+        limit = distances[last] + 1e-5
+        got = sorted(near.distance for near in clearances.within(q_k, limit))
+        np.testing.assert_allclose(got, distances[distances < limit], rtol=0, atol=TOLERANCE)
+
+
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), size=st.sampled_from([1e-3, 0.01, 0.1, 1.0]))
+def test_no_distance_changes_faster_than_reach(
+    triangle: tuple[Clearances, Clearances], seed: int, size: float
+) -> None:
+    _, every = triangle
+    rng = np.random.default_rng(seed)
+    # Alone or together, joints move no distance further.
+    step = size * rng.uniform(-1, 1, 7) * (rng.uniform(size=7) < rng.choice([0.2, 1.0]))
+    q = rng.uniform(-2.5, 2.5, 7)
+    change = np.diff(all_distances(every, np.stack([q, q + step])))
+    assert np.abs(change).max() <= np.abs(step) @ every.reach + 2 * TOLERANCE
+
+
+def test_reach_is_not_far_too_long(cmbot_robot: Robot) -> None:
+    """A ball far away feels most of it when the stretched arm turns towards it."""
+    ball = Obstacle(name="ball", shape=Sphere(radius=0.1), X_WO=pose([0, 0, -50]))
+    clearances = Clearances(cmbot_robot, [ball])
+    pair = next(k for k, p in enumerate(clearances.pairs) if (p.link, p.other) == ("tool", "ball"))
+    stretched = np.deg2rad([0, 0, 0, 90, 0, 0, 0])
+    lever = abs(clearances.nearest(stretched, pair).gradient[1])
+    assert 0.7 * clearances.reach[1] < lever <= clearances.reach[1]
+
+
+def test_pairs_of_the_triangle(cmbot_robot: Robot) -> None:
+    obstacles = load_scene("triangle").obstacles
+    pairs = Clearances(cmbot_robot, obstacles).pairs
+    with_obstacles = [(pair.link, pair.other) for pair in pairs if not pair.self_collision]
+    assert set(with_obstacles) == {(link, obstacle.name) for link in LINKS for obstacle in obstacles}
+    assert len(with_obstacles) == len(set(with_obstacles))
+    # Only what the last joint carries is at work, and only on a workpiece.
+    at_work = {(pair.link, pair.other) for pair in pairs if pair.tool_at_work}
+    assert at_work == {("tool", f"bracket_{side}") for side in ("ab", "bc", "ca")}
+    # The further link comes first; what never moves against each other is left out.
+    for pair in (pair for pair in pairs if pair.self_collision):
+        assert pair.link in LINKS
+        assert pair.other not in LINKS or LINKS.index(pair.link) > LINKS.index(pair.other)
+
+
+def test_the_robot_keeps_its_own_pairs(cmbot_robot: Robot) -> None:
+    model = cmbot_robot.collision_model
+    before = len(model.geometryObjects), len(model.collisionPairs)
+    Clearances(cmbot_robot, load_scene("line").obstacles)
+    assert (len(model.geometryObjects), len(model.collisionPairs)) == before
+
+
+@pytest.fixture
+def shapeless(urdf_folder: Path) -> Robot:
+    """The shipped arm without any collision shape."""
+    file = urdf_folder / "cmbot.urdf"
+    text = file.read_text(encoding="utf-8")
+    file.write_text(re.sub(r"<collision .*?</collision>", "", text, flags=re.DOTALL), encoding="utf-8")
+    return load_copy(urdf_folder)
+
+
+def test_nothing_counts_without_shapes(shapeless: Robot, random_states: StateSamples) -> None:
+    wall = Obstacle(name="wall", shape=Box(size=(1, 1, 1)), X_WO=pose([0, 0, 0]))
+    clearances = Clearances(shapeless, [wall])
+    q = random_states(shapeless, 3)[0]
+    for avoidable_only in (False, True):
+        smallest = clearances.smallest(q, avoidable_only=avoidable_only)
+        assert np.isposinf(smallest.distance).all()
+        assert (smallest.pair == -1).all()
+    assert not clearances.pairs
+    assert clearances.within(q[0], 1.0) == []
+
+
+def test_nothing_to_avoid_without_obstacles(cmbot_robot: Robot, random_states: StateSamples) -> None:
+    clearances = Clearances(cmbot_robot, [])
+    q = random_states(cmbot_robot, 3)[0]
+    assert np.isfinite(clearances.smallest(q).distance).all()
+    assert np.isposinf(clearances.smallest(q, avoidable_only=True).distance).all()
+    assert clearances.within(q[0], 10.0) == []
+
+
+def test_no_postures(triangle: tuple[Clearances, Clearances]) -> None:
+    smallest = triangle[0].smallest(np.empty((0, 7)))
+    assert smallest.distance.shape == smallest.pair.shape == (0,)
+
+
+def test_deep_overlaps_have_a_depth(cmbot_robot: Robot) -> None:
+    """EPA fails now and then when asked for more precision than it has, here with the free foot's ankle."""
+    clearances = Clearances(cmbot_robot, [])
+    pairs = [k for k, p in enumerate(clearances.pairs) if (p.link, p.other) == ("link_1", "ankle_2")]
+    depths = [
+        clearances.nearest(np.array([angle, 0, 0, 0, 0, 0, 0]), pair).distance
+        for angle in np.linspace(1.02, 1.16, 141)
+        for pair in pairs
+    ]
+    assert -0.1 < min(depths) < -0.09

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from minimal_scenes import MINIMAL, OTHER_ROBOT
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
@@ -30,20 +31,6 @@ from cmbot.scene import (
     shipped_scenes,
     update_file,
 )
-
-MINIMAL = {
-    "format": "cmbot-scene/1",
-    "name": "small",
-    "posture_deg": [0, 90],
-    "tool_path": {"legs": [{"by": [0, 0, 1], "seconds": 2}]},
-}
-OTHER_ROBOT = {
-    "model": "arm.urdf",
-    "base_frame": "base",
-    "tool_frame": "flange",
-    "limits": "limits.yaml",
-    "mount": {"xyz": [0, 0, 1], "rpy_deg": [180, 0, 90]},
-}
 
 
 def test_defaults_are_filled_in():

@@ -149,12 +149,7 @@ def test_leg_offset_is_from_the_leg_of_that_time_only(path: ToolPath, seed: int)
 
 
 def test_offset_beyond_the_ends_is_from_the_end() -> None:
-    path = ToolPath(
-        corners=np.array([[0.0, 0, 0], [2.0, 0, 0]]),
-        orientation=np.eye(3),
-        seconds=np.array([1.0]),
-        profile=SpeedProfile(),
-    )
+    path = replace(triangle(), corners=np.array([[0.0, 0, 0], [2.0, 0, 0]]), seconds=np.array([1.0]))
     p = np.array([[3.0, 0.0, 0.0], [-1.0, 2.0, 0.0], [1.0, 0.0, 0.5]])
     np.testing.assert_allclose(path.offset(p), [[1.0, 0, 0], [-1.0, 2.0, 0], [0, 0, 0.5]], rtol=0, atol=1e-15)
 
@@ -174,15 +169,20 @@ def test_via_times_hold_the_leg_ends_and_equal_steps_within_a_leg(path: ToolPath
         np.testing.assert_allclose(steps, path.seconds[leg] / shares[leg], rtol=0, atol=1e-14 * path.duration)
 
 
-def test_the_triangle_of_the_paper() -> None:
-    assert share_out_segments([10.0, 2.0, 8.0], 49) == [25, 5, 19]
+@pytest.mark.parametrize(
+    ("seconds", "shares"),
+    [([10.0, 2.0, 8.0], [25, 5, 19]), ([20.0], [49]), ([3.0, 3.0, 3.0], [2, 2, 1])],
+    ids=["the paper's triangle", "the paper's line", "of equal legs the earlier has the odd segment"],
+)
+def test_shares_of_segments(seconds: list[float], shares: list[int]) -> None:
+    assert share_out_segments(seconds, sum(shares)) == shares
+
+
+def test_via_times_of_the_triangle_of_the_paper() -> None:
     t = triangle().via_times(50)
     assert len(t) == 50
     np.testing.assert_array_equal(t[[0, 25, 30, 49]], [0, 10, 12, 20])
-
-
-def test_the_straight_line_of_the_paper_has_equal_steps() -> None:
-    assert share_out_segments([20.0], 49) == [49]
+    np.testing.assert_array_equal(triangle().via_times(4), [0, 10, 12, 20])
 
 
 @given(durations, st.integers(0, 80))
@@ -224,19 +224,11 @@ def test_a_leg_that_lasts_longer_has_no_fewer_segments(seconds: list[float], mor
     assert np.all((np.diff(in_order) >= 0) | ties)
 
 
-def test_of_equal_legs_the_earlier_has_the_odd_segment() -> None:
-    assert share_out_segments([3.0, 3.0, 3.0], 5) == [2, 2, 1]
-
-
 @pytest.mark.parametrize("count", [-1, 0, 1, 2, 3])
 def test_fewer_via_points_than_corners_are_refused(count: int) -> None:
     with pytest.raises(InputError, match="at least 4, one per leg end") as caught:
         triangle().via_times(count)
     assert caught.value.got == count
-
-
-def test_as_many_via_points_as_corners_will_do() -> None:
-    np.testing.assert_array_equal(triangle().via_times(4), [0, 10, 12, 20])
 
 
 profiles = st.builds(
