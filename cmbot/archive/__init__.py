@@ -2,7 +2,7 @@
 
 from cmbot.archive.folder import add_file, require_free, write_file
 from cmbot.archive.motion_files import columns
-from cmbot.archive.reading import load_plan
+from cmbot.archive.reading import load_plan, plan_data
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
 from cmbot.archive.writing import save
@@ -13,6 +13,7 @@ __all__ = [
     "json_bytes",
     "load_plan",
     "load_tracking",
+    "plan_data",
     "require_free",
     "require_no_tracking",
     "save",

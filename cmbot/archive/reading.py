@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -41,7 +42,7 @@ from cmbot.planning.verification.metrics import figures, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene, scene_from_file
 
-__all__ = ["load_plan"]
+__all__ = ["load_plan", "plan_data"]
 
 # Figures computed again agree with those in the file to this relative and absolute tolerance: another machine
 # rounds differently.
@@ -74,8 +75,8 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         With `verify`, when trajectory or approach breaks a promise.
     """
     folder = given_path(directory, "cmbot.load_plan", "directory", "the path of a plan directory")
-    file = _plan_file(folder)
     source = folder / PLAN_FILE
+    file = validated(PlanFile, plan_data(folder), str(source), ArchiveError)
     certificate = _certificate(file.certificate, file.planned, source, "certificate")
     with _as_archive_error(str(source)):
         scene = _scene(file, source)
@@ -119,23 +120,30 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     return _verified(plan, clearances, source) if verify else plan
 
 
-def _plan_file(folder: Path) -> PlanFile:
+def plan_data(directory: Path) -> dict[str, Any]:
+    """Return what is in a directory's plan.json.
+
+    Raises
+    ------
+    ArchiveError
+        When it is no plan directory, or the file is damaged or of another version.
+    """
     try:
-        is_folder = folder.is_dir()
-    except (OSError, ValueError) as error:  # a folder that may not be entered; a name that no file can have
-        raise ArchiveError(shown(str(folder)), "", shown(str(error)), "a plan directory") from error
+        is_folder = directory.is_dir()
+    except (OSError, ValueError) as error:  # no permission; a name that no file can have
+        raise ArchiveError(shown(str(directory)), "", shown(str(error)), "a plan directory") from error
     expected = "a plan directory, as cmbot plan writes it"
     if not is_folder:
-        got = "a file, not a folder" if folder.is_file() else "no such folder"
-        raise ArchiveError(str(folder), "", got, f"{expected}{plans_nearby(folder)}")
-    source = folder / PLAN_FILE
-    if not source.exists():
-        raise ArchiveError(str(source), "", "no such file", f"{expected}{plans_nearby(folder)}")
-    data = read_json(read_file(source), str(source))
+        got = "a file, not a folder" if directory.is_file() else "no such folder"
+        raise ArchiveError(str(directory), "", got, f"{expected}{plans_nearby(directory)}")
+    path = directory / PLAN_FILE
+    if not path.exists():
+        raise ArchiveError(str(path), "", "no such file", f"{expected}{plans_nearby(directory)}")
+    data = read_json(read_file(path), str(path))
     # First of all: in another version anything else may differ.
     if data.get("format") != FORMAT:
-        raise ArchiveError(str(source), "format", shown(data.get("format")), repr(FORMAT))
-    return validated(PlanFile, data, str(source), ArchiveError)
+        raise ArchiveError(str(path), "format", shown(data.get("format")), repr(FORMAT))
+    return data
 
 
 def _scene(file: PlanFile, source: Path) -> Scene:

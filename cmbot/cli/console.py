@@ -1,10 +1,12 @@
-"""Standard output and standard error of the command line, and the options that every long verb has."""
+"""Standard output and standard error of the command line, exit statuses, options that verbs share."""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from enum import IntEnum
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -21,12 +23,16 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ConsoleProgress",
+    "ExitStatus",
+    "FiguresOption",
     "JsonOption",
     "QuietOption",
     "err",
     "flat",
     "out",
     "print_json",
+    "print_pairs",
+    "print_result",
     "print_table",
 ]
 
@@ -39,10 +45,20 @@ JsonOption = Annotated[
 ]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print nothing but errors (and JSON).")]
 
-# Characters of a progress line before what is being done, but for the time.
-_ROOM_OF_BAR = 19
-# Where there is no terminal: a line at least every so many seconds where it is known how much is done, s.
-_EVERY = 10.0
+FiguresOption = Annotated[
+    bool, typer.Option("--figures", help="Draw plots as PNG and SVG into the plan directory, too.")
+]
+
+# Characters of a progress line before the description, without the time.
+_BAR_WIDTH = 19
+# Seconds between two lines of progress without a terminal.
+_PRINT_INTERVAL = 10.0
+
+
+class ExitStatus(IntEnum):
+    """Exit statuses of the command line."""
+
+    DONE, FAILED, BAD_INPUT, NO_PLAN = 0, 1, 2, 3
 
 
 def flat(text: object) -> str:
@@ -53,6 +69,24 @@ def flat(text: object) -> str:
 def print_json(data: Mapping[str, Any]) -> None:
     """Print one JSON object; it is plain ASCII, so nothing in it can drive a terminal."""
     out.print(json.dumps({"format": "cmbot-summary/1", **data}, indent=2, allow_nan=False))
+
+
+def print_result(verb: str, directory: Path, entries: Mapping[str, Any]) -> None:
+    """Print as JSON what a verb wrote into a directory."""
+    files = sorted(path.name for path in directory.iterdir())
+    print_json({"verb": verb, "directory": str(directory), "files": files, **entries})
+
+
+def print_pairs(pairs: Mapping[str, str]) -> None:
+    """Print names and values: a table on a terminal, aligned columns elsewhere."""
+    if out.is_terminal and pairs:
+        table = Table(show_header=False)
+        for name, value in pairs.items():
+            table.add_row(name, flat(value))
+        out.print(table)
+        return
+    for name, value in pairs.items():
+        out.print(f"{name:<34}{flat(value)}")
 
 
 def print_table(
@@ -83,35 +117,36 @@ def _aligned(rows: Sequence[Sequence[str]], text_columns: int) -> Iterator[str]:
 
 
 class _Seconds(ProgressColumn):
-    """How long it has taken; where there is a basis for it, about how long it will take still."""
+    """The elapsed time and, where it can be estimated, the remaining time."""
 
-    def __init__(self, told: Callable[[], str]) -> None:
+    def __init__(self, text: Callable[[], str]) -> None:
         super().__init__()
-        self._told = told
+        self._text = text
 
     def render(self, task: Task) -> Text:
-        return Text(f"{self._told()} ·" if task.description else self._told())
+        return Text(f"{self._text()} ·" if task.description else self._text())
 
 
 class ConsoleProgress:
-    """Tells what is being done: a moving line on a terminal, plain lines elsewhere, nothing if so wished.
+    """Progress on standard error: a moving line on a terminal, plain lines elsewhere.
 
     Parameters
     ----------
     quiet : bool
+        Print nothing.
     clock : callable
-        Seconds that do not go back.
+        Monotonic time, s.
     """
 
     def __init__(self, *, quiet: bool = False, clock: Callable[[], float] = time.monotonic) -> None:
         self._quiet = quiet
         self._clock = clock
         self._began = self._printed = clock()
-        self._said = ""
+        self._description = ""
         self._bars: Bars | None = None
-        # Of all there is to do, where that is known: of what is said with a share.
+        # Of all the work, where its share is known.
         self._whole: Remaining | None = None
-        # Of the present step: what the planner told last, and when.
+        # The planner's last report on the present step, and when it came.
         self._step: tuple[Progress, float] | None = None
 
     def __enter__(self) -> ConsoleProgress:
@@ -132,8 +167,8 @@ class ConsoleProgress:
         if self._bars is not None:
             self._bars.stop()
 
-    def tell(self, progress: Progress, about: str = "") -> None:
-        """Show one step of the planner, after what it is `about`."""
+    def update(self, progress: Progress, prefix: str = "") -> None:
+        """Show the planner's progress, after a prefix such as the scene's name."""
         before = self._step[0] if self._step is not None else None
         self._step = (progress, self._clock())
         if self._bars is not None:
@@ -142,54 +177,51 @@ class ConsoleProgress:
                     self._bars.remove_task(self._task)
                     self._task = self._bars.add_task("", total=None)
                 self._show_share(self._bars, progress.share)
-            new_figure = progress.left is not None and (before is None or before.left is None)
-            self._describe(self._bars, about + (progress.step or progress.sentence()), new_figure)
+            first_estimate = progress.left is not None and (before is None or before.left is None)
+            self._describe(self._bars, prefix + (progress.step or progress.sentence()), first_estimate)
         elif not self._quiet:
-            # Not every step of a whole, every start that fails, every pass of a round.
+            # Printed once: the steps of a whole, the failed starts, the iterations of a round.
             if self._whole is None and not progress.step and progress.failed_starts <= 1:
-                self._print(about + progress.sentence(passes=not progress.rounds))
-            self._print_share(about + progress.step if self._whole is None else self._said)
+                self._print(prefix + progress.sentence(passes=not progress.rounds))
+            self._print_share(prefix + progress.step if self._whole is None else self._description)
 
-    def say(self, what: str, share: float | None = None) -> None:
-        """Show what is being done, and the share of all there is to do that is done, where that is known."""
+    def stage(self, description: str, share: float | None = None) -> None:
+        """Show what is being done, and the share of all the work that is done, where it is known."""
         self._step = None
         if share is not None:
             self._whole = self._whole or Remaining(self._began)
             self._whole.note(share, self._clock())
         if self._bars is not None:
             self._show_share(self._bars, self._share())
-            self._describe(self._bars, what)
+            self._describe(self._bars, description)
         elif not self._quiet:
-            self._print(what)
-            self._print_share(what)
+            self._print(description)
+            self._print_share(description)
 
     def _show_share(self, bars: Bars, share: float | None) -> None:
-        """Draw the bar; as long as no share is known it only moves."""
+        """Draw the bar; without a share it only moves."""
         if share is not None:
             bars.update(self._task, total=1.0, completed=share)
 
-    def _describe(self, bars: Bars, what: str, refresh: bool = False) -> None:
-        # Cut here: rich would rather wrap the columns before it.
-        room = max(err.width - _ROOM_OF_BAR - len(self._seconds()), 10)
-        shown = what if len(what) <= room else f"{what[: room - 1]}…"
-        bars.update(self._task, description=shown, refresh=refresh or what != self._said)
-        self._said = what
+    def _describe(self, bars: Bars, description: str, refresh: bool = False) -> None:
+        # Cut here: rich would wrap the columns before it.
+        room = max(err.width - _BAR_WIDTH - len(self._seconds()), 10)
+        shown = description if len(description) <= room else f"{description[: room - 1]}…"
+        bars.update(self._task, description=shown, refresh=refresh or description != self._description)
+        self._description = description
 
-    def _print(self, what: str) -> None:
-        """Print a line where there is something new to say."""
-        if what != self._said:
-            err.print(what)
-            self._said, self._printed = what, self._clock()
+    def _print(self, description: str) -> None:
+        if description != self._description:
+            err.print(description)
+            self._description, self._printed = description, self._clock()
 
-    def _print_share(self, what: str) -> None:
-        """Print every so often how much is done."""
+    def _print_share(self, description: str) -> None:
         share, left = self._share(), self._left()
-        if share is not None and self._clock() - self._printed >= _EVERY:
-            err.print(f"{what}: {share:.0%} done{f', {left}' if left else ''}")
+        if share is not None and self._clock() - self._printed >= _PRINT_INTERVAL:
+            err.print(f"{description}: {share:.0%} done{f', {left}' if left else ''}")
             self._printed = self._clock()
 
     def _seconds(self) -> str:
-        """How long it has taken, and about how long it will take still."""
         elapsed, left = self._clock() - self._began, self._left()
         return f"{elapsed:.0f} s, {left}" if left else f"{elapsed:.0f} s"
 
@@ -206,6 +238,6 @@ class ConsoleProgress:
         if self._step is None or self._step[0].left is None:
             return ""
         left = self._step[0].left.after(now - self._step[1])
-        if left is None or left.most is not None:
-            return "" if left is None else left.sentence()
-        return f"step: {left.sentence()}"
+        if left is None:
+            return ""
+        return left.sentence() if left.most is not None else f"step: {left.sentence()}"

@@ -1,4 +1,4 @@
-"""The verb of the command line that plans; `cmbot.cli` lists it."""
+"""The verb of the command line that plans."""
 
 from __future__ import annotations
 
@@ -13,15 +13,16 @@ import typer
 import cmbot
 from cmbot.cli.console import (
     ConsoleProgress,
+    FiguresOption,
     JsonOption,
     QuietOption,
     err,
     flat,
     out,
-    print_json,
+    print_result,
     print_table,
 )
-from cmbot.cli.views import add_figures, add_pages
+from cmbot.cli.views import add_pages, add_plots, require_plots
 from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -29,23 +30,12 @@ if TYPE_CHECKING:
 
 __all__ = ["plan"]
 
-# What of plan.json is too long for a summary, or stands there otherwise.
+# Entries of plan.json that are too long for a summary, or have another form there.
 _LEFT_OUT = ("format", "scene", "files", "floor", "passes")
-# Keys that one may look for among the options.
-_IN_THE_SCENE = (
-    "posture_deg",
-    "robot",
-    "payload_kg",
-    "tool_length_m",
-    "obstacles",
-    "guardrail",
-    "tool_path",
-    "via_points",
-    "legs",
-    "seconds",
-    "keep",
-    "speed_profile",
-    "ramp",
+# Keys of the scene that are no options, but may be taken for some.
+_SCENE_KEYS = (
+    *("posture_deg", "robot", "payload_kg", "tool_length_m", "obstacles", "guardrail"),
+    *("tool_path", "via_points", "legs", "seconds", "keep", "speed_profile", "ramp"),
 )
 
 
@@ -63,9 +53,7 @@ def plan(
             "--set", metavar="NAME=VALUE", help="A planner option in place of the scene's; may be repeated."
         ),
     ] = None,
-    figures: Annotated[
-        bool, typer.Option("--figures", help="Draw plots as PNG and SVG into the plan directory, too.")
-    ] = False,
+    figures: FiguresOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -77,26 +65,22 @@ def plan(
     started = time.perf_counter()
     loaded = cmbot.load_scene(scene)
     options = _changed(asdict(loaded.planner), changes or [])
-    # Only now, so that a slip in a scene file is answered at once: this brings the robot's libraries.
+    # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
     from cmbot.archive import require_free
+    from cmbot.planning import precheck_options
 
     directory = output if output is not None else Path("out") / loaded.name
     require_free(directory, force=force)
-    if figures:
-        from cmbot.views import require_matplotlib
-
-        require_matplotlib()
-    from cmbot.planning import precheck_options
-
+    require_plots(figures)
     for finding in () if quiet else precheck_options(options):
         err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
     with ConsoleProgress(quiet=quiet) as console_progress:
-        planned = cmbot.plan(loaded, options=options, progress=console_progress.tell)
+        planned = cmbot.plan(loaded, options=options, progress=console_progress.update)
     cmbot.save(planned, directory, force=force)
     *_, page = add_pages(planned, None, directory)
-    drawn = add_figures(planned, directory) if figures else ()
+    drawn = add_plots(planned, directory) if figures else ()
     if as_json:
-        print_json(_summary(planned, directory))
+        print_result("plan", directory, _summary(planned, directory))
     elif not quiet:
         _print_plan(planned)
         out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
@@ -118,7 +102,7 @@ def _changed(options: dict[str, Any], changes: Sequence[str]) -> cmbot.PlannerOp
             raise InputError("--set", "", shown(change), "NAME=VALUE, such as start=pinned")
         if name in given:
             raise InputError("--set", flat(name), "the same option again", "each option once")
-        if name in _IN_THE_SCENE:
+        if name in _SCENE_KEYS:
             expected = "one of the planner's options; it is part of the scene: change it in the scene file"
             raise InputError("--set", name, "a key of the scene", expected)
         given[name] = yaml_value(text, f"--set: {flat(name)}", InputError)
@@ -126,29 +110,20 @@ def _changed(options: dict[str, Any], changes: Sequence[str]) -> cmbot.PlannerOp
 
 
 def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
-    from cmbot.archive.folder import PLAN_FILE, read_file
-    from cmbot.archive.strict_json import read_json
+    from cmbot.archive import plan_data
     from cmbot.planning import remarks
 
-    path = directory / PLAN_FILE
-    data = read_json(read_file(path), str(path))
-    return {
-        "verb": "plan",
-        "scene": planned.scene.name,
-        "directory": str(directory),
-        "files": sorted(path.name for path in directory.iterdir()),
-        **{name: value for name, value in data.items() if name not in _LEFT_OUT},
-        "remarks": list(remarks(planned)),
-    }
+    entries = {name: entry for name, entry in plan_data(directory).items() if name not in _LEFT_OUT}
+    return {"scene": planned.scene.name, **entries, "remarks": list(remarks(planned))}
 
 
 def _print_plan(planned: Plan) -> None:
+    from cmbot.planning import remarks
+
     if out.is_terminal:
         headings, rows = ("", "baseline", "planned"), list(planned.rows())
         print_table(planned.scene.name, headings, rows, text_columns=1)
     else:
         out.print(planned.summary())
-    from cmbot.planning import remarks
-
     for remark in remarks(planned):
         out.print(remark)

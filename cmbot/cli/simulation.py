@@ -1,4 +1,4 @@
-"""The verbs of the command line that simulate; `cmbot.cli` lists them."""
+"""The verbs of the command line that simulate."""
 
 from __future__ import annotations
 
@@ -8,8 +8,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 import cmbot
-from cmbot.cli.console import ConsoleProgress, JsonOption, QuietOption, flat, out, print_json, print_table
-from cmbot.cli.views import add_figures, add_pages
+from cmbot.cli.console import (
+    ConsoleProgress,
+    FiguresOption,
+    JsonOption,
+    QuietOption,
+    flat,
+    out,
+    print_result,
+    print_table,
+)
+from cmbot.cli.views import add_pages, add_plots, require_plots
+from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
     from cmbot.planning import Plan
@@ -18,8 +28,8 @@ if TYPE_CHECKING:
 
 __all__ = ["reproduce", "simulate"]
 
-_HEADINGS = ("", "", "x", "y", "z", "norm")
-_REPORT = "report.html"
+# Entries of the files that --json does not print.
+_LEFT_OUT = ("format", "assumptions")
 
 DetailsOption = Annotated[bool, typer.Option("--details", help="Print all figures, not only the answer.")]
 
@@ -37,9 +47,7 @@ def simulate(
     ] = 1.0,
     segments: Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")] = 1,
     force: Annotated[bool, typer.Option("--force", help="Replace tracking errors that are there.")] = False,
-    figures: Annotated[
-        bool, typer.Option("--figures", help="Draw plots as PNG and SVG into the plan directory, too.")
-    ] = False,
+    figures: FiguresOption = False,
     details: DetailsOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -55,28 +63,23 @@ def simulate(
     from cmbot.archive import require_no_tracking
 
     require_no_tracking(directory, force=force)
-    if figures:
-        from cmbot.views import require_matplotlib
-
-        require_matplotlib()
-    with ConsoleProgress(quiet=quiet) as console_progress:
-        console_progress.say("simulating", 0.0)
-        tracking = cmbot.simulate(
-            loaded, options, progress=lambda share: console_progress.say("simulating", share)
-        )
+    require_plots(figures)
+    with ConsoleProgress(quiet=quiet) as progress:
+        progress.stage("simulating", 0.0)
+        tracking = cmbot.simulate(loaded, options, progress=lambda share: progress.stage("simulating", share))
     written = cmbot.save_tracking(tracking, directory, force=force)
-    written += add_pages(loaded, tracking, directory)
+    written += (pages := add_pages(loaded, tracking, directory))
     if figures:
-        written += add_figures(tracking, directory)
+        written += add_plots(tracking, directory)
     if as_json:
-        print_json(_tracking_summary(loaded.scene.name, directory, tracking))
+        print_result("simulate", directory, _summary(loaded, tracking))
     elif not quiet:
-        _print_answer(loaded, tracking)
+        _print_summary(loaded, tracking)
         if details:
             _print_tracking(loaded.scene.name, tracking)
-        out.print(f"Written to {', '.join(flat(path) for path in written)}.")
+        out.print(f"Written to {', '.join(map(flat, written))}.")
         if not details:
-            page = flat(directory / _REPORT)
+            page = flat(pages[-1])
             out.print(f"All figures: {page}, under Simulation; --details --force prints them.")
 
 
@@ -98,71 +101,50 @@ def reproduce(
     Example: [bold]cmbot reproduce -o out/reproduce[/bold]
     """
     from cmbot.reproduction import FACTORS, QUICK_FACTORS, require_room, save_reproduction
+    from cmbot.reproduction import as_json as numbers
     from cmbot.reproduction import reproduce as run
 
     require_room(output, force=force)
-    with ConsoleProgress(quiet=quiet) as console_progress:
+    with ConsoleProgress(quiet=quiet) as progress:
         found = run(
             factors=QUICK_FACTORS if quick else FACTORS,
             least_sag=not quick,
-            on_step=lambda scene, what, share: console_progress.say(f"{scene}: {what}", share),
-            progress=lambda scene, step: console_progress.tell(step, about=f"{scene}: "),
+            on_step=lambda scene, what, share: progress.stage(f"{scene}: {what}", share),
+            progress=lambda scene, step: progress.update(step, f"{scene}: "),
         )
     written = save_reproduction(found, output, force=force)
     if as_json:
-        print_json(_reproduction_summary(output, found))
-        return
-    if quiet:
-        return
-    _print_verdicts(found)
-    for experiment in found.experiments if details else ():
-        _print_comparison(experiment)
-        _print_goals(experiment)
-    out.print(f"Written to {' and '.join(flat(path) for path in written)}, with every assumption.")
-    if not details:
-        out.print(f"All figures, and why: {flat(written[0])}; --details prints them.")
+        entries = numbers(found)
+        print_result("reproduce", output, {name: entries[name] for name in entries if name not in _LEFT_OUT})
+    elif not quiet:
+        _print_verdicts(found)
+        for experiment in found.experiments if details else ():
+            _print_comparison(experiment)
+            _print_goals(experiment)
+        out.print(f"Written to {' and '.join(map(flat, written))}, with every assumption.")
+        if not details:
+            out.print(f"All figures, and why: {flat(written[0])}; --details prints them.")
 
 
 def _options(*, damping: float, initial: str, stiffness: float, segments: int) -> SimulationOptions:
-    """Check the words of the command line; what is wrong is named as it is there."""
+    """Check the options; errors name them as the command line does."""
     from cmbot.common.validation import validated
 
     given = {"damping": damping, "initial": initial, "segments": segments}
     factors = dict.fromkeys(("guardrail_factor", "link_factor"), stiffness)
     try:
-        return validated(cmbot.SimulationOptions, given | factors, "cmbot simulate", cmbot.InputError)
-    except cmbot.InputError as error:
-        word = (
-            "--stiffness" if error.key in factors else f"--{error.key}" if error.key in given else error.key
-        )
-        raise cmbot.InputError(error.source, word, error.got, error.expected, error.choices) from error
+        return validated(cmbot.SimulationOptions, given | factors, "cmbot simulate", InputError)
+    except InputError as error:
+        option = "--stiffness" if error.key in factors else f"--{error.key}"
+        raise InputError(error.source, option, error.got, error.expected, error.choices) from error
 
 
-def _tracking_summary(name: str, directory: Path, tracking: Tracking) -> dict[str, Any]:
+def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     from cmbot.archive import tracking_json
     from cmbot.simulation import tracking_remarks
 
-    figures = tracking_json(tracking)
-    return {
-        "verb": "simulate",
-        "scene": name,
-        "directory": str(directory),
-        "files": sorted(path.name for path in directory.iterdir()),
-        **{key: value for key, value in figures.items() if key != "format"},
-        "remarks": list(tracking_remarks(tracking)),
-    }
-
-
-def _reproduction_summary(folder: Path, found: Reproduction) -> dict[str, Any]:
-    from cmbot.reproduction import as_json
-
-    figures = as_json(found)
-    return {
-        "verb": "reproduce",
-        "directory": str(folder),
-        "files": sorted(path.name for path in folder.iterdir()),
-        **{key: value for key, value in figures.items() if key not in ("format", "assumptions")},
-    }
+    entries = {name: entry for name, entry in tracking_json(tracking).items() if name not in _LEFT_OUT}
+    return {"scene": plan.scene.name, **entries, "remarks": list(tracking_remarks(tracking))}
 
 
 def _print_verdicts(found: Reproduction) -> None:
@@ -203,17 +185,18 @@ def _print_goals(experiment: Experiment) -> None:
             out.print(f"goal: {remark}")
 
 
-def _print_answer(planned: Plan, tracking: Tracking) -> None:
+def _print_summary(plan: Plan, tracking: Tracking) -> None:
     from cmbot.simulation import tracking_summary, tracking_verdict
 
-    rows = list(tracking_summary(tracking, compensated=planned.options.compensate))
-    print_table(f"{planned.scene.name}, mm", ("", "baseline", "planned"), rows, text_columns=1)
-    out.print(tracking_verdict(planned, tracking))
+    rows = list(tracking_summary(tracking, compensated=plan.options.compensate))
+    print_table(f"{plan.scene.name}, mm", ("", "baseline", "planned"), rows, text_columns=1)
+    out.print(tracking_verdict(plan, tracking))
 
 
 def _print_tracking(name: str, tracking: Tracking) -> None:
     from cmbot.simulation import tracking_remarks, tracking_rows
 
-    print_table(f"{name}, mm", _HEADINGS, list(tracking_rows(tracking)), text_columns=2)
+    headings = ("", "", "x", "y", "z", "norm")
+    print_table(f"{name}, mm", headings, list(tracking_rows(tracking)), text_columns=2)
     for remark in tracking_remarks(tracking):
         out.print(remark)

@@ -1,4 +1,4 @@
-"""The verbs of the command line that show a plan; `cmbot.cli` lists them."""
+"""The verbs of the command line that show a plan, and the pages and plots that other verbs add to one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from cmbot.planning import Plan
     from cmbot.simulation import Tracking
 
-__all__ = ["add_figures", "add_pages", "replay", "report"]
+__all__ = ["add_pages", "add_plots", "replay", "report", "require_plots"]
 
 PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
@@ -34,31 +34,33 @@ def replay(
 
     Example: [bold]cmbot replay out/triangle --html triangle.html[/bold]
     """
-    ways = {"--html": html is not None, "--serve": serve, "--video": video is not None}
-    if sum(ways.values()) > 1:
-        given = ", ".join(name for name, wanted in ways.items() if wanted)
-        raise InputError("cmbot replay", given, "both" if sum(ways.values()) == 2 else "all", "one of them")
+    given = [name for name, value in (("--html", html), ("--serve", serve), ("--video", video)) if value]
+    if len(given) > 1:
+        got = "both" if len(given) == 2 else "all"
+        raise InputError("cmbot replay", ", ".join(given), got, "one of them")
     loaded = cmbot.load_plan(directory)
     tracking = cmbot.load_tracking(loaded, directory)
-    if serve:
-        from cmbot.views import ReplayServer, replay_page
+    if html is not None:
+        cmbot.replay(loaded, html=html, tracking=tracking)
+        out.print(f"Written to {flat(html)}.")
+        return
+    from cmbot.views import REPLAY, ReplayServer, film, replay_page
 
-        with ReplayServer(replay_page(loaded, tracking)) as server:
+    page = replay_page(loaded, tracking)
+    if serve:
+        with ReplayServer(page) as server:
             try:
                 out.print(f"Replay of {loaded.scene.name} at {server.url}; stop with Ctrl-C.")
                 server.wait()
             except KeyboardInterrupt:
                 return
     elif video is not None:
-        _film(loaded, tracking, video)
+        with ConsoleProgress() as progress:
+            progress.stage("filming")
+            film(page, video, progress=lambda share: progress.stage(f"filming, {100 * share:.0f} %"))
         out.print(f"Written to {flat(video)}.")
-    elif html is not None:
-        cmbot.replay(loaded, html=html, tracking=tracking)
-        out.print(f"Written to {flat(html)}.")
     else:
-        from cmbot.views import REPLAY, replay_page
-
-        out.print(f"Written to {flat(_add(directory, REPLAY, replay_page(loaded, tracking)))}.")
+        out.print(f"Written to {flat(_add(directory, REPLAY, page))}.")
 
 
 def report(
@@ -97,7 +99,15 @@ def add_pages(planned: Plan, tracking: Tracking | None, directory: Path) -> tupl
     return tuple(add_file(directory, name, page) for name, page in pages(planned, tracking).items())
 
 
-def add_figures(result: Plan | Tracking, directory: Path) -> tuple[Path, ...]:
+def require_plots(wanted: bool) -> None:
+    """Refuse plots that are wanted where matplotlib is missing, before a long computation."""
+    if wanted:
+        from cmbot.views import require_matplotlib
+
+        require_matplotlib()
+
+
+def add_plots(result: Plan | Tracking, directory: Path) -> tuple[Path, ...]:
     """Put plots into a plan directory as PNG and SVG, each file whole or not at all."""
     from cmbot.archive import add_file
     from cmbot.views import figure_files, plot
@@ -109,12 +119,3 @@ def _add(directory: Path, name: str, page: str) -> Path:
     from cmbot.archive import add_file
 
     return add_file(directory, name, page.encode("utf-8", "replace"))
-
-
-def _film(planned: Plan, tracking: Tracking | None, video: Path) -> None:
-    from cmbot.views import film, replay_page
-
-    page = replay_page(planned, tracking)
-    with ConsoleProgress() as console_progress:
-        console_progress.say("filming")
-        film(page, video, progress=lambda share: console_progress.say(f"filming, {100 * share:.0f} %"))

@@ -29,10 +29,10 @@ def test_a_shipped_scene() -> None:
     assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
     last = outcome.out.splitlines()[-1]
     assert last.startswith(
-        "No warning. Looked at: the start, and whether the stretched arm reaches the legs' ends."
+        "No warning. Checked: the start, and whether the stretched arm reaches the legs' ends."
     )
     assert last.endswith(
-        "Not looked at: obstacles, joint ranges and limits on the way; cmbot plan triangle finds out."
+        "Not checked: obstacles, joint ranges and limits on the way; cmbot plan triangle finds out."
     )
 
 

@@ -13,7 +13,7 @@ from command_line import ROOT, Outcome, run, run_apart, write_scene
 from small_scenes import SHORT
 
 import cmbot
-import cmbot.cli.doctor
+import cmbot.cli.inspection
 from cmbot.cli import commands
 from cmbot.common import errors
 from cmbot.common.installation import install_command, model_folder
@@ -259,7 +259,7 @@ def test_doctor_knows_every_dependency() -> None:
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     block = text.split("\ndependencies = [")[1].split("\n]")[0]
     assert set(re.findall(r'^ *"([\w.\-]+)', block, flags=re.MULTILINE)) <= {
-        symptom.name for symptom in cmbot.cli.doctor.examine()
+        symptom.name for symptom in cmbot.cli.inspection.examine()
     }
 
 
@@ -304,7 +304,7 @@ def test_doctor_reports_a_package_without_its_module(
 
 
 def test_doctor_reports_missing_data(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(cmbot.cli.doctor, "model_folder", lambda: tmp_path)
+    monkeypatch.setattr(cmbot.cli.inspection, "model_folder", lambda: tmp_path)
     outcome = run("doctor")
     assert outcome.status == 1
     assert [line.split()[1] for line in lines_of(outcome, "MISSING")] == ["model", "meshes"]
@@ -313,7 +313,7 @@ def test_doctor_reports_missing_data(monkeypatch: pytest.MonkeyPatch, tmp_path: 
 
 def test_doctor_is_content_without_what_is_optional(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("PATH", str(tmp_path))
-    monkeypatch.setattr(cmbot.cli.doctor, "_OPTIONAL", (("not-a-package-of-anyone", "test"),))
+    monkeypatch.setattr(cmbot.cli.inspection, "_OPTIONAL", (("not-a-package-of-anyone", "test"),))
     outcome = run("doctor")
     assert outcome.status == 0
     assert f"not installed (optional: {install_command('test')})" in outcome.out

@@ -43,10 +43,10 @@ def stream(monkeypatch: pytest.MonkeyPatch, *, terminal: bool, width: int = 120)
 def told(monkeypatch: pytest.MonkeyPatch, clock: Clock, *, terminal: bool, quiet: bool = False) -> str:
     """What a narrator writes of some work."""
     file = stream(monkeypatch, terminal=terminal)
-    with ConsoleProgress(quiet=quiet, clock=clock) as console_progress:
-        console_progress.tell(Progress(stage="path"), about="[red]line[/red]: ")
+    with ConsoleProgress(quiet=quiet, clock=clock) as progress:
+        progress.update(Progress(stage="path"), prefix="[red]line[/red]: ")
         for step in range(5):
-            console_progress.say(f"simulating {step}" if terminal else "simulating", step / 4)
+            progress.stage(f"simulating {step}" if terminal else "simulating", step / 4)
             clock.now += 2.0
     return file.getvalue()
 
@@ -71,30 +71,30 @@ def test_on_a_terminal_it_is_a_bar(monkeypatch: pytest.MonkeyPatch, clock: Clock
 
 def test_the_remaining_time_of_a_step_counts_down(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
     file = stream(monkeypatch, terminal=True)
-    with ConsoleProgress(clock=clock) as console_progress:
+    with ConsoleProgress(clock=clock) as progress:
         clock.now = 3.0
-        console_progress.tell(Progress(stage="path", step="charting", share=0.1, left=Eta(seconds=20.0)))
+        progress.update(Progress(stage="path", step="charting", share=0.1, left=Eta(seconds=20.0)))
         for later, expected in ((0.0, "3 s, step: about 20 s left"), (8.0, "11 s, step: about 12 s left")):
             clock.now = 3.0 + later
-            console_progress._bars.refresh()  # type: ignore[union-attr]
+            progress._bars.refresh()  # type: ignore[union-attr]
             assert expected in lines(file.getvalue())[-1]
         clock.now = 30.0
-        console_progress._bars.refresh()  # type: ignore[union-attr]
+        progress._bars.refresh()  # type: ignore[union-attr]
         # Longer than foretold: no figure rather than a wrong one.
         assert "30 s · charting" in lines(file.getvalue())[-1]
 
 
 def test_the_bar_begins_anew_with_a_step(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
     stream(monkeypatch, terminal=True)
-    with ConsoleProgress(clock=clock) as console_progress:
-        console_progress.tell(Progress(stage="path", step="charting", share=0.9, left=Eta(seconds=1.0)))
-        (task,) = console_progress._bars.tasks  # type: ignore[union-attr]
+    with ConsoleProgress(clock=clock) as progress:
+        progress.update(Progress(stage="path", step="charting", share=0.9, left=Eta(seconds=1.0)))
+        (task,) = progress._bars.tasks  # type: ignore[union-attr]
         assert (task.total, task.completed) == (1.0, 0.9)
-        console_progress.tell(Progress(stage="path", step="choosing"))
-        (task,) = console_progress._bars.tasks  # type: ignore[union-attr]
+        progress.update(Progress(stage="path", step="choosing"))
+        (task,) = progress._bars.tasks  # type: ignore[union-attr]
         assert task.total is None
-        console_progress.tell(Progress(stage="path", step="refining", share=0.0))
-        (task,) = console_progress._bars.tasks  # type: ignore[union-attr]
+        progress.update(Progress(stage="path", step="refining", share=0.0))
+        (task,) = progress._bars.tasks  # type: ignore[union-attr]
         assert (task.total, task.completed) == (1.0, 0.0)
 
 
@@ -102,15 +102,13 @@ def test_where_the_whole_is_known_a_step_does_not_move_its_bar(
     monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     file = stream(monkeypatch, terminal=True)
-    with ConsoleProgress(clock=clock) as console_progress:
+    with ConsoleProgress(clock=clock) as progress:
         clock.now = 5.0
-        console_progress.say("line: via-points that slide", 0.5)
-        console_progress.tell(
-            Progress(stage="path", step="charting", share=0.1, left=Eta(seconds=99.0)), "line: "
-        )
-        (task,) = console_progress._bars.tasks  # type: ignore[union-attr]
+        progress.stage("line: via-points that slide", 0.5)
+        progress.update(Progress(stage="path", step="charting", share=0.1, left=Eta(seconds=99.0)), "line: ")
+        (task,) = progress._bars.tasks  # type: ignore[union-attr]
         assert task.completed == 0.5
-        console_progress.say("line: simulating", 0.4)
+        progress.stage("line: simulating", 0.4)
         assert task.completed == 0.5
     assert "5 s, about 5 s left · line: charting" in without_colours(file.getvalue())
     assert "99 s" not in file.getvalue()
@@ -118,8 +116,8 @@ def test_where_the_whole_is_known_a_step_does_not_move_its_bar(
 
 def test_passes_are_told_with_what_is_left_at_most(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
     file = stream(monkeypatch, terminal=True)
-    with ConsoleProgress(clock=clock) as console_progress:
-        console_progress.tell(Progress(stage="optimise", report=a_pass(3), left=some_passes(37)))
+    with ConsoleProgress(clock=clock) as progress:
+        progress.update(Progress(stage="optimise", report=a_pass(3), left=some_passes(37)))
     assert "0 s, at most 37 more passes, 0.4 s each · optimising, pass 3 (peak): peak" in without_colours(
         file.getvalue()
     )
@@ -141,8 +139,8 @@ def test_a_narrow_terminal_cuts_what_is_told_and_nothing_else(
     monkeypatch: pytest.MonkeyPatch, clock: Clock, width: int
 ) -> None:
     file = stream(monkeypatch, terminal=True, width=width)
-    with ConsoleProgress(clock=clock) as console_progress:
-        console_progress.tell(Progress(stage="optimise", report=a_pass(3), left=Eta(seconds=12.0)))
+    with ConsoleProgress(clock=clock) as progress:
+        progress.update(Progress(stage="optimise", report=a_pass(3), left=Eta(seconds=12.0)))
     drawn = [line for line in lines(file.getvalue()) if "opt" in line]
     assert drawn
     for line in drawn:
@@ -160,9 +158,9 @@ def test_elsewhere_long_work_says_every_so_often_how_far_it_is(
     monkeypatch: pytest.MonkeyPatch, clock: Clock
 ) -> None:
     file = stream(monkeypatch, terminal=False)
-    with ConsoleProgress(clock=clock) as console_progress:
+    with ConsoleProgress(clock=clock) as progress:
         for done in range(31):
-            console_progress.say("simulating", done / 30)
+            progress.stage("simulating", done / 30)
             clock.now += 1.0
     assert file.getvalue().splitlines() == [
         "simulating",
@@ -174,19 +172,19 @@ def test_elsewhere_long_work_says_every_so_often_how_far_it_is(
 
 def test_elsewhere_not_every_step_and_pass_is_told(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
     file = stream(monkeypatch, terminal=False)
-    with ConsoleProgress(clock=clock) as console_progress:
-        console_progress.tell(Progress(stage="path"))
+    with ConsoleProgress(clock=clock) as progress:
+        progress.update(Progress(stage="path"))
         for share in (0.0, 0.3, 0.6):
-            console_progress.tell(Progress(stage="path", step="charting", share=share, left=Eta(seconds=8.0)))
+            progress.update(Progress(stage="path", step="charting", share=share, left=Eta(seconds=8.0)))
         clock.now = 11.0
-        console_progress.tell(Progress(stage="path", step="charting", share=0.7, left=Eta(seconds=8.0)))
-        console_progress.tell(Progress(stage="path", step="charting", share=0.8, left=Eta(seconds=7.0)))
+        progress.update(Progress(stage="path", step="charting", share=0.7, left=Eta(seconds=8.0)))
+        progress.update(Progress(stage="path", step="charting", share=0.8, left=Eta(seconds=7.0)))
         for failed in (1, 2, 3):
-            console_progress.tell(Progress(stage="path", failed_starts=failed))
-        console_progress.tell(Progress(stage="optimise", report=a_pass(1), left=some_passes(39)))
+            progress.update(Progress(stage="path", failed_starts=failed))
+        progress.update(Progress(stage="optimise", report=a_pass(1), left=some_passes(39)))
         for rounds in (1, 2):
             for number in (1, 2, 3):
-                console_progress.tell(Progress(stage="optimise", report=a_pass(number), rounds=rounds))
+                progress.update(Progress(stage="optimise", report=a_pass(number), rounds=rounds))
     assert file.getvalue().splitlines() == [
         "following the tool path",
         "charting: 70% done, step: about 8 s left",

@@ -1,0 +1,197 @@
+"""The verbs of the command line that inspect: a URDF, a scene, the installation."""
+
+from __future__ import annotations
+
+import platform
+import shutil
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from importlib import metadata, util
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import cmbot
+from cmbot.cli.console import ExitStatus, JsonOption, QuietOption, flat, out, print_json, print_pairs
+from cmbot.common.errors import InputError, SceneError
+from cmbot.common.installation import install_command, model_folder, scene_folder
+from cmbot.version import __version__
+
+if TYPE_CHECKING:
+    from cmbot.robot import Finding
+
+__all__ = ["Symptom", "check", "doctor", "examine"]
+
+_SCENE_SUFFIXES = (".yaml", ".yml", ".json")
+# The module of each required package.
+_REQUIRED = {
+    "pin": "pinocchio",
+    "coal": "coal",
+    "numpy": "numpy",
+    "scipy": "scipy",
+    "pydantic": "pydantic",
+    "ruamel.yaml": "ruamel.yaml",
+    "meshcat": "meshcat",
+    "u-msgpack-python": "umsgpack",
+    "yourdfpy": "yourdfpy",
+    "trimesh": "trimesh",
+    "threadpoolctl": "threadpoolctl",
+    "typer": "typer",
+    "rich": "rich",
+}
+_OPTIONAL = (("piqp", "fast"), ("matplotlib", "plots"), ("mujoco", "test"), ("hypothesis", "test"))
+
+
+def check(
+    file: Annotated[
+        str, typer.Argument(metavar="FILE", help="A URDF, a scene file, or a shipped scene's name.")
+    ],
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Inspect a URDF or a scene before anything is planned with it.
+
+    Examples: [bold]cmbot check arm.urdf[/bold], [bold]cmbot check triangle[/bold]
+    """
+    is_urdf = Path(file).suffix.lower() in (".urdf", ".xml")
+    findings, found, conclusion = _check_urdf(Path(file)) if is_urdf else _check_scene(file)
+    usable = not _errors(findings)
+    if as_json:
+        print_json(
+            {
+                "verb": "check",
+                "file": file,
+                "kind": "urdf" if is_urdf else "scene",
+                "usable": usable,
+                "findings": [asdict(finding) for finding in findings],
+                "found": found,
+            }
+        )
+    else:
+        for finding in findings:
+            if finding.severity == "error" or not quiet:
+                where = f"{finding.severity}: {file}: {finding.key}"
+                out.print(flat(f"{where}: got {finding.got}, expected {finding.expected}"))
+    if not (as_json or quiet):
+        print_pairs(found)
+        out.print(conclusion)
+    if not usable:
+        raise typer.Exit(ExitStatus.BAD_INPUT)
+
+
+def _check_urdf(path: Path) -> tuple[Sequence[Finding], dict[str, str], str]:
+    """Findings, what is in the file, and the conclusion."""
+    from cmbot.common.validation import counted
+    from cmbot.robot import inspect_urdf, overview, parse_urdf
+
+    root = parse_urdf(path)
+    findings = inspect_urdf(root)
+    errors = _errors(findings)
+    found = {} if errors else dict(overview(path, root))
+    conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
+    return findings, found, f"{conclusion}, {counted(len(findings) - errors, 'warning')}."
+
+
+def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
+    from cmbot.common.validation import counted
+    from cmbot.planning import precheck_scene
+
+    try:
+        scene = cmbot.load_scene(file)
+    except SceneError as error:
+        if error.key or Path(file).suffix.lower() in _SCENE_SUFFIXES or not _is_file(Path(file)):
+            raise
+        # Nothing in it could be read as a scene's.
+        expected = "a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)"
+        raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
+    precheck = precheck_scene(scene)
+    warnings, verb = len(precheck.warnings), f"cmbot plan {flat(file)}"
+    conclusion = (
+        "No warning. Checked: the start, and whether the stretched arm reaches the legs' ends. "
+        f"Not checked: obstacles, joint ranges and limits on the way; {verb} finds out."
+    )
+    if warnings:
+        them = "it" if warnings == 1 else "them"
+        conclusion = f"{counted(warnings, 'warning')}; {verb} would have to deal with {them}."
+    return precheck.warnings, dict(precheck.found), conclusion
+
+
+def _errors(findings: Sequence[Finding]) -> int:
+    return sum(finding.severity == "error" for finding in findings)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that is too long
+        return False
+
+
+def doctor() -> None:
+    """Show versions, where things were loaded from, and what is missing.
+
+    Example: [bold]cmbot doctor[/bold]
+    """
+    symptoms = examine()
+    width = max(len(symptom.name) for symptom in symptoms)
+    for symptom in symptoms:
+        mark = "ok     " if symptom.healthy else "MISSING"
+        out.print(f"{mark} {symptom.name:<{width}}  {flat(symptom.found)}")
+    if not all(symptom.healthy for symptom in symptoms):
+        raise typer.Exit(ExitStatus.FAILED)
+
+
+@dataclass(frozen=True)
+class Symptom:
+    """One line of the examination.
+
+    Attributes
+    ----------
+    name, found : str
+    healthy : bool
+        False when cmbot needs it and it is missing.
+    """
+
+    name: str
+    found: str
+    healthy: bool = True
+
+
+def examine() -> list[Symptom]:
+    """Return versions and places of all that cmbot uses."""
+    symptoms = [
+        Symptom("cmbot", f"{__version__} from {Path(__file__).parent.parent}"),
+        Symptom("python", f"{platform.python_version()} on {platform.platform()}"),
+        *(_package(name, module) for name, module in _REQUIRED.items()),
+    ]
+    for name, extra in _OPTIONAL:
+        missing = f"not installed (optional: {install_command(extra)})"
+        symptoms.append(Symptom(name, _version(name) or missing))
+    for name, path in (
+        ("model", model_folder() / "urdf" / "cmbot.urdf"),
+        ("meshes", model_folder() / "meshes"),
+        ("scenes", scene_folder() / "triangle.yaml"),
+    ):
+        found = str(path) if path.exists() else f"missing: {path}"
+        symptoms.append(Symptom(name, found, healthy=path.exists()))
+    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    return [*symptoms, Symptom("browser", browser or "none found (any browser opens the pages)")]
+
+
+def _package(name: str, module: str) -> Symptom:
+    try:
+        spec = util.find_spec(module)
+    except ModuleNotFoundError:  # the package around it is missing
+        spec = None
+    version = _version(name)
+    if version is None or spec is None:
+        return Symptom(name, f"not installed (run: pip install {name})", healthy=False)
+    return Symptom(name, f"{version} from {Path(spec.origin or '').parent}")
+
+
+def _version(name: str) -> str | None:
+    try:
+        return metadata.version(name)
+    except metadata.PackageNotFoundError:
+        return None
