@@ -22,7 +22,7 @@ __all__ = ["Clearances", "Nearest", "Smallest"]
 
 # From this number of postures on the broad phase is worth its calls: benchmarks/kernels.py.
 _BROAD_PHASE_FROM = 24
-# One of so many neighbouring postures is measured first: its nearest pair often is that of the others, too.
+# One of this many neighbouring postures is measured first: its nearest pair often is that of the others.
 _GUIDE_STRIDE = 8
 # Strides of the samples of a path that are measured, from coarse to fine; shorter paths are measured whole.
 _STRIDES, _SHORT_PATH = (16, 4, 1), 200
@@ -175,7 +175,7 @@ class Clearances:
         arguments = (self._model, self._data, self._geometry, self._geometry_data)
         if len(q) < _BROAD_PHASE_FROM:
             return np.array([pin.computeCollisions(*arguments, q_k, True) for q_k in q], dtype=np.bool_)
-        # A posture that is not finite counts as a collision, as coal says.
+        # A posture that is not finite counts as a collision, as in coal.
         near: BoolArray = ~np.all(np.isfinite(q), axis=1)
         known = np.flatnonzero(~near)
         for bounds in self._broad_phase.lower_bounds(q[known]):

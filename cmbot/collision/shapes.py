@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 __all__ = ["PairedShapes", "ShapePair", "coal_shapes", "load_mesh"]
 
-# What trimesh reads without further packages.
+# The formats that trimesh reads without further packages.
 _FORMATS = ("glb", "obj", "off", "ply", "stl")
-# What its readers let through when a file is damaged.
+# The errors that its readers raise when a file is damaged.
 _DAMAGED = (
     OSError,
     ValueError,

@@ -3,7 +3,7 @@
 ::
 
     CmbotError
-      InputError (ValueError)          what was handed in is wrong
+      InputError (ValueError)          the input is wrong
         ModelError                     a URDF, SRDF, joint-limits or elasticity file
         SceneError                     a scene file
         ArchiveError                   a plan directory
@@ -42,7 +42,7 @@ class CmbotError(Exception):
 
 
 class InputError(CmbotError, ValueError):
-    """Something handed in is wrong; reads ``FILE: KEY: got X, expected Y``.
+    """The input is wrong; reads ``FILE: KEY: got X, expected Y``.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class ModelError(InputError):
 
 
 class SceneError(InputError):
-    """A scene file is missing, unreadable or asks for something that cannot be."""
+    """A scene file is missing, unreadable or impossible."""
 
 
 class ArchiveError(InputError):

@@ -159,7 +159,7 @@ def checked_options(model: type[T], options: object, source: str) -> T:
 
 
 def require_type(value: object, kind: type | tuple[type, ...], source: str, key: str, expected: str) -> None:
-    """Refuse a value of another type; `source` and `key` name what it was handed to, and as what.
+    """Refuse a value of another type; `source` is what it was passed to, `key` the argument.
 
     Raises
     ------
@@ -171,7 +171,7 @@ def require_type(value: object, kind: type | tuple[type, ...], source: str, key:
 
 
 def given_path(value: object, source: str, key: str, expected: str) -> Path:
-    """Return a path that was handed in.
+    """Return a path from an argument.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""The guardrail of a scene: the ``guardrail:`` block of the file, the data, and the boxes that can be hit.
+"""The guardrail of a scene: the ``guardrail:`` block of the file, as data, and as obstacles.
 
 Every default is an assumption of ours, see docs/assumptions.md: the paper gives no dimension of the bridge.
 All coordinates are in W, whose origin is where the foot holds: x along the guardrail, y outward, z up.
@@ -58,7 +58,7 @@ class SectionFile(FileModel):
 
 
 class PostFile(FileModel):
-    """What every post is like; posts stand along z."""
+    """Every post; its axis runs along z."""
 
     section: SectionFile = SectionFile(angle=(0.075, 0.008))
     roll_deg: Angle = 0.0
@@ -103,7 +103,7 @@ class FootFile(FileModel):
 
 
 class MaterialFile(FileModel):
-    """What all members are made of; steel by default."""
+    """Material of all members; steel by default."""
 
     young_pa: Annotated[float, Field(gt=0, le=1e13)] = 206e9
     """Young's modulus, Pa."""
@@ -127,10 +127,10 @@ _RAILS = (
 
 
 class GuardrailFile(FileModel):
-    """The guardrail that the robot holds: what can be hit and what bends.
+    """The guardrail that the robot holds, as an obstacle and as an elastic base.
 
-    Left out, or ``{}``: the guardrail of docs/assumptions.md. ``{bays: 0}``: nothing to hit, and a rigid
-    hold unless `stiffness` is given.
+    Left out, or ``{}``: the guardrail of docs/assumptions.md. ``{bays: 0}``: no obstacle, and a rigid base
+    unless `stiffness` is given.
     """
 
     bays: Annotated[int, Field(ge=0, le=100)] = 4

@@ -1,4 +1,4 @@
-"""What to plan, and where: the scene as data."""
+"""The scene: the planning problem and its surroundings as data."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
 
 @dataclass(frozen=True, kw_only=True)
 class RobotSource(CheckedFields):
-    """Where the robot comes from; the fields that may be None are None exactly for the shipped model.
+    """The files, frames and mount of the robot; fields that may be None are None for the shipped model.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ _ITEM_TYPES: dict[str, tuple[type, str]] = {"legs": (Leg, "a Leg"), "obstacles":
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
-    """What to plan, and where. Equal `content_hash` means the same scene.
+    """A planning problem and its surroundings. Equal `content_hash` means the same scene.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class Scene:
     posture : array
         (n,), joint angles at the start, rad; read-only.
     keep : str
-        What of the tool is prescribed: ``pose``, ``axis`` or ``position``.
+        What the tool path prescribes of the tool: its ``pose``, ``axis`` or ``position``.
     legs : tuple of Leg
         From the pose of the tool at `posture`.
     speed_profile : SpeedProfile

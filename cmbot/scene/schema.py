@@ -1,4 +1,4 @@
-"""The scene file as pydantic models: what may stand in it, in the file's own units."""
+"""The scene file as pydantic models, in its own units: metres, kilograms, seconds, degrees."""
 
 from __future__ import annotations
 
@@ -75,10 +75,10 @@ class RobotFile(FileModel):
 
 
 class ToolPathFile(FileModel):
-    """What the tool has to do, from the pose that the posture gives it."""
+    """The path of the tool from its pose in the start posture."""
 
     keep: Literal["pose", "axis", "position"] = "pose"
-    """What of the tool is prescribed."""
+    """What the path prescribes of the tool."""
     legs: Annotated[tuple[Leg, ...], Field(min_length=1, max_length=2000)]
     speed_profile: SpeedProfile = SpeedProfile()
     via_points: Annotated[int, Field(ge=5, le=20000)] = 50
@@ -122,7 +122,7 @@ class ObstacleFile(FileModel):
 
 
 class SceneFile(FileModel):
-    """The robot, its posture, the tool's path and what is around; in m, s, kg and degrees."""
+    """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
 
     format: Literal["cmbot-scene/1"]
     name: Slug
