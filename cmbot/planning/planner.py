@@ -48,9 +48,9 @@ def plan(
     """Plan the motion of a scene's arm.
 
     With sliding knots, charts of the self-motion and dynamic programming over them give via-points with the
-    least torque on the guardrail; with fixed knots, gradient projection gives those of the paper. Quintic
-    splines through them are optimised so that the torque stays small and the jerk smooth. The result is
-    certified apart from the optimiser, and so is the approach to where it starts.
+    least torque on the guardrail at rest; with fixed knots, gradient projection gives those of the paper.
+    Quintic splines through them are optimised for a small peak of the torque and little jerk. The result is
+    certified apart from the optimiser, and so is the approach to its start.
 
     Parameters
     ----------

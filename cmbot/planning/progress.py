@@ -1,4 +1,4 @@
-"""What the planner tells of its work while it goes on."""
+"""Progress reports of the planner."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ if TYPE_CHECKING:
 __all__ = ["Progress", "ProgressReporter"]
 
 _STAGES = {"path": "following the tool path", "optimise": "optimising", "certify": "certifying"}
-# A step's share is told when it has risen by so much.
-_WORTH_TELLING = 0.01
+# A step's share is reported when it has risen by this.
+_SHARE_STEP = 0.01
 
 T = TypeVar("T")
 
@@ -32,19 +32,17 @@ class Progress:
     failed_starts : int
         Starting postures from which no path was found so far.
     report : ExchangeReport or None
-        After each pass of the optimiser.
+        After each exchange iteration.
     unit : str
-        Of its peak: torque unless something else is made small.
+        Of its peak.
     rounds : int
         Of the compensation of the sag, this one included; 0 before it.
     step : str
-        What of the stage is being done, in words; empty where the stage says all.
+        Of the stage, in words; may be empty.
     share : float or None
-        Of the step, 0 to 1: how much of it is done. It never falls until another step begins; None where
-        nobody knows how much there is to do.
+        Of the step that is done, 0 to 1. It never falls until another step begins; None where unknown.
     left : Eta or None
-        Of the step: how long it will still take, judged by how long it took so far; None where there is no
-        basis for that.
+        Time that the step will still take, from the time so far; None where that says nothing.
     """
 
     stage: str
@@ -57,7 +55,7 @@ class Progress:
     left: Eta | None = None
 
     def sentence(self, *, passes: bool = True) -> str:
-        """Return the stage in words, and after a pass of the optimiser, if wished, what it has come to."""
+        """Return the stage in words, and after an exchange iteration, if wished, its peak and violation."""
         text = _STAGES[self.stage]
         if self.failed_starts:
             text += f" from another start ({self.failed_starts} failed)"
@@ -82,7 +80,7 @@ class Progress:
 
 
 class ProgressReporter:
-    """Tells whoever wants to know what the planner is doing, and how long it will still take.
+    """Reports what the planner is doing, and how long it will still take; keeps the times of its stages.
 
     Parameters
     ----------
@@ -101,7 +99,7 @@ class ProgressReporter:
         self._clock = clock
         self._now = Progress(stage="path")
         self._remaining = Remaining(clock())
-        self._told = 0.0
+        self._reported = 0.0
         self._seconds = dict.fromkeys(_STAGES, 0.0)
         self._stage_began = clock()
         # When the optimisation began, and when the passes before compensation and each round of it ended.
@@ -121,12 +119,12 @@ class ProgressReporter:
         return {**seconds, "total": sum(seconds.values())}
 
     def step(self, step: str) -> None:
-        """Begin a step of the stage, of which nobody knows how long it takes."""
+        """Begin a step of the stage of unknown duration."""
         if step != self._now.step:
-            self._begin(Progress(stage=self._now.stage, failed_starts=self._now.failed_starts, step=step))
+            self._begin(self._fresh(step=step))
 
     def part(self, step: str, done: float, total: float, *, at_most: bool = False) -> None:
-        """Tell how much of a step is done; its first part begins it.
+        """Report how much of a step is done; its first part begins it.
 
         Parameters
         ----------
@@ -137,21 +135,17 @@ class ProgressReporter:
             The step may end before all of them are done.
         """
         if step != self._now.step:
-            now = self._now
-            self._begin(
-                Progress(
-                    stage=now.stage, failed_starts=now.failed_starts, step=step, share=min(done / total, 1.0)
-                ),
-                at_most=at_most,
-            )
+            self._begin(self._fresh(step=step, share=min(done / total, 1.0)), at_most=at_most)
         self._remaining.note(done / total, self._clock())
         share = self._remaining.share
-        if share >= self._told + _WORTH_TELLING or self._told < share == 1.0:
-            self._told = share
-            self._tell(share)
+        if share >= self._reported + _SHARE_STEP or self._reported < share == 1.0:
+            self._reported = share
+            left = self._remaining.left(self._clock())
+            self._now = self._fresh(step=step, share=share, left=left)
+            self._progress(self._now)
 
     def each(self, step: str, things: Sequence[T]) -> Iterator[T]:
-        """Yield things whose turn it is in a step, one after the other."""
+        """Yield the things that a step handles, one after the other, and report its share."""
         for done, thing in enumerate(things):
             self.part(step, done, len(things))
             yield thing
@@ -160,7 +154,7 @@ class ProgressReporter:
     def passed(
         self, report: ExchangeReport, unit: str, most: int, rounds: int = 0, most_rounds: int = 0
     ) -> None:
-        """Tell of a pass of the optimiser.
+        """Report an exchange iteration.
 
         Parameters
         ----------
@@ -168,7 +162,7 @@ class ProgressReporter:
         unit : str
             Of its peak.
         most : int
-            Passes at most.
+            Iterations at most.
         rounds, most_rounds : int
             Of the compensation: this one's number, from 1, and rounds at most.
         """
@@ -190,17 +184,11 @@ class ProgressReporter:
         self._progress(self._now)
 
     def _begin(self, progress: Progress, *, at_most: bool = False) -> None:
-        self._now, self._told = progress, progress.share or 0.0
-        self._remaining = Remaining(self._clock(), share=self._told, at_most=at_most)
+        self._now, self._reported = progress, progress.share or 0.0
+        self._remaining = Remaining(self._clock(), share=self._reported, at_most=at_most)
         self._progress(progress)
 
-    def _tell(self, share: float) -> None:
+    def _fresh(self, step: str, share: float | None = None, left: Eta | None = None) -> Progress:
+        """Progress of a step of the present stage."""
         now = self._now
-        self._now = Progress(
-            stage=now.stage,
-            failed_starts=now.failed_starts,
-            step=now.step,
-            share=share,
-            left=self._remaining.left(self._clock()),
-        )
-        self._progress(self._now)
+        return Progress(stage=now.stage, failed_starts=now.failed_starts, step=step, share=share, left=left)

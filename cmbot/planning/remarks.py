@@ -1,4 +1,4 @@
-"""What a plan's figures alone do not say, in sentences."""
+"""Remarks on a plan: what its metrics alone do not say, in sentences."""
 
 from __future__ import annotations
 
@@ -13,28 +13,33 @@ from cmbot.planning.plan import ObjectiveMetrics, Plan
 
 __all__ = ["remarks"]
 
-# A peak that is lower by less than this share is no gain; a baseline this near to the floor leaves none.
-_GAIN, _NEAR_FLOOR = 5e-3, 1e-2
-# A floor is settled when its error is at most this share of it.
-_SETTLED = 1e-2
-# A floor below this share of the baseline's peak is none.
+# A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
+_GAIN, _NEAR_BOUND = 5e-3, 1e-2
+# Largest error of a lower bound that the search closed, as a share of it.
+_CLOSED = 1e-2
+# A lower bound below this share of the baseline's peak counts as zero.
 _NOTHING = 1e-9
 
 
 def remarks(plan: Plan) -> Iterator[str]:
-    """Yield what should be known of a plan besides its figures, a sentence or two each."""
+    """Yield what should be known of a plan besides its metrics, a sentence or two each."""
     yield from _start(plan)
     if plan.baseline_figures.min_clearance < plan.options.safety_margin_m:
         yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
     yield _gain(plan)
     yield from _nothing_gained(plan)
-    yield from _floor(plan)
+    yield from _lower_bound(plan)
     yield from plan.fallbacks
     yield from _bending(plan)
-    yield from _of_motion_alone(plan)
+    if _without_gravity(plan.objective):
+        yield (
+            "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was "
+            "chosen by it, and only the motion's own share could be lowered. More seconds for the legs lower "
+            "that; axis_weights with x or y above 0 count gravity's torque, too."
+        )
     checks, passes = len(plan.certificate.checks), counted(len(plan.passes), "pass", "passes")
     yield (
-        f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}, worked out again from "
+        f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}, computed again from "
         "the finished motion by code that the optimiser does not use; clearance stays above "
         f"{1e3 * plan.certificate.clearance_bound:.1f} mm at all times, between samples too."
     )
@@ -71,12 +76,12 @@ def _quieting(quiet: VibrationSuppression) -> str:
     return (
         f"Quieting: the {modes} of guardrail and links {brought}brought to rest at the ends of "
         f"{_quiet_legs(quiet.shares)}, by how the joints move; as predicted, {swing} without that, and by "
-        f"{1e3 * quiet.after:.4f} mm with it. It counts on the right stiffness."
+        f"{1e3 * quiet.after:.4f} mm with it. This assumes that the modelled stiffness is exact."
     )
 
 
 def _quiet_legs(shares: tuple[float, ...]) -> str:
-    """Name the legs that are quieted, those in part, and those that are not."""
+    """Name the legs that are quieted, those in part, and the others."""
     legs, whole, none = len(shares), shares.count(1.0), shares.count(0.0)
     part = legs - whole - none
     first = whole or part
@@ -94,11 +99,11 @@ def _start(plan: Plan) -> Iterator[str]:
     if plan.start.moved == 0:
         yield "Starts in the scene's posture."
         if plan.start.failures:
-            yield f"A better start was found, but not left for: {plan.start.failures[0].reason}."
+            yield f"A better start was found, but is not used: {plan.start.failures[0].reason}."
         return
     where = f"({_degrees(plan.start.posture)}) deg, up to {np.rad2deg(plan.start.moved):.1f} deg a joint away"
     if plan.start.failures:
-        # Every failure but the scene's posture's, and the one that led to the end.
+        # The others that failed, and the one that led to the end.
         tried = len(plan.start.failures)
         other = "Another one" if tried == 1 else f"The last of {tried} others tried"
         yield (
@@ -142,7 +147,7 @@ def _gain(plan: Plan) -> str:
 
 
 def _nothing_gained(plan: Plan) -> Iterator[str]:
-    """Say so where the plan is no better than the baseline in what was made small, and why it may be."""
+    """Where the objective is no better than the baseline's: that, and why."""
     objective = plan.objective
     if objective.planned_peak < objective.baseline_peak * (1 - _GAIN):
         return
@@ -153,30 +158,33 @@ def _nothing_gained(plan: Plan) -> Iterator[str]:
             "clearances or rest at both ends."
         )
         return
-    near = objective.floor is not None and objective.baseline_peak < objective.floor * (1 + _NEAR_FLOOR)
-    why = " The baseline is near the floor already: there is nothing to gain." if near else ""
+    near = objective.floor is not None and objective.baseline_peak < objective.floor * (1 + _NEAR_BOUND)
+    why = " The baseline is near the lower bound already: there is nothing to gain." if near else ""
     yield f"Hardly anything is gained at the peak; what the plan adds is that limits are kept.{why}"
 
 
-def _floor(plan: Plan) -> Iterator[str]:
+def _lower_bound(plan: Plan) -> Iterator[str]:
     objective = plan.objective
     if not objective.is_guardrail_torque:
         yield (
-            f"Made small: {_objective(objective)}, from a peak of "
+            f"Minimised: {_objective(objective)}, from a peak of "
             f"{_value(objective, objective.baseline_peak)} in the baseline to "
             f"{_value(objective, objective.planned_peak)}."
         )
-    if plan.lower_bound is None or plan.choice is None:
+    bound = plan.lower_bound
+    if bound is None or plan.choice is None:
         return
     gap = "" if objective.gap is None else f"; the peak is {100 * objective.gap:+.3f} % from it"
-    value, error = _value(objective, plan.lower_bound.value), _value(objective, plan.lower_bound.error, 1)
-    at, all_ = plan.lower_bound.via_point + 1, len(plan.lower_bound.each)
+    value, error = _value(objective, bound.value), _value(objective, bound.error, 1)
+    at, all_ = bound.via_point + 1, len(bound.each)
     where = f"at via-point {at} of the {all_} that the motion passes through, no posture"
-    if plan.lower_bound.error <= _SETTLED * plan.lower_bound.value:
-        yield (f"Floor: no admissible plan rests below {value} (error {error}): {where} asks less{gap}.")
+    if bound.error <= _CLOSED * bound.value:
+        yield (
+            f"Lower bound: no admissible plan rests below {value} (error {error}): {where} asks less{gap}."
+        )
     else:
         yield (
-            f"Floor, not settled: {where} was found that asks less than {value}, but the search was given up "
+            f"Lower bound, not closed: {where} was found that asks less than {value}, but the search ended "
             f"with {error} open{gap}."
         )
     pinned = plan.options.start == "pinned"
@@ -186,24 +194,17 @@ def _floor(plan: Plan) -> Iterator[str]:
         else ("in the scene's posture (start: pinned)", plan.choice.pinned)
     )
     if peak is None:
-        yield f"Started {other}, no way through the charts of postures was found."
+        yield f"Started {other}, no sequence of postures through the charts was found."
     else:
-        yield f"Started {other}, the way through the charts has a peak at rest of {_value(objective, peak)}."
+        yield f"Started {other}, the posture sequence has a peak at rest of {_value(objective, peak)}."
 
 
-def _of_motion_alone(plan: Plan) -> Iterator[str]:
-    """Say so where gravity has no part in what was made small: there was nothing to choose postures by."""
-    objective = plan.objective
-    if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:
-        yield (
-            "Gravity has no part in what was made small: at rest that is 0 everywhere, so no posture was "
-            "chosen by it, and only the motion's own share could be lowered. More seconds for the legs lower "
-            "that; axis_weights with x or y above 0 count gravity's torque, too."
-        )
+def _without_gravity(objective: ObjectiveMetrics) -> bool:
+    return objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak
 
 
 def _value(objective: ObjectiveMetrics, value: float, more_digits: int = 0) -> str:
-    """Write a value of the objective with its unit; what has none is a function of someone's own."""
+    """Write a value of the objective with its unit, which custom functions lack."""
     factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
     return f"{factor * value:.{2 + more_digits}f} {unit}".rstrip()
 

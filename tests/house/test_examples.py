@@ -60,7 +60,7 @@ def test_plan_a_scene(tmp_path: Path) -> None:
 def test_your_own_arm(tmp_path: Path) -> None:
     text = run("03_your_own_arm.py", tmp_path)
     assert "sander: 7 joints, 21.3 kg moving" in text
-    assert "Floor: no admissible plan rests below " in text, "the knots slide"
+    assert "Lower bound: no admissible plan rests below " in text, "the knots slide"
     deviation = number(r"^largest tool deviation, mm +\S+ +(\S+)", text)
     assert 0 < deviation <= 1.0
     assert number(r"^smallest clearance, mm +\S+ +(\S+)", text) >= 20

@@ -32,10 +32,10 @@ def test_passes_are_counted(short_plan: Plan, number: int, passes: str) -> None:
 
 
 def test_checks_are_counted(short_plan: Plan) -> None:
-    assert line(short_plan, "Certified: ").startswith("Certified: 9 checks hold, worked out again ")
+    assert line(short_plan, "Certified: ").startswith("Certified: 9 checks hold, computed again ")
     certificate = replace(short_plan.certificate, checks=short_plan.certificate.checks[:1])
     one = replace(short_plan, certificate=certificate)
-    assert line(one, "Certified: ").startswith("Certified: 1 check holds, worked out again ")
+    assert line(one, "Certified: ").startswith("Certified: 1 check holds, computed again ")
 
 
 @pytest.mark.parametrize(
@@ -89,16 +89,16 @@ def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Pla
     assert triangle_plan.lower_bound is not None
     at = triangle_plan.lower_bound.via_point + 1
     assert f"at via-point {at} of the 50 that the motion passes through, no posture asks less" in line(
-        triangle_plan, "Floor: "
+        triangle_plan, "Lower bound: "
     )
     approach = line(triangle_plan, "Approach: ")
     assert approach.startswith("Approach: before the work the arm goes there from the scene's posture, in ")
     assert approach.endswith("All other figures are of the work alone.")
     assert line(triangle_plan, "Against the baseline, the paper's motion without optimisation: ")
     pinned = "Started in the scene's posture (start: pinned), "
-    assert "the way through the charts has a peak at rest of " in line(triangle_plan, pinned)
+    assert "the posture sequence has a peak at rest of " in line(triangle_plan, pinned)
     none = replace(triangle_plan, choice=Choice(free=400.0, pinned=None))
-    assert "no way through the charts of postures was found" in line(none, pinned)
+    assert "no sequence of postures through the charts was found" in line(none, pinned)
 
 
 def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) -> None:
@@ -120,13 +120,13 @@ def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan:
 def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> None:
     assert triangle_plan.lower_bound is not None
     floor = replace(triangle_plan.lower_bound, error=0.3 * triangle_plan.lower_bound.value)
-    said = line(replace(triangle_plan, lower_bound=floor), "Floor, not settled: ")
-    assert f"the search was given up with {floor.error:.3f} Nm open" in said
+    said = line(replace(triangle_plan, lower_bound=floor), "Lower bound, not closed: ")
+    assert f"the search ended with {floor.error:.3f} Nm open" in said
     assert "no admissible plan" not in said
 
 
 def test_a_plan_that_gravity_has_no_part_in_says_so(triangle_plan: Plan) -> None:
     assert "Gravity has no part" not in " ".join(remarks(triangle_plan))
     objective = replace(triangle_plan.objective, axis_weights=(0.0, 0.0, 1.0), floor=0.0)
-    said = line(replace(triangle_plan, objective=objective), "Gravity has no part in what was made small")
+    said = line(replace(triangle_plan, objective=objective), "Gravity has no part in what was minimised")
     assert "axis_weights with x or y above 0" in said

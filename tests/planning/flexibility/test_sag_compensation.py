@@ -155,7 +155,7 @@ def test_sag_as_the_objective(tmp_path: Path) -> None:
     assert planned.objective.planned_peak <= planned.objective.floor * 1.002
     assert largest(planned) <= largest(torque) * (1 + 1e-6)
     assert planned.gap_to_floor is None
-    assert any("Made small: the tool's sag" in remark and " mm" in remark for remark in remarks(planned))
+    assert any("Minimised: the tool's sag" in remark and " mm" in remark for remark in remarks(planned))
     save(planned, tmp_path / "plan")
     assert load_plan(tmp_path / "plan", verify=True).objective == planned.objective
 
