@@ -25,6 +25,7 @@ from cmbot.elastic.arm import ElasticArm, ElasticOptions, cut_inertia
 from cmbot.robot import Kinematics, Robot
 
 SEGMENTS = (1, 2, 5)
+HALF = np.array([0.5])
 
 
 def compliance(arm: ElasticArm, q: FloatArray) -> FloatArray:
@@ -143,11 +144,18 @@ def test_pieces_are_possible_and_add_up(body: Any, segments: int, end: tuple[flo
         assert np.linalg.eigvalsh(matrix)[0] > -1e-12
 
 
+def rod(mass: float, centre: float, length: float) -> Any:
+    """A uniform rod along x."""
+    moment = mass * length**2 / 12
+    return pin.Inertia(mass, np.array([centre, 0, 0]), np.diag([0, moment, moment]))
+
+
+def cut(body: Any, length: float = 1.0, cuts: FloatArray = HALF) -> list[Any]:
+    return cut_inertia(body, np.zeros(3), np.array([length, 0, 0]), cuts)
+
+
 def test_a_uniform_tube_is_cut_where_it_is() -> None:
-    moment = 2.0 * 0.8**2 / 12
-    body = pin.Inertia(2.0, np.array([0.4, 0, 0]), np.diag([0, moment, moment]))
-    cuts = np.array([1, 3, 5, 7]) / 8
-    pieces = cut_inertia(body, np.zeros(3), np.array([0.8, 0, 0]), cuts)
+    pieces = cut(rod(2.0, 0.4, 0.8), 0.8, np.array([1, 3, 5, 7]) / 8)
     np.testing.assert_allclose([piece.mass for piece in pieces], [0.25, 0.5, 0.5, 0.5, 0.25], rtol=1e-12)
     lengths = np.array([0.1, 0.2, 0.2, 0.2, 0.1])
     # A quarter of their own second moment stays; the middles move apart for the rest.
@@ -164,9 +172,8 @@ def test_a_uniform_tube_is_cut_where_it_is() -> None:
 @pytest.mark.parametrize("centre", [0.45, 0.6, 0.73, 0.7499])
 def test_no_piece_is_outside_the_rod(centre: float) -> None:
     """A rod half as long as the axis: cut in the middle, near its end, at its very end."""
-    moment = 0.5**2 / 12
-    body = pin.Inertia(1.0, np.array([centre, 0, 0]), np.diag([0, moment, moment]))
-    near, far = cut_inertia(body, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.5]))
+    body = rod(1.0, centre, 0.5)
+    near, far = cut(body)
     np.testing.assert_allclose([near.mass, far.mass], [1.5 - 2 * centre, 2 * centre - 0.5], rtol=1e-9)
     assert centre - 0.25 <= near.lever[0] + 1e-12
     assert far.lever[0] <= centre + 0.25 + 1e-12
@@ -175,14 +182,11 @@ def test_no_piece_is_outside_the_rod(centre: float) -> None:
 
 def test_mass_stays_on_its_side_of_a_cut() -> None:
     head = pin.Inertia(3.0, np.array([0.9, 0.1, 0]), 1e-3 * np.eye(3))
-    near, far = cut_inertia(head, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.5]))
+    near, far = cut(head)
     assert near.mass == 0
     assert far.isApprox(head)
-    point = pin.Inertia(1.0, np.array([0.2, 0, 0]), np.zeros((3, 3)))
-    near, far = cut_inertia(point, np.zeros(3), np.array([1.0, 0, 0]), np.array([0.5]))
-    assert (near.mass, far.mass) == (1.0, 0.0)
-    nothing = cut_inertia(pin.Inertia.Zero(), np.zeros(3), np.ones(3), np.ones(1))
-    assert [piece.mass for piece in nothing] == [0, 0]
+    assert [piece.mass for piece in cut(rod(1.0, 0.2, 0.0))] == [1.0, 0.0]
+    assert [piece.mass for piece in cut(pin.Inertia.Zero())] == [0, 0]
 
 
 def test_the_payload_is_at_the_end_of_a_bending_link(tmp_path: Path) -> None:

@@ -1,6 +1,7 @@
 """Joint torques and guardrail wrench against the paper's recursion, mechanics and finite differences."""
 
 import dataclasses
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
@@ -34,10 +35,13 @@ def with_gravity(robot: Robot, gravity: FloatArray) -> Robot:
     return dataclasses.replace(robot, model=model, floating_model=floating)
 
 
-def test_efforts_are_the_papers_recursion(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
-) -> None:
-    q, v, a = random_states(cmbot_robot, 100_000)
+@pytest.fixture
+def cmbot_states(cmbot_robot: Robot, random_states: StateSamples) -> StateSamples:
+    return partial(random_states, cmbot_robot)
+
+
+def test_efforts_are_the_papers_recursion(cmbot_dynamics: Dynamics, cmbot_states: StateSamples) -> None:
+    q, v, a = cmbot_states(100_000)
     tau, n_0, f_0 = newton_euler.efforts(q, v, a)
     got = cmbot_dynamics.efforts(q, v, a)
     # A single component may cancel to nearly nothing, so errors count against the state's own largest torque
@@ -50,10 +54,10 @@ def test_efforts_are_the_papers_recursion(
 
 
 def test_joint_torque_is_mass_matrix_coriolis_and_gravity(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, cmbot_states: StateSamples
 ) -> None:
     """Chang 2021, Eq. (14)."""
-    q, v, a = random_states(cmbot_robot, 1000)
+    q, v, a = cmbot_states(1000)
     model, data = cmbot_robot.model, cmbot_robot.model.createData()
     got = cmbot_dynamics.efforts(q, v, a).joint_torque
     for k in range(len(q)):
@@ -68,20 +72,10 @@ def test_power_of_the_joints_is_the_change_of_energy(cmbot_dynamics: Dynamics) -
     t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     q, v, a = motion(t)
     power = (cmbot_dynamics.efforts(q, v, a).joint_torque * v).sum(axis=1)
-    for k in range(0, len(t), 10):
-        check_derivative(
-            lambda x: newton_euler.energy(*motion(x)[:2])[0],
-            t[k : k + 1],
-            power[k : k + 1],
-            atol=1e-8 * np.abs(power).max(),
-        )
-
-
-def test_work_of_the_joints_over_a_closed_motion_is_zero(cmbot_dynamics: Dynamics) -> None:
-    # The rectangle rule is exact for a smooth periodic integrand: its error falls faster than any power.
-    t = np.linspace(0, 2 * np.pi, 200, endpoint=False)
-    q, v, a = motion(t)
-    power = (cmbot_dynamics.efforts(q, v, a).joint_torque * v).sum(axis=1)
+    for at, expected in zip(t[::10, None], power[::10, None], strict=True):
+        energy_atol = 1e-8 * np.abs(power).max()
+        check_derivative(lambda x: newton_euler.energy(*motion(x)[:2])[0], at, expected, atol=energy_atol)
+    # Over the closed motion the work is zero. The rectangle rule is exact for a smooth periodic integrand.
     assert np.abs(power).mean() > 10
     assert power.mean() == pytest.approx(0, abs=1e-11 * np.abs(power).max())
 
@@ -105,9 +99,9 @@ def test_wrench_is_the_change_of_momentum(cmbot_robot: Robot, cmbot_dynamics: Dy
 
 
 def test_at_rest_the_force_is_the_weight_and_the_torque_its_lever(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
+    cmbot_dynamics: Dynamics, cmbot_states: StateSamples
 ) -> None:
-    q, _, _ = random_states(cmbot_robot, 2000)
+    q, _, _ = cmbot_states(2000)
     got = cmbot_dynamics.static_efforts(q)
     W = weight(37.62)
     np.testing.assert_allclose(got.guardrail_force, np.tile(W, (len(q), 1)), rtol=0, atol=1e-10)
@@ -123,9 +117,9 @@ def test_static_torque_of_the_start_posture(cmbot_dynamics: Dynamics) -> None:
 
 @pytest.mark.parametrize("factor", [0.0, 0.5, -2.0])
 def test_static_efforts_scale_with_gravity(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples, factor: float
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, cmbot_states: StateSamples, factor: float
 ) -> None:
-    q, _, _ = random_states(cmbot_robot, 50)
+    q, _, _ = cmbot_states(50)
     normal = cmbot_dynamics.static_efforts(q)
     scaled = Dynamics(with_gravity(cmbot_robot, factor * weight(1.0))).static_efforts(q)
     for field in dataclasses.fields(normal):
@@ -134,9 +128,9 @@ def test_static_efforts_scale_with_gravity(
 
 
 def test_efforts_of_a_motion_differ_from_rest_by_a_part_free_of_gravity(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
+    cmbot_robot: Robot, cmbot_dynamics: Dynamics, cmbot_states: StateSamples
 ) -> None:
-    q, v, a = random_states(cmbot_robot, 50)
+    q, v, a = cmbot_states(50)
     floating = Dynamics(with_gravity(cmbot_robot, np.zeros(3))).efforts(q, v, a)
     moving, still = cmbot_dynamics.efforts(q, v, a), cmbot_dynamics.static_efforts(q)
     for field in dataclasses.fields(moving):
@@ -159,18 +153,17 @@ def test_payload_is_a_point_mass_at_the_tool(cmbot_dynamics: Dynamics, cmbot_kin
         acceleration = finite_difference(tool_velocity, np.array([t]))[:, 0]
         force = weight(5.0) - 5.0 * acceleration
         with_load, without = Dynamics(loaded).efforts(*state), cmbot_dynamics.efforts(*state)
-        extra = with_load.guardrail_force - without.guardrail_force
-        np.testing.assert_allclose(extra[0], force, atol=1e-7)
-        extra = with_load.guardrail_torque - without.guardrail_torque
-        np.testing.assert_allclose(extra[0], np.cross(X_WT.translation, force), atol=1e-7)
-        extra = with_load.joint_torque - without.joint_torque
-        np.testing.assert_allclose(extra[0], -J[:3].T @ force, atol=1e-7)
+        for name, expected in (
+            ("guardrail_force", force),
+            ("guardrail_torque", np.cross(X_WT.translation, force)),
+            ("joint_torque", -J[:3].T @ force),
+        ):
+            extra = getattr(with_load, name) - getattr(without, name)
+            np.testing.assert_allclose(extra[0], expected, atol=1e-7)
 
 
-def test_tool_length_has_no_mass(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
-) -> None:
-    states = random_states(cmbot_robot, 50)
+def test_tool_length_has_no_mass(cmbot_dynamics: Dynamics, cmbot_states: StateSamples) -> None:
+    states = cmbot_states(50)
     longer = Dynamics(load_robot("cmbot", tool_length=0.6)).efforts(*states)
     np.testing.assert_array_equal(longer.guardrail_torque, cmbot_dynamics.efforts(*states).guardrail_torque)
 
@@ -194,9 +187,9 @@ def test_derivatives_are_those_of_the_efforts(any_arm: Robot, random_states: Sta
 
 
 def test_derivative_to_acceleration_is_the_mass_matrix(
-    cmbot_robot: Robot, cmbot_dynamics: Dynamics, random_states: StateSamples
+    cmbot_dynamics: Dynamics, cmbot_states: StateSamples
 ) -> None:
-    states = random_states(cmbot_robot, 200)
+    states = cmbot_states(200)
     M = cmbot_dynamics.derivatives(*states).d_a[:, 3:]
     np.testing.assert_allclose(M, M.swapaxes(1, 2), rtol=0, atol=1e-11)
     assert np.linalg.eigvalsh(M).min() > 0
@@ -211,7 +204,8 @@ def test_no_states_give_empty_results(cmbot_dynamics: Dynamics) -> None:
 # Other arms, many states in one call
 
 
-states = st.tuples(
+Draw = tuple[int, int, float, float]
+draws = st.tuples(
     st.integers(0, 2**32 - 1),
     st.sampled_from([1, 2, 9]),
     st.sampled_from([0.0, 0.3, 4.0]),
@@ -247,11 +241,9 @@ def same(got: FloatArray, expected: FloatArray) -> None:
 
 
 @settings(max_examples=20)
-@given(drawn_from=states)
-def test_efforts_are_those_of_the_arm_at_each_state(
-    any_arm: Robot, drawn_from: tuple[int, int, float, float]
-) -> None:
-    q, v, a = drawn(any_arm, *drawn_from)
+@given(draw=draws)
+def test_efforts_are_those_of_the_arm_at_each_state(any_arm: Robot, draw: Draw) -> None:
+    q, v, a = drawn(any_arm, *draw)
     got = Dynamics(any_arm).efforts(q, v, a)
     data = any_arm.model.createData()
     for k in range(len(q)):
@@ -263,11 +255,9 @@ def test_efforts_are_those_of_the_arm_at_each_state(
 
 
 @settings(max_examples=20)
-@given(drawn_from=states)
-def test_derivatives_are_those_of_the_free_flying_arm(
-    any_arm: Robot, drawn_from: tuple[int, int, float, float]
-) -> None:
-    q, v, a = drawn(any_arm, *drawn_from)
+@given(draw=draws)
+def test_derivatives_are_those_of_the_free_flying_arm(any_arm: Robot, draw: Draw) -> None:
+    q, v, a = drawn(any_arm, *draw)
     value, d_q, d_v, d_a = free_flying(any_arm, q, v, a)
     wrench, efforts = Dynamics(any_arm).wrench_derivatives(q, v, a), Dynamics(any_arm).derivatives(q, v, a)
     for name, expected in {"value": value, "d_q": d_q, "d_v": d_v, "d_a": d_a}.items():

@@ -34,13 +34,9 @@ def test_masses(cmbot_robot: Robot) -> None:
     assert cmbot_robot.arm_mass == pytest.approx(37.62, abs=1e-12)
     assert cmbot_robot.carrier_mass == pytest.approx(30.38, abs=1e-12)
     assert cmbot_robot.mass == pytest.approx(68.0, abs=1e-12)
-
-
-def test_carrier_in_the_working_stance(cmbot_robot: Robot) -> None:
-    carrier = cmbot_robot.model.inertias[0]
-    # The URDF's decimals end at 1e-12.
-    np.testing.assert_allclose(carrier.lever, [0, 0.25, 0], atol=1e-9)
-    np.testing.assert_allclose(carrier.inertia, 0.6 * np.eye(3), atol=1e-9)
+    carrier = cmbot_robot.model.inertias[0]  # in the working stance
+    np.testing.assert_allclose(carrier.lever, [0, 0.25, 0], atol=1e-10)
+    np.testing.assert_allclose(carrier.inertia, 0.6 * np.eye(3), atol=1e-10)
     expected = np.cross([0, 0.25, 0], [0, 0, -30.38 * 9.81])
     np.testing.assert_allclose(cmbot_robot.carrier_torque, expected, atol=1e-8)
 

@@ -1,4 +1,7 @@
-"""The robot description that is checked in: up to date, physically possible, the same to three programs."""
+"""The robot description that is checked in: up to date, physically possible, the same to three programs.
+
+Its limits, masses and tool poses are tested on the loaded robot, in test_loading.py and test_kinematics.py.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,6 @@ import pinocchio as pin
 import pytest
 import trimesh
 import yourdfpy
-from ruamel.yaml import YAML
 
 ROOT = Path(__file__).parents[2]
 MODELS = ROOT / "models"
@@ -43,9 +45,6 @@ INERTIA = [  # Ixx, Iyy, Izz, Ixy, Ixz, Iyz
 ]
 TABLE_2_LINK_3_AND_4 = {3: (0.06, 0.56, 0.59, 0.011, 0.12, 0), 4: (0.05, 0.03, 0.03, -0.01, 0.01, 0)}
 COM = [(0.415, 0, 0), (0.5, 0, 0), (0.39, 0, 0), (0, -0.1, 0), (0, 0, -0.435), (0, 0, 0), (0, 0, 0.1)]
-RANGE_DEG = [170, 170, 150, 170, 170, 130, 170]
-VELOCITY_DEG = [20, 20, 20, 30, 30, 30, 30]
-TORQUE = [240, 240, 240, 160, 160, 160, 160]
 DH = [(0, 0, 0), (-90, 0.83, 0), (0, 1.0, 0), (0, 0.78, 0), (90, 0, 0.87), (-90, 0, 0), (90, 0, 0)]
 
 
@@ -151,29 +150,6 @@ def test_arm_joints_are_the_modified_dh_table(model, stance):
     np.testing.assert_allclose(X_BT.homogeneous, X, atol=1e-12)
 
 
-@pytest.mark.parametrize(
-    ("arm_deg", "wrist"),
-    [([0, -90, 90, 0, 0, 0, 0], (1.61, 0, 1.87)), ([0, 0, 0, 0, 0, 0, 0], (2.61, 0, 0.87))],
-)
-def test_wrist_centre_in_frame_1(model, stance, arm_deg, wrist):
-    q = posture(model, stance, arm_deg)
-    X_1 = pose(model, q, "link_1")
-    np.testing.assert_allclose(X_1.actInv(pose(model, q, "link_5").translation), wrist, atol=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("arm_deg", "point", "axis"),
-    [
-        (TRIANGLE_DEG, (1.815, 0.780, -2.063), (0.766, 0, -0.643)),
-        (LINE_DEG, (0.812, 1.372, -1.984), (-0.733, -0.532, -0.425)),
-    ],
-)
-def test_initial_tool_point_and_axis(model, stance, arm_deg, point, axis):
-    X_WT = pose(model, posture(model, stance, arm_deg), "tool0")
-    np.testing.assert_allclose(X_WT.translation, point, atol=5e-4)
-    np.testing.assert_allclose(X_WT.rotation[:, 2], axis, atol=5e-4)
-
-
 def test_stance_hangs_the_arm_at_its_place(model, stance):
     X_WB = pose(model, stance, "arm_base")
     np.testing.assert_allclose(X_WB.translation, (0, 0.5, 0), atol=1e-12)
@@ -181,16 +157,6 @@ def test_stance_hangs_the_arm_at_its_place(model, stance):
     np.testing.assert_array_equal(stance[[model.joints[model.getJointId(n)].idx_q for n in ARM]], np.zeros(7))
     assert np.all(model.lowerPositionLimit <= stance)
     assert np.all(stance <= model.upperPositionLimit)
-
-
-def test_climber_composite_in_the_stance(model, stance, root):
-    whole = pin.Inertia.Zero()
-    for name, (mass, com, inertia) in stated_bodies(root).items():
-        if name in CLIMBER:
-            whole += pose(model, stance, name).act(pin.Inertia(mass, com, inertia))
-    assert whole.mass == pytest.approx(30.38, abs=1e-12)
-    np.testing.assert_allclose(whole.lever, (0, 0.25, 0), atol=1e-10)
-    np.testing.assert_allclose(whole.inertia, 0.6 * np.eye(3), atol=1e-10)
 
 
 def test_arm_bodies_are_the_tables(root):
@@ -222,24 +188,6 @@ def test_replaced_inertias_are_needed_and_near(link):
     assert distance == pytest.approx(excess / np.sqrt(3), abs=5e-5)
 
 
-def test_limits(model):
-    for i, name in enumerate(ARM):
-        joint = model.joints[model.getJointId(name)]
-        assert model.upperPositionLimit[joint.idx_q] == np.deg2rad(RANGE_DEG[i])
-        assert model.lowerPositionLimit[joint.idx_q] == -np.deg2rad(RANGE_DEG[i])
-        assert model.velocityLimit[joint.idx_v] == pytest.approx(np.deg2rad(VELOCITY_DEG[i]), rel=1e-15)
-        assert model.effortLimit[joint.idx_v] == TORQUE[i]
-
-
-def test_joint_limits_file():
-    limits = YAML(typ="safe").load(MODELS / "urdf" / "joint_limits.yaml")
-    assert limits["format"] == "cmbot-joint-limits/1"
-    assert list(limits["joints"]) == ARM
-    rows = list(limits["joints"].values())
-    assert [row["acceleration_deg"] for row in rows] == [60, 60, 60, 90, 90, 90, 90]
-    assert [row["jerk_deg"] for row in rows] == [160, 160, 160, 240, 240, 240, 240]
-
-
 def test_three_programs_read_the_same_robot(model):
     # MuJoCo refuses impossible bodies (the file keeps it from balancing inertias).
     physics = mujoco.MjModel.from_xml_path(str(URDF))
@@ -269,6 +217,16 @@ def test_three_programs_read_the_same_robot(model):
 # Shapes and allowed contacts
 
 
+def placed_shapes(model, q):
+    """Collision shapes, and where they and the frames are."""
+    data = model.createData()
+    geometry = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.COLLISION)
+    placed = pin.GeometryData(geometry)
+    pin.framesForwardKinematics(model, data, q)
+    pin.updateGeometryPlacements(model, data, geometry, placed)
+    return geometry, placed.oMg, data.oMf
+
+
 def test_collision_shapes_are_primitives_and_capsules(model, root):
     geometry = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.COLLISION)
     stated = [(link, shape) for link in root.iter("link") for shape in link.findall("collision")]
@@ -291,23 +249,18 @@ def test_collision_shapes_are_primitives_and_capsules(model, root):
 
 
 def test_arm_capsules_run_from_joint_to_joint(model, stance):
-    q = posture(model, stance, LINE_DEG)
-    data = model.createData()
-    geometry = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.COLLISION)
-    placed = pin.GeometryData(geometry)
-    pin.framesForwardKinematics(model, data, q)
-    pin.updateGeometryPlacements(model, data, geometry, placed)
+    geometry, shape_poses, frame_poses = placed_shapes(model, posture(model, stance, LINE_DEG))
     # link_4 and link_5 share a tube: its capsule belongs to link_5.
     frames = ["link_1", "link_2", "link_3", "link_4", "link_5", "tool0"]
     for start, end, name in zip(
         frames, frames[1:], ["link_1", "link_2", "link_3", "link_5", "tool"], strict=False
     ):
         index = geometry.getGeometryId(f"{name}_0")
-        shape, X_WC = geometry.geometryObjects[index].geometry, placed.oMg[index]
+        shape, X_WC = geometry.geometryObjects[index].geometry, shape_poses[index]
         caps = [X_WC.act(np.array([0, 0, sign * shape.halfLength])) for sign in (-1, 1)]
-        p_start, p_end = (data.oMf[model.getFrameId(frame)].translation for frame in (start, end))
+        p_start, p_end = (frame_poses[model.getFrameId(frame)].translation for frame in (start, end))
         if name == "tool":  # the far cap ends at the tip, the centre of its sphere lies a radius before it
-            p_end = p_end - shape.radius * data.oMf[model.getFrameId("tool0")].rotation[:, 2]
+            p_end = p_end - shape.radius * frame_poses[model.getFrameId("tool0")].rotation[:, 2]
         np.testing.assert_allclose(caps, [p_start, p_end], atol=1e-12)
 
 
@@ -369,12 +322,8 @@ def test_legs_stay_above_the_sweep_of_link_1(model, stance):
 
 
 def test_climber_stays_compact_in_the_stance(model, stance):
-    data = model.createData()
-    geometry = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.COLLISION)
-    placed = pin.GeometryData(geometry)
-    pin.framesForwardKinematics(model, data, stance)
-    pin.updateGeometryPlacements(model, data, geometry, placed)
-    for shape, X_WG in zip(geometry.geometryObjects, placed.oMg, strict=True):
+    geometry, shape_poses, _ = placed_shapes(model, stance)
+    for shape, X_WG in zip(geometry.geometryObjects, shape_poses, strict=True):
         if model.frames[shape.parentFrame].name in CLIMBER:
             shape.geometry.computeLocalAABB()
             box = shape.geometry.aabb_local
