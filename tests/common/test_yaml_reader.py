@@ -71,6 +71,7 @@ def test_byte_order_mark_is_accepted(tmp_path):
         ("a: 'x\n", "", "found unexpected end of stream (line 2, column 1)"),
         ("a: b: c\n", "", "mapping values are not allowed here (line 1, column 5)"),
         ("a: \x07\n", "", "a control character (U+0007, at position 4)"),
+        (b"a: \xff\n", "", "a byte that is not UTF-8 (byte 3)"),
     ],
 )
 def test_refused_content(tmp_path, content, key, got):
@@ -78,10 +79,6 @@ def test_refused_content(tmp_path, content, key, got):
     assert error.key == key
     assert got in error.got
     assert error.expected
-
-
-def test_not_utf8(tmp_path):
-    assert refused(tmp_path, b"a: \xff\n").got == "a byte that is not UTF-8 (byte 3)"
 
 
 def test_too_large(tmp_path):
@@ -96,22 +93,19 @@ def test_missing_file(tmp_path):
     assert isinstance(caught.value.__cause__, FileNotFoundError)
 
 
-def test_folder(tmp_path):
-    with pytest.raises(SceneError, match="got a folder, expected a file"):
-        read_yaml(tmp_path, SceneError)
-
-
-def test_pipe_is_refused_instead_of_waited_for(tmp_path):
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [
+        (".", "got a folder, expected a file"),
+        ("pipe", "not a regular file"),  # reading one may never end
+        ("file.yaml/below", "cannot be read"),  # an OSError for root, too
+    ],
+)
+def test_what_is_no_readable_file(tmp_path, name, message):
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(SceneError, match="not a regular file"):
-        read_yaml(tmp_path / "pipe", SceneError)
-
-
-def test_unreadable_file(tmp_path):
-    path = tmp_path / "file.yaml"
-    path.write_text("a: 1\n")
-    with pytest.raises(SceneError, match="cannot be read"):
-        read_yaml(path / "below", SceneError)  # a path through a file: an OSError for root, too
+    (tmp_path / "file.yaml").write_text("a: 1\n")
+    with pytest.raises(SceneError, match=message):
+        read_yaml(tmp_path / name, SceneError)
 
 
 @pytest.fixture(scope="module")
