@@ -30,15 +30,17 @@ from cmbot.planning import (
     QuinticTrajectory,
     ToolTask,
     bending_arm,
+    certificate_grid,
+    certify,
     certify_approach,
+    figures,
+    measure,
+    objective_metrics,
+    objective_of,
     robot_of,
     sag_of,
     task_of,
 )
-from cmbot.planning.objectives import objective_of
-from cmbot.planning.plan import objective_metrics
-from cmbot.planning.verification.certificate import certificate_grid, certify
-from cmbot.planning.verification.metrics import figures, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene, scene_from_file
 

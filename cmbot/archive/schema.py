@@ -16,10 +16,16 @@ from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, Va
 
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import FileModel, refusal
-from cmbot.planning import ExchangeReport, LimitUse, LowerBound, Seconds, Start
-from cmbot.planning.flexibility.sag_compensation import Compensation
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
-from cmbot.planning.initial_guess import Choice
+from cmbot.planning import (
+    Choice,
+    Compensation,
+    ExchangeReport,
+    LimitUse,
+    LowerBound,
+    Seconds,
+    Start,
+    VibrationSuppression,
+)
 from cmbot.scene import PlannerOptions, SceneFile
 
 __all__ = ["ApproachFile", "CertificateFile", "MetricsFile", "PlanFile", "made"]

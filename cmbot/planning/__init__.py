@@ -1,20 +1,32 @@
-"""The method: path, via-points, trajectory, certificate, plan."""
+"""The method, section by section: path, via-points, trajectory, certificate, plan.
+
+Other rooms import from here; the parts of the method import each other's modules, as this one needs them all.
+"""
 
 from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning.approach.approach import Approach, certify_approach
 from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
-from cmbot.planning.objectives import Objective, PostureFunction, PostureObjective, WrenchObjective
+from cmbot.planning.flexibility.sag_compensation import Compensation
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
+from cmbot.planning.initial_guess import Choice
+from cmbot.planning.objectives import (
+    Objective,
+    PostureFunction,
+    PostureObjective,
+    WrenchObjective,
+    objective_of,
+)
 from cmbot.planning.path.gradient_projection import JointPath
 from cmbot.planning.path.task import ToolTask
-from cmbot.planning.plan import ObjectiveMetrics, Plan, Seconds, Start, require_plan
+from cmbot.planning.plan import ObjectiveMetrics, Plan, Seconds, Start, objective_metrics, require_plan
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress
 from cmbot.planning.remarks import remarks
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.verification.certificate import Certificate, Check
-from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples
+from cmbot.planning.verification.certificate import Certificate, Check, certificate_grid, certify
+from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure
 from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
@@ -23,6 +35,8 @@ __all__ = [
     "Approach",
     "Certificate",
     "Check",
+    "Choice",
+    "Compensation",
     "ExchangeReport",
     "GlobalSearch",
     "GlobalSolution",
@@ -43,11 +57,18 @@ __all__ = [
     "SplineSpace",
     "Start",
     "ToolTask",
+    "VibrationSuppression",
     "WeightedMoment",
     "WrenchFunction",
     "WrenchObjective",
     "bending_arm",
+    "certificate_grid",
+    "certify",
     "certify_approach",
+    "figures",
+    "measure",
+    "objective_metrics",
+    "objective_of",
     "plan",
     "precheck_options",
     "precheck_scene",

@@ -13,8 +13,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import require_type
-from cmbot.planning import MotionMetrics, Plan, Samples
-from cmbot.planning.verification.metrics import figures, measure
+from cmbot.planning import MotionMetrics, Plan, Samples, figures, measure
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.views.meshcat_scene import reach, scene_commands

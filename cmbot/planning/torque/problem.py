@@ -21,7 +21,7 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import Objective
 from cmbot.planning.torque.constraints import ClearanceMargin, JointTorque, ToolDeviation
 from cmbot.planning.torque.task_manifold import TaskManifold
-from cmbot.robot import Dynamics, Kinematics, Postures, Robot
+from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -121,8 +121,7 @@ def parametrization_through(
     limits = context.robot.limits
     bounds = np.stack([limits.velocity, limits.acceleration, limits.jerk])
     splines = SparseSplines(SplineSpace(context.times), bounds)
-    points = context.task.path.position(context.times)
-    manifold = TaskManifold(Postures(context.robot), context.task, points)
+    manifold = TaskManifold(context.postures, context.task, context.points)
     return Parametrization(
         splines,
         via_points,
