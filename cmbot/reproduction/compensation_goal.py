@@ -49,26 +49,14 @@ def compensation_goal(variant: Variant) -> GoalTable:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Case:
-    """One quantity at one stiffness; arrays are (3,).
+    """One quantity at one stiffness; arrays are (3,)."""
 
-    Attributes
-    ----------
-    stiffness : float
-        As a multiple of the modelled one.
-    name : str
-    asked : bool
-        Where the baseline's figure is large enough to be judged.
-    cut : reduction, per cent
-    ratio : predicted sag of the planned motion in units of the baseline's figure at that stiffness
-    vibration : the same quantity of the dynamic part, m
-    """
-
-    stiffness: float
+    stiffness: float  # as a multiple of the modelled one
     name: str
-    asked: BoolArray
-    cut: FloatArray
-    ratio: FloatArray
-    vibration: FloatArray
+    asked: BoolArray  # where the baseline's figure is large enough to be judged
+    cut: FloatArray  # reduction, per cent
+    ratio: FloatArray  # predicted sag of the planned motion over the baseline's figure at that stiffness
+    vibration: FloatArray  # the same quantity of the dynamic part, m
 
     @property
     def goal(self) -> float:

@@ -440,10 +440,13 @@ def test_the_command_refuses_what_is_in_the_way_before_it_plans(tmp_path: Path, 
 
 
 @pytest.mark.usefixtures("planner")
-def test_the_command_answers_in_short(tmp_path: Path) -> None:
+def test_the_command_replaces_a_reproduction_and_answers_in_short(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    outcome = run("reproduce", "-o", folder, "--quick")
+    folder.mkdir()
+    (folder / "reproduce.md").write_text("old", encoding="utf-8")
+    outcome = run("reproduce", "-o", folder, "--quick", "--force")
     assert outcome.status == 0, outcome.err
+    assert (folder / "reproduce.md").read_text(encoding="utf-8").startswith("# The paper's experiments")
     lines = outcome.out.splitlines()
     told = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
     verdicts = [
@@ -465,10 +468,3 @@ def test_the_command_answers_in_short(tmp_path: Path) -> None:
         assert f"{agreeing} of {len(entry['findings'])} are found again for the {entry['scene']}" in paper
     assert written.startswith("Written to ")
     assert more == f"All figures, and why: {folder / 'reproduce.md'}; --details prints them."
-
-
-@pytest.mark.usefixtures("planner")
-def test_force_replaces_a_reproduction(tmp_path: Path) -> None:
-    (tmp_path / "reproduce.md").write_text("old", encoding="utf-8")
-    assert run("reproduce", "-o", tmp_path, "--force").status == 0
-    assert (tmp_path / "reproduce.md").read_text(encoding="utf-8").startswith("# The paper's experiments")
