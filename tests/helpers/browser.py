@@ -6,6 +6,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from selenium import webdriver
@@ -82,3 +83,19 @@ def connections(chrome: webdriver.Chrome) -> set[str]:
     asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
     asked |= {e["params"]["url"] for e in events if e["method"] == "Network.webSocketCreated"}
     return {url for url in asked if not url.startswith(("data:", "blob:"))}
+
+
+def ask(chrome: webdriver.Chrome, expression: str) -> Any:
+    """The value of a JavaScript expression on the page."""
+    return chrome.execute_script(f"return {expression}")
+
+
+def slide(chrome: webdriver.Chrome, slider: str, value: float) -> None:
+    """Move a slider of a page as a person would."""
+    chrome.execute_script(
+        """const slider = document.getElementById(arguments[0]);
+        slider.value = arguments[1];
+        slider.dispatchEvent(new Event("input"));""",
+        slider,
+        value,
+    )

@@ -8,11 +8,10 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 import pytest
-from browser import chromium, connections, console_errors, next_frame, open_page
-from browser_report import slide
+from browser import ask, chromium, connections, console_errors, next_frame, open_page, slide
 from page_data import hostile, without_shapes
 from PIL import Image
-from selenium import webdriver
+from selenium.webdriver import Chrome
 
 from cmbot.collision import Clearances
 from cmbot.planning import Plan
@@ -25,20 +24,20 @@ EVIL = "</script><script>window.hacked=1</script><img src=x onerror='window.hack
 
 
 @pytest.fixture(scope="module")
-def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[webdriver.Chrome]:
+def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
     with chromium(tmp_path_factory.mktemp("chromium")) as driver:
         yield driver
 
 
 @pytest.fixture(scope="module")
-def page(chrome: webdriver.Chrome, triangle_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def page(chrome: Chrome, triangle_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("page") / "replay.html"
     replay(triangle_plan, path)
     return path
 
 
 @pytest.fixture
-def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
+def shown(chrome: Chrome, page: Path) -> Chrome:
     """The browser with the page open at time 0, paused."""
     if chrome.current_url != page.as_uri():
         open_page(chrome, page)
@@ -46,19 +45,17 @@ def shown(chrome: webdriver.Chrome, page: Path) -> webdriver.Chrome:
     return chrome
 
 
-def picture(chrome: webdriver.Chrome) -> np.ndarray:
+def picture(chrome: Chrome) -> np.ndarray:
     next_frame(chrome)
     png = chrome.find_element("id", "view").screenshot_as_png
     return np.asarray(Image.open(io.BytesIO(png)).convert("RGB")).astype(int)
 
 
-def drawn_pose(chrome: webdriver.Chrome, link: str, arm: str) -> np.ndarray:
+def drawn_pose(chrome: Chrome, link: str, arm: str) -> np.ndarray:
     return np.reshape(chrome.execute_script("return cmbotReplay.pose(...arguments)", link, arm), (4, 4))
 
 
-def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
-    chrome: webdriver.Chrome, page: Path
-) -> None:
+def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(chrome: Chrome, page: Path) -> None:
     open_page(chrome, page)
     chrome.execute_script("cmbotReplay.seek(5)")
     next_frame(chrome)
@@ -68,7 +65,7 @@ def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
 
 
 @pytest.mark.parametrize("address", ["http://127.0.0.1:9/x", "ws://127.0.0.1:9/x"])
-def test_its_policy_forbids_connections(shown: webdriver.Chrome, address: str) -> None:
+def test_its_policy_forbids_connections(shown: Chrome, address: str) -> None:
     blocked = shown.execute_async_script(
         """const [address, done] = arguments;
         const report = (event) => done(event.effectiveDirective);
@@ -82,7 +79,7 @@ def test_its_policy_forbids_connections(shown: webdriver.Chrome, address: str) -
 
 @pytest.mark.parametrize("time", [0.0, 3.333, 10.0, 16.87, 20.0])
 def test_the_arms_are_drawn_where_the_kinematics_puts_them(
-    shown: webdriver.Chrome, triangle_plan: Plan, time: float
+    shown: Chrome, triangle_plan: Plan, time: float
 ) -> None:
     shown.execute_script("cmbotReplay.seek(arguments[0])", time)
     baseline = triangle_plan.baseline
@@ -93,22 +90,22 @@ def test_the_arms_are_drawn_where_the_kinematics_puts_them(
     require_drawn(shown, triangle_plan.robot, postures)
 
 
-def require_drawn(shown: webdriver.Chrome, robot: Robot, postures: dict[str, np.ndarray]) -> None:
+def require_drawn(shown: Chrome, robot: Robot, postures: dict[str, np.ndarray]) -> None:
     """Compare the arms as they are drawn with forward kinematics."""
     model, data = robot.model, robot.model.createData()
     for arm, q in postures.items():
         pin.forwardKinematics(model, data, q)
-        for joint, link in enumerate(shown.execute_script("return cmbotReplay.links"), start=1):
+        for joint, link in enumerate(ask(shown, "cmbotReplay.links"), start=1):
             X_WL = data.oMi[model.frames[model.getFrameId(link)].parentJoint].homogeneous
             np.testing.assert_allclose(data.oMi[joint].homogeneous, X_WL)
             np.testing.assert_allclose(drawn_pose(shown, link, arm), X_WL, atol=1e-3)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.4])
-def test_the_approach_is_before_the_work(shown: webdriver.Chrome, triangle_plan: Plan, share: float) -> None:
+def test_the_approach_is_before_the_work(shown: Chrome, triangle_plan: Plan, share: float) -> None:
     approach = triangle_plan.approach
     assert approach is not None
-    start = shown.execute_script("return cmbotReplay.start")
+    start = ask(shown, "cmbotReplay.start")
     assert start == -approach.trajectory.duration
     shown.execute_script("cmbotReplay.seek(arguments[0])", (1 - share) * start)
     now = np.array([share * approach.trajectory.duration])
@@ -127,11 +124,11 @@ def test_the_approach_is_before_the_work(shown: webdriver.Chrome, triangle_plan:
     assert shown.find_element("id", "time").text == f"{(1 - share) * start:.2f} / 20.00 s"
 
 
-def number(shown: webdriver.Chrome, cell: str) -> float:
+def number(shown: Chrome, cell: str) -> float:
     return float(shown.find_element("id", cell).text.split()[0])
 
 
-def plotted(chrome: webdriver.Chrome) -> np.ndarray:
+def plotted(chrome: Chrome) -> np.ndarray:
     """The plot's pixels (height, width, 4) with the time at its end."""
     script = """cmbotReplay.seek(cmbotReplay.duration);
         const plot = document.getElementById("plot"), {width, height} = plot;
@@ -141,28 +138,28 @@ def plotted(chrome: webdriver.Chrome) -> np.ndarray:
 
 
 def test_the_plot_shades_the_approach_and_draws_the_floor(
-    chrome: webdriver.Chrome, page: Path, triangle_plan: Plan, tmp_path: Path
+    chrome: Chrome, page: Path, triangle_plan: Plan, tmp_path: Path
 ) -> None:
     bare, plots = without_shapes(triangle_plan), []
     for floor in (triangle_plan.lower_bound, None):
         path = tmp_path / f"{len(plots)}.html"
         replay(replace(bare, approach=None, lower_bound=floor), path)
         open_page(chrome, path)
-        assert chrome.execute_script("return [cmbotReplay.start, cmbotReplay.time]") == [0, 0]
+        assert ask(chrome, "[cmbotReplay.start, cmbotReplay.time]") == [0, 0]
         plots.append(plotted(chrome))
     assert (plots[0] != plots[1]).any(axis=(0, 2)).mean() > 0.4  # dashes all along
     assert not plots[1][0, 20].any()
     open_page(chrome, page)
-    start, time = chrome.execute_script("return [cmbotReplay.start, cmbotReplay.time]")
+    start, time = ask(chrome, "[cmbotReplay.start, cmbotReplay.time]")
     assert time == 0
     top = plotted(chrome)[0]
     assert top[20, 3] == 255
     assert (top == top[20]).all(axis=1).mean() == pytest.approx(-start / (20.0 - start), abs=0.02)
 
 
-def test_the_baseline_has_no_torque_on_the_approach(shown: webdriver.Chrome) -> None:
-    pixels, start = plotted(shown), shown.execute_script("return cmbotReplay.start")
-    end = shown.execute_script("return cmbotReplay.duration")
+def test_the_baseline_has_no_torque_on_the_approach(shown: Chrome) -> None:
+    pixels, start = plotted(shown), ask(shown, "cmbotReplay.start")
+    end = ask(shown, "cmbotReplay.duration")
     border = round(-start / (end - start) * (pixels.shape[1] - 16)) + 8
     red, blue = pixels[..., 0], pixels[..., 2]
     # Where something is drawn in the baseline's blue, and in the planned motion's orange.
@@ -176,7 +173,7 @@ def test_the_baseline_has_no_torque_on_the_approach(shown: webdriver.Chrome) -> 
     assert drawn[-1] >= len(baseline) - 24
 
 
-def test_the_picture_changes_with_time_and_comes_back(shown: webdriver.Chrome) -> None:
+def test_the_picture_changes_with_time_and_comes_back(shown: Chrome) -> None:
     start = picture(shown)
     shown.execute_script("cmbotReplay.seek(10)")
     middle = picture(shown)
@@ -190,7 +187,7 @@ def test_the_picture_changes_with_time_and_comes_back(shown: webdriver.Chrome) -
     assert (np.abs(start - again).max(axis=2) > 60).sum() < 50
 
 
-def test_the_numbers_are_those_of_the_plan(shown: webdriver.Chrome, triangle_plan: Plan) -> None:
+def test_the_numbers_are_those_of_the_plan(shown: Chrome, triangle_plan: Plan) -> None:
     samples, figures = triangle_plan.samples, triangle_plan.figures
     shown.execute_script("cmbotReplay.seek(8)")
     texts = {
@@ -209,7 +206,7 @@ def test_the_numbers_are_those_of_the_plan(shown: webdriver.Chrome, triangle_pla
     assert shown.find_element("id", "baseline-peak").text == f"{peak:.1f} Nm"
 
 
-def test_play_and_pause(shown: webdriver.Chrome) -> None:
+def test_play_and_pause(shown: Chrome) -> None:
     reached = shown.execute_async_script(
         """const done = arguments[0];
         document.getElementById("play").click();
@@ -219,12 +216,12 @@ def test_play_and_pause(shown: webdriver.Chrome) -> None:
     )
     assert reached is True
     shown.find_element("id", "play").click()
-    stopped = shown.execute_script("return cmbotReplay.time")
+    stopped = ask(shown, "cmbotReplay.time")
     next_frame(shown)
-    assert shown.execute_script("return [cmbotReplay.time, cmbotReplay.playing]") == [stopped, False]
+    assert ask(shown, "[cmbotReplay.time, cmbotReplay.playing]") == [stopped, False]
 
 
-def test_it_stops_at_the_end_and_starts_anew_from_there(shown: webdriver.Chrome) -> None:
+def test_it_stops_at_the_end_and_starts_anew_from_there(shown: Chrome) -> None:
     ended = shown.execute_async_script(
         """const done = arguments[0];
         cmbotReplay.seek(cmbotReplay.duration - 0.02);
@@ -232,17 +229,17 @@ def test_it_stops_at_the_end_and_starts_anew_from_there(shown: webdriver.Chrome)
         const wait = () => (cmbotReplay.playing ? requestAnimationFrame(wait) : done(cmbotReplay.time));
         wait();"""
     )
-    assert ended == shown.execute_script("return cmbotReplay.duration")
+    assert ended == ask(shown, "cmbotReplay.duration")
     restarted = shown.execute_script("cmbotReplay.play(); return cmbotReplay.time")
     assert restarted == 0
 
 
-def test_keys_and_slider(shown: webdriver.Chrome) -> None:
+def test_keys_and_slider(shown: Chrome) -> None:
     shown.execute_script("document.activeElement.blur()")
     body = shown.find_element("tag name", "body")
 
     def time() -> float:
-        return shown.execute_script("return cmbotReplay.time")
+        return ask(shown, "cmbotReplay.time")
 
     shown.execute_script("cmbotReplay.seek(5)")
     body.send_keys("\ue014")  # right
@@ -250,37 +247,33 @@ def test_keys_and_slider(shown: webdriver.Chrome) -> None:
     body.send_keys("\ue008\ue012")  # shift, left
     assert time() == pytest.approx(4.1)
     body.send_keys("\ue010")  # end
-    assert time() == shown.execute_script("return cmbotReplay.duration")
+    assert time() == ask(shown, "cmbotReplay.duration")
     body.send_keys("\ue011")  # home
-    assert time() == shown.execute_script("return cmbotReplay.start") < 0
+    assert time() == ask(shown, "cmbotReplay.start") < 0
     shown.execute_script("cmbotReplay.seek(0)")
     body.send_keys(" ")
-    assert shown.execute_script("return cmbotReplay.playing") is True
+    assert ask(shown, "cmbotReplay.playing") is True
     body.send_keys(" ")
-    assert shown.execute_script("return cmbotReplay.playing") is False
+    assert ask(shown, "cmbotReplay.playing") is False
     slide(shown, "scrub", 7.25)
     assert time() == pytest.approx(7.25)
 
 
 @pytest.mark.parametrize(("asked", "reached"), [("-1e9", None), ("1e9", 20.0), ("NaN", 0.0), ("'x'", 0.0)])
-def test_a_seek_beyond_the_ends_stays_within(
-    shown: webdriver.Chrome, asked: str, reached: float | None
-) -> None:
+def test_a_seek_beyond_the_ends_stays_within(shown: Chrome, asked: str, reached: float | None) -> None:
     shown.execute_script(f"cmbotReplay.seek({asked})")
-    time, start = shown.execute_script("return [cmbotReplay.time, cmbotReplay.start]")
+    time, start = ask(shown, "[cmbotReplay.time, cmbotReplay.start]")
     assert time == (start if reached is None else reached)
 
 
-def test_hostile_names_are_text_and_nothing_else(
-    chrome: webdriver.Chrome, triangle_plan: Plan, tmp_path: Path
-) -> None:
+def test_hostile_names_are_text_and_nothing_else(chrome: Chrome, triangle_plan: Plan, tmp_path: Path) -> None:
     path = tmp_path / "evil.html"
     replay(hostile(without_shapes(triangle_plan), EVIL), path)
     open_page(chrome, path)
     next_frame(chrome)
-    assert chrome.execute_script("return window.hacked") is None
+    assert ask(chrome, "window.hacked") is None
     assert chrome.title == EVIL
     assert chrome.find_element("tag name", "h1").text == EVIL
     assert chrome.find_elements("tag name", "img") == []
     assert console_errors(chrome) == []  # the policy had nothing to stop either
-    assert chrome.execute_script("return cmbotReplay.duration") == pytest.approx(20.0)
+    assert ask(chrome, "cmbotReplay.duration") == pytest.approx(20.0)

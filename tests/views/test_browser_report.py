@@ -1,18 +1,19 @@
-"""The report page in a browser without a network: view, plots and time go together, and nothing else runs."""
+"""The report page in a browser without a network: view, plots and time, and its looks on screen and paper."""
 
+import base64
+import io
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from browser import connections, console_errors, next_frame, open_page
-from browser_report import chrome as chrome
-from browser_report import page as page
-from browser_report import picture, slide
-from browser_report import shown as shown
+from browser import ask, chromium, connections, console_errors, next_frame, open_page, slide
 from page_data import hostile, without_shapes
-from selenium import webdriver
+from PIL import Image
+from selenium.webdriver import Chrome
 from selenium.webdriver.common.action_chains import ActionChains
 
 from cmbot.planning import Plan
@@ -24,7 +25,38 @@ pytestmark = pytest.mark.browser
 EVIL = "</script><script>window.hacked=1</script><img src=x onerror='window.hacked=2'>\"'`${hacked}\u2028"
 
 
-def cursors(chrome: webdriver.Chrome) -> np.ndarray:
+@pytest.fixture(scope="module")
+def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
+    with chromium(tmp_path_factory.mktemp("chromium")) as driver:
+        screen = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+        driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
+        yield driver
+
+
+@pytest.fixture(scope="module")
+def page(triangle_plan: Plan, triangle_tracking: Tracking, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    report(triangle_plan, path, tracking=triangle_tracking)
+    return path
+
+
+@pytest.fixture
+def shown(chrome: Chrome, page: Path) -> Chrome:
+    """The browser with the page open at time 0, paused, scrolled to its top."""
+    if chrome.current_url != page.as_uri():
+        open_page(chrome, page)
+    chrome.execute_script("cmbotReplay.pause(); cmbotReplay.compare('ghost'); window.scrollTo(0, 0)")
+    chrome.execute_script("cmbotReplay.seek(0)")
+    return chrome
+
+
+def picture(chrome: Chrome) -> np.ndarray:
+    next_frame(chrome)
+    png = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "png"})["data"]
+    return np.asarray(Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")).astype(int)
+
+
+def cursors(chrome: Chrome) -> np.ndarray:
     """Where the cursor of every plot is, as a share of the plot's width."""
     return np.array(
         chrome.execute_script(
@@ -37,15 +69,13 @@ def cursors(chrome: webdriver.Chrome) -> np.ndarray:
     )
 
 
-def tool_of(chrome: webdriver.Chrome, arm: str) -> np.ndarray:
-    link = chrome.execute_script("return cmbotReplay.links.at(-1)")
+def tool_of(chrome: Chrome, arm: str) -> np.ndarray:
+    link = ask(chrome, "cmbotReplay.links.at(-1)")
     pose = chrome.execute_script("return cmbotReplay.pose(...arguments)", link, arm)
     return np.reshape(pose, (4, 4))[:3, 3]
 
 
-def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
-    chrome: webdriver.Chrome, page: Path
-) -> None:
+def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(chrome: Chrome, page: Path) -> None:
     open_page(chrome, page)
     chrome.execute_script("cmbotReplay.seek(5)")
     next_frame(chrome)
@@ -55,10 +85,8 @@ def test_it_opens_without_an_error_and_asks_for_nothing_but_itself(
     assert page.stat().st_size < 6_000_000
 
 
-def test_there_is_a_plot_of_everything(shown: webdriver.Chrome, triangle_plan: Plan) -> None:
-    labels = shown.execute_script(
-        "return [...document.querySelectorAll('svg')].map((svg) => svg.getAttribute('aria-label'))"
-    )
+def test_there_is_a_plot_of_everything(shown: Chrome, triangle_plan: Plan) -> None:
+    labels = ask(shown, "[...document.querySelectorAll('svg')].map((svg) => svg.getAttribute('aria-label'))")
     large = ["Torque on the guardrail", "Clearance", "Tool's distance from its path"]
     large += [f"Tracking error along {axis}" for axis in "xyz"] + ["Elastic tool's distance from its path"]
     small = [
@@ -75,27 +103,25 @@ def test_there_is_a_plot_of_everything(shown: webdriver.Chrome, triangle_plan: P
     highest = [float(number) for number in re.findall(r"to ([\d.]+) Nm", labels[0])]
     peaks[1] = max(peaks[1], approach.certificate.figures.peak_guardrail_torque)
     assert highest == pytest.approx(peaks, abs=0.2)
-    drawn = shown.execute_script(
-        "return [...document.querySelectorAll('path.curve')].map((path) => path.getTotalLength())"
-    )
+    drawn = ask(shown, "[...document.querySelectorAll('path.curve')].map((path) => path.getTotalLength())")
     assert len(drawn) == 2 * 4 + 4 * 3 + 2 * 35
     assert min(drawn) > 20
 
 
 @pytest.mark.parametrize("time", [-5.0, 3.0, 17.5])
-def test_the_slider_moves_arms_and_cursors_together(shown: webdriver.Chrome, time: float) -> None:
+def test_the_slider_moves_arms_and_cursors_together(shown: Chrome, time: float) -> None:
     before = tool_of(shown, "planned")
     slide(shown, "scrub", time)
-    start, end = shown.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
+    start, end = ask(shown, "[cmbotReplay.start, cmbotReplay.end]")
     assert end == pytest.approx(22.0)
     np.testing.assert_allclose(cursors(shown), (time - start) / (end - start), atol=1e-3)
     assert np.linalg.norm(tool_of(shown, "planned") - before) > 0.05
     assert shown.find_element("id", "time").text == f"{time:.2f} / {end:.2f} s"
 
 
-def test_a_click_and_a_drag_in_a_plot_move_the_time(shown: webdriver.Chrome) -> None:
+def test_a_click_and_a_drag_in_a_plot_move_the_time(shown: Chrome) -> None:
     plot = shown.find_element("css selector", "#charts-clearance svg")
-    start, end = shown.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
+    start, end = ask(shown, "[cmbotReplay.start, cmbotReplay.end]")
     left, width, whole = shown.execute_script(
         """const frame = arguments[0].querySelector(".frame");
         const [x, width] = ["x", "width"].map((name) => Number(frame.getAttribute(name)));
@@ -105,15 +131,15 @@ def test_a_click_and_a_drag_in_a_plot_move_the_time(shown: webdriver.Chrome) -> 
     offset = round(left + 0.75 * width - 0.5 * whole)
     expected = start + (offset + 0.5 * whole - left) / width * (end - start)
     ActionChains(shown, duration=0).move_to_element_with_offset(plot, offset, 0).click_and_hold().perform()
-    assert shown.execute_script("return cmbotReplay.time") == pytest.approx(expected, abs=0.06)
+    assert ask(shown, "cmbotReplay.time") == pytest.approx(expected, abs=0.06)
     ActionChains(shown, duration=0).move_by_offset(-100, 0).release().perform()
     moved = expected - 100 / width * (end - start)
-    assert shown.execute_script("return cmbotReplay.time") == pytest.approx(moved, abs=0.06)
+    assert ask(shown, "cmbotReplay.time") == pytest.approx(moved, abs=0.06)
     np.testing.assert_allclose(cursors(shown), (moved - start) / (end - start), atol=3e-3)
 
 
 def test_the_values_are_those_of_the_plan(
-    shown: webdriver.Chrome, triangle_plan: Plan, triangle_tracking: Tracking
+    shown: Chrome, triangle_plan: Plan, triangle_tracking: Tracking
 ) -> None:
     shown.execute_script("cmbotReplay.seek(8)")
     texts = [caption.text for caption in shown.find_elements("css selector", ".chart figcaption")]
@@ -134,7 +160,7 @@ def test_the_values_are_those_of_the_plan(
         assert values[3 + axis] == both(*errors, 0.15)
 
 
-def test_both_motions_play(shown: webdriver.Chrome) -> None:
+def test_both_motions_play(shown: Chrome) -> None:
     before = {arm: tool_of(shown, arm) for arm in ("planned", "baseline")}
     shown.execute_script("document.activeElement.blur()")
     shown.find_element("tag name", "body").send_keys(" ")
@@ -145,16 +171,16 @@ def test_both_motions_play(shown: webdriver.Chrome) -> None:
     )
     assert reached is True
     shown.find_element("tag name", "body").send_keys(" ")
-    stopped = shown.execute_script("return cmbotReplay.time")
+    stopped = ask(shown, "cmbotReplay.time")
     next_frame(shown)
-    assert shown.execute_script("return [cmbotReplay.time, cmbotReplay.playing]") == [stopped, False]
+    assert ask(shown, "[cmbotReplay.time, cmbotReplay.playing]") == [stopped, False]
     for arm, start in before.items():
         assert np.linalg.norm(tool_of(shown, arm) - start) > 0.02
     shown.find_element("tag name", "body").send_keys("\ue014")  # right
-    assert shown.execute_script("return cmbotReplay.time") == pytest.approx(stopped + 0.1)
+    assert ask(shown, "cmbotReplay.time") == pytest.approx(stopped + 0.1)
 
 
-def test_the_picture_is_not_blank_and_changes_with_time(shown: webdriver.Chrome) -> None:
+def test_the_picture_is_not_blank_and_changes_with_time(shown: Chrome) -> None:
     start = picture(shown)
     shown.execute_script("cmbotReplay.seek(10)")
     middle = picture(shown)
@@ -164,7 +190,7 @@ def test_the_picture_is_not_blank_and_changes_with_time(shown: webdriver.Chrome)
         assert (np.abs(start[part] - middle[part]).max(axis=2) > 60).sum() > least
 
 
-def test_side_by_side_each_half_has_its_arm(shown: webdriver.Chrome) -> None:
+def test_side_by_side_each_half_has_its_arm(shown: Chrome) -> None:
     shown.execute_script("cmbotReplay.compare('beside')")
     halves = picture(shown)[200:700]
     planned, baseline = halves[:250, 20:480], halves[-250:, 20:480]
@@ -178,7 +204,7 @@ def test_side_by_side_each_half_has_its_arm(shown: webdriver.Chrome) -> None:
         np.testing.assert_allclose(tool_of(shown, arm), before, atol=1e-9)
 
 
-def test_deflection_is_magnified(shown: webdriver.Chrome) -> None:
+def test_deflection_is_magnified(shown: Chrome) -> None:
     shown.execute_script("cmbotReplay.seek(5)")
     pictures = []
     for factor in (0, 100):
@@ -188,7 +214,7 @@ def test_deflection_is_magnified(shown: webdriver.Chrome) -> None:
     assert shown.find_element("id", "factor").text == "× 100"
 
 
-def test_small_plots_can_be_zoomed(shown: webdriver.Chrome) -> None:
+def test_small_plots_can_be_zoomed(shown: Chrome) -> None:
     first = "return document.querySelectorAll('.small path.curve')[1].getBBox().height"
     before = shown.execute_script(first)
     shown.execute_script("document.getElementById('zoom').click()")
@@ -197,7 +223,7 @@ def test_small_plots_can_be_zoomed(shown: webdriver.Chrome) -> None:
     assert shown.execute_script(first) == pytest.approx(before)
 
 
-def test_plots_of_what_bends_say_that_the_approach_is_not_simulated(shown: webdriver.Chrome) -> None:
+def test_plots_of_what_bends_say_that_the_approach_is_not_simulated(shown: Chrome) -> None:
     words = """return [...document.querySelectorAll("#charts-tracking svg")].map((svg) => {
         return [...svg.querySelectorAll("text")].map((text) => text.textContent);
     })"""
@@ -210,7 +236,7 @@ def test_plots_of_what_bends_say_that_the_approach_is_not_simulated(shown: webdr
 
 
 def test_hostile_names_are_text_and_nothing_else(
-    chrome: webdriver.Chrome, triangle_plan: Plan, triangle_tracking: Tracking, tmp_path: Path
+    chrome: Chrome, triangle_plan: Plan, triangle_tracking: Tracking, tmp_path: Path
 ) -> None:
     evil = hostile(without_shapes(triangle_plan), EVIL)
     model = evil.robot.model.copy()
@@ -223,26 +249,194 @@ def test_hostile_names_are_text_and_nothing_else(
     open_page(chrome, path)
     chrome.execute_script("cmbotReplay.seek(3)")
     next_frame(chrome)
-    assert chrome.execute_script("return window.hacked") is None
-    assert chrome.execute_script("return document.querySelector('h1').textContent") == EVIL
+    assert ask(chrome, "window.hacked") is None
+    assert ask(chrome, "document.querySelector('h1').textContent") == EVIL
     assert chrome.find_elements("css selector", "img:not(#stills img)") == []
-    joints = chrome.execute_script(
-        "return [...document.querySelectorAll('.joint')].map((e) => e.textContent)"
-    )
+    joints = ask(chrome, "[...document.querySelectorAll('.joint')].map((e) => e.textContent)")
     assert joints == [f"{EVIL}{number}" for number in range(1, 8)]
-    assert EVIL in chrome.execute_script("return document.getElementById('near-label').textContent")
+    assert EVIL in ask(chrome, "document.getElementById('near-label').textContent")
     assert console_errors(chrome) == []  # the policy had nothing to stop either
 
 
 def test_without_simulation_and_approach_there_is_less(
-    chrome: webdriver.Chrome, short_plan: Plan, tmp_path: Path
+    chrome: Chrome, short_plan: Plan, tmp_path: Path
 ) -> None:
     path = tmp_path / "short.html"
     report(without_shapes(short_plan), path)
     open_page(chrome, path)
     assert console_errors(chrome) == []
-    assert chrome.execute_script("return [cmbotReplay.start, cmbotReplay.end]") == [0, 4]
+    assert ask(chrome, "[cmbotReplay.start, cmbotReplay.end]") == [0, 4]
     assert len(chrome.find_elements("css selector", ".chart:not(.small)")) == 3
     assert not chrome.find_element("id", "bending").is_displayed()
     assert not chrome.find_element("id", "charts-tracking").is_displayed()
     assert len(chrome.find_elements("css selector", ".card")) == 5
+
+
+# Looks ------------------------------------------------------------------------------------------------------
+
+
+def test_it_is_dark_where_the_system_is(shown: Chrome) -> None:
+    light = picture(shown)
+    with media(shown, features=[{"name": "prefers-color-scheme", "value": "dark"}]):
+        dark, readable = picture(shown), contrast(shown)
+    assert light.mean() > 190
+    assert dark.mean() < 80
+    assert min(readable, contrast(shown)) > 4.5
+
+
+def contrast(chrome: Chrome) -> float:
+    """Smallest contrast (WCAG 2) of a colour of text with the paper."""
+    names = ("ink", "faint", "planned-ink", "baseline", "bad", "good", "paper")
+    script = """const style = getComputedStyle(document.documentElement);
+        return arguments[0].map((name) => style.getPropertyValue(`--${name}`));"""
+    colours = [value.strip().lstrip("#") for value in chrome.execute_script(script, names)]
+    *texts, paper = (luminance(c if len(c) == 6 else "".join(2 * x for x in c)) for c in colours)
+    return min((max(text, paper) + 0.05) / (min(text, paper) + 0.05) for text in texts)
+
+
+def luminance(colour: str) -> float:
+    parts = np.array([int(colour[k : k + 2], 16) / 255 for k in (0, 2, 4)])
+    linear = np.where(parts <= 0.04045, parts / 12.92, ((parts + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_the_printed_page_is_still_and_shows_every_plot(shown: Chrome) -> None:
+    shown.execute_script("cmbotReplay.seek(7)")
+    pdf = base64.b64decode(shown.execute_cdp_cmd("Page.printToPDF", {"printBackground": True})["data"])
+    assert 3 <= len(re.findall(rb"/Type\s*/Page\b", pdf)) <= 10
+    stills = ask(shown, "[...document.querySelectorAll('#stills img')].map((i) => i.src)")
+    assert len(stills) == 4 == len(set(stills))  # the ends of the legs
+    image = Image.open(io.BytesIO(base64.b64decode(stills[0].split(",")[1]))).convert("RGB")
+    assert len(np.unique(np.asarray(image).reshape(-1, 3), axis=0)) > 300
+    assert ask(shown, "cmbotReplay.time") == 7
+    with media(shown, media="print"):
+        hidden = shown.execute_script(
+            """const seen = (name) => document.querySelector(name).getBoundingClientRect().height > 0;
+            const kept = [...document.querySelectorAll("svg, .part, #stills")];
+            const there = kept.every((element) => element.getBoundingClientRect().height > 20);
+            return [["#bar", "#view", "footer"].filter(seen), there];"""
+        )
+    assert hidden == [[], True]
+
+
+def test_what_belongs_together_is_printed_on_one_page(shown: Chrome) -> None:
+    """Nothing but a long table is parted, and what must not be parted is shorter than a page of A4."""
+    with screen(shown, 703), printing(shown), media(shown, media="print"):  # 186 mm
+        kept = shown.execute_script(
+            """const names = ".card, .chart, #stills, #joints, .part:not(.long)";
+            const kept = [...document.querySelectorAll(names)];
+            return kept.map((one) => {
+                return [getComputedStyle(one).breakInside, one.getBoundingClientRect().height];
+            });"""
+        )
+        parted = ask(
+            shown, "[...document.querySelectorAll('.part.long h2')].map((heading) => heading.textContent)"
+        )
+    assert {how for how, _ in kept} == {"avoid"}
+    assert max(height for _, height in kept) < 273 / 25.4 * 96
+    assert parted == ["Simulation"]
+
+
+@pytest.mark.parametrize("width", [1280, 420])
+def test_nothing_is_written_over_the_curves_of_a_small_plot(shown: Chrome, width: int) -> None:
+    with screen(shown, width):
+        overlaps = shown.execute_script(
+            """const box = (element) => element.getBoundingClientRect();
+            const meets = (a, b) => a.left < b.right && b.left < a.right
+                && a.top < b.bottom - 2 && b.top < a.bottom - 2;
+            return [...document.querySelectorAll(".small svg")].filter((svg) => {
+                const all = [...svg.querySelectorAll(".corner")].map(box);
+                const frame = box(svg.querySelector(".frame")), whole = box(svg);
+                const out = all.some(({ left, right }) => left < whole.left - 1 || right > whole.right + 1);
+                return out || all.some((text) => meets(text, frame)) || meets(all[0], all[2]);
+            }).map((svg) => svg.getAttribute("aria-label"));"""
+        )
+    assert overlaps == []
+
+
+@pytest.mark.parametrize("width", [1280, 1024, 420, 320])
+def test_what_a_card_says_stays_on_it(shown: Chrome, width: int) -> None:
+    with screen(shown, width):
+        spilling = shown.execute_script(
+            """const spills = ({scrollWidth, clientWidth}) => clientWidth > 0 && scrollWidth > clientWidth;
+            const parts = [...document.querySelectorAll(".card, .card *")];
+            const reaches = (card) => Math.max(...[...card.querySelectorAll("*")].map((part) => {
+                return part.getBoundingClientRect().right - card.getBoundingClientRect().right;
+            }));
+            return [parts.filter(spills).map((part) => part.textContent),
+                Math.max(...[...document.querySelectorAll(".card")].map(reaches))];"""
+        )
+    assert spilling[0] == []
+    assert spilling[1] < -8
+
+
+def test_nothing_covers_the_controls(shown: Chrome) -> None:
+    with screen(shown, 420):
+        covered = shown.execute_script(
+            """const controls = [...document.querySelectorAll("#bar button, #bar select, #bar input")];
+            return controls.filter((control) => {
+                const { x, y, width, height } = control.getBoundingClientRect();
+                return document.elementFromPoint(x + width / 2, y + height / 2) !== control;
+            }).map((control) => control.id);"""
+        )
+    assert covered == []
+
+
+def test_a_narrow_window_prints_as_a_wide_one(shown: Chrome) -> None:
+    printed = []
+    for width in (1280, 860, 420):
+        with screen(shown, width):
+            before = view_and_plots(shown)
+            with printing(shown):
+                stills = shown.execute_script(
+                    """const stills = [...document.querySelectorAll("#stills img")];
+                    return Promise.all(stills.map((image) => image.decode())).then(
+                        () => stills.map((image) => [image.naturalWidth, image.naturalHeight]));"""
+                )
+                printed.append([stills, view_and_plots(shown)[1:]])
+            next_frame(shown)
+            assert view_and_plots(shown) == before
+    assert printed[0] == printed[1] == printed[2]
+    assert all(0.7 < wide / high < 1.4 for wide, high in printed[0][0])
+
+
+def view_and_plots(chrome: Chrome) -> list[object]:
+    """Size of the view, px, and what the plots are drawn for."""
+    return chrome.execute_script(
+        """const view = document.getElementById("view");
+        const boxes = [...document.querySelectorAll("svg")].map((svg) => svg.getAttribute("viewBox"));
+        return [[view.clientWidth, view.clientHeight], boxes];"""
+    )
+
+
+@contextmanager
+def screen(chrome: Chrome, width: int) -> Iterator[None]:
+    """Another width of the window for a while."""
+    metrics = {"width": width, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    next_frame(chrome)
+    try:
+        yield
+    finally:
+        chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics | {"width": 1280})
+        next_frame(chrome)
+
+
+@contextmanager
+def media(chrome: Chrome, **settings: object) -> Iterator[None]:
+    """Emulate a medium or its features for a while."""
+    chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", settings)
+    try:
+        yield
+    finally:
+        chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"media": "", "features": []})
+
+
+@contextmanager
+def printing(chrome: Chrome) -> Iterator[None]:
+    """Prepare the page for the printer for a while."""
+    chrome.execute_script("window.dispatchEvent(new Event('beforeprint'))")
+    try:
+        yield
+    finally:
+        chrome.execute_script("window.dispatchEvent(new Event('afterprint'))")
