@@ -51,7 +51,7 @@ def mass_matrix(model: Any, q: FloatArray) -> FloatArray:
     return upper + np.triu(upper, 1).T
 
 
-# What the stiffness is
+# Stiffness
 
 
 @pytest.mark.parametrize("segments", [1, 2, 7])
@@ -116,7 +116,7 @@ def test_stiffness_factors(cmbot_robot: Robot, rng: np.random.Generator) -> None
     assert (usual == usual.T).all()
 
 
-# What the inertia is
+# Inertia
 
 
 @st.composite
@@ -223,7 +223,7 @@ def test_undeformed_it_is_the_rigid_arm(
         np.testing.assert_allclose(tau[arm.driven], expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
-def test_the_foot_feels_everything(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+def test_load_on_the_base_is_that_of_the_whole_robot(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     arm = make_arm(cmbot_robot, random_base(rng))
     q = rng.uniform(-2, 2, 7)
     weight = pin.computeGeneralizedGravity(
@@ -236,7 +236,7 @@ def test_the_foot_feels_everything(cmbot_robot: Robot, rng: np.random.Generator)
     np.testing.assert_allclose(-weight, [*force, *torque], atol=1e-10)
 
 
-# Order, and what is left out
+# Order of the coordinates, rigid parts
 
 
 def test_order_of_the_coordinates(cmbot_robot: Robot, rng: np.random.Generator) -> None:

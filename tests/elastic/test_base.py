@@ -193,13 +193,13 @@ def test_the_foot_belongs_at_a_post() -> None:
 
 
 @pytest.mark.parametrize("tiny", [1e-15, -3e-9, 9e-4])
-def test_a_foot_beside_a_post_by_a_hair_holds_the_post(tiny: float) -> None:
+def test_foot_within_a_millimetre_of_a_post_is_at_the_post(tiny: float) -> None:
     found = guardrail()
     moved = replace(found, post_positions=tuple(x - tiny for x in found.post_positions))
     assert relative_difference(stiffness(moved), stiffness(found)) < 2 * abs(tiny) + 1e-10
 
 
-def test_a_rail_beside_the_foot_by_a_hair_meets_it() -> None:
+def test_rail_within_a_millimetre_of_the_foot_meets_it() -> None:
     heights = {"top_m": 0.0004}
     rails = (rail(height_m=-0.0005), rail("low", height_m=-1.0499))
     found = guardrail(post=heights, rails=rails)
@@ -219,7 +219,7 @@ def test_farther_away_the_stiffness_changes_without_a_jump() -> None:
     assert compliances[1] < 1.5 * compliances[0]
 
 
-def test_members_at_the_same_height_move_as_one() -> None:
+def test_members_at_the_same_height_share_nodes() -> None:
     once = guardrail(rails=(rail(section={"bar": 0.03}),))
     twice = guardrail(rails=(rail(), rail("again")))
     one, two = guardrail_frame(once), guardrail_frame(twice)
@@ -228,7 +228,7 @@ def test_members_at_the_same_height_move_as_one() -> None:
 
 
 @given(guardrails, st.floats(0.2, 5))
-def test_stiffness_goes_with_the_moduli_and_mass_with_the_density(found: Guardrail, factor: float) -> None:
+def test_stiffness_scales_with_moduli_and_mass_with_density(found: Guardrail, factor: float) -> None:
     material = found.material
     stiffer = replace(material, young=factor * material.young, shear=factor * material.shear)
     assert relative_difference(stiffness(replace(found, material=stiffer)), factor * stiffness(found)) < 1e-9
@@ -341,7 +341,7 @@ def test_six_coordinates_are_never_slower_than_the_whole_frame() -> None:
     assert np.all(six >= base.frequencies)
 
 
-def test_nothing_can_be_changed_and_nothing_is_shared() -> None:
+def test_arrays_are_read_only_and_copied() -> None:
     found = guardrail(stiffness=rows(positive_definite(1)), mass=rows(positive_definite(2)))
     for base in (elastic_base(found), elastic_base(guardrail())):
         assert not any(array.flags.writeable for array in (base.stiffness, base.mass, base.frequencies))
@@ -357,7 +357,7 @@ sections = st.one_of(
 
 @given(st.lists(sections, min_size=2, max_size=4), powers, powers, powers, powers, st.floats(0.01, 1))
 @settings(max_examples=60)
-def test_of_whatever_a_file_describes_comes_a_sound_base_or_an_error(
+def test_any_guardrail_gives_a_valid_base_or_an_error(
     members: list[dict[str, float]], spacing: float, depth: float, young: float, shear: float, share: float
 ) -> None:
     rails = tuple(

@@ -91,7 +91,7 @@ def test_rolled_angle_in_space_against_its_own_polygon(
     assert relative_difference(compliance(frame, 1), expected) < 1e-7
 
 
-def test_what_of_the_first_axis_lies_along_the_member_does_not_count() -> None:
+def test_first_axis_component_along_the_member_is_ignored() -> None:
     plain = straight(1.0, 1).condense(1).stiffness
     slanted = straight(1.0, 1, first_axis=(3.0, 2.0, 0.0)).condense(1).stiffness
     assert relative_difference(slanted, plain) < 1e-12
@@ -138,7 +138,7 @@ def test_sway_of_a_portal_frame(ratio: float) -> None:
     assert compliance(frame, 1)[0, 0] == pytest.approx(expected, rel=1e-6)
 
 
-# What must hold for any frame.
+# Properties of any frame.
 
 rotations = st.integers(0, 10**6).map(lambda seed: Rotation.random(rng=np.random.default_rng(seed)))
 
@@ -357,12 +357,12 @@ def test_a_member_has_a_length() -> None:
         {"section": replace(PLATE, torsion=0.0)},
     ],
 )
-def test_members_resist_everything(changes: dict[str, Any]) -> None:
+def test_constants_of_members_are_positive(changes: dict[str, Any]) -> None:
     refused("members[0]", members=(replace(member(0, 1), **changes), member(1, 2)))
 
 
 @pytest.mark.parametrize("changes", [{"fixed": ()}, {"members": (member(0, 1),)}, {"members": ()}])
-def test_nothing_is_loose(changes: dict[str, Any]) -> None:
+def test_every_part_is_held(changes: dict[str, Any]) -> None:
     refused("fixed", **changes)
 
 
@@ -374,7 +374,7 @@ def test_a_stiffness_that_vanishes_in_floating_point() -> None:
 
 
 @pytest.mark.parametrize("factor", [1e13, 1e20, 1e40])
-def test_a_spring_that_drowns_in_its_neighbours_rounding(factor: float) -> None:
+def test_stiffnesses_of_too_different_magnitude(factor: float) -> None:
     """A soft beam below a row of hard ones, whose digits swallow its own."""
     hard = replace(PLATE, area=factor, major=factor, minor=factor, torsion=factor)
     frame = chain([(x, 0.3 * x, 0.1 * x) for x in range(7)], hard)

@@ -72,7 +72,7 @@ def rotation_of_rail(roll: float) -> float:
 
 @pytest.mark.parametrize("roll", [-90.0, 0.0, 35.0])
 @pytest.mark.parametrize("upright", [True, False])
-def test_pynite_turns_a_section_as_we_think(upright: bool, roll: float) -> None:
+def test_rotation_of_sections_in_pynite(upright: bool, roll: float) -> None:
     """One cantilever, against its outline where it is: the sign of PyNite's rotation."""
     made = model()
     section = add_section(made, AngleSection(leg=0.075, thickness=0.008))

@@ -75,7 +75,7 @@ def test_a_disc_that_turns_on_a_tube(tmp_path: Path) -> None:
     np.testing.assert_allclose(modes.frequencies[twisting], [expected], rtol=1e-3)
 
 
-# What modes are
+# Definition of the modes
 
 
 def test_modes_solve_the_equation_of_motion(arm: ElasticArm, rng: np.random.Generator) -> None:
@@ -152,7 +152,7 @@ def test_mass_of_the_guardrail_slows_everything(cmbot_robot: Robot, rng: np.rand
     assert heavy[0] < 0.9 * bare[0]
 
 
-def test_what_does_not_bend_has_no_modes(cmbot_robot: Robot) -> None:
+def test_a_rigid_arm_has_no_modes(cmbot_robot: Robot) -> None:
     modes = arm_modes(make_arm(replace(cmbot_robot, elasticity=())), np.zeros(7))
     assert modes.frequencies.shape == (0,)
     assert modes.damping(0.01).shape == (0, 0)
@@ -161,7 +161,7 @@ def test_what_does_not_bend_has_no_modes(cmbot_robot: Robot) -> None:
 # The matrices
 
 
-def test_mass_and_coupling_are_what_accelerations_ask_for(arm: ElasticArm, rng: np.random.Generator) -> None:
+def test_mass_and_coupling_match_inverse_dynamics(arm: ElasticArm, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, (3, len(arm.driven)))
     at = linearised(arm, q)
     data = arm.model.createData()
@@ -180,9 +180,7 @@ def test_mass_and_coupling_are_what_accelerations_ask_for(arm: ElasticArm, rng: 
             np.testing.assert_allclose(matrix, columns, atol=1e-9 * np.abs(columns).max())
 
 
-def test_the_equilibrium_moves_with_the_joints_as_its_matrices_say(
-    arm: ElasticArm, rng: np.random.Generator
-) -> None:
+def test_derivative_of_the_equilibrium(arm: ElasticArm, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, len(arm.driven))
     at = linearised(arm, q[None])
     slope = -np.linalg.solve(at.stiffness[0], at.weight[0])
@@ -197,7 +195,7 @@ def test_the_equilibrium_moves_with_the_joints_as_its_matrices_say(
     assert energies.min() > -1e-12 * energies.max()
 
 
-# What is measured
+# Convergence
 
 
 def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:

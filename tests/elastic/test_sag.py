@@ -77,7 +77,7 @@ def test_a_cantilever_under_its_own_weight(tmp_path: Path) -> None:
         assert 0 < -fine < -coarse / 4
 
 
-def test_the_foot_gives_under_the_whole_robot(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+def test_rigid_links_on_an_elastic_base(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     """With rigid links and a stiff hold: weight and its torque about O0 on the hold's compliance."""
     base, factor = random_base(rng), 1e4
     arm = make_arm(replace(cmbot_robot, elasticity=()), base, guardrail_factor=factor)
@@ -99,7 +99,7 @@ def test_the_foot_gives_under_the_whole_robot(cmbot_robot: Robot, rng: np.random
 # Against the potential energy
 
 
-def test_it_is_where_the_energy_is_least(tmp_path: Path, rng: np.random.Generator) -> None:
+def test_equilibrium_minimises_the_energy(tmp_path: Path, rng: np.random.Generator) -> None:
     """A minimiser that knows nothing but the energy ends in the same place."""
     arm = make_arm(random_robot(tmp_path, rng, 3), random_base(rng), link_factor=0.05)
     q = rng.uniform(-2, 2, 3)
@@ -111,7 +111,7 @@ def test_it_is_where_the_energy_is_least(tmp_path: Path, rng: np.random.Generato
     assert energy(u) <= found.fun + 1e-12 * abs(found.fun)
 
 
-def test_nothing_pulls_at_equilibrium(random_arm: ElasticArm, rng: np.random.Generator) -> None:
+def test_forces_balance_at_equilibrium(random_arm: ElasticArm, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, len(random_arm.driven))
     u = Sag(random_arm).at(q[None]).u[0]
     slope = finite_difference(potential(random_arm, q), u, step=1e-4)
@@ -155,10 +155,10 @@ def check_tool_derivative(arm: ElasticArm, postures: FloatArray) -> None:
         check_derivative(lambda x: sag.at(x[None]).tool[0], q, d_tool, rtol=1e-7)
 
 
-# Many states, and none
+# Many states, no states
 
 
-def test_states_do_not_know_of_each_other(shipped_arm: ElasticArm, rng: np.random.Generator) -> None:
+def test_states_are_independent(shipped_arm: ElasticArm, rng: np.random.Generator) -> None:
     sag = Sag(shipped_arm)
     q = rng.uniform(-2, 2, (4, 7))
     together = sag.at(q)
@@ -170,9 +170,7 @@ def test_states_do_not_know_of_each_other(shipped_arm: ElasticArm, rng: np.rando
     assert (none.u.shape, none.tool.shape, none.d_tool.shape) == ((0, 26), (0, 3), (0, 3, 7))
 
 
-def test_what_does_not_bend_does_not_sag(
-    cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
-) -> None:
+def test_a_rigid_arm_does_not_sag(cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, (2, 7))
     for robot in (cmbot_robot, cantilever(tmp_path, length=1.0, mass=1.0)):
         states = Sag(make_arm(replace(robot, elasticity=()))).at(q[:, : robot.dof])
@@ -217,7 +215,7 @@ def test_too_soft_an_arm_is_refused(cmbot_robot: Robot) -> None:
             sag.at(scene.posture[None])
 
 
-# What is measured
+# Convergence
 
 
 def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:

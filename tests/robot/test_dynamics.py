@@ -266,7 +266,7 @@ def test_derivatives_are_those_of_the_free_flying_arm(any_arm: Robot, draw: Draw
         same(getattr(efforts, name)[:, 3:], expected[:, 6:])
 
 
-def test_results_are_nobodys_working_memory(any_arm: Robot) -> None:
+def test_results_do_not_alias_working_memory(any_arm: Robot) -> None:
     dynamics = Dynamics(any_arm)
     first = drawn(any_arm, 1, 3, 1.0, 1.0)
     methods = (dynamics.efforts, dynamics.derivatives, dynamics.wrench_derivatives)

@@ -67,12 +67,12 @@ def test_a_file_elsewhere_comes_first(bending_folder: Path) -> None:
     assert load_copy(bending_folder).elasticity[-1].wall == 0.003
 
 
-def test_a_file_that_was_asked_for_is_needed(urdf_folder: Path) -> None:
+def test_a_given_file_is_required(urdf_folder: Path) -> None:
     with pytest.raises(ModelError, match=r"none.yaml: .*no such file"):
         load_copy(urdf_folder, elasticity=urdf_folder / "none.yaml")
 
 
-def test_the_hash_knows_the_file(bending_folder: Path) -> None:
+def test_content_hash_depends_on_the_file(bending_folder: Path) -> None:
     bending = load_copy(bending_folder).content_hash
     replace(bending_folder / SHIPPED.name, "wall_m: 0.003", "wall_m: 0.002")
     thinner = load_copy(bending_folder).content_hash

@@ -123,11 +123,11 @@ def findings(text: str) -> list[Finding]:
     return inspect_urdf(ElementTree.fromstring(text))
 
 
-def test_the_shipped_robot_has_nothing_to_find() -> None:
+def test_the_shipped_robot_has_no_findings() -> None:
     assert inspect_urdf(parse_urdf(model_folder() / "urdf" / "cmbot.urdf")) == []
 
 
-def test_impossible_inertia_is_doubtful_only(bare_urdf: str) -> None:
+def test_impossible_inertia_is_a_warning(bare_urdf: str) -> None:
     """Table 2's link 3 as printed: many a published URDF is no better."""
     rounded = '<inertia ixx="0.06" iyy="0.56" izz="0.59" ixy="0.011" ixz="0.12" iyz="0"/>'
     start = bare_urdf.index('<inertia ixx="0.06668"')
@@ -139,7 +139,7 @@ def test_impossible_inertia_is_doubtful_only(bare_urdf: str) -> None:
     assert "0.616" in finding.got
 
 
-def test_an_arm_that_only_slides_is_doubtful(bare_urdf: str) -> None:
+def test_a_prismatic_arm_is_a_warning(bare_urdf: str) -> None:
     (finding,) = findings(bare_urdf.replace('type="revolute"', 'type="prismatic"'))
     assert (finding.severity, finding.got) == ("warning", "12 prismatic joints and none that turns")
     assert findings(bare_urdf.replace('type="revolute"', 'type="prismatic"', 1)) == []

@@ -51,7 +51,7 @@ def test_joints_and_frames(cmbot_robot: Robot) -> None:
     np.testing.assert_allclose(X_WB.homogeneous, expected.homogeneous, rtol=0, atol=1e-12)
 
 
-def test_what_may_touch(cmbot_robot: Robot) -> None:
+def test_collision_pairs(cmbot_robot: Robot) -> None:
     model, shapes = cmbot_robot.model, cmbot_robot.collision_model
     links = [model.frames[shape.parentFrame].name for shape in shapes.geometryObjects]
     pairs = {frozenset((links[pair.first], links[pair.second])) for pair in shapes.collisionPairs}
@@ -110,7 +110,7 @@ def test_loading_is_silent(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-def test_hash_tells_files_apart(urdf_folder: Path) -> None:
+def test_content_hash_depends_on_every_file(urdf_folder: Path) -> None:
     before = load_copy(urdf_folder).content_hash
     assert re.fullmatch("[0-9a-f]{64}", before)
     assert load_copy(shutil.copytree(urdf_folder, urdf_folder / "copy")).content_hash == before

@@ -126,7 +126,7 @@ def test_check_names_what_is_out_of_date(tmp_path):
     assert contents(tmp_path) == {}
 
 
-def test_tool_refuses_a_body_that_cannot_exist(monkeypatch):
+def test_tool_refuses_an_impossible_body(monkeypatch):
     monkeypatch.setattr(sys, "dont_write_bytecode", True)
     monkeypatch.syspath_prepend(str(TOOL.parent))
     tables = importlib.import_module("cmbot_tables")
