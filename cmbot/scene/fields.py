@@ -51,12 +51,11 @@ Slug = Annotated[
 ]
 
 
-def exactly_one(model: BaseModel, names: Sequence[str]) -> str:
-    """Return the one of `names` that `model` gives; refuse none and several."""
+def exactly_one(model: BaseModel, names: Sequence[str]) -> None:
+    """Refuse a model that gives none or several of the keys `names`."""
     given = [name for name in names if getattr(model, name) is not None]
     if len(given) != 1:
         raise refusal("exactly one of these keys", got=" and ".join(given) or "none", choices=names)
-    return given[0]
 
 
 def one_of_schema(names: Sequence[str]) -> dict[str, Any]:

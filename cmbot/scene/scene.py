@@ -26,24 +26,22 @@ _AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
 
 @dataclass(frozen=True, kw_only=True)
 class RobotSource(CheckedFields):
-    """The files, frames and mount of the robot; fields that may be None are None for the shipped model.
+    """The files, frames and mount of the robot.
+
+    For the shipped model the fields that may be None are None, but for `tool_length`.
 
     Attributes
     ----------
     model : str or Path
         ``cmbot``, or the path of a URDF.
     base_frame, tool_frame : str or None
-        Frames of another URDF: what is mounted, and what follows the tool path.
+        Frames of the URDF: the mounted one, and the one that follows the tool path.
     limits : Path or None
-        Joint-limits file of another URDF.
-    srdf : Path or None
-        SRDF of another URDF; None also where it has none.
-    elasticity : Path or None
-        Elasticity file of another URDF; None also where it is the one beside the URDF, or none.
-    mount_xyz : tuple of float or None
-        (3,), position of the base frame of another URDF in W, m.
-    mount_rpy : tuple of float or None
-        (3,), its roll, pitch, yaw, rad: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
+        Joint-limits file.
+    srdf, elasticity : Path or None
+        None also where there is none, or the elasticity file is the one beside the URDF.
+    mount_xyz, mount_rpy : tuple of float or None
+        (3,) each, pose of the base frame in W, m and rad: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
     tool_length : float or None
         m; None: as in the model.
     payload : float
