@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
+from plan_folders import saved_short as saved_short
 from plan_folders import saved_triangle as saved_triangle
+from plan_folders import short_folder as short_folder
 from plan_folders import short_plan as short_plan
+from plan_folders import short_tracking as short_tracking
 from plan_folders import thin_plan as thin_plan
 from plan_folders import triangle_folder as triangle_folder
 from seven_joint_arms import endless_scene

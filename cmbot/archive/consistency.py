@@ -1,4 +1,4 @@
-"""Whether the parts of a plan directory belong together."""
+"""Consistency of a plan directory: its files, motions and numbers are those of one plan."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from cmbot.planning import Approach, ObjectiveMetrics, QuinticTrajectory
 
 __all__ = ["require_fit", "require_times", "require_unchanged"]
 
-# Times and shares agree to this relative tolerance, angles to this one in rad: degrees round.
+# Relative tolerance of times and shares; tolerance of angles, rad, because degrees round.
 _SAME, _SAME_ANGLE = 1e-9, 1e-9
 
 
@@ -28,7 +28,7 @@ def require_times(t: FloatArray, duration: float, source: str, whose: str) -> No
 
 
 def require_unchanged(folder: Path, file: PlanFile, contents: Mapping[str, bytes]) -> None:
-    """Refuse files that were not saved together: the figures would be another motion's."""
+    """Refuse files that were not saved together with plan.json."""
     for name, content in contents.items():
         if file.files.get(name) != hashlib.sha256(content).hexdigest():
             expected = f"the file that was saved with {PLAN_FILE}"
@@ -45,7 +45,7 @@ def require_fit(
     approach: Approach | None,
     folder: Path,
 ) -> None:
-    """Refuse a plan whose motions do not join, or whose figures of the global stage are not this plan's.
+    """Refuse a plan whose motions do not join, or whose entries contradict each other.
 
     Parameters
     ----------
@@ -60,7 +60,7 @@ def require_fit(
     Raises
     ------
     ArchiveError
-        For the first thing that does not fit.
+        For the first contradiction.
     """
     source = str(folder / PLAN_FILE)
     _require_start(file, work, source)
@@ -83,16 +83,15 @@ def _require_start(file: PlanFile, work: QuinticTrajectory, source: str) -> None
 
 
 def _require_there(block: object, expected: bool, source: str, key: str) -> None:
-    """Refuse a block that is missing, or there without a reason."""
-    if (block is not None) == expected:
-        return
-    if expected:
+    """Refuse a block that is missing, or there although the options exclude it."""
+    if expected and block is None:
         raise ArchiveError(source, key, "null", "a block: the knots slide, or the work starts elsewhere")
-    raise ArchiveError(source, key, "a block", "null: the knots are fixed, or the work starts at once")
+    if not expected and block is not None:
+        raise ArchiveError(source, key, "a block", "null: the knots are fixed, or the work starts at once")
 
 
 def _require_floor(file: PlanFile, via_points: int, source: str) -> None:
-    """Refuse a floor that is not one of this plan's via-points, and figures that are not the floor's."""
+    """Refuse a floor of other via-points, and entries that contradict it."""
     floor, objective = file.floor, made(ObjectiveMetrics, file.objective)
     value = None if floor is None else floor.value
     reported = value if objective.is_guardrail_torque else None
@@ -112,7 +111,7 @@ def _require_floor(file: PlanFile, via_points: int, source: str) -> None:
 
 
 def _require_objective(file: PlanFile, source: str) -> None:
-    """Refuse an objective that is not the options', unless it is someone's own; or others' figures."""
+    """Refuse an objective other than that of the options, unless it is a custom one, and other peaks."""
     objective, options = file.objective, file.options
     if objective.own:
         expected: tuple[object, ...] = (objective.name, None, None)
@@ -143,7 +142,7 @@ def _require_number(got: float | None, expected: float | None, source: str, key:
 def _require_join(
     approach: QuinticTrajectory, posture: FloatArray, work: QuinticTrajectory, source: str
 ) -> None:
-    """Refuse an approach that does not lead from the scene's posture to the work: the arm would jump."""
+    """Refuse an approach that does not lead from the scene's posture to the start of the work."""
     _require_angles(approach.q[0], posture, source, "q", "the scene's posture at first")
     _require_angles(approach.q[-1], work.q[0], source, "q", "where the work starts at last")
 

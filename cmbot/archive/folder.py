@@ -32,9 +32,9 @@ __all__ = [
 FORMAT = "cmbot-plan/1"
 PLAN_FILE = "plan.json"
 SAVED_FILES = ("trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json")
-"""What stands beside `PLAN_FILE` from the first."""
+"""The files beside `PLAN_FILE` of every plan."""
 APPROACH_FILES = ("approach.csv", "approach.npz", "approach.ros.json")
-"""What stands there as well when the work starts elsewhere than in the scene's posture."""
+"""Those of a plan with an approach."""
 
 _FORMAT_OF_ANY_VERSION = re.compile(r"cmbot-plan/\d+")
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
@@ -79,7 +79,7 @@ def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool)
 
 
 def require_free(directory: str | Path, *, force: bool = False) -> None:
-    """Refuse a directory that `save` would refuse; worth asking before a long computation.
+    """Refuse a directory that `save` would refuse, before a long computation.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
     directory : str or Path
         A plan directory.
     name : str
-        Of the file, such as ``replay.html``; not one of those that make up the plan.
+        Of the file, such as ``replay.html``; not one of the plan's own files.
     content : bytes or str
         Text is written in UTF-8.
 
@@ -158,7 +158,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """Return what stands in a file.
+    """Return a file's content.
 
     Raises
     ------
@@ -216,7 +216,7 @@ def _in_bytes(content: bytes | str) -> bytes:
 
 
 def _resolved(directory: Path) -> Path:
-    """Return the absolute path without links, so that what a link leads to is replaced, not the link."""
+    """Return the absolute path without links: the target of a link is replaced, not the link."""
     try:
         return directory.resolve()
     except (RuntimeError, ValueError) as error:  # links in a circle; a name that no file can have
@@ -224,7 +224,7 @@ def _resolved(directory: Path) -> Path:
 
 
 def _require_writable(directory: Path, target: Path) -> None:
-    """Refuse a directory where the nearest folder above it is none, or must not be written to."""
+    """Refuse a directory whose nearest existing ancestor is no folder, or not writable."""
     above = next(parent for parent in target.parents if parent.exists())
     expected = "a place that can be written to"
     if not above.is_dir():
@@ -234,7 +234,7 @@ def _require_writable(directory: Path, target: Path) -> None:
 
 
 def _is_plan_directory(folder: Path) -> bool:
-    """Whether the folder has a plan.json of ours; other programs write files of that name, too."""
+    """Whether the folder has a plan.json of cmbot; other programs write files of that name, too."""
     path = folder / PLAN_FILE
     try:
         data = read_json(read_file(path), str(path))
@@ -244,22 +244,19 @@ def _is_plan_directory(folder: Path) -> bool:
 
 
 def _swap(part: Path, target: Path) -> None:
-    """Put `part` in the place of `target` and delete that; whatever happens, one of both is in place."""
+    """Replace `target` by `part` and delete it; at every moment one of both can be found."""
     old = _unique(target.parent)
-    with ExitStack() as undo:
-        undo.callback(_put_back, old, target)
+    try:
         target.rename(old)
         part.rename(target)
+    finally:
+        if old.exists() and not target.exists():
+            old.rename(target)
     try:
         shutil.rmtree(old)
     except OSError as error:
         got = f"the replaced plan, which cannot be deleted ({error.strerror})"
         raise ArchiveError(str(old), "", got, "to be deleted by hand; the new plan is in place") from error
-
-
-def _put_back(old: Path, target: Path) -> None:
-    if old.exists() and not target.exists():
-        old.rename(target)
 
 
 def _unique(parent: Path) -> Path:
@@ -300,7 +297,7 @@ def _sync(folder: Path) -> None:
 
 @contextmanager
 def _refusals(directory: Path) -> Iterator[None]:
-    """Turn what the system refuses into an ArchiveError."""
+    """Turn an OSError into an ArchiveError."""
     try:
         yield
     except ArchiveError:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -46,33 +46,30 @@ from cmbot.scene import PlannerOptions, Scene, scene_from_file
 
 __all__ = ["load_plan", "plan_data"]
 
-# Figures computed again agree with those in the file to this relative and absolute tolerance: another machine
-# rounds differently.
+# Relative and absolute tolerance of metrics computed again: processors round differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
 
 
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     """Read a plan directory.
 
-    The scene is checked as if it came from a file, robot and meshes are loaded from where they were, and all
-    of it must be what the plan was made with. The baseline's torques, clearances and tool points are measured
-    again.
+    The scene is checked as one from a file. Robot and meshes are loaded from their paths and must not have
+    changed since the plan was made. The baseline's torques, clearances and tool points are computed again.
 
     Parameters
     ----------
     directory : str or Path
     verify : bool
-        Certify trajectory and approach again (some seconds) rather than take the file's word for it. Figures
-        of an objective of someone's own are not checked: the file holds its name only.
+        Certify trajectory and approach again (some seconds). Peaks of a custom objective are not checked: the
+        file has only its name.
 
     Raises
     ------
     InputError
         When `directory` is no path.
     ArchiveError
-        When a file is missing, damaged, of another version, or does not belong to the others; when approach
-        and work do not join; when robot, scene or meshes have changed since; with `verify`, when the file's
-        figures are not the motion's.
+        When a file is missing, damaged, of another version, or contradicts the others; when robot, scene or
+        meshes have changed since; with `verify`, when the metrics in the file are not those of the motion.
     LimitViolation
         With `verify`, when trajectory or approach breaks a promise.
     """
@@ -142,7 +139,7 @@ def plan_data(directory: Path) -> dict[str, Any]:
     if not path.exists():
         raise ArchiveError(str(path), "", "no such file", f"{expected}{plans_nearby(directory)}")
     data = read_json(read_file(path), str(path))
-    # First of all: in another version anything else may differ.
+    # Checked first: in another version anything else may differ.
     if data.get("format") != FORMAT:
         raise ArchiveError(str(path), "format", shown(data.get("format")), repr(FORMAT))
     return data
@@ -150,37 +147,26 @@ def plan_data(directory: Path) -> dict[str, Any]:
 
 def _scene(file: PlanFile, source: Path) -> Scene:
     scene = scene_from_file(file.scene, source.parent, str(source))
-    if scene.content_hash != file.hashes.resolved_scene:
-        raise _changed(
-            source,
-            "hashes.resolved_scene",
-            scene.content_hash,
-            file.hashes.resolved_scene,
-            "the scene in this file or the meshes that it names have changed since",
-        )
-    # The scene's identity is that of the file it came from, wherever that lay.
+    what = "the scene in this file or the meshes that it names have changed since"
+    _require_hash(scene.content_hash, file.hashes.resolved_scene, source, "hashes.resolved_scene", what)
+    # The hash is that of the file that the scene was read from.
     return replace(scene, content_hash=file.hashes.scene)
 
 
 def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
     robot = robot_of(scene)
-    if robot.content_hash != file.hashes.robot:
-        raise _changed(
-            source,
-            "hashes.robot",
-            robot.content_hash,
-            file.hashes.robot,
-            f"the robot's files have changed since ({robot.urdf}, SRDF, joint limits or elasticity)",
-        )
+    what = f"the robot's files have changed since ({robot.urdf}, SRDF, joint limits or elasticity)"
+    _require_hash(robot.content_hash, file.hashes.robot, source, "hashes.robot", what)
     return robot
+
+
+def _require_hash(got: str, expected: str, source: Path, key: str, what: str) -> None:
+    if got != expected:
+        raise ArchiveError(str(source), key, f"{got[:16]}… now", f"{expected[:16]}…: {what}; plan again")
 
 
 def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:
     return sag_of(scene, bending_arm(scene, robot), options)
-
-
-def _changed(source: Path, key: str, got: str, expected: str, what: str) -> ArchiveError:
-    return ArchiveError(str(source), key, f"{got[:16]}… now", f"{expected[:16]}…: {what}; plan again")
 
 
 def _certificate(entry: CertificateFile, metrics: MetricsFile, source: Path, key: str) -> Certificate:
@@ -212,7 +198,7 @@ def _approach(
 
 
 def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
-    """Return the plan with certificates made now; the figures in the file must be theirs."""
+    """Return the plan with new certificates; their metrics must be those in the file."""
     robot, options, trajectory = plan.robot, plan.options, plan.trajectory
     _require_same(plan.baseline_figures, figures(robot, plan.baseline), source, "baseline")
     certificate = certify(robot, plan.task, trajectory, trajectory.q, clearances, options, sag=plan.sag)
@@ -230,7 +216,7 @@ def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
 
 
 def _verify_objective(plan: Plan, source: Path) -> None:
-    """Require the objective's peaks to be those of the motions."""
+    """Refuse peaks of the objective that are not those of the motions."""
     baseline, grid = plan.baseline, certificate_grid(plan.trajectory, plan.options)
     fresh = objective_metrics(
         objective_of(plan.robot, plan.options, sag=_sag(plan.scene, plan.robot, plan.options)),
@@ -240,26 +226,22 @@ def _verify_objective(plan: Plan, source: Path) -> None:
         planned=(plan.figures, StateSamples(grid, *plan.trajectory.states(grid))),
         floor=plan.objective.floor,
     )
-    for name in ("baseline_peak", "planned_peak"):
-        got, value = getattr(plan.objective, name), getattr(fresh, name)
-        if not np.isclose(got, value, rtol=_SAME, atol=_SAME_ZERO):
-            raise ArchiveError(str(source), f"objective.{name}", got, f"{value:g}, as measured again")
+    _require_same(plan.objective, fresh, source, "objective")
 
 
-def _require_same(stored: MotionMetrics, fresh: MotionMetrics, source: Path, key: str) -> None:
-    def flat(motion: MotionMetrics) -> dict[str, float]:
-        values = asdict(motion)
-        return values | {f"limit_use.{name}": value for name, value in values.pop("limit_use").items()}
-
-    for name, value in flat(fresh).items():
-        got = flat(stored)[name]
-        if not np.isclose(got, value, rtol=_SAME, atol=_SAME_ZERO):
-            raise ArchiveError(str(source), f"{key}.{name}", got, f"{value:g}, as measured again")
+def _require_same(stored: object, fresh: object, source: Path, key: str) -> None:
+    """Refuse numbers of a dataclass, or of one in it, that differ from the new ones."""
+    for field in fields(fresh):  # type: ignore[arg-type]
+        got, value = getattr(stored, field.name), getattr(fresh, field.name)
+        if is_dataclass(value):
+            _require_same(got, value, source, f"{key}.{field.name}")
+        elif isinstance(value, float) and not np.isclose(got, value, rtol=_SAME, atol=_SAME_ZERO):
+            raise ArchiveError(str(source), f"{key}.{field.name}", got, f"{value:g}, as measured again")
 
 
 @contextmanager
 def _as_archive_error(source: str) -> Iterator[None]:
-    """Say of a scene or a robot that cannot be had any more that the plan cannot be read."""
+    """Turn errors of the scene or the robot into those of the plan."""
     try:
         yield
     except ArchiveError:

@@ -1,4 +1,4 @@
-"""JSON as its standard has it: no NaN, no doubled keys, UTF-8."""
+"""Standard JSON: no NaN, no repeated keys, UTF-8."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ __all__ = ["json_bytes", "read_json"]
 
 
 class _RefusedError(Exception):
-    """Something that Python's reader would let through; `read_json` says in which file."""
+    """Something that Python's reader accepts; `read_json` adds the file."""
 
     def __init__(self, key: str, got: str, expected: str) -> None:
         super().__init__(got)

@@ -23,14 +23,8 @@ from small_scenes import SHORT
 
 import cmbot
 
-SAVED = {
-    "plan.json",
-    "trajectory.csv",
-    "baseline.csv",
-    "trajectory.npz",
-    "trajectory.ros.json",
-    "replay.html",
-    "report.html",
+SAVED = {"plan.json", "baseline.csv", "replay.html", "report.html"} | {
+    f"trajectory.{suffix}" for suffix in ("csv", "npz", "ros.json")
 }
 FIGURES = ("peak torque on the guardrail, Nm", "smallest clearance, mm", "joint jerk, share of its bound")
 

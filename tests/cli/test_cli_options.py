@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from small_scenes import SHORT
 
 import cmbot
 import cmbot.views.plots
-from cmbot.archive import save
 from cmbot.common.errors import MissingExtra
 from cmbot.common.installation import install_command
 from cmbot.planning import Plan, Progress
@@ -43,17 +41,6 @@ def known(short_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> list[cmbot.Plann
 
     monkeypatch.setattr(cmbot, "plan", plan)
     return asked
-
-
-@pytest.fixture(scope="module")
-def saved(short_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A plan directory that no test changes."""
-    return save(short_plan, tmp_path_factory.mktemp("options") / "plan")
-
-
-@pytest.fixture
-def directory(saved: Path, folder: Path) -> Path:
-    return Path(shutil.copytree(saved, folder / "plan"))
 
 
 def printed(outcome: Outcome) -> dict[str, Any]:
@@ -164,12 +151,12 @@ def test_json_of_a_plan_is_that_of_plan_json(folder: Path) -> None:
     assert run("plan", "short.yaml", "-o", "out", "--force", "--json", "--quiet").err == ""
 
 
-def test_json_of_a_simulation_is_that_of_tracking_json(directory: Path) -> None:
-    outcome = run("simulate", directory, "--json", "--quiet")
+def test_json_of_a_simulation_is_that_of_tracking_json(short_folder: Path) -> None:
+    outcome = run("simulate", short_folder, "--json", "--quiet")
     data = printed(outcome)
     assert outcome.err == ""
-    assert (data["verb"], data["scene"], data["directory"]) == ("simulate", "short", str(directory))
-    kept = json.loads((directory / "tracking.json").read_text(encoding="utf-8"))
+    assert (data["verb"], data["scene"], data["directory"]) == ("simulate", "short", str(short_folder))
+    kept = json.loads((short_folder / "tracking.json").read_text(encoding="utf-8"))
     assert set(data["files"]) >= {"tracking.csv", "tracking_baseline.csv", "tracking.json"}
     for name in ("cmbot", "options", "seconds", "baseline", "planned"):
         assert data[name] == kept[name]
@@ -213,10 +200,10 @@ def test_with_json_an_error_stays_one_line_on_standard_error(words: tuple[str, .
 
 
 @pytest.mark.usefixtures("known")
-def test_quiet_prints_nothing(directory: Path) -> None:
+def test_quiet_prints_nothing(short_folder: Path) -> None:
     for words in (
         ("plan", "short.yaml"),
-        ("simulate", directory),
+        ("simulate", short_folder),
         ("check", "short.yaml"),
     ):
         assert run(*words, "--quiet") == Outcome(status=0, out="", err="")
@@ -235,23 +222,23 @@ def test_figures_are_drawn_into_the_plan_directory(folder: Path) -> None:
     cmbot.load_plan(folder / "out" / "short")
 
 
-def test_figures_of_a_simulation(directory: Path) -> None:
-    outcome = run("simulate", directory, "--figures")
+def test_figures_of_a_simulation(short_folder: Path) -> None:
+    outcome = run("simulate", short_folder, "--figures")
     assert outcome.status == 0, outcome.err
     drawn = {f"{name}.{suffix}" for name in TRACKING_FIGURES for suffix in ("png", "svg")}
-    assert {path.name for path in directory.iterdir()} >= drawn
+    assert {path.name for path in short_folder.iterdir()} >= drawn
     assert all(name in outcome.out for name in drawn)
 
 
 def test_without_matplotlib_nothing_is_planned(
-    known: list[cmbot.PlannerOptions], directory: Path, monkeypatch: pytest.MonkeyPatch
+    known: list[cmbot.PlannerOptions], short_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def missing() -> None:
         raise MissingExtra("matplotlib", "plots")
 
     monkeypatch.setattr("cmbot.views.require_matplotlib", missing)
     monkeypatch.setattr(cmbot, "simulate", lambda *_, **__: pytest.fail("simulated first"))
-    for words in (("plan", "short.yaml"), ("simulate", directory)):
+    for words in (("plan", "short.yaml"), ("simulate", short_folder)):
         outcome = run(*words, "--figures")
         assert (outcome.status, outcome.out) == (1, "")
         assert outcome.err == f"error: matplotlib is not installed; run: {install_command('plots')}\n"

@@ -18,6 +18,7 @@ from small_scenes import short_scene
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan, Samples, plan
+from cmbot.simulation import Tracking, simulate
 
 MOTIONS = ("trajectory", "approach")
 FILES = {"plan.json", "baseline.csv"} | {
@@ -53,9 +54,27 @@ def short_plan() -> Plan:
     return plan(short_scene())
 
 
-def edit(folder: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Change what stands in plan.json."""
-    path = folder / "plan.json"
+@pytest.fixture(scope="session")
+def saved_short(short_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A plan directory of the small plan that no test changes."""
+    return save(short_plan, tmp_path_factory.mktemp("short") / "plan")
+
+
+@pytest.fixture
+def short_folder(saved_short: Path, tmp_path: Path) -> Path:
+    """A plan directory of the small plan, to be changed."""
+    return Path(shutil.copytree(saved_short, tmp_path / "plan"))
+
+
+@pytest.fixture(scope="session")
+def short_tracking(short_plan: Plan) -> Tracking:
+    """The tracking errors of the small plan."""
+    return simulate(short_plan)
+
+
+def edit(folder: Path, change: Callable[[dict[str, Any]], object], name: str = "plan.json") -> None:
+    """Change what stands in a JSON file."""
+    path = folder / name
     data = json.loads(path.read_text(encoding="utf-8"))
     change(data)
     path.write_text(json.dumps(data), encoding="utf-8")
@@ -74,10 +93,10 @@ def npz(**arrays: Any) -> bytes:
     return file.getvalue()
 
 
-def refused(folder: Path, file: str, key: str) -> ArchiveError:
+def refused(folder: Path, file: str, key: str, load: Callable[[Path], object] = load_plan) -> ArchiveError:
     """Return the error for which a plan directory is not read; it names that file and key."""
     with pytest.raises(ArchiveError) as caught:
-        load_plan(folder)
+        load(folder)
     assert (caught.value.source, caught.value.key) == (str(folder / file), key)
     return caught.value
 

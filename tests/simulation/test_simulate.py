@@ -9,7 +9,6 @@ import pytest
 from small_motions import arm_on_its_guardrail, swing
 from small_scenes import parts, short_scene
 
-import cmbot
 from cmbot.common.errors import InputError, SimulationDiverged
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, ToolTask, plan
@@ -29,14 +28,9 @@ from cmbot.simulation.tracking import elastic_arm_of
 OPTIONS = SimulationOptions()
 
 
-@pytest.fixture(scope="module")
-def short_plan() -> Plan:
-    return plan(short_scene())
-
-
-@pytest.fixture(scope="module")
-def tracking(short_plan: Plan) -> Tracking:
-    return cmbot.simulate(short_plan)
+@pytest.fixture
+def tracking(short_tracking: Tracking) -> Tracking:
+    return short_tracking
 
 
 @pytest.fixture(scope="module")
@@ -236,14 +230,10 @@ def test_rows_are_the_figures_in_millimetres(tracking: Tracking) -> None:
     rows = {(name, motion): numbers for name, motion, *numbers in tracking_rows(tracking)}
     assert len(rows) == 34
     figures = tracking.planned.metrics
-    for name, statistics in (
-        ("error", figures.total),
-        ("static part", figures.static),
-        ("dynamic part", figures.dynamic),
-    ):
-        np.testing.assert_allclose(
-            [float(x) for x in rows[f"{name}, RMS", "planned"]], 1e3 * statistics.rms, atol=6e-4
-        )
+    parts = {"error": figures.total, "static part": figures.static, "dynamic part": figures.dynamic}
+    for name, statistics in parts.items():
+        printed = [float(x) for x in rows[f"{name}, RMS", "planned"]]
+        np.testing.assert_allclose(printed, 1e3 * statistics.rms, atol=6e-4)
     assert figures.residual is not None
     assert float(rows["after the stop, peak to peak", "planned"][3]) == pytest.approx(
         1e3 * figures.residual.diameter, abs=6e-4

@@ -20,13 +20,8 @@ from cmbot.planning.verification.metrics import measure
 from cmbot.scene import PlannerOptions
 
 FIGURES = {
-    "peak_guardrail_torque",
-    "mean_guardrail_torque",
-    "min_clearance",
-    "peak_static_guardrail_torque",
-    "max_tool_deviation",
-    "max_tool_rotation",
-    "limit_use",
+    *(f"{kind}_guardrail_torque" for kind in ("peak", "mean", "peak_static")),
+    *("min_clearance", "max_tool_deviation", "max_tool_rotation", "limit_use"),
 }
 
 
@@ -107,13 +102,8 @@ def test_what_was_done_about_sag_and_vibration_has_the_promised_keys(thin_plan, 
     plan = replace(thin_plan, compensation=compensation, quieting=suppression)
     data = json.loads((save(plan, tmp_path / "plan") / "plan.json").read_text())
     assert data["compensation"] == {"rounds": 2, "largest_shift": 0.01, "last_change": 1e-6}
-    assert data["quieting"] == {
-        "modes": 2,
-        "shares": [1.0, 0.5],
-        "before": 1e-3,
-        "after": 1e-4,
-        "share": 0.75,
-    }
+    shares = {"shares": [1.0, 0.5], "share": 0.75}
+    assert data["quieting"] == {"modes": 2, "before": 1e-3, "after": 1e-4, **shares}
     read = load_plan(tmp_path / "plan")
     assert (read.compensation, read.quieting) == (compensation, suppression)
 
@@ -144,19 +134,10 @@ def test_tables_hold_the_samples_exactly(saved_triangle, triangle_plan, approach
     vectors = [f"{v}_{axis}" for v in ("guardrail_torque", "guardrail_force", "tool") for axis in "xyz"]
     assert header == ["t", *joints, *vectors, "clearance"]
     table = np.array(rows, dtype=float)
-    expected = [
-        samples.t[:, None],
-        samples.q,
-        samples.v,
-        samples.a,
-        samples.j,
-        samples.joint_torque,
-        samples.guardrail_torque,
-        samples.guardrail_force,
-        samples.tool_point,
-        samples.clearance[:, None],
-    ]
-    np.testing.assert_array_equal(table, np.hstack(expected))
+    joints_and_torque = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
+    wrench = (samples.guardrail_torque, samples.guardrail_force)
+    columns = (samples.t, *joints_and_torque, *wrench, samples.tool_point, samples.clearance)
+    np.testing.assert_array_equal(table, np.column_stack(columns))
     steps = np.diff(table[:, 0])
     np.testing.assert_allclose(steps[:-1], 0.01, rtol=1e-9)
     assert 0 < steps[-1] <= 0.01 + 1e-9

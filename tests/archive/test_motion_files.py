@@ -1,14 +1,18 @@
-"""What is refused of knots and tables, the arrays of a plan directory."""
+"""What is refused of knots and tables; numbers as text are what Python's `repr` has."""
 
 import io
+import json
 import zipfile
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
 from plan_folders import npz, refused, rewrite
 
-from cmbot.archive.motion_files import read_knots, read_motion
+from cmbot.archive.motion_files import number_rows, read_knots, read_motion
 from cmbot.common.errors import ArchiveError
 
 
@@ -130,3 +134,14 @@ def test_damaged_tables(saved_triangle, change, key):
     with pytest.raises(ArchiveError) as caught:
         read_motion("\n".join([*change(lines), ""]).encode(), "FILE", 7)
     assert (caught.value.source, caught.value.key) == ("FILE", key)
+
+
+@given(arrays.arrays(np.float64, st.tuples(st.integers(0, 6), st.integers(1, 6))))
+def test_every_number_is_its_repr(table: np.ndarray) -> None:
+    assert number_rows(table) == [list(map(repr, row)) for row in table.tolist()]
+
+
+def test_sizes_at_which_the_form_changes() -> None:
+    numbers = np.outer([1.0, -1.0, 1 + 2**-52, 1 - 2**-53], 10.0 ** np.arange(-30, 30))
+    assert number_rows(numbers) == [list(map(repr, row)) for row in numbers.tolist()]
+    assert number_rows(numbers) == [list(map(json.dumps, row)) for row in numbers.tolist()]

@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from command_line import Outcome, on_a_terminal, run, without_colours
-from small_scenes import short_scene
 
 import cmbot
-from cmbot.archive import save, save_tracking
+from cmbot.archive import save_tracking
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan
 from cmbot.simulation import (
@@ -35,27 +34,21 @@ PAGES = ("replay.html", "report.html")
 COLUMNS = ["t", "error_x", "error_y", "error_z", "static_x", "static_y", "static_z"]
 
 
-@pytest.fixture(scope="module")
-def saved(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A plan directory that no test changes."""
-    return save(cmbot.plan(short_scene()), tmp_path_factory.mktemp("simulate") / "plan")
+@pytest.fixture
+def directory(short_folder: Path) -> Path:
+    return short_folder
 
 
 @pytest.fixture
-def directory(saved: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(saved, tmp_path / "plan"))
+def tracking(short_tracking: Tracking) -> Tracking:
+    return short_tracking
 
 
 @pytest.fixture(scope="module")
-def simulated(saved: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
+def simulated(saved_short: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
     """A directory after ``cmbot simulate``, and what that said."""
-    folder = Path(shutil.copytree(saved, tmp_path_factory.mktemp("simulated") / "plan"))
+    folder = Path(shutil.copytree(saved_short, tmp_path_factory.mktemp("simulated") / "plan"))
     return folder, run("simulate", folder)
-
-
-@pytest.fixture(scope="module")
-def tracking(saved: Path) -> Tracking:
-    return cmbot.simulate(cmbot.load_plan(saved))
 
 
 def rows_of(path: Path) -> tuple[list[str], np.ndarray]:
@@ -64,10 +57,10 @@ def rows_of(path: Path) -> tuple[list[str], np.ndarray]:
     return header, np.array(rows, dtype=float)
 
 
-def test_it_adds_files_and_changes_none_of_the_plans(simulated: tuple[Path, Outcome], saved: Path) -> None:
+def test_it_adds_files_and_changes_none(simulated: tuple[Path, Outcome], saved_short: Path) -> None:
     folder, outcome = simulated
     assert outcome.status == 0, outcome.err
-    before = {path.name: path.read_bytes() for path in saved.iterdir()}
+    before = {path.name: path.read_bytes() for path in saved_short.iterdir()}
     after = {path.name: path.read_bytes() for path in folder.iterdir()}
     assert after.keys() - before.keys() == FILES | set(PAGES)
     assert {name: after[name] for name in before} == before
@@ -84,7 +77,7 @@ def test_the_tables_are_the_errors(simulated: tuple[Path, Outcome], tracking: Tr
         np.testing.assert_allclose(table[:, 4:], motion.static, atol=1e-12)
 
 
-def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], saved: Path) -> None:
+def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], saved_short: Path) -> None:
     folder = simulated[0]
     data = json.loads((folder / "tracking.json").read_text(encoding="utf-8"))
     assert data["format"] == "cmbot-tracking/1"
@@ -114,7 +107,7 @@ def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], sa
 WRITTEN = (*TABLES, "tracking.json", "replay.html", "report.html")
 
 
-def test_it_answers_in_short(simulated: tuple[Path, Outcome], saved: Path, tracking: Tracking) -> None:
+def test_it_prints_a_summary(simulated: tuple[Path, Outcome], short_plan: Plan, tracking: Tracking) -> None:
     folder, outcome = simulated
     lines = outcome.out.splitlines()
     rows = list(tracking_summary(tracking, compensated=False))
@@ -122,7 +115,7 @@ def test_it_answers_in_short(simulated: tuple[Path, Outcome], saved: Path, track
     assert lines[1].split() == ["baseline", "planned"]
     assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
     assert lines[2 + len(rows) :] == [
-        tracking_verdict(cmbot.load_plan(saved), tracking),
+        tracking_verdict(short_plan, tracking),
         f"Written to {', '.join(str(folder / name) for name in WRITTEN)}.",
         f"All figures: {folder / 'report.html'}, under Simulation; --details --force prints them.",
     ]
@@ -163,12 +156,12 @@ def test_the_answer_is_what_was_measured(tracking: Tracking) -> None:
     assert first == "tool sags beyond what was foreseen, mean"
 
 
-def test_the_verdict_follows_the_margin(saved: Path, tracking: Tracking) -> None:
+def test_the_verdict_follows_the_margin(saved_short: Path, tracking: Tracking) -> None:
     def verdict(allowed_mm: float, *, compensate: bool = False) -> str:
         options = replace(plan.options, max_tool_deviation_m=1e-3 * allowed_mm, compensate=compensate)
         return tracking_verdict(replace(plan, options=options), tracking)
 
-    plan: Plan = cmbot.load_plan(saved)
+    plan: Plan = cmbot.load_plan(saved_short)
     rows = {name: float(planned) for name, _, planned in tracking_summary(tracking, compensated=False)}
     off, sways = rows["bent tool off its path, at most"], rows["tool sways beside its sag, at most"]
     assert verdict(1.01 * off).startswith("Within the margin: bent as it is, the tool stays within ")
@@ -188,18 +181,8 @@ def test_on_a_terminal_it_draws_a_table(directory: Path) -> None:
 
 
 def test_options_reach_the_simulation(directory: Path) -> None:
-    words = (
-        "--details",
-        "--damping",
-        "0.02",
-        "--initial",
-        "undeformed",
-        "--stiffness",
-        "0.8",
-        "--segments",
-        "2",
-    )
-    outcome = run("simulate", directory, *words)
+    words = ("--damping", "0.02", "--initial", "undeformed", "--stiffness", "0.8", "--segments", "2")
+    outcome = run("simulate", directory, "--details", *words)
     assert outcome.status == 0, outcome.err
     options = json.loads((directory / "tracking.json").read_text(encoding="utf-8"))["options"]
     changed = {"damping": 0.02, "initial": "undeformed", "segments": 2}
@@ -283,7 +266,3 @@ def test_it_is_saved_from_python_too(directory: Path, tracking: Tracking) -> Non
     with pytest.raises(ArchiveError, match="already there"):
         cmbot.save_tracking(tracking, directory)
     assert cmbot.save_tracking(tracking, directory, force=True) == paths
-
-
-def test_help_shows_an_example() -> None:
-    assert "cmbot simulate out/triangle" in without_colours(run("simulate", "--help").out)

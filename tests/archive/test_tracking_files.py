@@ -1,7 +1,6 @@
 """Tracking errors read back: the same as were saved, or the file and key for which they are not."""
 
 import hashlib
-import json
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, fields
@@ -9,25 +8,21 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import plan_folders
 import pytest
-from small_scenes import short_scene
+from plan_folders import edit
 
 import cmbot
 from cmbot.archive import load_plan, load_tracking, save, save_tracking
 from cmbot.common.errors import ArchiveError
-from cmbot.planning import Plan, plan
-from cmbot.simulation import SimulationOptions, Tracking, simulate, tracking_rows
+from cmbot.planning import Plan
+from cmbot.simulation import Tracking, tracking_rows
 
 
 @pytest.fixture(scope="module")
-def tracking(short_plan: Plan) -> Tracking:
-    return simulate(short_plan, SimulationOptions(damping=0.02, settle_s=1.0))
-
-
-@pytest.fixture(scope="module")
-def saved(short_plan: Plan, tracking: Tracking, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = save(short_plan, tmp_path_factory.mktemp("tracking") / "short")
-    save_tracking(tracking, folder)
+def saved(saved_short: Path, short_tracking: Tracking, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = Path(shutil.copytree(saved_short, tmp_path_factory.mktemp("tracking") / "short"))
+    save_tracking(short_tracking, folder)
     return folder
 
 
@@ -37,14 +32,14 @@ def folder(saved: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(saved, tmp_path / "short"))
 
 
-def test_what_was_saved_is_read(saved: Path, tracking: Tracking) -> None:
-    same(saved, tracking)
+def test_what_was_saved_is_read(saved: Path, short_tracking: Tracking) -> None:
+    same(saved, short_tracking)
 
 
-def test_what_a_compensated_plan_errs_is_read_as_such(tmp_path: Path) -> None:
-    """From where the plan expects the tool, after reading as before."""
-    compensated = plan(short_scene(planner={"compensate": True}))
-    tracking = simulate(compensated, SimulationOptions(settle_s=0.5))
+def test_a_compensated_plan_is_read_with_its_expected_tool(
+    tmp_path: Path, compensated_short: tuple[Plan, Tracking]
+) -> None:
+    compensated, tracking = compensated_short
     save(compensated, tmp_path / "short")
     save_tracking(tracking, tmp_path / "short")
     same(tmp_path / "short", tracking)
@@ -75,10 +70,7 @@ def test_a_plan_that_was_not_simulated_has_none(folder: Path, short_plan: Plan) 
 
 
 def refused(plan: Plan, folder: Path, file: str, key: str) -> ArchiveError:
-    with pytest.raises(ArchiveError) as caught:
-        load_tracking(plan, folder)
-    assert (caught.value.source, caught.value.key) == (str(folder / file), key)
-    return caught.value
+    return plan_folders.refused(folder, file, key, lambda directory: load_tracking(plan, directory))
 
 
 @pytest.mark.parametrize("name", ["tracking.csv", "tracking_baseline.csv", "tracking.json"])
@@ -111,10 +103,7 @@ def test_a_changed_file_is_an_error(folder: Path, short_plan: Plan, name: str) -
 def test_a_strange_entry_is_an_error(
     folder: Path, short_plan: Plan, change: Callable[[dict[str, Any]], object], key: str
 ) -> None:
-    path = folder / "tracking.json"
-    data = json.loads(path.read_text(encoding="utf-8"))
-    change(data)
-    path.write_text(json.dumps(data), encoding="utf-8")
+    edit(folder, change, "tracking.json")
     refused(short_plan, folder, "tracking.json", key)
 
 
@@ -124,10 +113,8 @@ def test_a_strange_entry_is_an_error(
 def test_a_strange_table_is_an_error(folder: Path, short_plan: Plan, table: str) -> None:
     content = table.encode()
     (folder / "tracking.csv").write_bytes(content)
-    path = folder / "tracking.json"
-    data = json.loads(path.read_text(encoding="utf-8"))
-    data["files"]["tracking.csv"] = hashlib.sha256(content).hexdigest()
-    path.write_text(json.dumps(data), encoding="utf-8")
+    hashes = {"tracking.csv": hashlib.sha256(content).hexdigest()}
+    edit(folder, lambda data: data["files"].update(hashes), "tracking.json")
     with pytest.raises(ArchiveError) as caught:
         load_tracking(short_plan, folder)
     assert caught.value.source == str(folder / "tracking.csv")
