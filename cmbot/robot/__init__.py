@@ -1,7 +1,7 @@
 """The robot: its model from a URDF, its kinematics and its dynamics."""
 
 from cmbot.robot.arm_model import convex_hull, encloses_volume
-from cmbot.robot.dynamics import Dynamics, EffortDerivatives, Efforts
+from cmbot.robot.dynamics import Dynamics, Efforts
 from cmbot.robot.elasticity import LinkTube
 from cmbot.robot.inspection import Finding, inspect_urdf, overview, parse_urdf
 from cmbot.robot.kinematics import Kinematics
@@ -13,7 +13,6 @@ from cmbot.robot.robot import Robot
 __all__ = [
     "Chain",
     "Dynamics",
-    "EffortDerivatives",
     "Efforts",
     "Finding",
     "JointLimits",

@@ -53,8 +53,7 @@ class Dynamics:
     """Inverse dynamics of a robot whose base is held still.
 
     Values come from one call for all states, `pinocchio.rneaInParallel`; derivatives from one call a state.
-    ``benchmarks/kernels.py`` compares a compiled closed form: it is quicker, but importing its compiler takes
-    longer than all the derivatives of a plan.
+    ``benchmarks/kernels.py`` times the alternatives.
 
     It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
 
