@@ -215,7 +215,7 @@ def upward(**planner: Any) -> Scene:
     return short_scene(
         posture_deg=[-45, -90, 90, -10, 10, -55, 0],
         tool_path={"legs": [{"by": [0, 0, 0.3], "seconds": 5}]},
-        planner={"knots": "sliding", "peak_tolerance": 3e-3, **planner},
+        planner={"knots": "sliding", "peak_tolerance": 1e-3, **planner},
     )
 
 
@@ -256,7 +256,7 @@ def test_a_plan_about_the_base(about_base: Plan) -> None:
         f"the torque about the base, axes weighted 2, 1, 0, from a peak of {figures.baseline_peak:.2f} Nm"
         in text
     )
-    assert "Made small" not in " ".join(remarks(default))
+    assert "Minimised" not in " ".join(remarks(default))
 
 
 def test_weights_are_one_of_anyones_own_functions(with_own: Plan) -> None:
@@ -269,7 +269,7 @@ def test_weights_are_one_of_anyones_own_functions(with_own: Plan) -> None:
     figures = with_own.objective
     assert (figures.name, figures.own, figures.moment_about) == ("steep", True, None)
     assert figures.floor == pytest.approx(weighted.lower_bound.value, rel=1e-9)
-    assert "Made small: steep, from a peak of" in " ".join(remarks(with_own))
+    assert "Minimised: steep, from a peak of" in " ".join(remarks(with_own))
 
 
 def test_round_trip(about_base: Plan, with_own: Plan, tmp_path: Path) -> None:
