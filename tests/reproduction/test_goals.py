@@ -33,7 +33,7 @@ size = st.floats(2.0, 20.0)
 
 
 def statistics(mean: Any, deviation: Any) -> Statistics:
-    """Of x, y and z, mm; the norm's are not looked at."""
+    """Of x, y and z, mm; the norm's are not used."""
     both = [MM * np.append(np.asarray(values, dtype=float), 0.0) for values in (mean, deviation)]
     return Statistics(mean=both[0], standard_deviation=both[1], rms=np.ones(4), peak_to_peak=np.ones(4))
 
@@ -76,7 +76,7 @@ def run_of(found: Tracking, plan_: Any = None) -> Run:
     return Run(plan=plan_, equilibrium=found, undeformed=found)
 
 
-def quieted(share: float = 1.0) -> Any:
+def suppressed(share: float = 1.0) -> Any:
     return SimpleNamespace(quieting=SimpleNamespace(modes=2, share=share, before=1e-4, after=2e-6))
 
 
@@ -208,27 +208,32 @@ def test_otherwise_vibration_is_the_reason() -> None:
     assert "the sag alone would allow 94.0 %: vibration has a mean of 5.500 mm there" in why
 
 
-def test_without_a_plan_the_reason_is_told() -> None:
+def test_without_a_plan_the_reason_is_given() -> None:
     assert compensation_goal(NONE).remarks == ("There is no plan: no way.",)
     assert compensation_goal(NONE).rows == ()
     assert verdicts(compensation_goal(NONE)) == [("sag compensated: errors 90 % less", "no plan", False)]
 
 
 def resting(
-    planned: Any, loud: Any, other: Any = (1, 1, 1, 1), *, plan_: Any = None, before: Any = (100, 50, 10, 120)
+    planned: Any,
+    unsuppressed: Any,
+    other: Any = (1, 1, 1, 1),
+    *,
+    plan_: Any = None,
+    before: Any = (100, 50, 10, 120),
 ) -> GoalTable | None:
     first, second, third = (
         tracking(motion([1, 1, 1], rest=before), motion([1, 1, 1], rest=after), factor)
-        for after, factor in ((planned, 1.0), (loud, 1.0), (other, 1.3))
+        for after, factor in ((planned, 1.0), (unsuppressed, 1.0), (other, 1.3))
     )
     silent: Any = SimpleNamespace(quieting=None)
     return rest_goal(
         Experiment(
             paper=PAPER[0],
-            planned=run_of(first, plan_ or quieted()),
+            planned=run_of(first, plan_ or suppressed()),
             fixed=None,
             why_not="",
-            compensated=Variant(plan=quieted(), trackings=(third,), why_not=""),
+            compensated=Variant(plan=suppressed(), trackings=(third,), why_not=""),
             unsuppressed=Variant(plan=silent, trackings=(second,), why_not=""),
             least_sag=None,
         )
@@ -255,8 +260,8 @@ def test_rest_is_a_share_of_the_baselines() -> None:
 @pytest.mark.parametrize(
     ("plan_", "cause"),
     [
-        (quieted(0.5), "Only the share 0.5 of the correction kept all bounds"),
-        (quieted(), "The prediction for the 2 suppressed modes is 0.0040 mm"),
+        (suppressed(0.5), "Only the share 0.5 of the correction kept all bounds"),
+        (suppressed(), "The prediction for the 2 suppressed modes is 0.0040 mm"),
     ],
 )
 def test_why_the_tool_does_not_rest(plan_: Any, cause: str) -> None:
@@ -269,19 +274,19 @@ def test_why_the_tool_does_not_rest(plan_: Any, cause: str) -> None:
     assert cause in table.remarks[1]
 
 
-def test_an_arm_that_was_not_watched_has_no_rest() -> None:
+def test_without_a_simulated_rest_there_is_no_goal_of_it() -> None:
     found = tracking(motion([1, 1, 1]), motion([1, 1, 1]))
-    unwatched = Experiment(
+    without_rest = Experiment(
         paper=PAPER[0],
-        planned=run_of(found, quieted()),
+        planned=run_of(found, suppressed()),
         fixed=None,
         why_not="",
         compensated=NONE,
         unsuppressed=NONE,
         least_sag=None,
     )
-    assert rest_goal(unwatched) is None
-    assert [table.title.split(":")[0] for table in goals(unwatched)] == ["Postures", "Compensation"]
+    assert rest_goal(without_rest) is None
+    assert [table.title.split(":")[0] for table in goals(without_rest)] == ["Postures", "Compensation"]
 
 
 def test_least_sag_is_set_beside_least_torque() -> None:

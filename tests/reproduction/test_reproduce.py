@@ -247,12 +247,12 @@ def test_the_assumptions_are_those_of_the_page() -> None:
 
 
 def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
-    told: list[tuple[str, str, float]] = []
-    found = reproduce(on_step=lambda *words: told.append(words), factors=(1.0, 0.7))
+    steps: list[tuple[str, str, float]] = []
+    found = reproduce(on_step=lambda *words: steps.append(words), factors=(1.0, 0.7))
     assert planner == ["", "knots: fixed", "compensate: True", "quiet_modes: 0", "objective: sag"] * 2
-    assert [scene for scene, *_ in told] == ["triangle"] * 21 + ["line"] * 21
+    assert [scene for scene, *_ in steps] == ["triangle"] * 21 + ["line"] * 21
     # Plans and simulations of an experiment: 3 + 3 + 3 + 2 + 2.
-    assert told[:6] == [
+    assert steps[:6] == [
         ("triangle", what, pytest.approx(share / 26))
         for what, share in (
             ("sliding via-points", 0),
@@ -263,14 +263,14 @@ def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
             ("fixed via-points", 3),
         )
     ]
-    assert told[13] == (
+    assert steps[13] == (
         "triangle",
         "sag compensation: simulating, stiffness times 0.7",
         pytest.approx(8 / 26),
     )
-    shares = [share for *_, share in told]
+    shares = [share for *_, share in steps]
     assert shares == sorted(shares)
-    assert told[-1] == ("line", "least sag: simulating, stiffness times 1", pytest.approx(25.5 / 26))
+    assert steps[-1] == ("line", "least sag: simulating, stiffness times 1", pytest.approx(25.5 / 26))
     for entry in found.experiments:
         for run_ in (entry.planned, entry.fixed):
             assert run_ is not None
@@ -283,11 +283,11 @@ def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
 
 
 def test_least_sag_can_be_left_out(planner: list[str]) -> None:
-    told: list[float] = []
-    found = reproduce(on_step=lambda *words: told.append(words[-1]), factors=(1.0,), least_sag=False)
+    steps: list[float] = []
+    found = reproduce(on_step=lambda *words: steps.append(words[-1]), factors=(1.0,), least_sag=False)
     assert len(planner) == 8
     assert all(entry.least_sag is None for entry in found.experiments)
-    assert told[-1] == pytest.approx((20 - 0.5) / 20)
+    assert steps[-1] == pytest.approx((20 - 0.5) / 20)
 
 
 @pytest.fixture
@@ -332,8 +332,8 @@ def test_the_page_shows_the_figures(found: Reproduction) -> None:
             assert f"| {' | '.join(row)} |" in page
         mean = 1e3 * entry.planned.equilibrium.baseline.metrics.total.mean[:3]
         assert [float(x) for x in rows[6][2:]] == pytest.approx(mean, abs=6e-3)
-        for told in (*findings(entry), *reasons(entry)):
-            assert getattr(told, "text", told) in page
+        for sentence in (*(finding.text for finding in findings(entry)), *reasons(entry)):
+            assert sentence in page
         for goal in goals(entry):
             assert f"#### {goal.title}\n" in page
             for row in cells(goal):
@@ -409,8 +409,8 @@ def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
     assert lines[0] == "Goals"
     assert TRIANGLE.title in lines
     assert LINE.title in lines
-    told = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
-    for entry in told["experiments"]:
+    written_json = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
+    for entry in written_json["experiments"]:
         for finding in entry["findings"]:
             verdict = "agrees" if finding["agrees"] else "does not agree"
             assert f"{verdict}: {finding['text']}" in lines
@@ -448,10 +448,10 @@ def test_the_command_replaces_a_reproduction_and_answers_in_short(tmp_path: Path
     assert outcome.status == 0, outcome.err
     assert (folder / "reproduce.md").read_text(encoding="utf-8").startswith("# The paper's experiments")
     lines = outcome.out.splitlines()
-    told = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
+    written_json = json.loads((folder / "reproduce.json").read_text(encoding="utf-8"))
     verdicts = [
         (entry["scene"], verdict)
-        for entry in told["experiments"]
+        for entry in written_json["experiments"]
         for goal in entry["goals"]
         for verdict in goal["verdicts"]
     ]
@@ -463,7 +463,7 @@ def test_the_command_replaces_a_reproduction_and_answers_in_short(tmp_path: Path
         assert re.split(r"  +", line) == [scene, verdict["asked"], verdict["found"], met]
     paper, written, more = lines[2 + len(verdicts) :]
     assert paper.startswith("Of the paper's own results ")
-    for entry in told["experiments"]:
+    for entry in written_json["experiments"]:
         agreeing = sum(finding["agrees"] for finding in entry["findings"])
         assert f"{agreeing} of {len(entry['findings'])} are found again for the {entry['scene']}" in paper
     assert written.startswith("Written to ")

@@ -69,14 +69,14 @@ def light_page(short_plan: Plan) -> str:
 @pytest.mark.browser
 def test_it_films_from_start_to_end(light_page: str, tmp_path: Path) -> None:
     programs(*PROGRAMS)
-    path, told = tmp_path / "film.mp4", []
-    film(light_page, path, speed=10.0, progress=told.append)
+    path, shares = tmp_path / "film.mp4", []
+    film(light_page, path, speed=10.0, progress=shares.append)
     words = ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json"]
     done = subprocess.run([*words, str(path)], capture_output=True, text=True, check=True)
     (stream,) = json.loads(done.stdout)["streams"]
     assert (stream["width"], stream["height"]) == (1280, 720)
     assert int(stream["nb_read_frames"]) == 11  # 4 s, ten times as fast, 25 a second, with both ends
-    assert told == sorted(told)
+    assert shares == sorted(shares)
     assert list(tmp_path.iterdir()) == [path]
 
 

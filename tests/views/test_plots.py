@@ -167,15 +167,15 @@ def motions(tracking: Tracking) -> tuple[tuple[str, MotionTracking], ...]:
     return (plots._BASELINE, tracking.baseline), (plots._PLANNED, tracking.planned)
 
 
-def test_where_nobody_watched_after_the_stop_nothing_is_drawn_of_it(tracking: Tracking) -> None:
-    unwatched = {
+def test_without_a_residual_it_has_no_figure(tracking: Tracking) -> None:
+    without_rest = {
         name: replace(motion, metrics=replace(motion.metrics, residual=None))
         for name, motion in (("baseline", tracking.baseline), ("planned", tracking.planned))
     }
-    assert tuple(labelled(plot(replace(tracking, **unwatched)))) == TRACKING[:2]
+    assert tuple(labelled(plot(replace(tracking, **without_rest)))) == TRACKING[:2]
 
 
-def test_the_motions_are_told_apart_in_grey() -> None:
+def test_the_motions_differ_in_grey() -> None:
     def grey(colour: str) -> float:
         return float(np.dot((0.299, 0.587, 0.114), to_rgb(colour)))
 
@@ -206,7 +206,7 @@ def test_what_is_neither_is_refused() -> None:
         cmbot.plot("triangle")  # type: ignore[arg-type]
 
 
-def test_without_matplotlib_the_command_to_run_is_told(
+def test_without_matplotlib_the_command_to_run_is_given(
     short_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
