@@ -16,7 +16,7 @@ from pathlib import Path
 
 from cmbot.common.validation import FileModel
 from cmbot.scene import Leg, PlannerOptions, SceneFile, SpeedProfile
-from cmbot.scene.schema import FORMAT
+from cmbot.scene.scene import FORMAT
 
 TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
 

@@ -3,9 +3,8 @@
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import PlannerOptions
-from cmbot.scene.scene import RobotSource, Scene
+from cmbot.scene.scene import RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
-from cmbot.scene.schema import SceneFile
 from cmbot.scene.tool_path import Leg, ShiftedToolPath, SpeedProfile, ToolPath, share_out_segments
 
 __all__ = [

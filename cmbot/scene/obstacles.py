@@ -1,20 +1,37 @@
-"""Shapes, and where they stand in W."""
+"""Obstacles: their shapes and poses, in the scene and in its file."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Self, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydantic import ConfigDict, model_validator
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import CheckedFields, require_type, shown
-from cmbot.scene.fields import Length
+from cmbot.common.validation import CheckedFields, FileModel, plain, require_type, shown
+from cmbot.scene.fields import Angles, Length, Slug, Text, Vector, exactly_one, one_of_schema
 
-__all__ = ["Box", "Capsule", "Cylinder", "Mesh", "Obstacle", "Shape", "Sphere", "pose"]
+__all__ = [
+    "Box",
+    "Capsule",
+    "Cylinder",
+    "Mesh",
+    "Obstacle",
+    "ObstacleFile",
+    "Shape",
+    "Sphere",
+    "obstacle_data",
+    "obstacle_from_file",
+    "pose",
+]
+
+_SHAPES = ("box", "cylinder", "capsule", "sphere", "mesh")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -123,6 +140,74 @@ class Obstacle:
         if not (sized and np.isfinite(X).all()):
             got = shown(X.tolist() if isinstance(X, np.ndarray) else X)
             raise InputError("Obstacle", "X_WO", got, "a pose: an array (4, 4) of finite numbers")
+
+
+class ObstacleFile(FileModel):
+    """Something that must not be hit: exactly one shape, placed in W."""
+
+    model_config = ConfigDict(json_schema_extra=one_of_schema(_SHAPES))
+
+    name: Slug
+    box: tuple[Length, Length, Length] | None = None
+    """Edge lengths along its x, y, z, m."""
+    cylinder: tuple[Length, Length] | None = None
+    """[radius, length along z], m."""
+    capsule: tuple[Length, Length] | None = None
+    """[radius, length along z between the centres of its two half spheres], m."""
+    sphere: Length | None = None
+    """Radius, m."""
+    mesh: Text | None = None
+    """Path of a mesh file in metres, relative to the scene file."""
+    xyz: Vector
+    """Centre (of a mesh: its origin) in W, m."""
+    rpy_deg: Angles = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+    workpiece: bool = False
+    """The tool works on it, so it may come close."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        exactly_one(self, _SHAPES)
+        return self
+
+
+def obstacle_from_file(file: ObstacleFile, key: str, find: Callable[[str, str], Path]) -> Obstacle:
+    """Return the obstacle that an entry of a scene file describes; `find` gives the path of a file."""
+    shape: Shape
+    if file.box is not None:
+        shape = Box(size=file.box)
+    elif file.cylinder is not None:
+        shape = Cylinder(radius=file.cylinder[0], length=file.cylinder[1])
+    elif file.capsule is not None:
+        shape = Capsule(radius=file.capsule[0], length=file.capsule[1])
+    elif file.sphere is not None:
+        shape = Sphere(radius=file.sphere)
+    else:
+        mesh = cast("str", file.mesh)  # `_check` lets exactly one through
+        shape = Mesh(path=find(mesh, f"{key}.mesh"))
+    X_WO = pose(file.xyz, np.radians(file.rpy_deg))
+    return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece)
+
+
+def obstacle_data(obstacle: Obstacle, entry: ObstacleFile | None) -> dict[str, Any]:
+    """Return the file's entry of an obstacle; its numbers as they stand there, where they are the same."""
+    X = obstacle.X_WO
+    xyz, rpy_deg = X[:3, 3].tolist(), Rotation.from_matrix(X[:3, :3]).as_euler("xyz", degrees=True).tolist()
+    if entry is not None and np.array_equal(pose(entry.xyz, np.radians(entry.rpy_deg)), X):
+        xyz, rpy_deg = entry.xyz, entry.rpy_deg
+    data = {"name": obstacle.name, "xyz": xyz, "rpy_deg": rpy_deg, "workpiece": obstacle.workpiece}
+    match obstacle.shape:
+        case Box(size=size):
+            return data | {"box": plain(size, "Box")}
+        case Cylinder(radius=radius, length=length):
+            return data | {"cylinder": plain([radius, length], "Cylinder")}
+        case Capsule(radius=radius, length=length):
+            return data | {"capsule": plain([radius, length], "Capsule")}
+        case Sphere(radius=radius):
+            return data | {"sphere": plain(radius, "Sphere")}
+        case Mesh(path=path):
+            text = entry.mesh if entry is not None else None
+            return data | {"mesh": text if text and Path(text).name == path.name else str(path)}
 
 
 def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:

@@ -1,27 +1,134 @@
-"""The scene: the planning problem and its surroundings as data."""
+"""The scene: the planning problem and its surroundings, as data and as a file."""
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import GetPydanticSchema
+from pydantic import Field, GetPydanticSchema, model_validator
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.validation import CheckedFields, check_fields, require_type
+from cmbot.common.validation import (
+    CheckedFields,
+    FileModel,
+    check_fields,
+    hint,
+    refusal,
+    require_type,
+    shown,
+)
 from cmbot.elastic import Guardrail
-from cmbot.scene.fields import Length, Mass, Posture, Text, Vector
-from cmbot.scene.obstacles import Obstacle
+from cmbot.scene.fields import Angles, Length, Mass, Posture, Slug, Text, Vector
+from cmbot.scene.guardrail import GuardrailFile
+from cmbot.scene.obstacles import Obstacle, ObstacleFile
 from cmbot.scene.options import PlannerOptions
-from cmbot.scene.schema import SceneFile, ToolPathFile
 from cmbot.scene.tool_path import Leg, SpeedProfile
 
-__all__ = ["RobotSource", "Scene"]
+__all__ = ["FORMAT", "MountFile", "RobotFile", "RobotSource", "Scene", "SceneFile", "ToolPathFile"]
+
+FORMAT = "cmbot-scene/1"
 
 # A path is checked as the text that a file would hold.
 _AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
+
+
+class MountFile(FileModel):
+    """Pose of the robot's base frame in W."""
+
+    xyz: Vector
+    """m."""
+    rpy_deg: Angles
+    """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+
+class RobotFile(FileModel):
+    """Which robot: the shipped ``cmbot``, or any URDF with its frames, limits and mount."""
+
+    model: Text = "cmbot"
+    """``cmbot``, or a URDF's path relative to the scene file."""
+    base_frame: Text | None = None
+    """Of another URDF: the frame that is mounted."""
+    tool_frame: Text | None = None
+    """Of another URDF: the frame that follows the tool path."""
+    limits: Text | None = None
+    """Of another URDF: path of its joint-limits file."""
+    srdf: Text | None = None
+    """Of another URDF: path of its SRDF, if there is one."""
+    elasticity: Text | None = None
+    """Of another URDF: path of the file that says which of its links bend; left out: as beside the URDF."""
+    mount: MountFile | None = None
+    """Of another URDF: where its base frame is held."""
+    tool_length_m: Length | None = None
+    """Length of the tool, m; left out: as in the model."""
+    payload_kg: Mass = 0.0
+    """Point mass at the tool, kg."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        for name in ("base_frame", "tool_frame", "limits", "mount", "srdf", "elasticity"):
+            given = getattr(self, name) is not None
+            if self.model == "cmbot" and given:
+                got = shown(self.model_dump(mode="json")[name])
+                expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
+                raise refusal(expected, got=got, key=(name,))
+            if self.model != "cmbot" and not given and name not in ("srdf", "elasticity"):
+                expected = f"a value, as model is {shown(self.model)}{hint(self.model, ('cmbot',))}"
+                raise refusal(expected, got="nothing", key=(name,))
+        return self
+
+
+class ToolPathFile(FileModel):
+    """The path of the tool from its pose in the start posture."""
+
+    keep: Literal["pose", "axis", "position"] = "pose"
+    """What the path prescribes of the tool."""
+    legs: Annotated[tuple[Leg, ...], Field(min_length=1, max_length=2000)]
+    speed_profile: SpeedProfile = SpeedProfile()
+    via_points: Annotated[int, Field(ge=5, le=20000)] = 50
+    """Via-points in all; the ends of the legs are among them."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.via_points <= len(self.legs):
+            expected = f"more than the {len(self.legs)} legs"
+            raise refusal(expected, got=self.via_points, key=("via_points",))
+        return self
+
+
+class SceneFile(FileModel):
+    """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
+
+    format: Literal["cmbot-scene/1"]
+    name: Slug
+    """Also the name of the folder that a plan is written to."""
+    robot: RobotFile = RobotFile()
+    posture_deg: Posture
+    """Joint angles at the start, from the base to the tool."""
+    tool_path: ToolPathFile
+    obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
+    guardrail: GuardrailFile = GuardrailFile()
+    planner: PlannerOptions = PlannerOptions()
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        taken = set(self.guardrail.member_names)
+        for index, obstacle in enumerate(self.obstacles):
+            if obstacle.name in taken:
+                expected = "a name that no other obstacle or guardrail member has"
+                raise refusal(expected, got=shown(obstacle.name), key=("obstacles", index, "name"))
+            taken.add(obstacle.name)
+        return self
+
+    def as_data(self) -> dict[str, Any]:
+        """Return the file's content, every default filled in, as `cmbot.load_scene` takes it back."""
+        return self.model_dump(mode="json", exclude_none=True)
+
+    def canonical_json(self) -> str:
+        """Return the content as the one JSON text that equal scenes share."""
+        return json.dumps(self.as_data(), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 @dataclass(frozen=True, kw_only=True)

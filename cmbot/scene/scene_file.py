@@ -7,10 +7,9 @@ import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
@@ -19,9 +18,8 @@ from cmbot.common.validation import given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.scene.fields import si_fields
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
-from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
-from cmbot.scene.scene import RobotSource, Scene
-from cmbot.scene.schema import ObstacleFile, RobotFile, SceneFile
+from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
+from cmbot.scene.scene import RobotFile, RobotSource, Scene, SceneFile
 
 __all__ = ["load_scene", "scene_from_file", "shipped_scenes", "update_file"]
 
@@ -86,7 +84,7 @@ def scene_from_file(file: SceneFile, base_folder: Path, source: str) -> Scene:
         expected = f"a file that exists (relative to the scene file){shipped}"
         raise SceneError(source, key, shown(text), expected)
 
-    own = tuple(_obstacle(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
+    own = tuple(obstacle_from_file(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
     guardrail = guardrail_from_file(file.guardrail)
     posture = np.radians(file.posture_deg)
     posture.setflags(write=False)
@@ -122,7 +120,7 @@ def update_file(scene: Scene) -> Scene:
         "tool_path": {
             name: plain(getattr(scene, name), "Scene") for name in type(scene.file.tool_path).model_fields
         },
-        "obstacles": [_obstacle_data(obstacle, entries.get(obstacle.name)) for obstacle in own],
+        "obstacles": [obstacle_data(obstacle, entries.get(obstacle.name)) for obstacle in own],
         "planner": plain(scene.planner, "Scene"),
     }
     file = validated(SceneFile, data, "Scene", SceneError)
@@ -155,23 +153,6 @@ def _robot(file: RobotFile, find: _Find) -> RobotSource:
     mount = values.pop("mount")
     placed = {} if mount is None else si_fields(mount)
     return RobotSource(**values, mount_xyz=placed.get("xyz"), mount_rpy=placed.get("rpy"))
-
-
-def _obstacle(file: ObstacleFile, key: str, find: _Find) -> Obstacle:
-    shape: Shape
-    if file.box is not None:
-        shape = Box(size=file.box)
-    elif file.cylinder is not None:
-        shape = Cylinder(radius=file.cylinder[0], length=file.cylinder[1])
-    elif file.capsule is not None:
-        shape = Capsule(radius=file.capsule[0], length=file.capsule[1])
-    elif file.sphere is not None:
-        shape = Sphere(radius=file.sphere)
-    else:
-        mesh = cast("str", file.mesh)  # the schema lets exactly one through
-        shape = Mesh(path=find(mesh, f"{key}.mesh"))
-    X_WO = pose(file.xyz, np.radians(file.rpy_deg))
-    return Obstacle(name=file.name, shape=shape, X_WO=X_WO, workpiece=file.workpiece)
 
 
 def _content_hash(file: SceneFile, obstacles: tuple[Obstacle, ...], source: str) -> str:
@@ -218,27 +199,6 @@ def _robot_data(robot: RobotSource, file: RobotFile) -> dict[str, Any]:
         rpy_deg = _degrees(robot.mount_rpy, file.mount.rpy_deg if file.mount else None)
         data["mount"] = {"xyz": list(robot.mount_xyz), "rpy_deg": rpy_deg}
     return data
-
-
-def _obstacle_data(obstacle: Obstacle, entry: ObstacleFile | None) -> dict[str, Any]:
-    """The file's entry of an obstacle; its numbers as they stand there, where they are the same."""
-    X = obstacle.X_WO
-    xyz, rpy_deg = X[:3, 3].tolist(), Rotation.from_matrix(X[:3, :3]).as_euler("xyz", degrees=True).tolist()
-    if entry is not None and np.array_equal(pose(entry.xyz, np.radians(entry.rpy_deg)), X):
-        xyz, rpy_deg = entry.xyz, entry.rpy_deg
-    data = {"name": obstacle.name, "xyz": xyz, "rpy_deg": rpy_deg, "workpiece": obstacle.workpiece}
-    match obstacle.shape:
-        case Box(size=size):
-            return data | {"box": plain(size, "Box")}
-        case Cylinder(radius=radius, length=length):
-            return data | {"cylinder": plain([radius, length], "Cylinder")}
-        case Capsule(radius=radius, length=length):
-            return data | {"capsule": plain([radius, length], "Capsule")}
-        case Sphere(radius=radius):
-            return data | {"sphere": plain(radius, "Sphere")}
-        case Mesh(path=path):
-            text = entry.mesh if entry is not None else None
-            return data | {"mesh": text if text and Path(text).name == path.name else str(path)}
 
 
 def _degrees(radians: Sequence[float] | FloatArray, known: Sequence[float] | None) -> list[float]:
