@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from enum import IntEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -100,20 +100,12 @@ def print_table(
         for row in rows:
             table.add_row(*row)
         out.print(table)
-    else:
-        out.print(title)
-        for line in _aligned([headings, *rows], text_columns):
-            out.print(line)
-
-
-def _aligned(rows: Sequence[Sequence[str]], text_columns: int) -> Iterator[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    for cells in rows:
-        padded = (
-            f"{cell:<{width}}" if number < text_columns else f"{cell:>{width}}"
-            for number, (cell, width) in enumerate(zip(cells, widths, strict=True))
-        )
-        yield "  ".join(padded).rstrip()
+        return
+    widths = [max(map(len, column)) for column in zip(headings, *rows, strict=True)]
+    formats = [f"{'<' if number < text_columns else '>'}{width}" for number, width in enumerate(widths)]
+    out.print(title)
+    for cells in (headings, *rows):
+        out.print("  ".join(map(format, cells, formats)).rstrip())
 
 
 class _Seconds(ProgressColumn):

@@ -5,10 +5,10 @@ from __future__ import annotations
 import platform
 import shutil
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from importlib import metadata, util
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -142,16 +142,8 @@ def doctor() -> None:
         raise typer.Exit(ExitStatus.FAILED)
 
 
-@dataclass(frozen=True)
-class Symptom:
-    """One line of the examination.
-
-    Attributes
-    ----------
-    name, found : str
-    healthy : bool
-        False when cmbot needs it and it is missing.
-    """
+class Symptom(NamedTuple):
+    """One line of the examination; not healthy: cmbot needs it and it is missing."""
 
     name: str
     found: str

@@ -23,7 +23,7 @@ from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
     from cmbot.planning import Plan
-    from cmbot.reproduction import Experiment, Reproduction
+    from cmbot.reproduction import Reproduction
     from cmbot.simulation import SimulationOptions, Tracking
 
 __all__ = ["reproduce", "simulate"]
@@ -117,10 +117,7 @@ def reproduce(
         entries = numbers(found)
         print_result("reproduce", output, {name: entries[name] for name in entries if name not in _LEFT_OUT})
     elif not quiet:
-        _print_verdicts(found)
-        for experiment in found.experiments if details else ():
-            _print_comparison(experiment)
-            _print_goals(experiment)
+        _print_reproduction(found, details=details)
         out.print(f"Written to {' and '.join(map(flat, written))}, with every assumption.")
         if not details:
             out.print(f"All figures, and why: {flat(written[0])}; --details prints them.")
@@ -147,42 +144,32 @@ def _summary(plan: Plan, tracking: Tracking) -> dict[str, Any]:
     return {"scene": plan.scene.name, **entries, "remarks": list(tracking_remarks(tracking))}
 
 
-def _print_verdicts(found: Reproduction) -> None:
-    from cmbot.reproduction import findings, verdict_rows
+def _print_reproduction(found: Reproduction, *, details: bool) -> None:
+    from cmbot.reproduction import cells, comparison, findings, goals, reasons, verdict_rows
 
     headings, *rows = verdict_rows(found)
     print_table("Goals", headings, rows, text_columns=2)
-    told = []
+    counts = []
     for experiment in found.experiments:
-        compared = list(findings(experiment))
-        agrees = sum(finding.agrees for finding in compared)
-        told.append(f"{agrees} of {len(compared)} are found again for the {experiment.paper.scene}")
-    out.print(f"Of the paper's own results {', '.join(told)}.")
-
-
-def _print_comparison(experiment: Experiment) -> None:
-    from cmbot.reproduction import comparison, findings, reasons
-
-    headings, *rows = comparison(experiment)
-    print_table(experiment.paper.title, headings, rows, text_columns=2)
-    for finding in findings(experiment):
-        out.print(f"{'agrees' if finding.agrees else 'does not agree'}: {finding.text}")
-    for reason in reasons(experiment):
-        out.print(f"why: {reason}")
-
-
-def _print_goals(experiment: Experiment) -> None:
-    from cmbot.reproduction import cells, goals
-
-    for goal in goals(experiment):
-        headings, *rows = cells(goal)
-        title = f"{experiment.paper.scene}: {goal.title[0].lower()}{goal.title[1:]}"
-        if rows:
-            print_table(title, headings, rows, text_columns=2)
-        else:
-            out.print(title)
-        for remark in goal.remarks:
-            out.print(f"goal: {remark}")
+        agree = [finding.agrees for finding in findings(experiment)]
+        counts.append(f"{sum(agree)} of {len(agree)} are found again for the {experiment.paper.scene}")
+    out.print(f"Of the paper's own results {', '.join(counts)}.")
+    for experiment in found.experiments if details else ():
+        headings, *rows = comparison(experiment)
+        print_table(experiment.paper.title, headings, rows, text_columns=2)
+        for finding in findings(experiment):
+            out.print(f"{'agrees' if finding.agrees else 'does not agree'}: {finding.text}")
+        for reason in reasons(experiment):
+            out.print(f"why: {reason}")
+        for goal in goals(experiment):
+            headings, *rows = cells(goal)
+            title = f"{experiment.paper.scene}: {goal.title[0].lower()}{goal.title[1:]}"
+            if rows:
+                print_table(title, headings, rows, text_columns=2)
+            else:
+                out.print(title)
+            for remark in goal.remarks:
+                out.print(f"goal: {remark}")
 
 
 def _print_summary(plan: Plan, tracking: Tracking) -> None:

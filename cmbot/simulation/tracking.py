@@ -153,11 +153,8 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
     if options.payload_kg is not None:
         source = replace(plan.scene.robot, payload=options.payload_kg)
         robot = robot_of(replace(plan.scene, robot=source))
-    elastic = ElasticOptions(
-        segments=options.segments,
-        guardrail_factor=options.guardrail_factor,
-        link_factor=options.link_factor,
-    )
+    shared = ("segments", "guardrail_factor", "link_factor")
+    elastic = ElasticOptions(**{name: getattr(options, name) for name in shared})
     arm = elastic_arm(robot, elastic_base(plan.scene.guardrail), elastic)
     if not len(arm.elastic):
         expected = "a guardrail with posts or a stiffness, or an elasticity file of the robot"
