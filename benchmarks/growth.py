@@ -84,9 +84,9 @@ def measured(via_points: int) -> Costs:
     scene = sweep(via_points)
     context = build_context(scene, scene.planner)
     laps = [time.process_time()]
-    way = sliding_guess(context)
+    guess = sliding_guess(context)
     laps.append(time.process_time())
-    optimised = optimise(way.problem)
+    optimised = optimise(guess.problem)
     laps.append(time.process_time())
     certificate = certify(
         context.robot,

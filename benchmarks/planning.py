@@ -6,13 +6,12 @@ import tempfile
 from dataclasses import dataclass, replace
 
 from measure import command, process_time, wall_time
-from solvers.cases import way_of
+from solvers.cases import guess_of
 
 from cmbot import load_scene
 from cmbot.planning import plan
-from cmbot.planning.context import build_context
-from cmbot.planning.initial_guess import sliding_guess
 from cmbot.planning.torque.decomposition import optimise
+from cmbot.scene import Scene
 from cmbot.simulation import simulate
 
 __all__ = ["Planned", "planned", "start_up"]
@@ -35,9 +34,11 @@ class Planned:
     way : float
         Charts of self-motion and the global stage.
     polish, polish_slsqp : float
-        The sliding problem as plans have it, by the sparse solver and by SLSQP.
+        The problem with sliding via-points, all stages, by the sparse solver and by SLSQP.
     peak, peak_slsqp : float, Nm
-        Where these end.
+        Of their trajectories.
+    core : float
+        The problem with fixed via-points, all stages, by the sparse solver.
     simulate : float
     simulated : float, s
         Motion that is simulated.
@@ -53,6 +54,7 @@ class Planned:
     polish_slsqp: float
     peak: float
     peak_slsqp: float
+    core: float
     simulate: float
     simulated: float
 
@@ -61,9 +63,10 @@ def planned(name: str, repeats: int = 3) -> Planned:
     """Measure a shipped scene."""
     scene = load_scene(name)
     seconds, found = process_time(lambda: plan(scene), repeats)
-    way, _ = process_time(lambda: way_of(scene, "sliding"), repeats)
-    polish, peak = _polished(name, "sqp", repeats)
-    polish_slsqp, peak_slsqp = _polished(name, "slsqp", repeats)
+    way, _ = process_time(lambda: guess_of(scene, "sliding"), repeats)
+    polish, peak = _optimised(scene, "sliding", "sqp", repeats)
+    polish_slsqp, peak_slsqp = _optimised(scene, "sliding", "slsqp", repeats)
+    core, _ = _optimised(scene, "fixed", "sqp", repeats)
     simulating, tracking = process_time(lambda: simulate(found), repeats)
     with tempfile.TemporaryDirectory() as folder:
         words = ("-m", "cmbot", "plan", name, "-o", f"{folder}/{name}", "--force")
@@ -79,17 +82,18 @@ def planned(name: str, repeats: int = 3) -> Planned:
         polish_slsqp=polish_slsqp,
         peak=peak,
         peak_slsqp=peak_slsqp,
+        core=core,
         simulate=simulating,
         simulated=float(tracking.baseline.t[-1] + tracking.planned.t[-1]),
     )
 
 
-def _polished(name: str, solver: str, repeats: int) -> tuple[float, float]:
-    scene = load_scene(name)
-    context = build_context(scene, replace(scene.planner, knots="sliding", solver=solver))
-    way = sliding_guess(context)
-    seconds, optimised = process_time(lambda: optimise(way.problem), repeats)
-    return seconds, optimised.passes[-1].peak_torque
+def _optimised(scene: Scene, knots: str, solver: str, repeats: int) -> tuple[float, float]:
+    """Time and peak, Nm, of a scene's torque problem, from its initial guess."""
+    solved = replace(scene, planner=replace(scene.planner, solver=solver))
+    _, guess = guess_of(solved, knots)
+    seconds, found = process_time(lambda: optimise(guess.problem), repeats)
+    return seconds, found.passes[-1].peak_torque
 
 
 def start_up(repeats: int = 3) -> dict[str, float]:

@@ -109,6 +109,7 @@ def _planning(rows: Sequence[Mapping[str, Any]]) -> Sheet:
             f"{row['polish_slsqp']:.3f}",
             f"{row['peak']:.3f}",
             f"{row['peak_slsqp']:.3f}",
+            "–" if row["core"] is None else f"{row['core']:.3f}",
         )
         for row in rows
     )
@@ -123,6 +124,7 @@ def _planning(rows: Sequence[Mapping[str, Any]]) -> Sheet:
         "by slsqp, s",
         "peak by sqp, Nm",
         "by slsqp, Nm",
+        "fixed via-points by sqp, s",
     )
     return Sheet(key="planning", title="Planning the shipped scenes", headings=headings, rows=cells)
 

@@ -1,4 +1,4 @@
-"""Solvers beside one another on the very same problems: cmbot's two, Ipopt, the literal one."""
+"""Solvers on the same problems (`solvers.cases`): cmbot's two, Ipopt, SLSQP in the paper's formulation."""
 
 from __future__ import annotations
 
@@ -9,16 +9,15 @@ from measure import process_time
 
 from cmbot import load_scene
 from cmbot.common.validation import counted
-from cmbot.planning.torque.decomposition import optimise
 from cmbot.trajectory.quintic import QuinticTrajectory
-from solvers.cases import Case, fixed_case, judged, random_scene, sliding_case
+from solvers.cases import Case, case_of, judged, random_scene
 from solvers.ipopt import Answer, solve_sampled
 from solvers.literal import solve_literal
 
 __all__ = ["Solved", "compared", "solved_by_cmbot", "solved_by_other", "to_the_letter"]
 
 FAST, SLSQP, LITERAL = "sqp", "slsqp", "literal slsqp"
-# With all samples as rows; the better of them is what "Ipopt" means.
+# With all samples as rows, by L-BFGS or with the exact Hessian.
 IPOPT = {"ipopt, l-bfgs": False, "ipopt, exact": True}
 
 
@@ -33,11 +32,11 @@ class Solved:
         Processor time from the via-points to the trajectory.
     peak : float, Nm
     objective : float
-        Peak in units of the start's, and smoothing; judged on all samples.
+        Peak in units of the start's, and the smoothing; judged on all samples.
     violation : float
         Largest, as a share of the bound.
     iterations, rows : int
-        Of all passes together; constraints of the last.
+        Of all exchange iterations together; constraints of the last.
     status : str
         How it ended, in the solver's words.
     """
@@ -64,7 +63,7 @@ def compared(
     quick : bool
         Only the random path and the sliding ones, and only cmbot's solvers.
     literal_seconds, ipopt_seconds : float
-        When they are cut; 0: left out.
+        When they are stopped; 0: left out.
     tell : callable
         Called with what is being measured.
 
@@ -73,15 +72,15 @@ def compared(
     MissingExtra
         When PIQP, or with Ipopt casadi, is not installed.
     """
-    random = fixed_case(random_scene())
-    fixed = [random] if quick else [random, *(fixed_case(load_scene(name)) for name in ("line", "triangle"))]
-    sliding = [sliding_case(load_scene(name)) for name in ("line", "triangle")]
-    for case in (*fixed, *sliding):
+    random, line, triangle = case_of(random_scene(), "fixed"), load_scene("line"), load_scene("triangle")
+    # With fixed via-points the triangle's peak is at a resting end: there is nothing to compare.
+    fixed = [random] if quick else [random, case_of(line, "fixed")]
+    for case in (*fixed, case_of(line, "sliding"), case_of(triangle, "sliding")):
         for solver in (FAST, SLSQP):
-            tell(f"{case.name}, {_knots(case)}: {solver}")
+            tell(f"{case.name}, {case.knots}: {solver}")
             yield solved_by_cmbot(case, solver)
         for solver, exact in () if quick or not ipopt_seconds else IPOPT.items():
-            tell(f"{case.name}, {_knots(case)}: {solver}")
+            tell(f"{case.name}, {case.knots}: {solver}")
             yield solved_by_other(case, solver, solve_sampled(case, exact=exact, seconds=ipopt_seconds))
     if literal_seconds:
         tell(f"{random.name}, fixed: {LITERAL}, {literal_seconds:.0f} s at most")
@@ -97,11 +96,11 @@ def to_the_letter(case: Case, seconds: float) -> Solved:
 
 def solved_by_cmbot(case: Case, solver: str, repeats: int = 3) -> Solved:
     """Solve a case with ``sqp`` or ``slsqp``."""
-    seconds, optimised = process_time(lambda: optimise(case.problem(solver)), repeats)
-    iterations = sum(report.iterations for report in optimised.passes)
-    rows = optimised.passes[-1].constraints
-    status = counted(len(optimised.passes), "pass", "passes")
-    return _solved(case, solver, seconds, optimised.trajectory, iterations, rows, status)
+    seconds, found = process_time(lambda: case.solve(solver), repeats)
+    iterations = sum(report.iterations for report in found.passes)
+    rows = found.passes[-1].constraints
+    status = counted(len(found.passes), "pass", "passes")
+    return _solved(case, solver, seconds, found.parametrization.trajectory, iterations, rows, status)
 
 
 def solved_by_other(case: Case, solver: str, answer: Answer) -> Solved:
@@ -120,10 +119,10 @@ def _solved(
     rows: int,
     status: str,
 ) -> Solved:
-    found = judged(case, case.problem(SLSQP), trajectory)
+    found = judged(case, case.problem(), trajectory)
     return Solved(
         problem=case.name,
-        knots=_knots(case),
+        knots=case.knots,
         solver=solver,
         seconds=seconds,
         peak=found.peak,
@@ -133,7 +132,3 @@ def _solved(
         rows=rows,
         status=status,
     )
-
-
-def _knots(case: Case) -> str:
-    return "sliding" if case.sliding else "fixed"

@@ -63,7 +63,7 @@ def solve_sampled(case: Case, *, exact: bool, seconds: float = 600.0) -> Answer:
         When casadi is not installed.
     """
     begin = time.process_time()
-    sampled = SampledProblem(case, case.problem("slsqp"))
+    sampled = SampledProblem(case)
     program = _Program(
         start=sampled.start,
         lowest=sampled.lowest,

@@ -37,14 +37,13 @@ class LagrangianHessian:
 
     def __init__(self, sampled: SampledProblem) -> None:
         self._sampled = sampled
-        problem = sampled.problem
-        arm = verified(problem.robot)
+        problem, arm = sampled.problem, verified(sampled.robot)
         self._of_states = _of_states(arm, sampled).map(len(problem.grid))
         self._of_task = _of_task(arm, sampled.case.context.task.path.orientation)
         self._legs = _legs(sampled)
         self._J = sampled.states_by_unknowns
         reached = abs(self._J)
-        blocks = self._blocks(np.ones((len(problem.grid), *2 * (3 * problem.robot.dof,))))
+        blocks = self._blocks(np.ones((len(problem.grid), *2 * (3 * sampled.robot.dof,))))
         pattern = sparse.triu(reached.T @ (blocks @ reached) + abs(sampled.smoothing_curvature))
         # The bound of the peak, last among the unknowns, is linear everywhere.
         self.pattern = sparse.csc_array(sparse.block_diag([pattern, sparse.coo_array((1, 1))], format="csc"))
@@ -53,7 +52,7 @@ class LagrangianHessian:
     def __call__(self, x: FloatArray, of_objective: float, multipliers: FloatArray) -> FloatArray:
         """Return the nonzeros, in the order of `pattern`, at `x` (D,) with multipliers (K,) of the rows."""
         sampled = self._sampled
-        d, N, u = sampled.problem.robot.dof, len(sampled.problem.grid), sampled.u(x)
+        d, N, u = sampled.robot.dof, len(sampled.problem.grid), sampled.u(x)
         states = np.hstack([W @ u for W in sampled.weights[:3]]).T
         of_rows = [
             multipliers[:N],
@@ -67,7 +66,7 @@ class LagrangianHessian:
             n = len(sampled.case.via_points)
             q, shares = u[-n:], multipliers[-6 * n :].reshape(n, 6)
             for k in range(n):
-                here = slice((sampled.local.count + k) * d, (sampled.local.count + k + 1) * d)
+                here = slice((sampled.splines.count + k) * d, (sampled.splines.count + k + 1) * d)
                 unit = sampled.unit[here]
                 total[here, here] += unit[:, None] * np.array(self._of_task(q[k], shares[k])) * unit
         column = np.repeat(np.arange(self.pattern.shape[1]), np.diff(self.pattern.indptr))
@@ -83,7 +82,7 @@ class LagrangianHessian:
 def _of_states(arm: SymbolicArm, sampled: SampledProblem) -> Any:
     """Function of one sample's state (3d,), multipliers (d + 2,) and leg (6,): Hessian (3d, 3d)."""
     ca = required("casadi")
-    problem, d = sampled.problem, len(sampled.problem.robot.joints)
+    problem, d = sampled.problem, sampled.robot.dof
     state = ca.vertcat(arm.q, arm.v, arm.a)
     multipliers, leg = ca.SX.sym("multipliers", d + 2), ca.SX.sym("leg", 6)
     away, edge = arm.tool_point - leg[:3], leg[3:]

@@ -1,7 +1,7 @@
-"""The torque problem to the letter, Chang 2021, Eqs. (28)-(37), handed to SciPy's SLSQP as it stands.
+"""The torque problem in the formulation of Chang 2021, Eqs. (28)-(37), for SciPy's SLSQP.
 
 The unknowns are the velocities and accelerations at the inner knots, 7 x 48 x 2 = 672 for 50 via-points, and
-the bound b of the peak. That jerk does not jump, and is zero at both ends, are 350 equalities; bounds on
+the bound b of the peak. Continuity of the jerk, zero at both ends, gives 350 equalities; the bounds on
 velocity, acceleration, jerk, torque and the tool's deviation are rows at every sample. No exchange, no change
 of variables; derivatives are analytic.
 """
@@ -17,16 +17,18 @@ import numpy as np
 from scipy import optimize
 
 from cmbot.common.arrays import FloatArray
-from cmbot.optimization.slsqp import Remembered
-from cmbot.planning.torque.constraints import JointTorque, StateSamples, ToolDeviation
+from cmbot.optimization.program import StateSamples
+from cmbot.planning.torque.constraints import JointTorque, ToolDeviation
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.robot import Kinematics
+from cmbot.robot import Dynamics, Kinematics
 from cmbot.trajectory.quintic import QuinticTrajectory
 from solvers.cases import Case
 
 __all__ = ["LiteralAnswer", "LiteralProblem", "solve_literal"]
 
-# As many samples a segment as make the row count of the paper's problem bearable for a dense solver.
+Rows = tuple[FloatArray, FloatArray]
+
+# Samples of a segment: with the 40 of plans the dense matrices do not fit into memory.
 PER_SEGMENT = 10
 _ACCURACY, _MOST_ITERATIONS = 1e-7, 1000
 
@@ -62,15 +64,16 @@ class LiteralProblem:
     Parameters
     ----------
     case : Case
-    problem : TorqueProblem
     per_segment : int
-        Samples a segment.
+        Samples of a segment.
     """
 
-    def __init__(self, case: Case, problem: TorqueProblem, per_segment: int = PER_SEGMENT) -> None:
-        self._case, self._problem = case, problem
-        self._kinematics = Kinematics(problem.robot)
-        space, limits = problem.space, problem.robot.limits
+    def __init__(self, case: Case, per_segment: int = PER_SEGMENT) -> None:
+        self._case, robot = case, case.context.robot
+        self._problem = problem = case.problem()
+        self._dynamics, self._kinematics = Dynamics(robot), Kinematics(robot)
+        space, self._limits = problem.space, robot.limits
+        limits = self._limits
         t, (n, d) = space.t, case.via_points.shape
         grid = np.linspace(t[:-1], t[1:], per_segment, endpoint=False, axis=1)
         self.times = np.append(grid.ravel(), t[-1])
@@ -81,7 +84,7 @@ class LiteralProblem:
         self.start = np.append(self._z[self._free].ravel(), 1.0)
         self._rows = [space.design(self.times, order) for order in range(4)]
         self._by_unknowns = [np.asarray(W[:, self._free].toarray()) for W in self._rows]
-        for function in problem.functions:
+        for function in problem.constraints:
             if isinstance(function, JointTorque):
                 self._torque_bound = function.bound
             elif isinstance(function, ToolDeviation):
@@ -103,17 +106,21 @@ class LiteralProblem:
         z[self._free] = x[:-1].reshape(len(self._free), -1)
         return z
 
+    def trajectory(self, x: FloatArray) -> QuinticTrajectory:
+        """Return the trajectory of the unknowns."""
+        return self._problem.space.trajectory(self.knots(x))
+
     def objective(self, x: FloatArray) -> tuple[float, FloatArray]:
-        """Return b and the smoothing that every solver here is given, and the gradient."""
-        z, limits = self.knots(x), self._problem.robot.limits
-        weight = self._case.weight / len(limits.jerk) / limits.jerk**2
+        """Return b and the smoothing, and the gradient."""
+        z, limits = self.knots(x), self._limits
+        weight = self._case.smoothing / len(limits.jerk) / limits.jerk**2
         pull = self._energy @ z * weight
         gradient = np.append(pull[self._free].ravel(), 1.0)
         return float(x[-1]) + 0.5 * float(np.sum(z * pull)), gradient
 
     def equalities(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Jumps of the jerk as shares of its bounds, and their Jacobian."""
-        jumps = (self._jumps @ self.knots(x)) / self._problem.robot.limits.jerk
+        jumps = (self._jumps @ self.knots(x)) / self._limits.jerk
         return jumps.ravel(), self._equalities
 
     def rows(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -122,7 +129,7 @@ class LiteralProblem:
         states = [W @ z for W in self._rows]
         at = StateSamples(self.times, *states[:3])
         N, d = at.q.shape
-        efforts = problem.dynamics.derivatives(at.q, at.v, at.a)
+        efforts = self._dynamics.derivatives(at.q, at.v, at.a)
         by = (efforts.d_q, efforts.d_v, efforts.d_a)
         norm = np.linalg.norm(efforts.value[:, :3], axis=1)
         toward = efforts.value[:, :3] / (norm * problem.scale)[:, None]
@@ -162,6 +169,18 @@ def _jerk_jumps(problem: TorqueProblem) -> FloatArray:
     return np.vstack([after, nothing]) - np.vstack([nothing, before])
 
 
+def _remembered(call: Callable[[FloatArray], Rows]) -> Callable[[FloatArray], Rows]:
+    """Return the last answer where the argument is the same: SLSQP asks for values and derivatives apart."""
+    last: list[tuple[FloatArray, Rows]] = []
+
+    def remembering(x: FloatArray) -> Rows:
+        if not last or not np.array_equal(x, last[0][0]):
+            last[:] = [(x.copy(), call(x))]
+        return last[0][1]
+
+    return remembering
+
+
 def solve_literal(
     case: Case,
     *,
@@ -169,11 +188,10 @@ def solve_literal(
     per_segment: int = PER_SEGMENT,
     clock: Callable[[], float] = time.process_time,
 ) -> LiteralAnswer:
-    """Solve the literal problem; when `seconds` are over, it ends with the iteration that it is in."""
-    problem = case.problem("slsqp")
+    """Solve the literal problem; after `seconds` it ends with the iteration that it is in."""
     begin = clock()
-    literal = LiteralProblem(case, problem, per_segment)
-    rows = Remembered(literal.rows)
+    literal = LiteralProblem(case, per_segment)
+    rows = _remembered(literal.rows)
     x, iterations = literal.start, 0
 
     def after_iteration(there: FloatArray) -> None:
@@ -201,7 +219,7 @@ def solve_literal(
     except _OutOfTimeError:
         cut = True
     return LiteralAnswer(
-        trajectory=problem.space.trajectory(literal.knots(x)),
+        trajectory=literal.trajectory(x),
         iterations=iterations,
         rows=len(rows(x)[0]),
         cut=cut,

@@ -10,7 +10,7 @@ Last comes the bound b of the peak. Rows, in this order::
     low <= q, v, a, j(t) <= high        joint limits, linear
     task(q_k) = 0                       sliding via-points only
 
-The clearance is left out: where it would matter, `cases.judged` says so.
+The clearance is left out: where it is violated, `cases.judged` reports it.
 """
 
 from __future__ import annotations
@@ -22,21 +22,17 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.planning.torque.constraints import JointTorque, StateSamples, ToolDeviation
-from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.planning.torque.task_manifold import LONGEST_SLIDE
-from cmbot.robot import Kinematics, Postures
-from cmbot.trajectory.local_basis import SparseSplines
+from cmbot.optimization.program import StateSamples
+from cmbot.planning.torque.constraints import JointTorque, ToolDeviation
+from cmbot.robot import Dynamics, Kinematics, Postures
 from cmbot.trajectory.quintic import QuinticTrajectory
 from solvers.cases import Case
 
 __all__ = ["FAR", "ROUND", "SampledProblem"]
 
 FAR = 1e19
-# Of a via-point that is an unknown, rad: about as far as they slide.
-_UNIT = 0.1
-# They go no further than cmbot lets them before it looks again, in these units.
-_LONGEST = LONGEST_SLIDE / _UNIT
+# Unit of a via-point that is an unknown, rad, and how many of them it may move.
+_UNIT, _LONGEST = 0.1, 3.0
 # A distance d in units of its bound has a kink at 0; sqrt(d^2 + ROUND^2) has none, and is as steep far away.
 ROUND = 0.3
 _TASK = 6
@@ -57,13 +53,11 @@ class SampledProblem:
     Parameters
     ----------
     case : Case
-    problem : TorqueProblem
-        The same, posed for either solver.
 
     Attributes
     ----------
     start : (D,)
-        The spline of least jerk, and its peak.
+        The splines of least jerk, and their peak.
     lowest, highest : (D,)
         Of the unknowns.
     low, high : (K,)
@@ -72,15 +66,16 @@ class SampledProblem:
     deviation_bound : float, m
     """
 
-    def __init__(self, case: Case, problem: TorqueProblem) -> None:
-        self.case, self.problem = case, problem
-        self.local = SparseSplines(problem.space, problem.robot.limits)
-        (n, d), count = case.via_points.shape, self.local.count
-        # All of u: numbers, then via-points; where these stay, the last columns are no unknowns.
-        self._u = np.vstack([self.local.least_jerk(case.via_points), case.via_points])
+    def __init__(self, case: Case) -> None:
+        self.case, self.robot = case, case.context.robot
+        self.problem = problem = case.problem()
+        self.splines = problem.parametrization.splines
+        (n, d), count = case.via_points.shape, self.splines.count
+        # All of u: coefficients, then via-points; where these stay, the last columns are no unknowns.
+        self._u = np.vstack([problem.parametrization.coefficients, case.via_points])
         self.columns = len(self._u) if case.sliding else count
         self.size = self.columns * d
-        self.unit = np.vstack([self.local.unit, np.full((n, d), _UNIT)])[: self.columns].ravel()
+        self.unit = np.vstack([self.splines.unit, np.full((n, d), _UNIT)])[: self.columns].ravel()
         self.start = np.append(np.zeros(self.size), 1.0)
         self.lowest, self.highest = np.full(self.size + 1, -FAR), np.full(self.size + 1, FAR)
         if case.sliding:
@@ -88,12 +83,13 @@ class SampledProblem:
         if case.pinned:
             first = slice(count * d, (count + 1) * d)
             self.lowest[first] = self.highest[first] = 0.0
-        for function in problem.functions:
+        for function in problem.constraints:
             if isinstance(function, JointTorque):
                 self.torque_bound = function.bound
             elif isinstance(function, ToolDeviation):
                 self.deviation_bound = function.bound
-        self._kinematics, self._postures = Kinematics(problem.robot), Postures(problem.robot)
+        self._dynamics, self._kinematics = Dynamics(self.robot), Kinematics(self.robot)
+        self._postures = Postures(self.robot)
         N = len(problem.grid)
         blocks = [(-FAR, 0.0, N), (-1.0, 1.0, N * d), (-FAR, float(np.hypot(1.0, ROUND)), N)]
         low, high = ([np.full(block[2], block[side]) for block in blocks] for side in (0, 1))
@@ -105,36 +101,35 @@ class SampledProblem:
         self.high = np.minimum(np.concatenate([*high, task]), FAR)
 
     def u(self, x: FloatArray) -> FloatArray:
-        """Numbers and via-points (2n - 4, d) of the unknowns `x` (D,)."""
+        """Coefficients and via-points (2n - 4, d) of the unknowns `x` (D,)."""
         u = self._u.copy()
         u[: self.columns] += (x[:-1] * self.unit).reshape(self.columns, -1)
         return u
 
     def trajectory(self, x: FloatArray) -> QuinticTrajectory:
         """Return the trajectory of the unknowns."""
-        return self.problem.space.trajectory(np.asarray(self.local.columns @ self.u(x)))
+        return self.problem.space.trajectory(np.asarray(self.splines.columns @ self.u(x)))
 
     def objective(self, x: FloatArray) -> tuple[float, FloatArray]:
         """Bound and smoothing, and the gradient (D,)."""
         u = self.u(x)
-        pull = (self.local.gram @ u) * self._jerk_weights
-        gradient = pull[: self.columns].ravel() * self.unit
-        return float(x[-1]) + 0.5 * float(np.sum(u * pull)), np.append(gradient, 1.0)
+        slope = self.case.smoothing * (self.splines.jerk_curvature @ u.ravel())
+        return float(x[-1]) + 0.5 * float(u.ravel() @ slope), np.append(slope[: self.size] * self.unit, 1.0)
 
     @cached_property
     def smoothing_curvature(self) -> sparse.csr_array:
         """Hessian (D - 1, D - 1) of the smoothing by the unknowns but b."""
-        gram = self.local.gram[: self.columns, : self.columns]
         unit = sparse.diags_array(self.unit)
-        return sparse.csr_array(unit @ sparse.kron(gram, sparse.diags_array(self._jerk_weights)) @ unit)
+        curvature = self.splines.jerk_curvature[: self.size, : self.size]
+        return sparse.csr_array(self.case.smoothing * (unit @ curvature @ unit))
 
     def values(self, x: FloatArray) -> FloatArray:
         """Return all rows (K,)."""
         u, problem = self.u(x), self.problem
         states = [W @ u for W in self.weights]
         at = StateSamples(problem.grid, *states[:3])
-        peak = problem.torque.values(at)[0][:, 0] - x[-1]
-        joint = problem.dynamics.efforts(at.q, at.v, at.a).joint_torque / self.torque_bound
+        peak = problem.objective.sample(at)[0] - x[-1]
+        joint = self._dynamics.efforts(at.q, at.v, at.a).joint_torque / self.torque_bound
         point = self._kinematics.tool_poses(at.q)[0]
         away = self.case.context.task.path.leg_offset(at.t, point) / self.deviation_bound
         linear = [states[bound.order] / bound.scale for bound in problem.bounds]
@@ -148,7 +143,7 @@ class SampledProblem:
         at = StateSamples(problem.grid, *(W @ u for W in self.weights[:3]))
         N, d = at.q.shape
         D = np.zeros((3, N, d + 2, d))
-        rows = problem.dynamics.derivatives(at.q, at.v, at.a)
+        rows = self._dynamics.derivatives(at.q, at.v, at.a)
         value = np.linalg.norm(rows.value[:, :3], axis=1)
         direction = rows.value[:, :3] / (value * problem.scale)[:, None]
         for order, by in enumerate((rows.d_q, rows.d_v, rows.d_a)):
@@ -174,7 +169,7 @@ class SampledProblem:
     @cached_property
     def states_by_unknowns(self) -> sparse.csr_array:
         """Derivatives (N 3d, D - 1) of positions, velocities and accelerations."""
-        entries, d = self._entries, self.problem.robot.dof
+        entries, d = self._entries, self.robot.dof
         part, joint = np.arange(3)[:, None, None], np.arange(d)
         row = (3 * entries.row[:, None] + part) * d + joint
         column = np.broadcast_to(d * entries.column[:, None] + joint, row.shape)
@@ -206,27 +201,22 @@ class SampledProblem:
             shape = (n, _TASK, d)
             task = N * (d + 2 + len(self.problem.bounds) * d) + np.arange(n * _TASK).reshape(n, _TASK, 1)
             rows.append(np.broadcast_to(task, shape).ravel())
-            via = d * (self.local.count + np.arange(n))[:, None, None] + joint
+            via = d * (self.splines.count + np.arange(n))[:, None, None] + joint
             columns.append(np.broadcast_to(via, shape).ravel())
         return np.concatenate(rows), np.concatenate(columns)
 
     @cached_property
     def _constant(self) -> FloatArray:
         """Entries of the peak's bound and of the joint limits."""
-        entries, d = self._entries, self.problem.robot.dof
+        entries, d = self._entries, self.robot.dof
         unit = self.unit.reshape(self.columns, d)[entries.column]
         limits = (entries.weight[b.order][:, None] * unit / b.scale for b in self.problem.bounds)
         return np.concatenate([np.full(len(self.problem.grid), -1.0), *(x.ravel() for x in limits)])
 
-    @property
-    def _jerk_weights(self) -> FloatArray:
-        limits = self.problem.robot.limits
-        return np.asarray(self.case.weight / len(limits.jerk) / limits.jerk**2)
-
     @cached_property
     def weights(self) -> list[sparse.csr_array]:
         """Matrices (N, 2n - 4) from u to positions, velocities, accelerations and jerks at the samples."""
-        every, shape = self._splines, (len(self.problem.grid), self.local.columns.shape[1])
+        every, shape = self._splines, (len(self.problem.grid), self.splines.columns.shape[1])
         return [sparse.csr_array((w, (every.row, every.column)), shape=shape) for w in every.weight]
 
     @cached_property
@@ -238,8 +228,8 @@ class SampledProblem:
     @cached_property
     def _splines(self) -> _Entries:
         """All of them, those of via-points that stay too."""
-        rows = self.local.rows(self.problem.grid)
-        column = self.local.living[rows.segment]
+        rows = self.splines.rows(self.problem.grid)
+        column = self.splines.support[rows.segment]
         sample, place = np.nonzero(column >= 0)
         return _Entries(rows.weight[sample, :, place].T, sample, column[sample, place])
 

@@ -22,7 +22,7 @@ from cmbot.optimization.slsqp import solve_slsqp
 from cmbot.optimization.sqp import SqpOptions, SqpResult, SqpStatus, solve_sqp
 from cmbot.trajectory.parametrization import Parametrization
 
-__all__ = ["ExchangeOptions", "ExchangeReport", "Result", "minimize_peak"]
+__all__ = ["ExchangeOptions", "ExchangeReport", "Result", "minimize_peak", "minimize_smoothed_peak"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,6 +148,19 @@ def minimize_peak(
         bound = max(bound, peak * (1 + options.peak_tolerance))
         exchange.run(options.smoothing, bound=bound)
     return Result(parametrization=exchange.form, passes=tuple(exchange.reports), peak_bound=bound)
+
+
+def minimize_smoothed_peak(program: Program, options: ExchangeOptions) -> Result:
+    """Minimise ``max_t f(t) + smoothing``: the first stage of a peak that is not known, alone.
+
+    Raises
+    ------
+    OptimisationFailed
+        When no trajectory was found that meets the constraints.
+    """
+    exchange = _Exchange(program, options, None)
+    peak = exchange.run(options.smoothing)
+    return Result(parametrization=exchange.form, passes=tuple(exchange.reports), peak_bound=peak)
 
 
 class _Exchange:
