@@ -3,7 +3,7 @@
     python benchmarks/run.py --document     # or after a run, in benchmarks/: python -m report.document
 
 Results become benchmarks/results/reference.json, tables go between their markers in docs/performance.md.
-tests/house/test_benchmarks.py holds the page to that file.
+tests/benchmarks/test_benchmarks.py holds the page to that file.
 """
 
 from __future__ import annotations

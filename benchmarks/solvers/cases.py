@@ -22,7 +22,7 @@ from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.optimization.exchange import Result, minimize_smoothed_peak
 from cmbot.optimization.program import StateSamples
 from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, initial_guess
 from cmbot.planning.torque.decomposition import exchange_options
 from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
@@ -146,7 +146,7 @@ def _off_task(case: Case, trajectory: QuinticTrajectory) -> float:
 def guess_of(scene: Scene, knots: str) -> tuple[PlanningContext, InitialGuess]:
     """Return the context and the initial guess of a scene with ``sliding`` or ``fixed`` via-points."""
     context = build_context(scene, replace(scene.planner, knots=knots))
-    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context)
+    return context, initial_guess(context)
 
 
 def case_of(scene: Scene, knots: str) -> Case:

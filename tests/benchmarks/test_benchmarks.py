@@ -1,0 +1,335 @@
+"""The benchmarks: one problem for every solver, goals and tables that follow from the results."""
+
+from __future__ import annotations
+
+import json
+import re
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+import measure
+import numpy as np
+import pytest
+import run
+from finite_differences import check_derivative
+from numpy.typing import NDArray
+from report import document, goals, plot, tables
+from scipy import sparse
+from small_scenes import short_scene
+from solvers import cases, comparison, ipopt, lagrangian, literal, sampled, symbolic_arm
+from threadpoolctl import threadpool_limits
+
+from cmbot.common.errors import MissingExtra
+from cmbot.robot import Dynamics, Robot
+
+FloatArray = NDArray[np.float64]
+OUT_AND_BACK = [{"by": [0.1, 0, 0], "seconds": 2.5}, {"by": [-0.1, 0, 0], "seconds": 2.5}]
+# The deviation of a tool that hangs on a via-point alone bends sharply.
+_STEP = 1e-5
+PLANNER = {"samples_per_segment": 20}
+
+
+def small(*, sliding: bool) -> cases.Case:
+    scene = short_scene(tool_path={"legs": OUT_AND_BACK, "via_points": 7}, planner=PLANNER)
+    fixed = cases.case_of(scene, "fixed")
+    return replace(fixed, sliding=True, pinned=True) if sliding else fixed
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    with threadpool_limits(limits=1):
+        yield
+
+
+@pytest.fixture(scope="module")
+def case() -> cases.Case:
+    return small(sliding=False)
+
+
+@pytest.fixture(scope="module", params=["fixed", "sliding"])
+def all_rows(request: pytest.FixtureRequest) -> sampled.SampledProblem:
+    return sampled.SampledProblem(small(sliding=request.param == "sliding"))
+
+
+def somewhere(start: FloatArray, rng: np.random.Generator) -> FloatArray:
+    return start + 0.02 * rng.normal(size=len(start))
+
+
+def filled(pattern: sparse.csc_array, data: FloatArray) -> FloatArray:
+    return np.asarray(sparse.csc_array((data, pattern.indices, pattern.indptr), pattern.shape).toarray())
+
+
+def test_casadis_dynamics_are_pinocchios(cmbot_robot: Robot) -> None:
+    pytest.importorskip("casadi")
+    assert isinstance(symbolic_arm.verified(cmbot_robot), symbolic_arm.SymbolicArm)
+
+
+def test_dynamics_that_are_not_the_same_are_refused(
+    cmbot_robot: Robot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("casadi")
+    turn = symbolic_arm.SymbolicArm._turn
+
+    def longer(arm: symbolic_arm.SymbolicArm, i: int) -> Any:
+        given = turn(arm, i)
+        return symbolic_arm._Turn(given.R, given.p + 1e-6)
+
+    monkeypatch.setattr(symbolic_arm.SymbolicArm, "_turn", longer)
+    with pytest.raises(SystemExit, match="miss pinocchio's by"):
+        symbolic_arm.verified(cmbot_robot)
+
+
+def test_first_derivatives_with_all_rows(all_rows: sampled.SampledProblem, rng: np.random.Generator) -> None:
+    x = somewhere(all_rows.start, rng)
+    check_derivative(lambda y: all_rows.objective(y)[0], x, all_rows.objective(x)[1], rtol=1e-7)
+    check_derivative(
+        all_rows.values, x, filled(all_rows.pattern, all_rows.jacobian(x)), step=_STEP, rtol=1e-6
+    )
+
+
+def test_the_hessian_with_all_rows(all_rows: sampled.SampledProblem, rng: np.random.Generator) -> None:
+    pytest.importorskip("casadi")
+    hessian = lagrangian.LagrangianHessian(all_rows)
+    x, multipliers = somewhere(all_rows.start, rng), rng.normal(size=len(all_rows.low))
+
+    def gradient(y: FloatArray) -> FloatArray:
+        J = filled(all_rows.pattern, all_rows.jacobian(y))
+        return np.asarray(0.7 * all_rows.objective(y)[1] + J.T @ multipliers)
+
+    upper = filled(hessian.pattern, hessian(x, 0.7, multipliers))
+    check_derivative(gradient, x, upper + np.triu(upper, 1).T, step=_STEP, rtol=1e-5)
+
+
+def test_derivatives_of_the_literal_problem(case: cases.Case, rng: np.random.Generator) -> None:
+    problem = literal.LiteralProblem(case, per_segment=4)
+    x = problem.start + 1e-3 * rng.normal(size=len(problem.start))
+    check_derivative(lambda y: problem.objective(y)[0], x, problem.objective(x)[1], rtol=1e-6)
+    for part in (problem.equalities, problem.rows):
+        check_derivative(lambda y, part=part: part(y)[0], x, part(x)[1], rtol=1e-6)  # type: ignore[misc]
+
+
+def test_the_random_problem_is_as_large_as_the_papers_and_peaks_on_the_way() -> None:
+    case = cases.case_of(cases.random_scene(), "fixed")
+    problem = literal.LiteralProblem(case)
+    assert problem.size == 7 * 48 * 2
+    value, jacobian = problem.equalities(problem.start)
+    assert jacobian.shape == (7 * 50, problem.size + 1)
+    assert np.abs(value).max() < 1e-9
+    # Six bounds on derivatives and two on the torque a joint, the peak and the tool at 491 samples.
+    assert len(problem.rows(problem.start)[0]) == 491 * (7 * 8 + 2)
+    given = case.problem()
+    trajectory = given.parametrization.trajectory
+    torque = Dynamics(case.context.robot).efforts(*trajectory.states(trajectory.t[[0, -1]])).guardrail_torque
+    assert given.scale > 1.01 * np.linalg.norm(torque, axis=1).max()
+
+
+@pytest.fixture(scope="module")
+def rows(case: cases.Case) -> list[comparison.Solved]:
+    """Every solver on the small problem."""
+    pytest.importorskip("casadi")
+    found = [comparison.solved_by_cmbot(case, name, repeats=1) for name in ("sqp", "slsqp")]
+    found += [
+        comparison.solved_by_other(case, name, ipopt.solve_sampled(case, exact=exact))
+        for name, exact in comparison.IPOPT.items()
+    ]
+    return [*found, comparison.to_the_letter(case, 60.0)]
+
+
+def test_every_solver_ends_at_cmbots_optimum(case: cases.Case, rows: list[comparison.Solved]) -> None:
+    problem = case.problem()
+    start = cases.judged(case, problem, problem.parametrization.trajectory)
+    best = rows[0]
+    assert start.objective - best.objective > 5e-4
+    for row in rows:
+        assert row.objective == pytest.approx(best.objective, rel=1e-4), row.solver
+        # The literal problem and Ipopt keep joint limits at samples only.
+        assert row.violation < (1e-2 if row.solver == comparison.LITERAL else 1e-4), row
+    assert {row.solver for row in rows} == set(plot.COLOURS)
+
+
+def test_sliding_via_points_too() -> None:
+    pytest.importorskip("casadi")
+    scene = short_scene(
+        tool_path={"legs": OUT_AND_BACK, "via_points": 6}, planner=PLANNER | {"samples_per_segment": 5}
+    )
+    case = replace(cases.case_of(scene, "fixed"), sliding=True, pinned=True)
+    own = comparison.solved_by_cmbot(case, "slsqp", repeats=1)
+    found = comparison.solved_by_other(case, "ipopt, exact", ipopt.solve_sampled(case, exact=True))
+    assert found.status == "Solve_Succeeded"
+    assert found.objective == pytest.approx(own.objective, rel=1e-4)
+
+
+def test_the_literal_problem_is_stopped(case: cases.Case) -> None:
+    ticks = iter(range(100))
+    answer = literal.solve_literal(case, seconds=1.5, per_segment=4, clock=lambda: float(next(ticks)))
+    assert answer.cut
+    assert answer.iterations == 2
+
+
+def test_judging_finds_violations(case: cases.Case) -> None:
+    problem, good = case.problem(), case.solve("slsqp").parametrization.trajectory
+    assert cases.judged(case, problem, good).violation <= 1e-4
+    v = good.v.copy()
+    v[3] += 0.5
+    assert cases.judged(case, problem, replace(good, v=v)).violation > 0.1
+    q = good.q.copy()
+    q[3] += 1e-3
+    assert cases.judged(case, problem, replace(good, q=q)).violation >= 1e-3
+
+
+PLANNED = {
+    "scene": "triangle",
+    "solver": "sqp",
+    "motion": 20.0,
+    "command": 2.0,
+    "plan": 1.0,
+    "way": 0.4,
+    "polish": 0.3,
+    "polish_slsqp": 0.4,
+    "peak": 383.8,
+    "peak_slsqp": 383.8,
+    "core": 0.1,
+    "simulate": 0.5,
+    "simulated": 45.0,
+}
+LARGEST = {
+    "via_points": 5000,
+    "global_stage": 50.0,
+    "optimisation": 15.0,
+    "certificate": 5.0,
+    "memory": 1500.0,
+}
+KERNEL = {"what": "values", "way": "one", "number": 500, "microseconds": 2.0, "used": True}
+
+
+def made_up(**times: float) -> dict[str, Any]:
+    """Results in which every solver ends at the same optimum, in these times."""
+    row = asdict(
+        comparison.Solved(
+            problem="random",
+            knots="fixed",
+            solver="",
+            seconds=0.0,
+            peak=390.8,
+            objective=0.999,
+            violation=0.0,
+            iterations=9,
+            rows=100,
+            status="ended",
+        )
+    )
+    names = {name.replace("_", " ") if name.startswith("literal") else name: name for name in times}
+    listed = [
+        row
+        | {
+            "solver": {"exact": "ipopt, exact", "lbfgs": "ipopt, l-bfgs"}.get(name, name),
+            "seconds": times[key],
+        }
+        for name, key in names.items()
+    ]
+    return {
+        "solvers": listed,
+        "planned": [PLANNED],
+        "growth": [LARGEST | {"via_points": 50}, LARGEST],
+        "start_up": {"python": 0.02, "import cmbot": 0.03},
+        "kernels": [KERNEL, KERNEL | {"way": "other", "microseconds": 7.0, "used": False}],
+        "machine": measure.machine(),
+        "quick": False,
+    }
+
+
+def test_goals_follow_from_the_results() -> None:
+    results = made_up(sqp=0.1, exact=9.0, lbfgs=6.0, literal_slsqp=90.0)
+    found = {goal.what: goal for goal in goals.goals(results)}
+    ipopts = found["quicker than Ipopt, fixed via-points"]
+    assert (ipopts.measured, ipopts.met) == (pytest.approx(60.0), True)
+    letter = found["quicker than the literal problem"]
+    assert (letter.measured, letter.met) == (pytest.approx(900.0), False)
+    assert found["core problem, fixed via-points"].met
+    assert found["sliding polish, as planned"].met
+    assert found["whole `cmbot plan triangle`"].met
+    assert (found["5,000 via-points"].measured, found["5,000 via-points"].met) == (65.0, False)
+    assert found["5,000 via-points, memory"].met
+
+
+def test_a_worse_optimum_is_no_goal_reached() -> None:
+    results = made_up(sqp=0.1, exact=9.0, lbfgs=6.0)
+    results["solvers"][0]["objective"] *= 1.001
+    ipopts = next(goal for goal in goals.goals(results) if "Ipopt" in goal.what)
+    assert ipopts.met is False
+    assert "worse" in ipopts.remark
+
+
+def test_an_ipopt_that_did_not_get_there_does_not_count() -> None:
+    results = made_up(sqp=0.1, exact=9.0, lbfgs=6.0)
+    results["solvers"][2]["objective"] *= 1.001
+    ipopts = next(goal for goal in goals.goals(results) if "Ipopt" in goal.what)
+    assert ipopts.measured == pytest.approx(90.0)
+
+
+def test_what_was_not_measured_is_not_met() -> None:
+    results = made_up(sqp=0.1) | {"growth": []}
+    unmeasured = [goal for goal in goals.goals(results) if goal.measured is None]
+    assert len(unmeasured) == 4
+    assert {goal.met for goal in unmeasured} == {None}
+    assert ("5,000 via-points", "below 60 s", "–", "–", "not measured") in tables.goal_sheet(unmeasured).rows
+
+
+def test_results_survive_the_file_and_can_be_drawn(rows: list[comparison.Solved], tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    results = made_up() | {"solvers": [asdict(row) for row in rows]}
+    read = json.loads(json.dumps(results))
+    plot.draw(read, tmp_path / "a.png")
+    plot.draw(read, tmp_path / "b.png")
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+    plot.draw(read | {"growth": []}, tmp_path / "c.png")
+    sheets = tables.sheets(read)
+    assert [sheet.key for sheet in sheets] == [
+        "solvers",
+        "planning",
+        "simulating",
+        "start-up",
+        "kernels",
+        "growth",
+    ]
+    for sheet in sheets:
+        assert {len(row) for row in sheet.rows} == {len(sheet.headings)}
+    assert sheets[0].rows[0][2] == "1"
+
+
+def test_the_machine_is_described_without_names() -> None:
+    text = json.dumps(measure.machine())
+    assert "/" not in text.replace("n/a", "")
+    assert re.search(r'"python": "3\.\d+', text)
+
+
+def test_a_missing_package_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "casadi", None)
+    with pytest.raises(MissingExtra, match=r"casadi is not installed; run: pip install .*\[bench\]"):
+        measure.required("casadi")
+    monkeypatch.setattr(run, "measured", lambda *_: measure.required("casadi"))
+    monkeypatch.setattr(sys, "argv", ["run.py"])
+    with pytest.raises(SystemExit, match="error: casadi is not installed"):
+        run.main()
+    capsys.readouterr()
+
+
+def test_blocks_go_between_their_markers() -> None:
+    text = "a\n<!-- goals -->\nold\n<!-- end of goals -->\nb\n"
+    new = document.page(text, {"goals": "new"})
+    assert new == "a\n<!-- goals -->\nnew\n<!-- end of goals -->\nb\n"
+    with pytest.raises(SystemExit, match="no place marked growth"):
+        document.page(text, {"growth": "new"})
+
+
+def test_the_page_shows_the_reference_results() -> None:
+    results = json.loads(document.REFERENCE.read_text(encoding="utf-8"))
+    text = document.PAGE.read_text(encoding="utf-8")
+    assert document.page(text, document.blocks(results)) == text
+    assert document.FIGURE.is_file()
+    assert results["goals"] == [asdict(goal) for goal in goals.goals(results)]
