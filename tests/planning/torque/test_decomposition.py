@@ -1,0 +1,153 @@
+"""Long paths: parted where legs meet, each part a problem of its own, together one smooth trajectory."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+from cmbot.common.errors import OptimisationFailed
+from cmbot.optimization.exchange import ExchangeReport
+from cmbot.optimization.program import StateSamples
+from cmbot.planning import Progress, plan
+from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
+from cmbot.planning.torque import decomposition
+from cmbot.planning.torque.decomposition import optimise, segments
+from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.verification.certificate import certify
+from cmbot.trajectory.quintic import QuinticTrajectory
+
+LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]
+
+
+def way_of(knots: str, **planner: object) -> tuple[PlanningContext, InitialGuess]:
+    scene = short_scene(
+        tool_path={"legs": LEGS, "via_points": 33},
+        planner={"solver": "sqp", "knots": knots, "quiet_modes": 0, **planner},
+    )
+    context = build_context(scene, scene.planner)
+    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context)
+
+
+@pytest.fixture(autouse=True)
+def short_ones_are_long(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 20)
+    monkeypatch.setattr(decomposition, "_LEAST", 6)
+    monkeypatch.setattr(decomposition, "_MOST", 12)
+    yield
+
+
+@pytest.fixture(scope="module", params=["sliding", "fixed"])
+def way(request: pytest.FixtureRequest) -> tuple[PlanningContext, InitialGuess]:
+    return way_of(request.param)
+
+
+def test_segments_end_where_legs_meet(way: tuple[PlanningContext, InitialGuess]) -> None:
+    context, problem = way[0], way[1].problem
+    parts = segments(problem)
+    assert parts[0][0] == 0 and parts[-1][1] == 32
+    assert all(end == start for (_, end), (start, _) in pairwise(parts))
+    assert len(parts) == 4
+    inner = [context.times[end] for _, end in parts[:-1]]
+    assert np.isin(np.round(inner, 9), np.round(context.task.path.leg_times, 9)).all()
+
+
+def test_short_paths_are_one_segment(
+    way: tuple[PlanningContext, InitialGuess], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 33)
+    assert segments(way[1].problem) == [(0, 32)]
+
+
+def test_of_the_corners_in_reach_the_one_with_the_least_objective_is_an_end(
+    way: tuple[PlanningContext, InitialGuess], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = way[1].problem
+    corners = [end for _, end in segments(problem)[:2]]
+    monkeypatch.setattr(decomposition, "_MOST", 18)
+    assert corners[1] <= 18
+    for best in corners:
+        monkeypatch.setattr(problem, "at_via_points", np.where(np.arange(33) == best, 1.0, 2.0))
+        assert segments(problem)[0] == (0, best)
+
+
+def test_slsqp_solves_paths_whole() -> None:
+    assert segments(way_of("fixed", solver="slsqp")[1].problem) == [(0, 32)]
+
+
+def test_a_leg_without_corners_is_one_segment() -> None:
+    scene = short_scene(
+        tool_path={"legs": [{"by": [0, -0.2, 0], "seconds": 12.0}], "via_points": 33},
+        planner={"solver": "sqp", "knots": "fixed"},
+    )
+    context = build_context(scene, scene.planner)
+    assert segments(fixed_guess(context).problem) == [(0, 32)]
+
+
+def test_what_is_joined_is_smooth_certified_and_counted_through(
+    way: tuple[PlanningContext, InitialGuess],
+) -> None:
+    context, problem = way[0], way[1].problem
+    told: list[ExchangeReport] = []
+    found = optimise(problem, told.append)
+    assert [report.number for report in told] == list(range(1, len(told) + 1))
+    assert found.passes == tuple(told)
+    np.testing.assert_array_equal(found.trajectory.t, problem.space.t)
+    np.testing.assert_allclose(found.trajectory.q, found.via_points, rtol=0, atol=1e-12)
+    ends = [end for _, end in segments(problem)[:-1]]
+    assert not found.trajectory.v[ends].any() and not found.trajectory.a[ends].any()
+    # Position, velocity, acceleration and jerk are continuous at every inner knot.
+    jerk = found.trajectory.evaluate(problem.space.t[1:-1], 3)
+    before = found.trajectory.evaluate(problem.space.t[1:-1] - 1e-9, 3)
+    np.testing.assert_allclose(before, jerk, rtol=0, atol=1e-6 * context.robot.limits.jerk.max())
+    certificate = certify(
+        context.robot, context.task, found.trajectory, found.via_points, context.clearances, context.options
+    )
+    certificate.require()
+
+
+def test_the_peak_is_that_of_the_path_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, way = way_of("sliding")
+    parted = optimise(way.problem)
+    monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 33)
+    whole = optimise(way.problem)
+    peaks = [peak_of(way.problem, each.trajectory) for each in (parted, whole)]
+    assert peaks[0] <= peaks[1] * (1 + 1e-3)
+
+
+def test_passes_left_are_those_of_all_segments() -> None:
+    scene = short_scene(
+        tool_path={"legs": LEGS, "via_points": 33},
+        planner={"solver": "sqp", "knots": "sliding", "quiet_modes": 0, "max_passes": 3},
+    )
+    told: list[Progress] = []
+    planned = plan(scene, progress=told.append)
+    passed = [progress for progress in told if progress.report is not None]
+    assert len(passed) == len(planned.passes) > 3
+    left = [progress.left.most for progress in passed if progress.left is not None]
+    # When none is left, nothing is said of it.
+    assert left == [most for most in range(11, 11 - len(passed), -1) if most > 0]
+
+
+def test_where_a_segment_fails_the_path_is_solved_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
+    _, way = way_of("sliding")
+    asked: list[int] = []
+
+    def failing(problem: TorqueProblem, first: int, last: int) -> TorqueProblem:
+        asked.append(first)
+        raise OptimisationFailed("nothing to be done", constraint="any", violation=1.0)
+
+    monkeypatch.setattr(TorqueProblem, "segment", failing)
+    found = optimise(way.problem)
+    assert asked == [0]
+    assert found.whole_because == "nothing to be done"
+    assert len(found.via_points) == 33
+
+
+def peak_of(problem: TorqueProblem, trajectory: QuinticTrajectory) -> float:
+    states = StateSamples(problem.grid, *trajectory.states(problem.grid))
+    return float(problem.objective.sample(states)[0].max())
