@@ -15,7 +15,7 @@ from cmbot.planning import ToolTask, robot_of, task_of
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
-from cmbot.robot import Kinematics, Robot
+from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene import Scene, SpeedProfile, ToolPath, load_scene
 
 FloatArray = NDArray[np.float64]
@@ -56,6 +56,12 @@ def task_at(robot: Robot, q: FloatArray, keep: Any = "pose") -> ToolTask:
         profile=SpeedProfile(),
     )
     return ToolTask(path, keep)
+
+
+def off_task(robot: Robot, task: ToolTask, q: FloatArray, points: FloatArray) -> float:
+    """Largest error of the task in postures `q` (N, n), m or rad."""
+    at = Postures(robot).tool_at(q)
+    return float(np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max())
 
 
 def context_of(scene: Scene, **options: Any) -> PlanningContext:

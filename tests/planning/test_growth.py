@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
-from small_scenes import short_scene
+from small_scenes import context_of, short_scene
 
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import install_command
@@ -36,8 +36,7 @@ FEW, MANY, RATIO = 50, 200, 4.4
 
 @pytest.fixture(scope="module")
 def context() -> PlanningContext:
-    scene = short_scene()
-    return build_context(scene, replace(scene.planner, knots="sliding"))
+    return context_of(short_scene(), knots="sliding")
 
 
 @pytest.fixture(scope="module")
@@ -99,25 +98,25 @@ def test_edges_go_round_where_joints_do(seed: int, some: int, others: int) -> No
 
 
 @pytest.mark.parametrize("every", [1, 2, 3])
-def test_the_best_way_is_the_same_when_all_clearances_are_looked_at(every: int) -> None:
-    """Near a post many postures of the best ways come too near, so several rounds are needed."""
+def test_the_best_sequence_is_the_same_when_all_clearances_are_computed(every: int) -> None:
+    """Near a post many postures of the best sequences come too near, so several rounds are needed."""
     post = {"name": "post", "box": [0.1, 0.1, 1.5], "xyz": [1.25, 0.75, -1.8]}
     scene = short_scene(obstacles=[post])
-    context = build_context(scene, replace(scene.planner, knots="sliding"))
+    context = context_of(scene, knots="sliding")
     stage = GlobalSearch(context)
     starts = np.arange(len(stage._pinned)) % every == 0
 
-    def way(nodes: list[GraphLayer]) -> list[int]:
-        return BottleneckDynamicProgram(context, nodes, stage._edges, starts).best()
+    def best(layers: list[GraphLayer]) -> list[int]:
+        return BottleneckDynamicProgram(context, layers, stage._edges, starts).best()
 
-    lazily = way(stage._layers)
+    lazily = best(stage._layers)
     eagerly = [
         GraphLayer(node.chart, context.clearances, context.options.safety_margin_m) for node in stage._layers
     ]
     for node in eagerly:
         node.check_clearance(node.admissible)
     assert any(node.too_near.any() for node in eagerly)
-    assert lazily == way(eagerly)
+    assert lazily == best(eagerly)
 
 
 def test_charts_evaluated_one_by_one_are_the_same(
@@ -131,13 +130,15 @@ def test_charts_evaluated_one_by_one_are_the_same(
         np.testing.assert_allclose(chart.joint_use, node.chart.joint_use, rtol=1e-11, atol=1e-12)
 
 
-def test_leaning_is_what_a_projection_does_first(stage: GlobalSearch, context: PlanningContext) -> None:
+def test_the_predictor_is_the_first_step_of_a_projection(
+    stage: GlobalSearch, context: PlanningContext
+) -> None:
     postures, task = Postures(context.robot), context.task
     points = task.path.position(context.times)
     q = stage._layers[0].chart.q
-    leaning = TangentPredictor.of(postures, task, q, points[0])
+    predictor = TangentPredictor.of(postures, task, q, points[0])
     first, _ = project_onto_task(postures, task, q, points[1], steps=1)
-    np.testing.assert_allclose(leaning.towards(points[1]), first, atol=1e-8)
+    np.testing.assert_allclose(predictor.towards(points[1]), first, atol=1e-8)
 
 
 def test_longer_paths_do_not_take_many_more_steps() -> None:

@@ -1,4 +1,4 @@
-"""The floor: nothing admissible lies below it, by random restarts and by descents that know no charts."""
+"""The lower bound: nothing admissible lies below it, by random restarts and descents without charts."""
 
 from __future__ import annotations
 
@@ -10,13 +10,12 @@ import pytest
 from numpy.typing import NDArray
 from scipy import optimize
 from seven_joint_arms import endless_scene, panda_scene
-from small_scenes import short_scene
+from small_scenes import context_of, short_scene
 
 from cmbot.planning import GlobalSearch, plan
-from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.robot import Postures
 from cmbot.scene import Scene
 
 FloatArray = NDArray[np.float64]
@@ -35,17 +34,16 @@ def kind(request: pytest.FixtureRequest) -> str:
 
 @pytest.fixture(scope="module")
 def context(kind: str) -> PlanningContext:
-    scene = scene_of(kind)
-    return build_context(scene, scene.planner)
+    return context_of(scene_of(kind))
 
 
 @pytest.fixture(scope="module")
-def floor(context: PlanningContext) -> LowerBound:
+def bound(context: PlanningContext) -> LowerBound:
     return GlobalSearch(context).lower_bound
 
 
 def admissible(context: PlanningContext, q: FloatArray) -> NDArray[np.bool_]:
-    limits, at = context.robot.limits, Postures(context.robot).at(q)
+    limits, at = context.robot.limits, context.postures.at(q)
     holds = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
     holds &= (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
     holds[holds] = ~context.clearances.check_collision(q[holds], context.options.safety_margin_m)
@@ -56,19 +54,19 @@ def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator)
     """Random postures with the tool where it is at a via-point, admissible or not."""
     limits = context.robot.limits
     q = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (RESTARTS, 7))
-    point = context.task.path.position(context.times)[via_point]
-    placed, reached = project_onto_task(Postures(context.robot), context.task, q, point, steps=40)
+    point = context.points[via_point]
+    placed, reached = project_onto_task(context.postures, context.task, q, point, steps=40)
     return placed[reached]
 
 
 def values(context: PlanningContext, q: FloatArray) -> FloatArray:
-    return context.objective.at_rest(Postures(context.robot).at(q))
+    return context.objective.at_rest(context.postures.at(q))
 
 
 def descended(context: PlanningContext, via_point: int, start: FloatArray) -> FloatArray:
     """Where SLSQP gets to from a posture: the task, joint ranges and torques kept, clearances not."""
-    postures, task, limits = Postures(context.robot), context.task, context.robot.limits
-    point = task.path.position(context.times)[via_point]
+    postures, task, limits = context.postures, context.task, context.robot.limits
+    point = context.points[via_point]
 
     def off(q: FloatArray) -> FloatArray:
         at = postures.at(q[None])
@@ -91,61 +89,60 @@ def descended(context: PlanningContext, via_point: int, start: FloatArray) -> Fl
 
 
 def test_no_random_posture_is_below_the_floor(
-    context: PlanningContext, floor: LowerBound, rng: np.random.Generator
+    context: PlanningContext, bound: LowerBound, rng: np.random.Generator
 ) -> None:
     """Nor does descending from the best of them lead below it, wherever it ends with everything kept."""
-    q = restarts(context, floor.via_point, rng)
+    q = restarts(context, bound.via_point, rng)
     q = q[admissible(context, q)]
     value = values(context, q)
     assert len(q) > 50
-    assert value.min() >= floor.value - min(floor.error, 1e-3 * floor.value)
+    assert value.min() >= bound.value - min(bound.error, 1e-3 * bound.value)
     for start in q[np.argsort(value)[:5]]:
-        end = descended(context, floor.via_point, start)
+        end = descended(context, bound.via_point, start)
         end = end[admissible(context, end)]
-        assert (values(context, end) >= floor.value * (1 - 1e-4)).all()
+        assert (values(context, end) >= bound.value * (1 - 1e-4)).all()
 
 
 def test_at_every_via_point_some_posture_has_no_more(
-    context: PlanningContext, floor: LowerBound, rng: np.random.Generator
+    context: PlanningContext, bound: LowerBound, rng: np.random.Generator
 ) -> None:
     """What is said of a via-point is no more than a dense random search finds there, or hardly."""
-    assert floor.value == floor.each[floor.via_point] == floor.each.max()
-    last = len(floor.each) - 1
+    assert bound.value == bound.each[bound.via_point] == bound.each.max()
+    last = len(bound.each) - 1
     q = restarts(context, last, rng)
-    assert floor.each[last] <= values(context, q[admissible(context, q)]).min() * 1.02
+    assert bound.each[last] <= values(context, q[admissible(context, q)]).min() * 1.02
 
 
-def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, floor: LowerBound) -> None:
+def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, bound: LowerBound) -> None:
     if kind != "position":
-        assert 0 < floor.error < 1e-4 * floor.value
+        assert 0 < bound.error < 1e-4 * bound.value
 
 
-def test_more_freedom_has_a_lower_floor(kind: str, floor: LowerBound) -> None:
-    scene = scene_of("pose")
-    pose = GlobalSearch(build_context(scene, scene.planner)).lower_bound
-    assert floor.value <= pose.value + pose.error
-    assert (floor.value < pose.value - 5.0) == (kind == "position")
+def test_more_freedom_has_a_lower_floor(kind: str, bound: LowerBound) -> None:
+    pose = GlobalSearch(context_of(scene_of("pose"))).lower_bound
+    assert bound.value <= pose.value + pose.error
+    assert (bound.value < pose.value - 5.0) == (kind == "position")
 
 
-def test_a_plan_comes_near_it(kind: str, floor: LowerBound) -> None:
+def test_a_plan_comes_near_it(kind: str, bound: LowerBound) -> None:
     planned = plan(scene_of(kind))
     assert planned.certificate.holds
     assert planned.gap_to_floor is not None
     assert planned.gap_to_floor < planned.options.gap_target + 1e-3
-    static = values(build_context(planned.scene, planned.options), planned.trajectory.q)
-    assert static.max() >= floor.value - min(floor.error, 1e-4 * floor.value)
+    static = values(context_of(planned.scene), planned.trajectory.q)
+    assert static.max() >= bound.value - min(bound.error, 1e-4 * bound.value)
 
 
 @pytest.mark.parametrize("make", [panda_scene, endless_scene])
 @pytest.mark.parametrize("keep", ["pose", "axis"])
 def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator) -> None:
     scene = make(tmp_path, keep=keep)
-    context = build_context(scene, scene.planner)
-    floor = GlobalSearch(context).lower_bound
-    q = restarts(context, floor.via_point, rng)
+    context = context_of(scene)
+    bound = GlobalSearch(context).lower_bound
+    q = restarts(context, bound.via_point, rng)
     q = q[admissible(context, q)]
     assert len(q) > 50
-    assert values(context, q).min() >= floor.value - floor.error
+    assert values(context, q).min() >= bound.value - bound.error
     planned = plan(scene)
     assert planned.certificate.holds
     assert planned.gap_to_floor is not None

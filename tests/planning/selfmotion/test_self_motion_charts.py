@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from oracles.inverse_kinematics import postures as closed_form
 from scipy.spatial import cKDTree
 from seven_joint_arms import endless_scene, panda_scene
-from small_scenes import task_at
+from small_scenes import off_task, task_at
 
 from cmbot.planning import robot_of, task_of
 from cmbot.planning.objectives import objective_of
@@ -78,7 +78,7 @@ def test_a_charts_postures_hold_the_task_apart_from_each_other(
     task = task_at(cmbot_robot, q, keep)
     chart = sampler_for(cmbot_robot, task, spacing).first(task.path.corners[0], q[None])
     at = Postures(cmbot_robot).at(chart.q)
-    assert np.abs(task.errors(at.tool_point, at.tool_rotation, task.path.corners[0])).max() < 1e-9
+    assert off_task(cmbot_robot, task, chart.q, task.path.corners[0]) < 1e-9
     np.testing.assert_allclose(chart.q[0], q, atol=1e-15)
     assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * spacing
     limits = cmbot_robot.limits
@@ -96,7 +96,7 @@ def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
     assert len(charts) == len(points)
     for point, chart in zip(points, charts, strict=True):
         at = Postures(cmbot_robot).at(chart.q)
-        assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
+        assert off_task(cmbot_robot, task, chart.q, point) < 1e-9
         assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * 0.2
         oracle = closed_form(point, task.path.orientation, PITCHES)
         oracle = oracle[((oracle >= limits.lower) & (oracle <= limits.upper)).all(axis=1)]
@@ -137,8 +137,7 @@ def test_charts_along_any_number_of_points(cmbot_robot: Robot, count: int) -> No
     charts = sampler_for(cmbot_robot, task).along(points, q[None])
     assert len(charts) == count
     for point, chart in zip(points, charts, strict=True):
-        at = Postures(cmbot_robot).at(chart.q)
-        assert np.abs(task.errors(at.tool_point, at.tool_rotation, point)).max() < 1e-9
+        assert off_task(cmbot_robot, task, chart.q, point) < 1e-9
     anew = sampler_for(cmbot_robot, task).first(points[-1], charts[-1].q[:1])
     assert distance_on_circle(charts[-1].q, anew.q).max() < 1.5 * SPACING
 
@@ -160,10 +159,10 @@ def test_thinning_goes_from_the_first_to_the_last(case: tuple[int, list[tuple[in
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 4))
-def test_crowds_take_in_what_is_apart(seed: int, number: int, rounds: int) -> None:
+def test_poisson_disk_sets_take_postures_that_are_apart(seed: int, number: int, rounds: int) -> None:
     rng = np.random.default_rng(seed)
     round_, apart = np.array([True, False]), 0.8
-    crowds = PoissonDiskSets(number, apart, round_)
+    sets = PoissonDiskSets(number, apart, round_)
     taken: list[list[np.ndarray]] = [[] for _ in range(number)]
 
     def distance(a: np.ndarray, b: np.ndarray) -> float:
@@ -178,13 +177,13 @@ def test_crowds_take_in_what_is_apart(seed: int, number: int, rounds: int) -> No
         of = np.sort(rng.integers(0, number, 12))
         q = rng.uniform(-4, 4, (12, 2))
         far = [is_far(each, k) for each, k in zip(q, of, strict=True)]
-        np.testing.assert_array_equal(crowds.far(q, of), far)
+        np.testing.assert_array_equal(sets.far(q, of), far)
         expected = []
         for each, k in zip(q, of, strict=True):
             expected.append(is_far(each, k))
             if expected[-1]:
                 taken[k].append(each)
-        np.testing.assert_array_equal(crowds.take(q, of), expected)
-    assert crowds.sizes.tolist() == [len(each) for each in taken]
-    for postures, each in zip(crowds.postures, taken, strict=True):
+        np.testing.assert_array_equal(sets.take(q, of), expected)
+    assert sets.sizes.tolist() == [len(each) for each in taken]
+    for postures, each in zip(sets.postures, taken, strict=True):
         np.testing.assert_array_equal(postures, np.reshape(each, (-1, 2)))
