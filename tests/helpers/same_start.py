@@ -1,0 +1,104 @@
+"""Both solvers from the same start, and how their answers are judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cmbot.optimization.exchange import minimize_peak
+from cmbot.optimization.program import StateSamples
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import fixed_guess, sliding_guess
+from cmbot.planning.torque.decomposition import exchange_options
+from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
+from cmbot.planning.wrench_functions import WrenchFunction
+from cmbot.scene import Scene
+from cmbot.trajectory.quintic import QuinticTrajectory
+
+FloatArray = NDArray[np.float64]
+Solver = Literal["sqp", "slsqp"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Where a solver ended.
+
+    Attributes
+    ----------
+    objective : float
+        Half the mean square of the objective and the smoothing, from the trajectory alone.
+    peak, bound : float
+        Largest value of the objective, and what it was held below, in units of the problem's scale.
+    violation : float
+        The largest of all constraints but the peak's, as a share.
+    trajectory : QuinticTrajectory
+    """
+
+    objective: float
+    peak: float
+    bound: float
+    violation: float
+    trajectory: QuinticTrajectory
+
+    def away_from(self, other: Answer) -> float:
+        """Largest difference of a joint's angle between two answers, rad."""
+        t = np.linspace(*self.trajectory.t[[0, -1]], 400)
+        return float(np.abs(self.trajectory.evaluate(t) - other.trajectory.evaluate(t)).max())
+
+
+class SameStart:
+    """A scene's torque problem, for both solvers around the same via-points."""
+
+    def __init__(self, scene: Scene, own: WrenchFunction | None = None) -> None:
+        self._context = build_context(scene, scene.planner, own)
+        self._sliding = scene.planner.knots == "sliding"
+        guess = sliding_guess(self._context) if self._sliding else fixed_guess(self._context)
+        self._pinned = self._sliding and 0 in guess.resting
+        self._least, self._via_points = guess.least, guess.problem.parametrization.via_points
+
+    @cached_property
+    def problem(self) -> TorqueProblem:
+        """The problem around the initial guess."""
+        return self._around(self._via_points)
+
+    def solve(self, solver: Solver, via_points: FloatArray | None = None) -> Answer:
+        """Solve it around the via-points of its initial guess, or around those given."""
+        problem = self.problem if via_points is None else self._around(via_points)
+        found = minimize_peak(problem, replace(exchange_options(problem), solver=solver))
+        scale = problem.scale / self.problem.scale
+        return self.judged(found.parametrization.trajectory, found.peak_bound * scale)
+
+    def judged(self, trajectory: QuinticTrajectory, bound: float) -> Answer:
+        """Judge a trajectory whose peak is held below `bound`."""
+        problem, limits = self.problem, self._context.robot.limits
+        nodes, weights = np.polynomial.legendre.leggauss(5)
+        h = np.diff(trajectory.t)[:, None]
+        times = (trajectory.t[:-1, None] + 0.5 * h * (1 + nodes)).ravel()
+        share = (0.5 * h * weights).ravel() / trajectory.duration
+        value = self._context.objective.values(StateSamples.along(trajectory, times)) / problem.scale
+        jerk = ((trajectory.evaluate(times, 3) / limits.jerk) ** 2).mean(axis=1)
+        fine = np.linspace(*trajectory.t[[0, -1]], 60 * len(trajectory.t))
+        states = StateSamples.along(trajectory, fine)
+        kept = [function.sample(states)[0].max() for function in problem.constraints]
+        bounds = (limits.velocity, limits.acceleration, limits.jerk)
+        kept += [
+            float((trajectory.extrema(order).largest()[0] / bound).max()) - 1
+            for order, bound in enumerate(bounds, start=1)
+        ]
+        q = trajectory.extrema(0).value
+        outside = np.maximum(q - limits.upper[:, None], limits.lower[:, None] - q)
+        return Answer(
+            objective=0.5 * float(share @ (value**2 + self._context.options.smoothing_weight * jerk)),
+            peak=float(self._context.objective.values(states).max()) / problem.scale,
+            bound=bound,
+            violation=max(*kept, float(outside.max())),
+            trajectory=trajectory,
+        )
+
+    def _around(self, via_points: FloatArray) -> TorqueProblem:
+        form = parametrization_through(self._context, via_points, sliding=self._sliding, pinned=self._pinned)
+        return TorqueProblem(self._context, form, self._least)

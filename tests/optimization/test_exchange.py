@@ -1,0 +1,313 @@
+"""The exchange: the literal problem's optimum, lexicographic, and said so when there is none."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from numpy.typing import NDArray
+from oracles.literal_problem import Literal
+from small_scenes import problem_of, short_scene
+
+from cmbot.common.errors import InputError, OptimisationFailed
+from cmbot.optimization import exchange
+from cmbot.optimization.evaluation import NlpEvaluation
+from cmbot.optimization.exchange import ExchangeOptions, minimize_peak
+from cmbot.planning import ExchangeReport, QuinticTrajectory, plan
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import sliding_guess
+from cmbot.planning.planner import checked
+from cmbot.planning.torque.decomposition import Optimised, exchange_options, optimise
+from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.robot import Dynamics
+from cmbot.scene import PlannerOptions
+
+FloatArray = NDArray[np.float64]
+OUT_AND_BACK = [{"by": [0.1, 0, 0], "seconds": 2.5}, {"by": [-0.1, 0, 0], "seconds": 2.5}]
+SOLVERS = ("sqp", "slsqp")
+both_solvers = pytest.mark.parametrize("solver", SOLVERS)
+
+
+def torque_along(problem: TorqueProblem, trajectory: QuinticTrajectory, times: FloatArray) -> FloatArray:
+    efforts = Dynamics(problem.context.robot).efforts(*trajectory.states(times))
+    return np.asarray(np.linalg.norm(efforts.guardrail_torque, axis=1) / problem.scale)
+
+
+def literal(problem: TorqueProblem, *, per_segment: int) -> Literal:
+    return Literal(
+        robot=problem.context.robot,
+        task=problem.context.task,
+        t=problem.space.t,
+        via_points=problem.parametrization.via_points,
+        scale=problem.scale,
+        smoothing_weight=problem.context.options.smoothing_weight,
+        max_tool_deviation=problem.constraints[1].bound,
+        per_segment=per_segment,
+    )
+
+
+def variables_of(trajectory: QuinticTrajectory) -> FloatArray:
+    """The paper's variables: velocities, then accelerations, at the inner knots."""
+    return np.concatenate([trajectory.v[1:-1].ravel(), trajectory.a[1:-1].ravel()])
+
+
+def keeps_joint_limits(problem: TorqueProblem, trajectory: QuinticTrajectory) -> bool:
+    limits = problem.context.robot.limits
+    bounds = (limits.velocity, limits.acceleration, limits.jerk)
+    largest = [trajectory.extrema(order).largest()[0] for order in (1, 2, 3)]
+    return all((value < 0.99 * bound).all() for value, bound in zip(largest, bounds, strict=True))
+
+
+@both_solvers
+def test_peak_is_that_of_the_papers_own_formulation(solver: str) -> None:
+    """The tool's deviation is at its bound here; joint limits, which the oracle leaves out, are not."""
+    scene = short_scene(
+        tool_path={"legs": OUT_AND_BACK, "via_points": 7},
+        planner={"smoothing_weight": 1e-2, "max_tool_deviation_m": 0.01, "samples_per_segment": 20},
+    )
+    problem = problem_of(scene)[0]
+    run = exchange._Exchange(problem, replace(exchange_options(problem), solver=solver), None)
+    peak = run.run(scene.planner.smoothing_weight)
+    trajectory = run.form.trajectory
+    assert keeps_joint_limits(problem, trajectory)
+    # On 20 samples a segment the oracle gains 2e-6 between them.
+    oracle = literal(problem, per_segment=80)
+    best, z = oracle.solve()
+    start = 1.0 + oracle.smoothing(variables_of(problem.parametrization.trajectory))[0]
+    assert peak + oracle.smoothing(variables_of(trajectory))[0] == pytest.approx(best, rel=1e-6)
+    # There was something to gain.
+    assert best < start - 1e-3
+    np.testing.assert_allclose(
+        trajectory.evaluate(problem.grid), oracle.spline(z)(problem.grid), rtol=0, atol=1e-3
+    )
+
+
+@both_solvers
+def test_mean_square_is_that_of_the_papers_own_formulation(solver: str) -> None:
+    scene = short_scene(
+        tool_path={"via_points": 6},
+        planner={"smoothing_weight": 1e-2, "max_tool_deviation_m": 0.01, "solver": solver},
+    )
+    problem = problem_of(scene)[0]
+    found = minimize_peak(problem, exchange_options(problem))
+    trajectory = found.parametrization.trajectory
+    assert {report.stage for report in found.passes} == {"mean square"}
+    assert keeps_joint_limits(problem, trajectory)
+    oracle = literal(problem, per_segment=8)
+    best, _ = oracle.solve(peak=found.peak_bound)
+    start = problem.parametrization.trajectory
+    got, before = (
+        oracle.mean_square(z) + oracle.smoothing(z)[0] for z in map(variables_of, (trajectory, start))
+    )
+    assert got == pytest.approx(best, rel=1e-6)
+    assert got - best < 0.25 * (before - best)
+
+
+@both_solvers
+def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solver: str) -> None:
+    """The bound is the static torque at the via-points; swinging out and back asks for more."""
+    legs = [{"by": [0.1, 0, 0], "seconds": 1.2}, {"by": [-0.1, 0, 0], "seconds": 1.2}]
+    scene = short_scene(
+        tool_path={"legs": legs, "via_points": 9},
+        planner={"max_tool_deviation_m": 0.01, "path_step_s": 0.005, "solver": solver},
+    )
+    problem = problem_of(scene)[0]
+    found = minimize_peak(problem, exchange_options(problem))
+    stages = [report.stage for report in found.passes]
+    assert "peak" in stages and stages[-1] == "mean square"
+    assert found.peak_bound > problem.lower_bound * (1 + 2e-4)
+    fine = np.linspace(*problem.space.t[[0, -1]], 4001)
+    peak = torque_along(problem, found.parametrization.trajectory, fine).max()
+    assert found.peak_bound * (1 - 1e-3) < peak <= found.peak_bound * (1 + 2e-6)
+    # Nothing lower was overlooked: below it there is no motion.
+    lower = exchange._Exchange(problem, replace(exchange_options(problem), solver=solver), None)
+    with pytest.raises(OptimisationFailed):
+        lower.run(problem.context.options.smoothing_weight, bound=0.999 * found.peak_bound, stalls=0)
+
+
+Solved = tuple[TorqueProblem, Optimised, list[ExchangeReport]]
+
+
+@pytest.fixture(scope="module", params=["there", "there and back", "payload"])
+def solved(request: pytest.FixtureRequest) -> Solved:
+    changes: dict[str, Any] = {
+        "there": {},
+        "there and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
+        "payload": {"robot": {"payload_kg": 3.0}},
+    }[request.param]
+    problem = problem_of(short_scene(**changes))[0]
+    reports: list[ExchangeReport] = []
+    return problem, optimise(problem, reports.append), reports
+
+
+def test_never_worse_than_the_start(solved: Solved) -> None:
+    """The starts here keep every bound, so neither peak nor mean may rise."""
+    problem, optimised, _ = solved
+    start = problem.parametrization.trajectory
+    before, after = (torque_along(problem, each, problem.grid) for each in (start, optimised.trajectory))
+    assert after.max() <= max(before.max(), problem.lower_bound * (1 + 1e-4)) * (1 + 1e-4)
+    jerk = problem.context.robot.limits.jerk
+
+    def objective(each: QuinticTrajectory, torque: FloatArray) -> float:
+        smooth = ((each.evaluate(problem.grid, 3) / jerk) ** 2).mean(axis=1)
+        weight = problem.context.options.smoothing_weight
+        return float(np.trapezoid(torque**2 + weight * smooth, problem.grid))
+
+    assert objective(optimised.trajectory, after) <= objective(start, before) * (1 + 1e-6)
+
+
+def test_bounds_are_kept_between_the_samples(solved: Solved) -> None:
+    problem, optimised, _ = solved
+    task, limits = problem.context.task, problem.context.robot.limits
+    trajectory = optimised.trajectory
+    fine = np.linspace(0, trajectory.t[-1], 3001)
+    for order, bound in ((1, limits.velocity), (2, limits.acceleration), (3, limits.jerk)):
+        assert (np.abs(trajectory.evaluate(fine, order)) <= bound).all()
+    away = task.path.offset(np.array([_tool_point(problem, q) for q in trajectory.evaluate(fine[::10])]))
+    assert np.linalg.norm(away, axis=1).max() <= problem.context.options.max_tool_deviation_m
+    np.testing.assert_array_equal(optimised.via_points, problem.parametrization.via_points)
+    np.testing.assert_allclose(trajectory.evaluate(trajectory.t), optimised.via_points, rtol=0, atol=1e-12)
+
+
+def _tool_point(problem: TorqueProblem, q: FloatArray) -> FloatArray:
+    robot = problem.context.robot
+    model = robot.model
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, q)
+    return np.array(data.oMf[robot.tool_frame_id].translation)
+
+
+def test_progress_is_reported_pass_by_pass(solved: Solved) -> None:
+    problem, optimised, told = solved
+    assert tuple(told) == optimised.passes
+    assert [report.number for report in told] == list(range(1, len(told) + 1))
+    assert all(report.iterations >= 1 for report in told)
+    assert told[-1].stage == "mean square"
+    assert told[-1].worst.value <= problem.context.options.constraint_tolerance
+    # The peak that is reported lies between the samples, where it is largest.
+    fine = np.linspace(0, problem.grid[-1], 20 * len(problem.grid))
+    on_grid, everywhere = (
+        torque_along(problem, optimised.trajectory, times).max() * problem.scale
+        for times in (problem.grid, fine)
+    )
+    assert on_grid * (1 - 1e-12) <= told[-1].peak_torque <= everywhere * (1 + 1e-9)
+
+
+def test_passes_run_out() -> None:
+    legs = [{"by": [0.1, 0, 0], "seconds": 1.2}, {"by": [-0.1, 0, 0], "seconds": 1.2}]
+    changes = {"max_passes": 1, "path_step_s": 0.005}
+    problem = problem_of(short_scene(tool_path={"legs": legs, "via_points": 9}, planner=changes))[0]
+    with pytest.raises(OptimisationFailed, match="no solution in 1 pass, and planner") as caught:
+        optimise(problem)
+    assert caught.value.constraint
+
+
+def failing(*_: Any, **__: Any) -> Any:
+    raise OptimisationFailed("no", constraint="none", violation=1.0)
+
+
+def test_a_lighter_smoothing_that_fails_leaves_the_heavier_ones_result(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    legs = [{"by": [0.1, 0, 0], "seconds": 1.2}, {"by": [-0.1, 0, 0], "seconds": 1.2}]
+    problem = problem_of(
+        short_scene(tool_path={"legs": legs, "via_points": 9}, planner={"path_step_s": 0.005})
+    )[0]
+    run = exchange._Exchange(problem, exchange_options(problem), None)
+    heavier: list[QuinticTrajectory] = []
+    whole = exchange._Exchange.run
+
+    def lighter_fails(self: Any, smoothing: float, **target: Any) -> float:
+        if smoothing < problem.context.options.smoothing_weight:
+            heavier.append(self.form.trajectory)
+            whole(self, smoothing, **target)
+            failing()
+        return whole(self, smoothing, **target)
+
+    monkeypatch.setattr(exchange._Exchange, "run", lighter_fails)
+    run.lowest_peak(0.0)
+    assert len(heavier) == 1
+    assert run.form.trajectory is heavier[0]
+
+
+@pytest.mark.parametrize("answer", [np.nan, np.inf])
+def test_slsqp_that_diverges_is_given_up(monkeypatch: pytest.MonkeyPatch, answer: float) -> None:
+    problem = problem_of(short_scene(planner={"solver": "slsqp"}))[0]
+
+    class Diverged:
+        x, nit = np.full(problem.parametrization.dimension, answer), 1
+
+    monkeypatch.setattr(exchange.solve_slsqp.__globals__["optimize"], "minimize", lambda *_, **__: Diverged)
+    with pytest.raises(OptimisationFailed, match="SLSQP diverged") as caught:
+        optimise(problem)
+    assert caught.value.undecided
+
+
+def test_slsqp_turns_back_where_the_task_cannot_be_held() -> None:
+    """A step far beyond what the arm reaches costs more than any other, and is evaluated without an error."""
+    scene = short_scene(planner={"knots": "sliding", "chart_spacing": 0.3})
+    problem = sliding_guess(build_context(scene, scene.planner)).problem
+    run = exchange._Exchange(problem, ExchangeOptions(), None)
+    stage = exchange.Stage(smoothing=0.1, bound=1.0, tolerance=1e-5)
+    start = NlpEvaluation.around(problem, stage, problem.parametrization, run._constraints)
+    dense = exchange.solve_slsqp.__globals__["_Dense"](start)
+    here, far = dense.at(np.zeros(dense.n)), dense.at(np.full(dense.n, 1e4))
+    assert far.objective > 100 * here.objective
+    assert np.isfinite(far.gradient).all() and np.isfinite(far.jacobian).all()
+
+
+@pytest.mark.parametrize("by", [[0, -0.3, 0], [0.2, -0.1, 0.1], [-0.15, 0.1, -0.1]])
+def test_the_optimum_keeps_what_the_global_search_gained(by: list[float]) -> None:
+    """Slowly enough that smoothness costs nothing."""
+    scene = short_scene(
+        tool_path={"legs": [{"by": by, "seconds": 8}], "via_points": 12}, planner={"knots": "sliding"}
+    )
+    planned = plan(scene)
+    assert planned.choice is not None
+    assert planned.choice.free is not None
+    assert planned.choice.pinned is not None
+    stays = planned.start.moved == 0
+    chosen = planned.choice.pinned if stays else planned.choice.free
+    assert planned.torque_floor is not None
+    enough = planned.torque_floor * (1 + scene.planner.peak_tolerance)
+    assert planned.figures.peak_static_guardrail_torque <= max(chosen, enough) * (1 + 1e-4)
+
+
+WRONG = [
+    ("knots", "loose"),
+    ("avoidance", "soft"),
+    ("avoidance_distance_m", 0.0),
+    ("avoidance_gain", -1.0),
+    ("centre_of_gravity_weight", -1e-3),
+    ("damping_max", float("nan")),
+    ("damping_threshold", float("inf")),
+    ("drift_gain", -1.0),
+    ("path_step_s", 0.2),
+    ("other_starts", -1),
+    ("safety_margin_m", -0.01),
+    ("max_tool_deviation_m", 0.0),
+    ("solver", "ipopt"),
+    ("samples_per_segment", 3),
+    ("samples_per_segment", 40.5),
+    ("smoothing_weight", 0.0),
+    ("peak_tolerance", 0.0),
+    ("constraint_tolerance", 1e-3),
+    ("max_passes", 0),
+    ("max_iterations", 0),
+]
+
+
+@pytest.mark.parametrize(("name", "value"), WRONG)
+def test_wrong_options_are_named(name: str, value: Any) -> None:
+    wrong = replace(PlannerOptions(), **{name: value})
+    with pytest.raises(InputError, match=f"PlannerOptions: {name}: got") as caught:
+        plan(short_scene(), options=wrong)
+    assert caught.value.key == name
+
+
+def test_right_options_pass_unchanged() -> None:
+    options = PlannerOptions(avoidance="switch", samples_per_segment=400, safety_margin_m=0.0)
+    assert checked(options) == options

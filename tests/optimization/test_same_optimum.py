@@ -1,0 +1,169 @@
+"""The SQP and SLSQP are backends of one program: shipped scenes, small ones, the examples', other arms'.
+
+Both start at the same spline. Where they end in the same motion their objectives agree; where they end in
+different ones the SQP's is no worse.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from same_start import Answer, SameStart
+from seven_joint_arms import endless_scene
+from six_joint_arms import ur_scene, z1_scene
+from small_scenes import short_scene
+from threadpoolctl import threadpool_limits
+from urdf_arms import arm_scene
+
+from cmbot.scene import Scene, load_scene
+
+# The same optimum, as a share of it; peaks held so near to each other make objectives comparable; violations
+# up to this count as met; two motions that never differ by more are the same, rad.
+SAME, SAME_BOUND, MET, SAME_MOTION = 1e-3, 1e-5, 2e-5, 1e-2
+EXAMPLES = Path(__file__).resolve().parent.parent.parent / "examples"
+COARSE = {"chart_spacing": 0.3, "samples_per_segment": 20}
+OUT_AND_BACK = [{"by": [0.1, 0, 0], "seconds": 2.5}, {"by": [-0.1, 0, 0], "seconds": 2.5}]
+TWO_LEGS = [{"by": [0, -0.3, 0], "seconds": 4}, {"by": [0.1, 0, 0.1], "seconds": 3}]
+
+SHIPPED = {
+    f"{name}, {knots} {start}": (name, {"knots": knots, "start": start})
+    for name in ("triangle", "line")
+    for knots, start in (("fixed", "free"), ("sliding", "free"), ("sliding", "pinned"))
+}
+SMALL: dict[str, dict[str, Any]] = {
+    **{
+        f"{keep}, {start}": {
+            "tool_path": {"keep": keep},
+            "planner": {"knots": "sliding", "start": start, **COARSE},
+        }
+        for keep in ("pose", "axis", "position")
+        for start in ("free", "pinned")
+    },
+    "sag, pinned": {"planner": {"knots": "sliding", "start": "pinned", **COARSE, "objective": "sag"}},
+    "about the base, free": {"planner": {"knots": "sliding", **COARSE, "moment_about": "base"}},
+    "about x, pinned": {
+        "planner": {"knots": "sliding", "start": "pinned", **COARSE, "axis_weights": [1.0, 0.0, 0.0]}
+    },
+    # Gravity has no torque about z: a flat valley.
+    "about z": {"planner": {"knots": "sliding", "axis_weights": [0.0, 0.0, 1.0]}},
+    "fixed": {},
+    "fixed, axis": {"tool_path": {"keep": "axis"}},
+    "fixed, position": {"tool_path": {"keep": "position"}},
+    "fixed, out and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
+    "fixed, two legs": {"tool_path": {"legs": TWO_LEGS, "via_points": 14}},
+    "fixed, jerk limited": {"tool_path": {"speed_profile": {"kind": "jerk_limited", "ramp": 0.3}}},
+    "fixed, fewest via-points": {"tool_path": {"via_points": 5}},
+    "fixed, payload": {"robot": {"payload_kg": 3.0}},
+    "fixed, little smoothing": {"planner": {"smoothing_weight": 1e-6}},
+}
+ARMS: dict[str, Callable[[Path], Scene]] = {
+    "panda, pose": lambda folder: arm_scene(folder, "panda"),
+    "panda, fixed": lambda folder: arm_scene(folder, "panda", knots="fixed"),
+    "kinova, pose": lambda folder: arm_scene(folder, "kinova"),
+    "kinova, axis": lambda folder: arm_scene(folder, "kinova", "axis"),
+    "endless, axis": lambda folder: coarse(endless_scene(folder, keep="axis")),
+    "ur5, pose": lambda folder: ur_scene(
+        folder,
+        "ur5",
+        [-105, -76, -94, 84, 48, -61],
+        {"legs": [{"by": [0.061, -0.054, -0.015], "seconds": 5.9}], "via_points": 15},
+    ),
+    "ur5, axis": lambda folder: ur_scene(
+        folder,
+        "ur5",
+        [0, 71, -107, 55, 66, -104],
+        {"legs": [{"by": [0.037, 0.13, -0.125], "seconds": 4.9}], "via_points": 15, "keep": "axis"},
+    ),
+    "z1, pose": lambda folder: z1_scene(
+        folder,
+        [103, 80, -26, -9, -39, 13],
+        {"legs": [{"by": [0.047, -0.097, 0.114], "seconds": 5.3}], "via_points": 12},
+    ),
+}
+
+
+def coarse(scene: Scene) -> Scene:
+    return replace(scene, planner=replace(scene.planner, **COARSE))
+
+
+def of_example(name: str, folder: Path) -> tuple[Scene, Any]:
+    """The scene of an example, and its own objective if it has one: what stands before it plans."""
+    text = (EXAMPLES / name).read_text(encoding="utf-8")
+    before = text[: text.index("plan = cmbot.plan(" if "plan = cmbot.plan(" in text else "= cmbot.plan(")]
+    there: dict[str, Any] = {}
+    if "with tempfile" in before:
+        exec(compile(before[: before.index("with tempfile")], name, "exec"), there)
+        (folder / "sander.urdf").write_text(there["urdf"](), encoding="utf-8")
+        (folder / "sander_limits.yaml").write_text(there["LIMITS"], encoding="utf-8")
+        (folder / "sanding.yaml").write_text(there["SCENE"], encoding="utf-8")
+        return load_scene(folder / "sanding.yaml"), None
+    exec(compile(before[: before.rindex("\n")], name, "exec"), there)
+    return there["scene"], there.get("stress")
+
+
+def compared(both: SameStart) -> tuple[Answer, Answer]:
+    """Answers of the SQP and of SLSQP: both keep the constraints, and neither is worse by much."""
+    sparse, dense = both.solve("sqp"), both.solve("slsqp")
+    for answer in (sparse, dense):
+        assert answer.violation <= MET
+        assert answer.peak <= answer.bound * (1 + MET)
+    assert sparse.bound <= dense.bound * (1 + SAME)
+    if abs(sparse.bound - dense.bound) <= SAME_BOUND * dense.bound:
+        assert sparse.objective <= dense.objective * (1 + SAME)
+        if sparse.away_from(dense) <= SAME_MOTION:
+            assert sparse.objective == pytest.approx(dense.objective, rel=SAME)
+    return sparse, dense
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    """As `cmbot.plan` has it: the matrices are small, more threads of linear algebra wait for each other."""
+    with threadpool_limits(limits=1, user_api="blas"):
+        yield
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_scenes(name: str) -> None:
+    scene, changes = SHIPPED[name]
+    loaded = load_scene(scene)
+    compared(SameStart(replace(loaded, planner=replace(loaded.planner, **changes))))
+
+
+@pytest.mark.parametrize("name", SMALL)
+def test_small_scenes(name: str) -> None:
+    compared(SameStart(short_scene(**SMALL[name])))
+
+
+@pytest.mark.parametrize("arm", ARMS)
+def test_other_arms(arm: str, tmp_path: Path) -> None:
+    compared(SameStart(ARMS[arm](tmp_path)))
+
+
+@pytest.mark.parametrize(
+    "example",
+    [
+        "03_your_own_arm.py",
+        "04_simulate_and_compensate.py",
+        "05_your_own_objective.py",
+        "06_report.py",
+    ],
+)
+def test_examples(example: str, tmp_path: Path) -> None:
+    scene, own = of_example(example, tmp_path)
+    compared(SameStart(scene, own))
+
+
+def test_the_comparison_can_fail() -> None:
+    """A motion that is made worse has a higher objective, and constraints that are broken count."""
+    both = SameStart(short_scene())
+    sparse = both.solve("sqp")
+    moved = replace(sparse.trajectory, q=sparse.trajectory.q + 1e-3 * np.arange(8)[:, None])
+    worse = both.judged(moved, sparse.bound)
+    assert sparse.away_from(worse) >= 7e-3
+    assert worse.violation > MET
+    assert worse.objective != sparse.objective
