@@ -61,6 +61,15 @@ def keeps_joint_limits(problem: TorqueProblem, trajectory: QuinticTrajectory) ->
     return all((value < 0.99 * bound).all() for value, bound in zip(largest, bounds, strict=True))
 
 
+def unattainable(**planner: Any) -> TorqueProblem:
+    """Nothing is known of the peak but what the ends ask at rest, and on the way out more is asked."""
+    scene = short_scene(
+        tool_path={"legs": OUT_AND_BACK, "via_points": 9}, planner={"max_tool_deviation_m": 0.01} | planner
+    )
+    given = problem_of(scene)[0]
+    return TorqueProblem(given.context, given.parametrization, 0.0)
+
+
 @both_solvers
 def test_peak_is_that_of_the_papers_own_formulation(solver: str) -> None:
     """The tool's deviation is at its bound here; joint limits, which the oracle leaves out, are not."""
@@ -108,13 +117,7 @@ def test_mean_square_is_that_of_the_papers_own_formulation(solver: str) -> None:
 
 @both_solvers
 def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solver: str) -> None:
-    """The bound is the static torque at the via-points; swinging out and back asks for more."""
-    legs = [{"by": [0.1, 0, 0], "seconds": 1.2}, {"by": [-0.1, 0, 0], "seconds": 1.2}]
-    scene = short_scene(
-        tool_path={"legs": legs, "via_points": 9},
-        planner={"max_tool_deviation_m": 0.01, "path_step_s": 0.005, "solver": solver},
-    )
-    problem = problem_of(scene)[0]
+    problem = unattainable(solver=solver)
     found = minimize_peak(problem, exchange_options(problem))
     stages = [report.stage for report in found.passes]
     assert "peak" in stages and stages[-1] == "mean square"
@@ -188,7 +191,7 @@ def test_progress_is_reported_pass_by_pass(solved: Solved) -> None:
     assert told[-1].stage == "mean square"
     assert told[-1].worst.value <= problem.context.options.constraint_tolerance
     # The peak that is reported lies between the samples, where it is largest.
-    fine = np.linspace(0, problem.grid[-1], 20 * len(problem.grid))
+    fine = np.linspace(0, problem.grid[-1], 100 * len(problem.grid))
     on_grid, everywhere = (
         torque_along(problem, optimised.trajectory, times).max() * problem.scale
         for times in (problem.grid, fine)
@@ -197,9 +200,7 @@ def test_progress_is_reported_pass_by_pass(solved: Solved) -> None:
 
 
 def test_passes_run_out() -> None:
-    legs = [{"by": [0.1, 0, 0], "seconds": 1.2}, {"by": [-0.1, 0, 0], "seconds": 1.2}]
-    changes = {"max_passes": 1, "path_step_s": 0.005}
-    problem = problem_of(short_scene(tool_path={"legs": legs, "via_points": 9}, planner=changes))[0]
+    problem = unattainable(max_passes=1, solver="slsqp")
     with pytest.raises(OptimisationFailed, match="no solution in 1 pass, and planner") as caught:
         optimise(problem)
     assert caught.value.constraint
@@ -212,10 +213,7 @@ def failing(*_: Any, **__: Any) -> Any:
 def test_a_lighter_smoothing_that_fails_leaves_the_heavier_ones_result(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    legs = [{"by": [0.1, 0, 0], "seconds": 1.2}, {"by": [-0.1, 0, 0], "seconds": 1.2}]
-    problem = problem_of(
-        short_scene(tool_path={"legs": legs, "via_points": 9}, planner={"path_step_s": 0.005})
-    )[0]
+    problem = unattainable()
     run = exchange._Exchange(problem, exchange_options(problem), None)
     heavier: list[QuinticTrajectory] = []
     whole = exchange._Exchange.run
