@@ -51,6 +51,8 @@ class ExchangeOptions:
     stalls : int
         So often a solver may end short of the constraints before it is given up.
     slsqp_accuracy : float
+    slsqp_iterations : int
+        Of SLSQP in an exchange iteration: it need not end before the next one knows more constraints.
     sqp : SqpOptions
     """
 
@@ -58,13 +60,14 @@ class ExchangeOptions:
     smoothing: float = 0.1
     peak_tolerance: float = 1e-4
     feasibility_tolerance: float = 1e-5
-    max_passes: int = 40
+    max_passes: int = 80
     max_iterations: int = 1000
     continuation: tuple[float, ...] = (1.0, 0.1, 1e-2, 1e-3)
     worthwhile: float = 1e-5
     most_violations: int = 400
     stalls: int = 3
     slsqp_accuracy: float = 1e-8
+    slsqp_iterations: int = 10
     sqp: SqpOptions = field(default_factory=SqpOptions)
 
 
@@ -250,8 +253,9 @@ class _Exchange:
         """Solve with the constraints of `start`; return the end, the iterations, and whether it converged."""
         o = self._options
         if o.solver == "slsqp":
-            end, iterations = solve_slsqp(start, o.slsqp_accuracy, o.max_iterations)
-            return end, iterations, iterations < o.max_iterations
+            most = min(o.slsqp_iterations, o.max_iterations)
+            end, iterations = solve_slsqp(start, o.slsqp_accuracy, most)
+            return end, iterations, iterations < most
         result = solve_sqp(start, self._families, o.sqp, self._warm)
         self._warm = result
         if result.status is SqpStatus.INFEASIBLE:

@@ -137,5 +137,5 @@ class PlannerOptions:
     peak_tolerance: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
     gap_target: NonNegativeFloat = 2e-3
     constraint_tolerance: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
-    max_passes: PositiveInt = 40
+    max_passes: PositiveInt = 80
     max_iterations: PositiveInt = 1000
