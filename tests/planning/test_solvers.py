@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-from cmbot.cli.doctor import examine
 from seven_joint_arms import panda_scene
 from small_scenes import short_scene
 
+from cmbot.cli.inspection import examine
 from cmbot.common.errors import MissingExtra, OptimisationFailed
 from cmbot.optimization import exchange
 from cmbot.planning import plan
