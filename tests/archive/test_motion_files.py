@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from plan_folders import npz, refused, rewrite
 
-from cmbot.archive.motion_files import number_rows, read_knots, read_motion
+from cmbot.archive.motion_files import columns, number_rows, read_knots, read_motion, table_csv
 from cmbot.common.errors import ArchiveError
 
 
@@ -134,6 +134,16 @@ def test_damaged_tables(saved_triangle, change, key):
     with pytest.raises(ArchiveError) as caught:
         read_motion("\n".join([*change(lines), ""]).encode(), "FILE", 7)
     assert (caught.value.source, caught.value.key) == ("FILE", key)
+
+
+def test_nothing_but_a_clearance_may_be_infinite():
+    names = columns(1, compensated=True)
+    table = np.zeros((2, len(names)))
+    table[:, names.index("clearance")] = np.inf
+    assert table_csv(names, table, "FILE").count(b"inf") == 2
+    table[1, -1] = np.inf
+    with pytest.raises(ArchiveError, match="FILE: line 3, expected_tool_z: got inf"):
+        table_csv(names, table, "FILE")
 
 
 @given(arrays.arrays(np.float64, st.tuples(st.integers(0, 6), st.integers(1, 6))))

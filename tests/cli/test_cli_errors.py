@@ -354,11 +354,13 @@ def test_a_failed_optimisation_says_what_to_do(constraint: str, remedy: str) -> 
     assert str(error).endswith(" may help")
 
 
-def test_where_every_constraint_is_met_none_is_blamed() -> None:
-    error = errors.OptimisationFailed("no solution in 1 pass", constraint="jerk of joint_3", violation=-0.15)
-    assert str(error) == "no solution in 1 pass; every constraint is met, jerk of joint_3 with the least room"
-
-
-def test_what_nothing_is_known_of_has_no_remedy() -> None:
-    error = errors.OptimisationFailed("no way", constraint="something else", violation=0.25)
-    assert str(error) == "no way; worst constraint: something else, 25.00% beyond its bound"
+@pytest.mark.parametrize(
+    ("constraint", "violation", "message"),
+    [
+        ("jerk of joint_3", -0.15, "every constraint is met, jerk of joint_3 with the least room"),
+        ("something else", 0.25, "worst constraint: something else, 25.00% beyond its bound"),
+    ],
+)
+def test_a_failed_optimisation_without_a_remedy(constraint: str, violation: float, message: str) -> None:
+    error = errors.OptimisationFailed("no way", constraint=constraint, violation=violation)
+    assert str(error) == f"no way; {message}"
