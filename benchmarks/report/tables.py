@@ -91,9 +91,7 @@ def _solvers(rows: Sequence[Mapping[str, Any]]) -> Sheet:
         "iterations",
         "ended",
     )
-    return Sheet(
-        key="solvers", title="Solvers on the very same problems", headings=headings, rows=tuple(cells)
-    )
+    return Sheet(key="solvers", title="Solvers on the same problems", headings=headings, rows=tuple(cells))
 
 
 def _planning(rows: Sequence[Mapping[str, Any]]) -> Sheet:
