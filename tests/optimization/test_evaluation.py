@@ -190,6 +190,12 @@ def test_a_step_adds_what_it_violates(problem: TorqueProblem) -> None:
     everything = linearize(problem, trial.constraints, trial.parametrization.trajectory)
     np.testing.assert_allclose(trial.at.value, everything.value, rtol=0, atol=1e-12)
     np.testing.assert_allclose(trial.at.derivative, everything.derivative, rtol=0, atol=1e-12)
+    # Cuts that were there come first, so of the whole they are another order.
+    assert (trial.constraints.family[K:] == DEVIATION).any()
+    cuts = [np.lexsort((each.cut_value, each.cut_of)) for each in (trial.at, everything)]
+    for name in ("cut_of", "cut_value"):
+        got, expected = (getattr(e, name)[c] for e, c in zip((trial.at, everything), cuts, strict=True))
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12)
     # All that a whole separation finds is known already, but for times that count as the same.
     trajectory = trial.parametrization.trajectory
     found = find_violations(problem, trajectory, trial.values.peak, 1e-5, 40)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from small_scenes import parts, short_context, short_scene
 
-from cmbot.collision import Clearances
+from cmbot.collision import Clearances, Smallest
 from cmbot.optimization.program import StateFunction, StateSamples
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.path.task import ToolTask
@@ -185,6 +187,32 @@ def test_clearances_are_measured_wherever_they_matter(seed: int, margin: float, 
         near = above | np.append(above[1:], False) | np.append(False, above[:-1])
         assert known[near].all()
         assert np.isneginf(value[~known]).all()
+
+
+def test_neighbours_of_what_matters_are_measured() -> None:
+    """Though bounds say that they are far enough: a top between samples is found from three of them."""
+
+    class Wall(SimpleNamespace):
+        """A distance that changes as fast as it can, and is zero at 5."""
+
+        reach = np.ones(1)
+
+        def smallest(self, q: FloatArray) -> Smallest:
+            return Smallest(distance=np.abs(q[:, 0] - 5.0), pair=np.zeros(len(q), dtype=np.intp))
+
+    t = np.arange(33.0)
+    clearance: Any = ClearanceMargin(Wall(), 0.0)
+    value, pair = clearance.sample(StateSamples.at_rest(t, t[:, None]), -0.02)
+    known = np.flatnonzero(np.isfinite(value[:, 0]))
+    np.testing.assert_array_equal(known, [0, 4, 5, 6, 16, 32])
+    np.testing.assert_allclose(value[known, 0], -np.abs(known - 5) / 0.1, atol=1e-12)
+    np.testing.assert_array_equal(pair[known, 0], 0)
+    # What is remembered holds as far as postures have moved since.
+    for shift in (20.0, 0.0, 1.5, 0.5):
+        value = clearance.sample(StateSamples.at_rest(t, t[:, None] + shift), -0.02)[0][:, 0]
+        matters = np.abs(t + shift - 5) < 0.002
+        assert np.isfinite(value[matters]).all()
+        assert matters.any() == (shift == 0.0)
 
 
 def test_clearances_that_hardly_change_are_not_measured_again() -> None:
