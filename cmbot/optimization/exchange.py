@@ -7,7 +7,7 @@ square with the peak held. Where the lower bound of the peak can be attained the
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,10 +42,11 @@ class ExchangeOptions:
     max_passes, max_iterations : int
         Exchange iterations of all stages, and iterations of the solver in each.
     continuation : tuple of float
-        Factors of the smoothing while the peak is minimised, one after the other: a light smoothing alone
-        lets splines swing between the few times that are known.
-    worthwhile : float
-        A lighter smoothing must lower the peak by this share for a still lighter one to be tried.
+        Factors of the smoothing while the peak is minimised, one after the other as long as each lowers the
+        peak by more than its tolerance: a light smoothing alone lets splines swing between the few times that
+        are known.
+    peak_accuracy : float
+        Optimality tolerance while the peak is minimised, which need not be known better than its tolerance.
     most_violations : int
         Constraints of a family that are added in an exchange iteration, at most.
     stalls : int
@@ -63,7 +64,7 @@ class ExchangeOptions:
     max_passes: int = 80
     max_iterations: int = 1000
     continuation: tuple[float, ...] = (1.0, 0.1, 1e-2, 1e-3)
-    worthwhile: float = 1e-5
+    peak_accuracy: float = 1e-6
     most_violations: int = 400
     stalls: int = 3
     slsqp_accuracy: float = 1e-8
@@ -198,20 +199,22 @@ class _Exchange:
     def lowest_peak(self, target: float) -> float:
         """Minimise the peak with ever less smoothing, as long as that is worthwhile; return it.
 
-        A lighter smoothing that leads nowhere is given up for what was found with the heavier one.
+        A lighter smoothing that fails, or gains next to nothing, is given up for what the heavier one found.
         """
-        lowest = np.inf
+        lowest, worthwhile = np.inf, 1 - self._options.peak_tolerance
         for factor in self._options.continuation:
-            kept = self.form
+            kept = self.form, self._warm
             try:
                 peak = self.run(factor * self._options.smoothing, target=target)
             except OptimisationFailed:
                 if not np.isfinite(lowest):
                     raise
-                self.form, self._warm = kept, None
+                peak = np.inf
+            if peak > worthwhile * lowest:
+                self.form, self._warm = kept
                 break
-            gain, lowest = lowest - peak, min(lowest, peak)
-            if peak <= target or gain < self._options.worthwhile * peak:
+            lowest = peak
+            if peak <= target:
                 break
         return lowest
 
@@ -251,12 +254,13 @@ class _Exchange:
 
     def _solved(self, start: NlpEvaluation) -> tuple[NlpEvaluation, int, bool]:
         """Solve with the constraints of `start`; return the end, the iterations, and whether it converged."""
-        o = self._options
+        o, accuracy = self._options, self._options.peak_accuracy if start.stage.bound is None else None
         if o.solver == "slsqp":
             most = min(o.slsqp_iterations, o.max_iterations)
-            end, iterations = solve_slsqp(start, o.slsqp_accuracy, most)
+            end, iterations = solve_slsqp(start, accuracy or o.slsqp_accuracy, most)
             return end, iterations, iterations < most
-        result = solve_sqp(start, self._families, o.sqp, self._warm)
+        sqp = replace(o.sqp, optimality_tolerance=accuracy) if accuracy else o.sqp
+        result = solve_sqp(start, self._families, sqp, self._warm)
         self._warm = result
         if result.status is SqpStatus.INFEASIBLE:
             self.form = result.iterate.parametrization

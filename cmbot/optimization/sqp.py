@@ -229,10 +229,10 @@ class _SqpState(Generic[AnyIterate]):
         if warm is not None:
             self.multipliers = _extended(warm.multipliers, start)
             self.damping = min(warm.damping, self.damping)
-            # Penalties may fall again to what multipliers ask for.
+            # Penalties fall again to what multipliers ask for.
             needed, others = np.zeros(families), ~start.values.in_epigraph
             np.add.at(needed, start.values.family[others], options.penalty_margin * self.multipliers[others])
-            self.penalty = np.minimum(np.maximum(options.min_penalty, needed), warm.penalty)
+            self.penalty = np.clip(needed, options.min_penalty, options.max_penalty)
         self.hessian = start.hessian(self.multipliers)
         self.merits: list[tuple[FloatArray, float, float]] = []
         self._status = SqpStatus.ITERATION_LIMIT

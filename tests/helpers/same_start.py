@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from cmbot.optimization.exchange import minimize_peak
 from cmbot.optimization.program import StateSamples
 from cmbot.planning.context import build_context
-from cmbot.planning.initial_guess import fixed_guess, sliding_guess
+from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.torque.decomposition import exchange_options
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.planning.wrench_functions import WrenchFunction
@@ -56,9 +56,9 @@ class SameStart:
     def __init__(self, scene: Scene, own: WrenchFunction | None = None) -> None:
         self._context = build_context(scene, scene.planner, own)
         self._sliding = scene.planner.knots == "sliding"
-        guess = sliding_guess(self._context) if self._sliding else fixed_guess(self._context)
-        self._pinned = self._sliding and 0 in guess.resting
-        self._least, self._via_points = guess.least, guess.problem.parametrization.via_points
+        guess = initial_guess(self._context)
+        self._pinned, self._least = guess.pinned, guess.lower_bound.value
+        self._via_points = guess.problem.parametrization.via_points
 
     @cached_property
     def problem(self) -> TorqueProblem:

@@ -40,7 +40,7 @@ def test_an_arm_that_cannot_set_off_without_more_torque_than_at_rest(tmp_path: P
     assert made.options.step_share == made.scene.planner.step_share
     at_rest = made.certificate.figures.peak_static_guardrail_torque
     assert at_rest < made.certificate.figures.peak_guardrail_torque < 1.01 * at_rest
-    assert made.passes[-1].stage == "peak"
+    assert {"peak", "mean square"} == {report.stage for report in made.passes}
 
 
 def test_a_way_that_no_trajectory_follows_is_given_up_soon(tmp_path: Path) -> None:
