@@ -75,10 +75,11 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     """
     folder = given_path(directory, "cmbot.load_plan", "directory", "the path of a plan directory")
     source = folder / PLAN_FILE
-    file = validated(PlanFile, plan_data(folder), str(source), ArchiveError)
+    data = plan_data(folder)
+    file = validated(PlanFile, data, str(source), ArchiveError)
     certificate = _certificate(file.certificate, file.planned, source, "certificate")
     with _as_archive_error(str(source)):
-        scene = _scene(file, source)
+        scene = _scene(file, data, source)
         robot = _robot(scene, file, source)
         task = task_of(scene, robot)
         clearances = Clearances(robot, scene.obstacles)
@@ -145,8 +146,8 @@ def plan_data(directory: Path) -> dict[str, Any]:
     return data
 
 
-def _scene(file: PlanFile, source: Path) -> Scene:
-    scene = scene_from_file(file.scene, source.parent, str(source))
+def _scene(file: PlanFile, data: dict[str, Any], source: Path) -> Scene:
+    scene = scene_from_file(file.scene, source.parent, str(source), data["scene"])
     what = "the scene in this file or the meshes that it names have changed since"
     _require_hash(scene.content_hash, file.hashes.resolved_scene, source, "hashes.resolved_scene", what)
     # The hash is that of the file that the scene was read from.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -125,10 +124,6 @@ class SceneFile(FileModel):
     def as_data(self) -> dict[str, Any]:
         """Return the file's content, every default filled in, as `cmbot.load_scene` takes it back."""
         return self.model_dump(mode="json", exclude_none=True)
-
-    def canonical_json(self) -> str:
-        """Return the content as the one JSON text that equal scenes share."""
-        return json.dumps(self.as_data(), sort_keys=True, separators=(",", ":"), allow_nan=False)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -59,7 +60,9 @@ def shipped_scenes() -> tuple[str, ...]:
     return tuple(sorted(path.stem for path in scene_folder().glob("*.yaml")))
 
 
-def scene_from_file(file: SceneFile, base_folder: Path, source: str) -> Scene:
+def scene_from_file(
+    file: SceneFile, base_folder: Path, source: str, stored: Mapping[str, Any] | None = None
+) -> Scene:
     """Return the scene that a checked file describes.
 
     Parameters
@@ -69,6 +72,8 @@ def scene_from_file(file: SceneFile, base_folder: Path, source: str) -> Scene:
         Where relative paths in `file` start.
     source : str
         Where it came from, for messages.
+    stored : mapping, optional
+        What `file` was read from, to be hashed in place of it: options that are newer have no part in it.
 
     Raises
     ------
@@ -97,7 +102,7 @@ def scene_from_file(file: SceneFile, base_folder: Path, source: str) -> Scene:
         guardrail=guardrail,
         planner=file.planner,
         file=file,
-        content_hash=_content_hash(file, own, source),
+        content_hash=_content_hash(file.as_data() if stored is None else stored, own, source),
         **dict(file.tool_path),
     )
 
@@ -126,7 +131,7 @@ def update_file(scene: Scene) -> Scene:
     file = validated(SceneFile, data, "Scene", SceneError)
     if file == scene.file:
         return replace(scene, obstacles=obstacles)
-    hashed = _content_hash(file, own, scene.source)
+    hashed = _content_hash(file.as_data(), own, scene.source)
     return replace(scene, obstacles=obstacles, file=file, content_hash=hashed)
 
 
@@ -155,9 +160,11 @@ def _robot(file: RobotFile, find: _Find) -> RobotSource:
     return RobotSource(**values, mount_xyz=placed.get("xyz"), mount_rpy=placed.get("rpy"))
 
 
-def _content_hash(file: SceneFile, obstacles: tuple[Obstacle, ...], source: str) -> str:
+def _content_hash(data: Mapping[str, Any], obstacles: tuple[Obstacle, ...], source: str) -> str:
     """`Scene.content_hash` of a file's content and of its own obstacles' meshes."""
-    total = hashlib.sha256(file.canonical_json().encode())
+    # The one JSON text that equal scenes share.
+    text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
+    total = hashlib.sha256(text.encode())
     for index, obstacle in enumerate(obstacles):
         if isinstance(obstacle.shape, Mesh):
             try:
