@@ -91,7 +91,7 @@ def _require_there(block: object, expected: bool, source: str, key: str) -> None
 
 
 def _require_floor(file: PlanFile, via_points: int, source: str) -> None:
-    """Refuse a floor of other via-points, and entries that contradict it."""
+    """Refuse a lower bound of other via-points, and entries that contradict it."""
     floor, objective = file.floor, made(ObjectiveMetrics, file.objective)
     value = None if floor is None else floor.value
     reported = value if objective.is_guardrail_torque else None

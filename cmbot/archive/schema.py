@@ -115,7 +115,7 @@ class SuppressionFile(FileModel):
 
 
 class ObjectiveFile(FileModel):
-    """`ObjectiveMetrics`, and the gap to the floor."""
+    """`ObjectiveMetrics`, and the gap to the lower bound."""
 
     name: Annotated[str, Field(min_length=1)]
     unit: str
@@ -194,7 +194,7 @@ class PlanFile(FileModel):
     torque_floor: NonNegative | None
     """Of the torque on the guardrail, Nm; null with fixed knots or another objective."""
     gap_to_floor: float | None
-    """Planned peak less its floor, as a share of the floor."""
+    """Planned peak less its lower bound, as a share of the bound."""
     objective: ObjectiveFile
     floor: LowerBoundFile | None
     choice: Annotated[Choice, _at_least_zero()] | None

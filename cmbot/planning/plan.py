@@ -94,7 +94,7 @@ class ObjectiveMetrics:
 
     @property
     def gap(self) -> float | None:
-        """How far the planned peak lies above the floor, as a share of it; None without one, or at 0.
+        """How far the planned peak lies above the lower bound, as a share of it; None without one, or at 0.
 
         Negative where a moving arm undercuts the static bound a little.
         """
@@ -215,7 +215,7 @@ class Plan:
 
     @property
     def gap_to_floor(self) -> float | None:
-        """How far the certified peak torque lies above its floor, as a share of it; None without one.
+        """How far the certified peak torque lies above its lower bound, as a share of it; None without one.
 
         Negative where a moving arm undercuts the static bound a little.
         """

@@ -61,27 +61,28 @@ def _bending(plan: Plan) -> Iterator[str]:
             "path, so that the bent arm follows it; the tool deviation is the bent arm's, as predicted."
         )
     if plan.quieting is not None:
-        yield _quieting(plan.quieting)
+        yield _suppression(plan.quieting)
 
 
-def _quieting(quiet: VibrationSuppression) -> str:
+def _suppression(quiet: VibrationSuppression) -> str:
     modes = "slowest vibration" if quiet.modes == 1 else f"{quiet.modes} slowest vibrations"
     swing = f"they would leave the tool swinging by {1e3 * quiet.before:.4f} mm to either side"
     if not any(quiet.shares):
         return (
-            f"Quieting: the {modes} of guardrail and links could not be brought to rest at the ends of "
-            f"the legs: no change of the motion that was tried keeps every bound. As predicted, {swing}."
+            f"Vibration suppression: the {modes} of guardrail and links could not be brought to rest at the "
+            "ends of the legs: no change of the motion that was tried keeps every bound. As predicted, "
+            f"{swing}."
         )
     brought = ("is " if quiet.modes == 1 else "are ") + ("" if 1.0 in quiet.shares else "in part ")
     return (
-        f"Quieting: the {modes} of guardrail and links {brought}brought to rest at the ends of "
+        f"Vibration suppression: the {modes} of guardrail and links {brought}brought to rest at the ends of "
         f"{_quiet_legs(quiet.shares)}, by how the joints move; as predicted, {swing} without that, and by "
         f"{1e3 * quiet.after:.4f} mm with it. This assumes that the modelled stiffness is exact."
     )
 
 
 def _quiet_legs(shares: tuple[float, ...]) -> str:
-    """Name the legs that are quieted, those in part, and the others."""
+    """Name the legs with the whole correction, with part of it, and without."""
     legs, whole, none = len(shares), shares.count(1.0), shares.count(0.0)
     part = legs - whole - none
     first = whole or part

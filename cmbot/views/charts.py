@@ -28,7 +28,7 @@ _COMPENSATED = (
     "Elastic arm's tool minus its expected position: the rigid arm's at the same joint angles and, for the "
     "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
-_FLOOR = "Floor: lower bound of the peak; at a via-point no admissible posture at rest has a smaller torque."
+_LOWER_BOUND = "Lower bound of the peak: at a via-point no admissible posture at rest has a smaller torque."
 _NOT_SIMULATED = "not simulated"
 
 Motion = Literal["planned", "baseline"]
@@ -153,7 +153,7 @@ def tracked_motions(tracking: Tracking) -> tuple[tuple[Motion, MotionTracking], 
 
 def _torque(plan: Plan) -> Chart:
     curves = _curves(plan, lambda samples: np.linalg.norm(samples.guardrail_torque, axis=1))
-    floor = plan.torque_floor
+    bound = plan.torque_floor
     return Chart(
         key="torque",
         title="Torque on the guardrail",
@@ -161,8 +161,8 @@ def _torque(plan: Plan) -> Chart:
         digits=1,
         curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
-        marks=() if floor is None else ((floor, f"floor {floor:.1f} Nm"),),
-        note="" if floor is None else _FLOOR,
+        marks=() if bound is None else ((bound, f"lower bound {bound:.1f} Nm"),),
+        note="" if bound is None else _LOWER_BOUND,
     )
 
 

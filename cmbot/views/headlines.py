@@ -27,7 +27,7 @@ class Headline:
 def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
     """Yield the cards, the most important first."""
     yield _peak(plan)
-    yield _floor(plan)
+    yield _lower_bound(plan)
     yield _certificate(plan)
     yield _clearance(plan)
     yield _deviation(plan)
@@ -63,18 +63,18 @@ def _peak(plan: Plan) -> Headline:
     )
 
 
-def _floor(plan: Plan) -> Headline:
-    floor, gap = plan.torque_floor, plan.gap_to_floor
-    if floor is None or gap is None:
+def _lower_bound(plan: Plan) -> Headline:
+    bound, gap = plan.torque_floor, plan.gap_to_floor
+    if bound is None or gap is None:
         why = (
             "not computed for fixed knots" if plan.lower_bound is None else "another objective was minimised"
         )
-        return Headline(title="Above the floor", value="–", detail=why)
+        return Headline(title="Above the lower bound", value="–", detail=why)
     return Headline(
-        title="Above the floor",
+        title="Above the lower bound",
         value=f"{100 * gap:+.3f} %",
-        detail=f"floor {floor:.1f} Nm: lower bound; at one via-point no admissible posture at rest "
-        "has a smaller torque",
+        detail=f"lower bound {bound:.1f} Nm: at one via-point no admissible posture at rest has a smaller "
+        "torque",
     )
 
 

@@ -47,10 +47,10 @@ _QUANTITIES = ("angle", "velocity", "acceleration", "jerk", "torque")
 def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
     """Draw a plan or a simulation.
 
-    Of a plan: the torque on the guardrail with its floor; every joint's angle, velocity, acceleration, jerk
-    and torque as shares of their bounds (compare Chang 2021, Figures 9-14 and 19-24); the clearance with its
-    margin; the tool's deviation with its bound. Of a simulation: the tracking error along each axis with its
-    static part (compare Figures 16 and 26), its dynamic part, and the residual of that after the stop.
+    Of a plan: the torque on the guardrail with its lower bound; every joint's angle, velocity, acceleration,
+    jerk and torque as shares of their bounds (compare Chang 2021, Figures 9-14 and 19-24); the clearance with
+    its margin; the tool's deviation with its bound. Of a simulation: the tracking error along each axis with
+    its static part (compare Figures 16 and 26), its dynamic part, and the residual of that after the stop.
 
     Parameters
     ----------

@@ -51,7 +51,7 @@ def test_plan_a_scene(tmp_path: Path) -> None:
     at_via_points = number(r"fixed knots, at the via-points: +(\S+)", text)
     fixed = number(r"fixed knots, all along: +(\S+)", text)
     sliding = number(r"as the scene has it, all along: +(\S+)", text)
-    floor = number(r"floor of any posture at one of them: +(\S+)", text)
+    floor = number(r"lower bound, at one of these: +(\S+)", text)
     assert baseline == at_via_points == pytest.approx(486.41, abs=0.005)
     assert fixed >= at_via_points - 0.005
     assert floor - 0.05 <= sliding < 1.02 * floor < fixed

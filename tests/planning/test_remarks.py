@@ -81,7 +81,7 @@ def test_one_leg_that_cannot_be_quieted_does_not_hide_the_others(
 ) -> None:
     assert triangle_plan.quieting is not None
     quieting = replace(triangle_plan.quieting, shares=shares)
-    assert words in line(replace(triangle_plan, quieting=quieting), "Quieting: ")
+    assert words in line(replace(triangle_plan, quieting=quieting), "Vibration suppression: ")
     assert quieting.share == pytest.approx(sum(shares) / len(shares))
 
 

@@ -19,7 +19,7 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert "Nm on the approach" in peak.detail
     assert triangle_plan.gap_to_floor is not None
     assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
-    assert f"floor {triangle_plan.torque_floor:.1f} Nm: lower bound" in floor.detail
+    assert f"lower bound {triangle_plan.torque_floor:.1f} Nm: " in floor.detail
     assert triangle_plan.approach is not None
     work, approach = (len(of.certificate.checks) for of in (triangle_plan, triangle_plan.approach))
     assert certified.value == f"{work} of {work} hold"

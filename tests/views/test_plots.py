@@ -80,8 +80,8 @@ def test_the_torque_with_its_floor_and_the_approach(figures: dict[str, Figure], 
     assert planned.get_xdata()[0] == pytest.approx(-before.t[-1])
     after = np.asarray(planned.get_ydata())[np.asarray(planned.get_xdata()) >= 0]
     assert after.max() == pytest.approx(triangle_plan.figures.peak_guardrail_torque, rel=1e-4)
-    (floor,) = (line for line in axes.get_lines() if str(line.get_label()).startswith("floor"))
-    assert set(floor.get_ydata()) == {triangle_plan.torque_floor}
+    (bound,) = (line for line in axes.get_lines() if str(line.get_label()).startswith("lower bound"))
+    assert set(bound.get_ydata()) == {triangle_plan.torque_floor}
     assert not forbidden(axes)
     assert axes.get_xlabel() == "time, s (the approach before 0)"
 

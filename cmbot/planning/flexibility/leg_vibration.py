@@ -16,11 +16,11 @@ __all__ = ["LegVibration"]
 
 # Modes at either end of a leg that together carry the motion in between.
 _CARRIERS = 8
-# Steps a period of the fastest mode that is quieted; the matrices are worked out at least every so often, s.
+# Steps a period of the fastest suppressed mode; the matrices are worked out at least every so often, s.
 _STEPS_A_PERIOD, _MATRICES_EVERY = 60, 0.1
 # Steps whose matrices are held at a time.
 _TOGETHER = 500
-# Damping ratio of the modes that are quieted, as simulated by default: it hardly matters within a leg.
+# Damping ratio of the suppressed modes, as simulated by default: it hardly matters within a leg.
 _DAMPING = 0.01
 
 

@@ -36,7 +36,7 @@ class TorquePlot {
     for (const time of this.data.legTimes) this.upright(time, this.colour("line"), 1);
     this.line([[this.x(this.data.start), this.y(0)], [this.x(this.data.end), this.y(0)]], this.colour("line"), 1);
     for (const phase of this.phases) this.drawPhase(phase);
-    this.drawFloor();
+    this.drawLowerBound();
     this.text(`Torque on the guardrail, 0 to ${newtonMetres(this.peak)}`, this.x(0) + 6, this.height - 8);
     this.upright(now, this.colour("ink"), 1.5);
   }
@@ -61,14 +61,14 @@ class TorquePlot {
   }
 
   // Lower bound of the peak torque during the work.
-  drawFloor() {
+  drawLowerBound() {
     const { floor, duration } = this.data;
     if (floor === null) return;
     this.pen.setLineDash([5, 4]);
     this.line([[this.x(0), this.y(floor)], [this.x(duration), this.y(floor)]], this.colour("ink"), 1);
     this.pen.setLineDash([]);
     if (this.height < 50) return;  // no room for its label
-    const label = `floor ${newtonMetres(floor)}`, right = this.x(duration) - 4;
+    const label = `lower bound ${newtonMetres(floor)}`, right = this.x(duration) - 4;
     this.text(label, right - this.pen.measureText(label).width, this.y(floor) + 12);
   }
 

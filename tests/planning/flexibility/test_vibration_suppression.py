@@ -1,4 +1,4 @@
-"""Quieting: the tool comes to rest without swinging on, and nothing else changes that matters."""
+"""Vibration suppression: the tool comes to rest without swinging on; nothing else changes."""
 
 from __future__ import annotations
 
