@@ -153,9 +153,9 @@ class NlpEvaluation:
             least=values.least,
             gradient=gradient,
             hessian=sparse.csr_array((form.dimension, form.dimension)),
-            jacobian=form.assembly.jacobian(rows, at.derivative),
+            jacobian=form.jacobian(rows, at.derivative),
             cut_value=at.cut_value,
-            cut_jacobian=form.assembly.jacobian(rows[at.cut_of], at.cut_derivative),
+            cut_jacobian=form.jacobian(rows[at.cut_of], at.cut_derivative),
             cut_family=values.family[at.cut_of],
         )
 
@@ -166,7 +166,7 @@ class NlpEvaluation:
         if self.stage.bound is not None:
             H = H + self._mean_jacobian.T @ self._mean_jacobian
         if multipliers.any():
-            H = H + form.assembly.hessian(*self._curvatures(multipliers))
+            H = H + form.hessian(*self._curvatures(multipliers))
         if form.displacements:
             H = H + form.bend_hessian(self._pullback(multipliers))
         return convexified(sparse.csr_array(H), form.block_ends)
@@ -241,6 +241,6 @@ class NlpEvaluation:
 
     @cached_property
     def _mean_jacobian(self) -> sparse.csr_array:
-        assembly = self.parametrization.assembly
-        each = [assembly.jacobian(self._mean_rows, part.derivatives) for part in self._residuals]
+        form = self.parametrization
+        each = [form.jacobian(self._mean_rows, part.derivatives) for part in self._residuals]
         return sparse.csr_array(sparse.vstack(each))

@@ -111,12 +111,30 @@ class SparseSplines:
     def jacobian(self, rows: LocalRows, derivative: FloatArray) -> sparse.csr_array:
         """Take derivatives (k, N, d) by the states to those (N, size of u) by u."""
         by_spline = rows.by_spline(derivative)
-        column = self.support[rows.segment][:, :, None] * by_spline.shape[2] + np.arange(by_spline.shape[2])
-        there = np.broadcast_to(self.support[rows.segment][:, :, None] >= 0, by_spline.shape)
-        row = np.broadcast_to(np.arange(len(rows.segment))[:, None, None], by_spline.shape)
-        size = self.columns.shape[1] * by_spline.shape[2]
-        entries = (by_spline[there], (row[there], column[there]))
-        return sparse.csr_array(entries, shape=(len(rows.segment), size))
+        N, w, d = by_spline.shape
+        data, column = by_spline.reshape(N, w * d), self._columns[rows.segment]
+        there = (column >= 0) & (data != 0.0)
+        ends = np.concatenate([[0], np.cumsum(there.sum(axis=1))])
+        return sparse.csr_array((data[there], column[there], ends), shape=(N, d * self.columns.shape[1]))
+
+    def hessian(self, rows: LocalRows, curvature: FloatArray) -> sparse.csr_array:
+        """Sum the curvatures (N, 3 d, 3 d) of N functions by the states, as functions of u."""
+        N, d = len(rows.segment), self.bounds.shape[1]
+        weight, M = rows.weight[:, :3], curvature.reshape(N, 3, d, 3, d)
+        half = np.einsum("now,nodpe->nwdpe", weight, M, optimize=True)
+        data = np.einsum("nwdpe,npv->nwdve", half, weight, optimize=True)
+        column = self._columns[rows.segment]
+        row, column = np.broadcast_arrays(column[:, :, None], column[:, None, :])
+        there = (row >= 0) & (column >= 0)
+        entries = (data.reshape(row.shape)[there], (row[there], column[there]))
+        return sparse.csr_array(entries, shape=2 * (d * self.columns.shape[1],))
+
+    @cached_property
+    def _columns(self) -> IntArray:
+        """Entries of u that move the joints on each segment, (m, w d); negative where there is none."""
+        d = self.bounds.shape[1]
+        columns = np.where(self.support[:, :, None] < 0, -1, d * self.support[:, :, None] + np.arange(d))
+        return np.asarray(columns.reshape(len(columns), -1))
 
     @property
     def support(self) -> IntArray:

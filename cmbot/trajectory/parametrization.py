@@ -15,7 +15,6 @@ import numpy as np
 from scipy import sparse
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.trajectory.assembly import Assembly
 from cmbot.trajectory.local_basis import LocalRows, SparseSplines
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
@@ -174,26 +173,13 @@ class Parametrization:
             movable=movable[~np.isin(movable, ends)] - first,
         )
 
-    @cached_property
-    def assembly(self) -> Assembly:
-        """How the unknowns move the splines on every segment."""
-        splines, support = self.splines, self.splines.support
-        joints, a = self.via_points.shape[1], self._tangents.shape[1]
-        basis = ((support >= 0) & (support < splines.count))[:, :, None]
-        # Those that stay, and what is no via-point's, find the last entries: none.
-        nth = np.full(len(self.via_points) + 1, -1)
-        nth[self.movable] = np.arange(len(self.movable))
-        of = nth[np.where(support < splines.count, -1, support - splines.count)]
-        displacement = np.vstack([self.displacement_index, np.full((1, a), -1)])
-        tangent = np.concatenate([_LONGEST * self._tangents, np.zeros((1, a, joints))])
-        inside = np.where(basis[:, :, 0], support, 0)
-        return Assembly(
-            size=self.dimension,
-            coefficient=np.where(basis, self.coefficient_index[inside], -1),
-            unit=np.where(basis, splines.unit[inside], 0.0),
-            displacement=displacement[of],
-            tangent=tangent[of],
-        )
+    def jacobian(self, rows: LocalRows, derivative: FloatArray) -> sparse.csr_array:
+        """Take derivatives (k, N, d) by the states to those (N, dimension) by the unknowns."""
+        return sparse.csr_array(self.splines.jacobian(rows, derivative) @ self.map)
+
+    def hessian(self, rows: LocalRows, curvature: FloatArray) -> sparse.csr_array:
+        """Sum the curvatures (N, 3 d, 3 d) of functions by the states, as functions of the unknowns."""
+        return sparse.csr_array(self.map.T @ self.splines.hessian(rows, curvature) @ self.map)
 
     def pullback(self, rows: LocalRows, derivative: FloatArray) -> FloatArray:
         """Gradient (size of u,) by u of a sum of functions, from derivatives (k, N, d) by the states."""

@@ -205,7 +205,7 @@ def test_jacobians_and_gradients(form: Parametrization, rng: np.random.Generator
             derivatives = form.step(x).trajectory.derivatives(times, tuple(range(orders)))
             return np.sum(weights[:orders] * np.stack(derivatives), axis=(0, 2))
 
-        got = form.assembly.jacobian(rows, weights[:orders])
+        got = form.jacobian(rows, weights[:orders])
         check_derivative(combined, np.zeros(form.dimension), got.toarray(), rtol=1e-7)
         pulled = form.map.T @ form.pullback(rows, weights[:orders])
         np.testing.assert_allclose(got.sum(axis=0), pulled, rtol=0, atol=1e-12 * np.abs(pulled).max())
@@ -215,7 +215,7 @@ def test_rows_of_one_joint_have_entries_for_that_joint_alone(rng: np.random.Gene
     form = form_of("fixed")
     by_state = np.zeros((4, D, D))
     by_state[2, np.arange(D), np.arange(D)] = 1.0
-    J = form.assembly.jacobian(form.splines.rows(times_in(form, rng, D)), by_state)
+    J = form.jacobian(form.splines.rows(times_in(form, rng, D)), by_state)
     row, column = J.tocoo().coords
     joint = np.nonzero(form.coefficient_index == np.arange(form.dimension)[:, None, None])[2]
     np.testing.assert_array_equal(joint[column], row)
@@ -223,17 +223,17 @@ def test_rows_of_one_joint_have_entries_for_that_joint_alone(rng: np.random.Gene
 
 def test_no_rows_make_an_empty_jacobian_and_no_curvature(form: Parametrization) -> None:
     rows = form.splines.rows(np.empty(0))
-    assert form.assembly.jacobian(rows, np.empty((4, 0, D))).shape == (0, form.dimension)
-    assert form.assembly.hessian(rows, np.empty((0, 3 * D, 3 * D))).nnz == 0
+    assert form.jacobian(rows, np.empty((4, 0, D))).shape == (0, form.dimension)
+    assert form.hessian(rows, np.empty((0, 3 * D, 3 * D))).nnz == 0
 
 
 def test_curvatures_are_what_jacobians_make_of_them(form: Parametrization, rng: np.random.Generator) -> None:
     rows = form.splines.rows(times_in(form, rng, 3))
     M = rng.normal(size=(3, 3 * D, 3 * D))
     each = np.eye(3 * D).reshape(3 * D, 3, 1, D).repeat(3, 2)
-    states = np.stack([form.assembly.jacobian(rows, by_state).toarray() for by_state in each], axis=1)
+    states = np.stack([form.jacobian(rows, by_state).toarray() for by_state in each], axis=1)
     expected = (states.transpose(0, 2, 1) @ M @ states).sum(axis=0)
-    got = form.assembly.hessian(rows, M).toarray()
+    got = form.hessian(rows, M).toarray()
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-12 * np.abs(expected).max())
 
 
@@ -281,7 +281,7 @@ def test_hessian_of_a_function_of_the_states(form: Parametrization, rng: np.rand
     diagonal = np.arange(3 * D)
     curvature[:, diagonal, diagonal] = (-w * np.sin(states)).transpose(1, 0, 2).reshape(4, -1)
     gradient = form.pullback(rows, w * np.cos(states))
-    H = form.assembly.hessian(rows, curvature) + form.bend_hessian(gradient)
+    H = form.hessian(rows, curvature) + form.bend_hessian(gradient)
     for _ in range(3):
         d = step(form, rng)
         assert d @ (H @ d) == pytest.approx(along(value, d, 3e-3), rel=1e-5)
