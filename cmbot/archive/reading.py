@@ -19,7 +19,7 @@ from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
 from cmbot.elastic.sag import Sag
-from cmbot.optimization.program import StateSamples
+from cmbot.optimization import StateSamples
 from cmbot.planning import (
     Approach,
     Certificate,

@@ -15,8 +15,7 @@ from cmbot.optimization.linearization import ConstraintValues, families_of, line
 from cmbot.optimization.program import KinematicBound, Linearization, Program, StateSamples
 from cmbot.optimization.qp import NlpModel, NlpValues
 from cmbot.optimization.separation import find_violations
-from cmbot.trajectory.local_basis import LocalRows
-from cmbot.trajectory.parametrization import Parametrization
+from cmbot.trajectory import LocalRows, Parametrization
 
 __all__ = ["NlpEvaluation", "Stage"]
 

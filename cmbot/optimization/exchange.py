@@ -20,7 +20,7 @@ from cmbot.optimization.program import Program
 from cmbot.optimization.separation import Separation, find_violations
 from cmbot.optimization.slsqp import solve_slsqp
 from cmbot.optimization.sqp import SqpOptions, SqpResult, SqpStatus, solve_sqp
-from cmbot.trajectory.parametrization import Parametrization
+from cmbot.trajectory import Parametrization
 
 __all__ = ["ExchangeOptions", "ExchangeReport", "Result", "minimize_peak", "minimize_smoothed_peak"]
 

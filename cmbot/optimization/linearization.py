@@ -9,7 +9,7 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.program import KinematicBound, Linearization, Program, StateFunction, StateSamples
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["ConstraintValues", "families_of", "linearize"]
 

@@ -14,8 +14,7 @@ from typing import Protocol, TypeVar, cast
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.trajectory.parametrization import Parametrization
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import Parametrization, QuinticTrajectory
 
 __all__ = ["KinematicBound", "Linearization", "Program", "StateFunction", "StateSamples"]
 

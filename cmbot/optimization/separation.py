@@ -13,7 +13,7 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet, Violation
 from cmbot.optimization.program import KinematicBound, Program, StateFunction, StateSamples
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["Separation", "WorstViolations", "find_violations", "violated_bound", "violated_function"]
 

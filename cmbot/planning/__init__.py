@@ -3,7 +3,7 @@
 Other rooms import from here; the parts of the method import each other's modules, as this one needs them all.
 """
 
-from cmbot.optimization.exchange import ExchangeReport
+from cmbot.optimization import ExchangeReport
 from cmbot.planning.approach.approach import Approach, certify_approach
 from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
@@ -28,8 +28,7 @@ from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.verification.certificate import Certificate, Check, certificate_grid, certify
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure
 from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction
-from cmbot.trajectory.quintic import QuinticTrajectory
-from cmbot.trajectory.spline_space import SplineSpace
+from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
     "Approach",

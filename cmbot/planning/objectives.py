@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.sag import Sag
-from cmbot.optimization.program import Linearization, StateSamples
+from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction, check_wrench_function
 from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
 from cmbot.scene import PlannerOptions

@@ -13,8 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
-from cmbot.optimization.exchange import ExchangeReport
-from cmbot.optimization.program import StateSamples
+from cmbot.optimization import ExchangeReport, StateSamples
 from cmbot.planning.approach.approach import Approach
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
@@ -26,7 +25,7 @@ from cmbot.planning.verification.certificate import Certificate
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["ObjectiveMetrics", "Plan", "Seconds", "Start", "objective_metrics", "require_plan"]
 

@@ -11,8 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import InputError
 from cmbot.common.validation import checked_options, require_type
-from cmbot.optimization.exchange import ExchangeReport
-from cmbot.optimization.program import StateSamples
+from cmbot.optimization import ExchangeReport, StateSamples
 from cmbot.planning.approach.approach import Approach, plan_approach
 from cmbot.planning.context import build_context
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
@@ -30,7 +29,7 @@ from cmbot.planning.verification.certificate import Certificate, certificate_gri
 from cmbot.planning.verification.metrics import figures
 from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["checked", "plan"]
 

@@ -18,7 +18,7 @@ from cmbot.planning.path.task import ToolTask, task_dimension
 from cmbot.planning.solvers import solver_of
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, ToolPath
-from cmbot.trajectory.spline_space import SUPPORT
+from cmbot.trajectory import SUPPORT
 
 __all__ = [
     "MOST_UNKNOWNS",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal
 
 from cmbot.common.errors import MissingExtra
-from cmbot.optimization.qp import piqp_module
+from cmbot.optimization import piqp_module
 from cmbot.scene import PlannerOptions
 
 __all__ = ["solver_of"]

@@ -17,8 +17,7 @@ from cmbot.planning.path.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate, certify
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, SpeedProfile
-from cmbot.trajectory.quintic import QuinticTrajectory
-from cmbot.trajectory.spline_space import SplineSpace
+from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = ["Approach", "certify_approach", "plan_approach"]
 

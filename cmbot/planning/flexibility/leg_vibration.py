@@ -10,7 +10,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.modes import ArmModes, arm_modes, linearised
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["LegVibration"]
 

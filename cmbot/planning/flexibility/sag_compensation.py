@@ -15,7 +15,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.elastic.sag import Sag
-from cmbot.optimization.exchange import ExchangeReport
+from cmbot.optimization import ExchangeReport
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.torque.decomposition import Optimised, optimise

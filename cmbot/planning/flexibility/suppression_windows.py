@@ -8,11 +8,10 @@ import numpy as np
 from scipy import linalg, sparse
 
 from cmbot.common.arrays import FloatArray
-from cmbot.optimization.least_distance import LeastChange, least_distance
+from cmbot.optimization import LeastChange, least_distance
 from cmbot.planning.flexibility.leg_vibration import LegVibration
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.quintic import QuinticTrajectory
-from cmbot.trajectory.spline_space import SUPPORT, SplineSpace
+from cmbot.trajectory import SUPPORT, QuinticTrajectory, SplineSpace
 
 __all__ = ["Leg", "QuietWindow", "legs_by_window"]
 

@@ -22,15 +22,13 @@ from scipy import sparse
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet
-from cmbot.optimization.linearization import linearize
-from cmbot.optimization.separation import Separation, find_violations
+from cmbot.optimization import OBJECTIVE, ConstraintSet, Separation, find_violations, linearize
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.flexibility.leg_vibration import LegVibration
 from cmbot.planning.flexibility.suppression_windows import QuietWindow, legs_by_window
 from cmbot.planning.torque.decomposition import Optimised
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["VibrationSuppression", "quiet"]
 

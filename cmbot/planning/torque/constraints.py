@@ -8,7 +8,7 @@ import numpy as np
 
 from cmbot.collision import Clearances, raise_bounds, travel
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.optimization.program import Linearization, StateSamples
+from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.path.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics

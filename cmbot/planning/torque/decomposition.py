@@ -14,11 +14,10 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.optimization.exchange import ExchangeOptions, ExchangeReport, minimize_peak
-from cmbot.optimization.sqp import SqpOptions
+from cmbot.optimization import ExchangeOptions, ExchangeReport, SqpOptions, minimize_peak
 from cmbot.planning.torque.feasibility import check_feasible
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["LONGEST_WHOLE", "Optimised", "exchange_options", "joined", "optimise", "segments"]
 

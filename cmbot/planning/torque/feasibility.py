@@ -9,10 +9,10 @@ from scipy import optimize, sparse
 
 from cmbot.common.arrays import BoolArray
 from cmbot.common.errors import OptimisationFailed
-from cmbot.optimization.program import KinematicBound, StateSamples
+from cmbot.optimization import KinematicBound, StateSamples
 from cmbot.planning.torque.constraints import ClearanceMargin
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["check_feasible"]
 

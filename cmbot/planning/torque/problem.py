@@ -16,16 +16,13 @@ from functools import cached_property
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.optimization.program import KinematicBound, Linearization, StateFunction, StateSamples
+from cmbot.optimization import KinematicBound, Linearization, StateFunction, StateSamples
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import Objective
 from cmbot.planning.torque.constraints import ClearanceMargin, JointTorque, ToolDeviation
 from cmbot.planning.torque.task_manifold import TaskManifold
 from cmbot.robot import Dynamics, Kinematics, Robot
-from cmbot.trajectory.local_basis import SparseSplines
-from cmbot.trajectory.parametrization import Parametrization
-from cmbot.trajectory.quintic import QuinticTrajectory
-from cmbot.trajectory.spline_space import SplineSpace
+from cmbot.trajectory import Parametrization, QuinticTrajectory, SparseSplines, SplineSpace
 
 __all__ = ["TorqueProblem", "parametrization_through"]
 

@@ -21,7 +21,7 @@ from cmbot.planning.path.task import ToolTask
 from cmbot.planning.verification.metrics import MotionMetrics, figures, measure, together
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions
-from cmbot.trajectory.quintic import QuinticTrajectory
+from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["Certificate", "Check", "certificate_grid", "certify"]
 
