@@ -203,7 +203,7 @@ class _Exchange:
         """
         lowest, worthwhile = np.inf, 1 - self._options.peak_tolerance
         for factor in self._options.continuation:
-            kept = self.form, self._warm
+            kept = self.form, self._constraints, self._warm
             try:
                 peak = self.run(factor * self._options.smoothing, target=target)
             except OptimisationFailed:
@@ -211,7 +211,7 @@ class _Exchange:
                     raise
                 peak = np.inf
             if peak > worthwhile * lowest:
-                self.form, self._warm = kept
+                self.form, self._constraints, self._warm = kept
                 break
             lowest = peak
             if peak <= target:

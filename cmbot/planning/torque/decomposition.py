@@ -117,7 +117,10 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
         feasibility_tolerance=o.constraint_tolerance,
         max_passes=o.max_passes,
         max_iterations=o.max_iterations,
-        sqp=SqpOptions(feasibility_tolerance=_CLOSER * o.constraint_tolerance),
+        sqp=SqpOptions(
+            feasibility_tolerance=_CLOSER * o.constraint_tolerance,
+            max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
+        ),
     )
 
 
