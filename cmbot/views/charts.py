@@ -49,38 +49,18 @@ class Curve:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Chart:
-    """One plot.
+    """One plot."""
 
-    Attributes
-    ----------
-    key : str
-        Its place on the page.
-    title, unit : str
-    digits : int
-        Decimals of a printed value.
-    curves : tuple of Curve
-    axis : two floats
-        Range that the axis shows at least.
-    bounds : two floats or None
-        Values beyond them are not allowed.
-    marks : tuple of (float, str)
-        Levels with their names.
-    note : str
-        Explanation below the title.
-    approach : str
-        Why the approach has no curve.
-    """
-
-    key: str
+    key: str  # its place on the page
     title: str
     unit: str
-    digits: int
+    digits: int  # decimals of a printed value
     curves: tuple[Curve, ...]
-    axis: tuple[float, float]
-    bounds: tuple[float | None, float | None] = (None, None)
-    marks: tuple[tuple[float, str], ...] = ()
-    note: str = ""
-    approach: str = ""
+    axis: tuple[float, float]  # range that the axis shows at least
+    bounds: tuple[float | None, float | None] = (None, None)  # values beyond them are not allowed
+    marks: tuple[tuple[float, str], ...] = ()  # levels with their names
+    note: str = ""  # explanation below the title
+    approach: str = ""  # why the approach has no curve
 
     def data(self, most: int = MOST_POINTS) -> dict[str, Any]:
         """Return it ready for JSON; arrays are little-endian float32 in base64."""

@@ -6,7 +6,6 @@ import base64
 import shutil
 import subprocess
 import tempfile
-import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import InputError, MissingExtra
-from cmbot.views.page import cannot_write, write_page
+from cmbot.views.page import draft_of, write_page
 
 __all__ = ["film"]
 
@@ -70,15 +69,8 @@ def film(
     encoder = _program("ffmpeg", ("ffmpeg",), "apt-get install ffmpeg")
     browser = _program("chromium", _BROWSERS, "apt-get install chromium chromium-driver")
     driver = _program("chromedriver", ("chromedriver",), "apt-get install chromium-driver")
-    draft = path.parent / f".{uuid.uuid4().hex}{path.suffix}"
-    try:
-        with _opened(page, browser, driver) as chrome:
-            _encode(encoder, draft, str(path), _frames(chrome, speed, progress))
-        draft.replace(path)
-    except OSError as error:
-        raise cannot_write(path, error) from error
-    finally:
-        draft.unlink(missing_ok=True)
+    with draft_of(path) as draft, _opened(page, browser, driver) as chrome:
+        _encode(encoder, draft, str(path), _frames(chrome, speed, progress))
 
 
 def _program(name: str, names: tuple[str, ...], command: str) -> str:

@@ -16,15 +16,7 @@ from numpy.typing import NDArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Scene, guardrail_obstacles
-from cmbot.views.surfaces import (
-    Surface,
-    creased,
-    merged,
-    obstacle_surface,
-    simplified,
-    tube,
-    visual_surface,
-)
+from cmbot.views.surfaces import Surface, creased, merged, obstacle_surface, simplified, tube, visual_surface
 
 __all__ = ["reach", "scene_commands"]
 
@@ -57,11 +49,6 @@ def scene_commands(plan: Plan) -> list[bytes]:
 
     The shapes of joint i (pinocchio's index; 0: the fixed base) are below ``/robot/i``, in the joint's frame;
     ``/bridge`` and ``/path`` are in W. No name from a file is used.
-
-    Raises
-    ------
-    ModelError, SceneError
-        When a shape cannot be drawn.
     """
     commands: list[Command] = [
         {"type": "set_property", "path": f"/{hidden}", "property": "visible", "value": False}
@@ -123,22 +110,14 @@ def _set_mesh(
         "transparent": opacity < 1,
         "opacity": opacity,
     }
-    geometry = {
-        "uuid": f"{path} geometry",
-        "type": "BufferGeometry",
-        "data": {"attributes": attributes, "index": _packed(surface.faces.astype(np.uint32), 1)},
-    }
-    thing = {
-        "uuid": f"{path} object",
-        "type": "Mesh",
-        "geometry": geometry["uuid"],
-        "material": material["uuid"],
-    }
+    data = {"attributes": attributes, "index": _packed(surface.faces.astype(np.uint32), 1)}
+    geometry = {"uuid": f"{path} geometry", "type": "BufferGeometry", "data": data}
+    parts = {"geometry": geometry["uuid"], "material": material["uuid"]}
     lowered = {
         "metadata": {"version": 4.5, "type": "Object"},
         "geometries": [geometry],
         "materials": [material],
-        "object": thing,
+        "object": {"uuid": f"{path} object", "type": "Mesh", **parts},
     }
     return {"type": "set_object", "path": path, "object": lowered}
 

@@ -7,7 +7,7 @@ import contextlib
 import hashlib
 import json
 import uuid
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 
-__all__ = ["STAGE_SCRIPTS", "assemble", "cannot_write", "pack", "write_page"]
+__all__ = ["STAGE_SCRIPTS", "assemble", "draft_of", "pack", "write_page"]
 
 STAGE_SCRIPTS = ("stage.js", "marks.js", "motions.js", "player.js")
 """The 3-D view and the time, shared by replay and report."""
@@ -30,17 +30,8 @@ def assemble(
 ) -> str:
     """Return an HTML page that opens no connection and runs two scripts: meshcat's viewer and `scripts`.
 
-    Parameters
-    ----------
-    template : str
-        Name of a resource with the fields ``$policy``, ``$style``, ``$view``, ``$controls``,
-        ``$data``, ``$viewer``, ``$scripts``, and those of `texts`.
-    styles, scripts : sequence of str
-        Names of resources, concatenated.
-    data : object
-        For the scripts; serialised as JSON.
-    texts : mapping
-        From a field's name to HTML, in which text from files is escaped.
+    `template`, `styles` and `scripts` name resources. `data`, for the scripts, becomes JSON. `texts` gives
+    further fields of the template as HTML, in which text from files is escaped.
     """
     code = {"viewer": _viewer_script(), "scripts": "".join(map(_text, scripts))}
     return Template(_text(template)).substitute(
@@ -55,27 +46,31 @@ def assemble(
 
 
 def write_page(path: Path, text: str) -> None:
-    """Write a page to a temporary file beside `path`, then rename it.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be written.
-    """
-    draft = path.parent / f".{uuid.uuid4().hex}.html"
-    try:
+    """Write a page; it appears whole or not at all."""
+    with draft_of(path) as draft:
         draft.write_text(text, encoding="utf-8", errors="replace", newline="\n")
+
+
+@contextlib.contextmanager
+def draft_of(path: Path) -> Iterator[Path]:
+    """Give the name of a temporary file beside `path` that is renamed to it, unless an error is raised."""
+    if "\0" in str(path):
+        raise _cannot_write(path, "embedded null byte")
+    draft = path.parent / f".{uuid.uuid4().hex}{path.suffix}"
+    try:
+        yield draft
         draft.replace(path)
-    except (OSError, ValueError) as error:  # ValueError: a null byte in the path
-        with contextlib.suppress(OSError, ValueError):
+    except OSError as error:
+        raise _cannot_write(path, error.strerror or str(error)) from error
+    finally:
+        with contextlib.suppress(OSError):
             draft.unlink(missing_ok=True)
-        raise cannot_write(path, error) from error
 
 
-def cannot_write(path: Path, error: OSError | ValueError) -> InputError:
-    """Return the error that names a file and why it cannot be written."""
-    got = f"a file that cannot be written ({getattr(error, 'strerror', None) or error})"
-    return InputError(str(path), "", got, "a path where a file can be written")
+def _cannot_write(path: Path, why: str) -> InputError:
+    return InputError(
+        str(path), "", f"a file that cannot be written ({why})", "a path where a file can be written"
+    )
 
 
 def pack(array: FloatArray) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -33,13 +32,6 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
 
     The work starts at time 0, the approach at ``start`` before it; with `tracking` the arms rest after the
     work until ``end``.
-
-    Raises
-    ------
-    InputError
-        When `tracking` is none, or that of another plan.
-    ModelError, SceneError
-        When a shape cannot be drawn.
     """
     duration = float(max(plan.samples.t[-1], plan.baseline.t[-1]))
     approach_duration = plan.approach.trajectory.duration if plan.approach is not None else 0.0
@@ -95,6 +87,7 @@ class _Frames:
         ``near`` (F, 6) the nearest points on the arm and on the other shape, ``pair`` (F,) an index into
         `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool point, with its predicted sag
         where that is compensated; ``error`` (F, 3) the tracking error from there, null without `tracking`.
+        After its last sample the motion rests there.
         """
         q = _resampled(times, samples.t, samples.q)
         near, pair = self._nearest(q)
@@ -186,24 +179,11 @@ def _rest(plan: Plan, tracking: Tracking, frames: _Frames, times: FloatArray) ->
     """Return both arms after the stop: their joints rest while the elastic parts vibrate."""
     if times[-1] <= times[0]:
         return None
-    ends = times[[0, -1]]
     return {
         "label": "after the stop",
-        "planned": frames.motion(_held(plan.samples, ends), plan.figures, times, tracking.planned),
-        "baseline": frames.motion(
-            _held(plan.baseline, ends), plan.baseline_figures, times, tracking.baseline
-        ),
+        "planned": frames.motion(plan.samples, plan.figures, times, tracking.planned),
+        "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, tracking.baseline),
     }
-
-
-def _held(samples: Samples, ends: FloatArray) -> Samples:
-    """Return the last sample of a motion at two times."""
-    held = {
-        field.name: np.repeat(value[-1:], 2, axis=0)
-        for field in fields(Samples)
-        if (value := getattr(samples, field.name)) is not None
-    }
-    return replace(samples, **{**held, "t": ends})
 
 
 def _focus(plan: Plan) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from typing import Any
 
 import coal
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
@@ -21,21 +22,7 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
 
-__all__ = [
-    "Surface",
-    "ball",
-    "box",
-    "capsule",
-    "cone",
-    "creased",
-    "cylinder",
-    "hull",
-    "merged",
-    "obstacle_surface",
-    "simplified",
-    "tube",
-    "visual_surface",
-]
+__all__ = ["Surface", "creased", "merged", "obstacle_surface", "simplified", "tube", "visual_surface"]
 
 SECTIONS, RINGS = 32, 16
 """Of a round solid: about its axis, and of a ball from pole to pole."""
@@ -59,7 +46,7 @@ class Surface:
     faces: IntArray
 
     def moved(self, X: FloatArray) -> Surface:
-        """Return it at the pose `X` (4, 4)."""
+        """Return it under the affine map `X` (4, 4)."""
         return Surface(self.vertices @ X[:3, :3].T + X[:3, 3], self.faces)
 
     @property
@@ -75,13 +62,7 @@ class Surface:
 
 
 def visual_surface(shape: Any, source: str) -> Surface:
-    """Return a robot's visual shape, a pinocchio.GeometryObject, in the frame of its joint.
-
-    Raises
-    ------
-    ModelError
-        Naming the URDF `source`, when it is no mesh, box, cylinder, capsule, cone, sphere or ellipsoid.
-    """
+    """Return a visual shape, a pinocchio.GeometryObject of the URDF `source`, in its joint's frame."""
     geometry = shape.geometry
     match geometry:
         case coal.BVHModelBase():
@@ -101,8 +82,7 @@ def visual_surface(shape: Any, source: str) -> Surface:
         case coal.Sphere():
             surface = ball(geometry.radius)
         case coal.Ellipsoid():
-            unit = ball(1.0)
-            surface = Surface(unit.vertices * geometry.radii, unit.faces)
+            surface = ball(1.0).moved(np.diag([*geometry.radii, 1.0]))
         case _:
             expected = "a mesh, box, cylinder, capsule, cone, sphere or ellipsoid"
             raise ModelError(source, f"visual {shape.name}", type(geometry).__name__, expected)
@@ -110,13 +90,7 @@ def visual_surface(shape: Any, source: str) -> Surface:
 
 
 def obstacle_surface(obstacle: Obstacle) -> Surface:
-    """Return an obstacle in W.
-
-    Raises
-    ------
-    SceneError
-        When its mesh file has become unreadable since the scene was read.
-    """
+    """Return an obstacle in W; its mesh file is read again."""
     match obstacle.shape:
         case Box(size=size):
             surface = box(size)
@@ -180,8 +154,8 @@ def tube(points: FloatArray, radius: float) -> Surface:
     """Return a tube through `points` (N, 3), m, with a ball at each."""
     pieces = []
     for start, end in pairwise(points):
-        X = np.eye(4)
-        X[:3, :3], X[:3, 3] = _z_along(end - start), 0.5 * (start + end)
+        turned = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), end - start)
+        X = pin.SE3(turned, 0.5 * (start + end)).homogeneous
         length = float(np.linalg.norm(end - start))
         pieces.append(cylinder(radius, length, sections=TUBE_SECTIONS).moved(X))
     joint = ball(1.6 * radius, sections=TUBE_SECTIONS, rings=TUBE_SECTIONS)
@@ -264,14 +238,6 @@ def _revolved(radii: ArrayLike, heights: ArrayLike, sections: int) -> Surface:
         (index[-1], beside[-1], top),
     )
     return Surface(vertices, np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in corners]))
-
-
-def _z_along(direction: FloatArray) -> FloatArray:
-    """Return a rotation (3, 3) that takes z along `direction` (3,)."""
-    z = direction / np.linalg.norm(direction)
-    x = np.cross(np.eye(3)[np.abs(z).argmin()], z)
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
 
 
 def _clustered(surface: Surface, cell: float) -> Surface:
