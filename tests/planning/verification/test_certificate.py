@@ -20,6 +20,7 @@ from cmbot.planning import Plan, QuinticTrajectory, plan
 from cmbot.planning.verification.certificate import Certificate, Check, _continuity_check, certify
 from cmbot.robot import Robot, load_robot
 from cmbot.scene import Box, Obstacle, pose
+from cmbot.trajectory import Parametrization, SparseSplines, SplineSpace
 
 FloatArray = NDArray[np.float64]
 QUANTITIES = (
