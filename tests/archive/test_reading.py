@@ -1,5 +1,6 @@
 """Plan directories read back: the same plan, and on request certified again."""
 
+import hashlib
 import json
 import math
 from dataclasses import fields, replace
@@ -7,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plan_folders import FILES, same_arrays
+from plan_folders import FILES, edit, same_arrays
 
 from cmbot.archive import load_plan, save
 from cmbot.archive.folder import APPROACH_FILES
-from cmbot.common.errors import PathNotFound
+from cmbot.common.errors import ArchiveError, PathNotFound
 from cmbot.planning import Plan, Start
 from cmbot.planning.verification.metrics import figures
+from cmbot.scene import PlannerOptions
 
 
 @pytest.fixture(scope="module")
@@ -146,3 +148,20 @@ def test_baseline_figures_are_those_of_the_table(loaded):
     again = figures(plan.robot, plan.baseline)
     assert again.peak_guardrail_torque == pytest.approx(plan.baseline_figures.peak_guardrail_torque)
     assert again.limit_use.jerk == pytest.approx(plan.baseline_figures.limit_use.jerk)
+
+
+def test_options_that_are_newer_than_a_plan_have_their_defaults(short_plan, tmp_path):
+    """An earlier version stored, and hashed, a scene that knew nothing of them."""
+    save(short_plan, tmp_path / "plan")
+
+    def without(data):
+        for options in (data["options"], data["scene"]["planner"]):
+            del options["peak_tolerance"]
+        text = json.dumps(data["scene"], sort_keys=True, separators=(",", ":"))
+        data["hashes"]["resolved_scene"] = hashlib.sha256(text.encode()).hexdigest()
+
+    edit(tmp_path / "plan", without)
+    assert load_plan(tmp_path / "plan").options.peak_tolerance == PlannerOptions().peak_tolerance
+    edit(tmp_path / "plan", lambda data: data["scene"]["planner"].update(smoothing_weight=0.2))
+    with pytest.raises(ArchiveError, match="hashes.resolved_scene"):
+        load_plan(tmp_path / "plan")
