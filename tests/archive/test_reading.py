@@ -163,5 +163,5 @@ def test_options_that_are_newer_than_a_plan_have_their_defaults(short_plan, tmp_
     edit(tmp_path / "plan", without)
     assert load_plan(tmp_path / "plan").options.peak_tolerance == PlannerOptions().peak_tolerance
     edit(tmp_path / "plan", lambda data: data["scene"]["planner"].update(smoothing_weight=0.2))
-    with pytest.raises(ArchiveError, match="hashes.resolved_scene"):
+    with pytest.raises(ArchiveError, match=r"hashes\.resolved_scene"):
         load_plan(tmp_path / "plan")
