@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.validation import check_fields
 from cmbot.elastic.base import ElasticBase
-from cmbot.robot import LinkTube, Robot
+from cmbot.robot import Robot
 
 __all__ = ["ElasticArm", "ElasticOptions", "cut_inertia", "elastic_arm"]
 
@@ -115,11 +115,11 @@ def elastic_arm(robot: Robot, base: ElasticBase | None, options: ElasticOptions 
     if base is not None:
         builder.add_base(base)
     frames = robot.model.frames
-    tubes = {frames[robot.model.getFrameId(tube.link)].parentJoint: tube for tube in robot.elasticity}
+    links = {frames[robot.model.getFrameId(link)].parentJoint: link for link in robot.elasticity}
     for joint in range(1, robot.model.njoints):
         builder.add_driven(joint)
-        if joint in tubes:
-            builder.add_tube(joint, tubes[joint])
+        if joint in links:
+            builder.add_tube(joint, links[joint])
         else:
             builder.add_inertia(robot.model.inertias[joint])
     return builder.finished(base)
@@ -160,10 +160,10 @@ class _Builder:
         """Add an inertia, in the frame of the rigid body that the last joint carries, to that joint."""
         self.model.appendBodyToJoint(self.last, inertia, self.X_LB)
 
-    def add_tube(self, joint: int, tube: LinkTube) -> None:
+    def add_tube(self, joint: int, link: str) -> None:
         """Add the elastic coordinates and the pieces of the link that the last joint carries."""
-        n, model = self.options.segments, self.robot.model
-        X_JL = model.frames[model.getFrameId(tube.link)].placement
+        n, model, tube = self.options.segments, self.robot.model, self.robot.elasticity[link]
+        X_JL = model.frames[model.getFrameId(link)].placement
         start, end = X_JL.act(np.array(tube.start)), X_JL.act(np.array(tube.end))
         cuts = (np.arange(n) + 0.5) / n
         pieces = self._pieces(joint, start, end, cuts)
@@ -178,7 +178,7 @@ class _Builder:
         for number, (share, piece) in enumerate(zip(cuts, pieces[1:], strict=True), start=1):
             X_JT = pin.SE3(R_JT, start + share * (end - start))
             for kind, coordinate in zip(kinds, names, strict=True):
-                name = f"{tube.link} segment {number} {coordinate}"
+                name = f"{link} segment {number} {coordinate}"
                 self.elastic.append(self._add(kind(), self.X_LB * X_JT, name))
                 self.X_LB = X_JT.inverse()
             self.blocks.append(self.options.link_factor * stiffness)
@@ -199,7 +199,6 @@ class _Builder:
         robot, f = self.robot, len(self.elastic)
         frame = robot.model.frames[robot.tool_frame_id]
         tool = pin.Frame(frame.name, self.last, 0, self.X_LB * frame.placement, pin.FrameType.OP_FRAME)
-        tool_frame_id = self.model.addFrame(tool)
         # Without blocks `block_diag` is (1, 0).
         stiffness, added_mass = block_diag(*self.blocks).reshape(f, f), np.zeros((f, f))
         if base is not None:
@@ -216,7 +215,7 @@ class _Builder:
             elastic=elastic,
             stiffness=stiffness,
             added_mass=added_mass,
-            tool_frame_id=int(tool_frame_id),
+            tool_frame_id=int(self.model.addFrame(tool)),
         )
 
     def _add(self, joint: Any, placement: Any, name: str) -> int:
@@ -246,19 +245,8 @@ def cut_inertia(inertia: Any, start: FloatArray, end: FloatArray, cuts: FloatArr
     17 %, and its lowest frequency 0.7 % too low instead of 2 % too high. No mean leaves the rod; the second
     moment that this leaves over stays within the pieces. All pieces are physical if the body is.
 
-    Parameters
-    ----------
-    inertia : pinocchio.Inertia
-        Of the body.
-    start, end : (3,), m
-        Two points of the axis, in the frame of `inertia`.
-    cuts : (k,)
-        Where to cut: shares of the way from `start` to `end`, ascending.
-
-    Returns
-    -------
-    list of pinocchio.Inertia
-        The k + 1 pieces from `start` to `end`, in the frame of `inertia`.
+    The axis leads from `start` to `end` (3,), m, and is cut at the shares `cuts` (k,) of it, ascending; the
+    k + 1 pieces follow in that order. Points and pieces are in the frame of `inertia`.
     """
     pieces = [pin.Inertia.Zero() for _ in range(len(cuts) + 1)]
     if inertia.mass == 0:

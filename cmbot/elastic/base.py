@@ -78,16 +78,8 @@ def _base(stiffness: FloatArray, mass: FloatArray, frequencies: FloatArray) -> E
     return ElasticBase(stiffness=arrays[0], mass=arrays[1], frequencies=arrays[2])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class GuardrailFrame:
-    """The frame of a guardrail.
-
-    Attributes
-    ----------
-    frame : Frame
-    foot : int
-        The node at the origin of W.
-    """
+class GuardrailFrame(NamedTuple):
+    """The frame of a guardrail; `foot` is the node at the origin of W."""
 
     frame: Frame
     foot: int
@@ -109,20 +101,8 @@ def guardrail_frame(guardrail: Guardrail, *, beams: int = _BEAMS_PER_SEGMENT) ->
     are rigidly joined. A post is rigid up to `clamp`. Neglected are the offset between rail and post, the
     distance from a section's shear centre to its centroid, the size and compliance of joints, and the
     compliance of the ground. Without rails the held post stands alone. Joints within a millimetre of each
-    other are merged.
-
-    Parameters
-    ----------
-    guardrail : Guardrail
-    beams : int
-        Number of beams in the longest segment between two joints; a shorter one has as many as make its beams
-        no longer. The static stiffness does not depend on it, mass and frequencies do.
-
-    Raises
-    ------
-    InputError
-        When no elastic member passes through the origin of W, posts do not follow each other along x, or a
-        rail misses the posts.
+    other are merged. `beams` is their number in the longest segment between two joints; a shorter one has as
+    many as make its beams no longer. The static stiffness does not depend on it, mass and frequencies do.
     """
     places = _places_along(guardrail)
     levels = _levels(guardrail, held=min(abs(x) for x in guardrail.post_positions) <= _SAME_PLACE)
@@ -130,7 +110,6 @@ def guardrail_frame(guardrail: Guardrail, *, beams: int = _BEAMS_PER_SEGMENT) ->
     longest = max(math.dist(segment.start, segment.end) for segment in segments) / beams
     numbers: dict[tuple[float, float], int] = {}
     members = []
-    material = guardrail.material
     for segment in segments:
         count = math.ceil(math.dist(segment.start, segment.end) / longest - 1e-9)
         ends = zip(segment.start, segment.end, strict=True)
@@ -142,9 +121,7 @@ def guardrail_frame(guardrail: Guardrail, *, beams: int = _BEAMS_PER_SEGMENT) ->
                 end=end,
                 section=segment.section,
                 first_axis=segment.first_axis,
-                young=material.young,
-                shear=material.shear,
-                density=material.density,
+                material=guardrail.material,
             )
             for start, end in pairwise(nodes)
         ]

@@ -10,6 +10,7 @@ Source: J. S. Przemieniecki, Theory of Matrix Structural Analysis, 1968, without
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.guardrail import AngleSection, Section
 
-__all__ = ["Beams", "SectionConstants", "section_constants"]
+__all__ = ["SectionConstants", "beam_matrices", "section_constants"]
 
 # The coordinates of stretching, torsion, bending in the plane xy and bending in the plane xz.
 _COORDINATES = (np.array([0, 6]), np.array([3, 9]), np.array([1, 5, 7, 11]), np.array([2, 4, 8, 10]))
@@ -45,18 +46,10 @@ _BEND_MASS = (
 
 @dataclass(frozen=True, kw_only=True)
 class SectionConstants:
-    """Constants of a cross-section, about its centroid.
+    """Constants of a cross-section about its centroid.
 
-    Attributes
-    ----------
-    area : float
-        m2.
-    major, minor : float
-        Principal second moments of area, the larger one first, m4.
-    torsion : float
-        Torsion constant J, m4.
-    tilt : float
-        Angle of the axis that `major` is about from the section's first axis, towards the second, rad.
+    Area, m2; principal second moments of area, the larger one first, m4; torsion constant J, m4; `tilt`: the
+    angle of the axis that `major` is about from the section's first axis, towards the second, rad.
     """
 
     area: float
@@ -97,52 +90,38 @@ def _angle(a: float, t: float) -> SectionConstants:
     )
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Beams:
-    """A stack of m straight Euler-Bernoulli beams.
+def beam_matrices(
+    *,
+    rotation: FloatArray,
+    length: FloatArray,
+    stretch: FloatArray,
+    bend_y: FloatArray,
+    bend_z: FloatArray,
+    twist: FloatArray,
+    line_mass: FloatArray,
+    line_inertia: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Stiffness and consistent mass matrices of m beams in W, (m, 12, 12), SI; exact for loads at the ends.
 
-    Attributes
-    ----------
-    rotation : (m, 3, 3)
-        Columns are a beam's own axes x, y, z in W.
-    length : (m,), m
-    stretch : (m,), N
-        E A.
-    bend_y, bend_z, twist : (m,), N m2
-        E I about the beam's y and z axis, G J.
-    line_mass : (m,), kg/m
-    line_inertia : (m,), kg m
-        About the beam's x axis, per metre.
+    The columns of `rotation` (m, 3, 3) are a beam's own axes. All else is (m,): length, m; E A, N; E I about
+    the beam's y and z axis and G J, N m2; mass, kg/m, and inertia about the beam's x axis, kg m, per metre.
     """
+    L, mass, inertia = length, line_mass * length, line_inertia * length
+    factors = (stretch / L, twist / L, bend_z / L**3, bend_y / L**3)
+    stiffness = _assembled(rotation, length, factors, _ROD_STIFFNESS, _BEND_STIFFNESS)
+    return stiffness, _assembled(rotation, length, (mass, inertia, mass, mass), _ROD_MASS, _BEND_MASS)
 
-    rotation: FloatArray
-    length: FloatArray
-    stretch: FloatArray
-    bend_y: FloatArray
-    bend_z: FloatArray
-    twist: FloatArray
-    line_mass: FloatArray
-    line_inertia: FloatArray
 
-    def stiffness(self) -> FloatArray:
-        """Stiffness matrices in W, (m, 12, 12), N/m, N, Nm; exact for loads at the ends."""
-        L = self.length
-        factors = (self.stretch / L, self.twist / L, self.bend_z / L**3, self.bend_y / L**3)
-        return self._assembled(factors, _ROD_STIFFNESS, _BEND_STIFFNESS)
-
-    def mass(self) -> FloatArray:
-        """Consistent mass matrices in W, (m, 12, 12), kg, kg m, kg m2."""
-        mass, inertia = self.line_mass * self.length, self.line_inertia * self.length
-        return self._assembled((mass, inertia, mass, mass), _ROD_MASS, _BEND_MASS)
-
-    def _assembled(self, factors: tuple[FloatArray, ...], rod: FloatArray, bending: FloatArray) -> FloatArray:
-        """Matrices in W from the factors (m,) of the four uncoupled deformations and their unit matrices."""
-        scale = np.ones((len(self.length), 4))
-        scale[:, 1::2] = self.length[:, None]
-        xy, xz = (s[:, :, None] * bending * s[:, None, :] for s in (scale, scale * _SIGNS_XZ))
-        local = np.zeros((len(self.length), 12, 12))
-        for index, factor, matrix in zip(_COORDINATES, factors, (rod, rod, xy, xz), strict=True):
-            local[:, index[:, None], index] = factor[:, None, None] * matrix
-        blocks, R = local.reshape(-1, 4, 3, 4, 3), self.rotation
-        turned = np.einsum("mxi,maibj,myj->maxby", R, blocks, R, optimize=True)
-        return np.asarray(turned.reshape(-1, 12, 12))
+def _assembled(
+    R: FloatArray, length: FloatArray, factors: Sequence[FloatArray], rod: FloatArray, bending: FloatArray
+) -> FloatArray:
+    """Matrices in W from the factors (m,) of the four uncoupled deformations and their unit matrices."""
+    scale = np.ones((len(length), 4))
+    scale[:, 1::2] = length[:, None]
+    xy, xz = (s[:, :, None] * bending * s[:, None, :] for s in (scale, scale * _SIGNS_XZ))
+    local = np.zeros((len(length), 12, 12))
+    for index, factor, matrix in zip(_COORDINATES, factors, (rod, rod, xy, xz), strict=True):
+        local[:, index[:, None], index] = factor[:, None, None] * matrix
+    blocks = local.reshape(-1, 4, 3, 4, 3)
+    turned = np.einsum("mxi,maibj,myj->maxby", R, blocks, R, optimize=True)
+    return np.asarray(turned.reshape(-1, 12, 12))

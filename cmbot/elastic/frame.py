@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from scipy import linalg, sparse
@@ -13,7 +14,8 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.elastic.beam import Beams, SectionConstants
+from cmbot.elastic.beam import SectionConstants, beam_matrices
+from cmbot.elastic.guardrail import GuardrailMaterial
 
 __all__ = ["Condensed", "Frame", "Member", "natural_frequencies"]
 
@@ -29,39 +31,22 @@ _SMALL = 60
 class Member:
     """A straight beam, rigidly joined to two nodes.
 
-    Attributes
-    ----------
-    start, end : int
-        Its nodes.
-    section : SectionConstants
-    first_axis : tuple of float
-        (3,), in W, the section's first axis; its component along the member is ignored. The second axis is
-        the cross product of the member's direction, from start to end, and the first.
-    young, shear : float
-        Moduli, Pa.
-    density : float
-        kg/m3.
+    `first_axis` is the section's first axis in W; its component along the member is ignored. The second axis
+    is the cross product of the member's direction, from node `start` to node `end`, and the first.
     """
 
     start: int
     end: int
     section: SectionConstants
     first_axis: tuple[float, float, float]
-    young: float
-    shear: float
-    density: float
+    material: GuardrailMaterial
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Condensed:
-    """A frame condensed to one of its nodes: linear then angular, in W.
+class Condensed(NamedTuple):
+    """A frame condensed to one of its nodes: linear then angular, in W, SI.
 
-    Attributes
-    ----------
-    stiffness : (6, 6), N/m, N/rad, Nm/rad
-        Exact for loads at the node.
-    mass : (6, 6), kg, kg m, kg m2
-        Guyan's: of the static deflections under loads at the node.
+    The stiffness (6, 6) is exact for loads at the node; the mass (6, 6) is Guyan's, of the static deflections
+    under loads at the node.
     """
 
     stiffness: FloatArray
@@ -70,21 +55,10 @@ class Condensed:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
-    """Euler-Bernoulli frame in space, clamped at some nodes; displacements are small.
+    """Euler-Bernoulli frame in space: `nodes` (k, 3), m, in W, some of them clamped; displacements are small.
 
-    Attributes
-    ----------
-    nodes : (k, 3), m
-        In W.
-    members : sequence of Member
-    fixed : sequence of int
-        Clamped nodes.
-
-    Raises
-    ------
-    InputError
-        When a member has no length, no section orientation or no positive constants, or when the frame or a
-        part of it is not held.
+    It is refused when a member has no length, no section orientation or no positive constants, or when the
+    frame or a part of it is not held.
     """
 
     nodes: FloatArray
@@ -104,34 +78,21 @@ class Frame:
     @cached_property
     def stiffness(self) -> sparse.csc_array:
         """Stiffness (f, f) of the free coordinates: six a node that is not fixed, in the nodes' order."""
-        return self._assembled(self._beams.stiffness())
+        return self._assembled(self._matrices[0])
 
     @cached_property
     def mass(self) -> sparse.csc_array:
         """Consistent mass (f, f) of the free coordinates."""
-        return self._assembled(self._beams.mass())
+        return self._assembled(self._matrices[1])
 
     def coordinates(self, node: int) -> IntArray:
-        """Indices (6,) of a node's displacement and rotation among the free coordinates.
-
-        Raises
-        ------
-        InputError
-            When there is no such node or it is fixed.
-        """
+        """Indices (6,) of a node's displacement and rotation among the free coordinates."""
         if node not in range(len(self.nodes)) or node in self.fixed:
             raise _refusal("node", node, f"one of the {len(self.nodes)} nodes that is not fixed")
         return np.asarray(self._free_index[node])
 
     def condense(self, node: int) -> Condensed:
-        """Condense the frame to `node`.
-
-        Raises
-        ------
-        InputError
-            When there is no such node, it is fixed, or the stiffness is not positive definite in floating
-            point.
-        """
+        """Condense the frame to `node`, which is not fixed."""
         index = self.coordinates(node)
         loads = np.zeros((self.stiffness.shape[0], 6))
         loads[index, np.arange(6)] = 1.0
@@ -158,11 +119,11 @@ class Frame:
         if not np.linalg.norm(np.cross(along, first)) > _PARALLEL * length * float(np.linalg.norm(first)):
             expected = "a direction that is not along the member"
             raise _refusal(f"{key}.first_axis", member.first_axis, expected)
-        section = member.section
-        positive = (section.area, section.major, section.minor, section.torsion, member.young, member.shear)
-        if not all(0 < value < np.inf for value in positive) or not 0 <= member.density < np.inf:
+        section, steel = member.section, member.material
+        positive = (section.area, section.major, section.minor, section.torsion, steel.young, steel.shear)
+        if not all(0 < value < np.inf for value in positive) or not 0 <= steel.density < np.inf:
             expected = "positive section constants and moduli and a density that is not negative"
-            raise _refusal(key, (*positive, member.density), expected)
+            raise _refusal(key, (*positive, steel.density), expected)
 
     def _check_hold(self) -> None:
         starts, ends = self._ends
@@ -187,7 +148,8 @@ class Frame:
         return np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
 
     @cached_property
-    def _beams(self) -> Beams:
+    def _matrices(self) -> tuple[FloatArray, FloatArray]:
+        """Stiffness and consistent mass matrices (m, 12, 12) of the members."""
         starts, ends = self._ends
         along = (self.nodes[ends] - self.nodes[starts]).reshape(-1, 3)
         length = np.linalg.norm(along, axis=1)
@@ -198,11 +160,13 @@ class Frame:
         second = np.cross(x, first)
         tilt = np.array([member.section.tilt for member in self.members])[:, None]
         y = np.cos(tilt) * first + np.sin(tilt) * second
-        materials = [(m.young, m.shear, m.density) for m in self.members]
+        materials = [(m.young, m.shear, m.density) for m in (member.material for member in self.members)]
         young, shear, density = np.array(materials).reshape(-1, 3).T
-        sections = [(s.area, s.major, s.minor, s.torsion) for s in (m.section for m in self.members)]
+        sections = [
+            (s.area, s.major, s.minor, s.torsion) for s in (member.section for member in self.members)
+        ]
         area, major, minor, torsion = np.array(sections).reshape(-1, 4).T
-        return Beams(
+        return beam_matrices(
             rotation=np.stack([x, y, np.cross(x, y)], axis=-1),
             length=length,
             stretch=young * area,
@@ -231,26 +195,9 @@ class Frame:
 def natural_frequencies(
     stiffness: sparse.csc_array, mass: sparse.csc_array, count: int, *, factor: SuperLU | None = None
 ) -> FloatArray:
-    """Return the lowest natural frequencies, ascending, Hz.
+    """Return the lowest natural frequencies, at most `count` and one a coordinate with mass, ascending, Hz.
 
-    Parameters
-    ----------
-    stiffness, mass : (f, f)
-        Symmetric; the stiffness positive definite, the mass at least semi-definite.
-    count : int
-        At most how many.
-    factor : scipy.sparse.linalg.SuperLU, optional
-        Of the stiffness, when it is already known.
-
-    Returns
-    -------
-    (k,)
-        Fewer than `count` where fewer coordinates have mass; empty without mass.
-
-    Raises
-    ------
-    InputError
-        When the stiffness is not positive definite in floating point.
+    The stiffness is positive definite, the mass at least semi-definite; `factor` is that of the stiffness.
     """
     size = stiffness.shape[0]
     if count < 1 or mass.count_nonzero() == 0:

@@ -1,7 +1,8 @@
-"""From a URDF and its SRDF to pinocchio's model of the arm, all other joints locked, with its shapes."""
+"""Pinocchio's model of the arm with its shapes: from a URDF and its SRDF, then another tool or a payload."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from cmbot.common.errors import ModelError
 from cmbot.common.validation import hint
 from cmbot.robot.inspection import parse_urdf
 
-__all__ = ["arm_model", "convex_hull", "encloses_volume"]
+__all__ = ["arm_model", "attach_payload", "convex_hull", "encloses_volume", "set_tool_length"]
 
 # Smallest thickness of points relative to their extent. At about 3e-8 coal's hull crashes the process.
 _FLAT = 1e-5
@@ -25,31 +26,10 @@ _FLAT = 1e-5
 def arm_model(
     urdf: Path, root: ElementTree.Element, srdf: Path | None, base_frame: str, tool_frame: str
 ) -> tuple[Any, Any, Any]:
-    """Build the model of an arm: only the joints from `base_frame` to `tool_frame` move.
+    """Build the model, collision shapes and visual shapes of an arm: only its joints move.
 
-    Parameters
-    ----------
-    urdf : pathlib.Path
-    root : xml.etree.ElementTree.Element
-        Its content, which is modified.
-    srdf : pathlib.Path, optional
-        Its group states are where the other joints are locked, default zero; the pairs that it disables do
-        not collide, default those of neighbouring joints.
-    base_frame, tool_frame : str
-
-    Returns
-    -------
-    pinocchio.Model
-    pinocchio.GeometryModel
-        Collision shapes, meshes as their convex hulls, with the pairs that may collide.
-    pinocchio.GeometryModel
-        Visual shapes.
-
-    Raises
-    ------
-    ModelError
-        When pinocchio refuses the file, a frame does not exist, a joint of the arm is not revolute, a mesh
-        encloses no volume, or the SRDF is unusable.
+    `root` is the content of `urdf` and is modified. The SRDF's group states are where the other joints are
+    locked, default zero; the pairs that it disables do not collide, default those of neighbouring joints.
     """
     semantics = None if srdf is None else parse_urdf(srdf, "an SRDF")
     full, shapes = _build(urdf, root)
@@ -72,8 +52,7 @@ def encloses_volume(points: FloatArray) -> bool:
 def convex_hull(points: FloatArray) -> Any:
     """Return the convex hull of `points` (N, 3), a `coal.ConvexBase`; they have to enclose a volume."""
     vertices = coal.StdVec_Vec3s()
-    for point in points:
-        vertices.append(np.array(point, dtype=float))
+    vertices.extend(np.asarray(points, dtype=float))
     return coal.Convex.convexHull(vertices, False, "Qt")
 
 
@@ -136,16 +115,12 @@ def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[in
         if not (isinstance(name, str) and model.existFrame(name, pin.FrameType.BODY)):
             choices = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
             raise ModelError(source, key, repr(name), f"a link of the URDF{hint(name, choices)}", choices)
-    base = model.frames[model.getFrameId(base_frame)].parentJoint
-    joint = model.frames[model.getFrameId(tool_frame)].parentJoint
-    chain: list[int] = []
-    while joint not in (base, 0):
-        chain.insert(0, joint)
-        joint = model.parents[joint]
-    if joint != base or not chain:
+    base, tool = (model.frames[model.getFrameId(name)].parentJoint for name in (base_frame, tool_frame))
+    supports = list(model.supports[tool])
+    if base not in supports[:-1]:
         expected = f"a link that joints move below {base_frame!r}"
         raise ModelError(source, "tool_frame", repr(tool_frame), expected)
-    return chain
+    return supports[supports.index(base) + 1 :]
 
 
 def _require_revolute(root: ElementTree.Element, source: str, names: Sequence[str]) -> None:
@@ -194,3 +169,85 @@ def _enable_pairs(model: Any, collision: Any, source: str, semantics: ElementTre
         joints = [collision.geometryObjects[i].parentJoint for i in (first, second)]
         if model.parents[max(joints)] != min(joints):
             collision.addCollisionPair(pin.CollisionPair(first, second))
+
+
+def set_tool_length(
+    model: Any, shapes: Sequence[Any], tool_frame: str, length: float, *, source: str
+) -> None:
+    """Move the tool point along the flange's z axis and stretch the tool's shapes with it, in place.
+
+    The flange is the frame that carries `tool_frame`'s link, on whose z axis the tool point lies; the tool's
+    shapes are those fixed to it. `length`, m, is the new distance of the tool point from the flange.
+    """
+    frame = model.frames[model.getFrameId(tool_frame)]
+    flange = _flange(model, frame)
+    X_FT = flange.placement.inverse() * frame.placement
+    old = float(X_FT.translation[2])
+    if not (isinstance(length, int | float | np.number) and math.isfinite(length) and length > 0):
+        raise ModelError(source, "tool_length", length, "a positive length in m")
+    if old <= 0 or np.abs(X_FT.translation[:2]).max() > 1e-9:
+        raise ModelError(
+            source, "tool_length", length, f"{tool_frame!r} to lie on its flange's z axis, or no tool length"
+        )
+    ratio = length / old
+    X_FT.translation = np.array([0.0, 0.0, length])
+    frame.placement = flange.placement * X_FT
+    for shape in (shape for geometry in shapes for shape in geometry.geometryObjects):
+        if model.frames[shape.parentFrame].name == flange.name:
+            _stretch(shape, flange.placement, ratio, source)
+
+
+def attach_payload(model: Any, tool_frame: str, mass: float) -> None:
+    """Add a point mass, kg, at the tool point, in place."""
+    if not (isinstance(mass, int | float | np.number) and math.isfinite(mass) and mass >= 0):
+        raise ModelError("load_robot", "payload", mass, "a mass in kg that is not negative")
+    if mass > 0:
+        frame = model.frames[model.getFrameId(tool_frame)]
+        model.appendBodyToJoint(
+            frame.parentJoint, pin.Inertia(mass, np.zeros(3), np.zeros((3, 3))), frame.placement
+        )
+
+
+def _flange(model: Any, frame: Any) -> Any:
+    """Nearest frame of a link above `frame`, on the same joint."""
+    flange = model.frames[frame.parentFrame]
+    while flange.type != pin.FrameType.BODY and flange.parentJoint == frame.parentJoint:
+        flange = model.frames[flange.parentFrame]
+    return flange
+
+
+def _stretch(shape: Any, X_JF: Any, ratio: float, source: str) -> None:
+    """Scale a shape along the flange's z axis; the cap of a capsule keeps its radius and its far end."""
+    X_FS = X_JF.inverse() * shape.placement
+    geometry = shape.geometry
+    if isinstance(geometry, coal.ConvexBase):
+        stretched = (X_FS.act(geometry.point(i)) * [1.0, 1.0, ratio] for i in range(geometry.num_points))
+        shape.geometry = convex_hull(np.array([X_FS.actInv(p_F) for p_F in stretched]))
+        return
+    axis = int(np.argmax(np.abs(X_FS.rotation[2])))
+    long = isinstance(geometry, coal.Capsule | coal.Cylinder)
+    known = long or isinstance(geometry, coal.Box | coal.BVHModelBase)
+    if not known or abs(X_FS.rotation[2, axis]) < 1 - 1e-9 or (long and axis != 2):
+        kind = type(geometry).__name__.lower()
+        expected = "a tool of capsules, cylinders, boxes and meshes, whose axes are its flange's"
+        raise ModelError(source, f"tool_length, {shape.name}", f"a {kind} that cannot be stretched", expected)
+    if isinstance(geometry, coal.Capsule):
+        # The tip of the cap scales with the tool, not the cap's centre.
+        near = X_FS.translation[2] - geometry.halfLength
+        far = (X_FS.translation[2] + geometry.halfLength + geometry.radius) * ratio - geometry.radius
+        far = max(far, near)
+        geometry.halfLength = 0.5 * (far - near)
+        X_FS.translation = np.array([*X_FS.translation[:2], 0.5 * (near + far)])
+    else:
+        scale = np.ones(3)
+        scale[axis] = ratio
+        if isinstance(geometry, coal.Box):
+            geometry.halfSide = geometry.halfSide * scale
+        elif isinstance(geometry, coal.Cylinder):
+            geometry.halfLength *= ratio
+        else:
+            shape.meshScale = shape.meshScale * scale
+            # The loaded shape does not follow the scale.
+            shape.geometry = coal.MeshLoader().load(shape.meshPath, shape.meshScale)
+        X_FS.translation = X_FS.translation * [1.0, 1.0, ratio]
+    shape.placement = X_JF * X_FS

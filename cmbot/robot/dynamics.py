@@ -50,8 +50,9 @@ class EffortDerivatives:
 
 
 class Dynamics:
-    """Inverse dynamics of a robot whose base is held still.
+    """Inverse dynamics of a robot whose base is held still, at N states.
 
+    A state is `q`, `v`, `a`: (N, n), rad, rad/s, rad/s2.
     Values come from one call for all states, `pinocchio.rneaInParallel`; derivatives from one call a state.
     ``benchmarks/kernels.py`` times the alternatives.
 
@@ -68,12 +69,7 @@ class Dynamics:
         self._data = robot.model.createData()
 
     def efforts(self, q: FloatArray, v: FloatArray, a: FloatArray) -> Efforts:
-        """Evaluate joint torques and guardrail wrench at N states.
-
-        Parameters
-        ----------
-        q, v, a : (N, n), rad, rad/s, rad/s2
-        """
+        """Evaluate joint torques and guardrail wrench."""
         N, n = q.shape
         # The free-flyer is held at W: position zero with identity quaternion, no velocity, no acceleration.
         q_f, v_f, a_f = np.zeros((N, 7 + n)), np.zeros((N, 6 + n)), np.zeros((N, 6 + n))
@@ -93,12 +89,7 @@ class Dynamics:
         return self.efforts(q, still, still)
 
     def derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> EffortDerivatives:
-        """Evaluate guardrail torque about O0 in W, then joint torques: 3 + n rows.
-
-        Parameters
-        ----------
-        q, v, a : (N, n), rad, rad/s, rad/s2
-        """
+        """Evaluate guardrail torque about O0 in W, then joint torques: 3 + n rows."""
         N, n = q.shape
         model, data = self.robot.model, self._data
         dF_dq, dF_dv, dF_da = data.dFdq[3:], data.dFdv[3:], data.dFda[3:]
@@ -113,12 +104,7 @@ class Dynamics:
         return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)
 
     def wrench_derivatives(self, q: FloatArray, v: FloatArray, a: FloatArray) -> EffortDerivatives:
-        """Evaluate the wrench on the guardrail about O0 in W: 6 rows, force then torque.
-
-        Parameters
-        ----------
-        q, v, a : (N, n), rad, rad/s, rad/s2
-        """
+        """Evaluate the wrench on the guardrail about O0 in W: 6 rows, force then torque."""
         N, n = q.shape
         model, data = self.robot.model, self._data
         # For the derivatives of the joint torques pinocchio computes each joint's contribution to the forces

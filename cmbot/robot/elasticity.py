@@ -15,10 +15,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import pinocchio as pin
-from pydantic import Field, model_validator
+from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import FileModel, refusal, validated
@@ -37,12 +37,10 @@ _SHORTEST = 1e-3  # m
 
 @dataclass(frozen=True, kw_only=True)
 class LinkTube:
-    """The round tube that models the bending of a link.
+    """The round tube that models the bending of a link; a file's values are bounded.
 
     Attributes
     ----------
-    link : str
-        Name of the link.
     start, end : tuple of float
         (3,), ends of the tube's axis in the link's frame, m; the start is nearer to the base.
     outer_diameter, wall : float
@@ -51,13 +49,14 @@ class LinkTube:
         Moduli, Pa.
     """
 
-    link: str
-    start: tuple[float, float, float]
-    end: tuple[float, float, float]
-    outer_diameter: float
-    wall: float
-    young: float
-    shear: float
+    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
+
+    start: Annotated[Point, Field(alias="start_m")]
+    end: Annotated[Point, Field(alias="end_m")]
+    outer_diameter: Annotated[Length, Field(alias="outer_diameter_m")]
+    wall: Annotated[Length, Field(alias="wall_m")]
+    young: Annotated[Modulus, Field(alias="young_pa")]
+    shear: Annotated[Modulus, Field(alias="shear_pa")]
 
     @property
     def length(self) -> float:
@@ -70,15 +69,6 @@ class LinkTube:
         inner_diameter = self.outer_diameter - 2 * self.wall
         return math.pi / 64 * (self.outer_diameter**4 - inner_diameter**4)
 
-
-class _TubeEntry(FileModel):
-    start: Point = Field(alias="start_m")
-    end: Point = Field(alias="end_m")
-    outer_diameter: Length = Field(alias="outer_diameter_m")
-    wall: Length = Field(alias="wall_m")
-    young: Modulus = Field(alias="young_pa")
-    shear: Modulus = Field(alias="shear_pa")
-
     @model_validator(mode="after")
     def _check(self) -> Self:
         if math.dist(self.start, self.end) < _SHORTEST:
@@ -90,37 +80,25 @@ class _TubeEntry(FileModel):
 
 class _ElasticityFile(FileModel):
     format: Literal["cmbot-elasticity/1"]
-    links: dict[str, _TubeEntry]
+    links: dict[str, LinkTube]
 
 
-def read_elasticity(path: Path, model: Any) -> tuple[LinkTube, ...]:
-    """Read the tubes of the links that move with the arm, in the order of its joints.
+def read_elasticity(path: Path, model: Any) -> dict[str, LinkTube]:
+    """Read the tubes of the links that move with the arm, by the links' names, in the order of its joints.
 
     A tube of a link that the arm's joints do not move is checked and left out.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-    model : pinocchio.Model
-        Of the arm, all other joints locked.
-
-    Raises
-    ------
-    ModelError
-        When the file cannot be read, names no link of the URDF, or gives two tubes to links that one joint
-        moves as one body.
     """
     data = validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError)
     links = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
-    by_joint: dict[int, LinkTube] = {}
-    for name, entry in data.links.items():
+    by_joint: dict[int, str] = {}
+    for name in data.links:
         if name not in links:
             raise ModelError(str(path), "links", repr(name), "a link of the URDF", tuple(links))
         joint = links[name].parentJoint
         if joint in by_joint:
             expected = f"one tube for the body that {model.names[joint]} moves"
-            got = f"a tube beside that of {by_joint[joint].link}"
+            got = f"a tube beside that of {by_joint[joint]}"
             raise ModelError(str(path), f"links.{name}", got, expected)
         if joint > 0:
-            by_joint[joint] = LinkTube(link=name, **dict(entry))
-    return tuple(by_joint[joint] for joint in sorted(by_joint))
+            by_joint[joint] = name
+    return {name: data.links[name] for _, name in sorted(by_joint.items())}

@@ -241,12 +241,8 @@ def _inertial(link: ElementTree.Element) -> Iterator[Finding]:
     if moments[0] < -_ROUNDING * max(moments[2], 0.0) or moments[2] < 0:
         yield _error(f"{_name(link)}.inertial.inertia", shown, "none negative")
     elif moments[2] > (moments[0] + moments[1]) * (1 + _ROUNDING):
-        yield Finding(
-            severity="warning",
-            key=f"{_name(link)}.inertial.inertia",
-            got=shown,
-            expected="the largest at most the sum of the others, as for any rigid body",
-        )
+        expected = "the largest at most the sum of the others, as for any rigid body"
+        yield Finding(severity="warning", key=f"{_name(link)}.inertial.inertia", got=shown, expected=expected)
 
 
 def _shapes(link: ElementTree.Element) -> Iterator[Finding]:

@@ -1,7 +1,13 @@
-"""Forward kinematics and Jacobians of the tool and the centre of mass (Chang 2021, Eqs. (1)-(3), (15))."""
+"""Kinematics of the tool and of the centre of mass (Chang 2021, Eqs. (1)-(3), (15)), and statics.
+
+pinocchio evaluates one posture a call. Charts of the self-motion need thousands: these are evaluated in one
+call, in closed form over NumPy arrays.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -9,13 +15,235 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
-from cmbot.robot.postures import Postures
 from cmbot.robot.robot import Robot
 
-__all__ = ["Kinematics"]
+__all__ = ["Chain", "Kinematics", "PostureBatch", "Postures", "ToolBatch"]
 
+# Postures are evaluated in blocks of this size, whose arrays fit the processor's cache.
+_BLOCK = 512
+# Bound of the second derivative of the tool's orientation, where the reach is that of its point.
+_ROTATION_BEND = 2.0
 # From this number of postures on a batch is quicker than one call each: benchmarks/kernels.py.
 _MANY = 64
+
+
+class Chain:
+    """Vectors that are fixed to the joints of an arm, rotated to W in N postures.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+        A serial chain of revolute joints, as `load_robot` guarantees.
+    vectors : n arrays (k, 3)
+        In the frame of each joint; k may differ between joints.
+    """
+
+    def __init__(self, model: Any, vectors: Sequence[FloatArray]) -> None:
+        data = model.createData()
+        pin.computeJointJacobians(model, data, pin.neutral(model))
+        # In a frame whose z axis is the joint's, a rotation mixes the two other axes only.
+        self._steps, before = [], np.eye(3)
+        for i, fixed in enumerate(vectors, start=1):
+            own = _frame_about(pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[3:, i - 1])
+            X = model.jointPlacements[i]
+            step = np.column_stack([X.translation, X.rotation @ own])
+            self._steps.append((step.T @ before, fixed @ own))
+            before = own
+
+    def walk(self, q: FloatArray) -> Iterator[tuple[FloatArray, FloatArray, FloatArray]]:
+        """Iterate over the joints, base to tool.
+
+        Parameters
+        ----------
+        q : (n, N), rad
+            Components lead and postures trail, here and below, so that every operation runs along postures.
+
+        Yields
+        ------
+        origin : (3, N), m
+            Of the joint.
+        axis : (3, N)
+            Of the joint.
+        turned : (k, 3, N)
+            Its vectors in W.
+        """
+        N = q.shape[1]
+        cosines, sines = np.cos(q), np.sin(q)
+        # The x axis turns towards y, the y axis away from x.
+        sines = np.stack([sines, -sines], axis=1)
+        # The axes of the rotated frame, one after the other.
+        axes = np.repeat(np.eye(3)[:, :, None], N, axis=2)
+        origin = np.zeros((3, N))
+        for (step, fixed), sine, cosine in zip(self._steps, sines, cosines, strict=True):
+            moved = (step @ axes.reshape(3, -1)).reshape(4, 3, N)
+            origin = origin + moved[0]
+            axes = moved[1:]
+            crossed = sine[:, None] * axes[1::-1]
+            axes[:2] *= cosine
+            axes[:2] += crossed
+            turned = (fixed @ axes.reshape(3, -1)).reshape(-1, 3, N) if len(fixed) else axes[:0]
+            yield origin, axes[2], turned
+
+
+def _frame_about(axis: FloatArray) -> FloatArray:
+    """Rotation (3, 3) whose third column is the unit vector `axis` (3,)."""
+    k = np.abs(axis).argmin()
+    x = np.eye(3)[k] - axis[k] * axis
+    x /= np.sqrt(x @ x)
+    return np.column_stack([x, pin.skew(axis) @ x, axis])
+
+
+@dataclass(frozen=True, kw_only=True)
+class ToolBatch:
+    """The tool in N postures; everything in W.
+
+    Attributes
+    ----------
+    q : (N, n), rad
+    tool_point : (N, 3), m
+    tool_rotation : (N, 3, 3)
+    axis, origin : (N, n, 3)
+        Direction of each joint's axis and a point on it, m.
+    """
+
+    q: FloatArray
+    tool_point: FloatArray
+    tool_rotation: FloatArray
+    axis: FloatArray
+    origin: FloatArray
+
+    @cached_property
+    def jacobian(self) -> FloatArray:
+        """Tool Jacobians (N, 6, n): velocity of the tool point, m/rad, then angular velocity."""
+        return np.ascontiguousarray(self.leading_jacobian.transpose(2, 0, 1))
+
+    @cached_property
+    def leading_jacobian(self) -> FloatArray:
+        """The same with components first, as it is computed: (6, n, N)."""
+        a = self.axis.transpose(2, 1, 0)
+        arm = (self.tool_point.T - self.origin.transpose(1, 2, 0)).transpose(1, 0, 2)
+        J = np.empty((6, *a.shape[1:]))
+        for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+            np.multiply(a[j], arm[k], out=J[i])
+            J[i] -= a[k] * arm[j]
+        J[3:] = a
+        return J
+
+
+@dataclass(frozen=True, kw_only=True)
+class PostureBatch(ToolBatch):
+    """The tool and the masses in N postures; everything in W.
+
+    Attributes
+    ----------
+    centre : (N, n, 3), m
+        Centre of mass of each joint's body.
+    mass : (n,), kg
+    gravity : (3,), m/s2
+    """
+
+    centre: FloatArray
+    mass: FloatArray
+    gravity: FloatArray
+
+    @property
+    def guardrail_force(self) -> FloatArray:
+        """Static force (N, 3) on the guardrail, N: the arm's weight in every posture."""
+        return np.tile(self.mass.sum() * self.gravity, (len(self.q), 1))
+
+    @cached_property
+    def guardrail_torque(self) -> FloatArray:
+        """Static torque (N, 3) on the guardrail about O0, Nm."""
+        moment = np.tensordot(self.mass, self.centre.transpose(1, 2, 0), axes=1)
+        return np.asarray((pin.skew(self.gravity).T @ moment).T)
+
+    @cached_property
+    def guardrail_torque_derivative(self) -> FloatArray:
+        """Derivatives (N, 3, n) of `guardrail_torque` with respect to the joints, Nm/rad."""
+        moved = np.cross(self.axis, self._carried_moment.transpose(2, 0, 1))
+        return np.asarray(np.cross(moved, self.gravity).transpose(0, 2, 1))
+
+    @cached_property
+    def joint_torque(self) -> FloatArray:
+        """Static joint torques (N, n), Nm (Chang 2021, Eq. (13))."""
+        about = pin.skew(self.gravity) @ self._carried_moment
+        return np.asarray((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
+
+    @cached_property
+    def _carried_moment(self) -> FloatArray:
+        """First moment (n, 3, N), kg m, about each joint's origin of all mass from that joint to the tool."""
+        moment = self.mass[:, None, None] * self.centre.transpose(1, 2, 0)
+        for i in reversed(range(len(moment) - 1)):
+            moment[i] += moment[i + 1]
+        carried = np.cumsum(self.mass[::-1])[::-1]
+        moment -= carried[:, None, None] * self.origin.transpose(1, 2, 0)
+        return np.asarray(moment)
+
+
+class Postures:
+    """Evaluates batches of postures of one robot.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its arm is a serial chain of revolute joints, as `load_robot` guarantees.
+
+    Attributes
+    ----------
+    bend : float, m or rad
+        Bound of the error of a linear prediction: when the joints move by x rad in total, the tool is at most
+        this times the square of x from where its Jacobian predicts it.
+    """
+
+    def __init__(self, robot: Robot) -> None:
+        X_JT = robot.model.frames[robot.tool_frame_id].placement
+        self._model = robot.model
+        self._tool = np.column_stack([X_JT.rotation, X_JT.translation]).T
+        bodies = list(robot.model.inertias)[1:]
+        self._levers = np.array([body.lever for body in bodies])
+        self._mass = np.array([body.mass for body in bodies])
+        self._gravity = np.array(robot.model.gravity.linear)
+        self.bend = 0.5 * max(robot.reach, _ROTATION_BEND)
+
+    @cached_property
+    def _chain(self) -> Chain:
+        return Chain(self._model, [*self._levers[:-1, None], np.vstack([self._tool, self._levers[-1:]])])
+
+    @cached_property
+    def _tool_only(self) -> Chain:
+        return Chain(self._model, [*(np.empty((0, 3)) for _ in self._levers[1:]), self._tool])
+
+    def at(self, q: FloatArray) -> PostureBatch:
+        """Evaluate postures `q` (N, n), rad."""
+        centre = np.empty((q.shape[1], 3, len(q)))
+        tool = self._evaluate(self._chain, q, centre)
+        centre = centre.transpose(2, 0, 1)
+        return PostureBatch(**tool, centre=centre, mass=self._mass, gravity=self._gravity)
+
+    def tool_at(self, q: FloatArray) -> ToolBatch:
+        """Evaluate the tool alone in postures `q` (N, n), rad, which is quicker."""
+        return ToolBatch(**self._evaluate(self._tool_only, q))
+
+    @staticmethod
+    def _evaluate(chain: Chain, q: FloatArray, centre: FloatArray | None = None) -> dict[str, FloatArray]:
+        """The fields of a `ToolBatch`; the centres of mass (n, 3, N) are written to `centre`."""
+        N, n = q.shape
+        tool, axis, origin = np.empty((4, 3, N)), np.empty((n, 3, N)), np.empty((n, 3, N))
+        for start in range(0, N, _BLOCK):
+            block = slice(start, start + _BLOCK)
+            for i, (p, along, turned) in enumerate(chain.walk(q[block].T)):
+                axis[i, :, block], origin[i, :, block] = along, p
+                if centre is not None:
+                    np.add(p, turned[-1], out=centre[i, :, block])
+            tool[..., block] = turned[:4]
+            tool[3, :, block] += p
+        return {
+            "q": q,
+            "tool_point": tool[3].T,
+            "tool_rotation": tool[:3].transpose(2, 1, 0),
+            "axis": axis.transpose(2, 0, 1),
+            "origin": origin.transpose(2, 0, 1),
+        }
 
 
 class Kinematics:
@@ -47,13 +275,9 @@ class Kinematics:
         if len(q) >= _MANY:
             at = self._postures.tool_at(q)
             return at.tool_point, at.tool_rotation
-        p, R = np.empty((len(q), 3)), np.empty((len(q), 3, 3))
-        model, data = self.robot.model, self._data
-        for k, q_k in enumerate(q):
-            pin.forwardKinematics(model, data, q_k)
-            X_WT = pin.updateFramePlacement(model, data, self._tool)
-            p[k], R[k] = X_WT.translation, X_WT.rotation
-        return p, R
+        poses = [self.tool_pose(q_k) for q_k in q]
+        p, R = [X_WT.translation for X_WT in poses], [X_WT.rotation for X_WT in poses]
+        return np.array(p).reshape(-1, 3), np.array(R).reshape(-1, 3, 3)
 
     def tool_jacobian(self, q: FloatArray) -> tuple[Any, FloatArray]:
         """Pose X_WT and Jacobian (6, n) of the tool at `q` (n,).

@@ -73,24 +73,12 @@ class _JointLimitsFile(FileModel):
 
 
 def read_joint_limits(path: Path) -> dict[str, _JointEntry]:
-    """Read a joint-limits file.
-
-    Raises
-    ------
-    ModelError
-        When the file cannot be read.
-    """
+    """Read the entries of a joint-limits file by the names of the joints."""
     return validated(_JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError).joints
 
 
 def joint_limits(model: Any, urdf: Path, path: Path) -> JointLimits:
-    """Join the limits in the model of an arm, from `urdf`, and those in the joint-limits file `path`.
-
-    Raises
-    ------
-    ModelError
-        When the file cannot be read or misses a joint, or the URDF has no velocity or torque limit for one.
-    """
+    """Join the limits in the model of an arm, from `urdf`, and those in the joint-limits file `path`."""
     listed, names = read_joint_limits(path), list(model.names)[1:]
     missing = [name for name in names if name not in listed]
     if missing:

@@ -6,7 +6,6 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -15,12 +14,11 @@ from numpy.typing import ArrayLike
 from cmbot.common.errors import ModelError
 from cmbot.common.installation import model_folder
 from cmbot.common.validation import given_path, hint
-from cmbot.robot.arm_model import arm_model
+from cmbot.robot.arm_model import arm_model, attach_payload, set_tool_length
 from cmbot.robot.elasticity import read_elasticity
 from cmbot.robot.inspection import inspect_urdf, parse_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
-from cmbot.robot.tool import attach_payload, set_tool_length
 
 __all__ = ["load_robot"]
 
@@ -76,16 +74,20 @@ def load_robot(
     if base_frame is None or tool_frame is None:
         expected = f"the links that bound the arm{hint(urdf.name, ('cmbot',))}"
         raise ModelError(str(urdf), "base_frame, tool_frame", "none", expected)
-    srdf_file = _given_or_existing("srdf", srdf, urdf.with_suffix(".srdf"))
+    srdf_file = _given("srdf", srdf) or _existing(urdf.with_suffix(".srdf"))
     limits_file = _given("limits", limits) or urdf.with_name("joint_limits.yaml")
-    elasticity_file = _given_or_existing("elasticity", elasticity, urdf.with_suffix(".elasticity.yaml"))
-    root = _inspected(urdf)
+    elasticity_file = _given("elasticity", elasticity) or _existing(urdf.with_suffix(".elasticity.yaml"))
+    root = parse_urdf(urdf)
+    for finding in inspect_urdf(root):
+        if finding.severity == "error":
+            raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
     arm, collision, visual = arm_model(urdf, root, srdf_file, base_frame, tool_frame)
     if mount is not None:
         _move_root(arm, (collision, visual), base_frame, mount)
     if tool_length is not None:
         set_tool_length(arm, (collision, visual), tool_frame, tool_length, source=str(urdf))
     attach_payload(arm, tool_frame, payload)
+    files = (urdf, srdf_file, limits_file, elasticity_file)
     return Robot(
         name=root.get("name", urdf.stem),
         urdf=urdf.resolve(),
@@ -94,11 +96,11 @@ def load_robot(
         collision_model=collision,
         visual_model=visual,
         limits=joint_limits(arm, urdf, limits_file),
-        elasticity=() if elasticity_file is None else read_elasticity(elasticity_file, arm),
+        elasticity={} if elasticity_file is None else read_elasticity(elasticity_file, arm),
         base_frame=base_frame,
         tool_frame=tool_frame,
         payload=payload,
-        content_hash=_content_hash(urdf, srdf_file, limits_file, elasticity_file),
+        content_hash=hashlib.sha256(b"\0".join(file.read_bytes() for file in files if file)).hexdigest(),
     )
 
 
@@ -106,21 +108,8 @@ def _given(key: str, path: str | Path | None) -> Path | None:
     return None if path is None else given_path(path, "load_robot", key, "the path of a file")
 
 
-def _given_or_existing(key: str, path: str | Path | None, default: Path) -> Path | None:
-    return _given(key, path) or (default if default.exists() else None)
-
-
-def _content_hash(*files: Path | None) -> str:
-    return hashlib.sha256(b"\0".join(file.read_bytes() for file in files if file is not None)).hexdigest()
-
-
-def _inspected(urdf: Path) -> ElementTree.Element:
-    """Parse a URDF; the first error in it is raised."""
-    root = parse_urdf(urdf)
-    for finding in inspect_urdf(root):
-        if finding.severity == "error":
-            raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
-    return root
+def _existing(path: Path) -> Path | None:
+    return path if path.exists() else None
 
 
 def _move_root(model: Any, shapes: Sequence[Any], base_frame: str, mount: ArrayLike) -> None:
@@ -144,12 +133,11 @@ def _pose(mount: ArrayLike) -> Any:
         X = np.array(mount, dtype=float)
     except (TypeError, ValueError) as error:
         raise ModelError("load_robot", "mount", repr(mount), expected) from error
-    if X.shape != (4, 4) or not np.isfinite(X).all() or (X[3] != [0, 0, 0, 1]).any():
-        raise ModelError("load_robot", "mount", X.tolist(), expected)
-    R = X[:3, :3]
-    if np.abs(R @ R.T - np.eye(3)).max() > 1e-9 or np.linalg.det(R) < 0:
-        raise ModelError("load_robot", "mount", X.tolist(), expected)
-    return pin.SE3(X)
+    if X.shape == (4, 4) and np.isfinite(X).all() and (X[3] == [0, 0, 0, 1]).all():
+        R = X[:3, :3]
+        if np.abs(R @ R.T - np.eye(3)).max() <= 1e-9 and np.linalg.det(R) > 0:
+            return pin.SE3(X)
+    raise ModelError("load_robot", "mount", X.tolist(), expected)
 
 
 def _on_free_flyer(model: Any) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,8 +41,8 @@ class Robot:
     visual_model : pinocchio.GeometryModel
     limits : JointLimits
         Of the n joints of the arm.
-    elasticity : tuple of LinkTube
-        The links of the arm that bend, base to tool; in `model` they are rigid. Empty: all are rigid.
+    elasticity : mapping of str to LinkTube
+        By link, base to tool: those of the arm that bend; in `model` they are rigid. Empty: all are.
     base_frame, tool_frame : str
         Names of the arm's first and last frame; the tool point is the origin of `tool_frame`, the tool's
         axis its z axis.
@@ -58,7 +59,7 @@ class Robot:
     collision_model: Any
     visual_model: Any
     limits: JointLimits
-    elasticity: tuple[LinkTube, ...]
+    elasticity: Mapping[str, LinkTube]
     base_frame: str
     tool_frame: str
     payload: float

@@ -85,8 +85,8 @@ def test_any_arm_bends_as_a_chain_of_beams(tmp_path: Path, rng: np.random.Genera
     # A load at the tool (rows: force, moment) as the load at another point.
     expected = _moved(tool).T @ np.linalg.inv(base.stiffness) @ _moved(tool)
     points, weights = np.polynomial.legendre.leggauss(3)
-    for tube in robot.elasticity:
-        X = data.oMf[robot.model.getFrameId(tube.link)]
+    for link, tube in robot.elasticity.items():
+        X = data.oMf[robot.model.getFrameId(link)]
         start, end = X.act(np.array(tube.start)), X.act(np.array(tube.end))
         u = (end - start) / tube.length
         EI, GJ = tube.young * tube.second_moment, 2 * tube.shear * tube.second_moment

@@ -32,7 +32,8 @@ class Twin:
                 for axis in AXES:
                     body.add_joint(type=kind, axis=axis)
         X = pin.SE3.Identity()  # from the last body to the link it stands for
-        tubes = {robot.model.frames[robot.model.getFrameId(t.link)].parentJoint: t for t in robot.elasticity}
+        frames, links = robot.model.frames, robot.elasticity
+        tubes = {frames[robot.model.getFrameId(link)].parentJoint: tube for link, tube in links.items()}
         for i in range(1, robot.model.njoints):
             pieces, frames = _pieces(arm, i, tubes.get(i))
             body = self._body(body, X * robot.model.jointPlacements[i], pieces[0])

@@ -19,7 +19,7 @@ from scipy import linalg, sparse
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.errors import InputError
-from cmbot.elastic import AngleSection
+from cmbot.elastic import AngleSection, GuardrailMaterial
 from cmbot.elastic.beam import SectionConstants, section_constants
 from cmbot.elastic.frame import Frame, Member, natural_frequencies
 
@@ -31,9 +31,15 @@ ANGLE = section_constants(AngleSection(leg=0.075, thickness=0.008))
 PLATE = SectionConstants(area=3e-3, major=4e-6, minor=1e-6, torsion=2e-7, tilt=0.3)
 
 
-def member(start: int, end: int, section: SectionConstants = PLATE, **changes: Any) -> Member:
-    values = {"first_axis": (0.0, 1.0, 0.0), **STEEL, **changes}
-    return Member(start=start, end=end, section=section, **values)
+def member(
+    start: int,
+    end: int,
+    section: SectionConstants = PLATE,
+    first_axis: tuple[float, float, float] = (0.0, 1.0, 0.0),
+    **changes: float,
+) -> Member:
+    material = GuardrailMaterial(**{**STEEL, **changes})
+    return Member(start=start, end=end, section=section, first_axis=first_axis, material=material)
 
 
 def chain(points: Sequence[Sequence[float]], section: SectionConstants = PLATE, **changes: Any) -> Frame:
@@ -358,7 +364,7 @@ def test_a_member_has_a_length() -> None:
     ],
 )
 def test_constants_of_members_are_positive(changes: dict[str, Any]) -> None:
-    refused("members[0]", members=(replace(member(0, 1), **changes), member(1, 2)))
+    refused("members[0]", members=(member(0, 1, **changes), member(1, 2)))
 
 
 @pytest.mark.parametrize("changes", [{"fixed": ()}, {"members": (member(0, 1),)}, {"members": ()}])

@@ -80,7 +80,7 @@ def test_a_cantilever_under_its_own_weight(tmp_path: Path) -> None:
 def test_rigid_links_on_an_elastic_base(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     """With rigid links and a stiff hold: weight and its torque about O0 on the hold's compliance."""
     base, factor = random_base(rng), 1e4
-    arm = make_arm(replace(cmbot_robot, elasticity=()), base, guardrail_factor=factor)
+    arm = make_arm(replace(cmbot_robot, elasticity={}), base, guardrail_factor=factor)
     q = rng.uniform(-2, 2, (5, 7))
     states = Sag(arm).at(q)
     kinematics = Kinematics(cmbot_robot)
@@ -173,7 +173,7 @@ def test_states_are_independent(shipped_arm: ElasticArm, rng: np.random.Generato
 def test_a_rigid_arm_does_not_sag(cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, (2, 7))
     for robot in (cmbot_robot, cantilever(tmp_path, length=1.0, mass=1.0)):
-        states = Sag(make_arm(replace(robot, elasticity=()))).at(q[:, : robot.dof])
+        states = Sag(make_arm(replace(robot, elasticity={}))).at(q[:, : robot.dof])
         assert states.u.shape == (2, 0)
         assert states.d_tool.shape == (2, 3, robot.dof)
         for array in (states.tool, states.rotation, states.d_tool):

@@ -256,7 +256,7 @@ def test_an_arm_too_soft_to_carry_itself_is_refused(short_plan: Plan) -> None:
 
 
 def test_where_nothing_bends_there_is_nothing_to_simulate(short_plan: Plan) -> None:
-    rigid = replace(short_plan.robot, elasticity=())
+    rigid = replace(short_plan.robot, elasticity={})
     scene = short_scene(guardrail={"bays": 0})
     with pytest.raises(InputError, match="guardrail: got nothing that bends"):
         simulate(replace(short_plan, robot=rigid, scene=scene))

@@ -128,7 +128,7 @@ def test_without_compensation_nothing_is_expected() -> None:
 def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
     """A rigid hold and an arm without link tubes."""
     scene = short_scene(guardrail={"bays": 0}, planner=options)
-    robot = replace(robot_of(scene), elasticity=())
+    robot = replace(robot_of(scene), elasticity={})
     with pytest.raises(SceneError, match=r"something that bends: guardrail\.bays"):
         sag_of(scene, bending_arm(scene, robot), scene.planner)
 
