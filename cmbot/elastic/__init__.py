@@ -4,8 +4,6 @@ The arm's elasticity needs the robot, and pinocchio with it: it is imported from
 `cmbot.elastic.arm`, `cmbot.elastic.sag` and `cmbot.elastic.modes`, so that a scene is read without them.
 """
 
-from __future__ import annotations
-
 from cmbot.elastic.base import ElasticBase, elastic_base
 from cmbot.elastic.guardrail import (
     AngleSection,

@@ -154,9 +154,8 @@ def _levels(guardrail: Guardrail, *, held: bool) -> tuple[float, ...]:
     low, high = post.clamp, post.top
     for index, rail in enumerate(rails):
         if not low - _SAME_PLACE <= rail.height <= high + _SAME_PLACE:
-            raise _refusal(
-                f"rails[{index}].height", rail.height, f"a height from {low} to {high}, on the posts"
-            )
+            expected = f"a height from {low} to {high}, on the posts"
+            raise _refusal(f"rails[{index}].height", rail.height, expected)
     if not low + _SAME_PLACE < 0 <= high + _SAME_PLACE:
         raise _refusal("post", f"{low} to {high}", "posts that pass height 0, where the foot holds")
     if not held and all(abs(rail.height) > _SAME_PLACE for rail in rails):

@@ -18,7 +18,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.guardrail import AngleSection, Section
 
-__all__ = ["SectionConstants", "beam_matrices", "section_constants"]
+__all__ = ["SectionConstants", "beam_mass", "beam_stiffness", "section_constants"]
 
 # The coordinates of stretching, torsion, bending in the plane xy and bending in the plane xz.
 _COORDINATES = (np.array([0, 6]), np.array([3, 9]), np.array([1, 5, 7, 11]), np.array([2, 4, 8, 10]))
@@ -90,36 +90,31 @@ def _angle(a: float, t: float) -> SectionConstants:
     )
 
 
-def beam_matrices(
-    *,
-    rotation: FloatArray,
-    length: FloatArray,
-    stretch: FloatArray,
-    bend_y: FloatArray,
-    bend_z: FloatArray,
-    twist: FloatArray,
-    line_mass: FloatArray,
-    line_inertia: FloatArray,
-) -> tuple[FloatArray, FloatArray]:
-    """Stiffness and consistent mass matrices of m beams in W, (m, 12, 12), SI; exact for loads at the ends.
+def beam_stiffness(
+    R: FloatArray, L: FloatArray, axial: FloatArray, twist: FloatArray, bend_y: FloatArray, bend_z: FloatArray
+) -> FloatArray:
+    """Stiffness matrices of m beams in W, (m, 12, 12), N/m, N, Nm; exact for loads at the ends.
 
-    The columns of `rotation` (m, 3, 3) are a beam's own axes. All else is (m,): length, m; E A, N; E I about
-    the beam's y and z axis and G J, N m2; mass, kg/m, and inertia about the beam's x axis, kg m, per metre.
+    The columns of `R` (m, 3, 3) are a beam's own axes, `L` (m,), m, is its length. The rigidities (m,) are
+    E A, N, then G J and E I about the beam's y and z axis, N m2.
     """
-    L, mass, inertia = length, line_mass * length, line_inertia * length
-    factors = (stretch / L, twist / L, bend_z / L**3, bend_y / L**3)
-    stiffness = _assembled(rotation, length, factors, _ROD_STIFFNESS, _BEND_STIFFNESS)
-    return stiffness, _assembled(rotation, length, (mass, inertia, mass, mass), _ROD_MASS, _BEND_MASS)
+    factors = (axial / L, twist / L, bend_z / L**3, bend_y / L**3)
+    return _assembled(R, L, factors, _ROD_STIFFNESS, _BEND_STIFFNESS)
+
+
+def beam_mass(R: FloatArray, L: FloatArray, mass: FloatArray, inertia: FloatArray) -> FloatArray:
+    """Consistent mass matrices (m, 12, 12) in W, from masses, kg, and inertias about the beams' x, kg m2."""
+    return _assembled(R, L, (mass, inertia, mass, mass), _ROD_MASS, _BEND_MASS)
 
 
 def _assembled(
-    R: FloatArray, length: FloatArray, factors: Sequence[FloatArray], rod: FloatArray, bending: FloatArray
+    R: FloatArray, L: FloatArray, factors: Sequence[FloatArray], rod: FloatArray, bending: FloatArray
 ) -> FloatArray:
     """Matrices in W from the factors (m,) of the four uncoupled deformations and their unit matrices."""
-    scale = np.ones((len(length), 4))
-    scale[:, 1::2] = length[:, None]
+    scale = np.ones((len(L), 4))
+    scale[:, 1::2] = L[:, None]
     xy, xz = (s[:, :, None] * bending * s[:, None, :] for s in (scale, scale * _SIGNS_XZ))
-    local = np.zeros((len(length), 12, 12))
+    local = np.zeros((len(L), 12, 12))
     for index, factor, matrix in zip(_COORDINATES, factors, (rod, rod, xy, xz), strict=True):
         local[:, index[:, None], index] = factor[:, None, None] * matrix
     blocks = local.reshape(-1, 4, 3, 4, 3)

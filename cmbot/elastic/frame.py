@@ -14,7 +14,7 @@ from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.elastic.beam import SectionConstants, beam_matrices
+from cmbot.elastic.beam import SectionConstants, beam_mass, beam_stiffness
 from cmbot.elastic.guardrail import GuardrailMaterial
 
 __all__ = ["Condensed", "Frame", "Member", "natural_frequencies"]
@@ -160,22 +160,15 @@ class Frame:
         second = np.cross(x, first)
         tilt = np.array([member.section.tilt for member in self.members])[:, None]
         y = np.cos(tilt) * first + np.sin(tilt) * second
-        materials = [(m.young, m.shear, m.density) for m in (member.material for member in self.members)]
-        young, shear, density = np.array(materials).reshape(-1, 3).T
-        sections = [
-            (s.area, s.major, s.minor, s.torsion) for s in (member.section for member in self.members)
-        ]
-        area, major, minor, torsion = np.array(sections).reshape(-1, 4).T
-        return beam_matrices(
-            rotation=np.stack([x, y, np.cross(x, y)], axis=-1),
-            length=length,
-            stretch=young * area,
-            bend_y=young * major,
-            bend_z=young * minor,
-            twist=shear * torsion,
-            line_mass=density * area,
-            line_inertia=density * (major + minor),
-        )
+        materials, sections = [m.material for m in self.members], [m.section for m in self.members]
+        moduli = [(m.young, m.shear, m.density) for m in materials]
+        young, shear, density = np.array(moduli).reshape(-1, 3).T
+        constants = [(s.area, s.major, s.minor, s.torsion) for s in sections]
+        area, major, minor, torsion = np.array(constants).reshape(-1, 4).T
+        R = np.stack([x, y, np.cross(x, y)], axis=-1)
+        mass, inertia = density * area * length, density * (major + minor) * length
+        stiffness = beam_stiffness(R, length, young * area, shear * torsion, young * major, young * minor)
+        return stiffness, beam_mass(R, length, mass, inertia)
 
     def _assembled(self, matrices: FloatArray) -> sparse.csc_array:
         """Sum of beams' matrices (m, 12, 12) over the free coordinates."""

@@ -32,10 +32,9 @@ class Twin:
                 for axis in AXES:
                     body.add_joint(type=kind, axis=axis)
         X = pin.SE3.Identity()  # from the last body to the link it stands for
-        frames, links = robot.model.frames, robot.elasticity
-        tubes = {frames[robot.model.getFrameId(link)].parentJoint: tube for link, tube in links.items()}
+        links = {robot.model.frames[robot.model.getFrameId(k)].parentJoint: k for k in robot.elasticity}
         for i in range(1, robot.model.njoints):
-            pieces, frames = _pieces(arm, i, tubes.get(i))
+            pieces, frames = _pieces(arm, i, links.get(i))
             body = self._body(body, X * robot.model.jointPlacements[i], pieces[0])
             body.add_joint(type=HINGE, axis=_axis(robot, i))
             X = pin.SE3.Identity()
@@ -91,15 +90,15 @@ def _axis(robot: Robot, joint: int) -> FloatArray:
     return np.asarray(pin.log3(robot.model.jointPlacements[joint].rotation.T @ turned) / 0.5)
 
 
-def _pieces(arm: ElasticArm, joint: int, tube: Any) -> tuple[list[Any], list[Any]]:
+def _pieces(arm: ElasticArm, joint: int, link: str | None) -> tuple[list[Any], list[Any]]:
     model, n = arm.robot.model, arm.options.segments
-    if tube is None:
+    if link is None:
         return [model.inertias[joint]], []
-    X = model.frames[model.getFrameId(tube.link)].placement
+    tube, X = arm.robot.elasticity[link], model.frames[model.getFrameId(link)].placement
     start, end = X.act(np.array(tube.start)), X.act(np.array(tube.end))
     cuts = (np.arange(n) + 0.5) / n
     # Which two axes across the tube are meant is the arm's choice.
-    R = _tube_axes(arm, tube.link, joint)
+    R = _tube_axes(arm, link, joint)
     assert_allclose(R[:, 0], (end - start) / tube.length, atol=1e-12)
     frames = [pin.SE3(R, start + cut * (end - start)) for cut in cuts]
     return cut_inertia(model.inertias[joint], start, end, cuts), frames
