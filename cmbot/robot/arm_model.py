@@ -163,12 +163,10 @@ def _enable_pairs(model: Any, collision: Any, source: str, semantics: ElementTre
         pin.removeCollisionPairsFromXML(model, collision, text)
         return
     # Copied first: pinocchio returns references into the list that is changed here.
-    pairs = [(pair.first, pair.second) for pair in collision.collisionPairs]
-    collision.removeAllCollisionPairs()
-    for first, second in pairs:
+    for first, second in [(pair.first, pair.second) for pair in collision.collisionPairs]:
         joints = [collision.geometryObjects[i].parentJoint for i in (first, second)]
-        if model.parents[max(joints)] != min(joints):
-            collision.addCollisionPair(pin.CollisionPair(first, second))
+        if model.parents[max(joints)] == min(joints):
+            collision.removeCollisionPair(pin.CollisionPair(first, second))
 
 
 def set_tool_length(
@@ -186,9 +184,8 @@ def set_tool_length(
     if not (isinstance(length, int | float | np.number) and math.isfinite(length) and length > 0):
         raise ModelError(source, "tool_length", length, "a positive length in m")
     if old <= 0 or np.abs(X_FT.translation[:2]).max() > 1e-9:
-        raise ModelError(
-            source, "tool_length", length, f"{tool_frame!r} to lie on its flange's z axis, or no tool length"
-        )
+        expected = f"{tool_frame!r} to lie on its flange's z axis, or no tool length"
+        raise ModelError(source, "tool_length", length, expected)
     ratio = length / old
     X_FT.translation = np.array([0.0, 0.0, length])
     frame.placement = flange.placement * X_FT
@@ -203,9 +200,8 @@ def attach_payload(model: Any, tool_frame: str, mass: float) -> None:
         raise ModelError("load_robot", "payload", mass, "a mass in kg that is not negative")
     if mass > 0:
         frame = model.frames[model.getFrameId(tool_frame)]
-        model.appendBodyToJoint(
-            frame.parentJoint, pin.Inertia(mass, np.zeros(3), np.zeros((3, 3))), frame.placement
-        )
+        point_mass = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))
+        model.appendBodyToJoint(frame.parentJoint, point_mass, frame.placement)
 
 
 def _flange(model: Any, frame: Any) -> Any:
