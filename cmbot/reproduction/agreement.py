@@ -31,18 +31,18 @@ def findings(experiment: Experiment) -> Iterator[Finding]:
     """Compare our planned run with the paper, one result after the other."""
     paper, run = experiment.paper, experiment.planned
     left, right = axes(run.equilibrium.baseline), axes(run.equilibrium.planned)
-    before = (paper.without.mean, paper.without.standard_deviation)
-    after = (paper.planned.mean, paper.planned.standard_deviation)
-    for k, name in enumerate(("absolute mean", "standard deviation")):
-        yield from _reductions(name, reduction(left[k], right[k]), reduction(before[k], after[k]))
-        yield _size(name, left[k], before[k])
-    same = np.sign(left[0]) == np.sign(before[0])
+    for name, key in (("absolute mean", "mean"), ("standard deviation", "standard_deviation")):
+        errors = (left, right, paper.without, paper.planned)
+        without, planned, their_without, their_planned = (getattr(each, key) for each in errors)
+        yield from _reductions(name, reduction(without, planned), reduction(their_without, their_planned))
+        yield _size(name, without, their_without)
+    same = np.sign(left.mean) == np.sign(paper.without.mean)
     yield Finding(
         agrees=bool(same.all()),
         text=f"The mean without optimisation has the paper's sign along {_which(same)}; the paper does not "
         "give the directions of its axes.",
     )
-    here, there = (_which(deviation > np.abs(mean)) for mean, deviation in (left, before))
+    here, there = (_which(each.standard_deviation > np.abs(each.mean)) for each in (left, paper.without))
     yield Finding(
         agrees=here == there,
         text=f"Without optimisation the standard deviation exceeds the absolute mean along {here} here, "
@@ -107,7 +107,7 @@ def _release(experiment: Experiment) -> str:
     run, paper = experiment.planned, experiment.paper
     theirs = np.array([paper.without.standard_deviation, paper.planned.standard_deviation])
     before, after = (
-        np.array([axes(tracking.baseline)[1], axes(tracking.planned)[1]])
+        np.array([axes(motion).standard_deviation for motion in (tracking.baseline, tracking.planned)])
         for tracking in (run.equilibrium, run.undeformed)
     )
     nearer = np.linalg.norm(after - theirs) < np.linalg.norm(before - theirs)
@@ -123,7 +123,8 @@ def _release(experiment: Experiment) -> str:
 
 def _knots(run: Run, fixed: Run) -> str:
     sliding_cut, fixed_cut = (
-        reduction(axes(r.equilibrium.baseline)[0], axes(r.equilibrium.planned)[0]) for r in (run, fixed)
+        reduction(axes(each.equilibrium.baseline).mean, axes(each.equilibrium.planned).mean)
+        for each in (run, fixed)
     )
     moved = float(np.rad2deg(fixed.plan.start.moved))
     start = f", from another start ({moved:.1f} deg away)," if moved else ""

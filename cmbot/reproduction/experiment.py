@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PlanningError
 from cmbot.planning import Plan, Progress, plan
-from cmbot.reproduction.paper import PAPER, PaperExperiment
+from cmbot.reproduction.paper import PAPER, AxisErrors, PaperExperiment
 from cmbot.scene import PlannerOptions, Scene, load_scene
 from cmbot.simulation import MotionTracking, SimulationOptions, Tracking, simulate
 
@@ -58,32 +59,15 @@ class Variant:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Experiment:
-    """One experiment: the paper's figures and ours.
-
-    Attributes
-    ----------
-    paper : PaperExperiment
-    planned : Run
-        As the shipped scene has it: via-points that slide along the self-motion.
-    fixed : Run or None
-        With fixed via-points, the paper's Eq. (30); None where there is no such plan.
-    why_not : str
-        Why there is none.
-    compensated : Variant
-        With the predicted sag compensated, simulated with several stiffnesses.
-    unsuppressed : Variant
-        Without vibration suppression.
-    least_sag : Variant or None
-        With the sag as the objective in place of the torque; None where it was left out.
-    """
+    """One experiment: the paper's figures and ours."""
 
     paper: PaperExperiment
-    planned: Run
-    fixed: Run | None
-    why_not: str
-    compensated: Variant
-    unsuppressed: Variant
-    least_sag: Variant | None
+    planned: Run  # as the shipped scene has it: via-points that slide along the self-motion
+    fixed: Run | None  # with fixed via-points, the paper's Eq. (30); None where there is no such plan
+    why_not: str  # why there is none
+    compensated: Variant  # with the predicted sag compensated, simulated with several stiffnesses
+    unsuppressed: Variant  # without vibration suppression
+    least_sag: Variant | None  # the sag as the objective in place of the torque; None where left out
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -130,33 +114,30 @@ def reproduce(
     stiffnesses = tuple(replace(options, guardrail_factor=x, link_factor=x) for x in factors)
     # Plans and simulations: sliding, fixed, compensated, unsuppressed, of least sag.
     total = len(PAPER) * (3 + 3 + (1 + len(stiffnesses)) + 2 + 2 * least_sag)
-    bench = _Bench(on_step or (lambda *_: None), progress, total)
+    bench = _Bench(on_step=on_step or (lambda *_: None), progress=progress, total=total)
     experiments = []
     for paper in PAPER:
         scene = load_scene(paper.scene)
-        default = scene.planner
-        planned, trackings = bench.run("sliding via-points", scene, default, starts)
-        fixed = bench.variant("fixed via-points", scene, replace(default, knots="fixed"), starts)
+        sliding = bench.run(scene, "sliding via-points", starts, scene.planner)
+        variant = partial(bench.variant, scene)
+        fixed = variant("fixed via-points", starts, knots="fixed")
         experiments.append(
             Experiment(
                 paper=paper,
-                planned=Run(plan=planned, equilibrium=trackings[0], undeformed=trackings[1]),
-                fixed=None
-                if fixed.plan is None
-                else Run(plan=fixed.plan, equilibrium=fixed.trackings[0], undeformed=fixed.trackings[1]),
+                planned=_released(*sliding),
+                fixed=None if fixed.plan is None else _released(fixed.plan, fixed.trackings),
                 why_not=fixed.why_not,
-                compensated=bench.variant(
-                    "sag compensation", scene, replace(default, compensate=True), stiffnesses
-                ),
-                unsuppressed=bench.variant(
-                    "no vibration suppression", scene, replace(default, quiet_modes=0), (options,)
-                ),
-                least_sag=bench.variant("least sag", scene, replace(default, objective="sag"), (options,))
-                if least_sag
-                else None,
+                compensated=variant("sag compensation", stiffnesses, compensate=True),
+                unsuppressed=variant("no vibration suppression", (options,), quiet_modes=0),
+                least_sag=variant("least sag", (options,), objective="sag") if least_sag else None,
             )
         )
     return Reproduction(experiments=tuple(experiments), options=options)
+
+
+def _released(planned: Plan, trackings: tuple[Tracking, ...]) -> Run:
+    equilibrium, undeformed = trackings
+    return Run(plan=planned, equilibrium=equilibrium, undeformed=undeformed)
 
 
 def reduction(without: FloatArray, planned: FloatArray) -> FloatArray:
@@ -164,31 +145,29 @@ def reduction(without: FloatArray, planned: FloatArray) -> FloatArray:
     return np.asarray(100 * (1 - np.abs(planned) / np.abs(without)))
 
 
-def axes(motion: MotionTracking) -> tuple[FloatArray, FloatArray]:
-    """Return mean and standard deviation of a motion's error along x, y and z, both (3,), m."""
+def axes(motion: MotionTracking) -> AxisErrors:
+    """Return mean and standard deviation of a motion's error."""
     total = motion.metrics.total
-    return total.mean[:3], total.standard_deviation[:3]
+    return AxisErrors(mean=total.mean[:3], standard_deviation=total.standard_deviation[:3])
 
 
+@dataclass(kw_only=True)
 class _Bench:
     """Plans and simulates scenes, and reports the share of all steps, `total` plans and simulations."""
 
-    def __init__(
-        self,
-        on_step: Callable[[str, str, float], None],
-        progress: Callable[[str, Progress], None] | None,
-        total: int,
-    ) -> None:
-        self._on_step, self._progress, self._total, self._done = on_step, progress, total, 0
+    on_step: Callable[[str, str, float], None]
+    progress: Callable[[str, Progress], None] | None
+    total: int
+    done: int = 0
 
     def run(
-        self, about: str, scene: Scene, planner: PlannerOptions, simulated: tuple[SimulationOptions, ...]
+        self, scene: Scene, about: str, simulated: tuple[SimulationOptions, ...], planner: PlannerOptions
     ) -> tuple[Plan, tuple[Tracking, ...]]:
         """Plan, then simulate with each of the options; all these steps count as done even after an error."""
-        first = self._done
-        self._done += 1 + len(simulated)
-        self._on_step(scene.name, about, first / self._total)
-        progress = None if self._progress is None else partial(self._progress, scene.name)
+        first = self.done
+        self.done += 1 + len(simulated)
+        self.on_step(scene.name, about, first / self.total)
+        progress = None if self.progress is None else partial(self.progress, scene.name)
         planned = plan(scene, options=planner, progress=progress)
         trackings = []
         for number, options in enumerate(simulated, start=first + 1):
@@ -196,18 +175,18 @@ class _Bench:
             what = f"{about}: simulating, stiffness times {options.link_factor:g}{released}"
 
             def share(done: float, before: int = number, what: str = what) -> None:
-                self._on_step(scene.name, what, (before + done) / self._total)
+                self.on_step(scene.name, what, (before + done) / self.total)
 
             share(0.0)
             trackings.append(simulate(planned, options, progress=share))
         return planned, tuple(trackings)
 
     def variant(
-        self, about: str, scene: Scene, planner: PlannerOptions, simulated: tuple[SimulationOptions, ...]
+        self, scene: Scene, about: str, simulated: tuple[SimulationOptions, ...], **changes: Any
     ) -> Variant:
-        """Do the same where a plan may be impossible."""
+        """Do the same with changed planner options, where a plan may be impossible."""
         try:
-            planned, trackings = self.run(about, scene, planner, simulated)
+            planned, trackings = self.run(scene, about, simulated, replace(scene.planner, **changes))
         except PlanningError as error:
             return Variant(plan=None, trackings=(), why_not=str(error))
         return Variant(plan=planned, trackings=trackings, why_not="")

@@ -15,15 +15,18 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import assumptions_file
 from cmbot.reproduction.tables import Row
 
-__all__ = ["PAPER", "AssumptionTable", "PaperError", "PaperExperiment", "assumption_tables"]
+__all__ = ["PAPER", "AssumptionTable", "AxisErrors", "PaperExperiment", "assumption_tables"]
 
 SOURCE = "Chang et al., Electronics 2021, 10(22), 2793, Section 5"
 _LINK = re.compile(r"\[([^\]]*)\]\([^)]*\)")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class PaperError:
-    """Mean and standard deviation (3,), m, along the axes of O0, whose directions the paper does not give."""
+class AxisErrors:
+    """Mean and standard deviation (3,), m, along x, y and z.
+
+    The paper's axes are those of O0; it does not give their directions.
+    """
 
     mean: FloatArray
     standard_deviation: FloatArray
@@ -31,33 +34,20 @@ class PaperError:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PaperExperiment:
-    """One experiment of the paper.
+    """One experiment of the paper."""
 
-    Attributes
-    ----------
-    scene : str
-        Name of the shipped scene.
-    title, table : str
-    without, planned : PaperError
-        Without and with the optimisation.
-    reductions : (3,), per cent
-        Of the absolute mean, as the text gives them.
-    torque_difference : float, Nm
-        Largest difference of the torque on the guardrail, without and with.
-    """
-
-    scene: str
+    scene: str  # name of the shipped scene
     title: str
     table: str
-    without: PaperError
-    planned: PaperError
-    reductions: FloatArray
-    torque_difference: float
+    without: AxisErrors  # the optimisation
+    planned: AxisErrors
+    reductions: FloatArray  # (3,), of the absolute mean, per cent, as the text gives them
+    torque_difference: float  # largest one on the guardrail, without less with, Nm
 
 
-def _error(mean: tuple[float, float, float], deviation: tuple[float, float, float]) -> PaperError:
+def _error(mean: tuple[float, float, float], deviation: tuple[float, float, float]) -> AxisErrors:
     """From the paper's millimetres."""
-    return PaperError(mean=1e-3 * np.array(mean), standard_deviation=1e-3 * np.array(deviation))
+    return AxisErrors(mean=1e-3 * np.array(mean), standard_deviation=1e-3 * np.array(deviation))
 
 
 PAPER = (

@@ -8,12 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from cmbot.archive import add_file, json_bytes, require_free, save, save_tracking, write_file
-from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.reproduction.agreement import findings, reasons
 from cmbot.reproduction.experiment import Experiment, Reproduction, Run, axes, reduction
 from cmbot.reproduction.goals import goals
-from cmbot.reproduction.paper import PAPER, SOURCE, assumption_tables
+from cmbot.reproduction.paper import PAPER, SOURCE, AxisErrors, assumption_tables
 from cmbot.reproduction.tables import Row, cells, decimals, markdown_table
 from cmbot.simulation import MotionTracking, Tracking, tracking_remarks
 from cmbot.version import __version__
@@ -23,9 +22,6 @@ __all__ = ["FORMAT", "as_json", "comparison", "markdown", "require_room", "save_
 
 FORMAT = "cmbot-reproduction/1"
 _PAGE, _FIGURES = "reproduce.md", "reproduce.json"
-
-Pair = tuple[FloatArray, FloatArray]
-"""Mean and standard deviation along x, y and z, each (3,), m."""
 
 
 def require_room(directory: str | Path, *, force: bool = False) -> None:
@@ -102,19 +98,15 @@ def verdict_rows(reproduction: Reproduction) -> Iterator[Row]:
 def comparison(experiment: Experiment) -> Iterator[Row]:
     """Yield the comparison of one experiment: who, what, x, y, z; first the headings; mm and per cent."""
     yield "", "", "x", "y", "z"
-    run, fixed = experiment.planned, experiment.fixed
-    compared = [
-        (f"paper, {experiment.paper.table}", _of_paper(experiment)),
-        ("here", _of_run(run.equilibrium)),
-        ("here, released undeformed", _of_run(run.undeformed)),
-    ]
-    if fixed is not None:
-        compared += [
-            ("here, fixed via-points", _of_run(fixed.equilibrium)),
-            ("here, fixed via-points, released undeformed", _of_run(fixed.undeformed)),
-        ]
-    for who, motions in compared:
-        for name, without, planned in zip(("mean", "standard deviation"), *motions, strict=True):
+    paper = experiment.paper
+    compared = [(f"paper, {paper.table}", (paper.without, paper.planned))]
+    for who, run in (("here", experiment.planned), ("here, fixed via-points", experiment.fixed)):
+        if run is not None:
+            compared.append((who, _errors(run.equilibrium)))
+            compared.append((f"{who}, released undeformed", _errors(run.undeformed)))
+    for who, pair in compared:
+        for name in ("mean", "standard deviation"):
+            without, planned = (getattr(errors, name.replace(" ", "_")) for errors in pair)
             yield who, f"{name} without, mm", *decimals(1e3 * without, 2)
             yield who, f"{name} with, mm", *decimals(1e3 * planned, 2)
             yield who, f"reduction of {name}, %", *decimals(reduction(without, planned), 1)
@@ -162,12 +154,7 @@ def as_json(reproduction: Reproduction) -> dict[str, Any]:
     }
 
 
-def _of_paper(experiment: Experiment) -> tuple[Pair, Pair]:
-    left, right = experiment.paper.without, experiment.paper.planned
-    return (left.mean, left.standard_deviation), (right.mean, right.standard_deviation)
-
-
-def _of_run(tracking: Tracking) -> tuple[Pair, Pair]:
+def _errors(tracking: Tracking) -> tuple[AxisErrors, AxisErrors]:
     return axes(tracking.baseline), axes(tracking.planned)
 
 
@@ -212,13 +199,12 @@ def _torques(experiment: Experiment) -> Iterator[Row]:
 
 def _experiment_json(experiment: Experiment) -> dict[str, Any]:
     paper, fixed = experiment.paper, experiment.fixed
-    without, planned = _of_paper(experiment)
     return {
         "scene": paper.scene,
         "paper": {
             "table": paper.table,
-            "without": _vectors(without),
-            "with": _vectors(planned),
+            "without": _vectors(paper.without),
+            "with": _vectors(paper.planned),
             "printed_reductions": paper.reductions.tolist(),
             "torque_difference": paper.torque_difference,
         },
@@ -240,11 +226,11 @@ def _run_json(run: Run) -> dict[str, Any]:
 
 
 def _tracking_json(tracking: Tracking) -> dict[str, Any]:
-    mean, deviation = (reduction(*pair).tolist() for pair in zip(*_of_run(tracking), strict=True))
+    without, planned = map(vars, _errors(tracking))
     return {
         "without": _motion_json(tracking.baseline),
         "with": _motion_json(tracking.planned),
-        "reductions": {"mean": mean, "standard_deviation": deviation},
+        "reductions": {name: reduction(without[name], planned[name]).tolist() for name in without},
     }
 
 
@@ -258,5 +244,5 @@ def _motion_json(motion: MotionTracking) -> dict[str, Any]:
     }
 
 
-def _vectors(pair: Pair) -> dict[str, list[float]]:
-    return {"mean": pair[0].tolist(), "standard_deviation": pair[1].tolist()}
+def _vectors(errors: AxisErrors) -> dict[str, list[float]]:
+    return {name: values.tolist() for name, values in vars(errors).items()}

@@ -15,27 +15,13 @@ Row = tuple[str, ...]
 
 @dataclass(frozen=True, kw_only=True)
 class GoalRow:
-    """Figures of one quantity, and their goal.
+    """Figures of one quantity, and their goal."""
 
-    Attributes
-    ----------
-    setting : str
-        Which motion, in which simulation.
-    what : str
-        The quantity with its unit: per cent or mm.
-    values : tuple of float or None
-        None where nothing is judged.
-    goal : str
-        Empty in a row that only compares or explains.
-    holds : bool or None
-        None without a goal, or without a value to judge.
-    """
-
-    setting: str
-    what: str
-    values: tuple[float | None, ...]
-    goal: str = ""
-    holds: bool | None = None
+    setting: str  # which motion, in which simulation
+    what: str  # the quantity with its unit: per cent or mm
+    values: tuple[float | None, ...]  # None where nothing is judged
+    goal: str = ""  # empty in a row that only compares or explains
+    holds: bool | None = None  # None without a goal, or without a value to judge
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,25 +35,13 @@ class Verdict:
 
 @dataclass(frozen=True, kw_only=True)
 class GoalTable:
-    """The figures of one goal.
-
-    Attributes
-    ----------
-    title : str
-    columns : tuple of str
-        Names of the rows' values.
-    rows : tuple of GoalRow
-    remarks : tuple of str
-        Whether the goal holds and, where it does not, why.
-    verdicts : tuple of Verdict
-        The same in short; empty without a requirement.
-    """
+    """The figures of one goal."""
 
     title: str
-    columns: tuple[str, ...]
+    columns: tuple[str, ...]  # names of the rows' values
     rows: tuple[GoalRow, ...]
-    remarks: tuple[str, ...]
-    verdicts: tuple[Verdict, ...] = ()
+    remarks: tuple[str, ...]  # whether the goal holds and, where it does not, why
+    verdicts: tuple[Verdict, ...] = ()  # the same in short; empty without a requirement
 
 
 def cells(table: GoalTable) -> Iterator[Row]:
@@ -91,9 +65,8 @@ def markdown_table(rows: Iterable[Row], *, text_columns: int) -> Iterator[str]:
 
 
 def decimals(values: ArrayLike, digits: int) -> Row:
-    """Return numbers as text with `digits` decimals."""
-    # Adding zero turns -0.0 into 0.0.
-    return tuple(f"{round(value, digits) + 0.0:.{digits}f}" for value in np.asarray(values, float).tolist())
+    """Return numbers as text with `digits` decimals, zero without a sign."""
+    return tuple(f"{value:z.{digits}f}" for value in np.asarray(values, float).tolist())
 
 
 def numbers(*parts: ArrayLike) -> tuple[float, ...]:

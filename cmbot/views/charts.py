@@ -13,7 +13,7 @@ from cmbot.planning import Plan, Samples
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.views.page import pack
 
-__all__ = ["Chart", "Curve", "charts", "joint_charts", "thinned", "tracked_motions"]
+__all__ = ["Chart", "Curve", "charts", "joint_charts", "joint_quantities", "thinned", "tracked_motions"]
 
 MOST_POINTS = 1000
 """Of a curve in a large plot."""
@@ -83,14 +83,9 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:
     """Yield the small plots, quantity by quantity, each with one chart a joint; angles in deg."""
-    limits, deg = plan.robot.limits, float(np.rad2deg(1.0))
-    for title, name, (lower, upper), unit, factor in (
-        ("angle", "q", (limits.lower, limits.upper), "deg", deg),
-        ("velocity", "v", (-limits.velocity, limits.velocity), "deg/s", deg),
-        ("acceleration", "a", (-limits.acceleration, limits.acceleration), "deg/s²", deg),
-        ("jerk", "j", (-limits.jerk, limits.jerk), "deg/s³", deg),
-        ("torque", "joint_torque", (-limits.torque, limits.torque), "Nm", 1.0),
-    ):
+    units = ("deg", "deg/s", "deg/s²", "deg/s³", "Nm")
+    for (title, name, lower, upper), unit in zip(joint_quantities(plan), units, strict=True):
+        factor = 1.0 if unit == "Nm" else float(np.rad2deg(1.0))
         for joint in range(plan.robot.dof):
             curves = _curves(plan, _of_joint(name, joint, factor))
             low, high = factor * float(lower[joint]), factor * float(upper[joint])
@@ -109,6 +104,18 @@ def joint_charts(plan: Plan) -> Iterator[Chart]:
                 axis=axis,
                 bounds=(low, high) if finite else (None, None),
             )
+
+
+def joint_quantities(plan: Plan) -> tuple[tuple[str, str, FloatArray, FloatArray], ...]:
+    """Return each quantity of a joint: title, attribute of `Samples`, lower and upper bounds (n,), SI."""
+    limits = plan.robot.limits
+    return (
+        ("angle", "q", limits.lower, limits.upper),
+        ("velocity", "v", -limits.velocity, limits.velocity),
+        ("acceleration", "a", -limits.acceleration, limits.acceleration),
+        ("jerk", "j", -limits.jerk, limits.jerk),
+        ("torque", "joint_torque", -limits.torque, limits.torque),
+    )
 
 
 def thinned(t: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:

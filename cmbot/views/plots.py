@@ -10,9 +10,9 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, MissingExtra
-from cmbot.planning import Plan, Samples
+from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views.charts import Chart, charts, thinned, tracked_motions
+from cmbot.views.charts import Chart, charts, joint_quantities, thinned, tracked_motions
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,7 +41,6 @@ _STYLE: dict[Any, Any] = {
     "figure.dpi": 150.0,
 }
 _LABELS = {"torque": "guardrail_torque", "clearance": "clearance", "deviation": "tool_deviation"}
-_QUANTITIES = ("angle", "velocity", "acceleration", "jerk", "torque")
 
 
 def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
@@ -148,13 +147,14 @@ def _chart(chart: Chart) -> Figure:
 def _joints(plan: Plan) -> Figure:
     """Draw both motions' joints, a row a quantity, as shares of the bounds; beyond them it is shaded."""
     figure = _figure("joints", 8.0)
-    grid = figure.subplots(len(_QUANTITIES), 2, sharex=True, squeeze=False)
+    quantities = joint_quantities(plan)
+    grid = figure.subplots(len(quantities), 2, sharex=True, squeeze=False)
     motions = (("baseline", plan.baseline), ("planned", plan.samples))
-    for column, (name, samples) in enumerate(motions):
-        grid[0, column].set_title(name, loc="left")
+    for column, (motion, samples) in enumerate(motions):
+        grid[0, column].set_title(motion, loc="left")
         grid[-1, column].set_xlabel("time, s")
-        for row, (quantity, shares) in enumerate(zip(_QUANTITIES, _shares(plan, samples), strict=True)):
-            axes = grid[row, column]
+        for axes, (quantity, name, lower, upper) in zip(grid[:, column], quantities, strict=True):
+            shares = _shares(getattr(samples, name), lower, upper)
             if column == 0:
                 axes.set_ylabel(f"{quantity},\nshare of bound")
             # A continuous joint has no range, and NaN as its share.
@@ -174,18 +174,11 @@ def _joints(plan: Plan) -> Figure:
     return figure
 
 
-def _shares(plan: Plan, samples: Samples) -> tuple[FloatArray, ...]:
-    """Return angle, velocity, acceleration, jerk and torque, each (N, d), as shares of their bounds."""
-    limits = plan.robot.limits
-    ranged = np.isfinite(limits.lower) & np.isfinite(limits.upper)
-    lower, upper = np.where(ranged, limits.lower, np.nan), np.where(ranged, limits.upper, np.nan)
-    return (
-        (2 * samples.q - upper - lower) / (upper - lower),
-        samples.v / limits.velocity,
-        samples.a / limits.acceleration,
-        samples.j / limits.jerk,
-        samples.joint_torque / limits.torque,
-    )
+def _shares(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatArray:
+    """Return values (N, n) as shares, -1 to 1, of their bounds (n,); NaN without bounds."""
+    ranged = np.isfinite(lower) & np.isfinite(upper)
+    lower, upper = np.where(ranged, lower, np.nan), np.where(ranged, upper, np.nan)
+    return (2 * values - upper - lower) / (upper - lower)
 
 
 def _tracking(tracking: Tracking) -> Iterator[Figure]:

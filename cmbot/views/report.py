@@ -4,25 +4,25 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from html import escape
 from importlib import metadata
+from math import inf
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
 from cmbot.common.validation import given_path
-from cmbot.planning import Certificate, Plan, remarks, require_plan
-from cmbot.simulation import Tracking, tracking_remarks, tracking_rows, tracking_verdict
+from cmbot.planning import Certificate, Check, Plan, remarks, require_plan
+from cmbot.simulation import Tracking, off_path, tracking_remarks, tracking_rows, tracking_verdict
 from cmbot.version import __version__
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, joint_charts
-from cmbot.views.headlines import Headline, bound_use, certificates, headlines
 from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
 
-__all__ = ["REPLAY", "REPORT", "pages", "report", "report_page"]
+__all__ = ["REPLAY", "REPORT", "bound_use", "headlines", "pages", "report", "report_page"]
 
 REPLAY, REPORT = "replay.html", "report.html"
 _PACKAGES = ("numpy", "scipy", "pin", "coal")
@@ -112,27 +112,152 @@ def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) ->
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class Headline:
+    """One card: a quantity of the planned motion, the baseline's value before it, a sentence, a verdict."""
+
+    title: str
+    value: str
+    detail: str
+    before: str = ""
+    state: Literal["plain", "good", "bad"] = "plain"
+
+
+def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
+    """Yield the cards, the most important first."""
+    yield _peak_card(plan)
+    yield _lower_bound_card(plan)
+    yield _certificate_card(plan)
+    yield _clearance_card(plan)
+    yield _deviation_card(plan)
+    if tracking is not None:
+        yield _tracking_card(plan, tracking)
+
+
+def certificates(plan: Plan) -> dict[str, Certificate]:
+    """Return the certificates of a plan by motion: ``work`` and, where there is one, ``approach``."""
+    approach = plan.approach
+    return {"work": plan.certificate} | ({} if approach is None else {"approach": approach.certificate})
+
+
+def bound_use(check: Check) -> float:
+    """Return the share of its bound that a check's value uses: 1 at the bound, more beyond it."""
+    if check.at_least:
+        return check.bound / check.value if check.value > 0 else inf
+    return check.value / check.bound if check.bound else 0.0
+
+
+def _peak_card(plan: Plan) -> Headline:
+    before, after = plan.baseline_figures.peak_guardrail_torque, plan.figures.peak_guardrail_torque
+    detail = f"{100 * (after / before - 1):+.1f} % at work" if before else ""
+    if plan.approach is not None:
+        peak = plan.approach.certificate.figures.peak_guardrail_torque
+        detail += f"; {peak:.1f} Nm on the approach"
+    return Headline(
+        title="Peak guardrail torque",
+        before=f"{before:.1f}",
+        value=f"{after:.1f} Nm",
+        detail=detail,
+        state="good" if after < before else "plain",
+    )
+
+
+def _lower_bound_card(plan: Plan) -> Headline:
+    bound, gap = plan.torque_floor, plan.gap_to_floor
+    if bound is None or gap is None:
+        why = (
+            "not computed for fixed knots" if plan.lower_bound is None else "another objective was minimised"
+        )
+        return Headline(title="Above the lower bound", value="–", detail=why)
+    return Headline(
+        title="Above the lower bound",
+        value=f"{100 * gap:+.3f} %",
+        detail=f"lower bound {bound:.1f} Nm: at one via-point no admissible posture at rest has a smaller "
+        "torque",
+    )
+
+
+def _certificate_card(plan: Plan) -> Headline:
+    held = {
+        name: f"{sum(check.holds for check in found.checks)} of {len(found.checks)}"
+        for name, found in certificates(plan).items()
+    }
+    tightest = max(plan.certificate.checks, key=bound_use)
+    approach = f"; approach: {held['approach']}" if "approach" in held else ""
+    kept = all(check.holds for found in certificates(plan).values() for check in found.checks)
+    return Headline(
+        title="Certified checks",
+        value=f"{held['work']} hold",
+        detail=f"tightest: {tightest.quantity}, {100 * bound_use(tightest):.0f} % of its bound{approach}",
+        state="good" if kept else "bad",
+    )
+
+
+def _clearance_card(plan: Plan) -> Headline:
+    value, margin = plan.figures.min_clearance, plan.options.safety_margin_m
+    if value == inf:
+        return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
+    always = plan.certificate.clearance_bound
+    return Headline(
+        title="Smallest clearance",
+        before=f"{1e3 * plan.baseline_figures.min_clearance:.1f}",
+        value=f"{1e3 * value:.1f} mm",
+        detail=f"rigid arm; margin {1e3 * margin:g} mm; above {1e3 * always:.1f} mm at all times",
+        state="good" if value >= margin else "bad",
+    )
+
+
+def _deviation_card(plan: Plan) -> Headline:
+    value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
+    arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
+    return Headline(
+        title="Tool off its path",
+        before=f"{1e3 * plan.baseline_figures.max_tool_deviation:.2f}",
+        value=f"{1e3 * value:.2f} mm",
+        detail=f"{arm}; bound {1e3 * bound:g} mm",
+        state="good" if value <= bound else "bad",
+    )
+
+
+def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
+    compensated, bound = plan.options.compensate, plan.options.max_tool_deviation_m
+    # Compensation lowers the distance from the path: the arm bends as much as before.
+    motions = (tracking.baseline.metrics, tracking.planned.metrics)
+    before, after = (1e3 * (m.path if compensated else m.total).rms[3] for m in motions)
+    residuals = [m.residual for m in motions if m.residual is not None]
+    off = off_path(tracking.planned)
+    detail = f"elastic arm, at most {1e3 * off:.1f} mm off its path; bound {1e3 * bound:g} mm"
+    if len(residuals) == 2:
+        swings = " → ".join(f"{1e3 * residual.diameter:.2f}" for residual in residuals)
+        detail += f"; residual vibration {swings} mm"
+    return Headline(
+        title="Elastic tool off its path, RMS" if compensated else "Tracking error, RMS",
+        before=f"{before:.1f}",
+        value=f"{after:.1f} mm",
+        detail=detail,
+        state="good" if off <= bound else "plain",
+    )
+
+
 def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     """Yield the sections below the plots."""
     yield _section("Remarks", _list(remarks(plan)), kind="wide")
-    yield _section("Metrics", _table(("", "baseline", "planned"), plan.rows()))
+    yield _section("Metrics", _table(plan.rows(), ("", "baseline", "planned")))
     elastic = list(_elastic(plan))
     if elastic:
-        yield _section("Predicted sag and vibration", _table(("", ""), elastic))
+        yield _section("Predicted sag and vibration", _table(elastic))
     for name, certificate in certificates(plan).items():
-        yield _section(f"Certificate of the {name}", _certificate(certificate))
+        yield _section(f"Certificate of the {name}", _check_table(certificate))
     if tracking is not None:
-        table = _table(("mm", "", "x", "y", "z", "norm"), tracking_rows(tracking), text_columns=2)
+        table = _table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
         yield _section("Simulation", table + sentences, kind="long")
-    yield _section("Scene", _table(("", ""), _scene(plan), text_columns=2))
-    yield _section("Joints", _table(_JOINT_HEADINGS, _joints(plan)))
-    yield _section("Options", _table(("", ""), _options(plan.options), text_columns=2))
-    yield _section("Versions", _table(("", ""), _versions(plan), text_columns=2))
+    yield _section("Scene", _table(_scene(plan), text_columns=2))
+    yield _section("Joints", _table(_joints(plan), _JOINT_HEADINGS))
+    yield _section("Options", _table(_options(plan.options), text_columns=2))
+    yield _section("Versions", _table(_versions(plan), text_columns=2))
     if tracking is not None:
-        yield _section(
-            "Options of the simulation", _table(("", ""), _options(tracking.options), text_columns=2)
-        )
+        yield _section("Options of the simulation", _table(_options(tracking.options), text_columns=2))
 
 
 def _card(headline: Headline) -> str:
@@ -153,7 +278,7 @@ def _list(sentences: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
 
 
-def _table(headings: Row, rows: Iterable[Row], *, text_columns: int = 1) -> str:
+def _table(rows: Iterable[Row], headings: Row = ("", ""), *, text_columns: int = 1) -> str:
     """Return a table: columns of text, then columns of numbers."""
     kinds = ["text" if number < text_columns else "number" for number in range(len(headings))]
     head = "".join(
@@ -188,7 +313,7 @@ def _elastic(plan: Plan) -> Iterator[Row]:
         yield "residual amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
 
 
-def _certificate(certificate: Certificate) -> str:
+def _check_table(certificate: Certificate) -> str:
     rows = (
         (
             check.quantity,
@@ -203,7 +328,7 @@ def _certificate(certificate: Certificate) -> str:
     )
     bound = f"Clearance stays above {1e3 * certificate.clearance_bound:.1f} mm, between samples too."
     headings = ("check", "at, s", "value", "bound", "unit", "use", "holds")
-    return _table(headings, rows) + f"<p>{escape(bound)}</p>"
+    return _table(rows, headings) + f"<p>{escape(bound)}</p>"
 
 
 def _scene(plan: Plan) -> Iterator[Row]:
@@ -244,5 +369,4 @@ def _versions(plan: Plan) -> Iterator[Row]:
 
 
 def _numbers(values: Iterable[float], digits: int) -> str:
-    # Adding zero turns -0.0 into 0.0.
-    return ", ".join(f"{round(float(value), digits) + 0.0:.{digits}f}" for value in values)
+    return ", ".join(f"{float(value):z.{digits}f}" for value in values)

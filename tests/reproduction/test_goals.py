@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from cmbot.planning import Plan
-from cmbot.reproduction import FACTORS, PAPER, Experiment, GoalTable, Run, Variant, cells, goals
-from cmbot.reproduction.compensation_goal import compensation_goal
-from cmbot.reproduction.goals import least_sag, posture_goal, rest_goal
+from cmbot.reproduction import FACTORS, cells, goals
+from cmbot.reproduction.experiment import Experiment, Run, Variant
+from cmbot.reproduction.goals import compensation_goal, least_sag, posture_goal, rest_goal
+from cmbot.reproduction.paper import PAPER
+from cmbot.reproduction.tables import GoalTable
 from cmbot.simulation import (
     ErrorMetrics,
     MotionTracking,

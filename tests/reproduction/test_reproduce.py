@@ -20,26 +20,21 @@ from cmbot.common.errors import ArchiveError, OptimisationFailed
 from cmbot.common.installation import assumptions_file
 from cmbot.planning import Plan
 from cmbot.reproduction import (
-    PAPER,
-    Experiment,
-    PaperExperiment,
     Reproduction,
-    Run,
-    Variant,
     as_json,
     cells,
     comparison,
     experiment,
     findings,
     goals,
-    markdown,
     reasons,
     reproduce,
     save_reproduction,
     verdict_rows,
 )
-from cmbot.reproduction.experiment import reduction
-from cmbot.reproduction.paper import assumption_tables
+from cmbot.reproduction.experiment import Experiment, Run, Variant, reduction
+from cmbot.reproduction.paper import PAPER, PaperExperiment, assumption_tables
+from cmbot.reproduction.report import markdown
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 FloatArray = NDArray[np.float64]
