@@ -28,10 +28,9 @@ __all__ = [
     "reproduce",
 ]
 
+# Of the stiffness of guardrail and links, with which a compensated plan is simulated.
 FACTORS = (1.0, 0.9, 1.1, 0.8, 1.2, 0.7, 1.3)
-"""Of the stiffness of guardrail and links, with which a compensated plan is simulated."""
-QUICK_FACTORS = (1.0, 0.7, 1.3)
-"""The modelled stiffness and the extremes."""
+QUICK_FACTORS = (1.0, 0.7, 1.3)  # the modelled stiffness and the extremes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

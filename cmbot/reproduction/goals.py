@@ -16,7 +16,7 @@ from cmbot.simulation import Statistics, Tracking, statistics
 __all__ = ["compensation_goal", "goals", "least_sag", "posture_goal", "rest_goal"]
 
 # Least reductions, per cent: at the modelled stiffness, and at any other within this share of it.
-_NOMINAL, _OTHER, _SHARE = 90.0, 65.0, 0.3
+_NOMINAL_CUT, _OTHER_CUT, _SHARE = 90.0, 65.0, 0.3
 _ASKED = "sag compensated: errors"
 # A smaller figure of the baseline, m, is not judged.
 _SMALLEST = 1e-3
@@ -89,7 +89,7 @@ def compensation_goal(variant: Variant) -> GoalTable:
     """Compare means and standard deviations at every stiffness that was simulated."""
     title = "Compensation: with the predicted sag compensated, where the baseline has more than 1 mm"
     if variant.plan is None:
-        none = Verdict(asked=f"{_ASKED} {_NOMINAL:g} % less", found="no plan", holds=False)
+        none = Verdict(asked=f"{_ASKED} {_NOMINAL_CUT:g} % less", found="no plan", holds=False)
         return _without_plan(title, ("x", "y", "z"), variant, none)
     predicted = _predicted(variant.plan)
     cases = [
@@ -121,7 +121,7 @@ class _Case:
 
     @property
     def goal(self) -> float:
-        return _NOMINAL if self.stiffness == 1.0 else _OTHER
+        return _NOMINAL_CUT if self.stiffness == 1.0 else _OTHER_CUT
 
     @property
     def allowed(self) -> FloatArray:
@@ -201,8 +201,8 @@ def _predicted(plan: Plan) -> Statistics:
 def _judged(cases: list[_Case]) -> Iterator[tuple[Verdict, str]]:
     """Yield verdict and sentence at the modelled stiffness, then at the others; none without figures."""
     for nominal, where, less in (
-        (True, "At the modelled stiffness", f"{_NOMINAL:g} % less"),
-        (False, f"At any other stiffness within {100 * _SHARE:g} % of it", f"{_OTHER:g} % less"),
+        (True, "At the modelled stiffness", f"{_NOMINAL_CUT:g} % less"),
+        (False, f"At any other stiffness within {100 * _SHARE:g} % of it", f"{_OTHER_CUT:g} % less"),
     ):
         judged = [case for case in cases if case.judged and (case.stiffness == 1.0) == nominal]
         count = sum(int(case.asked.sum()) for case in judged)

@@ -15,12 +15,9 @@ from cmbot.views.page import pack
 
 __all__ = ["Chart", "Curve", "charts", "joint_charts", "joint_quantities", "thinned", "tracked_motions"]
 
-MOST_POINTS = 1000
-"""Of a curve in a large plot."""
-MOST_SMALL_POINTS = 400
-"""Of a curve in a small one."""
-ROOM = 1.06
-"""An axis reaches this much further than its curves."""
+MOST_POINTS = 1000  # of a curve in a large plot
+MOST_SMALL_POINTS = 400  # of a curve in a small one
+ROOM = 1.06  # an axis reaches this much further than its curves
 
 _EXPECTED = "Planned motion: the tool with its predicted sag."
 _ERROR = "Elastic arm's tool minus the rigid arm's at the same joint angles. Dashed: static part."

@@ -24,15 +24,12 @@ MOST_ROBOT_FACES = 24_000
 MOST_OBSTACLE_FACES = 12_000
 """With these, and `MOST_POSES` of `replay_data`, a page stays below 5 MB for any scene."""
 
-SHORTEST_REACH = 0.05
-"""m."""
-CREASE = np.deg2rad(35.0)
-"""Edges with a larger angle are shaded as sharp."""
+SHORTEST_REACH = 0.05  # m
+CREASE = np.deg2rad(35.0)  # edges with a larger angle are shaded as sharp
 
 CONCRETE, STEEL, WORKPIECE, PATH = 0xC2BDB3, 0x7D8C99, 0x2F9E8F, 0x7B2CBF
 SHINE = 0x303030
-DOUBLE_SIDE = 2
-"""three.js: draw the back faces too."""
+DOUBLE_SIDE = 2  # three.js: draw the back faces too
 
 # The viewer's MessagePack codes for typed arrays.
 _TYPED_ARRAYS = {

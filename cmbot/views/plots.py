@@ -122,9 +122,8 @@ def _chart(chart: Chart) -> Figure:
     for curve in chart.curves:
         _line(axes, curve.t, curve.y, curve.motion)
     # At least the chart's own range, and every curve.
-    low, high = chart.axis
-    low = min([low, *(float(curve.y.min()) for curve in chart.curves)])
-    high = max([high, *(float(curve.y.max()) for curve in chart.curves)])
+    shown = np.concatenate([chart.axis, *(curve.y for curve in chart.curves)])
+    low, high = float(shown.min()), float(shown.max())
     axes.set_ylim(low, high)
     lower, upper = chart.bounds
     if lower is not None:
@@ -178,7 +177,8 @@ def _shares(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatAr
     """Return values (N, n) as shares, -1 to 1, of their bounds (n,); NaN without bounds."""
     ranged = np.isfinite(lower) & np.isfinite(upper)
     lower, upper = np.where(ranged, lower, np.nan), np.where(ranged, upper, np.nan)
-    return (2 * values - upper - lower) / (upper - lower)
+    middle = 0.5 * (lower + upper)
+    return (values - middle) / (upper - middle)
 
 
 def _tracking(tracking: Tracking) -> Iterator[Figure]:
@@ -198,9 +198,9 @@ def _tracking_rows(
     for number, axes in enumerate(rows):
         axes.set_ylabel(f"{what}\nalong {'xyz'[number]}, mm")
         for name, motion in motions:
-            shown = motion.t >= (motion.stop if after_stop else -np.inf)
-            t = motion.t[shown] - (motion.stop if after_stop else 0.0)
-            _line(axes, t, 1e3 * getattr(motion, part)[shown, number], name)
+            start = motion.stop if after_stop else 0.0  # the work starts at 0
+            shown = motion.t >= start
+            _line(axes, motion.t[shown] - start, 1e3 * getattr(motion, part)[shown, number], name)
         for _, motion in () if after_stop else motions:
             if part == "error":
                 static = 1e3 * motion.static[:, number]

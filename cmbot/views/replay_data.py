@@ -20,11 +20,8 @@ from cmbot.views.page import pack
 
 __all__ = ["replay_data"]
 
-FRAME_STEP = 0.02
-"""Between two frames, s, where `MOST_POSES` allows it; the page interpolates."""
-
-MOST_POSES = 12_000
-"""Frames times links, approach and work together."""
+FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
+MOST_POSES = 12_000  # frames times links, approach and work together
 
 
 def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
@@ -55,9 +52,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "approach": _approach(plan, frames, step),
         "planned": frames.motion(plan.samples, plan.figures, times, planned),
         "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, baseline),
-        "rest": None
-        if tracking is None
-        else _rest(plan, tracking, frames, _frame_times(duration, end, step)),
+        "rest": _rest(plan, tracking, frames, _frame_times(duration, end, step)),
         "pairs": list(frames.pairs),
         "focus": _focus(plan),
         "reach": reach(plan.robot),
@@ -175,9 +170,9 @@ def _approach(plan: Plan, frames: _Frames, step: float) -> dict[str, Any] | None
     }
 
 
-def _rest(plan: Plan, tracking: Tracking, frames: _Frames, times: FloatArray) -> dict[str, Any] | None:
+def _rest(plan: Plan, tracking: Tracking | None, frames: _Frames, times: FloatArray) -> dict[str, Any] | None:
     """Return both arms after the stop: their joints rest while the elastic parts vibrate."""
-    if times[-1] <= times[0]:
+    if tracking is None or times[-1] <= times[0]:
         return None
     return {
         "label": "after the stop",

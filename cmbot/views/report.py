@@ -284,15 +284,13 @@ def _table(rows: Iterable[Row], headings: Row = ("", ""), *, text_columns: int =
     head = "".join(
         f'<th class="{kind}" scope="col">{escape(h)}</th>' for h, kind in zip(headings, kinds, strict=True)
     )
-    body = "".join(f"<tr>{_cells(row, kinds)}</tr>" for row in rows)
+    body = ""
+    for row in rows:
+        first, *others = (escape(cell) for cell in row)
+        cells = (f'<td class="{kind}">{cell}</td>' for cell, kind in zip(others, kinds[1:], strict=True))
+        body += f'<tr><th class="text" scope="row">{first}</th>{"".join(cells)}</tr>'
     top = f"<thead><tr>{head}</tr></thead>" if any(headings) else ""
     return f'<div class="table"><table>{top}<tbody>{body}</tbody></table></div>'
-
-
-def _cells(row: Row, kinds: Sequence[str]) -> str:
-    first, *others = (escape(cell) for cell in row)
-    cells = "".join(f'<td class="{kind}">{cell}</td>' for cell, kind in zip(others, kinds[1:], strict=True))
-    return f'<th class="text" scope="row">{first}</th>{cells}'
 
 
 def _elastic(plan: Plan) -> Iterator[Row]:

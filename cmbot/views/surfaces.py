@@ -24,12 +24,9 @@ from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
 
 __all__ = ["Surface", "creased", "merged", "obstacle_surface", "simplified", "tube", "visual_surface"]
 
-SECTIONS, RINGS = 32, 16
-"""Of a round solid: about its axis, and of a ball from pole to pole."""
-TUBE_SECTIONS = 12
-"""About the axis of a tube."""
-SMALLEST_CELL = 1e-4
-"""Share of the largest extent, in `simplified`."""
+SECTIONS, RINGS = 32, 16  # of a round solid: about its axis, and of a ball from pole to pole
+TUBE_SECTIONS = 12  # about the axis of a tube
+SMALLEST_CELL = 1e-4  # share of the largest extent, in `simplified`
 
 # A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
 _FLAT, _ROUNDING = 1e-8, 1e-12
