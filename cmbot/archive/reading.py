@@ -19,7 +19,6 @@ from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
 from cmbot.elastic.sag import Sag
-from cmbot.optimization import StateSamples
 from cmbot.planning import (
     Approach,
     Certificate,
@@ -30,7 +29,6 @@ from cmbot.planning import (
     QuinticTrajectory,
     ToolTask,
     bending_arm,
-    certificate_grid,
     certify,
     certify_approach,
     figures,
@@ -218,13 +216,12 @@ def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
 
 def _verify_objective(plan: Plan, source: Path) -> None:
     """Refuse peaks of the objective that are not those of the motions."""
-    baseline, grid = plan.baseline, certificate_grid(plan.trajectory, plan.options)
     fresh = objective_metrics(
         objective_of(plan.robot, plan.options, sag=_sag(plan.scene, plan.robot, plan.options)),
         plan.options,
         own=False,
-        baseline=(plan.baseline_figures, StateSamples(baseline.t, baseline.q, baseline.v, baseline.a)),
-        planned=(plan.figures, StateSamples(grid, *plan.trajectory.states(grid))),
+        baseline=(plan.baseline_figures, plan.baseline),
+        planned=(plan.figures, plan.trajectory),
         floor=plan.objective.floor,
     )
     _require_same(plan.objective, fresh, source, "objective")

@@ -4,7 +4,7 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.approach.approach import Approach, certify_approach
+from cmbot.planning.approach import Approach, certify_approach
 from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
@@ -13,11 +13,12 @@ from cmbot.planning.objectives import (
     Objective,
     PostureFunction,
     PostureObjective,
+    WeightedMoment,
+    WrenchFunction,
     WrenchObjective,
     objective_of,
 )
 from cmbot.planning.path.gradient_projection import JointPath
-from cmbot.planning.path.task import ToolTask
 from cmbot.planning.plan import ObjectiveMetrics, Plan, Seconds, Start, objective_metrics, require_plan
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
@@ -25,9 +26,9 @@ from cmbot.planning.progress import Progress
 from cmbot.planning.remarks import remarks
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate, Check, certificate_grid, certify
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure
-from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [

@@ -15,10 +15,9 @@ from cmbot.common.validation import counted
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
-from cmbot.planning.objectives import Objective, objective_of
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
-from cmbot.planning.wrench_functions import WrenchFunction
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
 from cmbot.scene import PlannerOptions, Scene, ToolPath, pose
 
@@ -118,15 +117,7 @@ def build_context(
     own: WrenchFunction | None = None,
     reporter: ProgressReporter | None = None,
 ) -> PlanningContext:
-    """Bring a scene and its robot together.
-
-    Parameters
-    ----------
-    scene : Scene
-    options : PlannerOptions
-    own : WrenchFunction, optional
-        What is minimised, in place of what the options say.
-    reporter : ProgressReporter, optional
+    """Bring a scene and its robot together; the objective is the function `own` where given.
 
     Raises
     ------

@@ -9,7 +9,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.path.initial_postures import find_path
+from cmbot.planning.path.gradient_projection import find_path
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
@@ -70,13 +70,7 @@ def initial_guess(context: PlanningContext, search: GlobalSearch | None = None) 
 
 
 def fixed_guess(context: PlanningContext) -> InitialGuess:
-    """Take via-points from the path of gradient projection, to stay there (Chang 2021, Eqs. (15)-(30)).
-
-    Raises
-    ------
-    PathNotFound
-        When no start leads to the end of the path.
-    """
+    """Take via-points from the path of gradient projection, to stay there (Chang 2021, Eqs. (15)-(30))."""
     path, failures = find_path(context)
     rough = np.stack([np.interp(context.times, path.t, joint) for joint in path.q.T], axis=1)
     form = parametrization_through(context, _placed(context, rough), sliding=False)
@@ -91,17 +85,9 @@ def sliding_guess(
 ) -> InitialGuess:
     """Take via-points from the global search, to slide along the self-motion.
 
-    With ``start: free`` the arm starts wherever the tool pose is the scene's, if that gains enough; with
-    ``pinned`` in the scene's posture, or, where no path leads on from there, in the nearest one from which a
-    path does.
-
-    Parameters
-    ----------
-    context : PlanningContext
-    unreached : PathNotFound, optional
-        Why no approach leads to where ``start: free`` would have the arm start: it is treated as pinned.
-    search : GlobalSearch, optional
-        Of the same context, where its charts are known already.
+    With ``start: free`` the arm starts wherever the tool pose is the scene's, if that gains enough. With
+    ``pinned``, or where no approach leads there (`unreached`), it starts in the scene's posture, or in the
+    nearest one from which a path leads on. A `search` of the same context saves making the charts again.
 
     Raises
     ------
@@ -139,16 +125,7 @@ def sliding_guess(
 
 
 def shifted_problem(context: PlanningContext, guess: InitialGuess, via_points: FloatArray) -> TorqueProblem:
-    """Return the problem of a guess along a tool path that is shifted a little.
-
-    Parameters
-    ----------
-    context : PlanningContext
-        With the shifted tool path.
-    guess : InitialGuess
-        Along the tool path as it was.
-    via_points : (n, d), rad
-        Near those to start from.
+    """Return the problem of a guess along the shifted tool path of `context`, near `via_points` (n, d), rad.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What a plan makes small: a function of the wrench on the guardrail, or of the posture alone."""
+"""Objectives: functions of the wrench on the guardrail, or of the posture alone, whose peak is minimised."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.sag import Sag
 from cmbot.optimization import Linearization, StateSamples
-from cmbot.planning.wrench_functions import WeightedMoment, WrenchFunction, check_wrench_function
 from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
 from cmbot.scene import PlannerOptions
 
@@ -19,10 +18,17 @@ __all__ = [
     "Objective",
     "PostureFunction",
     "PostureObjective",
+    "WeightedMoment",
+    "WrenchFunction",
     "WrenchObjective",
     "efforts_of",
     "objective_of",
 ]
+
+# A norm has no derivative at zero; below this share of its largest value it is taken as flat.
+_FLAT = 1e-12
+# A function is tried at this share of a step to each side, and its gradient is believed to this accuracy.
+_STEP, _GRADIENT_TOLERANCE = 1e-5, 1e-3
 
 
 def efforts_of(dynamics: Dynamics, states: StateSamples) -> Efforts:
@@ -39,11 +45,11 @@ class Objective(Protocol):
 
     @property
     def unit(self) -> str:
-        """Of its values; empty when nobody said."""
+        """Of its values; empty where unknown."""
 
     @property
     def reported(self) -> bool:
-        """Whether it is the norm of the torque on the guardrail about O0, which figures report anyway."""
+        """Whether it is the norm of the torque on the guardrail about O0, which metrics report anyway."""
 
     def at_rest(self, postures: PostureBatch) -> FloatArray:
         """Return its values (N,) at rest in N postures."""
@@ -56,6 +62,58 @@ class Objective(Protocol):
 
     def residuals(self, states: StateSamples) -> tuple[Linearization, ...]:
         """Return quantities whose squares sum to its own, for Gauss-Newton: as smooth as there are."""
+
+
+class WrenchFunction(Protocol):
+    """What is minimised: a function of the wrench on the guardrail, such as a plain Python function.
+
+    It is never negative and has a gradient nearly everywhere.
+    """
+
+    def __call__(self, wrench: FloatArray, /) -> tuple[FloatArray, FloatArray]:
+        """Evaluate it.
+
+        Parameters
+        ----------
+        wrench : (N, 6), N and Nm
+            Force and torque that the arm exerts on the guardrail, about O0, in W.
+
+        Returns
+        -------
+        value : (N,)
+        gradient : (N, 6)
+        """
+
+
+class WeightedMoment:
+    """Norm of the moment about a point, its components weighted: Chang 2021, Eq. (12), by default.
+
+    Parameters
+    ----------
+    point : (3,), m
+        In W: O0 for n_0, the origin of the arm's base frame for n_1.
+    weights : (3,)
+        Of the components along x, y and z of W; none negative, one at least positive.
+    """
+
+    def __init__(self, point: FloatArray, weights: FloatArray) -> None:
+        if np.min(weights) < 0 or np.max(weights) <= 0 or not np.isfinite([*point, *weights]).all():
+            got = f"point {np.asarray(point).tolist()}, weights {np.asarray(weights).tolist()}"
+            raise InputError("WeightedMoment", "", got, "finite numbers, no weight negative, one positive")
+        self.point = np.asarray(point, dtype=float)
+        self.weights = np.asarray(weights, dtype=float)
+        # The moment about another point is n_0 - p x f.
+        x, y, z = self.point
+        lever = np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
+        self.matrix = self.weights[:, None] * np.hstack([lever, np.eye(3)])
+        """Takes a wrench to the weighted components, (3, 6)."""
+
+    def __call__(self, wrench: FloatArray, /) -> tuple[FloatArray, FloatArray]:
+        """Return the norms (N,), Nm, and their gradients (N, 6)."""
+        moment = wrench @ self.matrix.T
+        value = np.linalg.norm(moment, axis=1)
+        unit = moment / np.maximum(value, _FLAT * value.max(initial=1.0))[:, None]
+        return np.asarray(value), np.asarray(unit @ self.matrix)
 
 
 class WrenchObjective:
@@ -148,7 +206,7 @@ def objective_of(
     posture: FloatArray | None = None,
     sag: Sag | None = None,
 ) -> Objective:
-    """Return what the options ask for, or the objective of a function of someone's own.
+    """Return the objective that the options name, or that of a custom function.
 
     Parameters
     ----------
@@ -170,7 +228,7 @@ def objective_of(
         name = _name_of(own)
         q = np.zeros((1, robot.dof)) if posture is None else posture[None]
         at = Postures(robot).at(q)
-        check_wrench_function(own, np.hstack([at.guardrail_force, at.guardrail_torque]), name)
+        _check_wrench_function(own, np.hstack([at.guardrail_force, at.guardrail_torque]), name)
         return WrenchObjective(robot, own, name=name, unit="")
     if options.objective == "sag":
         if sag is None:
@@ -187,3 +245,39 @@ def objective_of(
 def _name_of(own: WrenchFunction) -> str:
     name = getattr(own, "__qualname__", None) or type(own).__qualname__
     return str(name)
+
+
+def _check_wrench_function(function: WrenchFunction, wrench: FloatArray, name: str) -> None:
+    """Try a custom function at wrenches (N, 6) before it is minimised.
+
+    Raises
+    ------
+    InputError
+        When its value or gradient has another shape, is not finite or negative, or when the gradient is not
+        the derivative of the value.
+    """
+
+    def refuse(got: object, expected: str) -> InputError:
+        return InputError(f"objective {name}", "", got, expected)
+
+    answer = function(wrench)
+    if not isinstance(answer, tuple) or len(answer) != 2:
+        raise refuse(f"a {type(answer).__name__}", "a pair: values (N,) and gradients (N, 6)")
+    value, gradient = (np.asarray(part, dtype=float) for part in answer)
+    N = len(wrench)
+    if value.shape != (N,) or gradient.shape != (N, 6):
+        raise refuse(f"shapes {value.shape} and {gradient.shape}", f"shapes ({N},) and ({N}, 6)")
+    if not (np.isfinite(value).all() and np.isfinite(gradient).all() and (value >= 0).all()):
+        raise refuse("values that are negative or not finite", "finite values of zero or more")
+    for axis in range(6):
+        step = _STEP * max(1.0, float(np.abs(wrench[:, axis]).max()))
+        shift = step * np.eye(6)[axis]
+        slope = (np.asarray(function(wrench + shift)[0]) - np.asarray(function(wrench - shift)[0])) / (
+            2 * step
+        )
+        off = np.abs(slope - gradient[:, axis])
+        if (off > _GRADIENT_TOLERANCE * np.maximum(np.abs(gradient).max(axis=1), 1e-9)).any():
+            k = int(off.argmax())
+            raise refuse(
+                f"gradient[{axis}] = {gradient[k, axis]:.6g}", f"the derivative of the value, {slope[k]:.6g}"
+            )

@@ -14,14 +14,14 @@ from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
 from cmbot.optimization import ExchangeReport, StateSamples
-from cmbot.planning.approach.approach import Approach
+from cmbot.planning.approach import Approach
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
 from cmbot.planning.objectives import Objective
-from cmbot.planning.path.task import ToolTask
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.verification.certificate import Certificate
+from cmbot.planning.task import ToolTask
+from cmbot.planning.verification.certificate import Certificate, certificate_grid
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
@@ -208,9 +208,7 @@ class Plan:
     @property
     def torque_floor(self) -> float | None:
         """Lower bound of the torque on the guardrail, Nm; None with fixed knots or another objective."""
-        if self.lower_bound is None or not self.objective.is_guardrail_torque:
-            return None
-        return self.lower_bound.value
+        return self.objective.floor if self.objective.is_guardrail_torque else None
 
     @property
     def gap_to_floor(self) -> float | None:
@@ -218,8 +216,7 @@ class Plan:
 
         Negative where a moving arm undercuts the static bound a little.
         """
-        floor = self.torque_floor
-        return self.figures.peak_guardrail_torque / floor - 1.0 if floor else None
+        return self.objective.gap if self.objective.is_guardrail_torque else None
 
     @property
     def peak_static_reduction(self) -> float:
@@ -257,8 +254,8 @@ def objective_metrics(
     options: PlannerOptions,
     *,
     own: bool,
-    baseline: tuple[MotionMetrics, StateSamples],
-    planned: tuple[MotionMetrics, StateSamples],
+    baseline: tuple[MotionMetrics, Samples],
+    planned: tuple[MotionMetrics, QuinticTrajectory],
     floor: float | None,
 ) -> ObjectiveMetrics:
     """Evaluate an objective over both motions.
@@ -269,10 +266,19 @@ def objective_metrics(
     options : PlannerOptions
     own : bool
         It is a custom function, not the options' objective.
-    baseline, planned : MotionMetrics and StateSamples
-        The motions' metrics, and the motions on the grid of these.
+    baseline : MotionMetrics and Samples
+    planned : MotionMetrics and QuinticTrajectory
+        Sampled as finely as it is certified.
     floor : float or None
     """
+    (baseline_metrics, samples), (metrics, trajectory) = baseline, planned
+    grid = certificate_grid(trajectory, options)
+
+    def peak(of: MotionMetrics, t: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> float:
+        if objective.reported:
+            return of.peak_guardrail_torque
+        return float(objective.values(StateSamples(t, q, v, a)).max())
+
     of_torque = not own and options.objective == "torque"
     return ObjectiveMetrics(
         name=objective.name,
@@ -280,14 +286,10 @@ def objective_metrics(
         own=own,
         moment_about=options.moment_about if of_torque else None,
         axis_weights=options.axis_weights if of_torque else None,
-        baseline_peak=_peak(objective, *baseline),
-        planned_peak=_peak(objective, *planned),
+        baseline_peak=peak(baseline_metrics, samples.t, samples.q, samples.v, samples.a),
+        planned_peak=peak(metrics, grid, *trajectory.states(grid)),
         floor=floor,
     )
-
-
-def _peak(objective: Objective, figures: MotionMetrics, states: StateSamples) -> float:
-    return figures.peak_guardrail_torque if objective.reported else float(objective.values(states).max())
 
 
 def require_plan(value: object, source: str) -> None:

@@ -11,27 +11,24 @@ from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import InputError
 from cmbot.common.validation import checked_options, require_type
-from cmbot.optimization import ExchangeReport, StateSamples
-from cmbot.planning.approach.approach import Approach, plan_approach
+from cmbot.optimization import ExchangeReport
+from cmbot.planning.approach import Approach, plan_approach
 from cmbot.planning.context import build_context
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, quiet
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.plan import Plan, Seconds, Start, objective_metrics
-from cmbot.planning.precheck import require_reasonable_size, require_within_reach
+from cmbot.planning.precheck import require_reasonable_size, require_within_reach, solver_of
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.retries import Attempt, with_retries
-from cmbot.planning.solvers import solver_of
 from cmbot.planning.torque.decomposition import Optimised, optimise, segments
-from cmbot.planning.verification.baseline import baseline_samples
-from cmbot.planning.verification.certificate import Certificate, certificate_grid, certify
-from cmbot.planning.verification.metrics import figures
-from cmbot.planning.wrench_functions import WrenchFunction
+from cmbot.planning.verification.certificate import Certificate, certify
+from cmbot.planning.verification.metrics import figures, measure
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["checked", "plan"]
+__all__ = ["plan"]
 
 # The arm starts in the scene's posture when no joint is further from it than this, rad.
 _SAME_POSTURE = 1e-9
@@ -83,9 +80,9 @@ def plan(
     for key, value in (("objective", objective), ("progress", progress)):
         if not (value is None or callable(value)):
             raise InputError("cmbot.plan", key, type(value).__name__, "something to call, or None")
-    options = checked(options) if options is not None else scene.planner
+    given = scene.planner if options is None else checked_options(PlannerOptions, options, "PlannerOptions")
     # The plan holds the solver that it was made with.
-    automatic, options = options.solver == "auto", replace(options, solver=solver_of(options))
+    automatic, options = given.solver == "auto", replace(given, solver=solver_of(given))
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"):
         return _plan(scene, options, objective, ProgressReporter(progress), automatic=automatic)
@@ -112,21 +109,23 @@ def _plan(
         stop_at_obstacles=False,
         report=partial(reporter.part, "following the tool path as the baseline does"),
     )
-    baseline = baseline_samples(context, path)
+    baseline = measure(
+        context.robot, context.task, context.clearances, path.t, path.motion(), clearance=path.clearance
+    )
     baseline_figures = figures(context.robot, baseline)
     sliding = guess.search is not None
     objective = objective_metrics(
         context.objective,
         options,
         own=custom is not None,
-        baseline=(baseline_figures, StateSamples(baseline.t, baseline.q, baseline.v, baseline.a)),
-        planned=(motion.certificate.figures, _states(motion.optimised.trajectory, options)),
+        baseline=(baseline_figures, baseline),
+        planned=(motion.certificate.figures, motion.optimised.trajectory),
         floor=guess.lower_bound.value if sliding else None,
     )
     fallbacks = attempt.fallbacks
     if why := motion.optimised.whole_because:
-        why = f"not stretch by stretch, as a stretch failed ({why}): that took longer."
-        fallbacks = (*fallbacks, f"The path was optimised as a whole, {why}")
+        fallback = f"The path was optimised as a whole, as a segment failed ({why}): that took longer."
+        fallbacks = (*fallbacks, fallback)
     return Plan(
         scene=scene,
         options=options if guess.search is None else replace(options, step_share=guess.search.step_share),
@@ -180,7 +179,7 @@ def _certified_motion(attempt: Attempt) -> _Motion:
     if context.sag is not None:
         optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
     if context.arm is not None and options.knots == "sliding" and options.quiet_modes:
-        optimised, quieting = quiet(context, context.arm, problem, optimised)
+        optimised, quieting = suppress_vibration(context, context.arm, problem, optimised)
 
     reporter.stage("certify")
     certificate = certify(
@@ -191,7 +190,7 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         context.clearances,
         options,
         sag=context.sag,
-        tell=partial(reporter.part, "certifying"),
+        report=partial(reporter.part, "certifying"),
     )
     certificate.require()
     posture = optimised.via_points[0]
@@ -209,20 +208,3 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         start=Start(posture=posture, moved=moved, failures=guess.failures),
         approach=approach,
     )
-
-
-def _states(trajectory: QuinticTrajectory, options: PlannerOptions) -> StateSamples:
-    """The planned motion as finely sampled as it is certified."""
-    grid = certificate_grid(trajectory, options)
-    return StateSamples(grid, *trajectory.states(grid))
-
-
-def checked(options: PlannerOptions) -> PlannerOptions:
-    """Return `options` when every one is within its bounds.
-
-    Raises
-    ------
-    InputError
-        Naming the option, what it is and what it may be.
-    """
-    return checked_options(PlannerOptions, options, "PlannerOptions")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PathNotFound, SceneError
 from cmbot.common.installation import install_command
 from cmbot.common.validation import counted
+from cmbot.optimization import piqp_module
 from cmbot.planning.context import PlanningContext, robot_of, task_of
-from cmbot.planning.path.task import ToolTask, task_dimension
-from cmbot.planning.solvers import solver_of
+from cmbot.planning.task import ToolTask, task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, ToolPath
 from cmbot.trajectory import SUPPORT
@@ -30,6 +31,7 @@ __all__ = [
     "precheck_scene",
     "require_reasonable_size",
     "require_within_reach",
+    "solver_of",
 ]
 
 MOST_UNKNOWNS = 3000
@@ -131,11 +133,6 @@ def beyond_reach(robot: Robot, path: ToolPath) -> Iterator[BeyondReach]:
     """Yield the legs that end further from the arm's first joint than the stretched arm reaches.
 
     What lies between two ends within reach is within reach.
-
-    Parameters
-    ----------
-    robot : Robot
-    path : ToolPath
     """
     reach = robot.reach
     distances = np.linalg.norm(path.corners[1:] - robot.base_point, axis=1)
@@ -168,17 +165,27 @@ def require_within_reach(context: PlanningContext) -> None:
     )
 
 
-def oversized(scene: Scene, joints: int, options: PlannerOptions) -> Finding | None:
-    """Return what is wrong when a scene's problem is too large for the solver that it would be planned with.
+def solver_of(options: PlannerOptions) -> Literal["sqp", "slsqp"]:
+    """Return the solver that the options ask for, or with ``auto`` the best that is installed.
 
-    Parameters
-    ----------
-    scene : Scene
-    joints : int
-        Of its robot.
-    options : PlannerOptions
-        In place of the scene's own.
+    Raises
+    ------
+    MissingExtra
+        When it is ``sqp`` and PIQP is not installed.
     """
+    if options.solver == "slsqp":
+        return "slsqp"
+    try:
+        piqp_module()
+    except MissingExtra:
+        if options.solver == "auto":
+            return "slsqp"
+        raise
+    return "sqp"
+
+
+def oversized(scene: Scene, joints: int, options: PlannerOptions) -> Finding | None:
+    """Return what is wrong when a problem is too large for the solver that `options` would plan it with."""
     try:
         solver = solver_of(options)
     except MissingExtra:

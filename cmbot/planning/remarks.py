@@ -64,25 +64,25 @@ def _bending(plan: Plan) -> Iterator[str]:
         yield _suppression(plan.quieting)
 
 
-def _suppression(quiet: VibrationSuppression) -> str:
-    modes = "slowest vibration" if quiet.modes == 1 else f"{quiet.modes} slowest vibrations"
-    swing = f"they would leave the tool swinging by {1e3 * quiet.before:.4f} mm to either side"
-    if not any(quiet.shares):
+def _suppression(done: VibrationSuppression) -> str:
+    modes = "slowest vibration" if done.modes == 1 else f"{done.modes} slowest vibrations"
+    swing = f"they would leave the tool swinging by {1e3 * done.before:.4f} mm to either side"
+    if not any(done.shares):
         return (
             f"Vibration suppression: the {modes} of guardrail and links could not be brought to rest at the "
-            "ends of the legs: no change of the motion that was tried keeps every bound. As predicted, "
-            f"{swing}."
+            "ends of the legs: no change of the motion that was tried keeps every bound. "
+            f"As predicted, {swing}."
         )
-    brought = ("is " if quiet.modes == 1 else "are ") + ("" if 1.0 in quiet.shares else "in part ")
+    brought = ("is " if done.modes == 1 else "are ") + ("" if 1.0 in done.shares else "in part ")
     return (
         f"Vibration suppression: the {modes} of guardrail and links {brought}brought to rest at the ends of "
-        f"{_quiet_legs(quiet.shares)}, by how the joints move; as predicted, {swing} without that, and by "
-        f"{1e3 * quiet.after:.4f} mm with it. This assumes that the modelled stiffness is exact."
+        f"{_suppressed_legs(done.shares)}, by how the joints move; as predicted, {swing} without that, and "
+        f"by {1e3 * done.after:.4f} mm with it. This assumes that the modelled stiffness is exact."
     )
 
 
-def _quiet_legs(shares: tuple[float, ...]) -> str:
-    """Name the legs with the whole correction, with part of it, and without."""
+def _suppressed_legs(shares: tuple[float, ...]) -> str:
+    """Name the legs whose ends are at rest, those in part, and the others."""
     legs, whole, none = len(shares), shares.count(1.0), shares.count(0.0)
     part = legs - whole - none
     first = whole or part

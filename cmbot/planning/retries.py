@@ -118,15 +118,9 @@ RETRIES: tuple[Retry, ...] = (shorter_steps, scene_start, dense_solver)
 def with_retries(
     attempt: Attempt, work: Callable[[Attempt], Work], retries: Sequence[Retry] = RETRIES
 ) -> tuple[Attempt, Work]:
-    """Return the first attempt that succeeds, and its result.
+    """Return the first attempt at which `work` succeeds, and its result.
 
-    Parameters
-    ----------
-    attempt : Attempt
-    work : callable
-        What is done with an attempt.
-    retries : sequence of Retry
-        Each runs its attempts with all retries before it.
+    Each of `retries` runs its attempts with all retries before it.
 
     Raises
     ------

@@ -13,9 +13,9 @@ from cmbot.optimization.exchange import minimize_peak
 from cmbot.optimization.program import StateSamples
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.torque.decomposition import exchange_options
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
-from cmbot.planning.wrench_functions import WrenchFunction
 from cmbot.scene import Scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 

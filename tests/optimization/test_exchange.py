@@ -13,13 +13,13 @@ from oracles.literal_problem import Literal
 from small_scenes import problem_of, short_scene
 
 from cmbot.common.errors import InputError, OptimisationFailed
+from cmbot.common.validation import checked_options
 from cmbot.optimization import exchange
 from cmbot.optimization.evaluation import NlpEvaluation
 from cmbot.optimization.exchange import ExchangeOptions, minimize_peak
 from cmbot.planning import ExchangeReport, QuinticTrajectory, plan
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import sliding_guess
-from cmbot.planning.planner import checked
 from cmbot.planning.torque.decomposition import Optimised, exchange_options, optimise
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Dynamics
@@ -308,4 +308,4 @@ def test_wrong_options_are_named(name: str, value: Any) -> None:
 
 def test_right_options_pass_unchanged() -> None:
     options = PlannerOptions(avoidance="switch", samples_per_segment=400, safety_margin_m=0.0)
-    assert checked(options) == options
+    assert checked_options(PlannerOptions, options, "PlannerOptions") == options

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 from scipy.optimize import minimize
 
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Robot
 
 FloatArray = NDArray[np.float64]

@@ -47,8 +47,6 @@ def test_a_path_that_could_not_be_parted_says_so(monkeypatch: pytest.MonkeyPatch
     monkeypatch.setattr(TorqueProblem, "segment", fails)
     made = plan(scene)
     (said,) = made.fallbacks
-    assert said.startswith(
-        "The path was optimised as a whole, not stretch by stretch, as a stretch failed (the"
-    )
+    assert said.startswith("The path was optimised as a whole, as a segment failed (the")
     assert said in list(remarks(made))
     assert kept(made, tmp_path / "plan") == (said,)

@@ -110,9 +110,7 @@ def test_the_best_sequence_is_the_same_when_all_clearances_are_computed(every: i
         return BottleneckDynamicProgram(context, layers, stage._edges, starts).best()
 
     lazily = best(stage._layers)
-    eagerly = [
-        GraphLayer(node.chart, context.clearances, context.options.safety_margin_m) for node in stage._layers
-    ]
+    eagerly = [GraphLayer(context, node.chart) for node in stage._layers]
     for node in eagerly:
         node.check_clearance(node.admissible)
     assert any(node.too_near.any() for node in eagerly)
@@ -124,7 +122,7 @@ def test_charts_evaluated_one_by_one_are_the_same(
 ) -> None:
     each = [node.chart.q for node in stage._layers]
     monkeypatch.setattr(self_motion, "_TOGETHER", 1)
-    again = self_motion.charts_of(Postures(context.robot), context.robot.limits, context.objective, each)
+    again = self_motion.charts_of(context, each)
     for node, chart in zip(stage._layers, again, strict=True):
         np.testing.assert_allclose(chart.value, node.chart.value, rtol=1e-13)
         np.testing.assert_allclose(chart.joint_use, node.chart.joint_use, rtol=1e-11, atol=1e-12)
@@ -177,7 +175,7 @@ def test_strokes_to_and_fro_are_one_leg(corners: list[int], seed: int) -> None:
         seconds=np.ones(len(corners) - 1),
         profile=SpeedProfile(),
     )
-    assert len(path._different) <= len({frozenset(pair) for pair in pairwise(corners)}) + 2
+    assert len(path._distinct_legs) <= len({frozenset(pair) for pair in pairwise(corners)}) + 2
     p = rng.normal(size=(40, 3))
     every = [path._offset_from(np.full(40, leg), p) for leg in range(len(corners) - 1)]
     nearest = np.linalg.norm(every, axis=2).min(axis=0)

@@ -17,7 +17,7 @@ from cmbot.optimization import exchange
 from cmbot.planning import plan
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
-from cmbot.planning.solvers import solver_of
+from cmbot.planning.precheck import solver_of
 from cmbot.planning.torque.decomposition import optimise
 from cmbot.scene import PlannerOptions, Scene
 

@@ -16,31 +16,23 @@ __all__ = ["LegVibration"]
 
 # Modes at either end of a leg that together carry the motion in between.
 _CARRIERS = 8
-# Steps a period of the fastest suppressed mode; the matrices are worked out at least every so often, s.
+# Steps a period of the fastest mode that is suppressed; longest time between evaluations of the matrices, s.
 _STEPS_A_PERIOD, _MATRICES_EVERY = 60, 0.1
 # Steps whose matrices are held at a time.
 _TOGETHER = 500
-# Damping ratio of the suppressed modes, as simulated by default: it hardly matters within a leg.
+# Damping ratio of the modes that are suppressed, as simulated by default: it hardly matters within a leg.
 _DAMPING = 0.01
 
 
 class LegVibration:
     """How the joints' snap along a leg moves the first modes at its end, the arm at rest where it starts.
 
-    Parameters
-    ----------
-    arm : ElasticArm
-    trajectory : QuinticTrajectory
-        Along whose postures the matrices are worked out; a small change of it hardly changes them.
-    start, end : float, s
-        Of the leg, both of them knots.
-    modes : int
-        The first so many count.
+    The matrices are those of the postures along `trajectory`; a small change of it hardly changes them.
 
     Attributes
     ----------
     times : (m,), s
-        Middles of the steps.
+        Middles of the steps between the knots `start` and `end`.
     weights : (m, 2r, n)
         Of the snaps at these times in the modes' displacements and velocities at the end.
     """

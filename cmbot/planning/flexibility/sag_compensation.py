@@ -1,7 +1,7 @@
 """Sag compensation: the via-points are shifted by the predicted sag, so that the bent arm follows the path.
 
 The sag of a posture is known beforehand, but shifting a via-point changes its posture a little and with it
-the sag. So the shift is worked out anew along each optimised trajectory until it stays what it is.
+the sag. So the shift is computed again along each optimised trajectory until it converges.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.elastic.sag import Sag
-from cmbot.optimization import ExchangeReport
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.torque.decomposition import Optimised, optimise
@@ -31,7 +30,7 @@ MOST_ROUNDS = 8
 _SETTLED = 0.02
 # Share of the tool deviation that is left to the optimiser; the rest is for what the shift misses.
 _LEFT = 0.95
-# Times per spline segment at which the sag is worked out.
+# Times per spline segment at which the sag is computed.
 _PER_SEGMENT = 4
 
 
@@ -46,7 +45,7 @@ class Compensation:
     largest_shift : float, m
         Of a commanded tool point from where the path has it.
     last_change : float, m
-        How far the last round moved any of them still.
+        Largest change of a commanded tool point in the last round.
     """
 
     rounds: int
@@ -56,30 +55,15 @@ class Compensation:
 
 def compensate(
     context: PlanningContext,
-    way: InitialGuess,
+    guess: InitialGuess,
     optimised: Optimised,
     sag: Sag,
-    progress: Callable[[ExchangeReport, int], None] | None = None,
+    progress: Callable[..., None] | None = None,
 ) -> tuple[Optimised, Compensation, TorqueProblem]:
     """Optimise again and again along the path shifted by the sag of the trajectory before.
 
-    Parameters
-    ----------
-    setting : PlanningContext
-    way : InitialGuess
-        What `optimised` came from.
-    optimised : Optimised
-        Without compensation.
-    sag : Sag
-    progress : callable, optional
-        Called with a `ExchangeReport` and the number of the round, from 1, after every pass.
-
-    Returns
-    -------
-    optimised : Optimised
-    compensation : Compensation
-    problem : TorqueProblem
-        Whose solution it is.
+    `optimised` came from `guess`; `progress` is called with the number of the round, from 1, after every
+    exchange iteration. Returns the last trajectory and the problem whose solution it is.
 
     Raises
     ------
@@ -92,7 +76,7 @@ def compensate(
     options = replace(context.options, max_tool_deviation_m=_LEFT * allowed)
     times = np.linspace(context.times[:-1], context.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
     times = np.append(times.ravel(), context.times[-1])
-    shift, problem = np.zeros((len(times), 3)), way.problem
+    shift, problem = np.zeros((len(times), 3)), guess.problem
     for rounds in range(MOST_ROUNDS + 1):
         wanted = -sag.at(optimised.trajectory.evaluate(times)).tool
         change = float(np.linalg.norm(wanted - shift, axis=1).max())
@@ -105,8 +89,9 @@ def compensate(
         shift = wanted
         task = replace(context.task, path=_shifted(context, times, shift))
         around = replace(context, task=task, options=options)
-        problem = shifted_problem(around, way, optimised.via_points)
-        optimised = optimise(problem, partial(_tell, progress, rounds + 1))
+        problem = shifted_problem(around, guess, optimised.via_points)
+        report = None if progress is None else partial(progress, rounds=rounds + 1)
+        optimised = optimise(problem, report)
     raise OptimisationFailed(
         f"the compensation of the sag did not settle in {MOST_ROUNDS} rounds",
         constraint="change of the shift",
@@ -114,15 +99,8 @@ def compensate(
     )
 
 
-def _tell(
-    progress: Callable[[ExchangeReport, int], None] | None, rounds: int, report: ExchangeReport
-) -> None:
-    if progress is not None:
-        progress(report, rounds)
-
-
 def _shifted(context: PlanningContext, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:
-    # Few plans have use for it, and it takes a while to come.
+    # Imported where needed: it takes a while to load, and few plans need it.
     from scipy.interpolate import CubicSpline
 
     path = context.task.path

@@ -1,19 +1,26 @@
-"""The joint path: gradient projection with a singularity-robust inverse (Chang 2021, Eqs. (15)-(22))."""
+"""The joint path: gradient projection with a singularity-robust inverse (Chang 2021, Eqs. (15)-(22)).
+
+Where a path fails, "the manipulator should change its initial position" (Section 3.1): other starting
+postures with the same tool pose are reached by self-motion.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from cmbot.collision import Clearances, Nearest
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.context import PlanningContext
+from cmbot.common.errors import PathNotFound
+from cmbot.planning.context import PlanningContext, no_start_left
+from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.robot import Kinematics
 from cmbot.scene import PlannerOptions
 
-__all__ = ["JointPath", "follow_path", "robust_inverse"]
+__all__ = ["JointPath", "find_path", "follow_path", "robust_inverse", "self_motion_postures"]
 
 
 # Lag of the tool behind its path, m, beyond which it is out of reach, not drifting.
@@ -21,6 +28,13 @@ _LOST = 0.01
 # Power k of the weights of near pairs: with a small one they cancel out, with a large one the blend comes
 # near to Eq. (17)'s jumps.
 _SHARPNESS = 8
+# Length of the steps along a self-motion, rad, and how many are taken each way; every fourth posture is
+# tried.
+_STEP = 0.05
+_MOST_STEPS = 400
+_TRIED_EVERY = 4
+# Step of a first, coarse integration of Eq. (22) from another start, s.
+_COARSE_STEP = 0.05
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,6 +62,17 @@ class JointPath:
     singular_value: FloatArray
     drift: FloatArray
 
+    def motion(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Return position, velocity, acceleration and jerk (N, n), with rest before and after the path."""
+        # Two steps of rest on either side: the central differences are then the same all along.
+        rates = np.pad(self.v, ((2, 2), (0, 0)))
+        acceleration = (rates[2:] - rates[:-2]) / (2 * self.t[1])
+        jerk = (acceleration[2:] - acceleration[:-2]) / (2 * self.t[1])
+        # The trapezoid begins and ends with a jump of acceleration, whose mean occurs at no instant: the
+        # first and last samples are those of the arm at rest, so that the torques include those of rest.
+        acceleration[[1, -2]] = 0.0
+        return self.q, self.v, acceleration[1:-1], jerk
+
 
 def follow_path(
     context: PlanningContext,
@@ -56,20 +81,12 @@ def follow_path(
     stop_at_obstacles: bool = True,
     report: Callable[[int, int], None] | None = None,
 ) -> JointPath:
-    """Follow a tool path from a posture, away from obstacles.
+    """Follow a tool path from a posture (n,), by default the scene's, away from obstacles.
 
     Integrates Eq. (22). The commanded velocity leads from where the tool should be now to where it should be
     one step later, plus feedback of the pose error, so that neither the step nor the damping lets it drift.
-
-    Parameters
-    ----------
-    context : PlanningContext
-    posture : (n,), rad, optional
-        Where the arm starts; its tool pose is the start of the tool path. By default the scene's.
-    stop_at_obstacles : bool
-        False carries on whatever happens, to show what the motion would be.
-    report : callable, optional
-        Called with the number of steps that are done, and of all.
+    Without `stop_at_obstacles` it goes on whatever happens. `report` is called with the number of steps that
+    are done, and of all.
 
     Raises
     ------
@@ -181,3 +198,64 @@ def _require_free(context: PlanningContext, q: FloatArray, time: float, error: F
     else:
         return clearance
     raise context.path_not_found(reason, q, time, pair)
+
+
+def find_path(context: PlanningContext) -> tuple[JointPath, tuple[PathNotFound, ...]]:
+    """Follow the tool path from the scene's posture; where that fails, from others at the same tool pose.
+
+    Returns the path and the failures from the starts before, the scene's first.
+
+    Raises
+    ------
+    PathNotFound
+        As from the scene's posture, when none of the nearest ``other_starts`` others leads to the end.
+    """
+    report = partial(context.reporter.part, "following the tool path")
+    try:
+        return follow_path(context, report=report), ()
+    except PathNotFound as error:
+        failures = [error]
+    options = context.options
+    step = max(options.path_step_s, _COARSE_STEP)
+    coarse = replace(context, options=replace(options, path_step_s=step))
+    for start in self_motion_postures(context)[: options.other_starts]:
+        context.reporter.stage("path", failed_starts=len(failures))
+        try:
+            follow_path(coarse, start)
+            return follow_path(context, start, report=report), tuple(failures)
+        except PathNotFound as error:
+            failures.append(error)
+    moved = "the obstacle or the tool path" if failures[0].pair else "the tool path"
+    raise no_start_left(failures, f"take another posture_deg, or move {moved}") from failures[0]
+
+
+def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
+    """Return postures (n,) within the joint ranges that hold the task's start, the scene's nearest first.
+
+    They lie on the curves that lead from the scene's posture along each direction of the null space, both
+    ways; with a full pose and seven joints that is all of the self-motion connected with it. A curve ends at
+    a joint's range, or where it comes back.
+    """
+    posture, limits, task = context.posture, context.robot.limits, context.task
+    directions = null_space(context.postures, task, posture[None])[0]
+    along = np.concatenate([directions, -directions])
+    q = np.tile(posture, (len(along), 1))
+    found: list[FloatArray] = []
+    for step in range(1, _MOST_STEPS + 1):
+        N = null_space(context.postures, task, q)
+        along = np.einsum("kai,kaj,kj->ki", N, N, along)
+        length = np.linalg.norm(along, axis=1, keepdims=True)
+        along /= np.maximum(length, 1e-6)
+        q, follows = project_onto_task(
+            context.postures, task, q + _STEP * along, task.path.corners[0], steps=50, tolerance=1e-12
+        )
+        follows &= length[:, 0] >= 1e-6
+        follows &= ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
+        if step > 2:
+            follows &= np.linalg.norm(q - posture, axis=1) >= _STEP
+        q, along = q[follows], along[follows]
+        if len(q) == 0:
+            break
+        if step % _TRIED_EVERY == 0:
+            found += list(q)
+    return sorted(found, key=lambda q: float(np.linalg.norm(q - posture)))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures, ToolBatch
 
 __all__ = ["TangentPredictor", "gram", "null_directions", "null_space", "project_onto_task", "solve_batch"]
@@ -38,8 +38,6 @@ def project_onto_task(
 
     Parameters
     ----------
-    postures : Postures
-    task : ToolTask
     q : (N, n), rad
     point : (N, 3) or (3,), m
         Where the tool has to be, of each posture or of all.
@@ -93,15 +91,9 @@ def null_space(postures: Postures, task: ToolTask, q: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class TangentPredictor:
-    """Postures on the task, and their derivatives by the tool's point.
+    """Postures `q` (N, n) that hold the tool at `point` (3,), and their derivatives of least norm by it.
 
-    Attributes
-    ----------
-    q : (N, n), rad
-    point : (3,), m
-        Where they hold the tool.
-    slope : (n, 3, N), rad/m
-        Derivatives of least norm.
+    `slope` is (n, 3, N), rad/m.
     """
 
     q: FloatArray

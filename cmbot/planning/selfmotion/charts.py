@@ -8,21 +8,18 @@ postures keep a distance, and every posture of the self-motion has one within it
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
-from cmbot.planning.objectives import Objective
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
-from cmbot.planning.path.task import ToolTask
-from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
-from cmbot.robot import JointLimits, Postures
 
-__all__ = ["Chart", "GraphLayer", "SelfMotionSampler", "charts_of"]
+__all__ = ["Chart", "GraphLayer", "PoissonDiskSets", "SelfMotionSampler", "charts_of", "without_neighbours"]
 
 # Newton steps that put random postures onto the task.
 _RANDOM_STEPS = 40
@@ -61,16 +58,14 @@ class Chart:
     within: BoolArray
 
 
-def charts_of(
-    postures: Postures, limits: JointLimits, objective: Objective, each: Sequence[FloatArray]
-) -> list[Chart]:
+def charts_of(context: PlanningContext, each: Sequence[FloatArray]) -> list[Chart]:
     """Return charts of given postures, arrays (M, n)."""
-    charts: list[Chart] = []
+    limits, charts = context.robot.limits, list[Chart]()
     for first in range(0, len(each), _TOGETHER):
         some = each[first : first + _TOGETHER]
         q = np.vstack(some)
-        at = postures.at(q)
-        value = objective.at_rest(at)
+        at = context.postures.at(q)
+        value = context.objective.at_rest(at)
         use = (np.abs(at.joint_torque) / limits.torque).max(axis=1)
         within: BoolArray = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
         ends = np.cumsum([0, *(len(part) for part in some)])
@@ -82,24 +77,20 @@ def charts_of(
 
 
 class GraphLayer:
-    """The postures of one chart as nodes of a graph search, whose clearances are computed when needed.
+    """The postures (M, n) of one chart as nodes of a graph search, whose clearances are computed when needed.
 
     Attributes
     ----------
-    chart : Chart
-    admissible : (M,)
-        Which nodes are not known to be inadmissible.
-    too_near : (M,)
-        Which are known to come within the safety margin.
+    admissible, too_near : (M,)
+        Which nodes are not known to be inadmissible, and which are known to come within the safety margin.
     """
 
-    def __init__(self, chart: Chart, clearances: Clearances, margin: float) -> None:
+    def __init__(self, context: PlanningContext, chart: Chart) -> None:
         self.chart = chart
         self.admissible = chart.within & (chart.joint_use <= 1.0)
         self.too_near = np.zeros(len(chart.q), dtype=np.bool_)
         self._checked = ~self.admissible
-        self._clearances = clearances
-        self._margin = margin
+        self._context = context
 
     def check_clearance(self, which: BoolArray | int) -> bool:
         """Compute the clearance of the nodes `which`; return whether any turned out inadmissible."""
@@ -108,7 +99,8 @@ class GraphLayer:
         new = np.flatnonzero(chosen & ~self._checked)
         if len(new) == 0:
             return False
-        near = self._clearances.check_collision(self.chart.q[new], self._margin)
+        context = self._context
+        near = context.clearances.check_collision(self.chart.q[new], context.options.safety_margin_m)
         self._checked[new] = True
         self.too_near[new] = near
         self.admissible[new] = ~near
@@ -124,45 +116,28 @@ class GraphLayer:
 
 
 class SelfMotionSampler:
-    """Samples charts along one tool path.
+    """Samples the postures (M, n) of charts along the tool path of a context.
 
-    Parameters
+    Attributes
     ----------
-    postures : Postures
-    task : ToolTask
-    limits : JointLimits
-    objective : Objective
-    spacing : float
-        Length of the steps of continuation, rad; the attribute of that name holds the final one.
-    seeds : int
-        Random postures from which the first chart is grown.
+    spacing : float, rad
+        Length of the steps of continuation; it grows where charts have too many postures.
     """
 
-    def __init__(
-        self,
-        postures: Postures,
-        task: ToolTask,
-        limits: JointLimits,
-        objective: Objective,
-        *,
-        spacing: float,
-        seeds: int,
-    ) -> None:
-        self._postures = postures
-        self._task = task
-        self._limits = limits
-        self._objective = objective
+    def __init__(self, context: PlanningContext) -> None:
+        self._postures, self._task = context.postures, context.task
+        limits = context.robot.limits
         # Joints without a range, or within half a turn, are charted on the circle, others within their
         # ranges.
         within_half_a_turn = (limits.lower >= -np.pi) & (limits.upper <= np.pi)
         self._round = np.isinf(limits.lower) | within_half_a_turn
         self._lower = np.where(self._round, -np.pi, np.maximum(limits.lower, -_ONE_TURN))
         self._upper = np.where(self._round, np.pi, np.minimum(limits.upper, _ONE_TURN))
-        self.spacing = spacing
-        self._seeds = seeds
-        self._wide = max(len(limits.lower) - task.dimension, 2)
+        self.spacing = context.options.chart_spacing
+        self._seeds = context.options.chart_seeds
+        self._wide = max(context.robot.dof - context.task.dimension, 2)
 
-    def first(self, point: FloatArray, known: FloatArray) -> Chart:
+    def first(self, point: FloatArray, known: FloatArray) -> FloatArray:
         """Chart the self-motion at `point` (3,) from the postures `known` (k, n) and from random ones."""
         rng = np.random.default_rng(0)
         random = rng.uniform(self._lower, self._upper, (self._seeds, len(self._lower)))
@@ -172,27 +147,21 @@ class SelfMotionSampler:
         while len(q) > _MOST_POSTURES:
             self._coarsen()
             q = self._grown_from(seeds, point)
-        return self._charts([q])[0]
+        return q
 
     def along(
         self, points: FloatArray, known: FloatArray, report: Callable[[int, int], None] | None = None
-    ) -> list[Chart]:
-        """Chart the self-motion at points, each near the one before.
+    ) -> list[FloatArray]:
+        """Chart the self-motion at `points` (k, 3), each near the one before; `known` (s, n) is at the first.
 
-        Parameters
-        ----------
-        points : (k, 3), m
-        known : (s, n), rad
-            Postures at the first of them.
-        report : callable, optional
-            Called with the number of points that are charted, and of all.
+        `report` is called with the number of points that are charted, and of all.
         """
         report = report or (lambda *_: None)
         each = self._each(points, known, report)
         while max(len(q) for q in each) > _TOO_MANY:
             self._coarsen()
             each = self._each(points, known, report)
-        return self._charts(each)
+        return each
 
     def _coarsen(self) -> None:
         self.spacing *= _COARSER ** (2 / self._wide)
@@ -203,7 +172,7 @@ class SelfMotionSampler:
         """Postures of the charts at `points` (k, 3)."""
         last = len(points) - 1
         stations = list(pairwise([*range(0, last, _STRIDE), last]))
-        charts: dict[int, FloatArray] = {0: self.first(points[0], known).q}
+        charts: dict[int, FloatArray] = {0: self.first(points[0], known)}
         # To the stations one after the other, then to the points between from both sides at once.
         predictors = {0: self._predictor(charts[0], points[0])}
         report(1, len(points))
@@ -238,9 +207,6 @@ class SelfMotionSampler:
         sets = self._empty_sets(1)
         self._take(_Postures(seeds, np.zeros(len(seeds), dtype=np.intp)), sets)
         return self._grown(sets, point[None])[0]
-
-    def _charts(self, each: Sequence[FloatArray]) -> list[Chart]:
-        return charts_of(self._postures, self._limits, self._objective, each)
 
     def _empty_sets(self, number: int) -> PoissonDiskSets:
         return PoissonDiskSets(number, _APART * self.spacing, self._round)
@@ -287,3 +253,88 @@ class _Postures:
 
     def __getitem__(self, index: BoolArray) -> _Postures:
         return _Postures(self.q[index], self.of[index])
+
+
+class PoissonDiskSets:
+    """Sets of postures, empty at first, which keep the distance `apart`, rad, from each other in their set.
+
+    Each has its own k-d tree, which is quicker than one of all. Angles of the joints `round_` (n,) lie on a
+    circle.
+    """
+
+    def __init__(self, number: int, apart: float, round_: BoolArray) -> None:
+        self._apart = apart
+        self._round = round_
+        self._circle = np.where(round_, _ONE_TURN, 0.0)
+        self.postures = [np.empty((0, len(round_))) for _ in range(number)]
+        self._turned = self.postures.copy()
+        self._trees: list[cKDTree | None] = [None] * number
+
+    @property
+    def sizes(self) -> IntArray:
+        """Number of postures in each."""
+        return np.array([len(q) for q in self.postures])
+
+    def far(self, q: FloatArray, of: IntArray) -> BoolArray:
+        """Which of postures `q` (N, n) are apart from those in their sets, whose indices `of` (N,) ascend."""
+        return self._far(self._on_circle(q), of)
+
+    def take(self, q: FloatArray, of: IntArray) -> BoolArray:
+        """Add those of `q` (N, n) that are apart from all others, in order, and return which."""
+        turned = self._on_circle(q)
+        taken = self._far(turned, of)
+        candidates = np.flatnonzero(taken)
+        for k, some in _groups(of[candidates]):
+            mine = candidates[some]
+            tree = cKDTree(turned[mine], boxsize=self._circle)
+            pairs = tree.query_pairs(self._apart, output_type="ndarray")
+            if len(pairs):
+                keep = without_neighbours(len(mine), pairs)
+                taken[mine] = keep
+                mine = mine[keep]
+            alone = len(pairs) == 0 and len(self.postures[k]) == 0
+            self._trees[k] = tree if alone else None
+            self.postures[k] = np.concatenate([self.postures[k], q[mine]])
+            self._turned[k] = np.concatenate([self._turned[k], turned[mine]])
+        return taken
+
+    def _far(self, turned: FloatArray, of: IntArray) -> BoolArray:
+        far = np.ones(len(turned), dtype=np.bool_)
+        for k, some in _groups(of):
+            if len(self.postures[k]):
+                distance, _ = self._tree(k).query(turned[some], distance_upper_bound=self._apart)
+                far[some] = distance >= self._apart
+        return far
+
+    def _tree(self, k: int) -> cKDTree:
+        tree = self._trees[k]
+        if tree is None:
+            tree = self._trees[k] = cKDTree(self._turned[k], boxsize=self._circle)
+        return tree
+
+    def _on_circle(self, q: FloatArray) -> FloatArray:
+        # The tree needs angles from 0 to below a whole turn; a tiny negative one would round up to it.
+        turned: FloatArray = q - self._circle * np.floor(q / _ONE_TURN)
+        turned[self._round & (turned >= _ONE_TURN)] = 0.0
+        return turned
+
+
+def _groups(of: IntArray) -> Iterator[tuple[int, slice]]:
+    """Yield the numbers in `of`, which ascend, and the slice of each."""
+    ends = [0, *(np.flatnonzero(of[1:] != of[:-1]) + 1).tolist(), len(of)] if len(of) else []
+    for start, end in pairwise(ends):
+        yield int(of[start]), slice(start, end)
+
+
+def without_neighbours(number: int, pairs: IntArray) -> BoolArray:
+    """Which of `number` items remain when each in turn removes its later neighbours of `pairs` (k, 2)."""
+    keep, open_ = np.ones(number, dtype=np.bool_), np.ones(number, dtype=np.bool_)
+    while len(pairs):
+        # Items without an earlier neighbour stay, and their neighbours go.
+        waiting = np.zeros(number, dtype=np.bool_)
+        waiting[pairs[:, 1]] = True
+        settled = open_ & ~waiting
+        keep[pairs[settled[pairs[:, 0]], 1]] = False
+        open_ = keep & waiting
+        pairs = pairs[open_[pairs].all(axis=1)]
+    return keep

@@ -71,15 +71,9 @@ class Edges:
 
 
 def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray) -> Edges:
-    """Find which postures of `q_b` (N, n) can follow which of `q_a` (M, n).
+    """Find which postures `q_b` (N, n) can follow which of `q_a` (M, n) by moves within `step` (n,), rad.
 
-    Parameters
-    ----------
-    q_a, q_b : (M, n) and (N, n), rad
-    step : (n,), rad
-        The longest of each joint.
-    endless : (n,)
-        Which joints have no range, so that angles count modulo a turn.
+    Angles of joints without a range, `endless` (n,), count modulo a turn.
     """
     turn = np.where(endless, 2 * np.pi / step, 0.0)
     # A tree with a box is slower, also without periods.
@@ -128,14 +122,7 @@ def nearest_turn(angle: FloatArray) -> FloatArray:
 class BottleneckDynamicProgram:
     """Dynamic programming over the layers of all via-points.
 
-    Attributes
-    ----------
-    context : PlanningContext
-    layers : sequence of GraphLayer
-    edges : list of Edges
-        From each layer to the next one.
-    starts : (M,)
-        Which nodes of the first layer a path may start in.
+    `starts` (M,) says in which nodes of the first layer a path may start.
     """
 
     context: PlanningContext
@@ -209,36 +196,19 @@ def refine(
 ) -> FloatArray:
     """Lower the peak of the objective at rest by iterative dynamic programming (Luus, 1990).
 
-    Around the postures others are drawn, nearer ones in every round, and dynamic programming finds the best
-    sequence of all these. The sequence before is among them, so the peak never rises.
-
-    Parameters
-    ----------
-    context : PlanningContext
-    q : (k, n), rad
-        Admissible postures at the via-points, one after the other within `steps`.
-    steps : (k - 1, n), rad
-        The longest that the joints may move between via-points.
-    reach : float, rad
-        How far from them others are drawn at first.
-    lower_bound : float
-        Of the peak.
-    start_stays : bool
-        The first posture is not changed.
-
-    Returns
-    -------
-    (k, n), rad
+    Around the admissible postures `q` (k, n) others are drawn, at first up to `reach`, rad, from them, nearer
+    ones in every round. Dynamic programming finds the best sequence of all these within `steps` (k - 1, n),
+    rad. The sequence before is among them, so the peak never rises; near `lower_bound` the rounds end.
     """
-    rng, robot, margin = np.random.default_rng(0), context.robot, context.options.safety_margin_m
+    rng = np.random.default_rng(0)
     for done in range(_ROUNDS):
         context.reporter.part("refining the choice", done, _ROUNDS, at_most=True)
         each = _candidates(context, q, reach, rng)
         if start_stays:
             each[0] = q[:1]
-        charts = charts_of(context.postures, robot.limits, context.objective, each)
-        layers = [GraphLayer(chart, context.clearances, margin) for chart in charts]
-        links = edges_along(layers, steps, np.isinf(robot.limits.lower))
+        charts = charts_of(context, each)
+        layers = [GraphLayer(context, chart) for chart in charts]
+        links = edges_along(layers, steps, np.isinf(context.robot.limits.lower))
         starts = np.ones(len(each[0]), dtype=np.bool_)
         chosen = BottleneckDynamicProgram(context, layers, links, starts).best()
         q = np.stack([chart.q[k] for chart, k in zip(charts, chosen, strict=True)])

@@ -17,8 +17,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.path.task import ToolTask
-from cmbot.planning.selfmotion.charts import Chart, GraphLayer, SelfMotionSampler, charts_of
+from cmbot.planning.selfmotion.charts import GraphLayer, SelfMotionSampler, charts_of
 from cmbot.planning.selfmotion.dynamic_programming import (
     BottleneckDynamicProgram,
     blocked,
@@ -82,16 +81,17 @@ class GlobalSearch:
     def __init__(self, context: PlanningContext) -> None:
         self._context = context
         self._endless = np.isinf(context.robot.limits.lower)
-        self._spacing, charts = self._charts(context.task)
-        self._layers = self._layers_of(charts)
+        each, self._spacing = _sampled(context)
+        charts = charts_of(context, each)
+        self._layers = [GraphLayer(context, chart) for chart in charts]
         for k, layer in enumerate(self._layers):
             if layer.best() is None:
                 raise blocked(context, self._layers, k)
         self.lower_bound, lowest = find_lower_bound(context, self._layers, self._spacing)
         self._wide = context.robot.dof - context.task.dimension > 1
         if self._wide:
-            charts = self._with_more(charts, lowest)
-            self._layers = self._layers_of(charts)
+            charts = charts_of(context, self._with_more(each, lowest))
+            self._layers = [GraphLayer(context, chart) for chart in charts]
         self._allow(context.options.step_share)
         self.first_chart = charts[0]
         # The shorter way round for endless joints.
@@ -176,38 +176,16 @@ class GlobalSearch:
         value = context.objective.at_rest(context.postures.at(q))
         return GlobalSolution(q=self._unwound(q), value=value)
 
-    def _charts(self, task: ToolTask) -> tuple[float, list[Chart]]:
-        """Spacing of the charts, and charts at all via-points."""
-        context, options = self._context, self._context.options
-        sampler = SelfMotionSampler(
-            context.postures,
-            task,
-            context.robot.limits,
-            context.objective,
-            spacing=options.chart_spacing,
-            seeds=options.chart_seeds,
-        )
-        report = partial(context.reporter.part, f"charting the postures that hold the tool's {task.keep}")
-        charts = sampler.along(context.points, context.posture[None], report)
-        return sampler.spacing, charts
-
-    def _layers_of(self, charts: list[Chart]) -> list[GraphLayer]:
-        clearances, margin = self._context.clearances, self._context.options.safety_margin_m
-        return [GraphLayer(chart, clearances, margin) for chart in charts]
-
-    def _with_more(self, charts: list[Chart], lowest: FloatArray) -> list[Chart]:
+    def _with_more(self, each: list[FloatArray], lowest: FloatArray) -> list[FloatArray]:
         """Add to coarse charts the finer ones of the whole pose, and sequences beside the posture `lowest`.
 
         So freedom never raises the peak, and a sequence leads on from the scene's own posture.
         """
         context = self._context
-        each = [chart.q for chart in charts]
         more = [sequences_beside(context, lowest, self.lower_bound.via_point, self._spacing)]
         if context.robot.dof > _POSE:
-            more.append([chart.q for chart in self._charts(replace(context.task, keep="pose"))[1]])
-        for some in more:
-            each = [np.vstack([q, others]) for q, others in zip(each, some, strict=True)]
-        return charts_of(context.postures, context.robot.limits, context.objective, each)
+            more.append(_sampled(replace(context, task=replace(context.task, keep="pose")))[0])
+        return [np.vstack(of_point) for of_point in zip(each, *more, strict=True)]
 
     def _unwound(self, q: FloatArray) -> FloatArray:
         """The same postures (n, d) on the turns of endless joints that lie nearest to those before."""
@@ -218,25 +196,18 @@ class GlobalSearch:
         return q
 
 
+def _sampled(context: PlanningContext) -> tuple[list[FloatArray], float]:
+    """Postures (M, d) of the charts at all via-points, and their spacing, rad."""
+    sampler = SelfMotionSampler(context)
+    report = partial(context.reporter.part, f"charting the postures that hold the tool's {context.task.keep}")
+    each = sampler.along(context.points, context.posture[None], report)
+    return each, sampler.spacing
+
+
 def sequences_beside(
     context: PlanningContext, posture: FloatArray, via_point: int, spacing: float
 ) -> list[FloatArray]:
-    """Carry a posture, and others beside it, along the path as far as they hold the task.
-
-    Parameters
-    ----------
-    context : PlanningContext
-    posture : (d,), rad
-        At the via-point with that index.
-    via_point : int
-    spacing : float
-        How far beside, rad.
-
-    Returns
-    -------
-    list of (m, d), rad
-        One for every via-point.
-    """
+    """Carry a posture (d,) of a via-point, and others within `spacing`, along the path: (m, d) at each."""
     rng = np.random.default_rng(0)
     # The same offsets everywhere give sequences that run side by side.
     offsets = rng.normal(size=(_BESIDE, len(posture)))

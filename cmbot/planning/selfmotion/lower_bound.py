@@ -60,21 +60,9 @@ class LowerBound:
 def find_lower_bound(
     context: PlanningContext, layers: Sequence[GraphLayer], spacing: float
 ) -> tuple[LowerBound, FloatArray]:
-    """Find the lower bound from charts of the self-motion at all via-points.
+    """Find the lower bound from charts of the self-motion at all via-points, each with an admissible posture.
 
-    Parameters
-    ----------
-    context : PlanningContext
-    layers : sequence of GraphLayer
-        With an admissible posture each.
-    spacing : float
-        Of the charts, rad.
-
-    Returns
-    -------
-    bound : LowerBound
-    posture : (d,), rad
-        Admissible, with that value at that via-point.
+    Returns it and an admissible posture (d,), rad, with that value at that via-point.
     """
     best = [layer.best() for layer in layers]
     each = np.array([layer.chart.value[k] for layer, k in zip(layers, best, strict=True)])
@@ -125,18 +113,11 @@ class _BranchAndBound:
     def minimise(
         self, some: IntArray, best: FloatArray, incumbent: float, postures: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Smallest admissible values at the via-points `some`, and lower bounds of them.
+        """Smallest admissible values (s,) at the via-points `some` (s,), and lower bounds of them.
 
-        Parameters
-        ----------
-        some : (s,)
-        best : (s,)
-            Values that are known to be admissible there.
-        incumbent : float
-            A via-point with an admissible value down here cannot set the lower bound: its search ends, and
-            its bound is minus infinity.
-        postures : (n, d), rad
-            Of all via-points, with the values known; better ones replace them.
+        `best` (s,) are values known to be admissible there, `postures` (n, d) those of all via-points that
+        have them; better ones replace them. A via-point with an admissible value down to `incumbent` cannot
+        set the lower bound: its search ends, and its bound is minus infinity.
         """
         best, left_out = best.copy(), np.full(len(some), np.inf)
         self._some, self._points = some, self._context.points[some]

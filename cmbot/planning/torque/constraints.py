@@ -10,7 +10,7 @@ from cmbot.collision import Clearances, raise_bounds, travel
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.objectives import efforts_of
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics
 
 __all__ = ["ClearanceMargin", "JointTorque", "ToolDeviation"]

@@ -3,7 +3,7 @@
 It reads the finished trajectory alone. Position, velocity, acceleration and jerk are judged at the exact
 extrema of their polynomials, which is for all times; torques, clearance and the tool's deviation on a grid
 ten times finer than the optimiser's. For the clearance it also states a bound that holds between samples; by
-the same bound most samples are known to be further away than the nearest one and are not looked at.
+the same bound most samples are known to be further away than the nearest one and are not measured.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation
 from cmbot.elastic.sag import Sag
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.metrics import MotionMetrics, figures, measure, together
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions
@@ -31,11 +31,11 @@ _FINER = 10
 # What "continuous", "at rest" and "through the via-points" mean in floating point: jumps relative to the
 # joint's bound, and via-point errors in rad.
 _JUMP = 1e-9
-# Knots have so many digits: where they are dense a last one of a position is a jump of the jerk. By so many
-# of those a spline's knots may be off the smooth ones.
+# Where knots are dense, the last digit of a position is a jump of the jerk. By this many last digits a
+# spline's knots may be off the smooth ones.
 _DIGITS = 64
 _VIA_POINT = 1e-10
-# So many samples are measured at once: more only ask for memory, and lose its nearness.
+# Samples that are measured at once: more only need memory, beyond the processor's cache.
 _BLOCK = 1 << 14
 _DERIVATIVES = (("velocity", "rad/s"), ("acceleration", "rad/s2"), ("jerk", "rad/s3"))
 
@@ -116,7 +116,7 @@ def certify(
     *,
     at_work: bool = True,
     sag: Sag | None = None,
-    tell: Callable[[int, int], None] | None = None,
+    report: Callable[[int, int], None] | None = None,
 ) -> Certificate:
     """Look at a finished trajectory with fresh eyes.
 
@@ -134,12 +134,12 @@ def certify(
         False with the tool off: its deviation is measured, not bounded.
     sag : Sag, optional
         Where it is compensated: the tool's deviation is that of the bent arm, as predicted.
-    tell : callable, optional
+    report : callable, optional
         Called with the number of samples that are done, and of all.
     """
     grid = certificate_grid(trajectory, options)
-    if tell is not None:
-        tell(0, len(grid))
+    if report is not None:
+        report(0, len(grid))
     q = trajectory.evaluate(grid)
     approach = _approach(trajectory, grid, clearances.reach)
     # Where no interval beside a sample can hold the smallest bound, its clearance need not be exact.

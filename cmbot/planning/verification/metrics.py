@@ -10,7 +10,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 
 __all__ = ["LimitUse", "MotionMetrics", "Samples", "figures", "measure", "together"]
@@ -119,6 +119,7 @@ def measure(
     efforts = Dynamics(robot).efforts(q, v, a)
     p_WT, R_WT = Kinematics(robot).tool_poses(q)
     expected = None if sag is None else p_WT + sag.along(t, q)
+    offset = task.path.offset(p_WT if expected is None else expected)
     return Samples(
         t=t,
         q=q,
@@ -130,14 +131,10 @@ def measure(
         guardrail_torque=efforts.guardrail_torque,
         tool_point=p_WT,
         expected_tool_point=expected,
-        tool_deviation=_lengths(task.path.offset(p_WT if expected is None else expected)),
+        tool_deviation=np.asarray(np.linalg.norm(offset, axis=1)),
         tool_rotation=task.rotation(R_WT),
         clearance=clearances.smallest(q).distance if clearance is None else clearance,
     )
-
-
-def _lengths(vectors: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def figures(
@@ -154,17 +151,15 @@ def figures(
         sampled.
     """
     limits = robot.limits
-    if kinematic_use is None:
-        velocity, acceleration, jerk = (
-            float((np.abs(x) / bound).max())
-            for x, bound in (
-                (samples.v, limits.velocity),
-                (samples.a, limits.acceleration),
-                (samples.j, limits.jerk),
-            )
-        )
-    else:
-        velocity, acceleration, jerk = kinematic_use
+
+    def use(x: FloatArray, bound: FloatArray) -> float:
+        return float((np.abs(x) / bound).max())
+
+    velocity, acceleration, jerk = kinematic_use or (
+        use(samples.v, limits.velocity),
+        use(samples.a, limits.acceleration),
+        use(samples.j, limits.jerk),
+    )
     torque = np.linalg.norm(samples.guardrail_torque, axis=1)
     static = Postures(robot).at(samples.q).guardrail_torque
     duration = float(samples.t[-1] - samples.t[0])
@@ -179,35 +174,28 @@ def figures(
             velocity=velocity,
             acceleration=acceleration,
             jerk=jerk,
-            torque=float((np.abs(samples.joint_torque) / limits.torque).max()),
+            torque=use(samples.joint_torque, limits.torque),
         ),
     )
 
 
 def together(parts: Sequence[tuple[float, MotionMetrics]]) -> MotionMetrics:
-    """Put together the figures of a motion's parts, one after the other, and their durations, s."""
-    each = [part for _, part in parts]
+    """Return the figures of a whole motion from the durations, s, and figures of its consecutive parts."""
+    durations, each = zip(*parts, strict=True)
+    uses = [part.limit_use for part in each]
 
     # Unlike Python's own, NumPy's extremes keep what is no number.
-    def most(name: str) -> float:
-        return float(np.max([getattr(part, name) for part in each]))
+    def most(name: str, of: Sequence[object] = each) -> float:
+        return float(np.max([getattr(part, name) for part in of]))
 
-    uses = [part.limit_use for part in each]
     return MotionMetrics(
         peak_guardrail_torque=most("peak_guardrail_torque"),
         mean_guardrail_torque=float(
-            np.average(
-                [part.mean_guardrail_torque for part in each], weights=[duration for duration, _ in parts]
-            )
+            np.average([part.mean_guardrail_torque for part in each], weights=durations)
         ),
         peak_static_guardrail_torque=most("peak_static_guardrail_torque"),
         min_clearance=float(np.min([part.min_clearance for part in each])),
         max_tool_deviation=most("max_tool_deviation"),
         max_tool_rotation=most("max_tool_rotation"),
-        limit_use=LimitUse(
-            **{
-                use.name: float(np.max([getattr(part, use.name) for part in uses]))
-                for use in fields(LimitUse)
-            }
-        ),
+        limit_use=LimitUse(**{use.name: most(use.name, uses) for use in fields(LimitUse)}),
     )

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from cmbot.planning.flexibility.suppression_windows import QuietWindow, legs_by_window
+from cmbot.planning.flexibility.vibration_suppression import Window, legs_by_window
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
@@ -31,7 +31,7 @@ def test_windows_do_not_grow_with_the_path(legs: int) -> None:
     problem = torque_problem(int(knots[-1]))
     windows = legs_by_window(problem.space, problem.space.t[knots])
     assert [leg for window in windows for leg in window] == list(pairwise(knots))
-    numbers = [QuietWindow(problem, window).numbers for window in windows]
+    numbers = [Window(problem, window).coefficients for window in windows]
     assert max(map(len, numbers)) <= 64 + 12
     for window, own in zip(windows, numbers, strict=True):
         assert own.min() >= window[0][0]
@@ -41,7 +41,7 @@ def test_windows_do_not_grow_with_the_path(legs: int) -> None:
 def test_a_long_leg_is_changed_near_its_end() -> None:
     problem = torque_problem(1000)
     (window,) = legs_by_window(problem.space, np.array([0.0, 400.0]))
-    np.testing.assert_array_equal(QuietWindow(problem, window).numbers, np.arange(936, 997))
+    np.testing.assert_array_equal(Window(problem, window).coefficients, np.arange(936, 997))
 
 
 def test_short_legs_find_company() -> None:
@@ -64,7 +64,7 @@ def test_a_window_takes_its_vibration_away(rng: np.random.Generator) -> None:
         return np.asarray(np.einsum("kcj,kj->c", weights, of.evaluate(times, 4)))
 
     leg: Any = SimpleNamespace(times=times, weights=weights, vibration=vibration)
-    window = QuietWindow(problem, [(0, 20)])
+    window = Window(problem, [(0, 20)])
     window.bring_to_rest(leg, space.trajectory(z))
     middle = sparse.csr_array(
         sparse.kron(space.design(space.t[[10]] + 0.1, 0) @ space.basis, np.array([[1.0, 0.0]]))

@@ -1,4 +1,4 @@
-"""Vibration suppression: the tool comes to rest without swinging on; nothing else changes."""
+"""Vibration suppression: the tool comes to rest without swinging on; nothing else that matters changes."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cmbot.archive import load_plan, save
 from cmbot.archive.schema import SuppressionFile
 from cmbot.optimization.least_distance import LeastChange
 from cmbot.planning import Plan, plan, remarks
-from cmbot.planning.flexibility.suppression_windows import QuietWindow
+from cmbot.planning.flexibility.vibration_suppression import Window
 from cmbot.simulation import SimulationOptions, simulate
 
 THERE_AND_BACK = {
@@ -108,12 +108,12 @@ def test_a_window_that_cannot_be_quieted_leaves_the_others_theirs(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Of a path with two windows the first finds no change; the last leg comes to rest all the same."""
-    change = QuietWindow.change
+    change = Window.change
 
-    def first_in_vain(window: QuietWindow, *rows: Any) -> LeastChange | None:
+    def first_in_vain(window: Window, *rows: Any) -> LeastChange | None:
         return None if window.start == 0 else change(window, *rows)
 
-    monkeypatch.setattr(QuietWindow, "change", first_in_vain)
+    monkeypatch.setattr(Window, "change", first_in_vain)
     made = planned(2, via_points=81)
     assert made.quieting is not None
     assert made.quieting.shares == (0.0, 1.0)

@@ -15,7 +15,7 @@ from small_scenes import context_of, parts, short_scene
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.path.gradient_projection import JointPath, follow_path, robust_inverse
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
 

@@ -11,7 +11,7 @@ from small_scenes import context_of, short_scene
 
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, Progress, plan
-from cmbot.planning.path.initial_postures import find_path, self_motion_postures
+from cmbot.planning.path.gradient_projection import find_path, self_motion_postures
 from cmbot.planning.progress import ProgressReporter
 from cmbot.robot import Kinematics
 from cmbot.scene import load_scene

@@ -14,12 +14,19 @@ from scipy.spatial import cKDTree
 from seven_joint_arms import endless_scene, panda_scene
 from small_scenes import off_task, task_at
 
+from cmbot.collision import Clearances
 from cmbot.planning import robot_of, task_of
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import objective_of
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.path.task import ToolTask
-from cmbot.planning.selfmotion.charts import SelfMotionSampler
-from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neighbours
+from cmbot.planning.selfmotion.charts import (
+    Chart,
+    PoissonDiskSets,
+    SelfMotionSampler,
+    charts_of,
+    without_neighbours,
+)
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
 
@@ -27,11 +34,28 @@ SPACING = 0.1
 PITCHES = np.linspace(-np.pi, np.pi, 181)
 
 
-def sampler_for(
-    robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300
-) -> SelfMotionSampler:
-    objective = objective_of(robot, PlannerOptions())
-    return SelfMotionSampler(Postures(robot), task, robot.limits, objective, spacing=spacing, seeds=seeds)
+def context_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> PlanningContext:
+    options = PlannerOptions(chart_spacing=spacing, chart_seeds=seeds)
+    return PlanningContext(
+        robot=robot,
+        posture=np.zeros(robot.dof),
+        task=task,
+        clearances=Clearances(robot, ()),
+        times=np.zeros(1),
+        options=options,
+        objective=objective_of(robot, options),
+        arm=None,
+        sag=None,
+    )
+
+
+def first_chart(context: PlanningContext, q: np.ndarray) -> Chart:
+    """The chart at the start of the path, from postures `q` (k, n)."""
+    return charts_of(context, [SelfMotionSampler(context).first(context.task.path.corners[0], q)])[0]
+
+
+def charts_along(context: PlanningContext, points: np.ndarray, q: np.ndarray) -> list[Chart]:
+    return charts_of(context, SelfMotionSampler(context).along(points, q))
 
 
 def distance_on_circle(q: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -61,7 +85,7 @@ def test_charts_are_complete_against_the_closed_form(cmbot_robot: Robot, rng: np
     for q in rng.uniform(limits.lower, limits.upper, (200, 7)):
         task = task_at(cmbot_robot, q)
         start = task.path.corners[0]
-        chart = sampler_for(cmbot_robot, task, spacing, seeds=200).first(start, q[None])
+        chart = first_chart(context_for(cmbot_robot, task, spacing, seeds=200), q[None])
         oracle = closed_form(start, task.path.orientation, PITCHES)
         oracle = oracle[((oracle >= limits.lower) & (oracle <= limits.upper)).all(axis=1)]
         if len(oracle):
@@ -76,7 +100,7 @@ def test_a_charts_postures_hold_the_task_apart_from_each_other(
 ) -> None:
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q, keep)
-    chart = sampler_for(cmbot_robot, task, spacing).first(task.path.corners[0], q[None])
+    chart = first_chart(context_for(cmbot_robot, task, spacing), q[None])
     at = Postures(cmbot_robot).at(chart.q)
     assert off_task(cmbot_robot, task, chart.q, task.path.corners[0]) < 1e-9
     np.testing.assert_allclose(chart.q[0], q, atol=1e-15)
@@ -92,7 +116,7 @@ def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
     limits, scene = cmbot_robot.limits, load_scene("triangle")
     task = task_of(scene, cmbot_robot)
     points = task.path.position(task.path.via_times(50))
-    charts = sampler_for(cmbot_robot, task, 0.2).along(points, scene.posture[None])
+    charts = charts_along(context_for(cmbot_robot, task, 0.2), points, scene.posture[None])
     assert len(charts) == len(points)
     for point, chart in zip(points, charts, strict=True):
         at = Postures(cmbot_robot).at(chart.q)
@@ -116,7 +140,7 @@ def test_other_arms_charts_are_complete(
     scene = make(tmp_path, keep=keep)
     robot = robot_of(scene)
     task, limits = task_of(scene, robot), robot.limits
-    sampler = sampler_for(robot, task, 0.15, seeds=200)
+    sampler = SelfMotionSampler(context_for(robot, task, 0.15, seeds=200))
     chart = sampler.first(task.path.corners[0], scene.posture[None])
     lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
     q, reached = project_onto_task(
@@ -126,7 +150,7 @@ def test_other_arms_charts_are_complete(
     q[:, endless] = (q[:, endless] + np.pi) % (2 * np.pi) - np.pi
     q = q[reached & ((q >= lower) & (q <= upper)).all(axis=1)]
     assert len(q) > 300
-    assert distance_on_circle(chart.q, q).max() < 1.1 * sampler.spacing
+    assert distance_on_circle(chart, q).max() < 1.1 * sampler.spacing
 
 
 @pytest.mark.parametrize("count", [1, 2, 6, 7, 8, 14])
@@ -134,12 +158,12 @@ def test_charts_along_any_number_of_points(cmbot_robot: Robot, count: int) -> No
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q)
     points = task.path.corners[0] + np.linspace(0, 0.1, count)[:, None] * [0, 0, 1]
-    charts = sampler_for(cmbot_robot, task).along(points, q[None])
+    charts = charts_along(context_for(cmbot_robot, task), points, q[None])
     assert len(charts) == count
     for point, chart in zip(points, charts, strict=True):
         assert off_task(cmbot_robot, task, chart.q, point) < 1e-9
-    anew = sampler_for(cmbot_robot, task).first(points[-1], charts[-1].q[:1])
-    assert distance_on_circle(charts[-1].q, anew.q).max() < 1.5 * SPACING
+    anew = SelfMotionSampler(context_for(cmbot_robot, task)).first(points[-1], charts[-1].q[:1])
+    assert distance_on_circle(charts[-1].q, anew).max() < 1.5 * SPACING
 
 
 @given(

@@ -18,7 +18,7 @@ from small_scenes import parts, short_context, short_scene
 from cmbot.collision import Clearances, Smallest
 from cmbot.optimization.program import StateFunction, StateSamples
 from cmbot.planning.objectives import efforts_of
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.task import ToolTask
 from cmbot.planning.torque.constraints import ClearanceMargin, JointTorque, ToolDeviation
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.trajectory.quintic import QuinticTrajectory

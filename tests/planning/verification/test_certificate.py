@@ -296,7 +296,7 @@ def test_the_certificate_leans_on_nothing_that_made_the_plan() -> None:
         if name.startswith(("cmbot.planning", "cmbot.optimization", "cmbot.trajectory"))
     }
     assert method <= {
-        "cmbot.planning.path.task",
+        "cmbot.planning.task",
         "cmbot.planning.verification.certificate",
         "cmbot.planning.verification.metrics",
         "cmbot.trajectory.polynomials",

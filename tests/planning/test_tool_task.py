@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.errors import InputError
-from cmbot.planning.path.task import ToolTask
+from cmbot.planning.task import ToolTask
 from cmbot.scene import SpeedProfile, ToolPath
 
 FloatArray = NDArray[np.float64]

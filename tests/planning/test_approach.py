@@ -12,9 +12,8 @@ from small_scenes import context_of, parts, short_scene
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, certify_approach, plan
-from cmbot.planning.approach.approach import plan_approach
-from cmbot.planning.approach.joint_paths import FreeSpace, connect, shorten
-from cmbot.planning.path.initial_postures import self_motion_postures
+from cmbot.planning.approach import FreeSpace, connect, plan_approach, shorten
+from cmbot.planning.path.gradient_projection import self_motion_postures
 from cmbot.robot import Dynamics, Kinematics
 
 

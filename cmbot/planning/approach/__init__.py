@@ -1,1 +1,0 @@
-"""The approach to where the work starts, with the tool off."""
