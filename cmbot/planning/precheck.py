@@ -9,21 +9,19 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances, ShapePair
-from cmbot.common.arrays import FloatArray
+from cmbot.collision import Clearances
 from cmbot.common.errors import MissingExtra, PathNotFound, SceneError
 from cmbot.common.installation import install_command
 from cmbot.common.validation import counted
 from cmbot.optimization import piqp_module
 from cmbot.planning.context import PlanningContext, robot_of, task_of
-from cmbot.planning.task import ToolTask, task_dimension
+from cmbot.planning.task import task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, ToolPath
 from cmbot.trajectory import SUPPORT
 
 __all__ = [
     "MOST_UNKNOWNS",
-    "BeyondReach",
     "Precheck",
     "beyond_reach",
     "oversized",
@@ -72,25 +70,50 @@ def precheck_scene(scene: Scene) -> Precheck:
     """
     robot = robot_of(scene)
     task = task_of(scene, robot)
-    clearances = Clearances(robot, scene.obstacles)
+    path, clearances = task.path, Clearances(robot, scene.obstacles)
+    joints, legs = counted(robot.dof, "joint"), counted(len(scene.legs), "leg")
+    workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
+    point = ", ".join(f"{x:.4f}" for x in path.corners[0])
+    found = [
+        ("scene", f"{scene.name} ({scene.source})"),
+        ("robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"),
+        (
+            "tool path",
+            f"{legs}, {path.lengths.sum():.3f} m in {path.duration:g} s, keeps the tool's {scene.keep}",
+        ),
+        ("via-points", str(len(path.via_times(scene.via_points)))),
+        ("obstacles", f"{len(scene.obstacles)}, of them {workpieces}"),
+        ("tool point at the start", f"({point}) m"),
+    ]
+    warnings: list[Finding] = []
     smallest = clearances.smallest(scene.posture[None])
-    index, distance = int(smallest.pair[0]), float(smallest.distance[0])
-    pair = clearances.pairs[index] if index >= 0 else None
+    if smallest.pair[0] >= 0:
+        pair, distance = clearances.pairs[smallest.pair[0]], float(smallest.distance[0])
+        found.append(("clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"))
+        margin = scene.planner.safety_margin_m
+        if distance < margin:
+            clear = (
+                "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
+            )
+            warnings.append(_warning("posture_deg", pair.describe(distance, margin), clear))
     efforts = Dynamics(robot).static_efforts(scene.posture[None])
-    torque = float(np.linalg.norm(efforts.guardrail_torque))
     use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
-    return Precheck(
-        found=(
-            *_asked(scene, robot, task.path),
-            *_beginning(scene, robot, task, pair, distance, torque, use),
-        ),
-        warnings=(
-            *_posture_warnings(scene, robot, pair, distance, use),
-            *_reach_warnings(robot, task.path),
-            *filter(None, [oversized(scene, robot.dof, scene.planner)]),
-            *precheck_options(scene.planner),
-        ),
-    )
+    joint = robot.joints[use.argmax()]
+    found += [
+        ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
+        ("torque on the guardrail there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"),
+        ("largest joint torque there", f"{use.max():.2f} of the bound of {joint}"),
+    ]
+    if use.max() > 1.0:
+        got = f"{use.max():.2f} of the torque that {joint} can bear, at rest"
+        warnings.append(_warning("posture_deg", got, "at most 1: another posture or less payload"))
+    within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
+    for key, away in beyond_reach(robot, path):
+        warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
+    if too_large := oversized(scene, robot.dof, scene.planner):
+        warnings.append(too_large)
+    warnings += precheck_options(scene.planner)
+    return Precheck(found=tuple(found), warnings=tuple(warnings))
 
 
 def precheck_options(options: PlannerOptions) -> Iterator[Finding]:
@@ -110,34 +133,14 @@ def precheck_options(options: PlannerOptions) -> Iterator[Finding]:
         )
 
 
-@dataclass(frozen=True, kw_only=True)
-class BeyondReach:
-    """A leg whose end no posture reaches.
+def beyond_reach(robot: Robot, path: ToolPath) -> Iterator[tuple[str, float]]:
+    """Yield the legs whose ends the stretched arm does not reach: keys in a scene file, and distances, m.
 
-    Attributes
-    ----------
-    key : str
-        Of the leg in a scene file.
-    distance : float, m
-        Of its end from the arm's first joint.
-    reach : float, m
-        The largest that there can be: `Robot.reach`.
+    Distances are those from the arm's first joint. What lies between two ends within reach is within reach.
     """
-
-    key: str
-    distance: float
-    reach: float
-
-
-def beyond_reach(robot: Robot, path: ToolPath) -> Iterator[BeyondReach]:
-    """Yield the legs that end further from the arm's first joint than the stretched arm reaches.
-
-    What lies between two ends within reach is within reach.
-    """
-    reach = robot.reach
     distances = np.linalg.norm(path.corners[1:] - robot.base_point, axis=1)
-    for k in np.flatnonzero(distances > reach * (1 + _ROUNDING)):
-        yield BeyondReach(key=f"tool_path.legs[{k}].by", distance=float(distances[k]), reach=reach)
+    for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
+        yield f"tool_path.legs[{k}].by", float(distances[k])
 
 
 def require_within_reach(context: PlanningContext) -> None:
@@ -149,20 +152,18 @@ def require_within_reach(context: PlanningContext) -> None:
         Naming the first leg that ends out of reach, and by how much.
     """
     path, robot = context.task.path, context.robot
-    first = next(beyond_reach(robot, path), None)
-    if first is None:
-        return
-    away = np.linalg.norm(context.points - robot.base_point, axis=1)
-    time = float(context.times[np.argmax(away > first.reach * (1 + _ROUNDING))])
-    raise PathNotFound(
-        f"{first.key} ends {first.distance:.3f} m from the arm's first joint, "
-        f"{first.distance - first.reach:.3f} m out of reach (the arm with its tool stretched out is "
-        f"{first.reach:.3f} m long); shorten the leg (lengths are in metres), or take another posture_deg",
-        time=time,
-        progress=path.progress(time),
-        # The stretched arm cannot move further out.
-        smallest_singular_value=0.0,
-    )
+    for key, distance in beyond_reach(robot, path):
+        away = np.linalg.norm(context.points - robot.base_point, axis=1)
+        time = float(context.times[np.argmax(away > robot.reach * (1 + _ROUNDING))])
+        raise PathNotFound(
+            f"{key} ends {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out of "
+            f"reach (the arm with its tool stretched out is {robot.reach:.3f} m long); shorten the leg "
+            "(lengths are in metres), or take another posture_deg",
+            time=time,
+            progress=path.progress(time),
+            # The stretched arm cannot move further out.
+            smallest_singular_value=0.0,
+        )
 
 
 def solver_of(options: PlannerOptions) -> Literal["sqp", "slsqp"]:
@@ -216,58 +217,6 @@ def require_reasonable_size(scene: Scene, joints: int, options: PlannerOptions) 
     found = oversized(scene, joints, options)
     if found is not None:
         raise SceneError(scene.source, found.key, found.got, found.expected)
-
-
-def _asked(scene: Scene, robot: Robot, path: ToolPath) -> Iterator[tuple[str, str]]:
-    yield "scene", f"{scene.name} ({scene.source})"
-    joints, legs = counted(robot.dof, "joint"), counted(len(scene.legs), "leg")
-    yield "robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"
-    yield (
-        "tool path",
-        f"{legs}, {path.lengths.sum():.3f} m in {path.duration:g} s, keeps the tool's {scene.keep}",
-    )
-    yield "via-points", str(len(path.via_times(scene.via_points)))
-    workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
-    yield "obstacles", f"{len(scene.obstacles)}, of them {workpieces}"
-
-
-def _beginning(
-    scene: Scene,
-    robot: Robot,
-    task: ToolTask,
-    pair: ShapePair | None,
-    distance: float,
-    torque: float,
-    use: FloatArray,
-) -> Iterator[tuple[str, str]]:
-    point = ", ".join(f"{x:.4f}" for x in task.path.corners[0])
-    yield "tool point at the start", f"({point}) m"
-    if pair is not None:
-        yield "clearance at the start", f"{distance:.4f} m ({pair.link} to {pair.other})"
-    yield "smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"
-    yield "torque on the guardrail there", f"{torque:.2f} Nm"
-    yield "largest joint torque there", f"{use.max():.2f} of the bound of {robot.joints[use.argmax()]}"
-
-
-def _posture_warnings(
-    scene: Scene, robot: Robot, pair: ShapePair | None, distance: float, use: FloatArray
-) -> Iterator[Finding]:
-    margin = scene.planner.safety_margin_m
-    if pair is not None and distance < margin:
-        yield _warning(
-            "posture_deg",
-            pair.describe(distance, margin),
-            "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m",
-        )
-    if use.max() > 1.0:
-        got = f"{use.max():.2f} of the torque that {robot.joints[use.argmax()]} can bear, at rest"
-        yield _warning("posture_deg", got, "at most 1: another posture or less payload")
-
-
-def _reach_warnings(robot: Robot, path: ToolPath) -> Iterator[Finding]:
-    for leg in beyond_reach(robot, path):
-        got = f"an end {leg.distance:.3f} m from the arm's first joint"
-        yield _warning(leg.key, got, f"at most {leg.reach:.3f} m, the arm with its tool stretched out")
 
 
 def _warning(key: str, got: str, expected: str) -> Finding:

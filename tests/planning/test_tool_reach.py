@@ -22,11 +22,11 @@ FAR = {
 
 def test_ends_out_of_reach_are_found_by_the_length_of_the_arm() -> None:
     robot, task, _, _ = parts(short_scene(tool_path=FAR))
-    (found,) = beyond_reach(robot, task.path)
-    assert found.key == "tool_path.legs[1].by"
-    assert found.distance == pytest.approx(np.linalg.norm(task.path.corners[2] - robot.base_point))
+    ((key, distance),) = beyond_reach(robot, task.path)
+    assert key == "tool_path.legs[1].by"
+    assert distance == pytest.approx(np.linalg.norm(task.path.corners[2] - robot.base_point))
     # Table 2 of the paper, and a tool of 0.30 m.
-    assert found.reach == pytest.approx(3.78, abs=5e-3)
+    assert robot.reach == pytest.approx(3.78, abs=5e-3)
     assert not list(beyond_reach(robot, parts(short_scene())[1].path))
 
 
@@ -39,10 +39,10 @@ def test_the_planner_names_the_leg_before_it_searches(knots: str) -> None:
         plan(scene, progress=told.append)
     assert not any("postures" in progress.step for progress in told)
     (warning,) = (w for w in precheck_scene(scene).warnings if w.key.startswith("tool_path"))
-    (leg,) = beyond_reach(robot, task.path)
-    assert caught.value.reason.startswith(f"{warning.key} ends {leg.distance:.3f} m from the arm's")
-    assert f"{leg.distance - leg.reach:.3f} m out of reach" in caught.value.reason
-    assert f"{leg.distance:.3f} m" in warning.got
+    ((_, distance),) = beyond_reach(robot, task.path)
+    assert caught.value.reason.startswith(f"{warning.key} ends {distance:.3f} m from the arm's")
+    assert f"{distance - robot.reach:.3f} m out of reach" in caught.value.reason
+    assert f"{distance:.3f} m" in warning.got
     # The first via-point out of reach is on that leg.
     at, before = task.path.position([caught.value.time, caught.value.time - 0.5])
     assert np.linalg.norm(at - robot.base_point) > robot.reach > np.linalg.norm(before - robot.base_point)
