@@ -225,7 +225,7 @@ def objective_of(
         When `own` is no such function.
     """
     if own is not None:
-        name = _name_of(own)
+        name = str(getattr(own, "__qualname__", None) or type(own).__qualname__)
         q = np.zeros((1, robot.dof)) if posture is None else posture[None]
         at = Postures(robot).at(q)
         _check_wrench_function(own, np.hstack([at.guardrail_force, at.guardrail_torque]), name)
@@ -240,11 +240,6 @@ def objective_of(
         point = np.array(model.frames[model.getFrameId(robot.base_frame)].placement.translation)
     function = WeightedMoment(point, np.array(options.axis_weights))
     return WrenchObjective(robot, function, name=options.objective, unit="Nm")
-
-
-def _name_of(own: WrenchFunction) -> str:
-    name = getattr(own, "__qualname__", None) or type(own).__qualname__
-    return str(name)
 
 
 def _check_wrench_function(function: WrenchFunction, wrench: FloatArray, name: str) -> None:

@@ -179,7 +179,7 @@ def _certified_motion(attempt: Attempt) -> _Motion:
     if context.sag is not None:
         optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
     if context.arm is not None and options.knots == "sliding" and options.quiet_modes:
-        optimised, quieting = suppress_vibration(context, context.arm, problem, optimised)
+        optimised, quieting = suppress_vibration(context.arm, problem, optimised)
 
     reporter.stage("certify")
     certificate = certify(

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import counted
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.plan import ObjectiveMetrics, Plan
@@ -31,7 +30,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _lower_bound(plan)
     yield from plan.fallbacks
     yield from _bending(plan)
-    if _without_gravity(plan.objective):
+    objective = plan.objective
+    if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:
         yield (
             "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was "
             "chosen by it, and only the motion's own share could be lowered. More seconds for the legs lower "
@@ -102,7 +102,8 @@ def _start(plan: Plan) -> Iterator[str]:
         if plan.start.failures:
             yield f"A better start was found, but is not used: {plan.start.failures[0].reason}."
         return
-    where = f"({_degrees(plan.start.posture)}) deg, up to {np.rad2deg(plan.start.moved):.1f} deg a joint away"
+    posture = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(plan.start.posture))
+    where = f"({posture}) deg, up to {np.rad2deg(plan.start.moved):.1f} deg a joint away"
     if plan.start.failures:
         # The others that failed, and the one that led to the end.
         tried = len(plan.start.failures)
@@ -200,10 +201,6 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
         yield f"Started {other}, the posture sequence has a peak at rest of {_value(objective, peak)}."
 
 
-def _without_gravity(objective: ObjectiveMetrics) -> bool:
-    return objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak
-
-
 def _value(objective: ObjectiveMetrics, value: float, more_digits: int = 0) -> str:
     """Write a value of the objective with its unit, which custom functions lack."""
     factor, unit = (1e3, "mm") if objective.unit == "m" else (1.0, objective.unit)
@@ -217,7 +214,3 @@ def _objective(objective: ObjectiveMetrics) -> str:
         return f"the tool's {objective.name}"
     weights = ", ".join(f"{weight:g}" for weight in objective.axis_weights)
     return f"the torque about the {objective.moment_about}, axes weighted {weights}"
-
-
-def _degrees(posture: FloatArray) -> str:
-    return ", ".join(f"{angle:.1f}" for angle in np.rad2deg(posture))

@@ -32,7 +32,6 @@ from cmbot.optimization import (
     least_distance,
     linearize,
 )
-from cmbot.planning.context import PlanningContext
 from cmbot.planning.flexibility.leg_vibration import LegVibration
 from cmbot.planning.torque.decomposition import Optimised
 from cmbot.planning.torque.problem import TorqueProblem
@@ -83,13 +82,14 @@ class VibrationSuppression:
 
 
 def suppress_vibration(
-    context: PlanningContext, arm: ElasticArm, problem: TorqueProblem, optimised: Optimised
+    arm: ElasticArm, problem: TorqueProblem, optimised: Optimised
 ) -> tuple[Optimised, VibrationSuppression]:
     """Bring the first elastic modes to rest at the ends of the legs.
 
     The trajectory goes on keeping the bounds of `problem`; where no change keeps them, it stays what it was.
     """
-    trajectory, modes, t = optimised.trajectory, context.options.quiet_modes, problem.space.t
+    context, trajectory, t = problem.context, optimised.trajectory, problem.space.t
+    modes = context.options.quiet_modes
     groups = legs_by_window(problem.space, context.task.path.leg_times)
     windows = [Window(problem, group) for group in groups]
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]

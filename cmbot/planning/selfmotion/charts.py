@@ -182,7 +182,12 @@ class SelfMotionSampler:
                 charts[here] = self._carried([[predictors[before]]], points[[here]])[0]
                 predictors[here] = self._predictor(charts[here], points[here])
                 report(len(charts), len(points))
-            sides = {k: _sides(k, *pair) for pair in some for k in range(pair[0] + 1, pair[1])}
+            # The stations on both sides of each point, the nearer one first.
+            sides = {
+                k: (before, after) if k - before <= after - k else (after, before)
+                for before, after in some
+                for k in range(before + 1, after)
+            }
             if sides:
                 beside = [[predictors[side] for side in each] for each in sides.values()]
                 charts.update(zip(sides, self._carried(beside, points[list(sides)]), strict=True))
@@ -232,11 +237,6 @@ class SelfMotionSampler:
         q = np.where(self._round, (some.q + np.pi) % (2 * np.pi) - np.pi, some.q)
         some = _Postures(q, some.of)[np.all((q >= self._lower) & (q <= self._upper), axis=1)]
         return some[sets.take(some.q, some.of)]
-
-
-def _sides(k: int, before: int, after: int) -> tuple[int, int]:
-    """The stations on both sides of via-point `k`, the nearer one first."""
-    return (before, after) if k - before <= after - k else (after, before)
 
 
 @dataclass(frozen=True)

@@ -143,9 +143,10 @@ class BottleneckDynamicProgram:
                 return chosen
             # Neighbours of a refused node are likely to be refused, too. The neighbourhood grows from round
             # to round, so that there are few rounds.
-            for k in _neighbourhood(refused, around, len(self.layers)):
-                layer = self.layers[k]
-                layer.check_clearance(layer.admissible & (layer.chart.value <= peak))
+            distance = np.abs(np.arange(len(self.layers))[:, None] - refused).min(axis=1)
+            for layer, away in zip(self.layers, distance, strict=True):
+                if away <= around:
+                    layer.check_clearance(layer.admissible & (layer.chart.value <= peak))
             around = 2 * around + 1
 
     def _smallest_peak(self) -> float:
@@ -175,14 +176,6 @@ class BottleneckDynamicProgram:
         for origin in reversed(came_from):
             chosen.append(int(origin[chosen[-1]]))
         return chosen[::-1]
-
-
-def _neighbourhood(some: list[int], around: int, number: int) -> IntArray:
-    """Those of `number` indices that are at most `around` from one of `some`."""
-    near = np.zeros(number, dtype=np.bool_)
-    for k in some:
-        near[max(k - around, 0) : k + around + 1] = True
-    return np.flatnonzero(near)
 
 
 def refine(

@@ -154,7 +154,8 @@ def certify(
         some = slice(first, first + block + 1)
         motion = (q[some], *trajectory.derivatives(grid[some], (1, 2, 3)))
         samples = measure(robot, task, clearances, grid[some], motion, sag, clearance=clearance[some])
-        torques.append(_torque_check(robot, grid[some], samples.joint_torque))
+        times, torque = np.broadcast_arrays(grid[some, None], np.abs(samples.joint_torque))
+        torques.append(_joint_check(robot, "torque of {}", "Nm", times, torque, robot.limits.torque))
         if at_work:
             bound = options.max_tool_deviation_m
             quantity = "tool deviation" if sag is None else "expected tool deviation"
@@ -190,45 +191,33 @@ def _range_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     finite = np.isfinite(limits.lower)
     half = np.where(finite, 0.5 * (limits.upper - limits.lower), np.inf)
     middle = np.where(finite, limits.upper, 0.0) - np.where(finite, half, 0.0)
-    share = np.abs(position.value - middle[:, None]) / half[:, None]
-    segment, joint, k = np.unravel_index(share.argmax(), share.shape)
-    return Check(
-        quantity=f"distance of {robot.joints[joint]} from the middle of its range",
-        time=float(position.time[segment, joint, k]),
-        value=float(abs(position.value[segment, joint, k] - middle[joint])),
-        bound=float(half[joint]),
-        unit="rad",
-    )
+    # Extrema are (segments, n, k).
+    value, time = (np.moveaxis(x, 1, 2).reshape(-1, robot.dof) for x in (position.value, position.time))
+    quantity = "distance of {} from the middle of its range"
+    return _joint_check(robot, quantity, "rad", time, np.abs(value - middle), half)
 
 
 def _rate_checks(robot: Robot, trajectory: QuinticTrajectory) -> list[Check]:
     """Velocity, acceleration and jerk of the joint that uses most of its bound, at the exact extrema."""
     checks = []
     for order, (name, unit) in enumerate(_DERIVATIVES, start=1):
-        bound = getattr(robot.limits, name)
         largest, time = trajectory.extrema(order).largest()
-        joint = int((largest / bound).argmax())
-        checks.append(
-            Check(
-                quantity=f"{name} of {robot.joints[joint]}",
-                time=float(time[joint]),
-                value=float(largest[joint]),
-                bound=float(bound[joint]),
-                unit=unit,
-            )
-        )
+        bound = getattr(robot.limits, name)
+        checks.append(_joint_check(robot, f"{name} of {{}}", unit, time[None], largest[None], bound))
     return checks
 
 
-def _torque_check(robot: Robot, grid: FloatArray, torque: FloatArray) -> Check:
-    share = np.abs(torque) / robot.limits.torque
-    k, joint = np.unravel_index(share.argmax(), share.shape)
+def _joint_check(
+    robot: Robot, quantity: str, unit: str, times: FloatArray, value: FloatArray, bound: FloatArray
+) -> Check:
+    """The joint, of absolute values (N, n) at `times` (N, n), that uses most of its bound (n,)."""
+    k, joint = np.unravel_index((value / bound).argmax(), value.shape)
     return Check(
-        quantity=f"torque of {robot.joints[joint]}",
-        time=float(grid[k]),
-        value=float(abs(torque[k, joint])),
-        bound=float(robot.limits.torque[joint]),
-        unit="Nm",
+        quantity=quantity.format(robot.joints[joint]),
+        time=float(times[k, joint]),
+        value=float(value[k, joint]),
+        bound=float(bound[joint]),
+        unit=unit,
     )
 
 
