@@ -7,9 +7,9 @@ posture. With y what they move beyond the sag and beyond what the accelerations 
 
 so the first modes' displacement and velocity at the end of a leg are linear in the joints' snap, and with it
 in the splines' coefficients. Of all changes that bring them to zero at every end of a leg the one with the
-least mean squared jerk is taken. Via-points, and C3 at the knots, stay what they are.
+least mean squared jerk is taken. Via-points, and C3 at the knots, are kept.
 
-A long path is divided into windows of a few legs: splines with support in two of them stay what they are, so
+A long path is divided into windows of a few legs: splines with support in two of them are not changed, so
 that every window is a small problem of its own.
 """
 
@@ -45,7 +45,7 @@ _ROUNDS, _MOST_SITES = 12, 400
 _INSIDE = 1.0
 # Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
 _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
-# Legs share a window up to this many segments, and as long as it has fewer than that.
+# Most segments of a window of several legs; windows with fewer than the second number take one more leg.
 _MOST, _FEWEST = 64, 12
 # By how much times may miss their knots, s.
 _SAME_TIME = 1e-9
@@ -93,7 +93,7 @@ def suppress_vibration(
     groups = legs_by_window(problem.space, context.task.path.leg_times)
     windows = [Window(problem, group) for group in groups]
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
-    for window, (first, last) in context.reporter.each("foreseeing the vibration of every leg", ends):
+    for window, (first, last) in context.reporter.each("predicting the vibration of every leg", ends):
         leg = LegVibration(arm, trajectory, t[first], t[last], modes)
         window.bring_to_rest(leg, trajectory)
     context.reporter.step("bringing the slowest vibrations to rest")
