@@ -13,7 +13,7 @@ from cmbot.planning.path.gradient_projection import find_path
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
+from cmbot.planning.torque import TorqueProblem, parametrization_through
 
 __all__ = ["Choice", "InitialGuess", "fixed_guess", "initial_guess", "shifted_problem", "sliding_guess"]
 

@@ -23,7 +23,7 @@ from cmbot.planning.plan import Plan, Seconds, Start, objective_metrics
 from cmbot.planning.precheck import require_reasonable_size, require_within_reach, solver_of
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.retries import Attempt, with_retries
-from cmbot.planning.torque.decomposition import Optimised, optimise, segments
+from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.planning.verification.certificate import Certificate, certify
 from cmbot.planning.verification.metrics import figures, measure
 from cmbot.scene import PlannerOptions, Scene

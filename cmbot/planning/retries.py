@@ -17,7 +17,7 @@ import numpy as np
 from cmbot.common.errors import OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, initial_guess, sliding_guess
-from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.torque import TorqueProblem
 
 __all__ = [
     "RETRIES",

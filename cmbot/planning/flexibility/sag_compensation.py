@@ -17,8 +17,7 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.elastic.sag import Sag
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
-from cmbot.planning.torque.decomposition import Optimised, optimise
-from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.torque import Optimised, TorqueProblem, optimise
 from cmbot.scene import ShiftedToolPath
 
 __all__ = ["MOST_ROUNDS", "Compensation", "compensate"]

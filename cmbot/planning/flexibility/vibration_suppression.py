@@ -33,8 +33,7 @@ from cmbot.optimization import (
     linearize,
 )
 from cmbot.planning.flexibility.leg_vibration import LegVibration
-from cmbot.planning.torque.decomposition import Optimised
-from cmbot.planning.torque.problem import TorqueProblem
+from cmbot.planning.torque import Optimised, TorqueProblem
 from cmbot.trajectory import SUPPORT, QuinticTrajectory, SplineSpace
 
 __all__ = ["Leg", "VibrationSuppression", "Window", "legs_by_window", "suppress_vibration"]

@@ -44,21 +44,7 @@ class TaskManifold:
     ) -> tuple[FloatArray, FloatArray]:
         """Move via-points by `u` (k, a), rad: ``task(q) = 0, N^T (q - q_start) = u``, with N the tangents.
 
-        Parameters
-        ----------
-        q : (n, d), rad
-            Where all via-points start.
-        tangents : (k, a, d)
-            Of those that move.
-        u : (k, a), rad
-        which : (k,)
-            Which of them move.
-
-        Returns
-        -------
-        q : (k, d), rad
-        slope : (k, a, d)
-            Derivative of q by u.
+        See `cmbot.trajectory.Retraction`.
 
         Raises
         ------
