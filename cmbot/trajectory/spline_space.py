@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import sparse
-from scipy.sparse.linalg import SuperLU, splu
+from scipy.sparse.linalg import splu
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
@@ -116,13 +116,8 @@ class SplineSpace:
         -------
         (3n, d)
         """
-        n = len(self.t)
-        z = np.zeros((3 * n, q.shape[1]))
-        z[0::3] = q
-        free = _velocity_and_acceleration(np.arange(1, n - 1))
-        rhs = -np.vstack([(self._jerk_energy @ z)[free] * (1 / self.unit[free, None]), self._jerk_jumps @ z])
-        z[free] = self._least_jerk_system.solve(rhs)[: len(free)] / self.unit[free, None]
-        return z
+        pull = self.basis.T @ (self._jerk_energy @ (self.cardinal @ q))
+        return np.asarray(self.cardinal @ q - self.basis @ splu(self.jerk_gram.tocsc()).solve(pull))
 
     def trajectory(self, z: FloatArray) -> QuinticTrajectory:
         """Return the trajectory with knot vectors `z` (3n, d)."""
@@ -206,15 +201,6 @@ class SplineSpace:
         index = 3 * np.arange(n - 1)[:, None] + np.arange(6)
         rows, columns = np.repeat(index, 6, axis=1).ravel(), np.tile(index, 6).ravel()
         return sparse.csr_array((local.ravel(), (rows, columns)), shape=(3 * n, 3 * n))
-
-    @cached_property
-    def _least_jerk_system(self) -> SuperLU:
-        """Factorised optimality conditions of the least-jerk spline, in unit-free variables."""
-        free = _velocity_and_acceleration(np.arange(1, len(self.t) - 1))
-        scale = sparse.diags_array(1 / self.unit[free])
-        G = scale @ self._jerk_energy[free][:, free] @ scale
-        C = self._jerk_jumps[:, free] @ scale
-        return splu(sparse.block_array([[G, C.T], [C, None]], format="csc"))
 
 
 def _velocity_and_acceleration(knots: IntArray) -> IntArray:
