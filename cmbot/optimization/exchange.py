@@ -50,7 +50,7 @@ class ExchangeOptions:
     most_violations : int
         Constraints of a family that are added in an exchange iteration, at most.
     stalls : int
-        So often a solver may end short of the constraints before it is given up.
+        So often nothing new is violated by too much before the solver is given up.
     slsqp_accuracy : float
     slsqp_iterations : int
         Of SLSQP in an exchange iteration: it need not end before the next one knows more constraints.
@@ -145,7 +145,7 @@ def minimize_peak(
     try:
         if program.lower_bound <= 0:
             raise _failure("nothing is known of the peak", Violation("peak", 0.0))
-        exchange.run(options.smoothing, bound=bound, stalls=0)
+        exchange.run(options.smoothing, bound=bound, attempt=True)
     except OptimisationFailed:
         exchange.restart()
         peak = exchange.lowest_peak(bound)
@@ -219,16 +219,16 @@ class _Exchange:
         return lowest
 
     def run(
-        self, smoothing: float, *, bound: float | None = None, target: float = 0.0, stalls: int | None = None
+        self, smoothing: float, *, bound: float | None = None, target: float = 0.0, attempt: bool = False
     ) -> float:
         """Solve and separate until nothing is violated; return the peak.
 
-        Where the solver ends short of the constraints it is started again from there, `stalls` times.
+        An attempt is given up as soon as the solver ends short of the constraints that it knows.
         """
         o = self._options
         stage = Stage(smoothing=smoothing, bound=bound, target=target, tolerance=o.feasibility_tolerance)
         found = self._separated(np.inf if bound is None else bound)
-        self._constraints, left = found.added_to(self._constraints), o.stalls if stalls is None else stalls
+        self._constraints, left = found.added_to(self._constraints), o.stalls
         while True:
             if len(self.reports) >= o.max_passes:
                 passes = counted(o.max_passes, "pass", "passes")
@@ -245,12 +245,14 @@ class _Exchange:
             if worst.value <= o.feasibility_tolerance and self._constraints is known:
                 if done:
                     return found.peak
-            elif end.values.violation > o.feasibility_tolerance:
+            elif attempt and end.values.violation > o.feasibility_tolerance:
+                raise _failure("the known constraints were not met", worst)
+            elif done and self._constraints is known:
                 if left == 0:
                     raise _failure("the solver stopped before the constraints were met", worst)
                 left -= 1
                 # What is violated can lie so near to what is known that it counted as known.
-                self._constraints = found.added_to(self._constraints.sharpened())
+                self._constraints = found.added_to(known.sharpened())
 
     def _solved(self, start: NlpEvaluation) -> tuple[NlpEvaluation, int, bool]:
         """Solve with the constraints of `start`; return the end, the iterations, and whether it converged."""

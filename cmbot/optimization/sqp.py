@@ -78,7 +78,7 @@ class SqpOptions:
         So many steps that leave this share of what is violated by more than that end it.
     """
 
-    optimality_tolerance: float = 1e-8
+    optimality_tolerance: float = 1e-7
     feasibility_tolerance: float = 5e-6
     optimality_radius: float = 1.0
     small: float = 1e-2

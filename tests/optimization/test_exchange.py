@@ -128,7 +128,7 @@ def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solve
     # Nothing lower was overlooked: below it there is no motion.
     lower = exchange._Exchange(problem, replace(exchange_options(problem), solver=solver), None)
     with pytest.raises(OptimisationFailed):
-        lower.run(problem.context.options.smoothing_weight, bound=0.999 * found.peak_bound, stalls=0)
+        lower.run(problem.context.options.smoothing_weight, bound=0.999 * found.peak_bound, attempt=True)
 
 
 Solved = tuple[TorqueProblem, Optimised, list[ExchangeReport]]
