@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize
 
-from cmbot.optimization import least_distance as module
-from cmbot.optimization.least_distance import least_distance
+from cmbot.optimization.least_distance import _ALIKE, least_distance
 
 
 def problem_of(rng: np.random.Generator, unknowns: int, bounds: int) -> tuple[np.ndarray, ...]:
@@ -24,7 +23,7 @@ def test_agrees_with_another_method(rng: np.random.Generator, bounds: int) -> No
     found = least_distance(E, amounts, C, room)
     assert found is not None
     assert found.share == 1.0
-    A = np.hstack([E, np.diag(np.sqrt(module._ALIKE) * np.linalg.norm(E, axis=1))])
+    A = np.hstack([E, np.diag(np.sqrt(_ALIKE) * np.linalg.norm(E, axis=1))])
     D = np.pad(C, ((0, 0), (0, 3)))
     reference = optimize.minimize(
         lambda x: 0.5 * x @ x,

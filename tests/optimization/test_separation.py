@@ -108,7 +108,7 @@ def test_blocks_of_states_change_nothing(problem: TorqueProblem, monkeypatch: py
 
 @pytest.mark.parametrize("order", range(4))
 def test_a_violated_bound_counts_as_its_share(problem: TorqueProblem, order: int) -> None:
-    limits, some = problem.context.robot.limits, wild(problem, 400.0)
+    limits, some = problem.context.robot.limits, wild(problem, 4000.0)
     if order == 0:
         middle, half = 0.5 * (limits.lower + limits.upper), 0.5 * (limits.upper - limits.lower)
         share = np.abs(some.extrema(0).value - middle[:, None]).max(axis=(0, 2)) / half

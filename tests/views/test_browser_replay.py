@@ -141,9 +141,9 @@ def test_the_plot_shades_the_approach_and_draws_the_floor(
     chrome: Chrome, page: Path, triangle_plan: Plan, tmp_path: Path
 ) -> None:
     bare, plots = without_shapes(triangle_plan), []
-    for floor in (triangle_plan.lower_bound, None):
+    for floor in (triangle_plan.objective.floor, None):
         path = tmp_path / f"{len(plots)}.html"
-        replay(replace(bare, approach=None, lower_bound=floor), path)
+        replay(replace(bare, approach=None, objective=replace(bare.objective, floor=floor)), path)
         open_page(chrome, path)
         assert ask(chrome, "[cmbotReplay.start, cmbotReplay.time]") == [0, 0]
         plots.append(plotted(chrome))
