@@ -1,17 +1,15 @@
 """The distances of all pairs of shapes, one by one."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 
 from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
 
 # How well coal knows the depth of a deep overlap, m.
 TOLERANCE = 2e-6
 
 
-def all_distances(clearances: Clearances, q: NDArray[np.float64]) -> NDArray[np.float64]:
+def all_distances(clearances: Clearances, q: FloatArray) -> FloatArray:
     """(P, N), m, in postures `q` (N, n)."""
     pairs = range(len(clearances.pairs))
     return np.array([[clearances.nearest(q_k, pair).distance for pair in pairs] for q_k in q]).T

@@ -1,14 +1,12 @@
 """Both solvers from the same start, and how their answers are judged."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Literal, Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from cmbot.common.arrays import FloatArray
 from cmbot.optimization.exchange import minimize_peak
 from cmbot.optimization.program import StateSamples
 from cmbot.planning.context import build_context
@@ -19,7 +17,6 @@ from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.scene import Scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-FloatArray = NDArray[np.float64]
 Solver = Literal["sqp", "slsqp"]
 
 
@@ -44,7 +41,7 @@ class Answer:
     violation: float
     trajectory: QuinticTrajectory
 
-    def away_from(self, other: Answer) -> float:
+    def away_from(self, other: Self) -> float:
         """Largest difference of a joint's angle between two answers, rad."""
         t = np.linspace(*self.trajectory.t[[0, -1]], 400)
         return float(np.abs(self.trajectory.evaluate(t) - other.trajectory.evaluate(t)).max())

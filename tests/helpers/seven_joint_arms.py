@@ -1,7 +1,5 @@
 """Arms of seven joints that are not ours: a Panda, and one with endless joints like a Kinova Gen3's."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Arms of six joints that are not ours: a UR5, a UR3 and a Z1."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from pathlib import Path
 from typing import Any

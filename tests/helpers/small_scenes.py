@@ -1,16 +1,14 @@
 """Scenes that plan in a moment: the shipped robot, one short leg, few via-points."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 from functools import cache
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
 from cmbot.planning import ToolTask, robot_of, task_of
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import fixed_guess
@@ -18,7 +16,6 @@ from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Kinematics, Postures, Robot
 from cmbot.scene import Scene, SpeedProfile, ToolPath, load_scene
 
-FloatArray = NDArray[np.float64]
 SHORT: dict[str, Any] = {
     "format": "cmbot-scene/1",
     "name": "short",

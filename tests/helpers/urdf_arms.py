@@ -1,7 +1,5 @@
 """Arms of example-robot-data: where their URDFs are, their limits, and a scene for a Kinova and a Panda."""
 
-from __future__ import annotations
-
 import sysconfig
 from collections.abc import Iterable
 from pathlib import Path

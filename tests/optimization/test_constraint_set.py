@@ -1,17 +1,15 @@
 """Sets of constraints: nothing twice, the first stay the first, and only what matters is kept."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet
 
 STEP = 4.0
-Identities = tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.float64]]
+Identities = tuple[IntArray, IntArray, FloatArray]
 
 
 def drawn(rng: np.random.Generator, number: int, end: float = 1.0) -> Identities:

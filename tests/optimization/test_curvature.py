@@ -1,16 +1,11 @@
 """Curvatures of functions of the state, and convex matrices near others."""
 
-from __future__ import annotations
-
 import numpy as np
-from numpy.typing import NDArray
 from scipy import sparse
 
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.curvature import convexified, state_curvature
 from cmbot.optimization.program import Linearization, StateSamples
-
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.intp]
 
 
 class Known:

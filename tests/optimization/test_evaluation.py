@@ -1,16 +1,14 @@
 """Iterates of a solver: exact derivatives, constraints that follow a step, and sets that are thinned."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from numpy.typing import NDArray
 from small_scenes import torque_problem
 
+from cmbot.common.arrays import FloatArray
 from cmbot.optimization import evaluation
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet
 from cmbot.optimization.evaluation import NlpEvaluation, Stage
@@ -19,7 +17,6 @@ from cmbot.optimization.program import StateSamples
 from cmbot.optimization.separation import find_violations
 from cmbot.planning.torque.problem import TorqueProblem
 
-FloatArray = NDArray[np.float64]
 PEAK = Stage(smoothing=0.1, tolerance=1e-5)
 MEAN = Stage(smoothing=0.1, bound=0.9, tolerance=1e-5)
 # Families of the torque problem: objective, three functions of the state, four bounds.

@@ -1,17 +1,15 @@
 """The exchange: the literal problem's optimum, lexicographic, and said so when there is none."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 from oracles.literal_problem import Literal
 from small_scenes import problem_of, short_scene
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, OptimisationFailed
 from cmbot.common.validation import checked_options
 from cmbot.optimization import exchange
@@ -25,7 +23,6 @@ from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Dynamics
 from cmbot.scene import PlannerOptions
 
-FloatArray = NDArray[np.float64]
 OUT_AND_BACK = [{"by": [0.1, 0, 0], "seconds": 2.5}, {"by": [-0.1, 0, 0], "seconds": 2.5}]
 SOLVERS = ("sqp", "slsqp")
 both_solvers = pytest.mark.parametrize("solver", SOLVERS)
@@ -264,12 +261,9 @@ def test_the_optimum_keeps_what_the_global_search_gained(by: list[float]) -> Non
         tool_path={"legs": [{"by": by, "seconds": 8}], "via_points": 12}, planner={"knots": "sliding"}
     )
     planned = plan(scene)
-    assert planned.choice is not None
-    assert planned.choice.free is not None
-    assert planned.choice.pinned is not None
+    assert None not in (planned.choice.free, planned.choice.pinned)
     stays = planned.start.moved == 0
     chosen = planned.choice.pinned if stays else planned.choice.free
-    assert planned.torque_floor is not None
     enough = planned.torque_floor * (1 + scene.planner.peak_tolerance)
     assert planned.figures.peak_static_guardrail_torque <= max(chosen, enough) * (1 + 1e-4)
 

@@ -1,7 +1,5 @@
 """The smallest change: against its optimality conditions, and where there is none."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import optimize
@@ -21,7 +19,6 @@ def test_agrees_with_another_method(rng: np.random.Generator, bounds: int) -> No
     """What softens the equations is an unknown as the others."""
     E, amounts, C, room = problem_of(rng, 15, bounds)
     found = least_distance(E, amounts, C, room)
-    assert found is not None
     assert found.share == 1.0
     A = np.hstack([E, np.diag(np.sqrt(_ALIKE) * np.linalg.norm(E, axis=1))])
     D = np.pad(C, ((0, 0), (0, 3)))
@@ -44,7 +41,6 @@ def test_thousands_of_bounds_on_few_unknowns(rng: np.random.Generator) -> None:
     """Bounds hold, and what is active pushes the change, alone, away from the least change."""
     E, amounts, C, room = problem_of(rng, 40, 3000)
     found = least_distance(E, amounts, C, room)
-    assert found is not None
     left = room - C @ found.x
     assert left.min() > -1e-9
     active = left < 1e-8
@@ -60,15 +56,12 @@ def test_equations_that_are_the_same_share_their_multiplier(rng: np.random.Gener
     E, amounts, C, room = problem_of(rng, 15, 12)
     twice = least_distance(np.vstack([E, E]), np.tile(amounts, 2), C, room)
     once = least_distance(E, amounts, C, room)
-    assert once is not None
-    assert twice is not None
     np.testing.assert_allclose(twice.x, once.x, atol=1e-3 * np.linalg.norm(once.x))
 
 
 def test_the_share_that_the_bounds_leave(rng: np.random.Generator) -> None:
     E = rng.normal(size=(1, 6))
     found = least_distance(E, np.array([2.0]), E, np.array([0.5]))
-    assert found is not None
     assert found.share == pytest.approx(0.25, abs=1e-3)
     assert float((E @ found.x)[0]) == pytest.approx(0.5, abs=1e-6)
 
@@ -82,7 +75,6 @@ def test_what_no_unknown_changes() -> None:
     E = np.array([[1.0, 0.0], [0.0, 0.0]])
     assert least_distance(E, np.ones(2), np.empty((0, 2)), np.empty(0)) is None
     kept = least_distance(E[:1], np.ones(1), np.zeros((1, 2)), np.array([-1.0]))
-    assert kept is not None
     np.testing.assert_allclose(kept.x, [1.0, 0.0], atol=1e-4)
 
 
@@ -96,6 +88,5 @@ def test_too_many_steps_are_no_change(rng: np.random.Generator, monkeypatch: pyt
 def test_nothing_to_change_and_no_room(rng: np.random.Generator) -> None:
     C = rng.normal(size=(1, 6))
     still = least_distance(C, np.zeros(1), np.vstack([C, -C]), np.zeros(2))
-    assert still is not None
     np.testing.assert_allclose(still.x, 0.0, atol=1e-12)
     assert least_distance(C, np.zeros(1), np.vstack([C, -C]), np.array([1.0, -2.0])) is None

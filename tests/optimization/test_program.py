@@ -1,7 +1,5 @@
 """States, linearizations and bounds: the data that a program is made of."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

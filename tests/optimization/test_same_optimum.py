@@ -4,8 +4,6 @@ Both start at the same spline. Where they end in the same motion their objective
 different ones the SQP's is no worse.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path

@@ -1,12 +1,9 @@
 """Separation: cheaper than evaluating everywhere, and finding the same."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from small_scenes import problem_of, short_scene
 
 from cmbot.optimization import separation
@@ -17,8 +14,6 @@ from cmbot.optimization.separation import find_violations, violated_bound
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory import quintic as trajectory
 from cmbot.trajectory.quintic import QuinticTrajectory
-
-FloatArray = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """The SQP on made-up programs: the merit falls step by step, and the end is stationary."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
@@ -10,14 +8,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import sparse
 
+from cmbot.common.arrays import FloatArray
 from cmbot.optimization import sqp
 from cmbot.optimization.qp import NlpModel, NlpValues, solve_qp
 from cmbot.optimization.sqp import SqpOptions, SqpStatus
 
-FloatArray = NDArray[np.float64]
 ENDED = (SqpStatus.CONVERGED, SqpStatus.STALLED)
 
 

@@ -5,8 +5,6 @@ two links reach the point below it (two ways); the wrist turns to the orientatio
 with the package.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -4,19 +4,15 @@ Splines by SciPy's Bernstein polynomials, the jerk conditions as equalities, tor
 Bounds on the joints are left out: where the solution keeps them anyway, it is the solution with them too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 from scipy.optimize import minimize
 
+from cmbot.common.arrays import FloatArray
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Robot
-
-FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

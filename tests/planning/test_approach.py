@@ -1,7 +1,5 @@
 """The approach: certified motions to a better start, along the self-motion or around it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 
@@ -19,7 +17,6 @@ from cmbot.robot import Dynamics, Kinematics
 
 def test_the_triangles_approach_is_certified(triangle_plan: Plan) -> None:
     approach = triangle_plan.approach
-    assert approach is not None
     assert approach.certificate.holds
     np.testing.assert_allclose(approach.trajectory.q[0], triangle_plan.scene.posture, atol=1e-12)
     np.testing.assert_allclose(approach.trajectory.q[-1], triangle_plan.trajectory.q[0], atol=1e-12)
@@ -60,7 +57,6 @@ def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: n
     space = FreeSpace(robot, clearances, 0.02)
     goal = triangle_plan.start.posture
     path = connect(space, posture, goal)
-    assert path is not None
     short = shorten(space, path)
     for line in (path, short):
         np.testing.assert_array_equal(line[[0, -1]], [posture, goal])
@@ -91,8 +87,6 @@ def test_a_pinned_start_that_asks_the_most_leaves_the_mean_to_be_lowered() -> No
 
 def test_its_samples_are_measured_once(triangle_plan: Plan) -> None:
     samples, approach = triangle_plan.approach_samples, triangle_plan.approach
-    assert samples is not None
-    assert approach is not None
     assert triangle_plan.approach_samples is samples
     assert samples.t[-1] == approach.trajectory.duration
     np.testing.assert_allclose(np.diff(samples.t)[:-1], 0.01, rtol=1e-9)
@@ -106,7 +100,6 @@ def test_its_samples_are_measured_once(triangle_plan: Plan) -> None:
 
 
 def test_its_peak_stands_beside_that_of_the_work(triangle_plan: Plan, short_plan: Plan) -> None:
-    assert triangle_plan.approach is not None
     peak = triangle_plan.approach.certificate.figures.peak_guardrail_torque
     for planned, shown in ((triangle_plan, f"{peak:.2f}"), (short_plan, "-")):
         names = [row[0] for row in planned.rows()]
@@ -118,7 +111,6 @@ def test_its_peak_stands_beside_that_of_the_work(triangle_plan: Plan, short_plan
 def test_a_certificate_made_again_is_the_same(triangle_plan: Plan) -> None:
     """The planner and the archive look at the same grid, in the same way."""
     approach = triangle_plan.approach
-    assert approach is not None
     clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
     again = certify_approach(
         triangle_plan.robot,

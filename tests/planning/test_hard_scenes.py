@@ -1,7 +1,5 @@
 """Scenes that were hard to plan: drawn at random, for arms that are not ours."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """What a plan may make small: the weighted moment, functions of wrench or posture, anyone's own."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path
@@ -13,11 +11,11 @@ from conftest import StateSamples as RandomStates
 from finite_differences import check_derivative
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from plan_folders import edit, refused
 from small_scenes import short_scene
 
 import cmbot
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError, SceneError
 from cmbot.optimization.program import StateSamples
 from cmbot.planning import GlobalSearch, ObjectiveMetrics, Plan, PostureObjective, WeightedMoment, remarks
@@ -27,7 +25,6 @@ from cmbot.planning.torque.problem import ScaledObjective
 from cmbot.robot import Dynamics, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene
 
-FloatArray = NDArray[np.float64]
 N = 5
 
 
@@ -244,7 +241,6 @@ def test_a_plan_about_the_base(about_base: Plan) -> None:
     torque = np.linalg.norm(about_base.samples.guardrail_torque, axis=1).max()
     assert about_base.figures.peak_guardrail_torque == pytest.approx(torque, rel=1e-3)
     assert about_base.figures.peak_guardrail_torque > default.figures.peak_guardrail_torque
-    assert about_base.lower_bound is not None
     assert figures.floor == about_base.lower_bound.value
     assert figures.gap == pytest.approx(figures.planned_peak / about_base.lower_bound.value - 1)
     assert about_base.gap_to_floor is about_base.torque_floor is None

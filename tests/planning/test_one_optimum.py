@@ -1,7 +1,5 @@
 """One optimum on every processor: OpenBLAS' kernels round differently, plans may not."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Plans from scene to certificate: the paper's two, variants of a short one, another arm."""
 
-from __future__ import annotations
-
 import sysconfig
 from dataclasses import replace
 from pathlib import Path

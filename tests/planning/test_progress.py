@@ -1,7 +1,5 @@
 """What the planner tells while it plans: shares that never fall, and no figure that is below zero."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest
@@ -87,7 +85,6 @@ def test_while_a_scene_is_planned(options: dict[str, object]) -> None:
     rounds = [progress for progress in told if progress.rounds]
     assert bool(rounds) == ("compensate" in options)
     for progress in rounds:
-        assert progress.left is not None
         assert progress.left.most == MOST_ROUNDS - progress.rounds + 1
 
 
@@ -124,7 +121,6 @@ def test_parts_of_equal_cost_are_foretold(
         clock.now += 3.0
         reporter.part("doing it", done, 10)
         left = told[-1].left
-        assert left is not None
         assert left.seconds == pytest.approx(3.0 * (10 - done))
         assert not left.at_most
 
@@ -153,7 +149,6 @@ def test_another_step_begins_anew(clock: Clock, reporter: ProgressReporter, told
     clock.now += 1.0
     reporter.part("other", 2, 4, at_most=True)
     left = told[-1].left
-    assert left is not None
     assert (left.seconds, left.at_most) == (pytest.approx(2.0), True)
     assert {progress.failed_starts for progress in told} == {2}
     reporter.step("the last")
@@ -173,7 +168,6 @@ def test_of_passes_it_is_known_how_many_there_are_at_most(
         clock.now += cost
         reporter.passed(a_pass(number), "Nm", 40)
     left = told[-1].left
-    assert left is not None
     assert left.sentence() == "at most 38 more passes, 3.0 s each"
     assert "pass 2 (peak): peak 380.00 Nm, jerk of joint_1 50.00% beyond its bound" in told[-1].sentence()
     reporter.passed(a_pass(40), "Nm", 40)

@@ -1,7 +1,5 @@
 """The sentences beside a plan's figures: grammar, and what they say of unusual plans."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest
@@ -56,7 +54,6 @@ def test_a_plan_that_gains_nothing_says_so(short_plan: Plan, triangle_plan: Plan
 
 def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
     said = " ".join(remarks(triangle_plan))
-    assert triangle_plan.quieting is not None
     assert "the 2 slowest vibrations of guardrail and links are brought to rest" in said
     assert f"{1e3 * triangle_plan.quieting.before:.4f} mm" in said
     given_up = replace(triangle_plan, quieting=replace(triangle_plan.quieting, shares=(0.0, 0.0)))
@@ -79,14 +76,12 @@ def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
 def test_one_leg_that_cannot_be_quieted_does_not_hide_the_others(
     triangle_plan: Plan, shares: tuple[float, ...], words: str
 ) -> None:
-    assert triangle_plan.quieting is not None
     quieting = replace(triangle_plan.quieting, shares=shares)
     assert words in line(replace(triangle_plan, quieting=quieting), "Vibration suppression: ")
     assert quieting.share == pytest.approx(sum(shares) / len(shares))
 
 
 def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Plan) -> None:
-    assert triangle_plan.lower_bound is not None
     at = triangle_plan.lower_bound.via_point + 1
     assert f"at via-point {at} of the 50 that the motion passes through, no posture asks less" in line(
         triangle_plan, "Lower bound: "
@@ -110,7 +105,6 @@ def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) ->
 def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan: Plan) -> None:
     assert "The approach asks more" not in " ".join(remarks(triangle_plan))
     approach = triangle_plan.approach
-    assert approach is not None
     figures = replace(approach.certificate.figures, peak_guardrail_torque=600.0)
     hard = replace(approach, certificate=replace(approach.certificate, figures=figures))
     said = line(replace(triangle_plan, approach=hard), "The approach asks more of the guardrail")
@@ -118,7 +112,6 @@ def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan:
 
 
 def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> None:
-    assert triangle_plan.lower_bound is not None
     floor = replace(triangle_plan.lower_bound, error=0.3 * triangle_plan.lower_bound.value)
     said = line(replace(triangle_plan, lower_bound=floor), "Lower bound, not closed: ")
     assert f"the search ended with {floor.error:.3f} Nm open" in said

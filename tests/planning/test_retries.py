@@ -1,7 +1,5 @@
 """Retries: shorter steps between via-points, the scene's start, the other solver, in that order."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -66,7 +64,6 @@ class Failing:
 
 def test_half_the_steps_from_the_same_charts(rough: Attempt) -> None:
     search = rough.guess.search
-    assert search is not None
     assert search.step_share == rough.context.options.step_share
     half = search.halved()
     assert half.step_share == 0.5 * search.step_share
@@ -92,8 +89,6 @@ def test_other_guesses_are_few_and_each_is_smoother(rough: Attempt) -> None:
     assert 1 <= len(found) <= 2
     for before, after in zip([rough, *found], found, strict=False):
         assert roughness(after.guess.problem) <= 0.9 * roughness(before.guess.problem)
-        assert after.guess.search is not None
-        assert before.guess.search is not None
         assert after.guess.search.step_share < before.guess.search.step_share
         assert after.guess.pinned
         (sentence,) = after.fallbacks

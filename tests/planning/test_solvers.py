@@ -1,7 +1,5 @@
 """Which solver makes a plan, and what happens where one gives up."""
 
-from __future__ import annotations
-
 import sys
 from dataclasses import replace
 from pathlib import Path

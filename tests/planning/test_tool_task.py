@@ -1,7 +1,5 @@
 """The tool task: its error leads to the goal, its Jacobian belongs to it, its angles are right."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -9,14 +7,13 @@ import pinocchio as pin
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning.task import ToolTask
 from cmbot.scene import SpeedProfile, ToolPath
 
-FloatArray = NDArray[np.float64]
 SIZES = {"pose": 6, "axis": 5, "position": 3}
 every_kind = pytest.mark.parametrize("keep", SIZES)
 seeds = st.integers(0, 2**32 - 1)

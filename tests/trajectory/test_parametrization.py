@@ -1,22 +1,20 @@
 """Splines by their unknowns: exact derivatives, exact C3, via-points that stay on their manifolds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from numpy.typing import NDArray
 
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError, OptimisationFailed
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
-FloatArray = NDArray[np.float64]
 N, D = 8, 3
 BOUNDS = np.array([[1.0, 1.5, 2.0], [3.0, 2.0, 4.0], [6.0, 5.0, 4.0]])
 
@@ -31,7 +29,7 @@ class Spheres:
         return np.linalg.svd((q - self.centres)[:, None, :])[2][:, 1:]
 
     def retract(
-        self, q: FloatArray, tangents: FloatArray, u: FloatArray, which: NDArray[np.intp]
+        self, q: FloatArray, tangents: FloatArray, u: FloatArray, which: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         c = self.centres[which]
         normal = q[which] - c
@@ -42,8 +40,8 @@ class Spheres:
         moved = c + np.einsum("ka,kai->ki", u, tangents) + height * normal
         return moved, tangents - (u / height)[:, :, None] * normal[:, None, :]
 
-    def part(self, first: int, last: int) -> Spheres:
-        return Spheres(self.centres[first : last + 1])
+    def part(self, first: int, last: int) -> Self:
+        return replace(self, centres=self.centres[first : last + 1])
 
 
 def space_of(n: int, rng: np.random.Generator) -> SplineSpace:

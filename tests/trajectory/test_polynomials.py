@@ -1,18 +1,15 @@
 """Roots on the unit interval: against numpy.roots, known roots and degenerate polynomials."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.polynomial import Polynomial, chebyshev
-from numpy.typing import NDArray
 
+from cmbot.common.arrays import FloatArray
 from cmbot.trajectory.polynomials import derivative, roots_in_unit_interval
 
-FloatArray = NDArray[np.float64]
 DEGREES = range(1, 6)
 
 coefficients = st.integers(2, 6).flatmap(

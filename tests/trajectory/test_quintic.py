@@ -1,7 +1,5 @@
 """Piecewise quintics: the paper's coefficients, SciPy's Bernstein polynomials as oracle, exact extrema."""
 
-from __future__ import annotations
-
 from dataclasses import FrozenInstanceError
 from typing import Any
 
@@ -9,13 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy.interpolate import BPoly
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.trajectory.quintic import QuinticTrajectory, hermite_coefficients
-
-FloatArray = NDArray[np.float64]
 
 
 def random_trajectory(seed: int, m: int = 4, n: int = 3, ratio: float = 20.0) -> QuinticTrajectory:

@@ -3,24 +3,21 @@
 Oracles: SciPy's B-splines with double inner knots, Gauss quadrature of the evaluated jerk.
 """
 
-from __future__ import annotations
-
 from functools import cache
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from scipy import linalg
 from scipy.interpolate import BSpline
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.scene import SpeedProfile, ToolPath
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
-FloatArray = NDArray[np.float64]
 SIZES = (5, 6, 50, 300)
 
 

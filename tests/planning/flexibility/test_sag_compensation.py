@@ -1,7 +1,5 @@
 """Sag compensation and sag as the objective: what is commanded, what is expected, what is said."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -65,8 +63,6 @@ def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
 
 def test_commanded_and_expected_path_are_in_the_plan(compensated: Plan) -> None:
     samples = compensated.samples
-    assert samples.expected_tool_point is not None
-    assert compensated.sag is not None
     exact = compensated.sag.at(samples.q[::37]).tool
     found = (samples.expected_tool_point - samples.tool_point)[::37]
     np.testing.assert_allclose(found, exact, rtol=0, atol=1e-7)
@@ -74,7 +70,6 @@ def test_commanded_and_expected_path_are_in_the_plan(compensated: Plan) -> None:
     names = [check.quantity for check in compensated.certificate.checks]
     assert "expected tool deviation" in names
     assert "tool deviation" not in names
-    assert compensated.compensation is not None
     assert compensated.compensation.rounds >= 1
     shift = np.linalg.norm(exact, axis=1).max()
     assert compensated.compensation.largest_shift == pytest.approx(shift, rel=0.05)
@@ -105,7 +100,6 @@ def test_a_compensated_plan_is_read_back(compensated: Plan, tmp_path: Path) -> N
 def test_progress_says_which_round() -> None:
     told: list[Progress] = []
     planned = plan(short_scene(planner={"compensate": True}), progress=told.append)
-    assert planned.compensation is not None
     rounds = [step.rounds for step in told if step.report is not None]
     assert rounds == sorted(rounds)
     assert set(rounds) == set(range(planned.compensation.rounds + 1))
@@ -143,7 +137,6 @@ def test_sag_as_the_objective(tmp_path: Path) -> None:
     planned = plan(scene)
     torque = plan(scene, options=replace(scene.planner, objective="torque"))
     sag = sag_of(scene, bending_arm(scene, planned.robot), scene.planner)
-    assert sag is not None
 
     def largest(of: Plan) -> float:
         return float(np.linalg.norm(sag.at(of.samples.q).tool, axis=1).max())
@@ -151,7 +144,6 @@ def test_sag_as_the_objective(tmp_path: Path) -> None:
     assert planned.objective.name == "sag"
     assert planned.objective.unit == "m"
     assert planned.objective.planned_peak == pytest.approx(largest(planned), rel=1e-6)
-    assert planned.objective.floor is not None
     assert planned.objective.planned_peak <= planned.objective.floor * 1.002
     assert largest(planned) <= largest(torque) * (1 + 1e-6)
     assert planned.gap_to_floor is None
@@ -164,7 +156,6 @@ def test_derivative_of_the_sags_length(rng: np.random.Generator) -> None:
     scene = load_scene("triangle")
     robot = robot_of(scene)
     sag = sag_of(scene, bending_arm(scene, robot), replace(scene.planner, objective="sag"))
-    assert sag is not None
     for q in scene.posture + rng.uniform(-0.3, 0.3, (4, robot.dof)):
         gradient = sag.length(q[None])[1][0]
         check_derivative(lambda x: sag.length(x[None])[0], q, gradient[None], rtol=1e-6)
@@ -196,9 +187,6 @@ def test_a_better_start_that_no_approach_leads_to_is_given_up() -> None:
     """The best posture for sag is out of reach: the work begins where the arm is, and says why."""
     scene = short_scene(planner={"knots": "sliding", "objective": "sag"})
     planned = plan(scene)
-    assert planned.choice is not None
-    assert planned.choice.free is not None
-    assert planned.choice.pinned is not None
     assert planned.choice.free < 0.9 * planned.choice.pinned
     assert planned.start.moved == 0
     assert planned.approach is None

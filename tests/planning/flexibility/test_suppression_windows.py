@@ -1,7 +1,5 @@
 """Windows in which splines are changed: small however long the path, and quiet at their ends."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from types import SimpleNamespace
 from typing import Any
@@ -70,10 +68,8 @@ def test_a_window_takes_its_vibration_away(rng: np.random.Generator) -> None:
         sparse.kron(space.design(space.t[[10]] + 0.1, 0) @ space.basis, np.array([[1.0, 0.0]]))
     )
     free = window.change(middle, np.array([np.inf]))
-    assert free is not None
     moved = float((middle @ free.x.ravel())[0])
     held = window.change(middle * np.sign(moved), np.array([0.5 * abs(moved)]))
-    assert held is not None
 
     def jerk(X: np.ndarray) -> float:
         shares = space.basis @ X / problem.context.robot.limits.jerk

@@ -1,21 +1,18 @@
 """Avoidance: self-motion alone, Eq. (17) to the letter or faded in, and what it gains."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 from small_scenes import context_of, short_scene
 
+from cmbot.common.arrays import FloatArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import JointPath, follow_path
 from cmbot.robot import Dynamics, Kinematics
 from cmbot.scene import Scene, load_scene
 
-FloatArray = NDArray[np.float64]
 Followed = tuple[PlanningContext, JointPath]
 OPTIONS = {"path_step_s": 0.04}
 

@@ -1,7 +1,5 @@
 """The baseline, the motion without optimisation: its derivatives, and its rest at both ends."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

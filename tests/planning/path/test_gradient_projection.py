@@ -1,7 +1,5 @@
 """The joint path: the robust inverse to the letter, the tool on its path, and what ends it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -9,17 +7,16 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from small_scenes import context_of, parts, short_scene
 
 from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.path.gradient_projection import JointPath, follow_path, robust_inverse
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
 
-FloatArray = NDArray[np.float64]
 OPTIONS = PlannerOptions(knots="fixed")
 
 
@@ -129,7 +126,6 @@ def test_path_ends_at_an_obstacle() -> None:
     ) as caught:
         path_of(scene)
     error = caught.value
-    assert error.pair is not None
     assert error.pair[1] == "wall"
     assert 0 < error.time < 4
     assert 0.1 < error.progress < 0.95

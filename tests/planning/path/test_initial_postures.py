@@ -1,7 +1,5 @@
 """Other starts: self-motion holds the tool, the nearest comes first, failures are told."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

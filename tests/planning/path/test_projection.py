@@ -1,7 +1,5 @@
 """Projection onto the tool task, null spaces, and the small linear systems below them, against LAPACK."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The global search: best sequences through the charts, the bound below them, failures with reasons."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

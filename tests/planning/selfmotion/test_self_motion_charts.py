@@ -1,7 +1,5 @@
 """Charts of self-motion: on the task, apart from each other, and complete."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Functions of the state: values by definition, derivatives by finite differences, samples by thresholds."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
@@ -12,10 +10,10 @@ from conftest import StateSamples as RandomStates
 from finite_differences import check_derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 from small_scenes import parts, short_context, short_scene
 
 from cmbot.collision import Clearances, Smallest
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.program import StateFunction, StateSamples
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
@@ -23,7 +21,6 @@ from cmbot.planning.torque.constraints import ClearanceMargin, JointTorque, Tool
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.trajectory.quintic import QuinticTrajectory
 
-FloatArray = NDArray[np.float64]
 N = 6
 
 
@@ -41,7 +38,7 @@ def states(cmbot_robot: Robot, random_states: RandomStates, rng: np.random.Gener
 
 
 def check_linearization(
-    function: StateFunction, states: StateSamples, component: NDArray[np.intp], step: float, tolerance: float
+    function: StateFunction, states: StateSamples, component: IntArray, step: float, tolerance: float
 ) -> None:
     """Value and derivatives of one component at each state; clearances are rough, torques are not."""
     got = function.linearize(states, component)

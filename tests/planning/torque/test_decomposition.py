@@ -1,7 +1,5 @@
 """Long paths: parted where legs meet, each part a problem of its own, together one smooth trajectory."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import pairwise
 

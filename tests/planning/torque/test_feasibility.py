@@ -1,7 +1,5 @@
 """Via-points that rule out every trajectory are refused at once, and others are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

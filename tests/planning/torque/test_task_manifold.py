@@ -1,20 +1,16 @@
 """Via-points that hold the tool task while they move along the self-motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from numpy.typing import NDArray
 from small_scenes import context_of, short_scene
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import parametrization_through
 from cmbot.planning.torque.task_manifold import TaskManifold
-
-FloatArray = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module", params=["pose", "axis"])

@@ -1,16 +1,14 @@
 """The torque problem: its units and bounds, a mean square that is one, and problems of its segments."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from numpy.typing import NDArray
 from seven_joint_arms import endless_scene
 from small_scenes import context_of, torque_problem
 
+from cmbot.common.arrays import FloatArray
 from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.linearization import linearize
 from cmbot.optimization.separation import find_violations
@@ -19,8 +17,6 @@ from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Dynamics
 from cmbot.trajectory.parametrization import Parametrization
 from cmbot.trajectory.quintic import QuinticTrajectory
-
-FloatArray = NDArray[np.float64]
 
 
 @pytest.fixture(scope="module")
