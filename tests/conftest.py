@@ -17,9 +17,8 @@ from plan_folders import short_plan as short_plan
 from plan_folders import short_tracking as short_tracking
 from plan_folders import thin_plan as thin_plan
 from plan_folders import triangle_folder as triangle_folder
-from seven_joint_arms import endless_scene
 from small_scenes import short_scene
-from urdf_arms import arm_scene
+from urdf_arms import arm_scene, endless_scene
 
 from cmbot.common.installation import model_folder
 from cmbot.planning import Plan, plan, robot_of

@@ -12,7 +12,7 @@ from conftest import StateSamples
 from distance_tables import TOLERANCE, all_distances
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from seven_joint_arms import endless_scene, panda_scene
+from urdf_arms import endless_scene, panda_scene
 
 from cmbot.collision import Clearances, PairedShapes
 from cmbot.collision.broad_phase import BroadPhase

@@ -1,8 +1,10 @@
 """One checker for every derivative of the package."""
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
+import pytest
 from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray
@@ -58,3 +60,22 @@ def check_derivative(
         f"entry {tuple(map(int, worst))}: got {got[worst]:.12g}, finite difference {expected[worst]:.12g}, "
         f"error {error[worst]:.3g} > {allowed:.3g}"
     )
+
+
+def check_curvature(
+    function: Callable[[FloatArray], float],
+    hessian: Any,
+    directions: FloatArray,
+    *,
+    step: float,
+    rtol: float,
+    atol: float = 0.0,
+) -> None:
+    """Assert that `hessian` (n, n) is that of `function` at zero, along each of `directions` (K, n).
+
+    By differences of fourth order; `atol` is in the Hessian's unit.
+    """
+    for d in directions:
+        near, far = (function(k * step * d) + function(-k * step * d) - 2 * function(0 * d) for k in (1, 2))
+        expected = (16 * near - far) / (12 * step**2)
+        assert d @ (hessian @ d) == pytest.approx(expected, rel=rtol, abs=atol * d @ d)

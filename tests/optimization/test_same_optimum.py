@@ -12,11 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 from same_start import Answer, SameStart
-from seven_joint_arms import endless_scene
-from six_joint_arms import ur_scene, z1_scene
 from small_scenes import short_scene
 from threadpoolctl import threadpool_limits
-from urdf_arms import arm_scene
+from urdf_arms import arm_scene, endless_scene, six_joint_scene
 
 from cmbot.scene import Scene, load_scene
 
@@ -65,20 +63,21 @@ ARMS: dict[str, Callable[[Path], Scene]] = {
     "kinova, pose": lambda folder: arm_scene(folder, "kinova"),
     "kinova, axis": lambda folder: arm_scene(folder, "kinova", "axis"),
     "endless, axis": lambda folder: coarse(endless_scene(folder, keep="axis")),
-    "ur5, pose": lambda folder: ur_scene(
+    "ur5, pose": lambda folder: six_joint_scene(
         folder,
         "ur5",
         [-105, -76, -94, 84, 48, -61],
         {"legs": [{"by": [0.061, -0.054, -0.015], "seconds": 5.9}], "via_points": 15},
     ),
-    "ur5, axis": lambda folder: ur_scene(
+    "ur5, axis": lambda folder: six_joint_scene(
         folder,
         "ur5",
         [0, 71, -107, 55, 66, -104],
         {"legs": [{"by": [0.037, 0.13, -0.125], "seconds": 4.9}], "via_points": 15, "keep": "axis"},
     ),
-    "z1, pose": lambda folder: z1_scene(
+    "z1, pose": lambda folder: six_joint_scene(
         folder,
+        "z1",
         [103, 80, -26, -9, -39, 13],
         {"legs": [{"by": [0.047, -0.097, 0.114], "seconds": 5.3}], "via_points": 12},
     ),

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from six_joint_arms import ur_scene
+from urdf_arms import six_joint_scene
 
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.exchange import ExchangeReport
@@ -32,7 +32,7 @@ TURNING = (
 
 def test_an_arm_that_cannot_set_off_without_more_torque_than_at_rest(tmp_path: Path) -> None:
     """The peak at rest is that of the start, which stays; to get away from there the arm asks more."""
-    made = plan(ur_scene(tmp_path, "ur5", *SETTING_OFF, **PINNED))
+    made = plan(six_joint_scene(tmp_path, "ur5", *SETTING_OFF, **PINNED))
     assert made.certificate.holds
     assert made.start.moved == 0
     assert made.options.step_share == made.scene.planner.step_share
@@ -43,7 +43,7 @@ def test_an_arm_that_cannot_set_off_without_more_torque_than_at_rest(tmp_path: P
 
 def test_a_way_that_no_trajectory_follows_is_given_up_soon(tmp_path: Path) -> None:
     """Steps that turn round break accelerations, and no step of the solver does much about it."""
-    scene = ur_scene(tmp_path, "ur5", *TURNING, **PINNED)
+    scene = six_joint_scene(tmp_path, "ur5", *TURNING, **PINNED)
     context = build_context(scene, scene.planner)
     reports: list[ExchangeReport] = []
     with pytest.raises(OptimisationFailed, match="cannot all be met") as caught:

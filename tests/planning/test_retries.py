@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from six_joint_arms import ur_scene
 from small_scenes import context_of, short_scene
+from urdf_arms import six_joint_scene
 
 from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.planning import plan, remarks
@@ -45,7 +45,7 @@ def attempt_at(scene: Scene, **options: Any) -> Attempt:
 def turned_wrist(folder: Path, **planner: object) -> Scene:
     """A UR3: of its two ways to hold the tool's pose the one with less torque turns a wrist too fast."""
     legs = [{"by": by, "seconds": seconds} for by, seconds in TURNED]
-    return ur_scene(folder, "ur3", POSTURE, {"legs": legs, "via_points": 25}, **planner)
+    return six_joint_scene(folder, "ur3", POSTURE, {"legs": legs, "via_points": 25}, **planner)
 
 
 class Failing:

@@ -6,8 +6,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 import pytest
-from seven_joint_arms import panda_scene
 from small_scenes import short_scene
+from urdf_arms import panda_scene
 
 from cmbot.cli.inspection import examine
 from cmbot.common.errors import MissingExtra, OptimisationFailed

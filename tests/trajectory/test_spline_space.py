@@ -14,7 +14,6 @@ from scipy.interpolate import BSpline
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.scene import SpeedProfile, ToolPath
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
@@ -88,13 +87,10 @@ def b_splines(t: FloatArray) -> tuple[FloatArray, FloatArray]:
 @every_space
 def test_the_dimension_is_the_papers_count(kind: str, n: int) -> None:
     space = space_of(kind, n)
+    # 7 joints on the paper's 50 knots: 7 * 48 * 2 - 7 * (48 + 2) = 322 = 7 * 46 free numbers.
     assert space.dimension == n - 4
     assert space.basis.shape == (3 * n, n - 4)
     assert np.linalg.matrix_rank(unit_free(space, whitened_basis(space))) == n - 4
-
-
-def test_the_paper_has_322_free_numbers() -> None:
-    assert 7 * space_of("uniform", 50).dimension == 7 * 48 * 2 - 7 * (48 + 2) == 322
 
 
 def assert_is_member(space: SplineSpace, q: FloatArray, z: FloatArray) -> None:
@@ -227,13 +223,8 @@ def test_jerk_gram_is_the_mean_product_of_jerks(kind: str, n: int) -> None:
     got = space.jerk_gram.toarray() / np.outer(scale, scale)
     np.testing.assert_allclose(got, expected / np.outer(scale, scale), rtol=0, atol=1e-10)
     np.testing.assert_array_equal(got[np.abs(np.subtract.outer(range(n - 4), range(n - 4))) > 3], 0.0)
-
-
-@pytest.mark.parametrize("n", SIZES)
-def test_jerk_gram_is_well_conditioned_on_uniform_knots(n: int) -> None:
-    B = space_of("uniform", n).jerk_gram.toarray()
-    scale = np.sqrt(np.diag(B))
-    assert np.linalg.cond(B / np.outer(scale, scale)) < 10
+    if kind == "uniform":
+        assert np.linalg.cond(got) < 10
 
 
 @every_space
@@ -265,15 +256,6 @@ def test_a_slower_clock_scales_the_derivatives_only(space: SplineSpace, exponent
     assert_is_member(slow, q, z * scale)
     angles = linalg.subspace_angles(*(unit_free(s, s.basis.toarray()) for s in (slow, space)))
     assert angles.max() < 1e-8
-
-
-def test_the_knots_of_the_papers_triangle() -> None:
-    corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 0.2, 0], [0, 0, 0]])
-    path = ToolPath(
-        corners=corners, orientation=np.eye(3), seconds=np.array([10.0, 2.0, 8.0]), profile=SpeedProfile()
-    )
-    space = SplineSpace(path.via_times(50))
-    assert_is_member(space, *random_member(space, 0, d=7))
 
 
 @pytest.mark.parametrize(

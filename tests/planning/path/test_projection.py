@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from seven_joint_arms import endless_scene, panda_scene
 from small_scenes import off_task, task_at
+from urdf_arms import endless_scene, panda_scene
 
 from cmbot.planning import robot_of
 from cmbot.planning.path.projection import gram, null_directions, null_space, project_onto_task, solve_batch

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import optimize
-from seven_joint_arms import endless_scene, panda_scene
 from small_scenes import context_of, short_scene
+from urdf_arms import endless_scene, panda_scene
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import GlobalSearch, plan

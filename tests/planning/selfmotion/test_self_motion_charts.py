@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.inverse_kinematics import postures as closed_form
 from scipy.spatial import cKDTree
-from seven_joint_arms import endless_scene, panda_scene
 from small_scenes import off_task, task_at
+from urdf_arms import endless_scene, panda_scene
 
 from cmbot.collision import Clearances
 from cmbot.planning import robot_of, task_of

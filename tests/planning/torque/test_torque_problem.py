@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from seven_joint_arms import endless_scene
 from small_scenes import context_of, torque_problem
+from urdf_arms import endless_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.optimization.constraint_set import ConstraintSet
