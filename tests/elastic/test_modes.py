@@ -34,9 +34,6 @@ def arm(tmp_path: Path, rng: np.random.Generator) -> ElasticArm:
     return make_random_arm(tmp_path, rng, 5)
 
 
-# In closed form
-
-
 @pytest.mark.parametrize("segments", [1, 3])
 def test_a_mass_on_a_cantilever(tmp_path: Path, segments: int) -> None:
     """Two bending modes; what has no mass has no mode."""
@@ -75,9 +72,6 @@ def test_a_disc_that_turns_on_a_tube(tmp_path: Path) -> None:
     np.testing.assert_allclose(modes.frequencies[twisting], [expected], rtol=1e-3)
 
 
-# Definition of the modes
-
-
 def test_modes_solve_the_equation_of_motion(arm: ElasticArm, rng: np.random.Generator) -> None:
     """Accelerations from the full inverse dynamics, the stiffness from its differences."""
     q = rng.uniform(-2, 2, 5)
@@ -101,25 +95,21 @@ def test_modes_solve_the_equation_of_motion(arm: ElasticArm, rng: np.random.Gene
     np.testing.assert_allclose(modes.mass, M, rtol=0, atol=1e-10 * np.abs(M).max())
 
 
-def test_modes_are_orthonormal(arm: ElasticArm, rng: np.random.Generator) -> None:
-    modes = arm_modes(arm, rng.uniform(-2, 2, 5))
-    f = len(arm.elastic)
-    assert modes.shapes.shape == (f, len(modes.frequencies))
-    assert (np.diff(modes.frequencies) >= 0).all()
-    omega2 = (2 * np.pi * modes.frequencies) ** 2
-    np.testing.assert_allclose(modes.shapes.T @ modes.mass @ modes.shapes, np.eye(len(omega2)), atol=1e-6)
-    modal = modes.shapes.T @ modes.stiffness @ modes.shapes / np.sqrt(omega2) / np.sqrt(omega2)[:, None]
-    np.testing.assert_allclose(modal, np.eye(len(omega2)), atol=1e-6)
-
-
 @pytest.mark.parametrize("ratio", [0.0, 0.01, 0.3])
-def test_damping_gives_every_mode_its_ratio(arm: ElasticArm, rng: np.random.Generator, ratio: float) -> None:
+def test_modes_are_orthonormal_and_damped_by_the_ratio(
+    arm: ElasticArm, rng: np.random.Generator, ratio: float
+) -> None:
     modes = arm_modes(arm, rng.uniform(-2, 2, 5))
-    D = modes.damping(ratio)
-    assert np.abs(D - D.T).max() <= 1e-12 * np.abs(D).max()
+    assert modes.shapes.shape == (len(arm.elastic), len(modes.frequencies))
+    assert (np.diff(modes.frequencies) >= 0).all()
     omega = 2 * np.pi * modes.frequencies
+    each, D = np.eye(len(omega)), modes.damping(ratio)
+    np.testing.assert_allclose(modes.shapes.T @ modes.mass @ modes.shapes, each, atol=1e-6)
+    modal = modes.shapes.T @ modes.stiffness @ modes.shapes / omega / omega[:, None]
+    np.testing.assert_allclose(modal, each, atol=1e-6)
+    assert np.abs(D - D.T).max() <= 1e-12 * np.abs(D).max()
     modal = modes.shapes.T @ D @ modes.shapes / np.sqrt(omega) / np.sqrt(omega)[:, None]
-    np.testing.assert_allclose(modal, 2 * ratio * np.eye(len(omega)), atol=1e-6)
+    np.testing.assert_allclose(modal, 2 * ratio * each, atol=1e-6)
 
 
 def test_damped_vibrations_decay_at_the_ratio(cmbot_robot: Robot, rng: np.random.Generator) -> None:
@@ -158,9 +148,6 @@ def test_a_rigid_arm_has_no_modes(cmbot_robot: Robot) -> None:
     assert modes.damping(0.01).shape == (0, 0)
 
 
-# The matrices
-
-
 def test_mass_and_coupling_match_inverse_dynamics(arm: ElasticArm, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, (3, len(arm.driven)))
     at = linearised(arm, q)
@@ -193,9 +180,6 @@ def test_derivative_of_the_equilibrium(arm: ElasticArm, rng: np.random.Generator
     # What is between two segments has no mass of its own.
     energies = np.linalg.eigvalsh(at.mass[0])
     assert energies.min() > -1e-12 * energies.max()
-
-
-# Convergence
 
 
 def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:

@@ -52,9 +52,6 @@ def potential(arm: ElasticArm, q: FloatArray) -> Callable[[FloatArray], float]:
     return energy
 
 
-# In closed form
-
-
 @pytest.mark.parametrize("segments", [1, 3])
 def test_a_weight_at_the_end_of_a_cantilever(tmp_path: Path, segments: int) -> None:
     L, payload = 0.7, 1e-3  # light: the closed form is that of small deflections
@@ -96,9 +93,6 @@ def test_rigid_links_on_an_elastic_base(cmbot_robot: Robot, rng: np.random.Gener
         np.testing.assert_allclose(states.rotation[k], u[3:], rtol=0, atol=1e-5 * np.abs(u[3:]).max())
 
 
-# Against the potential energy
-
-
 def test_equilibrium_minimises_the_energy(tmp_path: Path, rng: np.random.Generator) -> None:
     """A minimiser that knows nothing but the energy ends in the same place."""
     arm = make_arm(random_robot(tmp_path, rng, 3), random_base(rng), link_factor=0.05)
@@ -111,17 +105,9 @@ def test_equilibrium_minimises_the_energy(tmp_path: Path, rng: np.random.Generat
     assert energy(u) <= found.fun + 1e-12 * abs(found.fun)
 
 
-def test_forces_balance_at_equilibrium(random_arm: ElasticArm, rng: np.random.Generator) -> None:
-    q = rng.uniform(-2, 2, len(random_arm.driven))
-    u = Sag(random_arm).at(q[None]).u[0]
-    slope = finite_difference(potential(random_arm, q), u, step=1e-4)
-    springs = np.abs(random_arm.stiffness @ u).max()
-    assert np.abs(slope).max() < 1e-6 * springs
-
-
-def test_gravity_is_the_gradient_of_the_potential(random_arm: ElasticArm, rng: np.random.Generator) -> None:
+def test_forces_and_their_equilibrium(random_arm: ElasticArm, rng: np.random.Generator) -> None:
     q, u = rng.uniform(-2, 2, len(random_arm.driven)), rng.normal(scale=0.05, size=len(random_arm.elastic))
-    data = random_arm.model.createData()
+    data, sag, energy = random_arm.model.createData(), Sag(random_arm), potential(random_arm, q)
 
     def weight_at(angles: FloatArray, x: FloatArray) -> FloatArray:
         weight = pin.computeGeneralizedGravity(random_arm.model, data, random_arm.configuration(angles, x))
@@ -130,32 +116,21 @@ def test_gravity_is_the_gradient_of_the_potential(random_arm: ElasticArm, rng: n
     def force(x: FloatArray) -> FloatArray:
         return np.asarray(weight_at(q, x) + random_arm.stiffness @ x)
 
-    check_derivative(potential(random_arm, q), u, force(u), rtol=1e-7)
-    tangent, by_joints = Sag(random_arm).balance_derivatives(q, u)
+    check_derivative(energy, u, force(u), rtol=1e-7)
+    tangent, by_joints = sag.balance_derivatives(q, u)
     check_derivative(force, u, tangent, rtol=1e-9)
     check_derivative(lambda x: weight_at(x, u), q, by_joints, rtol=1e-7)
     np.testing.assert_allclose(tangent, tangent.T, rtol=0, atol=1e-11 * np.abs(tangent).max())
-
-
-# Derivatives
-
-
-def test_derivatives(random_arm: ElasticArm, rng: np.random.Generator) -> None:
-    check_tool_derivative(random_arm, rng.uniform(-2, 2, (1, len(random_arm.driven))))
+    held = sag.at(q[None])
+    slope = finite_difference(energy, held.u[0], step=1e-4)
+    assert np.abs(slope).max() < 1e-6 * np.abs(random_arm.stiffness @ held.u[0]).max()
+    check_derivative(lambda x: sag.at(x[None]).tool[0], q, held.d_tool[0], rtol=1e-7)
 
 
 def test_derivatives_of_the_shipped_robot(shipped_arm: ElasticArm, rng: np.random.Generator) -> None:
-    check_tool_derivative(shipped_arm, rng.uniform(-2, 2, (3, 7)))
-
-
-def check_tool_derivative(arm: ElasticArm, postures: FloatArray) -> None:
-    sag = Sag(arm)
-    for q in postures:
-        d_tool = sag.at(q[None]).d_tool[0]
-        check_derivative(lambda x: sag.at(x[None]).tool[0], q, d_tool, rtol=1e-7)
-
-
-# Many states, no states
+    sag = Sag(shipped_arm)
+    for q in rng.uniform(-2, 2, (3, 7)):
+        check_derivative(lambda x: sag.at(x[None]).tool[0], q, sag.at(q[None]).d_tool[0], rtol=1e-7)
 
 
 def test_states_are_independent(shipped_arm: ElasticArm, rng: np.random.Generator) -> None:
@@ -213,9 +188,6 @@ def test_too_soft_an_arm_is_refused(cmbot_robot: Robot) -> None:
         sag = Sag(make_arm(cmbot_robot, base, guardrail_factor=factor, link_factor=factor))
         with pytest.raises(InputError, match=r"Sag.at: q\[0\]: .*stiff enough"):
             sag.at(scene.posture[None])
-
-
-# Convergence
 
 
 def test_segments_converge_on_the_shipped_robot(cmbot_robot: Robot) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from cmbot.elastic import ElasticBase
@@ -113,6 +114,11 @@ def make_random_arm(folder: Path, rng: np.random.Generator, joints: int) -> Elas
     """A random robot with a payload on a random hold, its links soft and in two segments."""
     robot = random_robot(folder, rng, joints, payload=1.0)
     return make_arm(robot, random_base(rng), segments=2, link_factor=0.05)
+
+
+def mass_matrix(model: Any, q: FloatArray) -> FloatArray:
+    upper = np.triu(pin.crba(model, model.createData(), q))
+    return upper + np.triu(upper, 1).T
 
 
 def random_base(rng: np.random.Generator) -> ElasticBase:

@@ -5,7 +5,7 @@ package nor its URDF is read. Arrays have the state as leading axis; vectors are
 """
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, Fl
         g = _into(R[i], g_before) + np.cross(_into(R[i], w_before), spin) + a[:, i, None] * Z0  # Eq. (5)
         acc = _into(R[i], acc + _fixed_point(g_before, w_before, p[i]))  # Eq. (6)
         acc_c = acc + _fixed_point(g, w, CENTRE_OF_MASS[i])  # Eq. (7)
-        inertia = _tensor(INERTIA[i])
+        inertia = tensor(INERTIA[i])
         F.append(MASS[i] * acc_c)  # Eq. (8)
         N.append(g @ inertia + np.cross(w, w @ inertia))  # Eq. (9), the tensor is symmetric
     f, n, tau = np.zeros((len(q), 3)), np.zeros((len(q), 3)), np.empty((len(q), 7))
@@ -92,22 +92,6 @@ def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, Fl
         tau[:, i] = n @ Z0  # Eq. (13)
         f, n = _out_of(R[i], f), _out_of(R[i], n)
     return tau, n + np.cross(p[0], f), f  # Eq. (12)
-
-
-def energy(q: FloatArray, v: FloatArray) -> FloatArray:
-    """Kinetic plus potential energy (N,) of the arm, J; not in the paper."""
-    total = np.zeros(len(q))
-    w, velocity = np.zeros((len(q), 3)), np.zeros((len(q), 3))
-    R_W, p_W = np.tile(np.eye(3), (len(q), 1, 1)), np.zeros((len(q), 3))
-    for i, (R, p) in enumerate(zip(*frames(q), strict=True)):
-        velocity = _into(R, velocity + np.cross(w, p))
-        w = _into(R, w) + v[:, i, None] * Z0
-        p_W, R_W = p_W + R_W @ p, R_W @ R
-        velocity_c = velocity + np.cross(w, CENTRE_OF_MASS[i])
-        total += 0.5 * MASS[i] * (velocity_c**2).sum(axis=1)
-        total += 0.5 * (w * (w @ _tensor(INERTIA[i]))).sum(axis=1)
-        total -= MASS[i] * (p_W + R_W @ CENTRE_OF_MASS[i]) @ GRAVITY
-    return total
 
 
 def centre_of_mass(q: FloatArray) -> FloatArray:
@@ -134,6 +118,7 @@ def _out_of(R: FloatArray, x: FloatArray) -> FloatArray:
     return np.einsum("nij,nj->ni", R, x)
 
 
-def _tensor(entries: FloatArray) -> FloatArray:
-    xx, yy, zz, xy, xz, yz = entries
+def tensor(entries: ArrayLike) -> FloatArray:
+    """Inertia (3, 3) from Ixx, Iyy, Izz, Ixy, Ixz, Iyz."""
+    xx, yy, zz, xy, xz, yz = np.asarray(entries)
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

@@ -20,20 +20,22 @@ def shape_poses(robot: Robot, q: np.ndarray) -> list[Any]:
     return [X.copy() for X in data.oMg]
 
 
-def test_mount_of_the_urdf_changes_nothing(cmbot_robot: Robot, random_states: StateSamples) -> None:
-    mounted = load_robot("cmbot", mount=pose((np.pi, 0, 0), (0, 0.5, 0)).homogeneous)
-    states = random_states(cmbot_robot, 20)
-    got, expected = Dynamics(mounted).efforts(*states), Dynamics(cmbot_robot).efforts(*states)
-    np.testing.assert_allclose(got.guardrail_torque, expected.guardrail_torque, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(mounted.carrier_torque, cmbot_robot.carrier_torque, atol=1e-8)
-
-
-@pytest.mark.parametrize("rpy", [(0.0, 0.0, 0.7), (0.4, -0.8, 0.3)])
+@pytest.mark.parametrize(
+    ("rpy", "xyz"),
+    [
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ((0.0, 0.0, 0.7), (0.3, -0.2, 0.5)),
+        ((0.4, -0.8, 0.3), (0.3, -0.2, 0.5)),
+    ],
+)
 def test_mount_moves_everything_rigidly(
-    cmbot_robot: Robot, random_states: StateSamples, rpy: tuple[float, float, float]
+    cmbot_robot: Robot,
+    random_states: StateSamples,
+    rpy: tuple[float, float, float],
+    xyz: tuple[float, float, float],
 ) -> None:
     X_WB = pose((np.pi, 0, 0), (0, 0.5, 0))
-    moved = pose(rpy, (0.3, -0.2, 0.5))  # of the whole robot
+    moved = pose(rpy, xyz)  # of the whole robot
     mounted = load_robot("cmbot", mount=(moved * X_WB).homogeneous)
     q, v, a = random_states(cmbot_robot, 20)
 
@@ -47,6 +49,8 @@ def test_mount_moves_everything_rigidly(
             np.testing.assert_allclose(got_pose.homogeneous, expected, rtol=0, atol=1e-12)
     lever = mounted.model.inertias[0].lever
     np.testing.assert_allclose(lever, moved.act(cmbot_robot.model.inertias[0].lever), atol=1e-12)
+    carrier_torque = np.cross(lever, [0, 0, -9.81 * mounted.carrier_mass])
+    np.testing.assert_allclose(mounted.carrier_torque, carrier_torque, atol=1e-8)
 
     # Only about the vertical is weight the same after the turn; what motion adds to it always is.
     parts = [False, True] if rpy[:2] == (0.0, 0.0) else [False]
@@ -54,6 +58,9 @@ def test_mount_moves_everything_rigidly(
         before, after = (_wrenches(robot, q, v, a, with_weight) for robot in (cmbot_robot, mounted))
         expected = [moved.act(pin.Force(wrench)).vector for wrench in before]
         np.testing.assert_allclose(after, expected, rtol=0, atol=1e-9)
+    value, efforts = Dynamics(mounted).derivatives(q, v, a).value, Dynamics(mounted).efforts(q, v, a)
+    np.testing.assert_allclose(value[:, :3], efforts.guardrail_torque, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(value[:, 3:], efforts.joint_torque, rtol=0, atol=1e-9)
 
 
 def _wrenches(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray, with_weight: bool) -> np.ndarray:
@@ -63,33 +70,23 @@ def _wrenches(robot: Robot, q: np.ndarray, v: np.ndarray, a: np.ndarray, with_we
     return wrench - (0 if with_weight else np.hstack([still.guardrail_force, still.guardrail_torque]))
 
 
-def test_derivatives_follow_the_mount(random_states: StateSamples) -> None:
-    mounted = load_robot("cmbot", mount=pose((0.4, -0.8, 0.3), (1, 2, 3)).homogeneous, payload=3.0)
-    states = random_states(mounted, 20)
-    dynamics = Dynamics(mounted)
-    value, efforts = dynamics.derivatives(*states).value, dynamics.efforts(*states)
-    np.testing.assert_allclose(value[:, :3], efforts.guardrail_torque, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(value[:, 3:], efforts.joint_torque, rtol=0, atol=1e-9)
-
-
 NO_POSES = [np.eye(3), np.zeros((4, 4)), 2 * np.eye(4), np.full((4, 4), np.nan)]
 NO_POSES += [np.diag([1.0, 1, -1, 1]), np.diag([1.0, 1, 1, 2]), "here", [[1, 2], [3]]]
-
-
-@pytest.mark.parametrize("mount", NO_POSES)
-def test_mount_that_is_no_pose(mount: Any) -> None:
-    with pytest.raises(ModelError, match=r"load_robot: mount: .* a pose"):
-        load_robot("cmbot", mount=mount)
 
 
 @pytest.mark.parametrize("length", [0.02, 0.05, 0.3, 0.45])
 def test_tool_length(cmbot_robot: Robot, random_states: StateSamples, length: float) -> None:
     robot = load_robot("cmbot", tool_length=length)
-    q, _, _ = random_states(cmbot_robot, 5)
-    p, R = Kinematics(robot).tool_poses(q)
-    p_before, R_before = Kinematics(cmbot_robot).tool_poses(q)
+    states = random_states(cmbot_robot, 50)
+    p, R = Kinematics(robot).tool_poses(states[0])
+    p_before, R_before = Kinematics(cmbot_robot).tool_poses(states[0])
     np.testing.assert_allclose(p, p_before + (length - 0.3) * R_before[:, :, 2], rtol=0, atol=1e-13)
     np.testing.assert_array_equal(R, R_before)
+    # It has no mass.
+    torque, torque_before = (
+        Dynamics(each).efforts(*states).guardrail_torque for each in (robot, cmbot_robot)
+    )
+    np.testing.assert_array_equal(torque, torque_before)
     # The tool's capsule begins where it began and ends at the tool point.
     shape = next(shape for shape in robot.collision_model.geometryObjects if shape.name == "tool_0")
     ends = shape.placement.translation[2] + np.array([-1, 1]) * shape.geometry.halfLength
@@ -101,11 +98,12 @@ def test_tool_length(cmbot_robot: Robot, random_states: StateSamples, length: fl
 @pytest.mark.parametrize(
     ("option", "message"),
     [
+        *(({"mount": bad}, "load_robot: mount: .* a pose") for bad in NO_POSES),
         *(({"tool_length": bad}, "tool_length: .* positive length") for bad in (0.0, -0.1, np.nan, np.inf)),
         *(({"payload": bad}, "payload: .* not negative") for bad in (-1e-9, -5.0, np.nan, np.inf)),
     ],
 )
-def test_lengths_and_masses_are_positive(option: dict[str, float], message: str) -> None:
+def test_mounts_are_poses_and_lengths_and_masses_are_positive(option: dict[str, Any], message: str) -> None:
     with pytest.raises(ModelError, match=message):
         load_robot("cmbot", **option)
 
@@ -139,12 +137,15 @@ def test_tool_of_other_shapes_is_stretched(
         np.testing.assert_allclose(stretched.geometry.halfSide, half)
 
 
-@pytest.mark.parametrize("shape", ['<sphere radius="0.04"/>', None])
-def test_tool_that_cannot_be_stretched(urdf_folder: Path, shape: str | None) -> None:
-    if shape is not None:
-        replace(urdf_folder / "cmbot.urdf", TOOL_CAPSULE, shape)
-    else:
-        replace(urdf_folder / "cmbot.urdf", 'xyz="0.0 0.0 0.13" rpy="0.0', 'xyz="0.0 0.0 0.13" rpy="0.5')
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        (TOOL_CAPSULE, '<sphere radius="0.04"/>'),
+        ('xyz="0.0 0.0 0.13" rpy="0.0', 'xyz="0.0 0.0 0.13" rpy="0.5'),
+    ],
+)
+def test_tool_that_cannot_be_stretched(urdf_folder: Path, old: str, new: str) -> None:
+    replace(urdf_folder / "cmbot.urdf", old, new)
     with pytest.raises(ModelError, match=r"tool_length, tool_0: .* cannot be stretched"):
         load_copy(urdf_folder, tool_length=0.6)
 

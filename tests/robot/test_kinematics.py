@@ -109,9 +109,6 @@ def test_no_posture_exceeds_the_reach(
     assert 0.5 * cmbot_robot.reach < distances.max() <= cmbot_robot.reach
 
 
-# Many postures in one call: the same as pinocchio, one at a time.
-
-
 def test_a_batch_equals_pinocchio(rng: np.random.Generator) -> None:
     robot = load_robot(payload=3.0, tool_length=0.4)
     q = rng.uniform(-3, 3, (200, robot.dof))

@@ -17,9 +17,6 @@ VELOCITY_DEG = (20, 20, 20, 30, 30, 30, 30)  # Chang 2021, Table 3
 RANGE_DEG = (170, 170, 150, 170, 170, 130, 170)
 
 
-# The shipped robot
-
-
 def test_limits_are_table_3(cmbot_robot: Robot) -> None:
     limits = cmbot_robot.limits
     for name, factor in (("velocity", 1), ("acceleration", 3), ("jerk", 8)):
@@ -130,9 +127,6 @@ def test_other_encodings_are_read(urdf_folder: Path) -> None:
     text = file.read_text(encoding="utf-8").replace("?>", ' encoding="latin-1"?>', 1)
     file.write_bytes(text.replace("guardrail", "Geländer").encode("latin-1"))
     assert load_copy(urdf_folder).mass == pytest.approx(68.0)
-
-
-# Requests that cannot be met
 
 
 def test_frames_must_be_given_for_other_robots(urdf_folder: Path) -> None:
@@ -271,9 +265,6 @@ def test_bad_srdf(
 def test_missing_srdf_that_was_asked_for(urdf_folder: Path) -> None:
     with pytest.raises(ModelError, match=r"other.srdf"):
         load_copy(urdf_folder, srdf=urdf_folder / "other.srdf")
-
-
-# Postures
 
 
 @pytest.mark.parametrize("q", [np.zeros(6), np.zeros((1, 7)), np.full(7, np.nan), np.full(7, np.inf)])

@@ -214,9 +214,6 @@ def test_three_programs_read_the_same_robot(model):
         np.testing.assert_allclose(state.body("tool0").xmat.reshape(3, 3), X_WT[:3, :3], atol=1e-9)
 
 
-# Shapes and allowed contacts
-
-
 def placed_shapes(model, q):
     """Collision shapes, and where they and the frames are."""
     data = model.createData()
