@@ -21,3 +21,20 @@ def replace(file: Path, old: str, new: str, count: int = -1) -> None:
     text = file.read_text(encoding="utf-8")
     assert old in text
     file.write_text(text.replace(old, new, count), encoding="utf-8")
+
+
+# Vertices of meshes without volume.
+FLAT: dict[str, list[list[float]]] = {
+    "flat": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]],
+    "tilted": [[0, 0, 0], [1, 0, 0.25], [0, 1, 0.5], [1, 1, 0.75]],
+    "tilted by odd angles": [[0, 0, 0], [1, 0.1, 0.3], [0.2, 1, 0.7], [1.2, 1.1, 1.0]],
+    "nearly flat": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1e-9]],
+    "nearly flat, tilted": [[0, 0, 0], [1, 0, 0.25], [0, 1, 0.5], [1, 1, 0.75 + 3e-8]],
+    "a line": [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]],
+    "one triangle": [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
+}
+
+
+def write_flat_obj(file: Path, vertices: list[list[float]]) -> None:
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + ["f 1 2 3"] + ["f 2 3 4"] * (len(vertices) > 3)
+    file.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
+from scipy.optimize import root
 
 from cmbot.simulation import PrescribedMotion
 from cmbot.simulation.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 
 FloatArray = NDArray[np.float64]
-NO_JOINTS: FloatArray = np.empty(0)
 
 
 def system_of(
@@ -109,8 +109,6 @@ def integrate(
 
 def equilibrium(system: ElasticSystem, joints: FloatArray) -> FloatArray:
     """Elastic coordinates at rest, by SciPy's root finder."""
-    from scipy.optimize import root
-
     data = system.model.createData()
 
     def force(u: FloatArray) -> FloatArray:

@@ -11,6 +11,7 @@ import pytest
 from robot_files import load_copy, pose, replace
 
 from cmbot.common.errors import InputError, ModelError
+from cmbot.common.installation import model_folder
 from cmbot.robot import JointLimits, Robot, load_robot
 
 VELOCITY_DEG = (20, 20, 20, 30, 30, 30, 30)  # Chang 2021, Table 3
@@ -46,18 +47,6 @@ def test_joints_and_frames(cmbot_robot: Robot) -> None:
     X_WB = cmbot_robot.model.frames[cmbot_robot.model.getFrameId("arm_base")].placement
     expected = pose((np.pi, 0, 0), (0, 0.5, 0))
     np.testing.assert_allclose(X_WB.homogeneous, expected.homogeneous, rtol=0, atol=1e-12)
-
-
-def test_collision_pairs(cmbot_robot: Robot) -> None:
-    model, shapes = cmbot_robot.model, cmbot_robot.collision_model
-    links = [model.frames[shape.parentFrame].name for shape in shapes.geometryObjects]
-    pairs = {frozenset((links[pair.first], links[pair.second])) for pair in shapes.collisionPairs}
-    arm = {"link_1", "link_2", "link_3", "link_5", "tool"}
-    assert all(pair & arm for pair in pairs)  # the climbing mechanism is locked
-    for neighbours in (("link_1", "link_2"), ("link_2", "link_3"), ("link_3", "link_5"), ("link_5", "tool")):
-        assert frozenset(neighbours) not in pairs
-    for others in (("link_1", "link_3"), ("link_1", "tool"), ("leg_1", "tool"), ("ankle_1", "link_3")):
-        assert frozenset(others) in pairs
 
 
 def test_without_srdf_neighbours_are_disabled_and_locked_joints_at_zero(urdf_folder: Path) -> None:
@@ -111,15 +100,17 @@ def test_content_hash_depends_on_every_file(urdf_folder: Path) -> None:
     before = load_copy(urdf_folder).content_hash
     assert re.fullmatch("[0-9a-f]{64}", before)
     assert load_copy(shutil.copytree(urdf_folder, urdf_folder / "copy")).content_hash == before
-    hashes = {before}
+    elasticity = shutil.copy(model_folder() / "urdf" / "cmbot.elasticity.yaml", urdf_folder)
+    hashes = {before, load_copy(urdf_folder).content_hash}
     for name, old, new in (
         ("cmbot.urdf", 'value="7.8"', 'value="7.9"'),
         ("cmbot.srdf", 'reason="Adjacent"', 'reason="adjacent"'),
         ("joint_limits.yaml", "jerk_deg: 160", "jerk_deg: 161"),
+        (elasticity, "wall_m: 0.003", "wall_m: 0.002"),
     ):
         replace(urdf_folder / name, old, new)
         hashes.add(load_copy(urdf_folder).content_hash)
-    assert len(hashes) == 4
+    assert len(hashes) == 6
 
 
 def test_other_encodings_are_read(urdf_folder: Path) -> None:
@@ -175,33 +166,10 @@ def test_a_shorter_arm(urdf_folder: Path) -> None:
 JOINT_4 = '<joint name="joint_4" type="revolute">'
 
 
-@pytest.mark.parametrize(
-    ("new", "message"),
-    [
-        (JOINT_4.replace("revolute", "prismatic"), "type: got prismatic, .* revolute or continuous"),
-        (JOINT_4 + '<mimic joint="joint_3"/>', "mimic"),
-    ],
-)
-def test_prismatic_or_following_joint_in_the_arm(urdf_folder: Path, new: str, message: str) -> None:
-    replace(urdf_folder / "cmbot.urdf", JOINT_4, new)
-    with pytest.raises(ModelError, match=rf"joint\[joint_4\].{message}"):
-        load_copy(urdf_folder)
-
-
 def test_sliding_joint_beside_the_arm_is_locked(urdf_folder: Path) -> None:
     climb_5 = '<joint name="climb_5" type="revolute">'
     replace(urdf_folder / "cmbot.urdf", climb_5, climb_5.replace("revolute", "prismatic"))
     assert load_copy(urdf_folder).dof == 7
-
-
-@pytest.mark.parametrize("key", ["velocity", "effort"])
-def test_zero_limit(urdf_folder: Path, key: str) -> None:
-    file = urdf_folder / "cmbot.urdf"
-    old = re.search(rf'name="joint_1".*?({key}="[^"]*")', file.read_text(encoding="utf-8"), re.DOTALL)
-    assert old is not None
-    replace(file, old[1], f'{key}="0"')
-    with pytest.raises(ModelError, match=rf"joint\[joint_1\].limit.{key}: got 0.0, expected a positive"):
-        load_copy(urdf_folder)
 
 
 def test_continuous_joint_without_limits_has_no_torque(urdf_folder: Path) -> None:
@@ -213,58 +181,47 @@ def test_continuous_joint_without_limits_has_no_torque(urdf_folder: Path) -> Non
         load_copy(urdf_folder)
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "word"),
-    [
-        ("joint_3:", "joint_9:", "joints.joint_3: got nothing"),
-        ("jerk_deg: 160", "jerk_deg: 0", r"joints.joint_1.jerk_deg: got 0, expected more than 0"),
-        ("jerk_deg: 160", "jerk_deg: .nan", "jerk_deg"),
-        ("jerk_deg: 160", "jerk_deg: '160'", "jerk_deg"),
-        ("jerk_deg: 160", "jerk: 160", "jerk"),
-        (", jerk_deg: 160", "", "joints.joint_1.jerk_deg"),
-        ("cmbot-joint-limits/1", "cmbot-joint-limits/2", "format"),
-        ("joints:", "joints: [", "joint_limits.yaml"),
-    ],
-)
-def test_bad_joint_limits(urdf_folder: Path, old: str, new: str, word: str) -> None:
-    replace(urdf_folder / "joint_limits.yaml", old, new)
-    with pytest.raises(ModelError, match=word):
-        load_copy(urdf_folder)
-
-
-def test_missing_joint_limits(urdf_folder: Path) -> None:
-    (urdf_folder / "joint_limits.yaml").rename(urdf_folder / "other.yaml")
-    with pytest.raises(ModelError, match=r"joint_limits.yaml"):
-        load_copy(urdf_folder)
-    assert load_copy(urdf_folder, limits=urdf_folder / "other.yaml").dof == 7
+SRDF, LIMITS = "cmbot.srdf", "joint_limits.yaml"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "word"),
+    ("name", "old", "new", "word"),
     [
-        ("</robot>", "", "not well-formed XML"),
-        ("robot", "sdf", "<sdf>"),
-        ('joint name="climb_2" value', 'joint name="elbow" value', "group_state: got 'elbow'"),
-        ('joint name="climb_2" value', 'joint name="universe" value', "group_state: got 'universe'"),
-        ('value="0.0"', 'value="flat"', "group_state.climb_2: got 'flat'"),
-        ('value="0.0"', 'value="nan"', "group_state.climb_2: got 'nan'"),
-        ('value="0.0"', "", "group_state.climb_2: got ''"),
-        ('link2="link_1"', "", "disable_collisions: .* link1 and link2"),
+        (LIMITS, "joint_3:", "joint_9:", "joints.joint_3: got nothing"),
+        (LIMITS, "jerk_deg: 160", "jerk_deg: 0", r"joints.joint_1.jerk_deg: got 0, expected more than 0"),
+        (LIMITS, "jerk_deg: 160", "jerk_deg: .nan", "jerk_deg"),
+        (LIMITS, "jerk_deg: 160", "jerk_deg: '160'", "jerk_deg"),
+        (LIMITS, "jerk_deg: 160", "jerk: 160", "jerk"),
+        (LIMITS, ", jerk_deg: 160", "", "joints.joint_1.jerk_deg"),
+        (LIMITS, "cmbot-joint-limits/1", "cmbot-joint-limits/2", "format"),
+        (LIMITS, "joints:", "joints: [", "joint_limits.yaml"),
+        (SRDF, "</robot>", "", "not well-formed XML"),
+        (SRDF, "robot", "sdf", "<sdf>"),
+        (SRDF, 'joint name="climb_2" value', 'joint name="elbow" value', "group_state: got 'elbow'"),
+        (SRDF, 'joint name="climb_2" value', 'joint name="universe" value', "group_state: got 'universe'"),
+        (SRDF, 'value="0.0"', 'value="flat"', "group_state.climb_2: got 'flat'"),
+        (SRDF, 'value="0.0"', 'value="nan"', "group_state.climb_2: got 'nan'"),
+        (SRDF, 'value="0.0"', "", "group_state.climb_2: got ''"),
+        (SRDF, 'link2="link_1"', "", "disable_collisions: .* link1 and link2"),
     ],
 )
-def test_bad_srdf(
-    urdf_folder: Path, capfd: pytest.CaptureFixture[str], old: str, new: str, word: str
+def test_bad_joint_limits_and_srdf(
+    urdf_folder: Path, capfd: pytest.CaptureFixture[str], name: str, old: str, new: str, word: str
 ) -> None:
-    replace(urdf_folder / "cmbot.srdf", old, new)
+    replace(urdf_folder / name, old, new)
     with pytest.raises(ModelError, match=word) as caught:
         load_copy(urdf_folder)
-    assert caught.value.source == str(urdf_folder / "cmbot.srdf")
+    assert caught.value.source == str(urdf_folder / name)
     assert capfd.readouterr() == ("", "")
 
 
-def test_missing_srdf_that_was_asked_for(urdf_folder: Path) -> None:
+def test_missing_files(urdf_folder: Path) -> None:
     with pytest.raises(ModelError, match=r"other.srdf"):
         load_copy(urdf_folder, srdf=urdf_folder / "other.srdf")
+    (urdf_folder / LIMITS).rename(urdf_folder / "other.yaml")
+    with pytest.raises(ModelError, match=r"joint_limits.yaml"):
+        load_copy(urdf_folder)
+    assert load_copy(urdf_folder, limits=urdf_folder / "other.yaml").dof == 7
 
 
 @pytest.mark.parametrize("q", [np.zeros(6), np.zeros((1, 7)), np.full(7, np.nan), np.full(7, np.inf)])

@@ -18,6 +18,8 @@ import pinocchio as pin
 import pytest
 import trimesh
 import yourdfpy
+from oracles import newton_euler
+from oracles.newton_euler import tensor
 
 ROOT = Path(__file__).parents[2]
 MODELS = ROOT / "models"
@@ -30,22 +32,9 @@ CLIMBING = [f"climb_{i}" for i in range(1, 6)]
 CLIMBER = ["foot_1", "ankle_1", "leg_1", "arm_base", "leg_2", "ankle_2", "foot_2"]
 TRIANGLE_DEG = [-10, -90, 90, 0, 10, 50, 0]
 LINE_DEG = [-45, -90, 90, -10, 10, -55, 0]
-ENABLED_MARGIN = 0.15  # m, d_s: below it the path keeps away from obstacles
 
-# Typed a second time from Chang 2021, Tables 1 to 3, and our assumptions: what the files are held against.
-MASS = [7.8, 7.4, 7.7, 4.9, 3.7, 2.5, 3.62]
-INERTIA = [  # Ixx, Iyy, Izz, Ixy, Ixz, Iyz
-    (0.02, 0.32, 0.32, 0, -0.01, 0),
-    (0.04, 0.46, 0.45, -0.01, 0.06, 0),
-    (0.06668, 0.56731, 0.58335, 0.01087, 0.11697, -0.00060),
-    (0.04910, 0.03122, 0.03122, -0.00910, 0.00910, 0.00033),
-    (0.25, 0.25, 0.01, 0, 0.01, 0.01),
-    (0.01, 0.01, 0.003, 0, 0, 0.001),
-    (0.03, 0.09, 0.07, -0.01, 0.01, 0),
-]
+# Chang 2021, Table 2, as printed.
 TABLE_2_LINK_3_AND_4 = {3: (0.06, 0.56, 0.59, 0.011, 0.12, 0), 4: (0.05, 0.03, 0.03, -0.01, 0.01, 0)}
-COM = [(0.415, 0, 0), (0.5, 0, 0), (0.39, 0, 0), (0, -0.1, 0), (0, 0, -0.435), (0, 0, 0), (0, 0, 0.1)]
-DH = [(0, 0, 0), (-90, 0.83, 0), (0, 1.0, 0), (0, 0.78, 0), (90, 0, 0.87), (-90, 0, 0), (90, 0, 0)]
 
 
 @pytest.fixture(scope="module")
@@ -75,11 +64,6 @@ def pose(model, q, frame):
     data = model.createData()
     pin.framesForwardKinematics(model, data, q)
     return data.oMf[model.getFrameId(frame)]
-
-
-def tensor(six):
-    xx, yy, zz, xy, xz, yz = six
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def stated_bodies(root):
@@ -135,21 +119,6 @@ def test_tool_refuses_an_impossible_body(monkeypatch):
         tables.bodies()
 
 
-def test_arm_joints_are_the_modified_dh_table(model, stance):
-    q = np.deg2rad(np.linspace(-120, 110, 7))
-    X = np.eye(4)
-    for (alpha_deg, a, d), theta in zip(DH, q, strict=True):
-        alpha = np.deg2rad(alpha_deg)
-        ca, sa, c, s = np.cos(alpha), np.sin(alpha), np.cos(theta), np.sin(theta)
-        rotation = np.array([[c, -s, 0], [s * ca, c * ca, -sa], [s * sa, c * sa, ca]])  # Chang 2021, Eq. (1)
-        step = np.eye(4)
-        step[:3, :3], step[:3, 3] = rotation, (a, -sa * d, ca * d)  # Eq. (2)
-        X = X @ step
-    q_full = posture(model, stance, np.rad2deg(q))
-    X_BT = pose(model, q_full, "arm_base").inverse() * pose(model, q_full, "tool")
-    np.testing.assert_allclose(X_BT.homogeneous, X, atol=1e-12)
-
-
 def test_stance_hangs_the_arm_at_its_place(model, stance):
     X_WB = pose(model, stance, "arm_base")
     np.testing.assert_allclose(X_WB.translation, (0, 0.5, 0), atol=1e-12)
@@ -159,32 +128,28 @@ def test_stance_hangs_the_arm_at_its_place(model, stance):
     assert np.all(stance <= model.upperPositionLimit)
 
 
-def test_arm_bodies_are_the_tables(root):
+def test_arm_bodies_are_the_tables_and_every_body_is_possible(root):
     bodies = stated_bodies(root)
     for i in range(7):
         mass, com, inertia = bodies[f"link_{i + 1}"]
-        assert mass == MASS[i]
-        np.testing.assert_array_equal(com, COM[i])
-        np.testing.assert_array_equal(inertia, tensor(INERTIA[i]))
+        assert mass == newton_euler.MASS[i]
+        np.testing.assert_array_equal(com, newton_euler.CENTRE_OF_MASS[i])
+        np.testing.assert_array_equal(inertia, tensor(newton_euler.INERTIA[i]))
     assert bodies.keys() == {*CLIMBER, *(f"link_{i}" for i in range(1, 8))}
-
-
-def test_every_body_is_possible(root):
-    for name, (mass, _, inertia) in stated_bodies(root).items():
+    for name, (mass, _, inertia) in bodies.items():
         least, middle, most = np.linalg.eigvalsh(inertia)
         assert mass > 0, name
         assert least > 0, name
         assert most <= least + middle, name
 
 
-@pytest.mark.parametrize("link", [3, 4])
-def test_replaced_inertias_are_needed_and_near(link):
-    printed = tensor(TABLE_2_LINK_3_AND_4[link])
-    least, middle, most = np.linalg.eigvalsh(printed)
+@pytest.mark.parametrize(("link", "printed"), TABLE_2_LINK_3_AND_4.items())
+def test_replaced_inertias_are_needed_and_near(link, printed):
+    least, middle, most = np.linalg.eigvalsh(tensor(printed))
     excess = most - least - middle
     assert excess > 0.003  # Table 2's body is impossible
     # The boundary most = least + middle is a plane in the principal moments, excess / sqrt(3) away.
-    distance = np.linalg.norm(tensor(INERTIA[link - 1]) - printed)
+    distance = np.linalg.norm(tensor(newton_euler.INERTIA[link - 1]) - tensor(printed))
     assert distance == pytest.approx(excess / np.sqrt(3), abs=5e-5)
 
 
@@ -193,12 +158,13 @@ def test_three_programs_read_the_same_robot(model):
     physics = mujoco.MjModel.from_xml_path(str(URDF))
     state = mujoco.MjData(physics)
     viewer = yourdfpy.URDF.load(str(URDF))
-    # pinocchio files the fixed root link under the universe.
-    assert pin.computeTotalMass(model) + model.inertias[0].mass == pytest.approx(68.0, abs=1e-9)
-    assert physics.body_mass.sum() == pytest.approx(68.0, abs=1e-9)
-    assert sum(link.inertial.mass for link in viewer.robot.links if link.inertial) == pytest.approx(
-        68.0, abs=1e-9
+    masses = (
+        # pinocchio files the fixed root link under the universe.
+        pin.computeTotalMass(model) + model.inertias[0].mass,
+        physics.body_mass.sum(),
+        sum(link.inertial.mass for link in viewer.robot.links if link.inertial),
     )
+    assert masses == pytest.approx((68.0, 68.0, 68.0), abs=1e-9)
     assert sorted(viewer.actuated_joint_names) == sorted(ARM + CLIMBING)
     random = np.random.default_rng(2793)
     for _ in range(10):
@@ -249,9 +215,8 @@ def test_arm_capsules_run_from_joint_to_joint(model, stance):
     geometry, shape_poses, frame_poses = placed_shapes(model, posture(model, stance, LINE_DEG))
     # link_4 and link_5 share a tube: its capsule belongs to link_5.
     frames = ["link_1", "link_2", "link_3", "link_4", "link_5", "tool0"]
-    for start, end, name in zip(
-        frames, frames[1:], ["link_1", "link_2", "link_3", "link_5", "tool"], strict=False
-    ):
+    names = ["link_1", "link_2", "link_3", "link_5", "tool"]
+    for start, end, name in zip(frames[:-1], frames[1:], names, strict=True):
         index = geometry.getGeometryId(f"{name}_0")
         shape, X_WC = geometry.geometryObjects[index].geometry, shape_poses[index]
         caps = [X_WC.act(np.array([0, 0, sign * shape.halfLength])) for sign in (-1, 1)]
@@ -275,32 +240,21 @@ def test_srdf_names_exist(model, root):
     assert {"arm_base", "tool0"} <= links
 
 
-def distances(model, q):
-    """Smallest distance of every pair of links whose collision check is enabled."""
-    data = model.createData()
-    geometry = pin.buildGeomFromUrdf(model, str(URDF), pin.GeometryType.COLLISION)
-    geometry.addAllCollisionPairs()
-    pin.removeCollisionPairs(model, geometry, str(SRDF))
-    placed = pin.GeometryData(geometry)
-    pin.computeDistances(model, data, geometry, placed, q)
-    found: dict[frozenset[str], float] = {}
-    for pair, result in zip(geometry.collisionPairs, placed.distanceResults, strict=True):
-        parents = (geometry.geometryObjects[index].parentFrame for index in (pair.first, pair.second))
-        links = frozenset(model.frames[frame].name for frame in parents)
-        found[links] = min(found.get(links, np.inf), result.min_distance)
-    return found
-
-
 @pytest.mark.parametrize("arm_deg", [TRIANGLE_DEG, LINE_DEG])
-def test_initial_postures_are_clear_of_the_robot_itself(model, stance, arm_deg):
-    found = distances(model, posture(model, stance, arm_deg))
-    assert min(found.values()) > ENABLED_MARGIN
+def test_initial_postures_are_clear_of_the_robot_itself(cmbot_robot, arm_deg):
+    robot, shapes = cmbot_robot.model, cmbot_robot.collision_model
+    placed = pin.GeometryData(shapes)
+    pin.computeDistances(robot, robot.createData(), shapes, placed, np.deg2rad(arm_deg))
+    # 0.15 m is d_s: nearer than that the path keeps away from obstacles.
+    assert min(result.min_distance for result in placed.distanceResults) > 0.15
+    links = [robot.frames[shape.parentFrame].name for shape in shapes.geometryObjects]
+    found = {frozenset((links[pair.first], links[pair.second])) for pair in shapes.collisionPairs}
     moving = ("link_2", "link_3", "link_5", "tool")
     wanted = {frozenset((body, link)) for body in CLIMBER for link in moving}
     wanted |= {frozenset((body, "link_1")) for body in ("foot_1", "ankle_1", "ankle_2", "foot_2")}
     wanted |= {frozenset(("link_1", link)) for link in ("link_3", "link_5", "tool")}
     wanted |= {frozenset(pair) for pair in (("link_2", "link_5"), ("link_2", "tool"), ("link_3", "tool"))}
-    assert found.keys() == wanted
+    assert found == wanted
 
 
 def test_legs_stay_above_the_sweep_of_link_1(model, stance):

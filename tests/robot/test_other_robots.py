@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import StateSamples
-from robot_files import load_copy, replace
+from robot_files import FLAT, load_copy, replace, write_flat_obj
 from scipy.spatial import ConvexHull
 from urdf_arms import KINOVA, KINOVA_JOINTS, PANDA, PANDA_JOINTS, limits_file
 
@@ -114,19 +114,9 @@ def test_tool_with_a_mesh_is_stretched(panda: Robot, tmp_path: Path) -> None:
     np.testing.assert_allclose(extents[1], extents[0] * [1, 1, 2], rtol=0, atol=1e-9)
 
 
-FLAT = {
-    "flat": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]],
-    "tilted": [[0, 0, 0], [1, 0, 0.25], [0, 1, 0.5], [1, 1, 0.75]],
-    "nearly flat": [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 1e-9]],
-    "a line": [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]],
-    "one triangle": [[0, 0, 0], [1, 0, 0], [0, 1, 0]],
-}
-
-
 @pytest.mark.parametrize("vertices", FLAT.values(), ids=FLAT.keys())
 def test_mesh_without_volume(urdf_folder: Path, vertices: list[list[float]]) -> None:
-    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + ["f 1 2 3"] + ["f 2 3 4"] * (len(vertices) > 3)
-    (urdf_folder / "flat.obj").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_flat_obj(urdf_folder / "flat.obj", vertices)
     replace(urdf_folder / "cmbot.urdf", '<box size="0.13 0.05 0.15" />', '<mesh filename="flat.obj" />')
     with pytest.raises(ModelError, match=r"foot_1_0: got the mesh .*flat.obj, expected a mesh that encloses"):
         load_copy(urdf_folder)
