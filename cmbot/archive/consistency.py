@@ -47,20 +47,7 @@ def require_fit(
 ) -> None:
     """Refuse a plan whose motions do not join, or whose entries contradict each other.
 
-    Parameters
-    ----------
-    file : PlanFile
-    posture : (n,), rad
-        The scene's.
-    work : QuinticTrajectory
-    approach : Approach or None
-    folder : Path
-        The plan directory, for messages.
-
-    Raises
-    ------
-    ArchiveError
-        For the first contradiction.
+    `posture` (n,), rad, is the scene's; `folder`, the plan directory, is for messages.
     """
     source = str(folder / PLAN_FILE)
     _require_start(file, work, source)

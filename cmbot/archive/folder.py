@@ -44,20 +44,10 @@ _MOST_SUGGESTED = 3
 
 
 def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool) -> None:
-    """Write a plan directory: a hidden folder beside it is filled, then renamed.
+    """Write a plan directory of files by their names: a hidden folder beside it is filled, then renamed.
 
-    Parameters
-    ----------
-    contents : mapping
-        From each file's name to its bytes.
-    directory : Path
-    force : bool
-        Replace the plan that is there.
-
-    Raises
-    ------
-    ArchiveError
-        When something is in the way, or the system refuses. Nothing is left behind then.
+    With `force` it replaces the plan that is there. An `ArchiveError` is raised when something is in the way
+    or the system refuses; nothing is left behind then.
     """
     require_free(directory, force=force)
     with _refusals(directory), ExitStack() as cleanup:
@@ -158,13 +148,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def read_file(path: Path) -> bytes:
-    """Return a file's content.
-
-    Raises
-    ------
-    ArchiveError
-        When it is missing, no regular file or unreadable.
-    """
+    """Return a file's content; an `ArchiveError` if it is missing, no regular file or unreadable."""
     try:
         if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe or a device may never end
             raise ArchiveError(str(path), "", "something that is not a regular file", "a file")

@@ -79,18 +79,9 @@ def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
 
 
 def samples_csv(samples: Samples, source: str) -> bytes:
-    """Return samples as CSV: one row a sample, SI units, radians, world frame.
+    """Return samples as CSV: one row a sample, SI units, radians, world frame; `source` is for messages.
 
-    Parameters
-    ----------
-    samples : Samples
-    source : str
-        Name of the file, for messages.
-
-    Raises
-    ------
-    ArchiveError
-        When a number is not finite; an infinite clearance is allowed: there is no obstacle.
+    Numbers have to be finite, but for a clearance that is infinite without obstacles.
     """
     vectors = (samples.guardrail_torque, samples.guardrail_force, samples.tool_point)
     joints = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
@@ -101,13 +92,7 @@ def samples_csv(samples: Samples, source: str) -> bytes:
 
 
 def table_csv(names: tuple[str, ...], table: FloatArray, source: str) -> bytes:
-    """Return a table (N, k) with its columns' names as CSV, all numbers as `number_rows` writes them.
-
-    Raises
-    ------
-    ArchiveError
-        When a number is not finite.
-    """
+    """Return a table (N, k) of finite numbers with its columns' names as CSV, written by `number_rows`."""
     _require_numbers(table, names, source)
     lines = [",".join(names), *map(",".join, number_rows(table)), ""]
     return "\n".join(lines).encode()
@@ -129,26 +114,9 @@ def number_rows(table: FloatArray) -> list[list[str]]:
 def read_motion(
     content: bytes, source: str, dof: int
 ) -> tuple[FloatArray, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Read times and motion from a table of samples.
+    """Read a table of samples of n = `dof` joints, as `read_table` does; `source` is the file, for messages.
 
-    Parameters
-    ----------
-    content : bytes
-    source : str
-        The file, for messages.
-    dof : int
-        Number n of the arm's joints.
-
-    Returns
-    -------
-    t : (N,), s
-    motion : four arrays (N, n)
-        Position, velocity, acceleration and jerk.
-
-    Raises
-    ------
-    ArchiveError
-        As `read_table`.
+    Returns the times (N,), s, and position, velocity, acceleration and jerk, (N, n) each.
     """
     table = read_table(content, source, columns(dof))
     q, v, a, j = (table[:, 1 + k * dof : 1 + (k + 1) * dof].copy() for k in range(4))
@@ -158,10 +126,7 @@ def read_motion(
 def read_table(content: bytes, source: str, names: tuple[str, ...]) -> FloatArray:
     """Return the table (N, k) with the columns `names`, of which the first is the time.
 
-    Raises
-    ------
-    ArchiveError
-        When columns are missing or unknown, a cell is no finite number, or times do not increase.
+    Columns may not be missing or unknown, cells have to be finite numbers, times have to increase.
     """
     try:
         header, *lines = content.decode("ascii").splitlines() or [""]
@@ -235,20 +200,9 @@ def knots_npz(trajectory: QuinticTrajectory) -> bytes:
 
 
 def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
-    """Return the trajectory whose knots are in a file's `content`.
+    """Return the trajectory of `dof` joints whose knots are in a file's `content`; `source` is for messages.
 
-    Parameters
-    ----------
-    content : bytes
-    source : str
-        The file, for messages.
-    dof : int
-        Number of the arm's joints.
-
-    Raises
-    ------
-    ArchiveError
-        When the file is damaged, holds other arrays, or they are no knots of a trajectory.
+    An `ArchiveError` is raised when the file is damaged, holds other arrays, or they are no knots.
     """
     knots = _arrays(content, source)
     if sorted(knots) != ["a", "q", "t", "v"]:

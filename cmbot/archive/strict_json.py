@@ -20,12 +20,9 @@ class _RefusedError(Exception):
 
 
 def read_json(content: bytes, source: str) -> dict[str, Any]:
-    """Return the JSON object in a file's `content`.
+    """Return the JSON object in a file's `content`; errors name `source` as the file.
 
-    Raises
-    ------
-    ArchiveError
-        With `source` as the file, when it is no JSON, no object, or has a key twice or a number that is none.
+    Refused is what is no JSON or no object, or has a key twice or a number that is none.
     """
     try:
         data = json.loads(content.decode("utf-8"), object_pairs_hook=_each_once, parse_constant=_no_number)

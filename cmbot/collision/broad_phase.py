@@ -71,18 +71,10 @@ class _Group:
 
 @dataclass(frozen=True, kw_only=True)
 class LowerBounds:
-    """Lower bounds of the distances of P pairs in a block of N postures.
+    """Lower bounds of the distances of P pairs in a block of N postures."""
 
-    Attributes
-    ----------
-    block : slice
-        Which of all postures these are.
-    value : (P, N), m
-        Negative in overlaps.
-    """
-
-    block: slice
-    value: FloatArray
+    block: slice  # which of all postures these are
+    value: FloatArray  # (P, N), m; negative in overlaps
     _placed: dict[int, _PlacedBox]
     _groups: list[_Group]
 
@@ -102,14 +94,10 @@ class LowerBounds:
 
 
 class BroadPhase:
-    """Lower bounds of the distances of pairs of shapes.
+    """Lower bounds of the distances of pairs of shapes, pinocchio's GeometryObjects.
 
-    Parameters
-    ----------
-    robot : Robot
-    shapes : sequence of pinocchio.GeometryObject
-    pairs : sequence of two int
-        Indices of shapes: the first moves, the second is carried by an earlier joint or does not move.
+    A pair has the numbers of two shapes: the first moves, the second is carried by an earlier joint or does
+    not move.
     """
 
     def __init__(self, robot: Robot, shapes: Sequence[Any], pairs: Sequence[tuple[int, int]]) -> None:

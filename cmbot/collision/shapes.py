@@ -127,12 +127,8 @@ class PairedShapes:
 def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
     """Return the convex coal shapes that cover `shape`, with their poses in its frame.
 
-    A mesh becomes the convex hull of each of its connected parts; `name` is the obstacle's.
-
-    Raises
-    ------
-    SceneError
-        When a mesh cannot be read, or a connected part of it has no volume.
+    A mesh becomes the convex hull of each of its connected parts, which need a volume; `name` is the
+    obstacle's, for messages.
     """
     match shape:
         case Box(size=size):

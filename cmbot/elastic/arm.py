@@ -11,7 +11,7 @@ from pydantic import Field
 from scipy.linalg import block_diag
 
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.common.validation import check_fields
+from cmbot.common.validation import CheckedFields
 from cmbot.elastic.base import ElasticBase
 from cmbot.robot import Robot
 
@@ -25,68 +25,35 @@ _KEPT = 0.25
 
 
 @dataclass(frozen=True, kw_only=True)
-class ElasticOptions:
-    """Discretisation of the links, and factors on the stiffnesses.
+class ElasticOptions(CheckedFields):
+    """Segments of each link's tube, and factors on the stiffness of the guardrail and of the links.
 
-    Attributes
-    ----------
-    segments : int
-        Segments of each link's tube, 1 to 50. One is exact for the static deflection; more add the links'
-        own vibration.
-    guardrail_factor, link_factor : float
-        Factors on the stiffness of the guardrail and of the links.
-
-    Raises
-    ------
-    InputError
-        When a value is out of its bounds.
+    One segment is exact for the static deflection; more add the links' own vibration.
     """
 
     segments: Annotated[int, Field(ge=1, le=50)] = 1
     guardrail_factor: Annotated[float, Field(gt=0)] = 1.0
     link_factor: Annotated[float, Field(gt=0)] = 1.0
 
-    def __post_init__(self) -> None:
-        check_fields(self)
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElasticArm:
     """The arm as driven joints and springs. Its model must not be changed; its arrays are read-only.
 
-    Every joint has one coordinate, m or rad, so a configuration is a vector.
-
-    Attributes
-    ----------
-    robot : Robot
-    base : ElasticBase or None
-        None: the base is rigid.
-    options : ElasticOptions
-    model : pinocchio.Model
-        Driven and elastic joints, n + f coordinates.
-    driven : (n,)
-        Indices of the actuated joints' coordinates, in the order of `robot.joints`.
-    elastic : (f,)
-        Indices of the elastic coordinates. First, for an elastic base, three displacements along and three
-        rotations about the axes of W; then for every segment, base to tool, two deflections across the tube,
-        the twist, and the slopes about the same two axes.
-    stiffness : (f, f), N/m, N/rad, Nm/rad
-        Of the elastic coordinates.
-    added_mass : (f, f), kg, kg m, kg m2
-        Mass of the guardrail that moves with the foot, on the first six coordinates; not in `model`.
-    tool_frame_id : int
-        Index of the tool frame in `model`.
+    Every joint has one coordinate, m or rad, so a configuration is a vector. Elastic coordinates are first,
+    for an elastic base, three displacements along and three rotations about the axes of W; then for every
+    segment, base to tool, two deflections across the tube, the twist, and the slopes about the same two axes.
     """
 
     robot: Robot
-    base: ElasticBase | None
+    base: ElasticBase | None  # None: the base is rigid
     options: ElasticOptions
-    model: Any
-    driven: IntArray
-    elastic: IntArray
-    stiffness: FloatArray
-    added_mass: FloatArray
-    tool_frame_id: int
+    model: Any  # pinocchio.Model of driven and elastic joints, n + f coordinates
+    driven: IntArray  # (n,), indices of the actuated joints' coordinates, in the order of `robot.joints`
+    elastic: IntArray  # (f,), indices of the elastic coordinates
+    stiffness: FloatArray  # (f, f), of the elastic coordinates, N/m, N/rad, Nm/rad
+    added_mass: FloatArray  # (f, f), kg, kg m, kg m2: the guardrail's, at the foot; not in `model`
+    tool_frame_id: int  # index of the tool frame in `model`
 
     def configuration(self, q: FloatArray, u: FloatArray) -> FloatArray:
         """Join joint angles (..., n) and elastic coordinates (..., f) to configurations (..., n + f)."""
@@ -96,19 +63,11 @@ class ElasticArm:
 
 
 def elastic_arm(robot: Robot, base: ElasticBase | None, options: ElasticOptions | None = None) -> ElasticArm:
-    """Build the mechanism of a robot's joints, its links' tubes and its elastic base.
+    """Build the mechanism of a robot's joints, its tubes (`Robot.elasticity`) and its elastic base, if any.
 
     Every segment of a tube has five coordinates at its middle: with the stiffness 12 EI/L^3 of the two
     deflections, GJ/L of the twist and EI/L of the two slopes it is exactly the Euler-Bernoulli beam for loads
     at its ends. Tubes do not stretch.
-
-    Parameters
-    ----------
-    robot : Robot
-        `Robot.elasticity` lists the links that bend.
-    base : ElasticBase or None
-        None: the base is rigid.
-    options : ElasticOptions, optional
     """
     options = options or ElasticOptions()
     builder = _Builder(robot, options)

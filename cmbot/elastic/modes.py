@@ -22,36 +22,17 @@ _MASSLESS = 1e-13
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Linearised:
-    """Small motions of an arm about its static equilibria in N postures.
+    """Small motions of an arm about its static equilibria in N postures."""
 
-    Attributes
-    ----------
-    u : (N, f), m and rad
-        The equilibria.
-    mass, stiffness : (N, f, f)
-        Of the elastic coordinates, with the guardrail's mass and the geometric stiffness of the weights;
-        symmetric.
-    coupling : (N, f, n)
-        Of the joint-space mass matrix: forces on the elastic coordinates by the joints' accelerations.
-    weight : (N, f, n)
-        Derivative of the weights' forces on the elastic coordinates with respect to the joint angles.
-    """
-
-    u: FloatArray
-    mass: FloatArray
-    stiffness: FloatArray
-    coupling: FloatArray
-    weight: FloatArray
+    u: FloatArray  # (N, f), m and rad: the equilibria
+    mass: FloatArray  # (N, f, f), of the elastic coordinates, with the guardrail's; symmetric
+    stiffness: FloatArray  # (N, f, f), with the geometric stiffness of the weights; symmetric
+    coupling: FloatArray  # (N, f, n): forces on the elastic coordinates by the joints' accelerations
+    weight: FloatArray  # (N, f, n), derivative of the weights' forces there with respect to the joint angles
 
 
 def linearised(arm: ElasticArm, q: FloatArray) -> Linearised:
-    """Linearise an arm about its equilibria in postures `q` (N, n), rad.
-
-    Raises
-    ------
-    InputError
-        When the arm is too soft to carry itself in one of them.
-    """
+    """Linearise an arm about its equilibria in postures `q` (N, n), rad; errors as `Sag.equilibria`."""
     u, tangent, weight = Sag(arm).equilibria(q)
     data = arm.model.createData()
     M, coupling = np.empty_like(tangent), np.empty_like(weight)
@@ -66,35 +47,18 @@ def linearised(arm: ElasticArm, q: FloatArray) -> Linearised:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArmModes:
-    """Natural modes of an arm about its static equilibrium, the joints held still.
+    """Natural modes of an arm about its static equilibrium, the joints held still."""
 
-    Attributes
-    ----------
-    frequencies : (k,), Hz
-        Ascending; fewer than f where some elastic coordinates move no mass.
-    shapes : (f, k)
-        Column i is mode i in the elastic coordinates, m and rad, of modal mass 1 kg m2.
-    u : (f,), m and rad
-        The equilibrium.
-    mass, stiffness : (f, f)
-        As those of `Linearised`.
-    """
-
-    frequencies: FloatArray
-    shapes: FloatArray
-    u: FloatArray
-    mass: FloatArray
-    stiffness: FloatArray
+    frequencies: FloatArray  # (k,), Hz, ascending; fewer than f where some coordinates move no mass
+    shapes: FloatArray  # (f, k): modes in the elastic coordinates, m and rad, of modal mass 1 kg m2
+    u: FloatArray  # (f,), m and rad: the equilibrium
+    mass: FloatArray  # (f, f), as that of `Linearised`
+    stiffness: FloatArray  # (f, f)
 
     def damping(self, ratio: float) -> FloatArray:
-        """Return the damping matrix (f, f) that gives every mode the same damping ratio.
+        """Return the damping matrix (f, f) that gives every mode the same damping ratio, zero or more.
 
         ``D = M Phi diag(2 ratio omega) Phi' M`` with the shapes Phi and the angular frequencies omega.
-
-        Raises
-        ------
-        InputError
-            When the ratio is negative or not finite.
         """
         if not (math.isfinite(ratio) and ratio >= 0):
             raise InputError("ArmModes.damping", "ratio", ratio, "a number that is not negative")
@@ -103,13 +67,7 @@ class ArmModes:
 
 
 def arm_modes(arm: ElasticArm, q: FloatArray) -> ArmModes:
-    """Find the modes of an arm in posture `q` (n,), rad.
-
-    Raises
-    ------
-    InputError
-        When the arm is too soft to carry itself there.
-    """
+    """Find the modes of an arm in posture `q` (n,), rad; errors as `Sag.equilibria`."""
     at = linearised(arm, q[None])
     M, K = at.mass[0], at.stiffness[0]
     # The roles of mass and stiffness are exchanged because the mass may be singular: eigenvalues 1/omega^2.

@@ -26,24 +26,12 @@ _NO_DIRECTION = 1e-12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SagStates:
-    """An arm at rest in N postures, compared with the rigid arm at the same joint angles.
+    """An arm at rest in N postures, compared with the rigid arm at the same joint angles."""
 
-    Attributes
-    ----------
-    u : (N, f), m and rad
-        Elastic coordinates.
-    tool : (N, 3), m
-        Displacement of the tool point, in W.
-    rotation : (N, 3), rad
-        Rotation vector of the tool, in W.
-    d_tool : (N, 3, n), m/rad
-        Derivative of `tool` with respect to the joint angles.
-    """
-
-    u: FloatArray
-    tool: FloatArray
-    rotation: FloatArray
-    d_tool: FloatArray
+    u: FloatArray  # (N, f), m and rad: elastic coordinates
+    tool: FloatArray  # (N, 3), m: displacement of the tool point, in W
+    rotation: FloatArray  # (N, 3), rad: rotation vector of the tool, in W
+    d_tool: FloatArray  # (N, 3, n), m/rad: derivative of `tool` with respect to the joint angles
 
 
 class Sag:
@@ -53,10 +41,6 @@ class Sag:
     weights move with the deflections, which need not be small: equilibrium is a minimum of potential energy.
 
     It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
-
-    Parameters
-    ----------
-    arm : ElasticArm
     """
 
     def __init__(self, arm: ElasticArm) -> None:
@@ -67,17 +51,7 @@ class Sag:
         self._to_driven = np.ix_(arm.elastic, arm.driven)
 
     def at(self, q: FloatArray) -> SagStates:
-        """Find the equilibrium in N postures.
-
-        Parameters
-        ----------
-        q : (N, n), rad
-
-        Raises
-        ------
-        InputError
-            When the arm is too soft to carry itself in a posture.
-        """
+        """Find the equilibrium in N postures `q` (N, n), rad; errors as `equilibria`."""
         arm, (N, n) = self.arm, q.shape
         u, tangent, by_joints = self.equilibria(q)
         d_tool, tool, rotation = np.empty((N, 3, n)), np.empty((N, 3)), np.empty((N, 3))

@@ -29,25 +29,11 @@ def state_curvature(
     multipliers: FloatArray,
     total: float,
 ) -> tuple[IntArray, FloatArray]:
-    """Curvatures of ``multipliers_k f(state_k)`` by the state, where they matter.
+    """Curvatures of ``multipliers_k f(state_k)`` by the N states, where they matter.
 
-    Parameters
-    ----------
-    function : StateFunction
-    states : StateSamples
-        N of them.
-    component : (N,)
-        Which component of the function counts at each.
-    multipliers : (N,)
-    total : float
-        What multipliers are compared with.
-
-    Returns
-    -------
-    active : (A,)
-        Which of the N bend anything.
-    curvature : (A, 3 d, 3 d)
-        By position, velocity and acceleration.
+    `component` (N,) is the function's that counts at each state; multipliers (N,) are compared with `total`.
+    Returns which of the states bend anything, (A,), and their curvatures by position, velocity and
+    acceleration, (A, 3 d, 3 d).
     """
     active = np.flatnonzero(multipliers > _NEGLIGIBLE * total)
     states, component, multipliers = states[active], component[active], multipliers[active]
@@ -74,17 +60,11 @@ def _gradients(function: StateFunction, states: StateSamples, component: IntArra
 
 
 def convexified(H: sparse.csr_array, ends: IntArray) -> sparse.csr_array:
-    """Return a positive definite matrix near the symmetric `H`, equal to it if that is so already.
+    """Return a positive definite matrix near the symmetric `H` (n, n), equal to it if that is so already.
 
     Block by block along the path, as a Cholesky factorisation would go: what is left of a diagonal block once
-    those before are eliminated has its negative eigenvalues turned positive.
-
-    Parameters
-    ----------
-    H : (n, n)
-        Entries couple blocks at most three apart.
-    ends : (b,)
-        Where blocks of neighbouring unknowns end.
+    those before are eliminated has its negative eigenvalues turned positive. Entries couple blocks at most
+    three apart; `ends` (b,) is where blocks of neighbouring unknowns end.
     """
     starts = np.concatenate([[0], ends])
     far = starts[np.minimum(np.arange(len(starts)) + _BANDWIDTH + 1, len(ends))]

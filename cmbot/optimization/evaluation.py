@@ -27,23 +27,13 @@ _MOST = 40
 class Stage:
     """Which of a program's objectives is minimised, and with how much smoothing.
 
-    Attributes
-    ----------
-    smoothing : float
-        Weight of half the mean squared jerk beside the objective.
-    bound : float or None
-        What the objective's peak is held below while its mean square is minimised; None where the peak is
-        minimised.
-    target : float
-        The peak need not fall below this.
-    tolerance : float
-        Violations up to this count as met.
+    Without `bound` the peak is minimised, with it the mean square, the peak held below `bound`.
     """
 
-    smoothing: float
+    smoothing: float  # weight of half the mean squared jerk beside the objective
     bound: float | None = None
-    target: float = 0.0
-    tolerance: float
+    target: float = 0.0  # the peak need not fall below this
+    tolerance: float  # violations up to this count as met
 
     @property
     def name(self) -> str:
@@ -53,24 +43,13 @@ class Stage:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NlpEvaluation:
-    """A stage of a program at one trajectory: an iterate of a solver.
-
-    Attributes
-    ----------
-    program : Program
-    stage : Stage
-    parametrization : Parametrization
-        Built around the trajectory.
-    constraints : ConstraintSet
-    at : ConstraintValues
-        The constraints there.
-    """
+    """A stage of a program at one trajectory: an iterate of a solver."""
 
     program: Program
     stage: Stage
-    parametrization: Parametrization
+    parametrization: Parametrization  # built around the trajectory
     constraints: ConstraintSet
-    at: ConstraintValues
+    at: ConstraintValues  # the constraints there
 
     @staticmethod
     def around(
@@ -173,10 +152,7 @@ class NlpEvaluation:
     def dense(self, M: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Return gradient (m,), constraints' Jacobian (K, m) and the residuals' (R, m) by other unknowns.
 
-        Parameters
-        ----------
-        M : (size of u, m)
-            Derivatives by them of coefficients and via-points.
+        `M` (size of u, m) has the derivatives by them of coefficients and via-points.
         """
         splines = self.parametrization.splines
         jacobian = splines.jacobian(self._rows, self.at.derivative) @ M

@@ -157,10 +157,7 @@ def minimize_peak(
 def minimize_smoothed_peak(program: Program, options: ExchangeOptions) -> Result:
     """Minimise ``max_t f(t) + smoothing``: the first stage of a peak that is not known, alone.
 
-    Raises
-    ------
-    OptimisationFailed
-        When no trajectory was found that meets the constraints.
+    Errors are those of `minimize_peak`.
     """
     exchange = _Exchange(program, options, None)
     peak = exchange.run(options.smoothing)

@@ -21,22 +21,14 @@ _ORDERS = (0, 1, 2, 3)
 class ConstraintValues:
     """K constraints along a trajectory, and the C direction cuts of some of them.
 
-    Attributes
-    ----------
-    value : (K,)
-    derivative : (4, K, d)
-        By position, velocity, acceleration and jerk.
-    cut_of : (C,)
-        Which of the constraints each cut belongs to.
-    cut_value : (C,)
-    cut_derivative : (4, C, d)
+    Derivatives are by position, velocity, acceleration and jerk.
     """
 
-    value: FloatArray
-    derivative: FloatArray
-    cut_of: IntArray
-    cut_value: FloatArray
-    cut_derivative: FloatArray
+    value: FloatArray  # (K,)
+    derivative: FloatArray  # (4, K, d)
+    cut_of: IntArray  # (C,), which of the constraints each cut belongs to
+    cut_value: FloatArray  # (C,)
+    cut_derivative: FloatArray  # (4, C, d)
 
     def kept(self, which: BoolArray) -> ConstraintValues:
         """Return those of the K constraints that `which` names, with their cuts."""

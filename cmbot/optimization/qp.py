@@ -37,25 +37,14 @@ def piqp_module() -> Any:
 class NlpValues:
     """A nonlinear program at a point: ``min f + b, c_k <= b for k in the epigraph, c_k <= 0 for the others``.
 
-    Attributes
-    ----------
-    objective : float
-        f.
-    value : (K,)
-        c.
-    family : (K,)
-        Of each constraint; each family has a penalty of its own.
-    epigraph : bool
-        Whether those of the objective's family are compared with b; otherwise there is no b.
-    least : float
-        b is not lowered below this.
+    The epigraph is the objective's family; where `epigraph` is false there is no b.
     """
 
-    objective: float
-    value: FloatArray
-    family: IntArray
+    objective: float  # f
+    value: FloatArray  # (K,): c
+    family: IntArray  # (K,), of each constraint; each has a penalty of its own
     epigraph: bool
-    least: float = -np.inf
+    least: float = -np.inf  # b is not lowered below this
 
     @property
     def peak(self) -> float:
@@ -89,28 +78,16 @@ class NlpValues:
 class NlpModel(NlpValues):
     """A nonlinear program to second order around a point, for a step p.
 
-    What is coupled lies side by side in p, as far as can be: it is what makes the programs quick.
-
-    Attributes
-    ----------
-    gradient : (n,)
-    hessian : (n, n)
-        Positive semidefinite, sparse.
-    jacobian : (K, n)
-        Sparse.
-    cut_value : (C,)
-        Of direction cuts, see `cmbot.optimization.program.Linearization`.
-    cut_jacobian : (C, n)
-        Sparse.
-    cut_family : (C,)
+    What is coupled lies side by side in p, as far as can be: it is what makes the programs quick. Cuts are
+    direction cuts, see `cmbot.optimization.program.Linearization`.
     """
 
-    gradient: FloatArray
-    hessian: sparse.csr_array
-    jacobian: sparse.csr_array
-    cut_value: FloatArray
-    cut_jacobian: sparse.csr_array
-    cut_family: IntArray
+    gradient: FloatArray  # (n,)
+    hessian: sparse.csr_array  # (n, n), positive semidefinite
+    jacobian: sparse.csr_array  # (K, n)
+    cut_value: FloatArray  # (C,)
+    cut_jacobian: sparse.csr_array  # (C, n)
+    cut_family: IntArray  # (C,)
 
     def violations(self, p: FloatArray | None = None, *, families: int) -> FloatArray:
         """Largest violation (families,) of each family, here or to first order after the step `p` (n,)."""
@@ -126,20 +103,11 @@ class NlpModel(NlpValues):
 
 @dataclass(frozen=True, kw_only=True)
 class QpStep:
-    """Solution of a quadratic program.
+    """Solution of a quadratic program: a step, and the multipliers of the constraints."""
 
-    Attributes
-    ----------
-    p : (n,)
-    multipliers : (K,)
-        Of the constraints.
-    solved : bool
-        Whether PIQP says so; without that p is still a step, only not the best.
-    """
-
-    p: FloatArray
-    multipliers: FloatArray
-    solved: bool
+    p: FloatArray  # (n,)
+    multipliers: FloatArray  # (K,)
+    solved: bool  # as PIQP says; without that p is still a step, only not the best
 
 
 def solve_qp(model: NlpModel, penalty: FloatArray, radius: float, damping: float = 0.0) -> QpStep:

@@ -53,22 +53,12 @@ class Separation:
 
 @dataclass(frozen=True, kw_only=True)
 class WorstViolations:
-    """Where one family of constraints is violated, the worst first.
+    """Where one family of constraints is violated, the worst first."""
 
-    Attributes
-    ----------
-    times : (K,), s
-    component : (K,)
-    largest : float
-        The largest value anywhere; where nothing is violated, the largest that was seen.
-    joint : int
-        With the largest value, of a bound on a joint; -1 otherwise.
-    """
-
-    times: FloatArray
-    component: IntArray
-    largest: float
-    joint: int = -1
+    times: FloatArray  # (K,), s
+    component: IntArray  # (K,)
+    largest: float  # value anywhere; where nothing is violated, that was seen
+    joint: int = -1  # with the largest value, of a bound on a joint; -1 otherwise
 
 
 def find_violations(
@@ -144,14 +134,8 @@ def violated_function(
 ) -> WorstViolations:
     """Find the local maxima of a function of the state that exceed `limit` by more than `tolerance`.
 
-    Parameters
-    ----------
-    trajectory : QuinticTrajectory
-    times : (N,), s
-    sampled : value and component, (N, c) each
-        At those times; exact where a value exceeds `limit` less 0.02, and beside.
-    function : StateFunction
-    limit, tolerance : float
+    `sampled` has its values and components, (N, c) each, at `times` (N,), s; exact where a value exceeds
+    `limit` less 0.02, and beside.
     """
     value, component = sampled
     row, column = np.nonzero(_local_maxima(value) & (value > limit - _NEAR))

@@ -21,24 +21,14 @@ _NOWHERE = 1e6
 
 
 def solve_slsqp(start: NlpEvaluation, accuracy: float, max_iterations: int) -> tuple[NlpEvaluation, int]:
-    """Minimise with the constraints of `start`; none is added on the way.
+    """Minimise with the constraints of `start`; return the end and the number of iterations.
 
     Unknowns are whitened by the Hessian of the smoothing and, by Gauss and Newton, of the mean square; it
     then is the identity, which SLSQP starts with. The peak is minimised in epigraph form. There are no
-    equality constraints, with which SLSQP can abort the process. Its success flag is not believed: whoever
-    calls evaluates the constraints again.
+    equality constraints, with which SLSQP can abort the process. No constraint is added on the way, and its
+    success flag is not believed: whoever calls evaluates the constraints again.
 
-    Parameters
-    ----------
-    start : NlpEvaluation
-    accuracy : float
-        It stops when the objective changes by less and the constraints' violations sum to less.
-    max_iterations : int
-
-    Returns
-    -------
-    end : NlpEvaluation
-    iterations : int
+    It stops when the objective changes by less than `accuracy` and the constraints' violations sum to less.
 
     Raises
     ------

@@ -137,10 +137,7 @@ class Iterate(Protocol):
     def step(self, p: FloatArray) -> Self:
         """Step by `p` (n,); what is violated there is among the new point's constraints, the old ones first.
 
-        Raises
-        ------
-        OptimisationFailed
-            When there is no such point.
+        An `OptimisationFailed` is raised when there is no such point.
         """
 
     def refresh(self, other: Self) -> Self:
@@ -155,27 +152,15 @@ AnyIterate = TypeVar("AnyIterate", bound=Iterate)
 
 @dataclass(frozen=True, kw_only=True)
 class SqpResult(Generic[AnyIterate]):
-    """Where a run ended, and what the next one may go on with.
-
-    Attributes
-    ----------
-    iterate : Iterate
-    status : SqpStatus
-    multipliers : (K,)
-    penalty : (families,)
-    damping : float
-    iterations : int
-        Quadratic programs, but for corrections.
-    merits : tuple of (families,), float, float
-        Penalty, and the merit for it before and after, of each accepted step.
-    """
+    """Where a run ended, and what the next one may go on with."""
 
     iterate: AnyIterate
     status: SqpStatus
-    multipliers: FloatArray
-    penalty: FloatArray
+    multipliers: FloatArray  # (K,)
+    penalty: FloatArray  # (families,)
     damping: float
-    iterations: int
+    iterations: int  # quadratic programs, but for corrections
+    # Penalty, and the merit for it before and after, of each accepted step.
     merits: tuple[tuple[FloatArray, float, float], ...]
 
 
@@ -185,16 +170,9 @@ def solve_sqp(
     options: SqpOptions,
     warm: SqpResult[AnyIterate] | None = None,
 ) -> SqpResult[AnyIterate]:
-    """Lower the merit from `start` until nothing more is to be gained.
+    """Lower the merit from `start`, with so many families of constraints, until nothing more is to be gained.
 
-    Parameters
-    ----------
-    start : Iterate
-    families : int
-        Number of families of constraints.
-    options : SqpOptions
-    warm : SqpResult, optional
-        Of a run with the first of the constraints, for its multipliers, penalties and damping.
+    `warm` is a run with the first of the constraints, for its multipliers, penalties and damping.
     """
     state = _SqpState(start, families, options, warm)
     iterations = 0

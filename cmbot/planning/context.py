@@ -34,36 +34,17 @@ __all__ = [
 
 @dataclass(frozen=True, kw_only=True)
 class PlanningContext:
-    """What every stage of planning needs.
-
-    Attributes
-    ----------
-    robot : Robot
-    posture : (n,), rad
-        The scene's.
-    task : ToolTask
-    clearances : Clearances
-    times : (k,), s
-        Of the via-points.
-    options : PlannerOptions
-    objective : Objective
-        What is minimised.
-    arm : ElasticArm or None
-        The elastic arm on its guardrail; None where both are rigid.
-    sag : Sag or None
-        Where it is to be compensated.
-    reporter : ProgressReporter
-    """
+    """What every stage of planning needs."""
 
     robot: Robot
-    posture: FloatArray
+    posture: FloatArray  # (n,), rad: the scene's
     task: ToolTask
     clearances: Clearances
-    times: FloatArray
+    times: FloatArray  # (k,), s, of the via-points
     options: PlannerOptions
-    objective: Objective
-    arm: ElasticArm | None
-    sag: Sag | None
+    objective: Objective  # what is minimised
+    arm: ElasticArm | None  # on its guardrail; None where both are rigid
+    sag: Sag | None  # where it is to be compensated
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
 
     @cached_property

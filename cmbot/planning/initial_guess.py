@@ -34,32 +34,15 @@ class Choice:
 
 @dataclass(frozen=True, kw_only=True)
 class InitialGuess:
-    """Where the optimisation starts, and what is known of it.
-
-    Attributes
-    ----------
-    problem : TorqueProblem
-    pinned : bool
-        The first via-point does not slide.
-    lower_bound : LowerBound
-        Of the peak of the objective at rest; with fixed knots that of these via-points.
-    failures : tuple of PathNotFound
-        Of the starts before this one, the scene's posture first.
-    choice : Choice or None
-        With sliding knots only.
-    search : GlobalSearch or None
-        With sliding knots only.
-    unreached : PathNotFound or None
-        Why no approach leads to where ``start: free`` would have the arm start, if that was tried.
-    """
+    """Where the optimisation starts, and what is known of it."""
 
     problem: TorqueProblem
-    pinned: bool
-    lower_bound: LowerBound
-    failures: tuple[PathNotFound, ...] = ()
-    choice: Choice | None = None
-    search: GlobalSearch | None = None
-    unreached: PathNotFound | None = None
+    pinned: bool  # the first via-point does not slide
+    lower_bound: LowerBound  # of the peak at rest; with fixed knots that of these via-points
+    failures: tuple[PathNotFound, ...] = ()  # of the starts before this one, the scene's posture first
+    choice: Choice | None = None  # with sliding knots only
+    search: GlobalSearch | None = None  # with sliding knots only
+    unreached: PathNotFound | None = None  # why no approach leads where ``start: free`` would start
 
 
 def initial_guess(context: PlanningContext, search: GlobalSearch | None = None) -> InitialGuess:

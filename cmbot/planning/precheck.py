@@ -144,13 +144,7 @@ def beyond_reach(robot: Robot, path: ToolPath) -> Iterator[tuple[str, float]]:
 
 
 def require_within_reach(context: PlanningContext) -> None:
-    """Refuse a tool path that leaves the reach of the stretched arm.
-
-    Raises
-    ------
-    PathNotFound
-        Naming the first leg that ends out of reach, and by how much.
-    """
+    """Refuse a tool path that leaves the reach of the stretched arm; the error names the first such leg."""
     path, robot = context.task.path, context.robot
     for key, distance in beyond_reach(robot, path):
         away = np.linalg.norm(context.points - robot.base_point, axis=1)
@@ -207,13 +201,7 @@ def oversized(scene: Scene, joints: int, options: PlannerOptions) -> Finding | N
 
 
 def require_reasonable_size(scene: Scene, joints: int, options: PlannerOptions) -> None:
-    """Refuse a scene that is `oversized`.
-
-    Raises
-    ------
-    SceneError
-        With what to do about it.
-    """
+    """Refuse a scene that is `oversized`: a `SceneError` with what to do about it."""
     found = oversized(scene, joints, options)
     if found is not None:
         raise SceneError(scene.source, found.key, found.got, found.expected)

@@ -82,12 +82,7 @@ class Progress:
 class ProgressReporter:
     """Reports what the planner is doing, and how long it will still take; keeps the times of its stages.
 
-    Parameters
-    ----------
-    progress : callable, optional
-        Called with a `Progress`.
-    clock : callable
-        Seconds that do not go back.
+    `progress` is called with a `Progress`; `clock` gives seconds that do not go back.
     """
 
     def __init__(
@@ -124,15 +119,9 @@ class ProgressReporter:
             self._begin(self._fresh(step=step))
 
     def part(self, step: str, done: float, total: float, *, at_most: bool = False) -> None:
-        """Report how much of a step is done; its first part begins it.
+        """Report how much of a step is done, in parts of about the same cost; its first part begins it.
 
-        Parameters
-        ----------
-        step : str
-        done, total : float
-            Parts of about the same cost.
-        at_most : bool
-            The step may end before all of them are done.
+        With `at_most` the step may end before all of them are done.
         """
         if step != self._now.step:
             self._begin(self._fresh(step=step, share=min(done / total, 1.0)), at_most=at_most)
@@ -154,17 +143,9 @@ class ProgressReporter:
     def passed(
         self, report: ExchangeReport, unit: str, most: int, rounds: int = 0, most_rounds: int = 0
     ) -> None:
-        """Report an exchange iteration.
+        """Report an exchange iteration, of `most` at most; `unit` is that of its peak.
 
-        Parameters
-        ----------
-        report : ExchangeReport
-        unit : str
-            Of its peak.
-        most : int
-            Iterations at most.
-        rounds, most_rounds : int
-            Of the compensation: this one's number, from 1, and rounds at most.
+        `rounds` is the number of the compensation's round, from 1, of `most_rounds` at most.
         """
         now = self._clock()
         del self._ends[rounds + 1 :]

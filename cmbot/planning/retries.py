@@ -41,22 +41,12 @@ Work = TypeVar("Work")
 
 @dataclass(frozen=True, kw_only=True)
 class Attempt:
-    """What a motion is planned from.
-
-    Attributes
-    ----------
-    context : PlanningContext
-    guess : InitialGuess
-    automatic : bool
-        The solver was chosen by ``auto``.
-    fallbacks : tuple of str
-        What failed before, and what was done instead, a sentence each.
-    """
+    """What a motion is planned from."""
 
     context: PlanningContext
     guess: InitialGuess
-    automatic: bool = False
-    fallbacks: tuple[str, ...] = ()
+    automatic: bool = False  # the solver was chosen by ``auto``
+    fallbacks: tuple[str, ...] = ()  # what failed before, and what was done instead, a sentence each
 
 
 Run = Callable[[Attempt], tuple[Attempt, Work]]

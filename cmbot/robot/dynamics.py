@@ -34,19 +34,12 @@ class Efforts:
 
 @dataclass(frozen=True, kw_only=True)
 class EffortDerivatives:
-    """Some rows of the efforts at N states, with their derivatives.
+    """Some rows of the efforts at N states, with their derivatives."""
 
-    Attributes
-    ----------
-    value : (N, k), N and Nm
-    d_q, d_v, d_a : (N, k, n)
-        Derivatives of `value` with respect to position, velocity and acceleration.
-    """
-
-    value: FloatArray
-    d_q: FloatArray
-    d_v: FloatArray
-    d_a: FloatArray
+    value: FloatArray  # (N, k), N and Nm
+    d_q: FloatArray  # (N, k, n), by position
+    d_v: FloatArray  # (N, k, n), by velocity
+    d_a: FloatArray  # (N, k, n), by acceleration
 
 
 class Dynamics:

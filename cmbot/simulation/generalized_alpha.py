@@ -36,28 +36,19 @@ _PROGRESS_STEPS = 100
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElasticSystem:
-    """A mechanism of d driven and f elastic coordinates.
+    """A mechanism of d driven and f elastic coordinates; configurations are vectors.
 
     Its equation of motion, with q_a prescribed, is that of the elastic coordinates alone::
 
         (M_ff + added_mass) qdd_f = - stiffness q_f - damping qd_f - h_f(q, qd) - M_fa qdd_a
-
-    Attributes
-    ----------
-    model : pinocchio.Model
-        Configurations are vectors.
-    driven, elastic : (d,) and (f,)
-        Indices of these coordinates; together they are all.
-    stiffness, damping, added_mass : (f, f)
-        Symmetric. `added_mass` is mass outside the model, such as the guardrail's own.
     """
 
-    model: Any
-    driven: IntArray
-    elastic: IntArray
-    stiffness: FloatArray
-    damping: FloatArray
-    added_mass: FloatArray
+    model: Any  # pinocchio.Model
+    driven: IntArray  # (d,), indices of the driven coordinates
+    elastic: IntArray  # (f,), indices of the others
+    stiffness: FloatArray  # (f, f), symmetric
+    damping: FloatArray  # (f, f), symmetric
+    added_mass: FloatArray  # (f, f), symmetric: mass outside the model, such as the guardrail's own
 
     @classmethod
     def of(cls, arm: ElasticArm, damping: FloatArray) -> ElasticSystem:
@@ -68,36 +59,20 @@ class ElasticSystem:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElasticMotion:
-    """The motion of a system at every step.
+    """The motion of a system at every step."""
 
-    Attributes
-    ----------
-    t : (N,), s
-    joints : (N, d), rad
-        The driven coordinates.
-    u, v, a : (N, f)
-        The elastic coordinates, their rates and accelerations: m and rad, over s and s2.
-    """
-
-    t: FloatArray
-    joints: FloatArray
-    u: FloatArray
-    v: FloatArray
-    a: FloatArray
+    t: FloatArray  # (N,), s
+    joints: FloatArray  # (N, d), rad: the driven coordinates
+    u: FloatArray  # (N, f): the elastic coordinates, m and rad
+    v: FloatArray  # (N, f): their rates
+    a: FloatArray  # (N, f): their accelerations
 
 
 class GeneralizedAlpha:
     """The integrator of one system; it owns working memory, so threads must not share it.
 
-    Parameters
-    ----------
-    system : ElasticSystem
-    step : float, s
-        No step is longer.
-    rho_inf : float
-        Spectral radius at infinite frequency, 0 to 1: 1 damps nothing.
-    corrections : int
-        Newton corrections a step.
+    No step is longer than `step`, s. `rho_inf` is the spectral radius at infinite frequency, 0 to 1: 1 damps
+    nothing. `corrections` is the number of Newton corrections a step.
     """
 
     def __init__(self, system: ElasticSystem, *, step: float, rho_inf: float, corrections: int) -> None:
@@ -122,17 +97,10 @@ class GeneralizedAlpha:
         v: FloatArray,
         progress: Callable[[float], None] | None = None,
     ) -> ElasticMotion:
-        """Integrate along prescribed motions, one after the other.
+        """Integrate along prescribed motions, one after the other, from `u` and `v` (f,).
 
         Each continues the one before in position and velocity. Where the acceleration jumps, a step ends.
-
-        Parameters
-        ----------
-        motions : sequence of PrescribedMotion
-        u, v : (f,)
-            The elastic coordinates and their rates at first.
-        progress : callable, optional
-            Called every 100 steps with the time that has been reached, s.
+        `progress` is called every 100 steps with the time that has been reached, s.
 
         Raises
         ------

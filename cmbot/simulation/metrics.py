@@ -102,17 +102,10 @@ def error_metrics(
     moving: int,
     frequencies: FloatArray,
 ) -> ErrorMetrics:
-    """Return the metrics of a tracking error.
+    """Return the metrics of a tracking error (N, 3), m, at times `t` (N,), s, in equal steps.
 
-    Parameters
-    ----------
-    t : (N,), s
-        Equal steps.
-    error, static, path_error : (N, 3), m
-    moving : int
-        Number of samples until the stop.
-    frequencies : (f,), Hz
-        Of the modes, ascending.
+    `moving` is the number of samples until the stop, `frequencies` (f,), Hz, are those of the modes,
+    ascending.
     """
     dynamic, step = error - static, float(t[1] - t[0])
     modes = frequencies[:_MODES]
@@ -157,22 +150,11 @@ def residual(t: FloatArray, dynamic: FloatArray) -> Residual:
 
 
 def mode_power(step: float, dynamic: FloatArray, frequencies: FloatArray) -> FloatArray:
-    """Return the mean square of an error near each of some frequencies.
+    """Return the mean square (k,), m2, of an error (N, 3), m, near each of `frequencies` (k,), Hz.
 
     By Welch's method, summed over the axes. A mode's band ends half-way to its neighbours, and at most a
-    fifth of its frequency away.
-
-    Parameters
-    ----------
-    step : float, s
-        Between the samples.
-    dynamic : (N, 3), m
-    frequencies : (k,), Hz
-        Ascending, below half the sampling rate.
-
-    Returns
-    -------
-    (k,), m2
+    fifth of its frequency away. The frequencies ascend, below half the sampling rate; samples are `step`, s,
+    apart.
     """
     at, total = power_density(step, dynamic, min(_SEGMENT, len(dynamic)))
     middles = 0.5 * (frequencies[1:] + frequencies[:-1])
@@ -183,22 +165,11 @@ def mode_power(step: float, dynamic: FloatArray, frequencies: FloatArray) -> Flo
 
 
 def power_density(step: float, dynamic: FloatArray, size: int) -> tuple[FloatArray, FloatArray]:
-    """Return the power density of an error, summed over the axes.
+    """Return frequencies, Hz, and the power density there, m2/Hz, of an error (N, 3), summed over the axes.
 
-    By Welch's method (1967), in segments that overlap by half, without their mean, under Hann's window.
-    `scipy.signal.welch` does the same; importing it takes longer than the rest of a report.
-
-    Parameters
-    ----------
-    step : float, s
-        Between the samples.
-    dynamic : (N, 3), m
-    size : int
-        Of the segments, 2 to N samples.
-
-    Returns
-    -------
-    frequencies, density : (size // 2 + 1,), Hz and m2/Hz
+    By Welch's method (1967), in segments of `size` samples, 2 to N, that overlap by half, without their mean,
+    under Hann's window; samples are `step`, s, apart. `scipy.signal.welch` does the same; importing it takes
+    longer than the rest of a report.
     """
     starts = np.arange(0, len(dynamic) - size + 1, size - size // 2)
     segments = dynamic[starts[:, None] + np.arange(size)]

@@ -142,13 +142,7 @@ def simulate(
 
 
 def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
-    """Return the elastic arm of a plan's scene.
-
-    Raises
-    ------
-    InputError
-        When nothing of it bends.
-    """
+    """Return the elastic arm of a plan's scene; an `InputError` when nothing of it bends."""
     robot = plan.robot
     if options.payload_kg is not None:
         source = replace(plan.scene.robot, payload=options.payload_kg)

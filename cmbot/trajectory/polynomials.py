@@ -18,17 +18,9 @@ _NEXT, _STEPS = 2.0**-51, 110
 
 
 def derivative(c: FloatArray, order: int = 1) -> FloatArray:
-    """Differentiate polynomials `order` times.
+    """Differentiate polynomials `c` (..., k + 1), lowest power first, `order` times: (..., k + 1 - order).
 
-    Parameters
-    ----------
-    c : (..., k + 1)
-        Coefficients, lowest power first.
-
-    Returns
-    -------
-    (..., k + 1 - order)
-        At least one coefficient: zero, where nothing is left.
+    At least one coefficient is left: zero, where there is nothing else.
     """
     if order >= c.shape[-1]:
         return np.zeros((*c.shape[:-1], 1))
@@ -36,19 +28,11 @@ def derivative(c: FloatArray, order: int = 1) -> FloatArray:
 
 
 def hull(c: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Bound polynomials on the unit interval by the least and the largest of their Bernstein coefficients.
+    """Bound polynomials `c` (..., k + 1), lowest power first, on the unit interval: low and high (...).
 
-    Farouki, "The Bernstein polynomial basis: a centennial retrospective", 2012, Section 5.1. Far cheaper than
-    extrema, and for short segments of a smooth curve hardly wider.
-
-    Parameters
-    ----------
-    c : (..., k + 1)
-        Coefficients, lowest power first.
-
-    Returns
-    -------
-    low, high : (...)
+    By the least and the largest of their Bernstein coefficients: Farouki, "The Bernstein polynomial basis: a
+    centennial retrospective", 2012, Section 5.1. Far cheaper than extrema, and for short segments of a smooth
+    curve hardly wider.
     """
     b = c @ _to_bernstein(c.shape[-1] - 1)
     return b.min(axis=-1), b.max(axis=-1)
@@ -61,22 +45,14 @@ def _to_bernstein(degree: int) -> FloatArray:
 
 
 def roots_in_unit_interval(c: FloatArray) -> FloatArray:
-    """Find the real roots in [0, 1] of many polynomials of one degree.
+    """Find the real roots in [0, 1], sorted (..., k), of polynomials `c` (..., k + 1), k >= 1.
+
+    Coefficients are lowest power first. Where a polynomial has fewer than k roots, the missing ones repeat an
+    end of the interval or a stationary point, which is what a search for extrema can bear.
 
     Between neighbouring roots of its derivative a polynomial is monotone, so Newton's method, kept within an
     interval that halves where it is slow, finds every root there, whether the polynomial changes sign or only
     touches zero. No leading coefficient is divided by: degenerate polynomials are harmless.
-
-    Parameters
-    ----------
-    c : (..., k + 1)
-        Coefficients, lowest power first, k >= 1.
-
-    Returns
-    -------
-    (..., k)
-        Sorted roots. Where a polynomial has fewer than k, the missing ones repeat an end of the interval
-        or a stationary point, which is what a search for extrema can bear.
     """
     degree = c.shape[-1] - 1
     ends = (np.zeros((*c.shape[:-1], 1)), np.ones((*c.shape[:-1], 1)))

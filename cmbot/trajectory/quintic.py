@@ -25,20 +25,10 @@ POSITION, VELOCITY, ACCELERATION, JERK = range(4)
 def hermite_coefficients(
     h: FloatArray, start: tuple[FloatArray, ...], end: tuple[FloatArray, ...]
 ) -> FloatArray:
-    """Coefficients of quintics from position, velocity and acceleration at both ends.
+    """Coefficients (m, n, 6) of quintics from position, velocity and acceleration (m, n) at both ends.
 
-    Chang 2021, Eqs. (28)-(29), with time counted in units of the segment: ``q(t) = sum_k c_k (t/h)^k``.
-
-    Parameters
-    ----------
-    h : (m,), s
-        Durations.
-    start, end : three arrays (m, n)
-        Position, velocity and acceleration at either end.
-
-    Returns
-    -------
-    (m, n, 6)
+    Chang 2021, Eqs. (28)-(29), with time counted in units of the segment's duration `h` (m,), s:
+    ``q(t) = sum_k c_k (t/h)^k``.
     """
     h = h[:, None]
     q_0, v_0, a_0 = start[0], start[1] * h, start[2] * h**2

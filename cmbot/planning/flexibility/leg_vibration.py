@@ -28,13 +28,8 @@ class LegVibration:
     """How the joints' snap along a leg moves the first modes at its end, the arm at rest where it starts.
 
     The matrices are those of the postures along `trajectory`; a small change of it hardly changes them.
-
-    Attributes
-    ----------
-    times : (m,), s
-        Middles of the steps between the knots `start` and `end`.
-    weights : (m, 2r, n)
-        Of the snaps at these times in the modes' displacements and velocities at the end.
+    `times` (m,), s, are the middles of the steps between the knots `start` and `end`, `weights` (m, 2r, n)
+    those of the snaps at these times in the modes' displacements and velocities at the end.
     """
 
     def __init__(

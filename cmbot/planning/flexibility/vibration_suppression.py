@@ -228,13 +228,7 @@ class Window:
     """The basis splines with support on some legs alone, and how they change the vibration at the legs' ends.
 
     Of a long leg they are those near its end: their number is bounded, however long the path is.
-
-    Attributes
-    ----------
-    coefficients : (s,)
-        Indices of the basis splines.
-    start : float, s
-        Of the first leg.
+    `coefficients` (s,) are the splines' indices; `start`, s, is where the first leg begins.
     """
 
     def __init__(self, problem: TorqueProblem, legs: list[Leg]) -> None:

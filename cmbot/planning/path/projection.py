@@ -34,25 +34,14 @@ def project_onto_task(
     tolerance: float = 1e-10,
     held: FloatArray | None = None,
 ) -> tuple[FloatArray, BoolArray]:
-    """Project postures onto the tool task by Newton steps of least norm.
+    """Project postures `q` (N, n), rad, onto the tool task by Newton steps of least norm.
 
-    Parameters
-    ----------
-    q : (N, n), rad
-    point : (N, 3) or (3,), m
-        Where the tool has to be, of each posture or of all.
-    steps : int
-        At most; the default suffices for postures near the task.
-    tolerance : float, m or rad
-        Largest error of a task coordinate of a posture on the task.
-    held : (N, a, n), optional
-        Directions along which each posture keeps its place, such as its null space.
+    `point` is where the tool has to be, m, of each posture (N, 3) or of all (3,). The default of `steps`,
+    which it takes at most, suffices for postures near the task. `tolerance`, m or rad, is the largest error
+    of a task coordinate of a posture on the task. Along the directions `held` (N, a, n), such as its null
+    space, each posture keeps its place.
 
-    Returns
-    -------
-    q : (N, n), rad
-    reached : (N,)
-        Which of them lie on the task now.
+    Returns the postures and which of them lie on the task now, (N,).
     """
     start = q.T
     x, points = start.copy(), np.broadcast_to(point, (len(q), 3))

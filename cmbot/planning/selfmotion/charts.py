@@ -39,23 +39,12 @@ _ONE_TURN = 2 * np.pi
 
 @dataclass(frozen=True, kw_only=True)
 class Chart:
-    """Postures that hold the tool task at one point.
+    """Postures that hold the tool task at one point."""
 
-    Attributes
-    ----------
-    q : (M, n), rad
-    value : (M,)
-        The objective at rest.
-    joint_use : (M,)
-        Largest static joint torque as a share of its bound.
-    within : (M,)
-        Which postures lie within the joint ranges; the others only connect them.
-    """
-
-    q: FloatArray
-    value: FloatArray
-    joint_use: FloatArray
-    within: BoolArray
+    q: FloatArray  # (M, n), rad
+    value: FloatArray  # (M,), the objective at rest
+    joint_use: FloatArray  # (M,), largest static joint torque as a share of its bound
+    within: BoolArray  # (M,), which lie within the joint ranges; the others only connect them
 
 
 def charts_of(context: PlanningContext, each: Sequence[FloatArray]) -> list[Chart]:
@@ -79,10 +68,8 @@ def charts_of(context: PlanningContext, each: Sequence[FloatArray]) -> list[Char
 class GraphLayer:
     """The postures (M, n) of one chart as nodes of a graph search, whose clearances are computed when needed.
 
-    Attributes
-    ----------
-    admissible, too_near : (M,)
-        Which nodes are not known to be inadmissible, and which are known to come within the safety margin.
+    `admissible` (M,) are the nodes not known to be inadmissible, `too_near` (M,) those that are known to come
+    within the safety margin.
     """
 
     def __init__(self, context: PlanningContext, chart: Chart) -> None:

@@ -32,20 +32,13 @@ _AROUND, _ROUNDS, _NEARER, _NEAR_BOUND = 30, 24, 0.8, 1e-3
 class Edges:
     """Which postures of one via-point can follow which of the one before, as a sparse list.
 
-    Attributes
-    ----------
-    before, after : (E,)
-        Indices of the postures; ascending in `after`, then in `before`.
-    length : (E,)
-        Sum of the squared joints' moves, in units of the longest they can make.
-    number : int
-        Of the postures after.
+    Postures are given by their indices, ascending in `after`, then in `before`.
     """
 
-    before: IntArray
-    after: IntArray
-    length: FloatArray
-    number: int
+    before: IntArray  # (E,)
+    after: IntArray  # (E,)
+    length: FloatArray  # (E,), sum of the joints' squared moves, in units of the longest they can make
+    number: int  # of the postures after
 
     def smallest(self, value: FloatArray) -> tuple[FloatArray, IntArray]:
         """Return the smallest of the edges' values (E,) to each posture, and the first edge that has it.

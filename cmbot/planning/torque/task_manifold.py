@@ -21,19 +21,11 @@ _ON_TASK = 1e-11
 
 @dataclass(frozen=True)
 class TaskManifold:
-    """The postures that hold the tool task at n via-points (a retraction of the parametrization).
-
-    Attributes
-    ----------
-    postures : Postures
-    task : ToolTask
-    points : (n, 3), m
-        Tool points.
-    """
+    """The postures that hold the tool task at n via-points (a retraction of the parametrization)."""
 
     postures: Postures
     task: ToolTask
-    points: FloatArray
+    points: FloatArray  # (n, 3), m: tool points
 
     def tangents(self, q: FloatArray) -> FloatArray:
         """Orthonormal directions (n, a, d) of the self-motion at postures `q` (n, d)."""
@@ -44,12 +36,7 @@ class TaskManifold:
     ) -> tuple[FloatArray, FloatArray]:
         """Move via-points by `u` (k, a), rad: ``task(q) = 0, N^T (q - q_start) = u``, with N the tangents.
 
-        See `cmbot.trajectory.Retraction`.
-
-        Raises
-        ------
-        OptimisationFailed
-            When the tool task cannot be held there.
+        Returns and errors are those of `cmbot.trajectory.Retraction`.
         """
         q, reached = project_onto_task(
             self.postures,
