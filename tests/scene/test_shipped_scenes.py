@@ -8,26 +8,17 @@ from pathlib import Path
 import jsonschema
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
+from oracles import newton_euler
 
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.scene import Box, load_scene, shipped_scenes
 
-# Chang 2021, Table 1: (alpha_{i-1} in degrees, a_{i-1}, d_i), and the tool along z of frame 7.
-DH = [(0, 0, 0), (-90, 0.83, 0), (0, 1.0, 0), (0, 0.78, 0), (90, 0, 0.87), (-90, 0, 0), (90, 0, 0)]
-TOOL_LENGTH = 0.30
-
 
 def tool_point(posture):
-    """The tool point in W, straight from the table, independent of any model file."""
-    R, p = Rotation.from_euler("x", 180, degrees=True), np.array([0, 0.5, 0])
-    for (alpha, a, d), theta in zip(DH, posture, strict=True):
-        p = p + R.apply([a, 0, 0])
-        R = R * Rotation.from_euler("x", alpha, degrees=True) * Rotation.from_euler("z", theta)
-        p = p + R.apply([0, 0, d])
-    return p + R.apply([0, 0, TOOL_LENGTH])
+    """The tool point in W, straight from the paper's table, independent of any model file."""
+    return newton_euler.tool_pose(posture[None])[0][0]
 
 
 def box_of(scene, name):
@@ -54,7 +45,7 @@ def test_name_path_and_string_give_the_same_scene(name):
 def test_triangle():
     scene = load_scene("triangle")
     np.testing.assert_allclose(np.degrees(scene.posture), [-10, -90, 90, 0, 10, 50, 0])
-    assert (scene.robot.model, scene.robot.tool_length, scene.robot.payload) == ("cmbot", TOOL_LENGTH, 0)
+    assert (scene.robot.model, scene.robot.tool_length, scene.robot.payload) == ("cmbot", 0.30, 0)
     assert [leg.seconds for leg in scene.legs] == [10, 2, 8]
     lengths = [np.linalg.norm(leg.by) for leg in scene.legs]
     np.testing.assert_allclose(lengths, [1.0, 0.2, 0.83], atol=1e-4)
