@@ -1,109 +1,163 @@
-"""An elastic arm as a MuJoCo model: the same bodies, joints and springs, another library's dynamics."""
+"""An elastic arm as a MuJoCo model, straight from the robot and its tubes: another library's dynamics."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from typing import Any
-from xml.etree import ElementTree as ET
 
 import mujoco
 import numpy as np
+import pinocchio as pin
+from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
-from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.arm import ElasticArm, cut_inertia
+from cmbot.robot import Robot
 
 FloatArray = NDArray[np.float64]
+AXES = np.eye(3)
+SLIDE, HINGE = mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE
 # So heavy, kg m2, that nothing but the force that is applied to it moves a driven joint.
 DRIVEN_ARMATURE = 1e9
 TOOL = "tool"
-_SPECK = 1e-13
 
 
-def mujoco_model(arm: ElasticArm, timestep: float) -> Any:
-    """Compile the arm; its coordinates are those of `arm.model`, in the same order.
+class Twin:
+    """Bodies with several joints each; the coordinates are those of `arm.model`, in the same order.
 
-    Springs and masses that couple coordinates are fixed tendons along the eigenvectors of their matrices.
+    With a `timestep` it can be simulated: it has the springs, and inertia that holds the driven joints.
     """
-    root = ET.Element("mujoco")
-    ET.SubElement(root, "compiler", angle="radian", inertiafromgeom="false", balanceinertia="false")
-    gravity = arm.model.gravity.linear
-    ET.SubElement(
-        root, "option", timestep=repr(timestep), gravity=_text(gravity), integrator="implicitfast"
-    ).append(ET.Element("flag", contact="disable", energy="enable"))
-    parents = [ET.SubElement(root, "worldbody")]
-    for joint in range(1, arm.model.njoints):
-        parents.append(_body(parents[arm.model.parents[joint]], arm, joint))
-    frame = arm.model.frames[arm.tool_frame_id]
-    ET.SubElement(parents[frame.parentJoint], "site", name=TOOL, pos=_text(frame.placement.translation))
-    tendons = ET.SubElement(root, "tendon")
-    names = [arm.model.names[int(joint) + 1] for joint in arm.elastic]
-    for kind, matrix in (("stiffness", arm.stiffness), ("armature", arm.added_mass)):
-        for value, along in _directions(matrix):
-            tendon = ET.SubElement(tendons, "fixed", springlength="0", **{kind: repr(float(value))})
-            for name, share in zip(names, along, strict=True):
-                if share:
-                    ET.SubElement(tendon, "joint", joint=name, coef=repr(float(share)))
-    return mujoco.MjModel.from_xml_string(ET.tostring(root, encoding="unicode"))
+
+    def __init__(self, arm: ElasticArm, timestep: float | None = None) -> None:
+        self.arm, robot = arm, arm.robot
+        self.spec = mujoco.MjSpec()
+        self.spec.option.gravity = robot.model.gravity.linear
+        self.inertias: list[Any] = []
+        self.names = iter(arm.model.names[1:])
+        body = self.spec.worldbody
+        if arm.base is not None:
+            body = self._body(body, pin.SE3.Identity(), robot.model.inertias[0])
+            self._add_joints(body, SLIDE, AXES)
+            self._add_joints(body, HINGE, AXES)
+        X = pin.SE3.Identity()  # from the last body to the link it stands for
+        links = {robot.model.frames[robot.model.getFrameId(k)].parentJoint: k for k in robot.elasticity}
+        for i in range(1, robot.model.njoints):
+            pieces, frames = _pieces(arm, i, links.get(i))
+            body = self._body(body, X * robot.model.jointPlacements[i], pieces[0])
+            self._add_joints(body, HINGE, [_axis(robot, i)], DRIVEN_ARMATURE if timestep else 0.0)
+            X = pin.SE3.Identity()
+            for piece, X_JT in zip(pieces[1:], frames, strict=True):
+                body = self._body(body, X * X_JT, X_JT.actInv(piece))
+                self._add_joints(body, SLIDE, AXES[1:])
+                self._add_joints(body, HINGE, AXES)
+                X = X_JT.inverse()
+        tool = robot.model.frames[robot.tool_frame_id].placement
+        body.add_site(name=TOOL, pos=X.act(tool.translation))
+        if timestep:
+            self.spec.option.timestep = timestep
+            self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+            self._add_springs()
+        self.model = self.spec.compile()
+        # Past the compiler, which refuses flat bodies and rounding.
+        for index, inertia in enumerate(self.inertias, start=1):
+            moments, axes = np.linalg.eigh(inertia.inertia)
+            axes[:, 2] *= np.linalg.det(axes)
+            self.model.body_mass[index] = inertia.mass
+            self.model.body_ipos[index] = inertia.lever
+            self.model.body_inertia[index] = moments
+            mujoco.mju_mat2Quat(self.model.body_iquat[index], axes.ravel())
+        self.data = mujoco.MjData(self.model)
+        # What the compiler concluded from its inertias. (mj_setConst would warn of small pieces.)
+        self.model.body_sameframe[:] = mujoco.mjtSameFrame.mjSAMEFRAME_NONE
+        self.model.body_simple[:] = self.model.dof_simplenum[:] = 0
+        # A chain: below every body hangs what follows.
+        self.model.body_subtreemass[:] = np.cumsum(self.model.body_mass[::-1])[::-1]
+
+    def _body(self, parent: Any, X: Any, inertia: Any) -> Any:
+        self.inertias.append(inertia)
+        x, y, z, w = pin.Quaternion(X.rotation).coeffs()
+        return parent.add_body(
+            pos=X.translation, quat=[w, x, y, z], mass=1, inertia=[1, 1, 1], explicitinertial=True
+        )
+
+    def _add_joints(self, body: Any, kind: Any, axes: Any, armature: float = 0.0) -> None:
+        for axis in axes:
+            body.add_joint(name=next(self.names), type=kind, axis=axis, armature=armature)
+
+    def _add_springs(self) -> None:
+        """Springs and masses that couple coordinates: fixed tendons along the matrices' eigenvectors."""
+        names = [self.arm.model.names[int(joint) + 1] for joint in self.arm.elastic]
+        for kind, matrix in (("stiffness", self.arm.stiffness), ("armature", self.arm.added_mass)):
+            for value, along in _directions(matrix):
+                tendon = self.spec.add_tendon(springlength=[0, 0], **{kind: value})
+                for name, share in zip(names, along, strict=True):
+                    if share:
+                        tendon.wrap_joint(name, share)
+
+    def mass_and_bias(self, q: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        self.data.qpos, self.data.qvel = q, v
+        # No more than is asked for: mj_forward also divides by the mass matrix, and warns of small pieces.
+        make_mass_matrix = getattr(mujoco, "mj_makeM", mujoco.mj_crb)
+        for step in (mujoco.mj_kinematics, mujoco.mj_comPos, make_mass_matrix, mujoco.mj_comVel):
+            step(self.model, self.data)
+        M, bias = np.empty((self.model.nv, self.model.nv)), np.empty(self.model.nv)
+        for column, unit in zip(M, np.eye(self.model.nv), strict=True):
+            mujoco.mj_mulM(self.model, self.data, column, unit)
+        mujoco.mj_rne(self.model, self.data, 0, bias)
+        return M, bias
+
+    def drive(
+        self,
+        states: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
+        start: FloatArray,
+        steps: int,
+        every: int,
+    ) -> FloatArray:
+        """Let MuJoCo integrate, the driven joints overwritten; tool points (steps/every + 1, 3), m."""
+        arm, model, data, h = self.arm, self.model, self.data, self.model.opt.timestep
+        q, v, a = states(h * np.arange(steps + 1))
+        data.qpos[arm.elastic] = start
+        # Its Euler step is the leapfrog whose rates are half a step behind: so they begin there.
+        data.qpos[arm.driven], data.qvel[arm.driven] = q[0], v[0]
+        data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * a[0]
+        mujoco.mj_forward(model, data)
+        data.qvel[arm.elastic] = -0.5 * h * data.qacc[arm.elastic]
+        points = np.empty((steps // every + 1, 3))
+        for k in range(steps + 1):
+            data.qpos[arm.driven], data.qvel[arm.driven] = q[k], v[k]
+            if k % every == 0:
+                mujoco.mj_kinematics(model, data)
+                points[k // every] = data.site(TOOL).xpos
+            # The mean acceleration of the step that follows.
+            mean = (v[k + 1] - v[k]) / h if k < steps else a[k]
+            data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * mean
+            mujoco.mj_step(model, data)
+        return points
 
 
-def drive(
-    arm: ElasticArm,
-    model: Any,
-    states: Callable[[FloatArray], tuple[FloatArray, FloatArray, FloatArray]],
-    start: FloatArray,
-    steps: int,
-    every: int,
-) -> FloatArray:
-    """Let MuJoCo integrate, the driven joints overwritten; tool points (steps/every + 1, 3), m."""
-    data, h = mujoco.MjData(model), model.opt.timestep
-    q, v, a = states(h * np.arange(steps + 1))
-    data.qpos[arm.elastic] = start
-    # Its Euler step is the leapfrog whose rates are half a step behind: so they begin there.
-    data.qpos[arm.driven], data.qvel[arm.driven] = q[0], v[0]
-    data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * a[0]
-    mujoco.mj_forward(model, data)
-    data.qvel[arm.elastic] = -0.5 * h * data.qacc[arm.elastic]
-    points = np.empty((steps // every + 1, 3))
-    for k in range(steps + 1):
-        data.qpos[arm.driven], data.qvel[arm.driven] = q[k], v[k]
-        if k % every == 0:
-            mujoco.mj_kinematics(model, data)
-            points[k // every] = data.site(TOOL).xpos
-        # The mean acceleration of the step that follows.
-        mean = (v[k + 1] - v[k]) / h if k < steps else a[k]
-        data.qfrc_applied[arm.driven] = DRIVEN_ARMATURE * mean
-        mujoco.mj_step(model, data)
-    return points
+def _axis(robot: Robot, joint: int) -> FloatArray:
+    """Axis of a joint in its own frame, by a small turn."""
+    q = np.zeros(robot.dof)
+    q[joint - 1] = 0.5
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, q)
+    turned = data.liMi[joint].rotation
+    return np.asarray(pin.log3(robot.model.jointPlacements[joint].rotation.T @ turned) / 0.5)
 
 
-def _body(parent: ET.Element, arm: ElasticArm, joint: int) -> ET.Element:
-    model = arm.model
-    X, inertia = model.jointPlacements[joint], model.inertias[joint]
-    kind = model.joints[joint].shortname()
-    body = ET.SubElement(
-        parent, "body", name=f"body {joint}", pos=_text(X.translation), quat=_text(_quaternion(X.rotation))
-    )
-    axis = np.eye(3)["XYZ".index(kind[-1])]
-    driven = model.joints[joint].idx_v in arm.driven.tolist()
-    ET.SubElement(
-        body,
-        "joint",
-        name=model.names[joint],
-        type="slide" if "P" in kind.removeprefix("JointModel") else "hinge",
-        axis=_text(axis),
-        armature=repr(DRIVEN_ARMATURE if driven else 0.0),
-    )
-    # Between the coordinates of one spring there is nothing; MuJoCo wants at least something.
-    I = inertia.inertia + _SPECK * np.eye(3)  # noqa: E741
-    entries = (I[0, 0], I[1, 1], I[2, 2], I[0, 1], I[0, 2], I[1, 2])
-    ET.SubElement(
-        body,
-        "inertial",
-        pos=_text(inertia.lever),
-        mass=repr(float(inertia.mass + _SPECK)),
-        fullinertia=_text(entries),
-    )
-    return body
+def _pieces(arm: ElasticArm, joint: int, link: str | None) -> tuple[list[Any], list[Any]]:
+    model, n = arm.robot.model, arm.options.segments
+    if link is None:
+        return [model.inertias[joint]], []
+    tube, X = arm.robot.elasticity[link], model.frames[model.getFrameId(link)].placement
+    start, end = X.act(np.array(tube.start)), X.act(np.array(tube.end))
+    cuts = (np.arange(n) + 0.5) / n
+    # Which two axes across the tube are meant is the arm's choice.
+    first = arm.model.getJointId(f"{link} segment 1 deflection y")
+    R = np.asarray(arm.model.jointPlacements[first].rotation)
+    assert_allclose(R[:, 0], (end - start) / tube.length, atol=1e-12)
+    frames = [pin.SE3(R, start + cut * (end - start)) for cut in cuts]
+    return cut_inertia(model.inertias[joint], start, end, cuts), frames
 
 
 def _directions(matrix: FloatArray) -> Iterator[tuple[float, FloatArray]]:
@@ -112,13 +166,3 @@ def _directions(matrix: FloatArray) -> Iterator[tuple[float, FloatArray]]:
     for value, vector in zip(values, vectors.T, strict=True):
         if abs(value) > 1e-14 * np.abs(values).max():
             yield value, np.where(np.abs(vector) > 1e-15, vector, 0.0)
-
-
-def _quaternion(R: FloatArray) -> FloatArray:
-    quaternion = np.empty(4)
-    mujoco.mju_mat2Quat(quaternion, np.ascontiguousarray(R).ravel())
-    return quaternion
-
-
-def _text(numbers: Any) -> str:
-    return " ".join(repr(float(number)) for number in numbers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from elastic_in_mujoco import drive, mujoco_model
+from elastic_in_mujoco import Twin
 from small_motions import arm_on_its_guardrail, swing, tool_points
 
 from cmbot.elastic.sag import Sag
@@ -32,8 +32,8 @@ def test_mujoco_moves_the_tool_alike(
     every = round(OUTPUT / step)
     ours = tool_points(arm, motion.joints[::every], motion.u[::every])
 
-    model = mujoco_model(arm, timestep=step / 2)
-    theirs = drive(arm, model, driven.states, start, steps=round(2 * seconds / step), every=2 * every)
+    twin = Twin(arm, timestep=step / 2)
+    theirs = twin.drive(driven.states, start, steps=round(2 * seconds / step), every=2 * every)
     assert np.abs(ours - theirs).max() < 1e-5
 
     # It was not the rigid motion that was compared.
