@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import exudyn as exu
@@ -11,6 +10,8 @@ from exudyn import itemInterface as items  # noqa: N813
 from exudyn.rigidBodyUtilities import RotationMatrix2EulerParameters
 from numpy.typing import NDArray
 
+from cmbot.elastic import ElasticBase
+from cmbot.robot import Robot
 from cmbot.simulation import PrescribedMotion
 
 FloatArray = NDArray[np.float64]
@@ -18,42 +19,18 @@ FloatArray = NDArray[np.float64]
 _STIFFER = 100.0
 
 
-@dataclass(frozen=True, kw_only=True)
-class BeamArm:
-    """A carrier on a spring, then tubes along x, each behind a joint about z at the end of the one before.
+def simulate(
+    robot: Robot, base: ElasticBase, drive: PrescribedMotion, *, elements: int, step: float, every: int
+) -> FloatArray:
+    """Find the equilibrium of the first posture, then integrate; tool points (N, 3), m.
 
-    Attributes
-    ----------
-    base_stiffness : (6, 6)
-    carrier : mass, kg; inertia about the origin of W (xx, yy, zz, yz, xz, xy), kg m2; centre of mass, m
-    turns : (n, 3, 3)
-        From each joint's frame, at joint angle zero, to what it stands on.
-    length, mass_per_length : float
-    EI, GJ, EA, GA : float
-    polar_inertia : float, kg m
-        Of the cross-section, per length: about x; half of it about y and z.
-    payload : float, kg
+    The robot is a carrier on a spring, then equal, uniform tubes along x, each behind a joint about z at the
+    end of the one before.
     """
-
-    base_stiffness: FloatArray
-    carrier: tuple[float, FloatArray, FloatArray]
-    turns: FloatArray
-    length: float
-    mass_per_length: float
-    EI: float
-    GJ: float
-    EA: float
-    GA: float
-    polar_inertia: float
-    payload: float
-
-
-def simulate(arm: BeamArm, drive: PrescribedMotion, *, elements: int, step: float, every: int) -> FloatArray:
-    """Find the equilibrium of the first posture, then integrate; tool points (N, 3), m."""
     system = exu.SystemContainer()
     mbs = system.AddSystem()
     started = [False]
-    tip = _build(mbs, arm, drive, elements, started)
+    tip = _build(mbs, robot, base, drive, elements, started)
     sensor = mbs.AddSensor(
         items.SensorNode(
             nodeNumber=tip,
@@ -87,13 +64,20 @@ def simulate(arm: BeamArm, drive: PrescribedMotion, *, elements: int, step: floa
     return np.asarray(mbs.GetSensorStoredData(sensor))[:, 1:]
 
 
-def _build(mbs: Any, arm: BeamArm, drive: PrescribedMotion, elements: int, started: list[bool]) -> int:
+def _build(
+    mbs: Any, robot: Robot, base: ElasticBase, drive: PrescribedMotion, elements: int, started: list[bool]
+) -> int:
     """Fill an empty system; the tool's node."""
-    mass, inertia, com = arm.carrier
+    carrier, tube = robot.model.inertias[0], robot.elasticity["link_1"]
+    com = carrier.lever
+    about = carrier.inertia + carrier.mass * (com @ com * np.eye(3) - np.outer(com, com))
     node = mbs.AddNode(items.NodeRigidBodyEP(referenceCoordinates=[0, 0, 0, 1, 0, 0, 0]))
     body = mbs.AddObject(
         items.ObjectRigidBody(
-            nodeNumber=node, physicsMass=mass, physicsInertia=list(inertia), physicsCenterOfMass=list(com)
+            nodeNumber=node,
+            physicsMass=carrier.mass,
+            physicsInertia=list(about[[0, 1, 2, 1, 0, 0], [0, 1, 2, 2, 2, 1]]),
+            physicsCenterOfMass=list(com),
         )
     )
     _weigh(mbs, body)
@@ -104,17 +88,20 @@ def _build(mbs: Any, arm: BeamArm, drive: PrescribedMotion, elements: int, start
                 mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=ground, localPosition=[0, 0, 0])),
                 mbs.AddMarker(items.MarkerBodyRigid(bodyNumber=body, localPosition=[0, 0, 0])),
             ],
-            stiffness=arm.base_stiffness,
+            stiffness=base.stiffness,
         )
     )
+    area = np.pi * tube.wall * (tube.outer_diameter - tube.wall)
+    EA, EI, GJ = tube.young * area, tube.young * tube.second_moment, 2 * tube.shear * tube.second_moment
     section = exu.BeamSection()
-    section.massPerLength = arm.mass_per_length
-    section.inertia = arm.polar_inertia * np.diag([1.0, 0.5, 0.5])
-    shear, axial = _STIFFER * arm.GA, _STIFFER * arm.EA
-    section.stiffnessMatrix = np.diag([axial, shear, shear, arm.GJ, arm.EI, arm.EI])
-    place, R, h = np.zeros(3), np.eye(3), arm.length / elements
+    section.massPerLength = robot.model.inertias[1].mass / tube.length
+    section.inertia = section.massPerLength / area * tube.second_moment * np.diag([2.0, 1.0, 1.0])
+    shear, axial = _STIFFER * tube.shear * area / 2, _STIFFER * EA
+    section.stiffnessMatrix = np.diag([axial, shear, shear, GJ, EI, EI])
+    place, R, h = np.zeros(3), np.eye(3), tube.length / elements
     q = drive.states([0.0])[0][0]
-    for joint, turn in enumerate(arm.turns):
+    for joint in range(robot.dof):
+        turn = robot.model.jointPlacements[joint + 1].rotation
         before = mbs.AddMarker(items.MarkerNodeRigid(nodeNumber=node))
         c, s = np.cos(q[joint]), np.sin(q[joint])
         R = R @ turn @ np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
@@ -137,7 +124,9 @@ def _build(mbs: Any, arm: BeamArm, drive: PrescribedMotion, elements: int, start
             )
             _weigh(mbs, beam)
     payload = mbs.AddObject(
-        items.ObjectRigidBody(nodeNumber=node, physicsMass=arm.payload, physicsInertia=[1e-9] * 3 + [0.0] * 3)
+        items.ObjectRigidBody(
+            nodeNumber=node, physicsMass=robot.payload, physicsInertia=[1e-9] * 3 + [0.0] * 3
+        )
     )
     _weigh(mbs, payload)
     return int(node)

@@ -39,14 +39,8 @@ def check_derivative(
 ) -> None:
     """Assert that `jacobian` (*value, n) is the derivative of `function` at `x` (n,).
 
-    Parameters
-    ----------
-    function : callable
-        From (n,) to an array of any shape, or a number.
-    rtol : float
-        Largest error as a share of the largest entry of the Jacobian.
-    atol : float
-        Largest error on top of it, in the Jacobian's unit: needed only where the derivative may be zero.
+    `rtol` is the largest error as a share of the Jacobian's largest entry, `atol` on top of it, in its unit:
+    needed only where the derivative may be zero.
     """
     x = np.asarray(x, dtype=float)
     expected = finite_difference(function, x, step)

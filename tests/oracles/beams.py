@@ -32,16 +32,8 @@ def cantilever(
 ) -> FloatArray:
     """Compliance (6, 6) of a cantilever's tip in W, linear then angular.
 
-    Parameters
-    ----------
-    along : (3,), m
-        From the clamp to the tip.
-    moments : (3, 3), m4
-        ∫ r r^T dA of the cross-section in W.
-    young : float
-        Pa.
-    axial, torsional : float
-        E A, N, and G J, N m2.
+    `along` (3,) leads from the clamp to the tip; `moments` (3, 3) is ∫ r r^T dA of the section in W, m4;
+    `axial` and `torsional` are E A, N, and G J, N m2.
     """
     along = np.asarray(along, dtype=float)
     L = float(np.linalg.norm(along))
