@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,7 @@ from finite_differences import check_derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from oracles.distances import between_hulls, capsule_of, from_capsule
+from oracles.distances import capsule_of, from_capsule
 from robot_files import load_copy
 from scipy.spatial.transform import Rotation
 
@@ -53,7 +52,7 @@ def pair_with(clearances: Clearances, link: str, other: str = "thing") -> int:
 
 
 @every_shape
-def test_distance_to_an_obstacle(
+def test_distance_and_nearest_points_to_an_obstacle(
     cmbot_robot: Robot, rng: np.random.Generator, random_states: StateSamples, kind: str
 ) -> None:
     shape, geometry = SHAPES[kind]
@@ -71,6 +70,13 @@ def test_distance_to_an_obstacle(
             near = clearances.nearest(q, pair_with(clearances, link))
             assert near.distance == pytest.approx(expected, abs=1e-7)
             overlaps += near.distance < 0
+            # The points are `distance` apart along `direction`, which leads from the obstacle to the arm.
+            assert np.linalg.norm(near.direction) == pytest.approx(1, abs=1e-12)
+            apart = near.other_point + near.distance * near.direction
+            np.testing.assert_allclose(near.point, apart, rtol=0, atol=1e-6)
+            start, end, radius = capsule_of(cmbot_robot, q, link)
+            s = np.clip((near.point - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
+            assert np.linalg.norm(near.point - start - s * (end - start)) == pytest.approx(radius, abs=1e-6)
     assert overlaps > 3
 
 
@@ -103,37 +109,6 @@ def test_distances_of_the_arm_to_itself(cmbot_robot: Robot, random_states: State
                 np.testing.assert_allclose(sorted(distances), sorted(expected[key]), rtol=0, atol=1e-7)
                 compared.add(key)
     assert {("link_5", "link_2"), ("tool", "link_1"), ("tool", "arm_base")} <= compared
-
-
-def test_box_by_its_corners(
-    cmbot_robot: Robot, rng: np.random.Generator, random_states: StateSamples
-) -> None:
-    """A second oracle, which knows nothing of closest features."""
-    corners = np.array(np.meshgrid([-0.15, 0.15], [-0.25, 0.25], [-0.45, 0.45])).reshape(3, -1).T
-    for q in random_states(cmbot_robot, 5)[0]:
-        X_WO = turned_pose(rng)
-        clearances = Clearances(cmbot_robot, [obstacle(Box(size=(0.3, 0.5, 0.9)), X_WO)])
-        start, end, radius = capsule_of(cmbot_robot, q, "tool")
-        apart = between_hulls(np.array([start, end]), np.array([X_WO.act(corner) for corner in corners]))
-        got = clearances.nearest(q, pair_with(clearances, "tool")).distance
-        assert got + radius == pytest.approx(apart, abs=1e-6)
-
-
-@every_shape
-def test_nearest_points(
-    cmbot_robot: Robot, rng: np.random.Generator, random_states: StateSamples, kind: str
-) -> None:
-    """They are `distance` apart along `direction`, which leads from the obstacle to the arm."""
-    shape, _ = SHAPES[kind]
-    for q in random_states(cmbot_robot, 20)[0]:
-        clearances = Clearances(cmbot_robot, [obstacle(shape, turned_pose(rng))])
-        near = clearances.nearest(q, pair_with(clearances, "link_5"))
-        assert np.linalg.norm(near.direction) == pytest.approx(1, abs=1e-12)
-        apart = near.other_point + near.distance * near.direction
-        np.testing.assert_allclose(near.point, apart, rtol=0, atol=1e-6)
-        start, end, radius = capsule_of(cmbot_robot, q, "link_5")
-        s = np.clip((near.point - start) @ (end - start) / ((end - start) @ (end - start)), 0, 1)
-        assert np.linalg.norm(near.point - start - s * (end - start)) == pytest.approx(radius, abs=1e-6)
 
 
 def check_gradient(clearances: Clearances, q: FloatArray, pair: int) -> None:
@@ -170,6 +145,13 @@ def test_gradient_of_the_arm_to_itself(cmbot_robot: Robot, random_states: StateS
         for pair in range(len(clearances.pairs)):
             if clearances.nearest(q, pair).distance > 0:
                 check_gradient(clearances, q, pair)
+    # Joints that move both shapes alike do not count.
+    for q in random_states(cmbot_robot, 5)[0]:
+        with_link, with_base = (
+            clearances.nearest(q, pair_with(clearances, "tool", other)) for other in ("link_2", "foot_2")
+        )
+        np.testing.assert_allclose(with_link.gradient[:2], 0, rtol=0, atol=1e-12)
+        assert np.abs(with_base.gradient[:2]).max() > 1e-3
 
 
 @every_shape
@@ -194,18 +176,6 @@ def test_gradient_where_shapes_nearly_touch_or_overlap(
     assert checked >= 3
 
 
-def test_joints_that_move_both_shapes_alike_do_not_count(
-    cmbot_robot: Robot, random_states: StateSamples
-) -> None:
-    clearances = Clearances(cmbot_robot, [])
-    for q in random_states(cmbot_robot, 5)[0]:
-        with_link, with_base = (
-            clearances.nearest(q, pair_with(clearances, "tool", other)) for other in ("link_2", "foot_2")
-        )
-        np.testing.assert_allclose(with_link.gradient[:2], 0, rtol=0, atol=1e-12)
-        assert np.abs(with_base.gradient[:2]).max() > 1e-3
-
-
 def test_distances_do_not_depend_on_what_was_asked_before(
     cmbot_robot: Robot, random_states: StateSamples, rng: np.random.Generator
 ) -> None:
@@ -213,19 +183,10 @@ def test_distances_do_not_depend_on_what_was_asked_before(
     shape, _ = SHAPES["cylinder"]
     clearances = Clearances(cmbot_robot, [obstacle(shape, turned_pose(rng))])
     q = random_states(cmbot_robot, 60)[0]
-    pairs = range(len(clearances.pairs))
-
-    def distances(order: range) -> FloatArray:
-        found = np.empty((len(q), len(pairs)))
-        for k in order:
-            for pair in pairs:
-                found[k, pair] = clearances.nearest(q[k], pair).distance
-        return found
-
-    once, again = distances(range(60)), distances(range(59, -1, -1))
+    once, again = all_distances(clearances, q), all_distances(clearances, q[::-1])
     assert once.min() < 0
-    np.testing.assert_array_equal(once, again)
-    np.testing.assert_array_equal(clearances.smallest(q).distance, once.min(axis=1))
+    np.testing.assert_array_equal(once, again[:, ::-1])
+    np.testing.assert_array_equal(clearances.smallest(q).distance, once.min(axis=0))
 
 
 @pytest.fixture(scope="module")
@@ -303,6 +264,8 @@ def test_one_by_one_and_many_in_any_order_agree(
     some = order[:100]
     alone = [float(other.smallest(q[k : k + 1]).distance[0]) for k in some]
     np.testing.assert_allclose(alone, got[some], rtol=0, atol=TOLERANCE)
+    none = clearances.smallest(q[:0])
+    assert none.distance.shape == none.pair.shape == (0,)
 
 
 @pytest.mark.parametrize("number", [3, MANY])
@@ -359,12 +322,6 @@ def test_along_a_path_that_is_partly_no_number(triangle: tuple[Clearances, Clear
     assert np.isnan(triangle[0].along(q, 0.0).min())
 
 
-def test_along_a_path_with_nothing_to_hit(cmbot_robot: Robot) -> None:
-    bare = replace(cmbot_robot, collision_model=type(cmbot_robot.collision_model)())
-    assert np.isposinf(Clearances(bare, []).along(smooth_path(5, 0.1, MANY), 0.01)).all()
-    assert not Clearances(bare, []).check_collision(smooth_path(5, 0.1, MANY), 1.0).any()
-
-
 @settings(max_examples=30)
 @given(q=walks, last=st.integers(0, 20))
 def test_within_is_every_avoidable_pair_that_near(
@@ -405,7 +362,8 @@ def test_reach_is_not_far_too_long(cmbot_robot: Robot) -> None:
 
 
 def test_pairs_of_the_triangle(cmbot_robot: Robot) -> None:
-    obstacles = load_scene("triangle").obstacles
+    model, obstacles = cmbot_robot.collision_model, load_scene("triangle").obstacles
+    before = len(model.geometryObjects), len(model.collisionPairs)
     pairs = Clearances(cmbot_robot, obstacles).pairs
     with_obstacles = [(pair.link, pair.other) for pair in pairs if not pair.self_collision]
     assert set(with_obstacles) == {(link, obstacle.name) for link in LINKS for obstacle in obstacles}
@@ -417,32 +375,23 @@ def test_pairs_of_the_triangle(cmbot_robot: Robot) -> None:
     for pair in (pair for pair in pairs if pair.self_collision):
         assert pair.link in LINKS
         assert pair.other not in LINKS or LINKS.index(pair.link) > LINKS.index(pair.other)
-
-
-def test_the_robot_keeps_its_own_pairs(cmbot_robot: Robot) -> None:
-    model = cmbot_robot.collision_model
-    before = len(model.geometryObjects), len(model.collisionPairs)
-    Clearances(cmbot_robot, load_scene("line").obstacles)
+    # The robot keeps its own.
     assert (len(model.geometryObjects), len(model.collisionPairs)) == before
 
 
-@pytest.fixture
-def shapeless(urdf_folder: Path) -> Robot:
-    """The shipped arm without any collision shape."""
+def test_nothing_counts_without_shapes(urdf_folder: Path) -> None:
     file = urdf_folder / "cmbot.urdf"
     text = file.read_text(encoding="utf-8")
     file.write_text(re.sub(r"<collision .*?</collision>", "", text, flags=re.DOTALL), encoding="utf-8")
-    return load_copy(urdf_folder)
-
-
-def test_nothing_counts_without_shapes(shapeless: Robot, random_states: StateSamples) -> None:
     wall = Obstacle(name="wall", shape=Box(size=(1, 1, 1)), X_WO=pose([0, 0, 0]))
-    clearances = Clearances(shapeless, [wall])
-    q = random_states(shapeless, 3)[0]
+    clearances = Clearances(load_copy(urdf_folder), [wall])
+    q = smooth_path(5, 0.1, MANY)
     for avoidable_only in (False, True):
         smallest = clearances.smallest(q, avoidable_only=avoidable_only)
         assert np.isposinf(smallest.distance).all()
         assert (smallest.pair == -1).all()
+    assert np.isposinf(clearances.along(q, 0.01)).all()
+    assert not clearances.check_collision(q, 1.0).any()
     assert not clearances.pairs
     assert clearances.within(q[0], 1.0) == []
 
@@ -453,11 +402,6 @@ def test_nothing_to_avoid_without_obstacles(cmbot_robot: Robot, random_states: S
     assert np.isfinite(clearances.smallest(q).distance).all()
     assert np.isposinf(clearances.smallest(q, avoidable_only=True).distance).all()
     assert clearances.within(q[0], 10.0) == []
-
-
-def test_no_postures(triangle: tuple[Clearances, Clearances]) -> None:
-    smallest = triangle[0].smallest(np.empty((0, 7)))
-    assert smallest.distance.shape == smallest.pair.shape == (0,)
 
 
 def test_deep_overlaps_have_a_depth(cmbot_robot: Robot) -> None:
