@@ -9,49 +9,30 @@ import pinocchio as pin
 import pytest
 import trimesh
 from conftest import StateSamples
-from distance_tables import TOLERANCE, all_distances
+from distance_tables import SHAPES, TOLERANCE, all_distances
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
-from urdf_arms import endless_scene, panda_scene
 
 from cmbot.collision import Clearances, PairedShapes
 from cmbot.collision.broad_phase import BroadPhase
-from cmbot.planning import robot_of
-from cmbot.robot import Robot, load_robot
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_scene, pose
+from cmbot.robot import Robot
+from cmbot.scene import Mesh, Obstacle, load_scene, pose
 
 FloatArray = NDArray[np.float64]
 
 
-SHAPES: dict[str, Shape] = {
-    "box": Box(size=(0.3, 0.5, 0.9)),
-    "cylinder": Cylinder(radius=0.2, length=0.7),
-    "capsule": Capsule(radius=0.15, length=0.6),
-    "sphere": Sphere(radius=0.3),
-}
-
-
-@pytest.fixture(scope="module", params=["cmbot", "panda", "endless"])
-def crowded(
-    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
-) -> tuple[Robot, list[Obstacle]]:
+@pytest.fixture(scope="module")
+def crowded(any_arm: Robot, tmp_path_factory: pytest.TempPathFactory) -> tuple[Robot, list[Obstacle]]:
     """Arms of capsules, of meshes and of cylinders among obstacles of every shape, turned at random."""
-    folder = tmp_path_factory.mktemp(request.param)
-    match request.param:
-        case "panda":
-            robot = robot_of(panda_scene(folder))
-        case "endless":
-            robot = robot_of(endless_scene(folder))
-        case _:
-            robot = load_robot()
-    trimesh.creation.icosahedron().apply_scale([0.2, 0.3, 0.1]).export(folder / "rock.stl")
+    rock = tmp_path_factory.mktemp("obstacles") / "rock.stl"
+    trimesh.creation.icosahedron().apply_scale([0.2, 0.3, 0.1]).export(rock)
     rng = np.random.default_rng(5)
     obstacles = []
-    for name, shape in (SHAPES | {"mesh": Mesh(path=folder / "rock.stl")}).items():
-        point = robot.base_point + 0.4 * robot.reach * rng.normal(size=3)
+    for name, shape in [*((kind, shape) for kind, (shape, _) in SHAPES.items()), ("mesh", Mesh(path=rock))]:
+        point = any_arm.base_point + 0.4 * any_arm.reach * rng.normal(size=3)
         X_WO = pin.SE3(Rotation.random(rng=rng).as_matrix(), point)
         obstacles.append(Obstacle(name=name, shape=shape, X_WO=X_WO.homogeneous))
-    return robot, obstacles
+    return any_arm, obstacles
 
 
 def bounds_of(
@@ -79,7 +60,7 @@ def test_no_distance_is_below_its_bound(
 
 def test_bounds_are_not_far_too_low(cmbot_robot: Robot, random_states: StateSamples) -> None:
     """Those of capsules beside boxes that do not move are nearly exact, and that is what most pairs are."""
-    box = Obstacle(name="box", shape=SHAPES["box"], X_WO=pose([1, 0.5, -1], [0.3, 0.2, 0.1]))
+    box = Obstacle(name="box", shape=SHAPES["box"][0], X_WO=pose([1, 0.5, -1], [0.3, 0.2, 0.1]))
     clearances = Clearances(cmbot_robot, [box])
     q = random_states(cmbot_robot, 200)[0]
     distances = all_distances(clearances, q)

@@ -6,12 +6,11 @@ import re
 from pathlib import Path
 from typing import Any
 
-import coal
 import numpy as np
 import pinocchio as pin
 import pytest
 from conftest import StateSamples
-from distance_tables import TOLERANCE, all_distances
+from distance_tables import SHAPES, TOLERANCE, all_distances
 from finite_differences import check_derivative
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -22,18 +21,12 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.collision import Clearances
 from cmbot.robot import Robot, load_robot
-from cmbot.scene import Box, Capsule, Cylinder, Obstacle, Shape, Sphere, load_scene, pose
+from cmbot.scene import Box, Obstacle, Shape, Sphere, load_scene, pose
 
 FloatArray = NDArray[np.float64]
 LINKS = ("link_1", "link_2", "link_3", "link_5", "tool")
 # More postures than are measured one by one, and more than a block of the broad phase.
 MANY, BLOCKS = 60, 1200
-SHAPES: dict[str, tuple[Shape, Any]] = {
-    "box": (Box(size=(0.3, 0.5, 0.9)), coal.Box(0.3, 0.5, 0.9)),
-    "cylinder": (Cylinder(radius=0.2, length=0.7), coal.Cylinder(0.2, 0.7)),
-    "capsule": (Capsule(radius=0.15, length=0.6), coal.Capsule(0.15, 0.6)),
-    "sphere": (Sphere(radius=0.3), coal.Sphere(0.3)),
-}
 every_shape = pytest.mark.parametrize("kind", SHAPES)
 
 

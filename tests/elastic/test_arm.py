@@ -43,11 +43,6 @@ def compliance(arm: ElasticArm, q: FloatArray) -> FloatArray:
     return np.asarray(J @ np.linalg.solve(arm.stiffness, J.T))
 
 
-def pseudo_inertia(inertia: Any) -> FloatArray:
-    """The (4, 4) matrix of mass, first and second moments: positive semi-definite for a possible body."""
-    return np.asarray(inertia.toPseudoInertia().toMatrix())
-
-
 @pytest.mark.parametrize("segments", [1, 2, 7])
 @pytest.mark.parametrize("direction", [0, 1, 2])
 def test_a_cantilever_bends_as_a_beam(tmp_path: Path, segments: int, direction: int) -> None:
@@ -125,8 +120,8 @@ def test_pieces_are_possible_and_add_up(body: Any, segments: int, end: tuple[flo
     pieces = cut_inertia(body, start, start + np.array(end), cuts)
     assert len(pieces) == segments + 1
     assert sum(piece.mass for piece in pieces) == pytest.approx(body.mass, rel=1e-13)
-    moments = [pseudo_inertia(piece) for piece in pieces]
-    np.testing.assert_allclose(sum(moments), pseudo_inertia(body), rtol=0, atol=1e-12)
+    moments = [piece.toPseudoInertia().toMatrix() for piece in pieces]
+    np.testing.assert_allclose(sum(moments), body.toPseudoInertia().toMatrix(), rtol=0, atol=1e-12)
     for matrix in moments:
         assert np.linalg.eigvalsh(matrix)[0] > -1e-12
 

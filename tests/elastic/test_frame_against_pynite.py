@@ -57,17 +57,9 @@ def support(made: FEModel3D, node: str) -> None:
 
 
 # For members in the plane y = 0 PyNite's local y axis is W's at rotation 0, and turns about the member's own
-# axis. Ours begins at the first leg, and the larger moment is about the line halfway between the legs.
-
-
-def rotation_of_post(roll: float) -> float:
-    """Upwards: from y, which is at 90 deg from the x axis."""
-    return math.degrees(roll) + 45 - 90
-
-
-def rotation_of_rail(roll: float) -> float:
-    """Along x: from y, where a rail's roll begins."""
-    return math.degrees(roll) + 45
+# axis. Ours begins at the first leg, and the larger moment is about the line halfway between the legs: along
+# x the leg begins at y; upwards at x, from which y is at 90 deg.
+POST, RAIL = 45.0 - 90.0, 45.0  # degrees beyond the roll
 
 
 @pytest.mark.parametrize("roll", [-90.0, 0.0, 35.0])
@@ -79,8 +71,7 @@ def test_rotation_of_sections_in_pynite(upright: bool, roll: float) -> None:
     along = (0.0, 0.0, 1.3) if upright else (1.3, 0.0, 0.0)
     made.add_node("clamp", 0, 0, 0)
     made.add_node("tip", *along)
-    rotation = rotation_of_post if upright else rotation_of_rail
-    made.add_member("member", "clamp", "tip", "steel", section, rotation=rotation(math.radians(roll)))
+    made.add_member("member", "clamp", "tip", "steel", section, rotation=roll + (POST if upright else RAIL))
     support(made, "clamp")
     c, s = math.cos(math.radians(roll)), math.sin(math.radians(roll))
     axes = [(c, s, 0), (-s, c, 0)] if upright else [(0, c, s), (0, -s, c)]
@@ -104,11 +95,11 @@ def pynite_compliance(found: Guardrail) -> FloatArray:
             made.add_member(name, f"{x} {z}", f"{x_next} {z_next}", "steel", section, rotation=rotation)
 
     for x in found.post_positions:
-        add([(x, z) for z in levels], add_section(made, post.section), rotation_of_post(post.roll))
+        add([(x, z) for z in levels], add_section(made, post.section), math.degrees(post.roll) + POST)
         support(made, f"{x} {post.clamp}")
     for rail in found.rails:
         points = [(x, rail.height) for x in places]
-        add(points, add_section(made, rail.section), rotation_of_rail(rail.roll))
+        add(points, add_section(made, rail.section), math.degrees(rail.roll) + RAIL)
     return compliance(made, "0.0 0.0")
 
 

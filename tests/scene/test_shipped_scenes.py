@@ -1,10 +1,9 @@
 """The two scenes of the paper carry its numbers and ours, and their geometry closes."""
 
-import importlib.util
 import json
 from itertools import pairwise
-from pathlib import Path
 
+import build_schema
 import jsonschema
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from oracles import newton_euler
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
 from cmbot.common.yaml_reader import read_yaml
+from cmbot.elastic import AngleSection, BarSection, GuardrailMaterial
 from cmbot.scene import Box, load_scene, shipped_scenes
 
 
@@ -99,26 +99,18 @@ def test_slab_and_guardrail(name):
 def test_guardrail_data_for_the_frame():
     guardrail = load_scene("triangle").guardrail
     assert guardrail.post_positions == (-3.5, -1.75, 0, 1.75, 3.5)
-    assert (guardrail.post.section.leg, guardrail.post.section.thickness) == (0.075, 0.008)
-    assert (guardrail.rails[0].section.leg, guardrail.rails[0].section.thickness) == (0.063, 0.006)
-    assert [rail.section.diameter for rail in guardrail.rails[1:]] == [0.02, 0.02]
-    material = guardrail.material
-    assert (guardrail.post.clamp, material.young, material.shear, material.density) == (
-        -1.05,
-        206e9,
-        79e9,
-        7850,
-    )
+    assert guardrail.post.clamp == -1.05
+    assert guardrail.post.section == AngleSection(leg=0.075, thickness=0.008)
+    assert guardrail.rails[0].section == AngleSection(leg=0.063, thickness=0.006)
+    assert [rail.section for rail in guardrail.rails[1:]] == [BarSection(diameter=0.02)] * 2
+    assert guardrail.material == GuardrailMaterial(young=206e9, shear=79e9, density=7850)
     assert guardrail.stiffness is None
     assert guardrail.mass is None
 
 
 def test_json_schema_is_up_to_date():
-    tool = Path(__file__).parent.parent.parent / "tools" / "build_schema.py"
-    spec = importlib.util.spec_from_file_location("build_schema", tool)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    assert module.TARGET.read_text(encoding="utf-8") == module.schema_text(), "run tools/build_schema.py"
+    written = build_schema.TARGET.read_text(encoding="utf-8")
+    assert written == build_schema.schema_text(), "run tools/build_schema.py"
 
 
 @pytest.fixture(scope="module")
