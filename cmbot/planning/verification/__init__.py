@@ -1,1 +1,1 @@
-"""Metrics, baseline and certificate."""
+"""Metrics, certificate and second opinion."""

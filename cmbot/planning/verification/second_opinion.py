@@ -1,0 +1,403 @@
+"""A second opinion on a trajectory, from the scene and the robot's files by another route.
+
+Optimiser and certificate share the dynamics, the kinematics, the distances, the timed tool path and the joint
+limits of the package: a mistake there would fool both. Here these are computed again at some hundred states,
+without them: the equations of motion body by body, distances as minimum-norm points, the path from its
+formulas, limits from the files. What both say is compared, and what a plan promises is judged a second time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from itertools import zip_longest
+
+import numpy as np
+
+from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.elastic.sag import Sag
+from cmbot.planning.verification.certificate import Check
+from cmbot.planning.verification.convex_distance import ConvexShape, Proven, hull, smallest_distances
+from cmbot.planning.verification.multibody import Multibody, PlacedShape
+from cmbot.planning.verification.robot_files import mesh_parts, read_multibody
+from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.scene import (
+    Box,
+    Capsule,
+    Cylinder,
+    Mesh,
+    PlannerOptions,
+    Scene,
+    Shape,
+    SpeedProfile,
+    Sphere,
+    ToolPath,
+)
+from cmbot.trajectory import QuinticTrajectory
+
+__all__ = ["second_opinion"]
+
+# States at which torques and distances are computed again, and how many of them at most are knots.
+_STATES, _KNOTS = 300, 100
+# What two computations of the same may differ by: torques and forces as a share of the largest, tool points
+# and angles in m and rad, limits and times as a share, distances in m.
+_EFFORTS, _POSES, _SHARES, _DISTANCES = 1e-6, 1e-9, 1e-9, 1e-5
+_LEAST_EFFORT = 1e-9
+# By what share a limit, by how much (m) a margin, by how much (m, rad) a via-point may be missed.
+_LIMIT, _MARGIN, _VIA_POINT = 1e-9, 1e-6, 1e-6
+# A position that is off by x is off by up to 60 x / h^3 in the jerk of a segment of duration h; so many last
+# digits of a position are left to rounding.
+_QUINTIC, _DIGITS = 60, 4
+# How the checks are called.
+_FROM, _BY = "from a second computation", "by a second computation"
+
+
+def second_opinion(
+    scene: Scene,
+    options: PlannerOptions,
+    trajectory: QuinticTrajectory,
+    *,
+    robot: Robot,
+    at_work: bool,
+    sag: Sag | None = None,
+) -> tuple[Check, ...]:
+    """Compute again, by another route, what a certificate stands on.
+
+    The checks on differences hold where the package agrees with the second computation; the others are the
+    plan's promises, judged by the second computation at 300 states spread over the trajectory and its knots.
+    What lies between those states is not looked at, and neither is the elastic model.
+
+    Parameters
+    ----------
+    scene : Scene
+    options : PlannerOptions
+        The safety margin that was promised.
+    trajectory : QuinticTrajectory
+    robot : Robot
+        What the package made of the scene's robot.
+    at_work : bool
+        False with the tool off: it may be anywhere.
+    sag : Sag, optional
+        Where it is compensated. Then the commanded tool is not on the path, and its place is not judged.
+
+    Raises
+    ------
+    ModelError
+        When the robot's files cannot be read as they were for `robot`.
+    """
+    body = read_multibody(scene.robot)
+    known = _joints_check(body, robot, trajectory)
+    if not known.holds:
+        return (known,)
+    times = _state_times(trajectory.t)
+    motion = _motion(trajectory, times)
+    checks = [
+        known,
+        *_effort_checks(body, robot, times, motion),
+        *_pose_checks(body, robot, times, motion[0]),
+        _limits_check(body, robot, times),
+        *_bound_checks(body, trajectory, times, motion),
+        *_clearance_checks(scene, options, body, robot, times, motion[0]),
+    ]
+    if at_work:
+        checks += _path_checks(scene, body, times)
+        if sag is None:
+            checks += _via_point_checks(scene, body, trajectory)
+    return tuple(checks)
+
+
+def _state_times(knots: FloatArray) -> FloatArray:
+    """Times (N,), s: evenly spread ones, and knots."""
+    some = knots[np.linspace(0, len(knots) - 1, min(len(knots), _KNOTS)).round().astype(np.intp)]
+    return np.union1d(some, np.linspace(knots[0], knots[-1], _STATES - len(some)))
+
+
+def _motion(trajectory: QuinticTrajectory, times: FloatArray) -> list[FloatArray]:
+    """Position, velocity, acceleration and jerk, four (N, n), from the knots' first three.
+
+    The quintic between two knots, in the share of the time between them, by its six conditions.
+    """
+    powers = np.arange(6)
+    each = [np.polynomial.polynomial.polyder(np.eye(6), order) for order in range(4)]
+    ends = np.array([each[order].T @ end ** powers[: 6 - order] for end in (0.0, 1.0) for order in range(3)])
+    segment = _segments(trajectory, times)
+    h = np.diff(trajectory.t)[segment, None]
+    # Positions are counted from the segment's beginning, which keeps their digits.
+    start = trajectory.q[segment]
+    given = [
+        (x[segment + end] - (start if order == 0 else 0.0)) * h**order
+        for end in (0, 1)
+        for order, x in enumerate((trajectory.q, trajectory.v, trajectory.a))
+    ]
+    coefficients = np.einsum("cg,gkj->ckj", np.linalg.inv(ends), np.stack(given))
+    u = (times - trajectory.t[segment]) / h[:, 0]
+    rates = [
+        np.einsum("pc,pk,ckj->kj", each[order], u ** powers[: 6 - order, None], coefficients) / h**order
+        for order in range(4)
+    ]
+    return [start + rates[0], *rates[1:]]
+
+
+def _segments(trajectory: QuinticTrajectory, times: FloatArray) -> IntArray:
+    """Number (N,) of the segment that each of `times` (N,) is in."""
+    return np.clip(np.searchsorted(trajectory.t, times, side="right") - 1, 0, len(trajectory.t) - 2)
+
+
+def _joints_check(body: Multibody, robot: Robot, trajectory: QuinticTrajectory) -> Check:
+    """Joints of the files that the package does not have in their place; without them nothing compares."""
+    wrong = sum(mine != other for mine, other in zip_longest(body.joints, robot.joints))
+    quantity = "joints that are not those of the robot's files"
+    return Check(quantity=quantity, time=float(trajectory.t[0]), value=float(wrong), bound=0.0, unit="joints")
+
+
+def _effort_checks(
+    body: Multibody, robot: Robot, times: FloatArray, motion: list[FloatArray]
+) -> Iterator[Check]:
+    """What the package's dynamics differ by, and the joint torques against their bounds."""
+    q, v, a, _ = motion
+    theirs = Dynamics(robot).efforts(q, v, a)
+    tau, force, torque = body.efforts(q, v, a)
+    for name, own, other, unit in (
+        ("joint torque", tau, theirs.joint_torque, "Nm"),
+        ("guardrail force", force, theirs.guardrail_force, "N"),
+        ("guardrail torque", torque, theirs.guardrail_torque, "Nm"),
+    ):
+        quantity = f"difference of the {name} {_FROM}"
+        bound = max(_EFFORTS * float(np.abs(own).max()), _LEAST_EFFORT)
+        yield _worst(quantity, times, np.abs(own - other).max(axis=1), bound, unit)
+    quantity = f"torque of {{}} {_BY}"
+    yield _joint_check(body, quantity, times, np.abs(tau), body.bounds.torque, "Nm")
+
+
+def _pose_checks(body: Multibody, robot: Robot, times: FloatArray, q: FloatArray) -> Iterator[Check]:
+    """What the package's kinematics differ by."""
+    (p, R), (p_own, R_own) = Kinematics(robot).tool_poses(q), body.tool_poses(q)
+    bound = _POSES * max(1.0, float(np.abs(p_own).max()))
+    away = np.linalg.norm(p - p_own, axis=1)
+    yield _worst(f"difference of the tool point {_FROM}", times, away, bound, "m")
+    yield _worst(f"difference of the tool's orientation {_FROM}", times, _angles(R, R_own), _POSES, "rad")
+
+
+def _limits_check(body: Multibody, robot: Robot, times: FloatArray) -> Check:
+    """The limit that the package has read most differently, as a share of it."""
+    worst = 0.0
+    for name, own in vars(body.bounds).items():
+        other = getattr(robot.limits, name)
+        same = own == other
+        with np.errstate(divide="ignore", invalid="ignore"):
+            share = np.where(same, 0.0, np.abs(other - own) / np.abs(own))
+        worst = float(np.maximum(worst, share.max()))
+    quantity = "difference of a joint limit from the robot's files"
+    return Check(quantity=quantity, time=float(times[0]), value=worst, bound=_SHARES, unit="of the limit")
+
+
+def _bound_checks(
+    body: Multibody, trajectory: QuinticTrajectory, times: FloatArray, motion: list[FloatArray]
+) -> Iterator[Check]:
+    """Position, velocity, acceleration and jerk, less their rounding, against the limits in the files."""
+    bounds = body.bounds
+    endless = np.isinf(bounds.upper)
+    half = np.where(endless, np.inf, 0.5 * (bounds.upper - bounds.lower))
+    middle = np.where(endless, 0.0, bounds.lower) + np.where(endless, 0.0, half)
+    away = np.abs(motion[0] - middle)
+    yield _joint_check(body, f"distance of {{}} from the middle of its range {_BY}", times, away, half, "rad")
+    h = np.diff(trajectory.t)[_segments(trajectory, times), None]
+    digits = _QUINTIC * _DIGITS * np.spacing(np.abs(motion[0]).max())
+    rates = (
+        ("velocity", bounds.velocity, "rad/s"),
+        ("acceleration", bounds.acceleration, "rad/s2"),
+        ("jerk", bounds.jerk, "rad/s3"),
+    )
+    for order, (name, bound, unit) in enumerate(rates, start=1):
+        rate = np.maximum(np.abs(motion[order]) - digits / h**order, 0.0)
+        yield _joint_check(body, f"{name} of {{}} {_BY}", times, rate, bound, unit)
+
+
+def _clearance_checks(
+    scene: Scene,
+    options: PlannerOptions,
+    body: Multibody,
+    robot: Robot,
+    times: FloatArray,
+    q: FloatArray,
+) -> Iterator[Check]:
+    """What the package's clearances differ by, and the proven ones against the margin."""
+    theirs = Clearances(robot, scene.obstacles).smallest(q).distance
+    own, names = _proven_clearance(scene, body, q)
+    nearest = np.clip(theirs, own.lower, own.upper)
+    with np.errstate(invalid="ignore"):
+        # Of shapes that overlap only that counts; without pairs both are infinite.
+        agreed = ((own.upper < 0) & (theirs < 0)) | (nearest == theirs)
+        away = np.where(agreed, 0.0, np.abs(theirs - nearest))
+    yield _worst(f"difference of the clearance {_FROM}", times, away, _DISTANCES, "m")
+    k = int(own.lower.argmin())
+    who = " of {} from {}".format(*names[own.pair[k]]) if names else ""
+    yield Check(
+        quantity=f"clearance{who} {_BY}",
+        time=float(times[k]),
+        value=float(own.lower[k]),
+        bound=options.safety_margin_m - _MARGIN,
+        unit="m",
+        at_least=True,
+    )
+
+
+def _proven_clearance(scene: Scene, body: Multibody, q: FloatArray) -> tuple[Proven, list[tuple[str, str]]]:
+    """Bounds of the smallest distance to obstacles, and of the arm to the robot's other shapes.
+
+    Also what the pairs of shapes are called.
+    """
+    shapes, pairs = _shapes_and_pairs(scene, body)
+    R_WJ, p_WJ = body.frames(q)
+    R, p = np.empty((len(shapes), len(q), 3, 3)), np.empty((len(shapes), len(q), 3))
+    for k, one in enumerate(shapes):
+        R[k] = R_WJ[one.joint] @ one.X_JS[:3, :3]
+        p[k] = p_WJ[one.joint] + R_WJ[one.joint] @ one.X_JS[:3, 3]
+    proven = smallest_distances([one.shape for one in shapes], R, p, pairs)
+    return proven, [(shapes[first].link, shapes[second].link) for first, second in pairs]
+
+
+def _shapes_and_pairs(scene: Scene, body: Multibody) -> tuple[list[PlacedShape], list[tuple[int, int]]]:
+    """Shapes of the robot and of the obstacles, and the pairs of them whose distances count."""
+    shapes, pairs = list(body.shapes), list(body.pairs)
+    moving = [k for k, one in enumerate(shapes) if one.joint > 0]
+    for obstacle in scene.obstacles:
+        for X_OS, shape in _obstacle_shapes(obstacle.shape):
+            pairs += [(k, len(shapes)) for k in moving]
+            X_WS = np.asarray(obstacle.X_WO) @ X_OS
+            shapes.append(PlacedShape(link=obstacle.name, joint=0, X_JS=X_WS, shape=shape))
+    return shapes, pairs
+
+
+def _obstacle_shapes(shape: Shape) -> Iterator[tuple[FloatArray, ConvexShape]]:
+    """Convex shapes of an obstacle with their poses in it: of a mesh the hulls of its connected parts."""
+    match shape:
+        case Box(size=size):
+            yield np.eye(4), ConvexShape(half=0.5 * np.array(size))
+        case Cylinder(radius=radius, length=length):
+            yield np.eye(4), ConvexShape(half=np.array([0.0, 0.0, 0.5 * length]), disc=radius)
+        case Capsule(radius=radius, length=length):
+            yield np.eye(4), ConvexShape(half=np.array([0.0, 0.0, 0.5 * length]), radius=radius)
+        case Sphere(radius=radius):
+            yield np.eye(4), ConvexShape(radius=radius)
+        case Mesh(path=path):
+            for points in mesh_parts(path):
+                X = np.eye(4)
+                X[:3, 3], convex = hull(points)
+                yield X, convex
+
+
+def _path_checks(scene: Scene, body: Multibody, times: FloatArray) -> Iterator[Check]:
+    """What the package's timed path differs by."""
+    p, R = body.tool_poses(scene.posture[None])
+    corners = p + np.concatenate([np.zeros((1, 3)), np.cumsum([leg.by for leg in scene.legs], axis=0)])
+    path = ToolPath(
+        corners=corners,
+        orientation=R[0],
+        seconds=np.array([leg.seconds for leg in scene.legs]),
+        profile=scene.speed_profile,
+    )
+    away = np.linalg.norm(path.position(times) - _timed_points(scene, p[0], times), axis=1)
+    bound = _POSES * max(1.0, float(np.abs(corners).max()))
+    yield _worst(f"difference of the timed tool path {_FROM}", times, away, bound, "m")
+    own = _via_times(scene)
+    late = np.abs(path.via_times(scene.via_points) - own)
+    yield _worst(f"difference of the via-points' times {_FROM}", own, late, _SHARES * float(own[-1]), "s")
+
+
+def _via_point_checks(scene: Scene, body: Multibody, trajectory: QuinticTrajectory) -> Iterator[Check]:
+    """Whether the tool is at its timed pose at the via-points."""
+    ends = trajectory.t[[0, -1]]
+    # A trajectory is to end with its path: where it is shorter or longer, it is held at its ends.
+    times = np.concatenate([_via_times(scene), ends])
+    (p_start,), (R_start,) = body.tool_poses(scene.posture[None])
+    p, R = body.tool_poses(_motion(trajectory, np.clip(times, *ends))[0])
+    away = np.linalg.norm(p - _timed_points(scene, p_start, times), axis=1)
+    yield _worst("distance of the tool from its timed via-point", times, away, _VIA_POINT, "m")
+    if scene.keep == "position":
+        return
+    turned = _angles(R, R_start) if scene.keep == "pose" else _between(R[:, :, 2], R_start[:, 2])
+    yield _worst("turn of the tool at its via-point", times, turned, _VIA_POINT, "rad")
+
+
+def _timed_points(scene: Scene, start: FloatArray, times: FloatArray) -> FloatArray:
+    """Where the tool point is to be (N, 3), m, from its `start` (3,): at rest at the ends of each leg."""
+    seconds = np.array([leg.seconds for leg in scene.legs])
+    by = np.array([leg.by for leg in scene.legs])
+    ends, corners = np.cumsum(seconds), start + np.cumsum(by, axis=0)
+    leg = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
+    left = np.clip((ends[leg] - times) / seconds[leg], 0.0, 1.0)
+    # A profile is symmetric in time, so what is left of a leg is what its rest would cover from the start.
+    return np.asarray(corners[leg] - _covered(scene.speed_profile, left)[:, None] * by[leg])
+
+
+def _covered(profile: SpeedProfile, u: FloatArray) -> FloatArray:
+    """Share of the length that is covered at share `u` of the time: phases of constant jerk, integrated."""
+    r = profile.ramp
+    # Duration, acceleration at the beginning and jerk of each phase, for a cruising speed of 1.
+    phases = [(r, 1 / r, 0.0), (1 - 2 * r, 0.0, 0.0), (r, -1 / r, 0.0)]
+    if profile.kind == "jerk_limited":
+        jerk = 4 / r**2
+        phases = [
+            (r / 2, 0.0, jerk),
+            (r / 2, 2 / r, -jerk),
+            (1 - 2 * r, 0.0, 0.0),
+            (r / 2, 0.0, -jerk),
+            (r / 2, -2 / r, jerk),
+        ]
+    covered, begin, speed, total = np.zeros_like(u), 0.0, 0.0, 0.0
+    for duration, acceleration, jerk in phases:
+        x = np.clip(u - begin, 0.0, duration)
+        covered += x * (speed + x * (acceleration / 2 + x * jerk / 6))
+        total += duration * (speed + duration * (acceleration / 2 + duration * jerk / 6))
+        speed += duration * (acceleration + duration * jerk / 2)
+        begin += duration
+    return np.asarray(covered / total)
+
+
+def _via_times(scene: Scene) -> FloatArray:
+    """Times of the via-points (k,), s: the ends of the legs, and equal steps within each.
+
+    Each leg has a segment; every further one goes to the leg whose segments are then the longest (D'Hondt).
+    """
+    seconds = np.array([leg.seconds for leg in scene.legs])
+    segments = np.ones(len(seconds), dtype=np.intp)
+    for _ in range(scene.via_points - 1 - len(seconds)):
+        segments[np.argmax(seconds / (segments + 1))] += 1
+    ends = np.cumsum(seconds)
+    begins = np.concatenate([[0.0], ends[:-1]])
+    steps = (
+        begin + (end - begin) * np.arange(number) / number
+        for begin, end, number in zip(begins, ends, segments, strict=True)
+    )
+    return np.concatenate([*steps, ends[-1:]])
+
+
+def _angles(R: FloatArray, other: FloatArray) -> FloatArray:
+    """Angles (N,), rad, between orientations (N, 3, 3) and others, by the chord: exact for small ones."""
+    chord = np.linalg.norm(R - other, axis=(1, 2)) / np.sqrt(8)
+    return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
+
+
+def _between(z: FloatArray, other: FloatArray) -> FloatArray:
+    """Angles (N,), rad, between unit vectors (N, 3) and another."""
+    return np.asarray(2 * np.arcsin(np.minimum(np.linalg.norm(z - other, axis=1) / 2, 1.0)))
+
+
+def _worst(quantity: str, times: FloatArray, value: FloatArray, bound: float, unit: str) -> Check:
+    k = int(value.argmax())
+    return Check(quantity=quantity, time=float(times[k]), value=float(value[k]), bound=bound, unit=unit)
+
+
+def _joint_check(
+    body: Multibody, quantity: str, times: FloatArray, value: FloatArray, bound: FloatArray, unit: str
+) -> Check:
+    """The joint, of absolute values (N, n), that uses most of its bound (n,)."""
+    k, joint = np.unravel_index((value / bound).argmax(), value.shape)
+    return Check(
+        quantity=quantity.format(body.joints[joint]),
+        time=float(times[k]),
+        value=float(value[k, joint]),
+        bound=float(bound[joint] * (1 + _LIMIT)),
+        unit=unit,
+    )
