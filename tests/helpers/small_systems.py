@@ -17,10 +17,7 @@ FloatArray = NDArray[np.float64]
 
 
 def system_of(
-    model: Any,
-    driven: Sequence[int],
-    stiffness: Sequence[float] | FloatArray,
-    damping: Sequence[float] | float = 0.0,
+    model: Any, driven: Sequence[int], stiffness: Sequence[float] | FloatArray, damping: float = 0.0
 ) -> ElasticSystem:
     """A system whose coordinates are springs, except the driven ones."""
     elastic = np.setdiff1d(np.arange(model.nv), driven)
@@ -29,7 +26,7 @@ def system_of(
         driven=np.array(driven, dtype=np.intp),
         elastic=elastic,
         stiffness=np.diag(np.asarray(stiffness, dtype=float)),
-        damping=np.diag(np.broadcast_to(np.asarray(damping, dtype=float), len(elastic))),
+        damping=damping * np.eye(len(elastic)),
         added_mass=np.zeros((len(elastic), len(elastic))),
     )
 
@@ -41,9 +38,9 @@ def joined(system: ElasticSystem, driven: FloatArray, elastic: FloatArray) -> Fl
     return full
 
 
-def empty_model(gravity: float = 9.81) -> Any:
+def empty_model() -> Any:
     model = pin.Model()
-    model.gravity.linear = np.array([0.0, 0.0, -gravity])
+    model.gravity.linear = np.array([0.0, 0.0, -9.81])
     return model
 
 
@@ -55,8 +52,8 @@ def mass_on_spring(mass: float, stiffness: float, damping: float = 0.0) -> Elast
     return system_of(model, [], [stiffness], damping)
 
 
-def pendulum_on_a_cart(stiffness: float = 900.0, damping: float = 0.0) -> ElasticSystem:
-    """A cart of 2 kg on a spring along x; from it hangs a driven pendulum, 1.5 kg at 0.8 m.
+def pendulum_on_a_cart(damping: float = 0.0) -> ElasticSystem:
+    """A cart of 2 kg on a spring of 900 N/m along x; from it hangs a driven pendulum, 1.5 kg at 0.8 m.
 
     Coordinates: the cart's x, then the pendulum's angle about y.
     """
@@ -66,7 +63,7 @@ def pendulum_on_a_cart(stiffness: float = 900.0, damping: float = 0.0) -> Elasti
     pendulum = model.addJoint(cart, pin.JointModelRY(), pin.SE3.Identity(), "pendulum")
     bob = pin.Inertia(1.5, np.array([0.0, 0.0, -0.8]), np.zeros((3, 3)))
     model.appendBodyToJoint(pendulum, bob, pin.SE3.Identity())
-    return system_of(model, [1], [stiffness], damping)
+    return system_of(model, [1], [900.0], damping)
 
 
 def soft_arm(softer: float = 1.0) -> ElasticSystem:
@@ -85,10 +82,10 @@ def resting(joints: int, seconds: float) -> PrescribedMotion:
     return PrescribedMotion.held(np.zeros(joints), seconds)
 
 
-def swinging(joints: int, seconds: float = 2.0, size: float = 0.8) -> PrescribedMotion:
+def swinging(joints: int, seconds: float = 2.0) -> PrescribedMotion:
     """From rest to rest, each joint by another way."""
     t = np.linspace(0.0, seconds, 41)
-    ways = [size * np.sin(np.pi * t / seconds) ** 2 * np.cos(k + t) for k in range(joints)]
+    ways = [0.8 * np.sin(np.pi * t / seconds) ** 2 * np.cos(k + t) for k in range(joints)]
     return PrescribedMotion.through(t, np.column_stack(ways))
 
 

@@ -173,11 +173,8 @@ def test_what_a_verb_cannot_take_is_named(
 def test_a_slip_in_the_name_of_what_is_shipped_is_seen(call: Callable[[], object], meant: str) -> None:
     with pytest.raises(InputError, match=rf"; did you mean {meant}\?"):
         call()
-
-
-def test_what_is_no_slip_is_not_guessed_at() -> None:
     with pytest.raises(InputError) as caught:
-        cmbot.load_scene("polishing")
+        cmbot.load_scene("polishing")  # no slip
     assert "did you mean" not in str(caught.value)
 
 
@@ -310,9 +307,7 @@ def test_choices_are_listed():
 def test_required_keys(key):
     error = refused(without(MINIMAL, key))
     assert (error.key, error.got) == (key, "nothing")
-
-
-def test_misspelt_required_key_is_named_before_the_missing_one():
+    # A misspelt key is named before the missing one.
     error = refused({**without(MINIMAL, "tool_path"), "toolpath": {}})
     assert error.key == "toolpath"
     assert "did you mean tool_path?" in error.expected

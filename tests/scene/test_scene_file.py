@@ -56,7 +56,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_paths_are_relative_to_the_scene_file(folder):
+def test_paths_are_relative_to_the_scene_file(folder, monkeypatch):
     scene = load_scene(folder / "scene.yaml")
     robot = scene.robot
     assert (robot.model, robot.srdf) == (folder / "arm.urdf", folder / "arm.srdf")
@@ -65,12 +65,8 @@ def test_paths_are_relative_to_the_scene_file(folder):
     assert robot.mount_xyz == (0, 0, 1)
     np.testing.assert_allclose(robot.mount_rpy, [math.pi, 0, math.pi / 2])
     assert scene.obstacles[0].shape == Mesh(path=folder / "rock.stl")
-
-
-def test_paths_in_a_mapping_are_relative_to_the_current_folder(folder, monkeypatch):
-    data = load_scene(folder / "scene.yaml").file.as_data()
-    monkeypatch.chdir(folder)
-    assert load_scene(data).obstacles[0].shape == Mesh(path=folder / "rock.stl")
+    monkeypatch.chdir(folder)  # in a mapping they are relative to the current folder
+    assert load_scene(scene.file.as_data()).obstacles[0].shape == Mesh(path=folder / "rock.stl")
 
 
 @pytest.mark.parametrize(
