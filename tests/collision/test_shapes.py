@@ -76,12 +76,8 @@ def test_a_connected_part_with_a_notch_counts_as_its_hull(
     cmbot_robot: Robot, random_states: StateSamples, tmp_path: Path
 ) -> None:
     outline = np.array([[0, 0], [0.6, 0], [0.6, 0.1], [0.1, 0.1], [0.1, 0.6], [0, 0.6]])
-    top, bottom = (np.column_stack([outline, np.full(6, z)]) for z in (0.2, 0.0))
-    lid = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]])
-    side = []
-    for i, k in zip(range(6), (1, 2, 3, 4, 5, 0), strict=True):
-        side += [[i, k, i + 6], [k, k + 6, i + 6]]
-    notched = trimesh.Trimesh(np.vstack([top, bottom]), np.vstack([lid, lid + 6, side]))
+    triangles = [[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]
+    notched = trimesh.creation.extrude_triangulation(outline, np.array(triangles), 0.2)
     file = saved(notched, tmp_path / "notched.ply")
     assert not notched.is_convex
     q = random_states(cmbot_robot, 10)[0]

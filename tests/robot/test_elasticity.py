@@ -21,25 +21,20 @@ def bending_folder(urdf_folder: Path) -> Path:
     return urdf_folder
 
 
-def test_the_shipped_tubes(cmbot_robot: Robot) -> None:
+def test_the_shipped_tubes_lead_from_joint_to_joint(cmbot_robot: Robot) -> None:
     assert list(cmbot_robot.elasticity) == ["link_1", "link_2", "link_3", "link_5"]
-    tubes = cmbot_robot.elasticity.values()
+    model, tubes = cmbot_robot.model, cmbot_robot.elasticity.values()
     np.testing.assert_allclose([tube.length for tube in tubes], [0.83, 1.0, 0.78, 0.87], rtol=1e-12)
     assert {(tube.young, tube.shear) for tube in tubes} == {(70e9, 26e9)}
     assert [(tube.outer_diameter, tube.wall) for tube in tubes] == [*[(0.1, 0.004)] * 3, (0.08, 0.003)]
-
-
-def test_the_shipped_tubes_lead_from_joint_to_joint(cmbot_robot: Robot) -> None:
-    model = cmbot_robot.model
-    tubes = cmbot_robot.elasticity.items()
-    for (link, tube), first, second in zip(tubes, (1, 2, 3, 4), (2, 3, 4, 6), strict=True):
-        joint = model.frames[model.getFrameId(link)].parentJoint
-        # Where the axes of the next joints are, seen from the joint that carries the tube, at zero.
-        X = model.jointPlacements[joint].inverse() if joint != first else None
-        start = np.zeros(3) if X is None else X.act(np.zeros(3))
-        np.testing.assert_allclose(tube.start, start, atol=1e-12)
-        end = model.jointPlacements[second].translation if model.parents[second] == joint else np.nan
-        np.testing.assert_allclose(tube.end, end, atol=1e-12)
+    joints = [model.frames[model.getFrameId(link)].parentJoint for link in cmbot_robot.elasticity]
+    assert joints == [1, 2, 3, 5]
+    # Link 4 has no length: the tube of link 5 begins at its joint, seen from joint 5 at zero.
+    X = model.jointPlacements
+    starts = [np.zeros(3)] * 3 + [X[5].inverse().translation]
+    np.testing.assert_allclose([tube.start for tube in tubes], starts, atol=1e-12)
+    ends = [X[joint + 1].translation for joint in joints]
+    np.testing.assert_allclose([tube.end for tube in tubes], ends, atol=1e-12)
 
 
 def test_the_cross_section() -> None:

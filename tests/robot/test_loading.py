@@ -218,13 +218,10 @@ def test_missing_files(urdf_folder: Path) -> None:
     assert load_copy(urdf_folder, limits=urdf_folder / "other.yaml").dof == 7
 
 
-@pytest.mark.parametrize("q", [np.zeros(6), np.zeros((1, 7)), np.full(7, np.nan), np.full(7, np.inf)])
-def test_posture_of_other_shape_or_no_number(cmbot_robot: Robot, q: np.ndarray) -> None:
-    with pytest.raises(InputError, match="7 finite joint angles"):
-        cmbot_robot.posture(q)
-
-
-def test_posture_within_the_ranges(cmbot_robot: Robot) -> None:
+def test_postures_are_finite_and_within_the_ranges(cmbot_robot: Robot) -> None:
+    for bad in (np.zeros(6), np.zeros((1, 7)), np.full(7, np.nan), np.full(7, np.inf)):
+        with pytest.raises(InputError, match="7 finite joint angles"):
+            cmbot_robot.posture(bad)
     edge = np.deg2rad(RANGE_DEG)
     np.testing.assert_array_equal(cmbot_robot.posture(list(edge)), edge)
     edge[2] += 1e-9

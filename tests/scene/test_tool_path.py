@@ -293,12 +293,9 @@ def test_known_shares_and_rates() -> None:
 @pytest.mark.parametrize(
     ("ramp", "expected"),
     [
-        (0.0, "more than 0"),
-        (-0.1, "more than 0"),
-        (0.5000001, "at most 0.5"),
-        (1.0, "at most 0.5"),
-        (np.nan, "a finite number"),
-        (np.inf, "a finite number"),
+        *((ramp, "more than 0") for ramp in (0.0, -0.1)),
+        *((ramp, "at most 0.5") for ramp in (0.5000001, 1.0)),
+        *((ramp, "a finite number") for ramp in (np.nan, np.inf)),
     ],
 )
 def test_a_ramp_out_of_range_is_refused(ramp: float, expected: str) -> None:
