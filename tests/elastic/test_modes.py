@@ -125,13 +125,9 @@ def test_damped_vibrations_decay_at_the_ratio(cmbot_robot: Robot, rng: np.random
     slow = eigenvalues[np.argsort(np.abs(eigenvalues))][:8]
     np.testing.assert_allclose(np.abs(slow), 2 * np.pi * modes.frequencies[:8], rtol=1e-6)
     np.testing.assert_allclose(-slow.real / np.abs(slow), 0.05, rtol=1e-5)
-
-
-@pytest.mark.parametrize("ratio", [-0.01, float("nan"), float("inf")])
-def test_the_ratio_is_checked(cmbot_robot: Robot, ratio: float) -> None:
-    modes = arm_modes(make_arm(cmbot_robot), np.full(7, 0.3))
-    with pytest.raises(InputError, match=r"ArmModes.damping: ratio"):
-        modes.damping(ratio)
+    for ratio in (-0.01, float("nan"), float("inf")):
+        with pytest.raises(InputError, match=r"ArmModes.damping: ratio"):
+            modes.damping(ratio)
 
 
 def test_mass_of_the_guardrail_slows_everything(cmbot_robot: Robot, rng: np.random.Generator) -> None:

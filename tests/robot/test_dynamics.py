@@ -161,12 +161,6 @@ def test_derivatives_are_those_of_the_efforts(any_arm: Robot, random_states: Sta
     assert np.linalg.eigvalsh(M).min() > 0
 
 
-def test_no_states_give_empty_results(cmbot_dynamics: Dynamics) -> None:
-    none = np.empty((0, 7))
-    assert cmbot_dynamics.efforts(none, none, none).guardrail_torque.shape == (0, 3)
-    assert cmbot_dynamics.derivatives(none, none, none).d_q.shape == (0, 10, 7)
-
-
 Draw = tuple[int, int, float, float]
 draws = st.tuples(
     st.integers(0, 2**32 - 1),
@@ -230,7 +224,7 @@ def test_derivatives_are_those_of_the_free_flying_arm(any_arm: Robot, draw: Draw
 
 
 def test_results_do_not_alias_working_memory(any_arm: Robot) -> None:
-    dynamics = Dynamics(any_arm)
+    dynamics, n = Dynamics(any_arm), any_arm.dof
     first = drawn(any_arm, 1, 3, 1.0, 1.0)
     methods = (dynamics.efforts, dynamics.derivatives, dynamics.wrench_derivatives)
     results = [vars(method(*first)) for method in methods]
@@ -240,3 +234,7 @@ def test_results_do_not_alias_working_memory(any_arm: Robot) -> None:
     for result, copies in zip(results, kept, strict=True):
         for name, copied in copies.items():
             np.testing.assert_array_equal(result[name], copied)
+    # No states give empty results.
+    none = np.empty((0, n))
+    assert dynamics.efforts(none, none, none).guardrail_torque.shape == (0, 3)
+    assert dynamics.derivatives(none, none, none).d_q.shape == (0, 3 + n, n)

@@ -18,17 +18,7 @@ VELOCITY_DEG = (20, 20, 20, 30, 30, 30, 30)  # Chang 2021, Table 3
 RANGE_DEG = (170, 170, 150, 170, 170, 130, 170)
 
 
-def test_limits_are_table_3(cmbot_robot: Robot) -> None:
-    limits = cmbot_robot.limits
-    for name, factor in (("velocity", 1), ("acceleration", 3), ("jerk", 8)):
-        expected = np.deg2rad(factor * np.array(VELOCITY_DEG))
-        np.testing.assert_allclose(getattr(limits, name), expected, rtol=1e-15)
-    np.testing.assert_array_equal(limits.torque, [240, 240, 240, 160, 160, 160, 160])
-    np.testing.assert_allclose(limits.upper, np.deg2rad(RANGE_DEG), rtol=1e-15)
-    np.testing.assert_array_equal(limits.lower, -limits.upper)
-
-
-def test_masses(cmbot_robot: Robot) -> None:
+def test_masses_and_limits(cmbot_robot: Robot) -> None:
     assert cmbot_robot.arm_mass == pytest.approx(37.62, abs=1e-12)
     assert cmbot_robot.carrier_mass == pytest.approx(30.38, abs=1e-12)
     assert cmbot_robot.mass == pytest.approx(68.0, abs=1e-12)
@@ -37,6 +27,13 @@ def test_masses(cmbot_robot: Robot) -> None:
     np.testing.assert_allclose(carrier.inertia, 0.6 * np.eye(3), atol=1e-10)
     expected = np.cross([0, 0.25, 0], [0, 0, -30.38 * 9.81])
     np.testing.assert_allclose(cmbot_robot.carrier_torque, expected, atol=1e-8)
+    limits = cmbot_robot.limits
+    for name, factor in (("velocity", 1), ("acceleration", 3), ("jerk", 8)):
+        expected = np.deg2rad(factor * np.array(VELOCITY_DEG))
+        np.testing.assert_allclose(getattr(limits, name), expected, rtol=1e-15)
+    np.testing.assert_array_equal(limits.torque, [240, 240, 240, 160, 160, 160, 160])
+    np.testing.assert_allclose(limits.upper, np.deg2rad(RANGE_DEG), rtol=1e-15)
+    np.testing.assert_array_equal(limits.lower, -limits.upper)
 
 
 def test_joints_and_frames(cmbot_robot: Robot) -> None:

@@ -28,7 +28,7 @@ def kinova(tmp_path_factory: pytest.TempPathFactory) -> Robot:
     return load_robot(KINOVA, base_frame="base", tool_frame="j2s6s200_end_effector", limits=limits)
 
 
-def test_arm_of_the_panda(panda: Robot) -> None:
+def test_arm_of_the_panda(panda: Robot, tmp_path: Path) -> None:
     assert panda.joints == PANDA_JOINTS
     assert panda.limits.upper[0] == 2.8973
     assert (panda.limits.torque == [87, 87, 87, 87, 12, 12, 12]).all()
@@ -37,9 +37,6 @@ def test_arm_of_the_panda(panda: Robot) -> None:
     reference = pin.buildModelFromUrdf(str(PANDA))
     assert panda.arm_mass == pytest.approx(sum(inertia.mass for inertia in reference.inertias[1:]))
     assert panda.carrier_mass == pytest.approx(reference.inertias[0].mass)
-
-
-def test_panda_to_its_finger_slides(tmp_path: Path) -> None:
     limits = limits_file(tmp_path, PANDA_JOINTS)
     with pytest.raises(ModelError, match=r"joint\[panda_finger_joint1\].type: got prismatic"):
         load_robot(PANDA, base_frame="panda_link0", tool_frame="panda_leftfinger", limits=limits)

@@ -158,13 +158,10 @@ def test_via_times_hold_the_leg_ends_and_equal_steps_within_a_leg(path: ToolPath
         np.testing.assert_allclose(steps, path.seconds[leg] / shares[leg], rtol=0, atol=1e-14 * path.duration)
 
 
-@pytest.mark.parametrize(
-    ("seconds", "shares"),
-    [([10.0, 2.0, 8.0], [25, 5, 19]), ([20.0], [49]), ([3.0, 3.0, 3.0], [2, 2, 1])],
-    ids=["the paper's triangle", "the paper's line", "of equal legs the earlier has the odd segment"],
-)
-def test_shares_of_segments(seconds: list[float], shares: list[int]) -> None:
-    assert share_out_segments(seconds, sum(shares)) == shares
+def test_shares_of_segments() -> None:
+    """Of the paper's triangle, of its line; of equal legs the earlier has the odd segment."""
+    for seconds, shares in (([10, 2, 8], [25, 5, 19]), ([20], [49]), ([3, 3, 3], [2, 2, 1])):
+        assert share_out_segments(np.array(seconds, dtype=float), sum(shares)) == shares
 
 
 @given(durations, st.integers(0, 80))
