@@ -8,6 +8,7 @@ import pytest
 from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray
+from cmbot.optimization.program import Linearization, StateSamples
 
 
 def finite_difference(
@@ -73,3 +74,18 @@ def check_curvature(
         near, far = (function(k * step * d) + function(-k * step * d) - 2 * function(0 * d) for k in (1, 2))
         expected = (16 * near - far) / (12 * step**2)
         assert d @ (hessian @ d) == pytest.approx(expected, rel=rtol, abs=atol * d @ d)
+
+
+def check_state_derivatives(
+    values: Callable[[StateSamples], FloatArray], states: StateSamples, got: Linearization, **accuracy: float
+) -> None:
+    """Assert that `got` holds the derivatives of a function of the state (N,) by each state's q, v and a."""
+    for k, t in enumerate(states.t):
+        for name, derivative in zip("qva", got.derivatives[:, k], strict=True):
+
+            def value(x: FloatArray, k: int = k, t: float = t, name: str = name) -> float:
+                changed = {"q": states.q[k], "v": states.v[k], "a": states.a[k]} | {name: x}
+                at = StateSamples(np.array([t]), *(y[None] for y in changed.values()))
+                return float(values(at)[0])
+
+            check_derivative(value, getattr(states, name)[k], derivative, **accuracy)

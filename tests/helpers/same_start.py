@@ -5,6 +5,7 @@ from functools import cached_property
 from typing import Literal, Self
 
 import numpy as np
+from quadrature import gauss_points
 
 from cmbot.common.arrays import FloatArray
 from cmbot.optimization.exchange import minimize_peak
@@ -22,22 +23,14 @@ Solver = Literal["sqp", "slsqp"]
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """Where a solver ended.
+    """Where a solver ended."""
 
-    Attributes
-    ----------
-    objective : float
-        Half the mean square of the objective and the smoothing, from the trajectory alone.
-    peak, bound : float
-        Largest value of the objective, and what it was held below, in units of the problem's scale.
-    violation : float
-        The largest of all constraints but the peak's, as a share.
-    trajectory : QuinticTrajectory
-    """
-
+    # Half the mean square of the objective and the smoothing, from the trajectory alone.
     objective: float
+    # Largest value of the objective, and what it was held below, in units of the problem's scale.
     peak: float
     bound: float
+    # The largest of all constraints but the peak's, as a share.
     violation: float
     trajectory: QuinticTrajectory
 
@@ -72,10 +65,7 @@ class SameStart:
     def judged(self, trajectory: QuinticTrajectory, bound: float) -> Answer:
         """Judge a trajectory whose peak is held below `bound`."""
         problem, limits = self.problem, self._context.robot.limits
-        nodes, weights = np.polynomial.legendre.leggauss(5)
-        h = np.diff(trajectory.t)[:, None]
-        times = (trajectory.t[:-1, None] + 0.5 * h * (1 + nodes)).ravel()
-        share = (0.5 * h * weights).ravel() / trajectory.duration
+        times, share = gauss_points(trajectory.t, 5)
         value = self._context.objective.values(StateSamples.along(trajectory, times)) / problem.scale
         jerk = ((trajectory.evaluate(times, 3) / limits.jerk) ** 2).mean(axis=1)
         fine = np.linspace(*trajectory.t[[0, -1]], 60 * len(trajectory.t))

@@ -6,6 +6,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
@@ -13,8 +14,9 @@ from cmbot.planning import ToolTask, robot_of, task_of
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
-from cmbot.robot import Kinematics, Postures, Robot
+from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 from cmbot.scene import Scene, SpeedProfile, ToolPath, load_scene
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 SHORT: dict[str, Any] = {
     "format": "cmbot-scene/1",
@@ -61,15 +63,29 @@ def off_task(robot: Robot, task: ToolTask, q: FloatArray, points: FloatArray) ->
     return float(np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max())
 
 
+def tool_points(robot: Robot, q: FloatArray) -> FloatArray:
+    """The tool (N, 3), m, in postures `q` (N, n), by pinocchio alone."""
+    data, points = robot.model.createData(), np.empty((len(q), 3))
+    for k, q_k in enumerate(q):
+        pin.framesForwardKinematics(robot.model, data, q_k)
+        points[k] = data.oMf[robot.tool_frame_id].translation
+    return points
+
+
+def torque_along(problem: TorqueProblem, trajectory: QuinticTrajectory, times: FloatArray) -> FloatArray:
+    """Torque on the guardrail (N,) in units of the problem's scale."""
+    efforts = Dynamics(problem.context.robot).efforts(*trajectory.states(times))
+    return np.asarray(np.linalg.norm(efforts.guardrail_torque, axis=1) / problem.scale)
+
+
 def context_of(scene: Scene, **options: Any) -> PlanningContext:
     """The planning context of a scene, with other options."""
     return build_context(scene, replace(scene.planner, **options))
 
 
-def problem_of(scene: Scene) -> tuple[TorqueProblem, ToolTask, Clearances]:
+def problem_of(scene: Scene) -> TorqueProblem:
     """The torque problem of a scene with fixed knots, started at the least-jerk spline."""
-    context = context_of(scene)
-    return fixed_guess(context).problem, context.task, context.clearances
+    return fixed_guess(context_of(scene)).problem
 
 
 @cache

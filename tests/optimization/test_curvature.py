@@ -55,7 +55,6 @@ def test_what_no_state_changes_does_not_bend() -> None:
 
 
 def test_convexified(rng: np.random.Generator) -> None:
-    """Positive definite, of the same pattern of blocks, and unchanged where nothing has to be."""
     sizes = rng.integers(2, 8, 12)
     blocks, ends = np.repeat(np.arange(12), sizes), np.cumsum(sizes)
     near = np.abs(blocks[:, None] - blocks) <= 3

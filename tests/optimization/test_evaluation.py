@@ -1,11 +1,11 @@
 """Iterates of a solver: exact derivatives, constraints that follow a step, and sets that are thinned."""
 
-from collections.abc import Callable
 from functools import cache
 
 import numpy as np
 import pytest
-from finite_differences import check_derivative
+from finite_differences import check_curvature, check_derivative
+from quadrature import gauss_points
 from small_scenes import torque_problem
 
 from cmbot.common.arrays import FloatArray
@@ -29,8 +29,8 @@ def problem(request: pytest.FixtureRequest) -> TorqueProblem:
     return torque_problem(request.param)
 
 
-def step_of(problem: TorqueProblem, rng: np.random.Generator, size: float = 1.0) -> FloatArray:
-    return size * rng.normal(size=problem.parametrization.dimension)
+def step_of(problem: TorqueProblem, rng: np.random.Generator, size: float = 1.0, *number: int) -> FloatArray:
+    return size * rng.normal(size=(*number, problem.parametrization.dimension))
 
 
 def constraints_of(problem: TorqueProblem) -> ConstraintSet:
@@ -87,8 +87,8 @@ def test_values_are_those_of_their_definitions(problem: TorqueProblem, rng: np.r
     assert mean.values.peak == 0.0
     assert mean.values.violation == mean.values.value.max() > 0
     assert peak.values.violation == peak.values.value[3:].max(initial=0.0)
-    times, nodes = problem.mean_times, np.polynomial.legendre.leggauss(3)[1]
-    share = (0.5 * np.diff(problem.space.t)[:, None] * nodes).ravel() / problem.space.t[-1]
+    times, share = gauss_points(problem.space.t, 3)
+    np.testing.assert_allclose(problem.mean_times, times, rtol=1e-14)
     f = problem.context.objective.values(StateSamples.along(trajectory, times)) / problem.scale
     smoothing = 0.1 * peak.parametrization.mean_squared_jerk()[0]
     assert peak.values.objective == pytest.approx(smoothing)
@@ -97,17 +97,10 @@ def test_values_are_those_of_their_definitions(problem: TorqueProblem, rng: np.r
     assert NlpEvaluation.around(problem, target, peak.parametrization, peak.constraints).values.peak == 5.0
 
 
-def along(function: Callable[[FloatArray], float], d: FloatArray, h: float) -> float:
-    """Second derivative at zero along `d`, by differences of fourth order."""
-    near, far = (function(k * h * d) + function(-k * h * d) - 2 * function(0 * d) for k in (1, 2))
-    return (16 * near - far) / (12 * h**2)
-
-
 @pytest.mark.parametrize("family", [OBJECTIVE, TORQUE, DEVIATION, JERK])
 def test_hessian_of_the_constraints(
     problem: TorqueProblem, family: int, rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Multipliers bend the Lagrangian as the constraints do, displacements of the via-points and all."""
     monkeypatch.setattr(evaluation, "convexified", lambda H, ends: H)
     start = iterate(problem, Stage(smoothing=0.0, tolerance=1e-5), rng)
     component = np.full(3, 0 if family in (OBJECTIVE, DEVIATION) else 5)
@@ -119,13 +112,15 @@ def test_hessian_of_the_constraints(
     some = ConstraintSet(step=0.01).extended(np.full(3, family), component, times)
     at = NlpEvaluation.around(problem, start.stage, start.parametrization, some)
     multipliers = np.array([1.0, 2.0, 0.5])
-    H = at.hessian(multipliers)
-    for _ in range(3):
-        d = step_of(problem, rng, 0.1)
+    check_curvature(
+        lambda x: float(multipliers @ at.displaced(x).values.value),
+        at.hessian(multipliers),
+        step_of(problem, rng, 0.1, 3),
         # The tool's deviation magnifies what Newton's method leaves of the task.
-        h = 4e-2 if family == DEVIATION else 1e-2
-        expected = along(lambda x: float(multipliers @ at.displaced(x).values.value), d, h)
-        assert d @ (H @ d) == pytest.approx(expected, rel=2e-3, abs=1e-6 * d @ d)
+        step=4e-2 if family == DEVIATION else 1e-2,
+        rtol=2e-3,
+        atol=1e-6,
+    )
 
 
 @pytest.mark.parametrize("stage", [PEAK, MEAN], ids=lambda stage: stage.name)
@@ -139,11 +134,13 @@ def test_hessian_of_the_objective(
     np.testing.assert_allclose(H, H.T, rtol=0, atol=1e-10 * np.abs(H).max())
     assert np.linalg.eigvalsh(H).min() > 0
     monkeypatch.setattr(evaluation, "convexified", lambda H, ends: H)
-    H = at.hessian(np.zeros(len(multipliers)))
-    for _ in range(3):
-        d = step_of(problem, rng)
-        expected = along(lambda x: at.displaced(x).values.objective, d, 1e-3)
-        assert d @ (H @ d) == pytest.approx(expected, rel=1e-4 if stage is PEAK else 0.05)
+    check_curvature(
+        lambda x: at.displaced(x).values.objective,
+        at.hessian(np.zeros(len(multipliers))),
+        step_of(problem, rng, 1.0, 3),
+        step=1e-3,
+        rtol=1e-4 if stage is PEAK else 0.05,
+    )
 
 
 def test_cuts_never_exceed_their_function(problem: TorqueProblem, rng: np.random.Generator) -> None:

@@ -4,10 +4,9 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from oracles.literal_problem import Literal
-from small_scenes import problem_of, short_scene
+from small_scenes import problem_of, short_scene, tool_points, torque_along
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, OptimisationFailed
@@ -20,17 +19,11 @@ from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import sliding_guess
 from cmbot.planning.torque.decomposition import Optimised, exchange_options, optimise
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.robot import Dynamics
 from cmbot.scene import PlannerOptions
 
 OUT_AND_BACK = [{"by": [0.1, 0, 0], "seconds": 2.5}, {"by": [-0.1, 0, 0], "seconds": 2.5}]
 SOLVERS = ("sqp", "slsqp")
 both_solvers = pytest.mark.parametrize("solver", SOLVERS)
-
-
-def torque_along(problem: TorqueProblem, trajectory: QuinticTrajectory, times: FloatArray) -> FloatArray:
-    efforts = Dynamics(problem.context.robot).efforts(*trajectory.states(times))
-    return np.asarray(np.linalg.norm(efforts.guardrail_torque, axis=1) / problem.scale)
 
 
 def literal(problem: TorqueProblem, *, per_segment: int) -> Literal:
@@ -63,7 +56,7 @@ def unattainable(**planner: Any) -> TorqueProblem:
     scene = short_scene(
         tool_path={"legs": OUT_AND_BACK, "via_points": 9}, planner={"max_tool_deviation_m": 0.01} | planner
     )
-    given = problem_of(scene)[0]
+    given = problem_of(scene)
     return TorqueProblem(given.context, given.parametrization, 0.0)
 
 
@@ -74,7 +67,7 @@ def test_peak_is_that_of_the_papers_own_formulation(solver: str) -> None:
         tool_path={"legs": OUT_AND_BACK, "via_points": 7},
         planner={"smoothing_weight": 1e-2, "max_tool_deviation_m": 0.01, "samples_per_segment": 20},
     )
-    problem = problem_of(scene)[0]
+    problem = problem_of(scene)
     run = exchange._Exchange(problem, replace(exchange_options(problem), solver=solver), None)
     peak = run.run(scene.planner.smoothing_weight)
     trajectory = run.form.trajectory
@@ -97,7 +90,7 @@ def test_mean_square_is_that_of_the_papers_own_formulation(solver: str) -> None:
         tool_path={"via_points": 6},
         planner={"smoothing_weight": 1e-2, "max_tool_deviation_m": 0.01, "solver": solver},
     )
-    problem = problem_of(scene)[0]
+    problem = problem_of(scene)
     found = minimize_peak(problem, exchange_options(problem))
     trajectory = found.parametrization.trajectory
     assert {report.stage for report in found.passes} == {"mean square"}
@@ -138,7 +131,7 @@ def solved(request: pytest.FixtureRequest) -> Solved:
         "there and back": {"tool_path": {"legs": OUT_AND_BACK, "via_points": 9}},
         "payload": {"robot": {"payload_kg": 3.0}},
     }[request.param]
-    problem = problem_of(short_scene(**changes))[0]
+    problem = problem_of(short_scene(**changes))
     reports: list[ExchangeReport] = []
     return problem, optimise(problem, reports.append), reports
 
@@ -166,18 +159,10 @@ def test_bounds_are_kept_between_the_samples(solved: Solved) -> None:
     fine = np.linspace(0, trajectory.t[-1], 3001)
     for order, bound in ((1, limits.velocity), (2, limits.acceleration), (3, limits.jerk)):
         assert (np.abs(trajectory.evaluate(fine, order)) <= bound).all()
-    away = task.path.offset(np.array([_tool_point(problem, q) for q in trajectory.evaluate(fine[::10])]))
+    away = task.path.offset(tool_points(problem.context.robot, trajectory.evaluate(fine[::10])))
     assert np.linalg.norm(away, axis=1).max() <= problem.context.options.max_tool_deviation_m
     np.testing.assert_array_equal(optimised.via_points, problem.parametrization.via_points)
     np.testing.assert_allclose(trajectory.evaluate(trajectory.t), optimised.via_points, rtol=0, atol=1e-12)
-
-
-def _tool_point(problem: TorqueProblem, q: FloatArray) -> FloatArray:
-    robot = problem.context.robot
-    model = robot.model
-    data = model.createData()
-    pin.framesForwardKinematics(model, data, q)
-    return np.array(data.oMf[robot.tool_frame_id].translation)
 
 
 def test_progress_is_reported_pass_by_pass(solved: Solved) -> None:
@@ -230,7 +215,7 @@ def test_a_lighter_smoothing_that_fails_leaves_the_heavier_ones_result(
 
 @pytest.mark.parametrize("answer", [np.nan, np.inf])
 def test_slsqp_that_diverges_is_given_up(monkeypatch: pytest.MonkeyPatch, answer: float) -> None:
-    problem = problem_of(short_scene(planner={"solver": "slsqp"}))[0]
+    problem = problem_of(short_scene(planner={"solver": "slsqp"}))
 
     class Diverged:
         x, nit = np.full(problem.parametrization.dimension, answer), 1

@@ -156,7 +156,6 @@ def test_examples(example: str, tmp_path: Path) -> None:
 
 
 def test_the_comparison_can_fail() -> None:
-    """A motion that is made worse has a higher objective, and constraints that are broken count."""
     both = SameStart(short_scene())
     sparse = both.solve("sqp")
     moved = replace(sparse.trajectory, q=sparse.trajectory.q + 1e-3 * np.arange(8)[:, None])

@@ -8,7 +8,6 @@ from small_scenes import problem_of, short_scene
 
 from cmbot.optimization import separation
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet
-from cmbot.optimization.linearization import linearize
 from cmbot.optimization.program import KinematicBound, StateSamples
 from cmbot.optimization.separation import find_violations, violated_bound
 from cmbot.planning.torque.problem import TorqueProblem
@@ -18,7 +17,7 @@ from cmbot.trajectory.quintic import QuinticTrajectory
 
 @pytest.fixture(scope="module")
 def problem() -> TorqueProblem:
-    return problem_of(short_scene())[0]
+    return problem_of(short_scene())
 
 
 def smooth(seed: int, knots: int = 8, joints: int = 7) -> QuinticTrajectory:
@@ -99,28 +98,6 @@ def test_blocks_of_states_change_nothing(problem: TorqueProblem, monkeypatch: py
     blocks = find_violations(problem, some, 0.5, 1e-6, 1000)
     np.testing.assert_array_equal(whole.family, blocks.family)
     np.testing.assert_allclose(whole.time, blocks.time, rtol=0, atol=1e-9)
-
-
-@pytest.mark.parametrize("order", range(4))
-def test_a_violated_bound_counts_as_its_share(problem: TorqueProblem, order: int) -> None:
-    limits, some = problem.context.robot.limits, wild(problem, 4000.0)
-    if order == 0:
-        middle, half = 0.5 * (limits.lower + limits.upper), 0.5 * (limits.upper - limits.lower)
-        share = np.abs(some.extrema(0).value - middle[:, None]).max(axis=(0, 2)) / half
-    else:
-        limit = (limits.velocity, limits.acceleration, limits.jerk)[order - 1]
-        share = some.extrema(order).largest()[0] / limit
-    assert share.max() > 1
-    found = find_violations(problem, some, np.inf, 1e-6, 1000)
-    known = found.added_to(ConstraintSet(step=0.01))
-    values = linearize(problem, known, some).value
-    # The bound lies ten tolerances inside the limit.
-    inside = 1 - 10 * problem.context.options.constraint_tolerance
-    for joint in np.flatnonzero(share > 1):
-        assert np.abs(values - (share[joint] - inside)).min() < 1e-9
-    assert values.max() <= found.worst.value + 1e-9
-    name = ("position", "velocity", "acceleration", "jerk")[order]
-    assert (problem.bounds[order].order, problem.bounds[order].name) == (order, name)
 
 
 def test_nothing_is_found_twice(problem: TorqueProblem) -> None:

@@ -149,7 +149,6 @@ class Veiled(Ripples):
 @settings(max_examples=30)
 @given(x=st.lists(st.floats(-3, 3), min_size=2, max_size=5), steepness=st.floats(0, 4))
 def test_what_comes_into_view_on_the_way_counts(x: list[float], steepness: float) -> None:
-    """The merit falls with every step, whatever was overlooked; in the end nothing is violated."""
     ended = solve_sqp(Veiled(np.array(x), steepness))
     assert all(after < before for _, before, after in ended.merits)
     if ended.status is SqpStatus.CONVERGED and ended.merits:
@@ -163,17 +162,14 @@ class Rim(Ripples):
     @cached_property
     def model(self) -> NlpModel:
         norm = float(np.linalg.norm(self.x))
-        return NlpModel(
+        return replace(
+            super().model,
             objective=float(self.x[0]),
             gradient=np.array([1.0, 0.0]),
-            hessian=sparse.csr_array((2, 2)),
             value=np.array([norm - 1.0]),
             jacobian=sparse.csr_array(self.x[None] / norm),
             family=np.ones(1, dtype=np.intp),
             epigraph=False,
-            cut_value=np.empty(0),
-            cut_jacobian=sparse.csr_array((0, 2)),
-            cut_family=np.empty(0, dtype=np.intp),
         )
 
     def hessian(self, multipliers: FloatArray) -> sparse.csr_array:

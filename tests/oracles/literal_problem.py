@@ -7,6 +7,7 @@ Bounds on the joints are left out: where the solution keeps them anyway, it is t
 from dataclasses import dataclass
 
 import numpy as np
+from quadrature import gauss_points
 from scipy.interpolate import BPoly
 from scipy.optimize import minimize
 
@@ -100,13 +101,11 @@ class Literal:
 
     def __post_init__(self) -> None:
         grid = np.linspace(self.t[:-1], self.t[1:], self.per_segment, endpoint=False, axis=1).ravel()
-        nodes, weights = np.polynomial.legendre.leggauss(6)
-        h = np.diff(self.t)[:, None]
-        gauss = (self.t[:-1, None] + 0.5 * h * (1 + nodes)).ravel()
+        gauss, weights = gauss_points(self.t, 6)
         values = {
             "_grid": np.append(grid, self.t[-1]),
             "_gauss": gauss,
-            "_weights": (0.5 * h * weights).ravel() / (self.t[-1] - self.t[0]),
+            "_weights": weights,
         }
         values["_at_grid"], values["_at_gauss"] = self._affine(values["_grid"]), self._affine(gauss)
         eps = 1e-9
@@ -126,7 +125,7 @@ class Literal:
         n = 14 * (len(self.t) - 2)
         found = []
         for order in orders:
-            values = [_derivative(self.spline(z), times, order) for z in np.vstack([np.zeros(n), np.eye(n)])]
+            values = [self.spline(z)(times, nu=order) for z in np.vstack([np.zeros(n), np.eye(n)])]
             found.append((values[0], np.stack(values[1:], axis=-1) - values[0][..., None]))
         return found
 
@@ -152,7 +151,3 @@ class Literal:
         away = self.task.path.offset(p) / self.max_tool_deviation
         d = 2 * np.einsum("ki,kij,kjz->kz", away, J, A) / self.max_tool_deviation
         return (away**2).sum(axis=1), d
-
-
-def _derivative(spline: BPoly, times: FloatArray, order: int) -> FloatArray:
-    return np.asarray(spline.derivative(order)(times) if order else spline(times))

@@ -67,21 +67,16 @@ def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: n
     assert length[1] <= length[0] + 1e-12
 
 
-def test_pinned_keeps_the_posture_and_needs_no_approach() -> None:
+def test_a_pinned_start_keeps_the_posture_and_needs_no_approach() -> None:
+    """What it asks at rest is the most that is asked, which leaves the mean to be lowered."""
     scene = short_scene(planner={"knots": "sliding", "start": "pinned"})
     planned = plan(scene)
     assert planned.approach is None
     assert planned.start.moved == 0.0
     np.testing.assert_allclose(planned.trajectory.q[0], scene.posture, atol=1e-12)
-
-
-def test_a_pinned_start_that_asks_the_most_leaves_the_mean_to_be_lowered() -> None:
-    scene = short_scene(planner={"knots": "sliding", "start": "pinned"})
-    planned = plan(scene)
     torque = Dynamics(planned.robot).static_efforts(scene.posture[None]).guardrail_torque
-    static = float(np.linalg.norm(torque))
     assert {report.stage for report in planned.passes} == {"mean square"}
-    assert planned.figures.peak_guardrail_torque == pytest.approx(static, rel=1e-5)
+    assert planned.figures.peak_guardrail_torque == pytest.approx(np.linalg.norm(torque), rel=1e-5)
     assert planned.figures.mean_guardrail_torque < planned.baseline_figures.mean_guardrail_torque
 
 
@@ -109,21 +104,13 @@ def test_its_peak_stands_beside_that_of_the_work(triangle_plan: Plan, short_plan
 
 
 def test_a_certificate_made_again_is_the_same(triangle_plan: Plan) -> None:
-    """The planner and the archive look at the same grid, in the same way."""
-    approach = triangle_plan.approach
+    """The planner and the archive look at the same grid, with the tool held where the work starts."""
+    task, approach = triangle_plan.task.held_at_start(), triangle_plan.approach
     clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
     again = certify_approach(
-        triangle_plan.robot,
-        triangle_plan.task.held_at_start(),
-        approach.trajectory,
-        clearances,
-        triangle_plan.options,
+        triangle_plan.robot, task, approach.trajectory, clearances, triangle_plan.options
     )
     assert again == approach.certificate
-
-
-def test_the_tool_is_held_where_the_work_starts(triangle_plan: Plan) -> None:
-    task = triangle_plan.task.held_at_start()
     points = task.path.position(np.linspace(0.0, task.path.duration, 5))
     np.testing.assert_array_equal(points, np.tile(triangle_plan.task.path.corners[0], (5, 1)))
     np.testing.assert_array_equal(task.path.orientation, triangle_plan.task.path.orientation)

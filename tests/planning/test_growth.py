@@ -23,8 +23,8 @@ from cmbot.planning.selfmotion.charts import GraphLayer
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.torque.decomposition import optimise
-from cmbot.robot import Postures, Robot
-from cmbot.scene import Scene, SpeedProfile, ToolPath, share_out_segments
+from cmbot.robot import Finding, Postures, Robot
+from cmbot.scene import Scene, SpeedProfile, ToolPath
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.spline_space import SplineSpace
 
@@ -180,17 +180,14 @@ def test_strokes_to_and_fro_are_one_leg(corners: list[int], seed: int) -> None:
     np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), nearest, atol=1e-12)
 
 
-@given(st.lists(st.floats(0.1, 20), min_size=1, max_size=12), st.integers(0, 60))
-def test_segments_go_to_the_leg_whose_are_longest(seconds: list[float], more: int) -> None:
-    shares = [1] * len(seconds)
-    for _ in range(more):
-        shares[int(np.argmax([s / (n + 1) for s, n in zip(seconds, shares, strict=True)]))] += 1
-    assert share_out_segments(seconds, len(seconds) + more) == shares
-
-
 def large(via_points: int, **options: object) -> Scene:
     scene = growth.sweep(via_points)
     return replace(scene, planner=replace(scene.planner, **options))
+
+
+def too_large(via_points: int, **options: object) -> Finding | None:
+    scene = large(via_points, **options)
+    return oversized(scene, 7, scene.planner)
 
 
 def test_slsqp_refuses_what_would_take_it_hours() -> None:
@@ -200,36 +197,20 @@ def test_slsqp_refuses_what_would_take_it_hours() -> None:
     ):
         plan(scene)
     assert [found.key for found in precheck_scene(scene).warnings] == ["tool_path.via_points"]
-
-
-def test_how_many_via_points_are_too_many_for_slsqp() -> None:
     for knots, most in (("sliding", 378), ("fixed", 432)):
-        assert (
-            oversized(
-                large(most, solver="slsqp", knots=knots),
-                7,
-                replace(large(50).planner, solver="slsqp", knots=knots),
-            )
-            is None
-        )
-        too_many = large(most + 1, solver="slsqp", knots=knots)
-        found = oversized(too_many, 7, too_many.planner)
-        assert f"at most {most}," in found.expected
+        assert too_large(most, solver="slsqp", knots=knots) is None
+        assert f"at most {most}," in too_large(most + 1, solver="slsqp", knots=knots).expected
     assert MOST_UNKNOWNS == 3000
 
 
-def test_without_the_sparse_solver_it_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(precheck, "solver_of", lambda _: "slsqp")
-    monkeypatch.setattr(precheck.importlib.util, "find_spec", lambda _: None)
-    scene = large(1000, solver="auto")
-    found = oversized(scene, 7, scene.planner)
-    assert install_command("fast") in found.expected
-
-
-def test_the_sparse_solver_takes_long_paths() -> None:
+def test_long_paths_take_the_sparse_solver(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without it, it is said how to get it."""
+    with monkeypatch.context() as without:
+        without.setattr(precheck, "solver_of", lambda _: "slsqp")
+        without.setattr(precheck.importlib.util, "find_spec", lambda _: None)
+        assert install_command("fast") in too_large(1000, solver="auto").expected
     pytest.importorskip("piqp")
-    scene = large(2000, solver="sqp")
-    assert oversized(scene, 7, scene.planner) is None
+    assert too_large(2000, solver="sqp") is None
 
 
 def test_costs_are_tabled_with_their_exponents() -> None:

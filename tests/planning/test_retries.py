@@ -62,6 +62,12 @@ class Failing:
         return len(self.attempts)
 
 
+def raised_by(attempt: Attempt, work: Failing, *retries: Any) -> Exception:
+    with pytest.raises((OptimisationFailed, PathNotFound)) as caught:
+        with_retries(attempt, work, *retries)
+    return caught.value
+
+
 def test_half_the_steps_from_the_same_charts(rough: Attempt) -> None:
     search = rough.guess.search
     assert search.step_share == rough.context.options.step_share
@@ -100,17 +106,12 @@ def test_other_guesses_are_few_and_each_is_smoother(rough: Attempt) -> None:
 def test_with_fixed_knots_there_is_no_other_guess() -> None:
     attempt, work = attempt_at(short_scene()), Failing(FAILURE)
     assert not list(guesses_in_shorter_steps(attempt, FAILURE))
-    with pytest.raises(OptimisationFailed) as caught:
-        with_retries(attempt, work)
-    assert caught.value is FAILURE
+    assert raised_by(attempt, work) is FAILURE
     assert work.attempts == [attempt]
 
 
-def test_a_guess_that_is_followed_is_kept(rough: Attempt) -> None:
-    assert with_retries(rough, Failing()) == (rough, 1)
-
-
 def test_the_first_smoother_guess_that_is_followed_is_taken(rough: Attempt) -> None:
+    assert with_retries(rough, Failing()) == (rough, 1)
     work = Failing(FAILURE)
     attempt, done = with_retries(rough, work)
     assert done == 2
@@ -120,9 +121,7 @@ def test_the_first_smoother_guess_that_is_followed_is_taken(rough: Attempt) -> N
 def test_where_none_is_followed_the_first_failure_is_raised(rough: Attempt) -> None:
     other = OptimisationFailed("neither", constraint="velocity of joint_1", violation=2.0)
     work = Failing(FAILURE, *9 * [other])
-    with pytest.raises(OptimisationFailed) as caught:
-        with_retries(rough, work)
-    assert caught.value is FAILURE
+    assert raised_by(rough, work) is FAILURE
     assert len(work.attempts) == 1 + len(list(guesses_in_shorter_steps(rough, FAILURE)))
 
 
@@ -134,9 +133,7 @@ def test_an_approach_that_fails_is_raised_where_the_start_may_be_given_up(
     attempt = attempt_at(rough_scene(start), gap_target=0.0)
     others = guesses_in_shorter_steps(attempt, FAILURE)
     assert [other.guess.pinned for other in others] == 2 * [start == "pinned"]
-    with pytest.raises(type(expected)) as caught:
-        with_retries(attempt, Failing(FAILURE, *9 * [UNREACHED]), [shorter_steps])
-    assert caught.value is expected
+    assert raised_by(attempt, Failing(FAILURE, *9 * [UNREACHED]), [shorter_steps]) is expected
 
 
 def test_where_no_approach_leads_to_a_better_start_the_scenes_is_taken() -> None:
@@ -150,9 +147,7 @@ def test_where_no_approach_leads_to_a_better_start_the_scenes_is_taken() -> None
     np.testing.assert_allclose(first, attempt.context.posture, rtol=0, atol=1e-12)
     # It is the last: what fails then is raised.
     again = OptimisationFailed("again", constraint="jerk", violation=1.0)
-    with pytest.raises(OptimisationFailed) as caught:
-        with_retries(attempt, Failing(UNREACHED, *9 * [again]))
-    assert caught.value is again
+    assert raised_by(attempt, Failing(UNREACHED, *9 * [again])) is again
 
 
 @pytest.mark.parametrize("automatic", [True, False])
@@ -162,9 +157,7 @@ def test_slsqp_is_tried_where_the_sparse_solver_of_auto_is_undecided(rough: Atte
     few = len(list(guesses_in_shorter_steps(first, undecided)))
     work = Failing(*(1 + few) * [undecided])
     if not automatic:
-        with pytest.raises(OptimisationFailed) as caught:
-            with_retries(first, work)
-        assert caught.value is undecided
+        assert raised_by(first, work) is undecided
         return
     found, _ = with_retries(first, work)
     assert found.context.options.solver == "slsqp"

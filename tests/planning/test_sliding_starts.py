@@ -60,7 +60,6 @@ def test_a_scenes_posture_that_is_not_clear_is_named(start: str, gap: float, wor
 
 
 def test_a_free_start_stays_where_nothing_is_gained_by_leaving() -> None:
-    """With a large enough gap target, the scene's posture is good enough."""
     scene = short_scene(planner={"knots": "sliding"})
     moved = plan(scene)
     assert moved.start.moved > 0

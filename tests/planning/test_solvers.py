@@ -9,10 +9,11 @@ import pytest
 from small_scenes import short_scene
 from urdf_arms import panda_scene
 
+from cmbot.archive import load_plan, save
 from cmbot.cli.inspection import examine
 from cmbot.common.errors import MissingExtra, OptimisationFailed
 from cmbot.optimization import exchange
-from cmbot.planning import plan
+from cmbot.planning import Plan, plan, remarks
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.precheck import solver_of
@@ -55,9 +56,13 @@ def test_a_long_path_with_few_via_points_does_not_creep(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("undecided", [True, False])
-def test_where_it_gives_up_auto_tries_slsqp(monkeypatch: pytest.MonkeyPatch, undecided: bool) -> None:
+def test_where_it_gives_up_auto_tries_slsqp_and_the_plan_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, undecided: bool
+) -> None:
     def gives_up(*_: Any, **__: Any) -> Any:
-        raise OptimisationFailed("no", constraint="none", violation=1.0, undecided=undecided)
+        raise OptimisationFailed(
+            "the steps became too small", constraint="none", violation=1.0, undecided=undecided
+        )
 
     monkeypatch.setattr(exchange, "solve_sqp", gives_up)
     told: list[str] = []
@@ -66,6 +71,10 @@ def test_where_it_gives_up_auto_tries_slsqp(monkeypatch: pytest.MonkeyPatch, und
         planned = plan(scene, progress=lambda progress: told.append(progress.step))
         assert planned.options.solver == "slsqp"
         assert any("slsqp" in step for step in told)
+        said = "The solver sqp gave up (the steps became too small): planned with slsqp instead."
+        assert planned.fallbacks == (said,)
+        assert said in list(remarks(planned))
+        assert load_plan(save(planned, tmp_path / "plan")).fallbacks == (said,)
     else:
         with pytest.raises(OptimisationFailed):
             plan(scene)
@@ -73,10 +82,12 @@ def test_where_it_gives_up_auto_tries_slsqp(monkeypatch: pytest.MonkeyPatch, und
         plan(short_scene(planner={"solver": "sqp"}))
 
 
-def test_the_plan_says_which_solver_made_it() -> None:
-    scene = short_scene(planner={"solver": "auto"})
-    assert plan(scene).options.solver == "sqp"
+def test_the_plan_says_which_solver_made_it(short_plan: Plan, tmp_path: Path) -> None:
+    """And, where nothing failed, nothing else."""
+    assert plan(short_scene(planner={"solver": "auto"})).options.solver == "sqp"
     assert plan(short_scene(planner={"solver": "slsqp"})).options.solver == "slsqp"
+    assert short_plan.fallbacks == () == load_plan(save(short_plan, tmp_path / "plan")).fallbacks
+    assert not any("instead" in remark or "as a whole" in remark for remark in remarks(short_plan))
 
 
 def test_without_piqp(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,6 +6,7 @@ from typing import Self
 import numpy as np
 import pytest
 from finite_differences import check_curvature, check_derivative
+from quadrature import gauss_points
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError, OptimisationFailed
@@ -140,20 +141,6 @@ def test_least_jerk_and_its_adjoint(rng: np.random.Generator) -> None:
     assert np.sum(splines.least_jerk(q) * g) == pytest.approx(np.sum(q * splines.least_jerk_adjoint(g)))
 
 
-@pytest.mark.parametrize("orders", [1, 3, 4])
-def test_jacobian_by_the_splines(orders: int, rng: np.random.Generator) -> None:
-    splines = SparseSplines(space_of(9, rng), BOUNDS)
-    times = rng.uniform(splines.space.t[0], splines.space.t[-1], 5)
-    weights = rng.normal(size=(orders, 5, D))
-
-    def combined(u: FloatArray) -> FloatArray:
-        z = splines.columns @ u.reshape(-1, D)
-        return sum(np.sum(w * (splines.space.design(times, k) @ z), axis=1) for k, w in enumerate(weights))
-
-    got = splines.jacobian(splines.rows(times), weights).toarray()
-    check_derivative(combined, rng.normal(size=got.shape[1]), got, rtol=1e-8)
-
-
 def test_steps_keep_the_smoothness_and_the_manifolds(form: Parametrization, rng: np.random.Generator) -> None:
     moved = form.step(step(form, rng, 0.5))
     check_c3_at_rest(moved.trajectory)
@@ -240,8 +227,6 @@ def test_unknowns_are_sorted_along_the_path(form: Parametrization) -> None:
 
 
 def test_mean_squared_jerk(form: Parametrization, rng: np.random.Generator) -> None:
-    """Value by quadrature, gradient and Hessian by differences, bends of the via-points included."""
-
     def smoothing(x: FloatArray) -> float:
         return form.step(x).mean_squared_jerk()[0]
 
@@ -249,10 +234,7 @@ def test_mean_squared_jerk(form: Parametrization, rng: np.random.Generator) -> N
     check_derivative(smoothing, np.zeros(form.dimension), form.map.T @ gradient, step=1e-2, rtol=1e-6)
     H = form.jerk_hessian + form.bend_hessian(gradient)
     check_curvature(smoothing, H, rng.normal(size=(3, form.dimension)), step=1e-2, rtol=1e-4)
-    t = form.space.t
-    nodes, weights = np.polynomial.legendre.leggauss(4)
-    times = (t[:-1, None] + 0.5 * np.diff(t)[:, None] * (1 + nodes)).ravel()
-    share = (0.5 * np.diff(t)[:, None] * weights).ravel() / (t[-1] - t[0])
+    times, share = gauss_points(form.space.t, 4)
     jerk = form.trajectory.evaluate(times, 3) / BOUNDS[2]
     assert value == pytest.approx(0.5 * share @ (jerk**2).mean(axis=1), rel=1e-10)
 
@@ -275,7 +257,6 @@ def test_hessian_of_a_function_of_the_states(form: Parametrization, rng: np.rand
 
 
 def test_tangents_stay_what_they_were_as_far_as_they_can() -> None:
-    """Displacements one after the other go on in the same directions."""
     form = form_of("free")
     x = np.zeros(form.dimension)
     x[form.displacement_index] = 0.1

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.polynomial import Polynomial, chebyshev
+from numpy.polynomial.polynomial import polyval
 
 from cmbot.common.arrays import FloatArray
 from cmbot.trajectory.polynomials import derivative, roots_in_unit_interval
@@ -61,14 +62,11 @@ def test_roots_are_sorted_and_each_is_a_root_an_end_or_a_stationary_point(c: Flo
     assert np.all(np.diff(roots) >= 0)
     assert roots[0] >= 0
     assert roots[-1] <= 1
-    slope = np.polynomial.polynomial.polyval(roots, derivative(c))
-    value = np.polynomial.polynomial.polyval(roots, c)
+    slope = polyval(roots, derivative(c))
+    value = polyval(roots, c)
     tiny = 1e-12 * (np.abs(c).max() + np.finfo(float).tiny)
     # A stationary point may itself be a stand-in, namely a stationary point of the slope.
-    bends = (
-        np.polynomial.polynomial.polyval(roots, derivative(c, order))
-        for order in range(2, max(len(c) - 1, 2))
-    )
+    bends = (polyval(roots, derivative(c, order)) for order in range(2, max(len(c) - 1, 2)))
     explained = (np.abs(value) <= tiny) | (np.abs(slope) <= tiny) | np.isin(roots, [0.0, 1.0])
     for bend in bends:
         explained |= np.abs(bend) <= tiny
@@ -78,7 +76,7 @@ def test_roots_are_sorted_and_each_is_a_root_an_end_or_a_stationary_point(c: Flo
 @given(coefficients)
 def test_every_change_of_sign_on_a_grid_is_a_root(c: FloatArray) -> None:
     u = np.linspace(0, 1, 201)
-    value = np.polynomial.polynomial.polyval(u, c)
+    value = polyval(u, c)
     clear = np.abs(value) > 1e-12 * max(np.abs(c).max(), 1e-300)
     roots = roots_in_unit_interval(c)
     for low, high in zip(*(np.flatnonzero(clear)[part] for part in (slice(-1), slice(1, None))), strict=True):

@@ -5,11 +5,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from finite_differences import check_derivative
 from scipy.interpolate import CubicSpline
-from small_scenes import short_scene
+from small_scenes import short_scene, tool_points
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import SceneError
@@ -45,11 +44,7 @@ def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
     sag = Sag(elastic_arm(robot, elastic_base(scene.guardrail)))
     t = np.linspace(0, compensated.trajectory.duration, 217)
     q = compensated.trajectory.evaluate(t)
-    model, data = robot.model, robot.model.createData()
-    commanded = np.empty((len(t), 3))
-    for k in range(len(t)):
-        pin.framesForwardKinematics(model, data, q[k])
-        commanded[k] = data.oMf[robot.tool_frame_id].translation
+    commanded = tool_points(robot, q)
     bent = commanded + sag.at(q).tool
     legs = task_of(scene, robot).path
     assert np.linalg.norm(legs.offset(bent), axis=1).max() <= ALLOWED
@@ -111,11 +106,10 @@ def test_progress_says_which_round() -> None:
     assert re.search(words, time)
 
 
-def test_without_compensation_nothing_is_expected() -> None:
-    planned = plan(short_scene())
-    assert planned.compensation is None
-    assert planned.sag is None
-    assert planned.samples.expected_tool_point is None
+def test_without_compensation_nothing_is_expected(short_plan: Plan) -> None:
+    assert short_plan.compensation is None
+    assert short_plan.sag is None
+    assert short_plan.samples.expected_tool_point is None
 
 
 @pytest.mark.parametrize("options", [{"compensate": True}, {"objective": "sag"}])

@@ -1,4 +1,4 @@
-"""The joint path: the robust inverse to the letter, the tool on its path, and what ends it."""
+"""The joint path: the robust inverse and avoidance to the letter, the tool on its path, and what ends it."""
 
 from dataclasses import replace
 from typing import Any
@@ -9,30 +9,26 @@ from hypothesis import given
 from hypothesis import strategies as st
 from small_scenes import context_of, parts, short_scene
 
-from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import JointPath, follow_path, robust_inverse
-from cmbot.planning.task import ToolTask
-from cmbot.robot import Kinematics, Robot
+from cmbot.robot import Dynamics, Kinematics
 from cmbot.scene import PlannerOptions, Scene, load_scene
 
 OPTIONS = PlannerOptions(knots="fixed")
+WALL = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
+Followed = tuple[PlanningContext, JointPath]
 
 
-def path_of(scene: Scene, **options: Any) -> tuple[Robot, ToolTask, Clearances, JointPath]:
+def path_of(scene: Scene, **options: Any) -> Followed:
     context = context_of(scene, **options)
-    return context.robot, context.task, context.clearances, follow_path(context)
+    return context, follow_path(context)
 
 
 @pytest.fixture(scope="module")
-def triangle() -> Scene:
-    return load_scene("triangle")
-
-
-@pytest.fixture(scope="module")
-def triangle_path(triangle: Scene) -> tuple[Robot, ToolTask, Clearances, JointPath]:
-    return path_of(triangle, path_step_s=0.02)
+def triangle_path() -> Followed:
+    return path_of(load_scene("triangle"), path_step_s=0.02)
 
 
 def jacobian(seed: int, smallest: float) -> FloatArray:
@@ -79,11 +75,10 @@ def test_damping_of_zero_is_the_plain_inverse() -> None:
     np.testing.assert_allclose(got, np.linalg.pinv(J), rtol=0, atol=1e-10)
 
 
-def test_the_tool_follows_the_triangle(
-    triangle_path: tuple[Robot, ToolTask, Clearances, JointPath],
-) -> None:
-    robot, task, clearances, path = triangle_path
-    p_WT, R_WT = Kinematics(robot).tool_poses(path.q)
+def test_the_tool_follows_the_triangle(triangle_path: Followed) -> None:
+    context, path = triangle_path
+    task, kinematics = context.task, Kinematics(context.robot)
+    p_WT, R_WT = kinematics.tool_poses(path.q)
     np.testing.assert_allclose(
         path.drift, np.linalg.norm(p_WT - task.path.position(path.t), axis=1), atol=1e-12
     )
@@ -92,15 +87,14 @@ def test_the_tool_follows_the_triangle(
     assert task.rotation(R_WT).max() < np.deg2rad(0.01)
     np.testing.assert_allclose(path.t, np.linspace(0, 20, 1001), atol=1e-12)
     np.testing.assert_allclose(path.q[1:], path.q[:-1] + path.t[1] * path.v[:-1], rtol=0, atol=1e-12)
-    np.testing.assert_allclose(path.clearance, clearances.smallest(path.q).distance, atol=1e-8)
-    kinematics = Kinematics(robot)
+    np.testing.assert_allclose(path.clearance, context.clearances.smallest(path.q).distance, atol=1e-8)
     smallest = [np.linalg.svd(kinematics.tool_jacobian(q)[1], compute_uv=False)[-1] for q in path.q]
     np.testing.assert_allclose(path.singular_value, smallest, atol=1e-12)
 
 
 def test_the_drift_falls_with_the_step() -> None:
     scene = short_scene()
-    drift = [path_of(scene, path_step_s=step)[3].drift.max() for step in (0.04, 0.02, 0.01)]
+    drift = [path_of(scene, path_step_s=step)[1].drift.max() for step in (0.04, 0.02, 0.01)]
     assert drift[0] < 1e-3
     assert drift[1] < 0.6 * drift[0]
     assert drift[2] < 0.6 * drift[1]
@@ -109,8 +103,9 @@ def test_the_drift_falls_with_the_step() -> None:
 @pytest.mark.parametrize("keep", ["pose", "axis", "position"])
 def test_what_is_kept_and_what_is_free(keep: str) -> None:
     scene = short_scene(tool_path={"keep": keep})
-    robot, task, _, path = path_of(scene)
-    p_WT, R_WT = Kinematics(robot).tool_poses(path.q)
+    context, path = path_of(scene)
+    task = context.task
+    p_WT, R_WT = Kinematics(context.robot).tool_poses(path.q)
     assert np.linalg.norm(p_WT - task.path.position(path.t), axis=1).max() < 1e-4
     axis = np.arccos(np.clip(R_WT[:, :, 2] @ task.path.orientation[:, 2], -1, 1))
     whole = np.linalg.norm(R_WT - task.path.orientation, axis=(1, 2))
@@ -119,8 +114,7 @@ def test_what_is_kept_and_what_is_free(keep: str) -> None:
 
 
 def test_path_ends_at_an_obstacle() -> None:
-    wall = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
-    scene = short_scene(obstacles=[wall])
+    scene = short_scene(obstacles=[WALL])
     with pytest.raises(
         PathNotFound, match=r"comes within .* m of wall, the safety margin is 0.02 m"
     ) as caught:
@@ -153,8 +147,119 @@ def test_path_ends_out_of_reach() -> None:
 
 
 def test_carrying_on_whatever_happens() -> None:
-    wall = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
-    context = context_of(short_scene(obstacles=[wall]))
+    context = context_of(short_scene(obstacles=[WALL]))
     path = follow_path(context, stop_at_obstacles=False)
     assert path.clearance.min() < 0.02
     assert path.t[-1] == context.task.path.duration
+
+
+@pytest.fixture(scope="module")
+def near_postures(triangle_path: Followed) -> FloatArray:
+    context, path = triangle_path
+    q = path.q[::20] + np.random.default_rng(3).uniform(-0.1, 0.1, path.q[::20].shape)
+    near = context.clearances.smallest(q, avoidable_only=True).distance
+    return q[(near > 0.005) & (near < 0.14)]
+
+
+def self_motion(context: PlanningContext, q: FloatArray, **options: Any) -> FloatArray:
+    """Joint rates at `q` when the tool is to stay where it is."""
+    X_WT = Kinematics(context.robot).tool_pose(q)
+    # A leg of no length to speak of.
+    corners = np.array([X_WT.translation, X_WT.translation + np.array([0, 0, 1e-12])])
+    path = replace(context.task.path, corners=corners, orientation=X_WT.rotation, seconds=np.array([0.02]))
+    chosen = replace(context.options, path_step_s=0.02, **options)
+    still = replace(context, task=replace(context.task, path=path), options=chosen)
+    return follow_path(still, q, stop_at_obstacles=False).v[0]
+
+
+@pytest.mark.parametrize("avoidance", ["smooth", "switch"])
+def test_self_motion_leaves_the_tool_alone(
+    triangle_path: Followed, near_postures: FloatArray, avoidance: str
+) -> None:
+    context, _ = triangle_path
+    kinematics = Kinematics(context.robot)
+    fastest = 0.0
+    for q in near_postures:
+        v = self_motion(context, q, avoidance=avoidance)
+        assert np.abs(kinematics.tool_jacobian(q)[1] @ v).max() < 1e-9
+        fastest = max(fastest, np.abs(v).max())
+    assert fastest > 0.1
+
+
+def test_switch_is_equation_17_to_the_letter(triangle_path: Followed, near_postures: FloatArray) -> None:
+    context, path = triangle_path
+    kinematics, clearances = Kinematics(context.robot), context.clearances
+    avoidable = [k for k, pair in enumerate(clearances.pairs) if pair.avoidable]
+    far = path.q[clearances.smallest(path.q, avoidable_only=True).distance > 0.16][:3]
+    assert len(far) == 3
+    assert len(near_postures) > 5
+    for q in (*near_postures, *far):
+        near = min((clearances.nearest(q, k) for k in avoidable), key=lambda found: found.distance)
+        u = (near.point - near.other_point) / near.distance
+        gradient = np.linalg.pinv(near.jacobian) @ u if near.distance <= 0.15 else np.zeros(7)
+        J = kinematics.tool_jacobian(q)[1]
+        expected = 2.0 * (np.eye(7) - np.linalg.pinv(J) @ J) @ gradient
+        got = self_motion(context, q, avoidance="switch")
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
+
+
+def test_smooth_avoidance_of_one_pair_fades_in(triangle_path: Followed, near_postures: FloatArray) -> None:
+    """With one near pair it is Eq. (17) times 1 - d/d_s."""
+    context, _ = triangle_path
+    compared = 0
+    for q in near_postures:
+        # d_s just beyond the nearest pair, short of the next.
+        distances = sorted(near.distance for near in context.clearances.within(q, 0.5))
+        d_s = 0.5 * (distances[0] + distances[1])
+        got, switched = (
+            self_motion(context, q, avoidance=kind, avoidance_distance_m=d_s) for kind in ("smooth", "switch")
+        )
+        np.testing.assert_allclose(got, (1 - distances[0] / d_s) * switched, rtol=0, atol=1e-9)
+        compared += np.abs(got).max() > 1e-3
+    assert compared > 3
+
+
+def largest_jump(scene: Scene, step: float, avoidance: Any) -> float:
+    _, path = path_of(scene, path_step_s=step, avoidance=avoidance)
+    return float(np.abs(np.diff(path.v, axis=0)).max())
+
+
+def test_smooth_rates_are_continuous_and_switched_ones_are_not() -> None:
+    """Jumps from step to step shrink with the step, or do not."""
+    scene = short_scene(
+        tool_path={"legs": [{"by": [0, -0.6, 0], "seconds": 8}]},
+        obstacles=[{"name": "slab", "box": [6, 1.2, 0.12], "xyz": [1, -0.8, -1.06]}],
+    )
+    smooth = [largest_jump(scene, step, "smooth") for step in (0.08, 0.04, 0.02)]
+    assert smooth[1] < 0.65 * smooth[0]
+    assert smooth[2] < 0.65 * smooth[1]
+    switch = [largest_jump(scene, step, "switch") for step in (0.04, 0.02)]
+    assert switch[1] > 0.8 * switch[0]
+    assert switch[1] > 50 * smooth[2]
+
+
+def with_options(followed: Followed, **options: Any) -> JointPath:
+    """The triangle's path again, with other options, whatever is in the way."""
+    context, path = followed
+    other = replace(context, options=replace(context.options, **options))
+    return follow_path(other, path.q[0], stop_at_obstacles=False)
+
+
+def test_avoidance_gains_clearance(triangle_path: Followed) -> None:
+    context, path = triangle_path
+    clearances = context.clearances
+    without = with_options(triangle_path, avoidance_gain=0.0)
+    assert path.clearance.min() > without.clearance.min() + 0.01
+    ours, theirs = (clearances.smallest(x.q, avoidable_only=True).distance.min() for x in (path, without))
+    assert ours > theirs + 0.01
+
+
+def test_pulling_the_centre_of_gravity_lowers_the_torque(triangle_path: Followed) -> None:
+    context, path = triangle_path
+    pulled = with_options(triangle_path, centre_of_gravity_weight=0.2)
+    dynamics = Dynamics(context.robot)
+    mean, mean_without = (
+        np.linalg.norm(dynamics.static_efforts(x.q).guardrail_torque, axis=1).mean() for x in (pulled, path)
+    )
+    assert mean < 0.98 * mean_without
+    assert pulled.drift.max() < 1e-3

@@ -94,7 +94,6 @@ def test_only_the_scenes_posture() -> None:
     ("tries", "words"), [(1, "1 other starting posture fails"), (3, "3 other starting postures fail")]
 )
 def test_a_hopeless_scene(tries: int, words: str) -> None:
-    """A wall across the tool's way stops every start; the error is the first one's, and counts the others."""
     scene = short_scene(obstacles=[WALL], planner={"other_starts": tries, "path_step_s": 0.05})
     reports: list[Progress] = []
     context = replace(context_of(scene), reporter=ProgressReporter(reports.append))

@@ -1,7 +1,5 @@
 """Projection onto the tool task, null spaces, and the small linear systems below them, against LAPACK."""
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,15 +7,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_scenes import off_task, task_at
-from urdf_arms import endless_scene, panda_scene
 
-from cmbot.planning import robot_of
 from cmbot.planning.path.projection import gram, null_directions, null_space, project_onto_task, solve_batch
 from cmbot.robot import Kinematics, Postures, Robot
-from cmbot.scene import Scene
 
 sizes = st.integers(1, 7)
 seeds = st.integers(0, 2**32 - 1)
+every_kind = pytest.mark.parametrize("keep", ["pose", "axis", "position"])
 
 
 @given(seeds, sizes, st.integers(1, 3), st.integers(0, 20))
@@ -62,7 +58,7 @@ def test_null_directions_where_rows_depend_on_each_other_or_are_zero(rng: np.ran
         np.testing.assert_allclose(A[..., i] @ N[..., i].T, 0.0, atol=1e-12)
 
 
-@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+@every_kind
 def test_null_spaces_leave_the_task_alone(cmbot_robot: Robot, keep: str, rng: np.random.Generator) -> None:
     limits, postures = cmbot_robot.limits, Postures(cmbot_robot)
     q = rng.uniform(limits.lower, limits.upper, (20, 7))
@@ -75,36 +71,28 @@ def test_null_spaces_leave_the_task_alone(cmbot_robot: Robot, keep: str, rng: np
     np.testing.assert_allclose(N @ N.transpose(0, 2, 1), np.broadcast_to(np.eye(d), (20, d, d)), atol=1e-12)
 
 
-@pytest.mark.parametrize("make", [None, panda_scene, endless_scene])
-@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
-def test_what_is_put_onto_the_task_lies_on_it(
-    make: Callable[..., Scene] | None, keep: str, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
-) -> None:
+@every_kind
+def test_what_is_put_onto_the_task_lies_on_it(any_arm: Robot, keep: str, rng: np.random.Generator) -> None:
     """Also where the last step was so short that its error was not computed."""
-    robot = cmbot_robot if make is None else robot_of(make(tmp_path))
-    postures = Postures(robot)
-    q = rng.uniform(-2.0, 2.0, (400, robot.dof))
-    task = task_at(robot, q[0], keep)
+    postures = Postures(any_arm)
+    q = rng.uniform(-2.0, 2.0, (400, any_arm.dof))
+    task = task_at(any_arm, q[0], keep)
     point = task.path.corners[0]
     placed = q[0] + rng.normal(size=q.shape) * 10.0 ** rng.uniform(-9, -1, (400, 1))
     placed, reached = project_onto_task(postures, task, placed, point)
     assert reached.sum() > 350
-    assert off_task(robot, task, placed[reached], point) < 1e-10
+    assert off_task(any_arm, task, placed[reached], point) < 1e-10
 
 
-@pytest.mark.parametrize("make", [None, panda_scene, endless_scene])
-@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
-def test_steps_bend_no_more_than_postures_say(
-    make: Callable[..., Scene] | None, keep: str, cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator
-) -> None:
-    robot = cmbot_robot if make is None else robot_of(make(tmp_path))
-    postures = Postures(robot)
-    q = rng.uniform(-2.0, 2.0, (300, robot.dof))
+@every_kind
+def test_steps_bend_no_more_than_postures_say(any_arm: Robot, keep: str, rng: np.random.Generator) -> None:
+    postures = Postures(any_arm)
+    q = rng.uniform(-2.0, 2.0, (300, any_arm.dof))
     moves = rng.normal(size=q.shape) * (rng.uniform(size=q.shape) < 0.5)
-    moves[np.arange(300), rng.integers(0, robot.dof, 300)] = 1.0
+    moves[np.arange(300), rng.integers(0, any_arm.dof, 300)] = 1.0
     moves *= 1e-3 / np.abs(moves).sum(axis=1, keepdims=True)
     for q_k, move in zip(q, moves, strict=True):
-        task = task_at(robot, q_k, keep)
+        task = task_at(any_arm, q_k, keep)
         at = postures.at(np.stack([q_k, q_k - move]))
         error = task.errors(at.tool_point, at.tool_rotation, task.path.corners[0])
         J = task.jacobian(at.tool_rotation, at.jacobian)[1]
@@ -115,14 +103,10 @@ def test_steps_bend_no_more_than_postures_say(
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), keep=st.sampled_from(["pose", "axis", "position"]))
 def test_placing_on_the_task(cmbot_robot: Robot, seed: int, keep: Any) -> None:
-    """A posture near the task is projected onto it exactly, and moves no further than need be."""
     rng = np.random.default_rng(seed)
     q = np.deg2rad([-10, -90, 90, 0, 10, 50, 0]) + rng.uniform(-0.3, 0.3, 7)
-    task, kinematics, off = (
-        task_at(cmbot_robot, q, keep),
-        Kinematics(cmbot_robot),
-        rng.uniform(-0.01, 0.01, 7),
-    )
+    task, kinematics = task_at(cmbot_robot, q, keep), Kinematics(cmbot_robot)
+    off = rng.uniform(-0.01, 0.01, 7)
     X_WT, J = kinematics.tool_jacobian(q)
     placed, reached = project_onto_task(
         Postures(cmbot_robot), task, (q + off)[None], X_WT.translation, tolerance=1e-12
@@ -135,7 +119,7 @@ def test_placing_on_the_task(cmbot_robot: Robot, seed: int, keep: Any) -> None:
     np.testing.assert_allclose(placed[0] - q, null @ off, rtol=0, atol=20 * off @ off)
 
 
-@pytest.mark.parametrize("keep", ["pose", "axis", "position"])
+@every_kind
 def test_held_directions_keep_their_place(cmbot_robot: Robot, keep: str, rng: np.random.Generator) -> None:
     postures, q = Postures(cmbot_robot), rng.uniform(-2.0, 2.0, 7)
     task = task_at(cmbot_robot, q, keep)

@@ -68,7 +68,6 @@ def test_the_bound_is_below_what_random_postures_ask(context: PlanningContext, s
     )
 )
 def test_no_plan_rests_below_the_bound(by: tuple[float, float, float]) -> None:
-    """Whatever the tool path: the fixed-knot plan's via-points obey the bound of the sliding one."""
     scene = short_scene(tool_path={"legs": [{"by": list(by), "seconds": 6}], "via_points": 6})
     try:
         fixed = plan(scene)

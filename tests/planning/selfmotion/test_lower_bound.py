@@ -88,7 +88,6 @@ def descended(context: PlanningContext, via_point: int, start: FloatArray) -> Fl
 def test_no_random_posture_is_below_the_floor(
     context: PlanningContext, bound: LowerBound, rng: np.random.Generator
 ) -> None:
-    """Nor does descending from the best of them lead below it, wherever it ends with everything kept."""
     q = restarts(context, bound.via_point, rng)
     q = q[admissible(context, q)]
     value = values(context, q)
@@ -103,7 +102,6 @@ def test_no_random_posture_is_below_the_floor(
 def test_at_every_via_point_some_posture_has_no_more(
     context: PlanningContext, bound: LowerBound, rng: np.random.Generator
 ) -> None:
-    """What is said of a via-point is no more than a dense random search finds there, or hardly."""
     assert bound.value == bound.each[bound.via_point] == bound.each.max()
     last = len(bound.each) - 1
     q = restarts(context, last, rng)

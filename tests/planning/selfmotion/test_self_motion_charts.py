@@ -48,12 +48,31 @@ def context_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: i
 
 
 def first_chart(context: PlanningContext, q: np.ndarray) -> Chart:
-    """The chart at the start of the path, from postures `q` (k, n)."""
     return charts_of(context, [SelfMotionSampler(context).first(context.task.path.corners[0], q)])[0]
 
 
 def charts_along(context: PlanningContext, points: np.ndarray, q: np.ndarray) -> list[Chart]:
     return charts_of(context, SelfMotionSampler(context).along(points, q))
+
+
+def within(robot: Robot, q: np.ndarray) -> np.ndarray:
+    return ((q >= robot.limits.lower) & (q <= robot.limits.upper)).all(axis=1)
+
+
+def check_chart(robot: Robot, task: ToolTask, chart: Chart, point: np.ndarray, spacing: float) -> None:
+    """Its postures hold the task apart from each other, and what is known of them is right."""
+    at = Postures(robot).at(chart.q)
+    assert off_task(robot, task, chart.q, point) < 1e-9
+    assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * spacing
+    np.testing.assert_array_equal(chart.within, within(robot, chart.q))
+    np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
+    np.testing.assert_allclose(chart.joint_use, (np.abs(at.joint_torque) / robot.limits.torque).max(axis=1))
+
+
+def all_postures(robot: Robot, task: ToolTask, point: np.ndarray) -> np.ndarray:
+    """The closed form's, within the joint ranges."""
+    q = closed_form(point, task.path.orientation, PITCHES)
+    return q[within(robot, q)]
 
 
 def distance_on_circle(q: np.ndarray, others: np.ndarray) -> np.ndarray:
@@ -84,8 +103,7 @@ def test_charts_are_complete_against_the_closed_form(cmbot_robot: Robot, rng: np
         task = task_at(cmbot_robot, q)
         start = task.path.corners[0]
         chart = first_chart(context_for(cmbot_robot, task, spacing, seeds=200), q[None])
-        oracle = closed_form(start, task.path.orientation, PITCHES)
-        oracle = oracle[((oracle >= limits.lower) & (oracle <= limits.upper)).all(axis=1)]
+        oracle = all_postures(cmbot_robot, task, start)
         if len(oracle):
             assert distance_on_circle(chart.q, oracle).max() < 1.5 * spacing
             total += len(oracle)
@@ -99,34 +117,21 @@ def test_a_charts_postures_hold_the_task_apart_from_each_other(
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q, keep)
     chart = first_chart(context_for(cmbot_robot, task, spacing), q[None])
-    at = Postures(cmbot_robot).at(chart.q)
-    assert off_task(cmbot_robot, task, chart.q, task.path.corners[0]) < 1e-9
     np.testing.assert_allclose(chart.q[0], q, atol=1e-15)
-    assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * spacing
-    limits = cmbot_robot.limits
-    within = ((chart.q >= limits.lower) & (chart.q <= limits.upper)).all(axis=1)
-    np.testing.assert_array_equal(chart.within, within)
-    np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
+    check_chart(cmbot_robot, task, chart, task.path.corners[0], spacing)
 
 
 def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
-    """At every via-point of the triangle, carried there from the first, they are as complete as the first."""
-    limits, scene = cmbot_robot.limits, load_scene("triangle")
+    scene = load_scene("triangle")
     task = task_of(scene, cmbot_robot)
     points = task.path.position(task.path.via_times(50))
     charts = charts_along(context_for(cmbot_robot, task, 0.2), points, scene.posture[None])
     assert len(charts) == len(points)
     for point, chart in zip(points, charts, strict=True):
-        at = Postures(cmbot_robot).at(chart.q)
-        assert off_task(cmbot_robot, task, chart.q, point) < 1e-9
-        assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * 0.2
-        oracle = closed_form(point, task.path.orientation, PITCHES)
-        oracle = oracle[((oracle >= limits.lower) & (oracle <= limits.upper)).all(axis=1)]
+        check_chart(cmbot_robot, task, chart, point, 0.2)
+        oracle = all_postures(cmbot_robot, task, point)
         assert len(oracle) > 100
         assert distance_on_circle(chart.q, oracle).max() < 1.5 * 0.2
-        np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
-        share = np.abs(at.joint_torque) / limits.torque
-        np.testing.assert_allclose(chart.joint_use, share.max(axis=1))
 
 
 @pytest.mark.parametrize("make", [panda_scene, endless_scene])

@@ -1,20 +1,19 @@
 """Functions of the state: values by definition, derivatives by finite differences, samples by thresholds."""
 
-from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 from conftest import StateSamples as RandomStates
-from finite_differences import check_derivative
+from finite_differences import check_derivative, check_state_derivatives
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_scenes import parts, short_context, short_scene
 
 from cmbot.collision import Clearances, Smallest
 from cmbot.common.arrays import FloatArray, IntArray
-from cmbot.optimization.program import StateFunction, StateSamples
+from cmbot.optimization.program import Linearization, StateFunction, StateSamples
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
 from cmbot.planning.torque.constraints import ClearanceMargin, JointTorque, ToolDeviation
@@ -26,7 +25,6 @@ N = 6
 
 @pytest.fixture(scope="module")
 def corner() -> tuple[Robot, ToolTask, Clearances]:
-    """Two legs with a corner between them, and the guardrail."""
     legs = [{"by": [0, -0.3, 0], "seconds": 2}, {"by": [0, 0, 0.2], "seconds": 2}]
     robot, task, _, clearances = parts(short_scene(tool_path={"legs": legs}))
     return robot, task, clearances
@@ -43,18 +41,15 @@ def check_linearization(
     """Value and derivatives of one component at each state; clearances are rough, torques are not."""
     got = function.linearize(states, component)
     assert got.value.shape == (N,)
-
-    def alone(k: int, **changed: FloatArray) -> float:
-        state = {"q": states.q[k], "v": states.v[k], "a": states.a[k]} | changed
-        at = StateSamples(states.t[k : k + 1], *(x[None] for x in state.values()))
-        return float(function.linearize(at, component[k : k + 1]).value[0])
-
     for k in range(N):
-        assert got.value[k] == pytest.approx(alone(k), abs=1e-12)
-        for name, derivative in zip("qva", got.derivatives, strict=True):
-            changed: Callable[[FloatArray], float] = lambda y, k=k, name=name: alone(k, **{name: y})  # noqa: E731
-            x = getattr(states, name)[k]
-            check_derivative(changed, x, derivative[k], step=step, rtol=tolerance, atol=tolerance)
+
+        def alone(at: StateSamples, k: int = k) -> FloatArray:
+            return function.linearize(at, component[k : k + 1]).value
+
+        here = slice(k, k + 1)
+        np.testing.assert_allclose(got.value[here], alone(states[here]), rtol=0, atol=1e-12)
+        one = Linearization(got.value[here], *got.derivatives[:, here])
+        check_state_derivatives(alone, states[here], one, step=step, rtol=tolerance, atol=tolerance)
 
 
 def test_joint_torque(cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: StateSamples) -> None:
@@ -74,7 +69,6 @@ def test_joint_torque(cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: Stat
 def test_derivatives_of_a_joint_torque(
     cmbot_robot: Robot, cmbot_dynamics: Dynamics, states: StateSamples, chosen: int | list[int]
 ) -> None:
-    """Of one component at all states, or of another one at each."""
     function = JointTorque(cmbot_dynamics, cmbot_robot.limits.torque)
     component = np.broadcast_to(chosen, N)
     expected = function.sample(states)[0][np.arange(N), component]

@@ -2,22 +2,22 @@
 
 from collections.abc import Iterator
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
-from small_scenes import short_scene
+from small_scenes import problem_of, short_scene, torque_along
 
+from cmbot.archive import load_plan, save
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.exchange import ExchangeReport
-from cmbot.optimization.program import StateSamples
-from cmbot.planning import Progress, plan
+from cmbot.planning import Progress, plan, remarks
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.torque import decomposition
 from cmbot.planning.torque.decomposition import optimise, segments
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.planning.verification.certificate import certify
-from cmbot.trajectory.quintic import QuinticTrajectory
 
 LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]
 
@@ -73,17 +73,11 @@ def test_of_the_corners_in_reach_the_one_with_the_least_objective_is_an_end(
         assert segments(problem)[0] == (0, best)
 
 
-def test_slsqp_solves_paths_whole() -> None:
-    assert segments(way_of("fixed", solver="slsqp")[1].problem) == [(0, 32)]
-
-
-def test_a_leg_without_corners_is_one_segment() -> None:
-    scene = short_scene(
-        tool_path={"legs": [{"by": [0, -0.2, 0], "seconds": 12.0}], "via_points": 33},
-        planner={"solver": "sqp", "knots": "fixed"},
-    )
-    context = build_context(scene, scene.planner)
-    assert segments(fixed_guess(context).problem) == [(0, 32)]
+def test_what_slsqp_solves_and_a_leg_without_corners_are_one_segment() -> None:
+    leg = {"legs": [{"by": [0, -0.2, 0], "seconds": 12.0}], "via_points": 33}
+    straight = problem_of(short_scene(tool_path=leg, planner={"solver": "sqp", "knots": "fixed"}))
+    for problem in (straight, way_of("fixed", solver="slsqp")[1].problem):
+        assert segments(problem) == [(0, 32)]
 
 
 def test_what_is_joined_is_smooth_certified_and_counted_through(
@@ -113,7 +107,8 @@ def test_the_peak_is_that_of_the_path_as_a_whole(monkeypatch: pytest.MonkeyPatch
     parted = optimise(way.problem)
     monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 33)
     whole = optimise(way.problem)
-    peaks = [peak_of(way.problem, each.trajectory) for each in (parted, whole)]
+    problem = way.problem
+    peaks = [torque_along(problem, each.trajectory, problem.grid).max() for each in (parted, whole)]
     assert peaks[0] <= peaks[1] * (1 + 1e-3)
 
 
@@ -131,8 +126,14 @@ def test_passes_left_are_those_of_all_segments() -> None:
     assert left == [most for most in range(11, 11 - len(passed), -1) if most > 0]
 
 
-def test_where_a_segment_fails_the_path_is_solved_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, way = way_of("sliding")
+def test_where_a_segment_fails_the_path_is_solved_as_a_whole(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """The plan says so, also when it is read again."""
+    monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 10)
+    planner = {"solver": "sqp", "knots": "sliding", "start": "pinned", "quiet_modes": 0}
+    scene = short_scene(tool_path={"legs": LEGS[:2], "via_points": 17}, planner=planner)
+    assert plan(scene).fallbacks == ()
     asked: list[int] = []
 
     def failing(problem: TorqueProblem, first: int, last: int) -> TorqueProblem:
@@ -140,12 +141,10 @@ def test_where_a_segment_fails_the_path_is_solved_as_a_whole(monkeypatch: pytest
         raise OptimisationFailed("nothing to be done", constraint="any", violation=1.0)
 
     monkeypatch.setattr(TorqueProblem, "segment", failing)
-    found = optimise(way.problem)
+    made = plan(scene)
     assert asked == [0]
-    assert found.whole_because == "nothing to be done"
-    assert len(found.via_points) == 33
-
-
-def peak_of(problem: TorqueProblem, trajectory: QuinticTrajectory) -> float:
-    states = StateSamples(problem.grid, *trajectory.states(problem.grid))
-    return float(problem.objective.sample(states)[0].max())
+    assert len(made.trajectory.t) == 17
+    (said,) = made.fallbacks
+    assert said.startswith("The path was optimised as a whole, as a segment failed (nothing to be done")
+    assert said in list(remarks(made))
+    assert load_plan(save(made, tmp_path / "plan")).fallbacks == (said,)

@@ -1,17 +1,15 @@
 """Via-points that rule out every trajectory are refused at once, and others are not."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_scenes import context_of, short_scene, torque_problem
+from small_scenes import context_of, problem_of, short_scene, torque_problem
 
 from cmbot.common.errors import OptimisationFailed
 from cmbot.planning import ExchangeReport
-from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque import feasibility
 from cmbot.planning.torque.decomposition import optimise
 from cmbot.planning.torque.feasibility import check_feasible
@@ -19,14 +17,9 @@ from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Dynamics
 
 
-def problem_of(**changes: Any) -> TorqueProblem:
-    return fixed_guess(context_of(short_scene(**changes))).problem
-
-
 def in_seconds(seconds: float) -> TorqueProblem:
-    """A leg of 0.1 m in so many seconds."""
     legs = [{"by": [0, -0.1, 0], "seconds": seconds}]
-    return problem_of(tool_path={"legs": legs}, planner={"path_step_s": 0.002})
+    return problem_of(short_scene(tool_path={"legs": legs}, planner={"path_step_s": 0.002}))
 
 
 def refused(problem: TorqueProblem, message: str) -> OptimisationFailed:
@@ -60,7 +53,7 @@ def test_feasibility_is_exact_to_its_samples() -> None:
 
 def test_a_margin_that_the_via_points_break_is_refused_at_once() -> None:
     plate = {"name": "plate", "box": [0.5, 0.02, 0.5], "xyz": [2.3, 0.6, -2.06]}
-    problem = problem_of(obstacles=[plate])
+    problem = problem_of(short_scene(obstacles=[plate]))
     context, form = problem.context, problem.parametrization
     distance = context.clearances.smallest(form.via_points).distance.min()
     options = replace(context.options, safety_margin_m=float(distance) + 0.01)
@@ -71,7 +64,7 @@ def test_a_margin_that_the_via_points_break_is_refused_at_once() -> None:
 
 
 def test_a_load_that_is_too_heavy_at_rest_is_refused_at_once() -> None:
-    problem = problem_of(robot={"payload_kg": 20.0})
+    problem = problem_of(short_scene(robot={"payload_kg": 20.0}))
     failure = refused(problem, "a via-point of the path breaks a bound")
     assert failure.constraint == "joint torque"
     robot = problem.context.robot

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from small_scenes import context_of, short_scene
+from small_scenes import context_of, off_task, short_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
@@ -23,11 +23,6 @@ def given(request: pytest.FixtureRequest) -> tuple[PlanningContext, TaskManifold
 Given = tuple[PlanningContext, TaskManifold, FloatArray]
 
 
-def task_error(context: PlanningContext, q: FloatArray) -> float:
-    at = context.postures.at(q)
-    return float(np.abs(context.task.errors(at.tool_point, at.tool_rotation, context.points)).max())
-
-
 def test_tangents_are_orthonormal_and_keep_the_task(given: Given) -> None:
     context, manifold, q = given
     tangents = manifold.tangents(q)
@@ -35,16 +30,15 @@ def test_tangents_are_orthonormal_and_keep_the_task(given: Given) -> None:
     np.testing.assert_allclose(tangents @ tangents.transpose(0, 2, 1), identity, rtol=0, atol=1e-12)
     for tangent in tangents.transpose(1, 0, 2):
         # Errors grow with the square of the step.
-        assert task_error(context, q + 1e-4 * tangent) < 1e-7
+        assert off_task(context.robot, context.task, q + 1e-4 * tangent, context.points) < 1e-7
 
 
 def test_retracted_via_points(given: Given, rng: np.random.Generator) -> None:
-    """They hold the task, are where they were asked to be along the tangents, and have exact derivatives."""
     context, manifold, q = given
     tangents = manifold.tangents(q)
     u = 0.2 * rng.normal(size=tangents.shape[:2])
     moved, slope = manifold.retract(q, tangents, u, np.arange(len(q)))
-    assert task_error(context, moved) < 1e-10
+    assert off_task(context.robot, context.task, moved, context.points) < 1e-10
     np.testing.assert_allclose(np.einsum("kai,ki->ka", tangents, moved - q), u, rtol=0, atol=1e-10)
     some = np.array([1, 4, 6])
     apart, slopes = manifold.retract(q, tangents[some], u[some], some)
@@ -87,7 +81,7 @@ def test_steps_of_the_parametrization(
     a = manifold.tangents(q).shape[1]
     assert form.dimension == 7 * (len(q) - 4) + (a * (len(q) - pinned) if sliding else 0)
     moved = form.step(0.3 * rng.normal(size=form.dimension))
-    assert task_error(context, moved.via_points) < 1e-10
+    assert off_task(context.robot, context.task, moved.via_points, context.points) < 1e-10
     change = np.abs(moved.via_points - q).max(axis=1)
     assert (change[1:] > 1e-3).all() == sliding
     assert (change[0] == 0.0) == (pinned or not sliding)

@@ -5,7 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from small_scenes import context_of, torque_problem
+from quadrature import gauss_points
+from small_scenes import context_of, torque_along, torque_problem
 from urdf_arms import endless_scene
 
 from cmbot.common.arrays import FloatArray
@@ -16,7 +17,6 @@ from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Dynamics
 from cmbot.trajectory.parametrization import Parametrization
-from cmbot.trajectory.quintic import QuinticTrajectory
 
 
 @pytest.fixture(scope="module")
@@ -36,19 +36,13 @@ def wild(form: Parametrization, rng: np.random.Generator, size: float) -> Parame
     return form.step(x)
 
 
-def torques(problem: TorqueProblem, trajectory: QuinticTrajectory, times: FloatArray) -> FloatArray:
-    efforts = Dynamics(problem.context.robot).efforts(*trajectory.states(times))
-    return np.linalg.norm(efforts.guardrail_torque, axis=1)
-
-
 @pytest.mark.parametrize("kind", ["fixed", "free", "pinned"])
 def test_units_and_the_lower_bound(kind: str) -> None:
     """What rests in a posture that stays cannot ask less; what is known of all postures counts, too."""
     problem = torque_problem(kind)
     form, robot = problem.parametrization, problem.context.robot
     assert len(problem.grid) == 7 * problem.samples_per_segment + 1
-    on_grid = torques(problem, form.trajectory, problem.grid)
-    assert problem.scale == pytest.approx(on_grid.max())
+    assert torque_along(problem, form.trajectory, problem.grid).max() == pytest.approx(1.0)
     at_rest = np.linalg.norm(Dynamics(robot).static_efforts(form.via_points).guardrail_torque, axis=1)
     np.testing.assert_allclose(problem.at_via_points, at_rest, rtol=1e-12)
     resting = {"fixed": [0, -1], "free": [], "pinned": [0]}[kind]
@@ -64,10 +58,8 @@ def test_residuals_square_to_the_mean(
     """Three Gauss points a segment are enough for calm splines, and nearly so for wild ones."""
     form = problem.parametrization.step(size * rng.normal(size=problem.parametrization.dimension))
     residuals = problem.mean_residuals(form.trajectory)
-    t, h = problem.space.t, np.diff(problem.space.t)[:, None]
-    nodes, weights = np.polynomial.legendre.leggauss(20)
-    times, share = (t[:-1, None] + 0.5 * h * (1 + nodes)).ravel(), (0.5 * h * weights).ravel() / t[-1]
-    mean = share @ (torques(problem, form.trajectory, times) / problem.scale) ** 2
+    times, share = gauss_points(problem.space.t, 20)
+    mean = share @ torque_along(problem, form.trajectory, times) ** 2
     assert sum(part.value @ part.value for part in residuals) == pytest.approx(mean, rel=tolerance)
 
     def value(y: FloatArray) -> float:
@@ -93,20 +85,19 @@ def test_bounds_of_the_joints(fixed: TorqueProblem, rng: np.random.Generator, or
     assert share.max() > 1
     found = find_violations(fixed, trajectory, np.inf, tolerance, 1000)
     family = 1 + len(fixed.constraints) + order
-    here = found.family == family
-    known = ConstraintSet(step=0.01).extended(found.family[here], found.component[here], found.time[here])
-    values = linearize(fixed, known, trajectory).value
+    known = found.added_to(ConstraintSet(step=0.01))
+    everything = linearize(fixed, known, trajectory).value
+    values = everything[known.family == family]
     # The bound lies ten tolerances inside the limit.
     inside = 1 - 10 * fixed.context.options.constraint_tolerance
     for joint in np.flatnonzero(share > 1):
         assert np.abs(values - (share[joint] - inside)).min() < 1e-9
     assert values.max() == pytest.approx(share.max() - inside, abs=1e-9)
-    assert values.max() <= found.worst.value + 1e-9
+    assert everything.max() <= found.worst.value + 1e-9
     assert (bound.order, bound.name) == (order, ("position", "velocity", "acceleration", "jerk")[order])
 
 
 def test_endless_joints_have_no_ends(tmp_path: Path) -> None:
-    """Positions of a joint without ends are never violated, whatever they are."""
     robot = (context := context_of(endless_scene(tmp_path), knots="fixed")).robot
     bound = fixed_guess(context).problem.bounds[0]
     endless = ~np.isfinite(robot.limits.lower)
