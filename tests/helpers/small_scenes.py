@@ -12,7 +12,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import ToolTask, robot_of, task_of
 from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.initial_guess import fixed_guess
+from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 from cmbot.scene import Scene, SpeedProfile, ToolPath, load_scene
@@ -45,16 +45,17 @@ def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
     return robot, task_of(scene, robot), scene.posture, Clearances(robot, scene.obstacles)
 
 
+def path_through(corners: FloatArray, orientation: FloatArray) -> ToolPath:
+    """A tool path of a second a leg."""
+    seconds = np.ones(len(corners) - 1)
+    return ToolPath(corners=corners, orientation=orientation, seconds=seconds, profile=SpeedProfile())
+
+
 def task_at(robot: Robot, q: FloatArray, keep: Any = "pose") -> ToolTask:
     """The task of moving the tool 0.1 m up from posture `q` (n,)."""
     X_WT = Kinematics(robot).tool_pose(q)
-    path = ToolPath(
-        corners=X_WT.translation + np.array([[0.0, 0, 0], [0, 0, 0.1]]),
-        orientation=X_WT.rotation,
-        seconds=np.ones(1),
-        profile=SpeedProfile(),
-    )
-    return ToolTask(path, keep)
+    corners = X_WT.translation + np.array([[0.0, 0, 0], [0, 0, 0.1]])
+    return ToolTask(path_through(corners, X_WT.rotation), keep)
 
 
 def off_task(robot: Robot, task: ToolTask, q: FloatArray, points: FloatArray) -> float:
@@ -83,16 +84,16 @@ def context_of(scene: Scene, **options: Any) -> PlanningContext:
     return build_context(scene, replace(scene.planner, **options))
 
 
-def problem_of(scene: Scene) -> TorqueProblem:
-    """The torque problem of a scene with fixed knots, started at the least-jerk spline."""
-    return fixed_guess(context_of(scene)).problem
+def problem_of(scene: Scene, **options: Any) -> TorqueProblem:
+    """The torque problem around the initial guess for a scene, with other options."""
+    return initial_guess(context_of(scene, **options)).problem
 
 
 @cache
 def short_context() -> tuple[PlanningContext, FloatArray]:
     """The context of the short scene, and its via-points by gradient projection."""
     context = context_of(short_scene())
-    return context, fixed_guess(context).problem.parametrization.via_points
+    return context, initial_guess(context).problem.parametrization.via_points
 
 
 @cache

@@ -106,6 +106,12 @@ def scene_data(
     }
 
 
+def path_of(keep: str, via_points: int, *legs: tuple[list[float], float]) -> dict[str, Any]:
+    """A tool path of legs, m, with their seconds."""
+    each = [{"by": by, "seconds": seconds} for by, seconds in legs]
+    return {"legs": each, "via_points": via_points, "keep": keep}
+
+
 def six_joint_scene(
     folder: Path, arm: str, posture: list[float], tool_path: dict[str, Any], **planner: Any
 ) -> Scene:

@@ -3,18 +3,13 @@
 import numpy as np
 from scipy import sparse
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import IntArray
 from cmbot.optimization.curvature import convexified, state_curvature
 from cmbot.optimization.program import Linearization, StateSamples
 
 
 class Known:
     """Component c: c + 1 times the sum of sin(q) v, and a^2 of the first joint."""
-
-    name, components = "known", 2
-
-    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
-        raise NotImplementedError
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         q, v, a = states.q, states.v, states.a

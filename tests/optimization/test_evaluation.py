@@ -51,7 +51,6 @@ def iterate(problem: TorqueProblem, stage: Stage, rng: np.random.Generator) -> N
 
 @pytest.mark.parametrize("stage", [PEAK, MEAN], ids=lambda stage: stage.name)
 def test_derivatives(problem: TorqueProblem, stage: Stage, rng: np.random.Generator) -> None:
-    """Of the model at its point, and by other unknowns away from it."""
     at = iterate(problem, stage, rng)
     model, x = at.model, np.zeros(problem.parametrization.dimension)
     off = step_of(problem, rng, 0.1)
@@ -165,16 +164,11 @@ def test_cuts_never_exceed_their_function(problem: TorqueProblem, rng: np.random
     np.testing.assert_array_equal(np.sort(kept.cut_of), np.sort(again.cut_of))
 
 
-def violated(problem: TorqueProblem) -> tuple[NlpEvaluation, NlpEvaluation]:
-    """A point with few constraints, and one after a step that violates others."""
-    some = ConstraintSet(step=0.01).at_all([OBJECTIVE, DEVIATION], TIMES)
-    at = NlpEvaluation.around(problem, PEAK, problem.parametrization, some)
-    return at, at.step(np.full(problem.parametrization.dimension, 0.5))
-
-
 def test_a_step_adds_what_it_violates(problem: TorqueProblem) -> None:
     """Behind the constraints that were there, whose multipliers so stay the first."""
-    at, trial = violated(problem)
+    some = ConstraintSet(step=0.01).at_all([OBJECTIVE, DEVIATION], TIMES)
+    at = NlpEvaluation.around(problem, PEAK, problem.parametrization, some)
+    trial = at.step(np.full(problem.parametrization.dimension, 0.5))
     K = len(at.constraints)
     assert len(trial.constraints) == len(trial.values.value) > K
     for name in ("family", "component", "time"):

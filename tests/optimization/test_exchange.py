@@ -15,8 +15,6 @@ from cmbot.optimization import exchange
 from cmbot.optimization.evaluation import NlpEvaluation
 from cmbot.optimization.exchange import ExchangeOptions, minimize_peak
 from cmbot.planning import ExchangeReport, QuinticTrajectory, plan
-from cmbot.planning.context import build_context
-from cmbot.planning.initial_guess import sliding_guess
 from cmbot.planning.torque.decomposition import Optimised, exchange_options, optimise
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.scene import PlannerOptions
@@ -228,8 +226,7 @@ def test_slsqp_that_diverges_is_given_up(monkeypatch: pytest.MonkeyPatch, answer
 
 def test_slsqp_turns_back_where_the_task_cannot_be_held() -> None:
     """A step far beyond what the arm reaches costs more than any other, and is evaluated without an error."""
-    scene = short_scene(planner={"knots": "sliding", "chart_spacing": 0.3})
-    problem = sliding_guess(build_context(scene, scene.planner)).problem
+    problem = problem_of(short_scene(planner={"knots": "sliding", "chart_spacing": 0.3}))
     run = exchange._Exchange(problem, ExchangeOptions(), None)
     stage = exchange.Stage(smoothing=0.1, bound=1.0, tolerance=1e-5)
     start = NlpEvaluation.around(problem, stage, problem.parametrization, run._constraints)
@@ -255,6 +252,7 @@ def test_the_optimum_keeps_what_the_global_search_gained(by: list[float]) -> Non
 
 WRONG = [
     ("knots", "loose"),
+    ("axis_weights", (0.0, 0.0, 0.0)),
     ("avoidance", "soft"),
     ("avoidance_distance_m", 0.0),
     ("avoidance_gain", -1.0),

@@ -5,18 +5,26 @@ different ones the SQP's is no worse.
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal, Self
 
 import numpy as np
 import pytest
-from same_start import Answer, SameStart
+from quadrature import gauss_points
 from small_scenes import short_scene
 from threadpoolctl import threadpool_limits
-from urdf_arms import arm_scene, endless_scene, six_joint_scene
+from urdf_arms import arm_scene, endless_scene, path_of, six_joint_scene
 
+from cmbot.optimization.exchange import minimize_peak
+from cmbot.optimization.program import StateSamples
+from cmbot.planning.context import build_context
+from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.objectives import WrenchFunction
+from cmbot.planning.torque.decomposition import exchange_options
+from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.scene import Scene, load_scene
+from cmbot.trajectory.quintic import QuinticTrajectory
 
 # The same optimum, as a share of it; peaks held so near to each other make objectives comparable; violations
 # up to this count as met; two motions that never differ by more are the same, rad.
@@ -62,30 +70,80 @@ ARMS: dict[str, Callable[[Path], Scene]] = {
     "panda, fixed": lambda folder: arm_scene(folder, "panda", knots="fixed"),
     "kinova, pose": lambda folder: arm_scene(folder, "kinova"),
     "kinova, axis": lambda folder: arm_scene(folder, "kinova", "axis"),
-    "endless, axis": lambda folder: coarse(endless_scene(folder, keep="axis")),
+    "endless, axis": lambda folder: changed(endless_scene(folder, keep="axis"), **COARSE),
     "ur5, pose": lambda folder: six_joint_scene(
-        folder,
-        "ur5",
-        [-105, -76, -94, 84, 48, -61],
-        {"legs": [{"by": [0.061, -0.054, -0.015], "seconds": 5.9}], "via_points": 15},
+        folder, "ur5", [-105, -76, -94, 84, 48, -61], path_of("pose", 15, ([0.061, -0.054, -0.015], 5.9))
     ),
     "ur5, axis": lambda folder: six_joint_scene(
-        folder,
-        "ur5",
-        [0, 71, -107, 55, 66, -104],
-        {"legs": [{"by": [0.037, 0.13, -0.125], "seconds": 4.9}], "via_points": 15, "keep": "axis"},
+        folder, "ur5", [0, 71, -107, 55, 66, -104], path_of("axis", 15, ([0.037, 0.13, -0.125], 4.9))
     ),
     "z1, pose": lambda folder: six_joint_scene(
-        folder,
-        "z1",
-        [103, 80, -26, -9, -39, 13],
-        {"legs": [{"by": [0.047, -0.097, 0.114], "seconds": 5.3}], "via_points": 12},
+        folder, "z1", [103, 80, -26, -9, -39, 13], path_of("pose", 12, ([0.047, -0.097, 0.114], 5.3))
     ),
 }
 
 
-def coarse(scene: Scene) -> Scene:
-    return replace(scene, planner=replace(scene.planner, **COARSE))
+@dataclass(frozen=True, kw_only=True)
+class Answer:
+    """Where a solver ended."""
+
+    # Half the mean square of the objective and the smoothing, from the trajectory alone.
+    objective: float
+    # Largest value of the objective, and what it was held below, in units of the problem's scale.
+    peak: float
+    bound: float
+    # The largest of all constraints but the peak's, as a share.
+    violation: float
+    trajectory: QuinticTrajectory
+
+    def away_from(self, other: Self) -> float:
+        """Largest difference of a joint's angle between two answers, rad."""
+        t = np.linspace(*self.trajectory.t[[0, -1]], 400)
+        return float(np.abs(self.trajectory.evaluate(t) - other.trajectory.evaluate(t)).max())
+
+
+class SameStart:
+    """A scene's torque problem, for both solvers around the same via-points."""
+
+    def __init__(self, scene: Scene, own: WrenchFunction | None = None) -> None:
+        context = build_context(scene, scene.planner, own)
+        guess = initial_guess(context)
+        via_points, sliding = guess.problem.parametrization.via_points, scene.planner.knots == "sliding"
+        form = parametrization_through(context, via_points, sliding=sliding, pinned=guess.pinned)
+        self.problem = TorqueProblem(context, form, guess.lower_bound.value)
+
+    def solve(self, solver: Literal["sqp", "slsqp"]) -> Answer:
+        found = minimize_peak(self.problem, replace(exchange_options(self.problem), solver=solver))
+        return self.judged(found.parametrization.trajectory, found.peak_bound)
+
+    def judged(self, trajectory: QuinticTrajectory, bound: float) -> Answer:
+        """Judge a trajectory whose peak is held below `bound`."""
+        problem, context = self.problem, self.problem.context
+        limits = context.robot.limits
+        times, share = gauss_points(trajectory.t, 5)
+        value = context.objective.values(StateSamples.along(trajectory, times)) / problem.scale
+        jerk = ((trajectory.evaluate(times, 3) / limits.jerk) ** 2).mean(axis=1)
+        fine = np.linspace(*trajectory.t[[0, -1]], 60 * len(trajectory.t))
+        states = StateSamples.along(trajectory, fine)
+        kept = [function.sample(states)[0].max() for function in problem.constraints]
+        bounds = (limits.velocity, limits.acceleration, limits.jerk)
+        kept += [
+            float((trajectory.extrema(order).largest()[0] / bound).max()) - 1
+            for order, bound in enumerate(bounds, start=1)
+        ]
+        q = trajectory.extrema(0).value
+        outside = np.maximum(q - limits.upper[:, None], limits.lower[:, None] - q)
+        return Answer(
+            objective=0.5 * float(share @ (value**2 + context.options.smoothing_weight * jerk)),
+            peak=float(context.objective.values(states).max()) / problem.scale,
+            bound=bound,
+            violation=max(*kept, float(outside.max())),
+            trajectory=trajectory,
+        )
+
+
+def changed(scene: Scene, **planner: Any) -> Scene:
+    return replace(scene, planner=replace(scene.planner, **planner))
 
 
 def of_example(name: str, folder: Path) -> tuple[Scene, Any]:
@@ -127,8 +185,7 @@ def one_thread() -> Iterator[None]:
 @pytest.mark.parametrize("name", SHIPPED)
 def test_shipped_scenes(name: str) -> None:
     scene, changes = SHIPPED[name]
-    loaded = load_scene(scene)
-    compared(SameStart(replace(loaded, planner=replace(loaded.planner, **changes))))
+    compared(SameStart(changed(load_scene(scene), **changes)))
 
 
 @pytest.mark.parametrize("name", SMALL)

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
-from small_scenes import context_of, short_scene
+from small_scenes import context_of, path_through, problem_of, short_scene
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import install_command
 from cmbot.planning import plan, precheck
-from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.initial_guess import sliding_guess
+from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import TangentPredictor, project_onto_task
 from cmbot.planning.precheck import MOST_UNKNOWNS, oversized, precheck_scene
 from cmbot.planning.selfmotion import charts as self_motion
@@ -24,7 +24,7 @@ from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgr
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.torque.decomposition import optimise
 from cmbot.robot import Finding, Postures, Robot
-from cmbot.scene import Scene, SpeedProfile, ToolPath
+from cmbot.scene import Scene, ToolPath
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.spline_space import SplineSpace
 
@@ -141,25 +141,25 @@ def test_longer_paths_do_not_take_many_more_steps() -> None:
     pytest.importorskip("piqp")
 
     def iterations(via_points: int) -> int:
-        scene = growth.sweep(via_points)
-        optimised = optimise(sliding_guess(build_context(scene, scene.planner)).problem)
+        optimised = optimise(problem_of(growth.sweep(via_points)))
         return sum(report.iterations for report in optimised.passes)
 
     assert iterations(150) <= 2 * iterations(50) + 5
 
 
+def check_offset(path: ToolPath, p: FloatArray) -> None:
+    """Against the offset from every leg."""
+    every = [path._offset_from(np.full(len(p), leg), p) for leg in range(len(path.seconds))]
+    nearest = np.linalg.norm(every, axis=2).min(axis=0)
+    np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), nearest, atol=1e-12)
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(0, 1500))
 def test_nearest_legs_are_found_among_few(seed: int, legs: int, points: int) -> None:
     rng = np.random.default_rng(seed)
-    path = ToolPath(
-        corners=np.cumsum(rng.normal(size=(legs + 1, 3)) * rng.choice([0, 0.1, 2], (legs + 1, 1)), axis=0),
-        orientation=np.eye(3),
-        seconds=np.ones(legs),
-        profile=SpeedProfile(),
-    )
-    p = np.cumsum(rng.normal(size=(points, 3)) * 0.02, axis=0)
-    every = [np.linalg.norm(path._offset_from(np.full(points, leg), p), axis=1) for leg in range(legs)]
-    np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), np.min(every, axis=0), atol=1e-12)
+    steps = rng.normal(size=(legs + 1, 3)) * rng.choice([0, 0.1, 2], (legs + 1, 1))
+    path = path_through(np.cumsum(steps, axis=0), np.eye(3))
+    check_offset(path, np.cumsum(rng.normal(size=(points, 3)) * 0.02, axis=0))
 
 
 @given(st.lists(st.integers(0, 4), min_size=2, max_size=30), st.integers(0, 2**32 - 1))
@@ -167,17 +167,10 @@ def test_strokes_to_and_fro_are_one_leg(corners: list[int], seed: int) -> None:
     """Corners that adding up steps has put a rounding aside are the same."""
     rng = np.random.default_rng(seed)
     places = rng.normal(size=(5, 3))
-    path = ToolPath(
-        corners=places[corners] + rng.uniform(-1e-15, 1e-15, (len(corners), 3)),
-        orientation=np.eye(3),
-        seconds=np.ones(len(corners) - 1),
-        profile=SpeedProfile(),
-    )
+    near = places[corners] + rng.uniform(-1e-15, 1e-15, (len(corners), 3))
+    path = path_through(near, np.eye(3))
     assert len(path._distinct_legs) <= len({frozenset(pair) for pair in pairwise(corners)}) + 2
-    p = rng.normal(size=(40, 3))
-    every = [path._offset_from(np.full(40, leg), p) for leg in range(len(corners) - 1)]
-    nearest = np.linalg.norm(every, axis=2).min(axis=0)
-    np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), nearest, atol=1e-12)
+    check_offset(path, rng.normal(size=(40, 3)))
 
 
 def large(via_points: int, **options: object) -> Scene:

@@ -13,7 +13,7 @@ import pytest
 KERNELS = {"Haswell": "avx2", "SkylakeX": "avx512f", "Sandybridge": "avx", "Nehalem": "sse4_2"}
 CODE = """
 import json, sys
-from dataclasses import replace
+from dataclasses import asdict, replace
 import cmbot
 from threadpoolctl import threadpool_info
 
@@ -26,10 +26,7 @@ print(json.dumps({
     "peak": figures.peak_guardrail_torque,
     "mean": figures.mean_guardrail_torque,
     "clearance": figures.min_clearance,
-    "velocity": figures.limit_use.velocity,
-    "acceleration": figures.limit_use.acceleration,
-    "jerk": figures.limit_use.jerk,
-    "torque": figures.limit_use.torque,
+    **asdict(figures.limit_use),
     "deviation": figures.max_tool_deviation,
     "q": plan.trajectory.q.tolist(),
 }))

@@ -1,5 +1,6 @@
 """What the planner tells while it plans: shares that never fall, and no figure that is below zero."""
 
+import re
 from itertools import pairwise
 
 import pytest
@@ -9,7 +10,7 @@ from small_scenes import short_scene
 
 import cmbot
 from cmbot.optimization.constraint_set import Violation
-from cmbot.planning import ExchangeReport, Progress
+from cmbot.planning import ExchangeReport, Plan, Progress, remarks
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS
 from cmbot.planning.progress import ProgressReporter
 
@@ -30,20 +31,17 @@ class Listener:
     def passed(self, number: int, *, after: float = 0.0, **rounds: int) -> Progress:
         """Tell of a pass of the exchange that took some seconds, s."""
         self.now += after
-        self.reporter.passed(a_pass(number), "Nm", 40, **rounds)
+        worst = Violation("jerk of joint_1", 0.5)
+        report = ExchangeReport(
+            stage="peak", number=number, iterations=3, constraints=9, peak_torque=380.0, worst=worst
+        )
+        self.reporter.passed(report, "Nm", 40, **rounds)
         return self.told[-1]
 
 
 @pytest.fixture
 def listener() -> Listener:
     return Listener()
-
-
-def a_pass(number: int) -> ExchangeReport:
-    worst = Violation("jerk of joint_1", 0.5)
-    return ExchangeReport(
-        stage="peak", number=number, iterations=3, constraints=9, peak_torque=380.0, worst=worst
-    )
 
 
 @pytest.mark.parametrize(
@@ -65,10 +63,9 @@ def test_while_a_scene_is_planned(options: dict[str, object]) -> None:
     stages = [progress.stage for progress in told]
     assert (stages[0], stages[-1]) == ("path", "certify")
     assert stages == sorted(stages, key=["path", "optimise", "certify"].index)
-    reports = tuple(progress.report for progress in told if progress.report)
     # Of the rounds of compensation the plan keeps the last one's passes.
-    assert reports[-len(made.passes) :] == made.passes
-    assert len(reports) == len(made.passes) or "compensate" in options
+    reports = tuple(progress.report for progress in told if progress.report)
+    assert made.passes == (reports[-len(made.passes) :] if "compensate" in options else reports)
     timed = {progress.step for progress in told if progress.share and progress.left}
     assert "following the tool path as the baseline does" in timed
     if "knots" in options:
@@ -78,10 +75,25 @@ def test_while_a_scene_is_planned(options: dict[str, object]) -> None:
         assert "finding the least torque at rest" in {progress.step for progress in told}
     else:
         assert "following the tool path" in timed
-    rounds = [progress for progress in told if progress.rounds]
-    assert bool(rounds) == ("compensate" in options)
-    for progress in rounds:
-        assert progress.left.most == MOST_ROUNDS - progress.rounds + 1
+    if "compensate" in options:
+        check_rounds(made, told)
+    else:
+        assert not any(progress.rounds for progress in told)
+
+
+def check_rounds(made: Plan, told: list[Progress]) -> None:
+    """Of the compensation of the sag: which round it is, and how many are left at most."""
+    passed = [progress for progress in told if progress.report]
+    last, rounds = passed[-1], [progress.rounds for progress in passed]
+    assert rounds == sorted(rounds)
+    assert set(rounds) == set(range(made.compensation.rounds + 1))
+    assert last.sentence().startswith(f"compensating the sag, round {last.rounds}, pass ")
+    assert sum(progress.rounds == last.rounds for progress in told) == len(made.passes)
+    for progress in told:
+        assert not progress.rounds or progress.left.most == MOST_ROUNDS - progress.rounds + 1
+    (time,) = (remark for remark in remarks(made) if remark.startswith("Time: "))
+    words = rf"\({len(made.passes)} pass(es)? in the last of {made.compensation.rounds} rounds?\)"
+    assert re.search(words, time)
 
 
 def test_a_wide_self_motion_is_charted_twice() -> None:

@@ -1,17 +1,25 @@
-"""Retries: shorter steps between via-points, the scene's start, the other solver, in that order."""
+"""Retries: shorter steps between via-points, the scene's start, the other solver, in that order.
 
+And which solver makes a plan at first.
+"""
+
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from small_scenes import context_of, short_scene
-from urdf_arms import six_joint_scene
+from small_scenes import context_of, problem_of, short_scene
+from urdf_arms import panda_scene, path_of, six_joint_scene
 
-from cmbot.common.errors import OptimisationFailed, PathNotFound
-from cmbot.planning import plan, remarks
+from cmbot.archive import load_plan, save
+from cmbot.cli.inspection import examine
+from cmbot.common.errors import MissingExtra, OptimisationFailed, PathNotFound
+from cmbot.optimization import exchange
+from cmbot.planning import Plan, plan, remarks
 from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.precheck import solver_of
 from cmbot.planning.retries import (
     Attempt,
     guesses_in_shorter_steps,
@@ -19,11 +27,12 @@ from cmbot.planning.retries import (
     shorter_steps,
     with_retries,
 )
-from cmbot.scene import Scene
+from cmbot.planning.torque.decomposition import optimise
+from cmbot.scene import PlannerOptions, Scene
 
 FAILURE = OptimisationFailed("no", constraint="jerk of joint_3", violation=1.0)
 POSTURE = [41, 119, -70, 85, 48, -67]
-TURNED = [([-0.086, 0.027, 0.101], 4.3), ([-0.081, 0.096, 0.037], 3.6)]
+TURNED = path_of("pose", 25, ([-0.086, 0.027, 0.101], 4.3), ([-0.081, 0.096, 0.037], 3.6))
 UNREACHED = PathNotFound("no approach", time=0.0, progress=0.0, smallest_singular_value=1.0)
 
 
@@ -44,8 +53,7 @@ def attempt_at(scene: Scene, **options: Any) -> Attempt:
 
 def turned_wrist(folder: Path, **planner: object) -> Scene:
     """A UR3: of its two ways to hold the tool's pose the one with less torque turns a wrist too fast."""
-    legs = [{"by": by, "seconds": seconds} for by, seconds in TURNED]
-    return six_joint_scene(folder, "ur3", POSTURE, {"legs": legs, "via_points": 25}, **planner)
+    return six_joint_scene(folder, "ur3", POSTURE, TURNED, **planner)
 
 
 class Failing:
@@ -176,3 +184,78 @@ def test_a_plan_says_that_its_steps_are_shorter(tmp_path: Path) -> None:
     again = plan(made.scene, options=made.options)
     assert again.fallbacks == ()
     np.testing.assert_allclose(again.trajectory.q, made.trajectory.q, rtol=0, atol=1e-9)
+
+
+def test_what_no_trajectory_can_keep_is_named() -> None:
+    """A tool deviation that via-points so far apart cannot hold."""
+    legs = [{"by": [0, -0.6, 0], "seconds": 4}]
+    scene = short_scene(
+        tool_path={"legs": legs, "via_points": 6}, planner={"max_tool_deviation_m": 1e-6, "solver": "sqp"}
+    )
+    with pytest.raises(OptimisationFailed) as caught:
+        optimise(problem_of(scene))
+    assert caught.value.constraint == "tool deviation"
+    assert caught.value.violation > 1
+
+
+def test_a_long_path_with_few_via_points_does_not_creep(tmp_path: Path) -> None:
+    """The tool's deviation bends away from nearly every step; uncorrected this took hundreds of them."""
+    legs = [
+        {"by": [0, 0.1, 0], "seconds": 3},
+        {"by": [0, 0, -0.1], "seconds": 3},
+        {"by": [0, -0.1, 0.1], "seconds": 3},
+    ]
+    scene = panda_scene(tmp_path, legs=legs, via_points=12)
+    problem = problem_of(scene, chart_spacing=0.3, samples_per_segment=15, solver="sqp")
+    found = optimise(problem)
+    assert sum(report.iterations for report in found.passes) <= 80
+    assert found.passes[-1].worst.value <= scene.planner.constraint_tolerance
+    assert found.passes[-1].peak_torque < problem.scale
+
+
+@pytest.mark.parametrize("undecided", [True, False])
+def test_where_it_gives_up_auto_tries_slsqp_and_the_plan_says_so(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, undecided: bool
+) -> None:
+    def gives_up(*_: Any, **__: Any) -> Any:
+        raise OptimisationFailed(
+            "the steps became too small", constraint="none", violation=1.0, undecided=undecided
+        )
+
+    monkeypatch.setattr(exchange, "solve_sqp", gives_up)
+    told: list[str] = []
+    scene = short_scene(planner={"solver": "auto"})
+    if undecided:
+        planned = plan(scene, progress=lambda progress: told.append(progress.step))
+        assert planned.options.solver == "slsqp"
+        assert any("slsqp" in step for step in told)
+        said = "The solver sqp gave up (the steps became too small): planned with slsqp instead."
+        assert planned.fallbacks == (said,)
+        assert said in list(remarks(planned))
+        assert load_plan(save(planned, tmp_path / "plan")).fallbacks == (said,)
+    else:
+        with pytest.raises(OptimisationFailed):
+            plan(scene)
+    with pytest.raises(OptimisationFailed):
+        plan(short_scene(planner={"solver": "sqp"}))
+
+
+def test_the_plan_says_which_solver_made_it(short_plan: Plan, tmp_path: Path) -> None:
+    """And, where nothing failed, nothing else."""
+    assert plan(short_scene(planner={"solver": "auto"})).options.solver == "sqp"
+    assert plan(short_scene(planner={"solver": "slsqp"})).options.solver == "slsqp"
+    assert short_plan.fallbacks == () == load_plan(save(short_plan, tmp_path / "plan")).fallbacks
+    assert not any("instead" in remark or "as a whole" in remark for remark in remarks(short_plan))
+
+
+def test_without_piqp(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "piqp", None)
+    assert solver_of(PlannerOptions(solver="auto")) == "slsqp"
+    assert solver_of(PlannerOptions(solver="slsqp")) == "slsqp"
+    with pytest.raises(MissingExtra, match=r"piqp is not installed; run: pip install .*\[fast\]"):
+        plan(short_scene(planner={"solver": "sqp"}))
+
+
+def test_the_doctor_knows_piqp() -> None:
+    found = {symptom.name: symptom for symptom in examine()}
+    assert found["piqp"].healthy

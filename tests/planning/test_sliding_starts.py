@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_scenes import parts, short_scene
+from small_scenes import context_of, parts, short_scene
 
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import GlobalSearch, plan, remarks
-from cmbot.planning.context import build_context
 
 # Beside the elbow: from the scene's posture the arm cannot get past it, from another it can.
 BALL = {"name": "ball", "sphere": 0.0555, "xyz": [0.95, 0.52, -1.0]}
@@ -73,7 +72,7 @@ def test_a_free_start_stays_where_nothing_is_gained_by_leaving() -> None:
 
 def test_a_pinned_start_that_is_not_admissible_is_what_is_named() -> None:
     scene = short_scene(obstacles=[{**BALL, "sphere": 0.1}], planner=PINNED)
-    stage = GlobalSearch(build_context(scene, scene.planner))
+    stage = GlobalSearch(context_of(scene))
     assert stage.solve(pinned=False).peak > 0
     with pytest.raises(PathNotFound, match="via-point 1 of 8 is blocked: the posture to start in") as caught:
         stage.solve(pinned=True)

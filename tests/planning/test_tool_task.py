@@ -9,11 +9,11 @@ from finite_differences import check_derivative, finite_difference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from small_scenes import path_through
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning.task import ToolTask
-from cmbot.scene import SpeedProfile, ToolPath
 
 SIZES = {"pose": 6, "axis": 5, "position": 3}
 every_kind = pytest.mark.parametrize("keep", SIZES)
@@ -21,13 +21,7 @@ seeds = st.integers(0, 2**32 - 1)
 
 
 def task_of(keep: Any, R_goal: FloatArray) -> ToolTask:
-    path = ToolPath(
-        corners=np.array([[0.0, 0, 0], [1.0, 0, 0]]),
-        orientation=R_goal,
-        seconds=np.array([20.0]),
-        profile=SpeedProfile(),
-    )
-    return ToolTask(path, keep)
+    return ToolTask(path_through(np.eye(3)[:2], R_goal), keep)
 
 
 def random_rotation(rng: np.random.Generator) -> FloatArray:
@@ -92,24 +86,6 @@ def test_near_the_goal_the_jacobian_is_wrong_by_no_more_than_the_tilt(keep: str,
     wrong = slope + task.jacobian(X_WT.rotation, J) @ dq
     np.testing.assert_allclose(wrong[:3], 0.0, rtol=0, atol=1e-8)
     assert np.linalg.norm(wrong) <= 2 * tilt * np.linalg.norm(J[3:] @ dq) + 1e-8
-
-
-@every_kind
-def test_jacobian_of_an_arm(keep: str) -> None:
-    model = pin.buildSampleModelManipulator()
-    data, rng = model.createData(), np.random.default_rng(4)
-    frame = model.nframes - 1
-    q = rng.uniform(-1, 1, size=model.nq)
-
-    def tool_pose(q: FloatArray) -> Any:
-        pin.framesForwardKinematics(model, data, q)
-        return data.oMf[frame].copy()
-
-    X_WT = tool_pose(q)
-    task = task_of(keep, X_WT.rotation.copy())
-    J = pin.computeFrameJacobian(model, data, q, frame, pin.LOCAL_WORLD_ALIGNED)
-    got = task.jacobian(X_WT.rotation, J)
-    check_derivative(lambda x: -task.error(tool_pose(x), X_WT.translation), q, got, rtol=0, atol=1e-8)
 
 
 @given(seeds)

@@ -43,6 +43,9 @@ class Spheres:
     def part(self, first: int, last: int) -> Self:
         return replace(self, centres=self.centres[first : last + 1])
 
+    def check(self, q: FloatArray) -> None:
+        np.testing.assert_allclose(np.linalg.norm(q - self.centres, axis=1), 1.0, rtol=0, atol=1e-12)
+
 
 def space_of(n: int, rng: np.random.Generator) -> SplineSpace:
     return SplineSpace(np.cumsum(rng.uniform(0.3, 0.6, n)))
@@ -148,8 +151,7 @@ def test_steps_keep_the_smoothness_and_the_manifolds(form: Parametrization, rng:
     still = (moved.via_points == form.via_points).all(axis=1)
     np.testing.assert_array_equal(np.flatnonzero(~still), form.movable)
     if isinstance(form.retraction, Spheres):
-        radii = np.linalg.norm(moved.via_points - form.retraction.centres, axis=1)
-        np.testing.assert_allclose(radii, 1.0, rtol=0, atol=1e-12)
+        form.retraction.check(moved.via_points)
     assert form.displacements == 2 * len(form.movable)
     assert form.dimension == D * (N - 4) + form.displacements
     assert form.step(np.zeros(form.dimension)) is form
@@ -174,7 +176,6 @@ def test_step_jacobian(form: Parametrization, rng: np.random.Generator) -> None:
 
 
 def test_jacobians_and_gradients(form: Parametrization, rng: np.random.Generator) -> None:
-    """The assembled derivatives are those of the trajectory, at the start of the parametrization."""
     times = times_in(form, rng, 5)
     rows, weights = form.splines.rows(times), rng.normal(size=(4, 5, D))
     for orders in (1, 3, 4):
@@ -283,8 +284,7 @@ def test_segments(kind: str, first: int, last: int, rng: np.random.Generator) ->
     moved = segment.step(step(segment, rng, 0.3))
     check_c3_at_rest(moved.trajectory)
     if isinstance(whole.retraction, Spheres):
-        radii = np.linalg.norm(moved.via_points - whole.retraction.centres[first : last + 1], axis=1)
-        np.testing.assert_allclose(radii, 1.0, rtol=0, atol=1e-12)
+        whole.retraction.part(first, last).check(moved.via_points)
 
 
 def test_a_segment_has_five_knots() -> None:

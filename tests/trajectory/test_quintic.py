@@ -181,6 +181,7 @@ def test_duration_no_times_and_derivatives_beyond_the_fifth() -> None:
 
 
 GOOD = {"t": [0.0, 1.0, 3.0], "q": np.zeros((3, 2)), "v": np.zeros((3, 2)), "a": np.zeros((3, 2))}
+WRONG_SHAPES: list[tuple[int, ...]] = [(), (3,), (4, 2), (3, 3), (3, 2, 1)]
 
 
 @pytest.mark.parametrize(
@@ -196,11 +197,7 @@ GOOD = {"t": [0.0, 1.0, 3.0], "q": np.zeros((3, 2)), "v": np.zeros((3, 2)), "a":
         ("t", [0.0, 1.0, np.inf], "finite, increasing times"),
         ("t", [-np.inf, 1.0, 2.0], "finite, increasing times"),
         ("t", [0.0, 1.0], "one row per knot"),
-        *((key, np.zeros(3), "one row per knot") for key in "qva"),
-        *((key, 0.0, "one row per knot") for key in "qva"),
-        *((key, np.zeros((4, 2)), "one row per knot") for key in "qva"),
-        *((key, np.zeros((3, 3)), "one row per knot") for key in "qva"),
-        *((key, np.zeros((3, 2, 1)), "one row per knot") for key in "qva"),
+        *((key, np.zeros(shape), "one row per knot") for key in "qva" for shape in WRONG_SHAPES),
         *((key, [[0, 0], [0, bad], [0, 0]], "finite") for key in "qva" for bad in (np.nan, np.inf, -np.inf)),
     ],
 )

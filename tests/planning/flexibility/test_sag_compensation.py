@@ -1,14 +1,13 @@
 """Sag compensation and sag as the objective: what is commanded, what is expected, what is said."""
 
-import re
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from finite_differences import check_derivative
 from scipy.interpolate import CubicSpline
-from small_scenes import short_scene, tool_points
+from small_scenes import context_of, short_scene, tool_points
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import SceneError
@@ -18,7 +17,6 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning import (
     GlobalSearch,
     Plan,
-    Progress,
     bending_arm,
     plan,
     remarks,
@@ -26,7 +24,6 @@ from cmbot.planning import (
     sag_of,
     task_of,
 )
-from cmbot.planning.context import build_context
 from cmbot.scene import ShiftedToolPath, load_scene
 
 ALLOWED = 0.001
@@ -92,20 +89,6 @@ def test_a_compensated_plan_is_read_back(compensated: Plan, tmp_path: Path) -> N
     assert back.samples.expected_tool_point is not None
 
 
-def test_progress_says_which_round() -> None:
-    told: list[Progress] = []
-    planned = plan(short_scene(planner={"compensate": True}), progress=told.append)
-    rounds = [step.rounds for step in told if step.report is not None]
-    assert rounds == sorted(rounds)
-    assert set(rounds) == set(range(planned.compensation.rounds + 1))
-    last = [step for step in told if step.report is not None][-1]
-    assert last.sentence().startswith(f"compensating the sag, round {last.rounds}, pass ")
-    assert sum(step.rounds == last.rounds for step in told) == len(planned.passes)
-    (time,) = (remark for remark in remarks(planned) if remark.startswith("Time: "))
-    words = rf"\({len(planned.passes)} pass(es)? in the last of {planned.compensation.rounds} rounds?\)"
-    assert re.search(words, time)
-
-
 def test_without_compensation_nothing_is_expected(short_plan: Plan) -> None:
     assert short_plan.compensation is None
     assert short_plan.sag is None
@@ -124,7 +107,7 @@ def test_nothing_bends(options: dict[str, object], tmp_path: Path) -> None:
 def test_sag_as_the_objective(tmp_path: Path) -> None:
     """From the best posture there is: the global stage's."""
     scene = short_scene(planner={"knots": "sliding", "objective": "sag"})
-    best = GlobalSearch(build_context(scene, scene.planner)).solve(pinned=False).q[0]
+    best = GlobalSearch(context_of(scene)).solve(pinned=False).q[0]
     scene = short_scene(
         posture_deg=np.rad2deg(best).tolist(), planner={"knots": "sliding", "objective": "sag"}
     )
@@ -160,13 +143,7 @@ def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> N
     path = task_of(scene, robot_of(scene)).path
     knots = np.linspace(0, path.duration, 12)
     shift = CubicSpline(knots, rng.uniform(-0.02, 0.02, (12, 3)))
-    shifted = ShiftedToolPath(
-        corners=path.corners,
-        orientation=path.orientation,
-        seconds=path.seconds,
-        profile=path.profile,
-        shift=shift,
-    )
+    shifted = ShiftedToolPath(**{each.name: getattr(path, each.name) for each in fields(path)}, shift=shift)
     t = rng.uniform(0, path.duration, 50)
     np.testing.assert_allclose(shifted.position(t), path.position(t) + shift(t), rtol=0, atol=1e-15)
     p = path.position(t) + rng.uniform(-0.1, 0.1, (50, 3))

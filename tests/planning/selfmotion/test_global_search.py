@@ -1,6 +1,7 @@
 """The global search: best sequences through the charts, the bound below them, failures with reasons."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -78,20 +79,27 @@ def test_no_plan_rests_below_the_bound(by: tuple[float, float, float]) -> None:
     assert np.linalg.norm(static, axis=1).max() >= bound.value - bound.error
 
 
-def test_a_blocked_via_point_is_named_with_its_reason() -> None:
-    wall = {"name": "wall", "box": [2.5, 0.1, 2.5], "xyz": [1.85, 0.5, -2.06]}
-    with pytest.raises(
-        PathNotFound,
-        match=r"via-point \d of 8 is blocked: \d+ postures come within.*lower planner\.safety_margin_m",
-    ) as caught:
-        GlobalSearch(sliding(obstacles=[wall]))
-    assert 0 < caught.value.progress < 1
+WALL = {"name": "wall", "box": [2.5, 0.1, 2.5], "xyz": [1.85, 0.5, -2.06]}
+FAR = {"legs": [{"by": [0, 2.5, 0], "seconds": 60}]}
 
 
-def test_a_via_point_out_of_reach_is_named() -> None:
-    legs = [{"by": [0, 2.5, 0], "seconds": 60}]
-    with pytest.raises(PathNotFound, match="blocked: out of reach: no posture within the joint ranges"):
-        GlobalSearch(sliding(tool_path={"legs": legs}))
+@pytest.mark.parametrize(
+    ("changes", "message", "first"),
+    [
+        (
+            {"obstacles": [WALL]},
+            r"via-point \d of 8 is blocked: \d+ postures come within.*lower planner\.safety_margin_m",
+            False,
+        ),
+        ({"tool_path": FAR}, "blocked: out of reach: no posture within the joint ranges", False),
+        ({"robot": {"payload_kg": 60.0}}, r"ask too much of a joint's torque.* lighter payload", True),
+    ],
+)
+def test_a_blocked_via_point_is_named_with_its_reason(changes: Any, message: str, first: bool) -> None:
+    with pytest.raises(PathNotFound, match=message) as caught:
+        GlobalSearch(sliding(**changes))
+    assert 0 <= caught.value.progress < 1
+    assert (caught.value.progress == 0) == first
 
 
 def test_joints_that_are_too_slow_are_named() -> None:
@@ -99,11 +107,6 @@ def test_joints_that_are_too_slow_are_named() -> None:
     search = GlobalSearch(sliding(tool_path=slow, planner={"chart_spacing": 0.1}))
     with pytest.raises(PathNotFound, match=r"too far from those before .*give the leg more seconds"):
         search.solve(pinned=True)
-
-
-def test_weak_joints_are_named() -> None:
-    with pytest.raises(PathNotFound, match=r"ask too much of a joint's torque.* lighter payload"):
-        GlobalSearch(sliding(robot={"payload_kg": 60.0}))
 
 
 @pytest.mark.parametrize("keep", ["axis", "position"])

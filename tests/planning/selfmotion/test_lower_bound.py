@@ -48,12 +48,13 @@ def admissible(context: PlanningContext, q: FloatArray) -> BoolArray:
 
 
 def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator) -> FloatArray:
-    """Random postures with the tool where it is at a via-point, admissible or not."""
+    """Random admissible postures with the tool where it is at a via-point."""
     limits = context.robot.limits
     q = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (RESTARTS, 7))
     point = context.points[via_point]
     placed, reached = project_onto_task(context.postures, context.task, q, point, steps=40)
-    return placed[reached]
+    placed = placed[reached]
+    return placed[admissible(context, placed)]
 
 
 def values(context: PlanningContext, q: FloatArray) -> FloatArray:
@@ -89,7 +90,6 @@ def test_no_random_posture_is_below_the_floor(
     context: PlanningContext, bound: LowerBound, rng: np.random.Generator
 ) -> None:
     q = restarts(context, bound.via_point, rng)
-    q = q[admissible(context, q)]
     value = values(context, q)
     assert len(q) > 50
     assert value.min() >= bound.value - min(bound.error, 1e-3 * bound.value)
@@ -104,8 +104,7 @@ def test_at_every_via_point_some_posture_has_no_more(
 ) -> None:
     assert bound.value == bound.each[bound.via_point] == bound.each.max()
     last = len(bound.each) - 1
-    q = restarts(context, last, rng)
-    assert bound.each[last] <= values(context, q[admissible(context, q)]).min() * 1.02
+    assert bound.each[last] <= values(context, restarts(context, last, rng)).min() * 1.02
 
 
 def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, bound: LowerBound) -> None:
@@ -134,7 +133,6 @@ def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: 
     context = context_of(scene)
     bound = GlobalSearch(context).lower_bound
     q = restarts(context, bound.via_point, rng)
-    q = q[admissible(context, q)]
     assert len(q) > 50
     assert values(context, q).min() >= bound.value - bound.error
     planned = plan(scene)

@@ -21,10 +21,11 @@ from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 N = 6
+Corner = tuple[Robot, ToolTask, Clearances]
 
 
 @pytest.fixture(scope="module")
-def corner() -> tuple[Robot, ToolTask, Clearances]:
+def corner() -> Corner:
     legs = [{"by": [0, -0.3, 0], "seconds": 2}, {"by": [0, 0, 0.2], "seconds": 2}]
     robot, task, _, clearances = parts(short_scene(tool_path={"legs": legs}))
     return robot, task, clearances
@@ -76,7 +77,7 @@ def test_derivatives_of_a_joint_torque(
     check_linearization(function, states, component, 1e-3, 1e-8)
 
 
-def test_tool_deviation(corner: tuple[Robot, ToolTask, Clearances], states: StateSamples) -> None:
+def test_tool_deviation(corner: Corner, states: StateSamples) -> None:
     robot, task, _ = corner
     function = ToolDeviation(Kinematics(robot), task, 0.5)
     value, component = function.sample(states)
@@ -90,9 +91,7 @@ def test_tool_deviation(corner: tuple[Robot, ToolTask, Clearances], states: Stat
     check_linearization(function, states, component[:, 0], 1e-3, 1e-7)
 
 
-def test_direction_cuts_of_the_tool_deviation(
-    corner: tuple[Robot, ToolTask, Clearances], rng: np.random.Generator
-) -> None:
+def test_direction_cuts_of_the_tool_deviation(corner: Corner, rng: np.random.Generator) -> None:
     """In eight directions across the leg, the offset's own among them; none ever exceeds the deviation."""
     robot, task, _ = corner
     bound = 0.01
@@ -121,7 +120,7 @@ def test_direction_cuts_of_the_tool_deviation(
             assert not (cut.d_v.any() or cut.d_a.any())
 
 
-def test_tool_deviation_on_the_path_is_flat(corner: tuple[Robot, ToolTask, Clearances]) -> None:
+def test_tool_deviation_on_the_path_is_flat(corner: Corner) -> None:
     """A distance has no derivative at zero: none is made up, and nothing is divided by."""
     robot, task, _ = corner
     q = np.deg2rad([[-10.0, -90, 90, 0, 10, 50, 0]])
@@ -135,7 +134,7 @@ def test_tool_deviation_on_the_path_is_flat(corner: tuple[Robot, ToolTask, Clear
     assert all(np.abs(cut.d_q).max() > 100 for cut in got.cuts)
 
 
-def test_clearance_margin(corner: tuple[Robot, ToolTask, Clearances], states: StateSamples) -> None:
+def test_clearance_margin(corner: Corner, states: StateSamples) -> None:
     _, _, clearances = corner
     function = ClearanceMargin(clearances, 0.02)
     value, component = function.sample(states)

@@ -12,23 +12,20 @@ from cmbot.archive import load_plan, save
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning import Progress, plan, remarks
-from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.initial_guess import InitialGuess, fixed_guess, sliding_guess
 from cmbot.planning.torque import decomposition
 from cmbot.planning.torque.decomposition import optimise, segments
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.planning.verification.certificate import certify
+from cmbot.scene import Scene
 
 LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]
 
 
-def way_of(knots: str, **planner: object) -> tuple[PlanningContext, InitialGuess]:
-    scene = short_scene(
+def to_and_fro(knots: str, **planner: object) -> Scene:
+    return short_scene(
         tool_path={"legs": LEGS, "via_points": 33},
         planner={"solver": "sqp", "knots": knots, "quiet_modes": 0, **planner},
     )
-    context = build_context(scene, scene.planner)
-    return context, sliding_guess(context) if knots == "sliding" else fixed_guess(context)
 
 
 @pytest.fixture(autouse=True)
@@ -40,12 +37,12 @@ def short_ones_are_long(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.fixture(scope="module", params=["sliding", "fixed"])
-def way(request: pytest.FixtureRequest) -> tuple[PlanningContext, InitialGuess]:
-    return way_of(request.param)
+def problem(request: pytest.FixtureRequest) -> TorqueProblem:
+    return problem_of(to_and_fro(request.param))
 
 
-def test_segments_end_where_legs_meet(way: tuple[PlanningContext, InitialGuess]) -> None:
-    context, problem = way[0], way[1].problem
+def test_segments_end_where_legs_meet(problem: TorqueProblem) -> None:
+    context = problem.context
     parts = segments(problem)
     assert parts[0][0] == 0 and parts[-1][1] == 32
     assert all(end == start for (_, end), (start, _) in pairwise(parts))
@@ -54,17 +51,14 @@ def test_segments_end_where_legs_meet(way: tuple[PlanningContext, InitialGuess])
     assert np.isin(np.round(inner, 9), np.round(context.task.path.leg_times, 9)).all()
 
 
-def test_short_paths_are_one_segment(
-    way: tuple[PlanningContext, InitialGuess], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_short_paths_are_one_segment(problem: TorqueProblem, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 33)
-    assert segments(way[1].problem) == [(0, 32)]
+    assert segments(problem) == [(0, 32)]
 
 
 def test_of_the_corners_in_reach_the_one_with_the_least_objective_is_an_end(
-    way: tuple[PlanningContext, InitialGuess], monkeypatch: pytest.MonkeyPatch
+    problem: TorqueProblem, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    problem = way[1].problem
     corners = [end for _, end in segments(problem)[:2]]
     monkeypatch.setattr(decomposition, "_MOST", 18)
     assert corners[1] <= 18
@@ -76,14 +70,12 @@ def test_of_the_corners_in_reach_the_one_with_the_least_objective_is_an_end(
 def test_what_slsqp_solves_and_a_leg_without_corners_are_one_segment() -> None:
     leg = {"legs": [{"by": [0, -0.2, 0], "seconds": 12.0}], "via_points": 33}
     straight = problem_of(short_scene(tool_path=leg, planner={"solver": "sqp", "knots": "fixed"}))
-    for problem in (straight, way_of("fixed", solver="slsqp")[1].problem):
+    for problem in (straight, problem_of(to_and_fro("fixed", solver="slsqp"))):
         assert segments(problem) == [(0, 32)]
 
 
-def test_what_is_joined_is_smooth_certified_and_counted_through(
-    way: tuple[PlanningContext, InitialGuess],
-) -> None:
-    context, problem = way[0], way[1].problem
+def test_what_is_joined_is_smooth_certified_and_counted_through(problem: TorqueProblem) -> None:
+    context = problem.context
     told: list[ExchangeReport] = []
     found = optimise(problem, told.append)
     assert [report.number for report in told] == list(range(1, len(told) + 1))
@@ -103,22 +95,17 @@ def test_what_is_joined_is_smooth_certified_and_counted_through(
 
 
 def test_the_peak_is_that_of_the_path_as_a_whole(monkeypatch: pytest.MonkeyPatch) -> None:
-    _, way = way_of("sliding")
-    parted = optimise(way.problem)
+    problem = problem_of(to_and_fro("sliding"))
+    parted = optimise(problem)
     monkeypatch.setattr(decomposition, "LONGEST_WHOLE", 33)
-    whole = optimise(way.problem)
-    problem = way.problem
+    whole = optimise(problem)
     peaks = [torque_along(problem, each.trajectory, problem.grid).max() for each in (parted, whole)]
     assert peaks[0] <= peaks[1] * (1 + 1e-3)
 
 
 def test_passes_left_are_those_of_all_segments() -> None:
-    scene = short_scene(
-        tool_path={"legs": LEGS, "via_points": 33},
-        planner={"solver": "sqp", "knots": "sliding", "quiet_modes": 0, "max_passes": 3},
-    )
     told: list[Progress] = []
-    planned = plan(scene, progress=told.append)
+    planned = plan(to_and_fro("sliding", max_passes=3), progress=told.append)
     passed = [progress for progress in told if progress.report is not None]
     assert len(passed) == len(planned.passes) > 3
     left = [progress.left.most for progress in passed if progress.left is not None]

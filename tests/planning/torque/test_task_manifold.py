@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from small_scenes import context_of, off_task, short_scene
+from small_scenes import off_task, problem_of, short_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import parametrization_through
 from cmbot.planning.torque.task_manifold import TaskManifold
 
 
 @pytest.fixture(scope="module", params=["pose", "axis"])
 def given(request: pytest.FixtureRequest) -> tuple[PlanningContext, TaskManifold, FloatArray]:
-    context = context_of(short_scene(tool_path={"keep": request.param}))
+    problem = problem_of(short_scene(tool_path={"keep": request.param}))
+    context = problem.context
     manifold = TaskManifold(context.postures, context.task, context.points)
-    return context, manifold, fixed_guess(context).problem.parametrization.via_points
+    return context, manifold, problem.parametrization.via_points
 
 
 Given = tuple[PlanningContext, TaskManifold, FloatArray]

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from finite_differences import check_derivative
 from quadrature import gauss_points
-from small_scenes import context_of, torque_along, torque_problem
+from small_scenes import problem_of, torque_along, torque_problem
 from urdf_arms import endless_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.linearization import linearize
 from cmbot.optimization.separation import find_violations
-from cmbot.planning.initial_guess import fixed_guess
 from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.robot import Dynamics
 from cmbot.trajectory.parametrization import Parametrization
@@ -98,9 +97,9 @@ def test_bounds_of_the_joints(fixed: TorqueProblem, rng: np.random.Generator, or
 
 
 def test_endless_joints_have_no_ends(tmp_path: Path) -> None:
-    robot = (context := context_of(endless_scene(tmp_path), knots="fixed")).robot
-    bound = fixed_guess(context).problem.bounds[0]
-    endless = ~np.isfinite(robot.limits.lower)
+    problem = problem_of(endless_scene(tmp_path), knots="fixed")
+    bound = problem.bounds[0]
+    endless = ~np.isfinite(problem.context.robot.limits.lower)
     assert 0 < endless.sum() < 7
     assert (bound.scale[endless] == 1.0).all()
     far = np.full((1, 7), 50.0)
