@@ -14,6 +14,8 @@ from cmbot.planning.torque.problem import TorqueProblem
 from cmbot.trajectory import quintic as trajectory
 from cmbot.trajectory.quintic import QuinticTrajectory
 
+seeds = st.integers(0, 2**32 - 1)
+
 
 @pytest.fixture(scope="module")
 def problem() -> TorqueProblem:
@@ -27,7 +29,7 @@ def smooth(seed: int, knots: int = 8, joints: int = 7) -> QuinticTrajectory:
     return QuinticTrajectory(t=t, q=q, v=v, a=a)
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(1, 700))
+@given(seeds, st.integers(1, 700))
 def test_blocks_of_times_change_nothing(seed: int, number: int) -> None:
     some = smooth(seed)
     times = np.sort(np.random.default_rng(seed).uniform(some.t[0], some.t[-1], number))
@@ -40,7 +42,7 @@ def test_blocks_of_times_change_nothing(seed: int, number: int) -> None:
         np.testing.assert_array_equal(here, some.evaluate(times, order))
 
 
-@given(st.integers(0, 2**32 - 1), st.integers(0, 4))
+@given(seeds, st.integers(0, 4))
 def test_hulls_hold_what_the_polynomials_do(seed: int, order: int) -> None:
     some = smooth(seed)
     low, high = some.hull(order)
@@ -51,12 +53,7 @@ def test_hulls_hold_what_the_polynomials_do(seed: int, order: int) -> None:
 
 
 @settings(max_examples=30)
-@given(
-    st.integers(0, 2**32 - 1),
-    st.integers(0, 4),
-    st.floats(0.01, 2.0),
-    st.sampled_from([1e-5, 0.3]),
-)
+@given(seeds, st.integers(0, 4), st.floats(0.01, 2.0), st.sampled_from([1e-5, 0.3]))
 def test_violated_bounds_are_those_of_all_extrema(
     seed: int, order: int, size: float, tolerance: float
 ) -> None:

@@ -16,6 +16,7 @@ from cmbot.optimization.qp import NlpModel, NlpValues, solve_qp
 from cmbot.optimization.sqp import SqpOptions, SqpStatus
 
 ENDED = (SqpStatus.CONVERGED, SqpStatus.STALLED)
+starts = st.lists(st.floats(-3, 3), min_size=2, max_size=5)
 
 
 @dataclass(frozen=True)
@@ -73,11 +74,7 @@ def solve_sqp(start: Ripples, penalty: float = 0.1, max_iterations: int = 200) -
 
 
 @settings(max_examples=30)
-@given(
-    x=st.lists(st.floats(-3, 3), min_size=2, max_size=5),
-    steepness=st.floats(0, 8),
-    penalty=st.sampled_from([0.1, 10.0]),
-)
+@given(x=starts, steepness=st.floats(0, 8), penalty=st.sampled_from([0.1, 10.0]))
 def test_every_step_lowers_the_merit(x: list[float], steepness: float, penalty: float) -> None:
     start = Ripples(np.array(x), steepness)
     ended = solve_sqp(start, penalty)
@@ -90,7 +87,7 @@ def test_every_step_lowers_the_merit(x: list[float], steepness: float, penalty: 
 
 
 @settings(max_examples=20)
-@given(x=st.lists(st.floats(-3, 3), min_size=2, max_size=5), steepness=st.floats(0, 4))
+@given(x=starts, steepness=st.floats(0, 4))
 def test_the_end_is_stationary(x: list[float], steepness: float) -> None:
     """Karush-Kuhn-Tucker, with the multipliers that it ended with."""
     ended = solve_sqp(Ripples(np.array(x), steepness))
@@ -147,7 +144,7 @@ class Veiled(Ripples):
 
 
 @settings(max_examples=30)
-@given(x=st.lists(st.floats(-3, 3), min_size=2, max_size=5), steepness=st.floats(0, 4))
+@given(x=starts, steepness=st.floats(0, 4))
 def test_what_comes_into_view_on_the_way_counts(x: list[float], steepness: float) -> None:
     ended = solve_sqp(Veiled(np.array(x), steepness))
     assert all(after < before for _, before, after in ended.merits)

@@ -30,6 +30,7 @@ from cmbot.scene import PlannerOptions, Scene, load_scene
 OPTIONS = PlannerOptions(knots="fixed")
 # Beside the tool's way at first, then across it.
 WALL = {"name": "wall", "box": [1, 0.02, 1], "xyz": [1.8, 0.45, -2.0]}
+seeds = st.integers(0, 2**32 - 1)
 Followed = tuple[PlanningContext, JointPath]
 
 
@@ -51,7 +52,7 @@ def jacobian(seed: int, smallest: float) -> FloatArray:
     return U @ (s[:, None] * V[:6])
 
 
-@given(seed=st.integers(0, 2**32 - 1), s_6=st.floats(0.1, 0.5))
+@given(seed=seeds, s_6=st.floats(0.1, 0.5))
 def test_away_from_singularities_and_undamped_the_inverse_is_the_pseudoinverse(seed: int, s_6: float) -> None:
     J = jacobian(seed, s_6 * (1 + 1e-9))
     np.testing.assert_allclose(robust_inverse(J, OPTIONS), np.linalg.pinv(J), rtol=0, atol=1e-11)
@@ -59,12 +60,7 @@ def test_away_from_singularities_and_undamped_the_inverse_is_the_pseudoinverse(s
     np.testing.assert_allclose(robust_inverse(J, undamped), np.linalg.pinv(J), rtol=0, atol=1e-10)
 
 
-@given(
-    seed=st.integers(0, 2**32 - 1),
-    s_6=st.floats(0, 0.3),
-    s_h=st.floats(0.01, 0.3),
-    damping=st.floats(0.01, 1),
-)
+@given(seed=seeds, s_6=st.floats(0, 0.3), s_h=st.floats(0.01, 0.3), damping=st.floats(0.01, 1))
 def test_inverse_is_equations_20_and_21(seed: int, s_6: float, s_h: float, damping: float) -> None:
     J = jacobian(seed, s_6)
     s = np.linalg.svd(J, compute_uv=False)[-1]
@@ -76,7 +72,7 @@ def test_inverse_is_equations_20_and_21(seed: int, s_6: float, s_h: float, dampi
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-8 * np.abs(expected).max())
 
 
-@given(seed=st.integers(0, 2**32 - 1), s_6=st.floats(0, 0.1))
+@given(seed=seeds, s_6=st.floats(0, 0.1))
 def test_inverse_is_bounded_near_singularities(seed: int, s_6: float) -> None:
     """The gain s/(s^2 + lambda^2) is largest just below s_h, where it is hardly more than 1/s_h."""
     got = robust_inverse(jacobian(seed, s_6), OPTIONS)
