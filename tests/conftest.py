@@ -10,13 +10,6 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
-from plan_folders import saved_short as saved_short
-from plan_folders import saved_triangle as saved_triangle
-from plan_folders import short_folder as short_folder
-from plan_folders import short_plan as short_plan
-from plan_folders import short_tracking as short_tracking
-from plan_folders import thin_plan as thin_plan
-from plan_folders import triangle_folder as triangle_folder
 from small_scenes import short_scene
 from urdf_arms import arm_scene, endless_scene
 
@@ -25,6 +18,8 @@ from cmbot.planning import Plan, plan, robot_of
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
 from cmbot.scene import load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
+
+pytest_plugins = ["plan_folders"]
 
 FloatArray = NDArray[np.float64]
 StateSamples = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
@@ -62,7 +57,6 @@ def triangle_tracking(triangle_plan: Plan) -> Tracking:
 
 @pytest.fixture(scope="session")
 def compensated_short() -> tuple[Plan, Tracking]:
-    """A short motion that makes up for its sag."""
     made = plan(short_scene(planner={"compensate": True}))
     return made, simulate(made, SimulationOptions(settle_s=0.5))
 

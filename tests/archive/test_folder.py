@@ -2,9 +2,13 @@
 
 import os
 import shutil
+from functools import partial
+from itertools import count, product
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
+from plan_folders import names
 
 from cmbot.archive import add_file, require_free
 from cmbot.archive.folder import APPROACH_FILES, SAVED_FILES, write_folder
@@ -22,27 +26,16 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path / "plan"
 
 
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
-
-
 def failing(function, at, error):
     """Stand-in for `function` whose call number `at` fails."""
-    calls = []
+    calls = count(1)
 
     def stand_in(*args):
-        calls.append(args)
-        if len(calls) == at:
+        if next(calls) == at:
             raise error
         return function(*args)
 
     return stand_in
-
-
-def test_folders_above_are_made(tmp_path):
-    write_folder(CONTENTS, tmp_path / "a" / "b", force=False)
-    assert {path.name: path.read_bytes() for path in (tmp_path / "a" / "b").iterdir()} == CONTENTS
-    assert names(tmp_path / "a") == {"b"}
 
 
 @pytest.mark.parametrize("call", range(1, 6))  # three files, the folder, the folder above
@@ -54,17 +47,14 @@ def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch, call, force, err
         write_folder(CONTENTS, target, force=False)
         (target / "old").touch()
     monkeypatch.setattr(os, "fsync", failing(os.fsync, call, error))
-    expected = ArchiveError if isinstance(error, OSError) else KeyboardInterrupt
-    with pytest.raises(expected):
+    with pytest.raises(ArchiveError if isinstance(error, OSError) else KeyboardInterrupt):
         write_folder(CONTENTS, target, force=force)
-    if call == 5:  # by then the plan is in place, and whole
-        assert names(target) == FILES
-        assert names(target.parent) == {"plan"}
-    elif force:
-        assert names(target) == FILES | {"old"}
-        assert names(target.parent) == {"plan"}
-    else:
+    if call < 5 and not force:
         assert not list(tmp_path.iterdir())
+        return
+    # At the last call the plan is in place, and whole.
+    assert names(target) == FILES | ({"old"} if call < 5 else set())
+    assert names(target.parent) == {"plan"}
 
 
 @pytest.mark.parametrize("call", [1, 2])
@@ -101,85 +91,58 @@ def test_a_place_that_cannot_be_written_to(tmp_path):
     assert names(tmp_path) == {"file", "circle"}
 
 
-# What is in the way
-
-
 def test_an_existing_folder_is_refused(folder):
     (folder.parent / "empty").mkdir()
-    for directory in (folder, folder.parent / "empty"):
-        for ask in (write_folder_without_force, require_free):
-            with pytest.raises(ArchiveError, match=r"already there.*--force \(in Python force=True\)"):
-                ask(directory)
+    write = partial(write_folder, CONTENTS, force=False)
+    for directory, ask in product((folder, folder.parent / "empty"), (write, require_free)):
+        with pytest.raises(ArchiveError, match=r"already there.*--force \(in Python force=True\)"):
+            ask(directory)
     assert names(folder) == FILES | {"old"}
 
 
-def write_folder_without_force(directory):
-    write_folder(CONTENTS, directory, force=False)
-
-
-def test_what_is_free(folder):
+def test_what_is_free_and_where_nothing_can_be_made_is_said_before_the_work(folder, monkeypatch):
     require_free(folder.parent / "new")
     require_free(str(folder.parent / "new" / "below"), force=True)
     require_free(folder, force=True)
-
-
-def test_where_nothing_can_be_made_is_said_before_the_work(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     for below in ("plan.json/new", "plan.json/new/below"):
         with pytest.raises(ArchiveError, match=r"got a place below .*plan\.json, which is a file"):
             require_free(folder / below)
-    looked: list[Path] = []
-
-    def locked(place: Path, _: int) -> bool:
-        looked.append(Path(place))
-        return False
-
-    monkeypatch.setattr(os, "access", locked)
+    access = Mock(return_value=False)
+    monkeypatch.setattr(os, "access", access)
     for directory, force in ((folder.parent / "new" / "below", False), (folder, True)):
         with pytest.raises(ArchiveError, match="which must not be written to, expected a place that can be"):
             require_free(directory, force=force)
-    assert looked == [folder.parent, folder.parent]
+    assert [Path(place) for (place, _), _ in access.call_args_list] == [folder.parent, folder.parent]
 
 
-def test_force_replaces_a_plan_and_what_was_added_to_it(folder):
-    write_folder(CONTENTS, folder, force=True)
+@pytest.mark.parametrize("version", [1, 2])
+@pytest.mark.parametrize("place", ["plan", "link"])
+def test_force_replaces_a_plan_of_any_version_and_what_was_added_to_it(folder, version, place):
+    (folder.parent / "link").symlink_to(folder)
+    (folder / "plan.json").write_text(f'{{"format": "cmbot-plan/{version}"}}')
+    write_folder(CONTENTS, folder.parent / place, force=True)
     assert names(folder) == FILES
-    assert names(folder.parent) == {"plan"}
+    assert names(folder.parent) == {"plan", "link"}
+    assert (folder.parent / "link").is_symlink()
 
 
-def test_force_replaces_a_plan_of_another_version(folder):
-    (folder / "plan.json").write_text('{"format": "cmbot-plan/2"}')
-    write_folder(CONTENTS, folder, force=True)
-    assert names(folder) == FILES
-
-
-def test_force_fills_a_new_and_an_empty_folder(tmp_path):
+def test_a_new_and_with_force_an_empty_folder_are_filled(tmp_path):
     (tmp_path / "empty").mkdir()
-    for name in ("empty", "new"):
-        write_folder(CONTENTS, tmp_path / name, force=True)
-        assert names(tmp_path / name) == FILES
-    assert names(tmp_path) == {"empty", "new"}
-
-
-def test_force_replaces_what_a_link_leads_to(folder):
-    link = folder.parent / "link"
-    link.symlink_to(folder)
-    write_folder(CONTENTS, link, force=True)
-    assert link.is_symlink()
-    assert names(folder) == FILES
+    for name, force in (("empty", True), ("new", True), ("above/below", False)):
+        write_folder(CONTENTS, tmp_path / name, force=force)
+        assert {path.name: path.read_bytes() for path in (tmp_path / name).iterdir()} == CONTENTS
+    assert (names(tmp_path), names(tmp_path / "above")) == ({"empty", "new", "above"}, {"below"})
 
 
 @pytest.mark.parametrize("plan_json", [None, "{}", '{"format": "another-plan/1"}', "[1]", '{"format": '])
-def test_force_never_destroys_another_folder(tmp_path, plan_json):
+@pytest.mark.parametrize("ask", [partial(write_folder, CONTENTS), require_free])
+def test_force_never_destroys_another_folder(tmp_path, plan_json, ask):
     (tmp_path / "thesis.tex").write_text("years of work")
     if plan_json is not None:
         (tmp_path / "plan.json").write_text(plan_json)
     before = names(tmp_path)
     with pytest.raises(ArchiveError, match="something other than a plan"):
-        write_folder(CONTENTS, tmp_path, force=True)
-    with pytest.raises(ArchiveError, match="something other than a plan"):
-        require_free(tmp_path, force=True)
+        ask(tmp_path, force=True)
     assert names(tmp_path) == before
 
 
@@ -190,55 +153,44 @@ def test_force_never_replaces_a_file(tmp_path):
     assert (tmp_path / "file").read_text() == "mine"
 
 
-# Adding files
-
-
-def test_files_are_added_and_replaced(folder):
+def test_files_are_added_to_plan_directories_and_replaced(folder):
     assert add_file(folder, "replay.html", "<p>ü</p>") == folder / "replay.html"
     assert (folder / "replay.html").read_bytes() == "<p>ü</p>".encode()
     add_file(str(folder), "replay.html", b"\x00")
     assert (folder / "replay.html").read_bytes() == b"\x00"
     assert names(folder) == FILES | {"old", "replay.html"}
+    for directory in (folder.parent, folder.parent / "nowhere"):
+        with pytest.raises(ArchiveError, match="no plan directory"):
+            add_file(directory, "report.html", "")
+    assert names(folder.parent) == {"plan"}
 
 
-@pytest.mark.parametrize("name", ["", ".", "..", "../x", "a/b", "/x", ".hidden", "a\0", "a\n", "x" * 300])
-def test_names_that_lead_elsewhere_are_refused(folder, name):
-    with pytest.raises(ArchiveError, match="add_file: name"):
-        add_file(folder, name, "")
+ELSEWHERE = ("", ".", "..", "../x", "a/b", "/x", ".hidden", "a\0", "a\n", "x" * 300)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        *((name, "", "add_file: name") for name in ELSEWHERE),
+        *((name, "", "the plan's own files") for name in ("plan.json", *SAVED_FILES, *APPROACH_FILES)),
+        ("report.html", "\ud800", "add_file: content"),
+    ],
+)
+def test_what_must_not_be_added(folder, name, content, words):
+    with pytest.raises(ArchiveError, match=words):
+        add_file(folder, name, content)
     assert names(folder) == FILES | {"old"}
-
-
-@pytest.mark.parametrize("name", ["plan.json", *SAVED_FILES, *APPROACH_FILES])
-def test_the_plan_itself_is_not_replaced(folder, name):
-    with pytest.raises(ArchiveError, match="the plan's own files"):
-        add_file(folder, name, "")
     assert (folder / "plan.json").read_bytes() == CONTENTS["plan.json"]
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
-def test_a_failed_addition_leaves_the_earlier_file(folder, monkeypatch, error):
+def test_a_failed_addition_leaves_what_was_there(folder, monkeypatch, error):
     add_file(folder, "report.html", "first")
+    (folder / "folder").mkdir()
+    with pytest.raises(ArchiveError):
+        add_file(folder, "folder", "")
     monkeypatch.setattr(os, "fsync", failing(os.fsync, 1, error))
     with pytest.raises((ArchiveError, KeyboardInterrupt)):
         add_file(folder, "report.html", "second")
     assert (folder / "report.html").read_text() == "first"
-    assert names(folder) == FILES | {"old", "report.html"}
-
-
-def test_a_folder_is_not_replaced_by_a_file(folder):
-    (folder / "report.html").mkdir()
-    with pytest.raises(ArchiveError):
-        add_file(folder, "report.html", "")
-    assert names(folder) == FILES | {"old", "report.html"}
-
-
-def test_text_that_is_none_is_not_added(folder):
-    with pytest.raises(ArchiveError, match="add_file: content"):
-        add_file(folder, "report.html", "\ud800")
-
-
-def test_files_are_added_to_plan_directories_only(tmp_path):
-    for directory in (tmp_path, tmp_path / "nowhere"):
-        with pytest.raises(ArchiveError, match="no plan directory"):
-            add_file(directory, "report.html", "")
-    assert not list(tmp_path.iterdir())
+    assert names(folder) == FILES | {"old", "report.html", "folder"}

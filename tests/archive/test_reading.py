@@ -47,10 +47,10 @@ def test_round_trip(loaded, triangle_plan):
     assert plan.start.failures == ()
     same_arrays(plan.lower_bound, triangle_plan.lower_bound)
     assert plan.summary() == triangle_plan.summary()
+    again = figures(plan.robot, plan.baseline)
+    assert again.peak_guardrail_torque == pytest.approx(plan.baseline_figures.peak_guardrail_torque)
+    assert again.limit_use.jerk == pytest.approx(plan.baseline_figures.limit_use.jerk)
     same_arrays(plan.samples, triangle_plan.samples)
-
-
-def test_round_trip_of_the_approach(loaded, triangle_plan):
     got, expected = loaded.approach, triangle_plan.approach
     same_arrays(got.trajectory, expected.trajectory)
     assert got.certificate == expected.certificate
@@ -141,13 +141,6 @@ def test_verify_certifies_again(saved_triangle, triangle_plan):
         for got, expected in zip(again.checks, made.checks, strict=True):
             assert got.quantity == expected.quantity
             assert got.value == pytest.approx(expected.value, rel=1e-9, abs=1e-12)
-
-
-def test_baseline_figures_are_those_of_the_table(loaded):
-    plan = loaded
-    again = figures(plan.robot, plan.baseline)
-    assert again.peak_guardrail_torque == pytest.approx(plan.baseline_figures.peak_guardrail_torque)
-    assert again.limit_use.jerk == pytest.approx(plan.baseline_figures.limit_use.jerk)
 
 
 def test_options_that_are_newer_than_a_plan_have_their_defaults(short_plan, tmp_path):

@@ -26,7 +26,6 @@ TETRAHEDRON = "\n".join(
 
 @pytest.fixture(scope="module")
 def foreign_files(tmp_path_factory: pytest.TempPathFactory, bare_urdf: str) -> Path:
-    """Folder of a robot's files and a mesh."""
     files = tmp_path_factory.mktemp("foreign")
     (files / "cmbot.urdf").write_text(bare_urdf, encoding="utf-8")
     for name in ("cmbot.srdf", "joint_limits.yaml"):
@@ -101,32 +100,27 @@ def test_changed_robot_files_are_noticed(foreign_plan, foreign_saved, foreign_fi
     assert foreign_plan.robot.content_hash[:16] in error.expected
 
 
-def test_changed_meshes_are_noticed(foreign_saved, foreign_files):
-    with other_content(foreign_files / "rock.obj", TETRAHEDRON.replace("v 10 9 9", "v 11 9 9")):
-        refused(foreign_saved, "plan.json", "hashes.resolved_scene")
-
-
 @pytest.mark.parametrize(
-    ("name", "key"),
+    ("name", "content", "key"),
     [
-        ("rock.obj", "scene.obstacles[4].mesh"),
-        ("cmbot.urdf", "scene.robot.model"),
-        ("joint_limits.yaml", "scene.robot.limits"),
-        ("tubes.yaml", "scene.robot.elasticity"),
+        ("rock.obj", TETRAHEDRON.replace("v 10 9 9", "v 11 9 9"), "hashes.resolved_scene"),
+        ("rock.obj", None, "scene.obstacles[4].mesh"),
+        ("cmbot.urdf", None, "scene.robot.model"),
+        ("joint_limits.yaml", None, "scene.robot.limits"),
+        ("tubes.yaml", None, "scene.robot.elasticity"),
     ],
 )
-def test_missing_scene_files_are_named(foreign_saved, foreign_files, name, key):
-    with other_content(foreign_files / name, None):
+def test_changed_meshes_and_missing_scene_files_are_named(foreign_saved, foreign_files, name, content, key):
+    with other_content(foreign_files / name, content):
         refused(foreign_saved, "plan.json", key)
 
 
-def test_a_scene_whose_files_have_gone_is_not_written(foreign_plan, foreign_files, tmp_path):
-    with other_content(foreign_files / "rock.obj", None), pytest.raises(SceneError):
-        save(foreign_plan, tmp_path / "plan")
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_broken_robot_file_is_named(foreign_saved, foreign_files):
+def test_a_broken_robot_file_is_named_and_a_scene_without_its_files_not_written(
+    foreign_plan, foreign_saved, foreign_files, tmp_path
+):
     with other_content(foreign_files / "cmbot.urdf", "<robot"), pytest.raises(ArchiveError) as caught:
         load_plan(foreign_saved)
     assert caught.value.source == str(foreign_files / "cmbot.urdf")
+    with other_content(foreign_files / "rock.obj", None), pytest.raises(SceneError):
+        save(foreign_plan, tmp_path / "plan")
+    assert not list(tmp_path.iterdir())

@@ -1,6 +1,5 @@
 """Tracking errors read back: the same as were saved, or the file and key for which they are not."""
 
-import hashlib
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, fields
@@ -10,7 +9,7 @@ from typing import Any
 import numpy as np
 import plan_folders
 import pytest
-from plan_folders import edit
+from plan_folders import edit, rewrite
 
 import cmbot
 from cmbot.archive import load_plan, load_tracking, save, save_tracking
@@ -28,58 +27,50 @@ def saved(saved_short: Path, short_tracking: Tracking, tmp_path_factory: pytest.
 
 @pytest.fixture
 def folder(saved: Path, tmp_path: Path) -> Path:
-    """A plan directory to be changed."""
     return Path(shutil.copytree(saved, tmp_path / "short"))
 
 
-def test_what_was_saved_is_read(saved: Path, short_tracking: Tracking) -> None:
-    same(saved, short_tracking)
-
-
-def test_a_compensated_plan_is_read_with_its_expected_tool(
-    tmp_path: Path, compensated_short: tuple[Plan, Tracking]
+def test_what_was_saved_is_read(
+    saved: Path, short_tracking: Tracking, compensated_short: tuple[Plan, Tracking], tmp_path: Path
 ) -> None:
-    compensated, tracking = compensated_short
+    """Also with the expected tool of a compensated plan."""
+    compensated, foreseen = compensated_short
     save(compensated, tmp_path / "short")
-    save_tracking(tracking, tmp_path / "short")
-    same(tmp_path / "short", tracking)
-
-
-def same(saved: Path, tracking: Tracking) -> None:
-    """What is read there is `tracking`."""
-    found = cmbot.load_tracking(load_plan(saved), saved)
-    assert found is not None
-    assert (found.options, found.seconds) == (tracking.options, tracking.seconds)
-    assert list(tracking_rows(found)) == list(tracking_rows(tracking))
-    for name in ("baseline", "planned"):
-        ours, theirs = getattr(found, name), getattr(tracking, name)
-        assert ours.stop == theirs.stop
-        for field in fields(ours):
-            if field.name not in ("stop", "metrics"):
-                left, right = getattr(ours, field.name), getattr(theirs, field.name)
-                np.testing.assert_allclose(left, right, atol=1e-12)
-        for key, value in asdict(ours.metrics).items():
-            if isinstance(value, np.ndarray):
-                np.testing.assert_allclose(value, getattr(theirs.metrics, key), rtol=1e-9, atol=1e-18)
-
-
-def test_a_plan_that_was_not_simulated_has_none(folder: Path, short_plan: Plan) -> None:
-    for name in ("tracking.csv", "tracking_baseline.csv", "tracking.json"):
-        (folder / name).unlink()
-    assert load_tracking(short_plan, folder) is None
+    save_tracking(foreseen, tmp_path / "short")
+    for folder, tracking in ((saved, short_tracking), (tmp_path / "short", foreseen)):
+        found = cmbot.load_tracking(load_plan(folder), folder)
+        assert (found.options, found.seconds) == (tracking.options, tracking.seconds)
+        assert list(tracking_rows(found)) == list(tracking_rows(tracking))
+        for name in ("baseline", "planned"):
+            ours, theirs = getattr(found, name), getattr(tracking, name)
+            assert ours.stop == theirs.stop
+            for field in fields(ours):
+                if field.name not in ("stop", "metrics"):
+                    left, right = getattr(ours, field.name), getattr(theirs, field.name)
+                    np.testing.assert_allclose(left, right, atol=1e-12)
+            for key, value in asdict(ours.metrics).items():
+                if isinstance(value, np.ndarray):
+                    expected = getattr(theirs.metrics, key)
+                    np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-18)
 
 
 def refused(plan: Plan, folder: Path, file: str, key: str) -> ArchiveError:
     return plan_folders.refused(folder, file, key, lambda directory: load_tracking(plan, directory))
 
 
-@pytest.mark.parametrize("name", ["tracking.csv", "tracking_baseline.csv", "tracking.json"])
+TABLES = ("tracking.csv", "tracking_baseline.csv")
+
+
+@pytest.mark.parametrize("name", [*TABLES, "tracking.json"])
 def test_a_missing_file_is_an_error(folder: Path, short_plan: Plan, name: str) -> None:
     (folder / name).unlink()
     assert "no such file" in str(refused(short_plan, folder, name, ""))
+    for other in {*TABLES, "tracking.json"} - {name}:
+        (folder / other).unlink()
+    assert load_tracking(short_plan, folder) is None
 
 
-@pytest.mark.parametrize("name", ["tracking.csv", "tracking_baseline.csv", "plan.json"])
+@pytest.mark.parametrize("name", [*TABLES, "plan.json"])
 def test_a_changed_file_is_an_error(folder: Path, short_plan: Plan, name: str) -> None:
     with (folder / name).open("a", encoding="utf-8") as file:
         file.write("\n")
@@ -111,10 +102,7 @@ def test_a_strange_entry_is_an_error(
     "table", ["t,error_x,error_y,error_z,static_x,static_y,static_z\n0,0,0,0,0,0,0\n", "t\n0\n", "é"]
 )
 def test_a_strange_table_is_an_error(folder: Path, short_plan: Plan, table: str) -> None:
-    content = table.encode()
-    (folder / "tracking.csv").write_bytes(content)
-    hashes = {"tracking.csv": hashlib.sha256(content).hexdigest()}
-    edit(folder, lambda data: data["files"].update(hashes), "tracking.json")
+    rewrite(folder, "tracking.csv", table.encode(), listed_in="tracking.json")
     with pytest.raises(ArchiveError) as caught:
         load_tracking(short_plan, folder)
     assert caught.value.source == str(folder / "tracking.csv")

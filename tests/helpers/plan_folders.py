@@ -1,7 +1,5 @@
 """Plan directories that the tests share, changing them, and what is refused of them."""
 
-from __future__ import annotations
-
 import hashlib
 import io
 import json
@@ -68,26 +66,30 @@ def short_folder(saved_short: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def short_tracking(short_plan: Plan) -> Tracking:
-    """The tracking errors of the small plan."""
     return simulate(short_plan)
 
 
+def names(folder: Path) -> set[str]:
+    return {path.name for path in folder.iterdir()}
+
+
 def edit(folder: Path, change: Callable[[dict[str, Any]], object], name: str = "plan.json") -> None:
-    """Change what stands in a JSON file."""
+
     path = folder / name
     data = json.loads(path.read_text(encoding="utf-8"))
     change(data)
     path.write_text(json.dumps(data), encoding="utf-8")
 
 
-def rewrite(folder: Path, name: str, content: bytes) -> None:
+def rewrite(folder: Path, name: str, content: bytes, listed_in: str = "plan.json") -> None:
     """Replace a file as a program would that also keeps the hashes right."""
     (folder / name).write_bytes(content)
-    edit(folder, lambda data: data["files"].update({name: hashlib.sha256(content).hexdigest()}))
+    hashes = {name: hashlib.sha256(content).hexdigest()}
+    edit(folder, lambda data: data["files"].update(hashes), listed_in)
 
 
 def npz(**arrays: Any) -> bytes:
-    """Return arrays as the content of such a file."""
+
     file = io.BytesIO()
     np.savez(file, **arrays)
     return file.getvalue()
