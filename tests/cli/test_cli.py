@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 from urllib.request import urlopen
 
 import pytest
@@ -14,11 +15,14 @@ from command_line import (
     command,
     environment,
     on_a_terminal,
+    output,
     plain,
+    refusal,
     run,
     without_colours,
     write_scene,
 )
+from plan_folders import names
 from small_scenes import SHORT
 
 import cmbot
@@ -26,12 +30,10 @@ import cmbot
 SAVED = {"plan.json", "baseline.csv", "replay.html", "report.html"} | {
     f"trajectory.{suffix}" for suffix in ("csv", "npz", "ros.json")
 }
-FIGURES = ("peak torque on the guardrail, Nm", "smallest clearance, mm", "joint jerk, share of its bound")
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with the scene file that the tests plan."""
     folder = tmp_path_factory.mktemp("cli")
     write_scene(folder / "short.yaml", SHORT)
     return folder
@@ -45,7 +47,6 @@ def planned(folder: Path) -> Outcome:
 
 @pytest.fixture
 def directory(folder: Path, planned: Outcome, tmp_path: Path) -> Path:
-    """A copy of the plan directory, to be changed by a test."""
     assert planned.status == 0, planned.err
     return shutil.copytree(folder / "plan", tmp_path / "plan")
 
@@ -60,33 +61,21 @@ def known(directory: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> c
     return known
 
 
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
-
-
-def test_version() -> None:
+def test_version_of_the_command_and_of_the_module() -> None:
     assert run("--version") == Outcome(status=0, out=f"{cmbot.__version__}\n", err="")
-
-
-def test_help_shows_an_example_and_every_verb() -> None:
-    outcome = run("--help")
-    assert (outcome.status, outcome.err) == (0, "")
-    text = plain(outcome.out)
-    assert "Example: cmbot plan triangle" in text
-    assert "Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 1 anything else." in text
-    assert all(f" {verb} " in text for verb in ("plan", "simulate", "reproduce", "replay", "check", "doctor"))
-
-
-def test_it_is_a_module_to_run_as_well() -> None:
     words = [sys.executable, "-m", "cmbot", "--version"]
     done = subprocess.run(words, env=environment(), capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, f"{cmbot.__version__}\n", "")
 
 
-def test_without_a_verb_the_help_is_shown() -> None:
-    outcome = run()
-    assert outcome.err == ""
-    assert "Example: cmbot plan triangle" in plain(outcome.out)
+def test_help_shows_an_example_and_every_verb() -> None:
+    outcome, without_a_verb = run("--help"), run()
+    assert (outcome.status, outcome.err, without_a_verb.err) == (0, "", "")
+    text = plain(outcome.out)
+    assert "Example: cmbot plan triangle" in text
+    assert "Example: cmbot plan triangle" in plain(without_a_verb.out)
+    assert "Exit status: 0 done, 2 bad input, 3 no plan, 130 stopped with Ctrl-C, 1 anything else." in text
+    assert all(f" {verb} " in text for verb in ("plan", "simulate", "reproduce", "replay", "check", "doctor"))
 
 
 @pytest.mark.parametrize(
@@ -102,24 +91,19 @@ def test_without_a_verb_the_help_is_shown() -> None:
     ],
 )
 def test_help_of_a_verb_shows_an_example(verb: str, example: str) -> None:
-    outcome = run(verb, "--help")
-    assert (outcome.status, outcome.err) == (0, "")
-    assert example in plain(outcome.out)
+    assert example in plain(output(verb, "--help"))
 
 
-def test_plan_writes_a_directory_with_a_replay_page(folder: Path, planned: Outcome) -> None:
+def test_plan_writes_a_directory_and_prints_plain_lines(folder: Path, planned: Outcome) -> None:
     assert planned.status == 0, planned.err
     assert names(folder) == {"short.yaml", "plan"}
     assert names(folder / "plan") >= SAVED
     assert (folder / "plan" / "replay.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-    assert cmbot.load_plan(folder / "plan").scene.name == "short"
-
-
-def test_plan_prints_plain_lines_where_there_is_no_terminal(folder: Path, planned: Outcome) -> None:
-    lines = planned.out.splitlines()
-    assert lines[0].split() == ["baseline", "planned"]
     plan = cmbot.load_plan(folder / "plan")
-    assert lines[1 : len(plan.summary().splitlines())] == plan.summary().splitlines()[1:]
+    assert plan.scene.name == "short"
+    lines, table = planned.out.splitlines(), plan.summary().splitlines()
+    assert lines[0].split() == ["baseline", "planned"]
+    assert lines[1 : len(table)] == table[1:]
     assert any(line.startswith("Certified: ") for line in lines)
     assert re.fullmatch(rf"Written to {re.escape(str(folder / 'plan'))} in \d+\.\d s\.", lines[-2])
     assert lines[-1] == f"Look at it: open {folder / 'plan' / 'report.html'} in a browser."
@@ -142,76 +126,49 @@ def test_plan_on_a_terminal_draws_a_table(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("known")
-def test_plan_writes_to_out_by_default(tmp_path: Path) -> None:
+def test_plan_writes_to_out_by_default_and_shows_a_name_as_it_is(tmp_path: Path) -> None:
     assert run("plan", "short.yaml").status == 0
     assert names(tmp_path / "out") == {"short"}
     assert names(tmp_path / "out" / "short") >= SAVED
-
-
-@pytest.mark.usefixtures("known")
-def test_plan_shows_a_name_as_it_is(tmp_path: Path) -> None:
+    (tmp_path / "out" / "short" / "replay.html").write_text("old", encoding="utf-8")
+    (tmp_path / "out" / "short" / "notes.txt").touch()
+    assert run("plan", "short.yaml", "--force").status == 0
+    assert "notes.txt" not in names(tmp_path / "out" / "short")
+    assert (tmp_path / "out" / "short" / "replay.html").stat().st_size > 100_000
     name = "a [red]b[/red]  :warning:"
-    outcome = run("plan", "short.yaml", "-o", name)
-    assert (outcome.status, outcome.err) == (0, "")
-    assert f"Written to {name} in " in outcome.out
+    assert f"Written to {name} in " in output("plan", "short.yaml", "-o", name)
     assert names(tmp_path / name) >= SAVED
-
-
-@pytest.mark.usefixtures("known")
-def test_force_replaces_a_plan(directory: Path) -> None:
-    (directory / "replay.html").write_text("old", encoding="utf-8")
-    (directory / "notes.txt").touch()
-    assert run("plan", "short.yaml", "-o", directory, "--force").status == 0
-    assert "notes.txt" not in names(directory)
-    assert (directory / "replay.html").stat().st_size > 100_000
 
 
 @pytest.mark.parametrize("force", [(), ("--force",)])
 def test_plan_refuses_what_is_in_the_way_before_it_plans(
     known: cmbot.Plan, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, force: tuple[str, ...]
 ) -> None:
-    def plan(*_: object, **__: object) -> None:
-        pytest.fail("planned first")
-
-    monkeypatch.setattr(cmbot, "plan", plan)
+    monkeypatch.setattr(cmbot, "plan", Mock(side_effect=pytest.fail.Exception("planned first")))
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "thesis.txt").write_text("years of work", encoding="utf-8")
-    outcome = run("plan", "short.yaml", "-o", "mine", *force)
-    assert (outcome.status, outcome.out) == (2, "")
-    assert re.fullmatch(r"error: mine: got a folder .*--force.*\n", outcome.err)
+    line = refusal("plan", "short.yaml", "-o", "mine", *force)
+    assert re.fullmatch(r"error: mine: got a folder .*--force.*", line)
     assert (tmp_path / "mine" / "thesis.txt").read_text(encoding="utf-8") == "years of work"
 
 
-def test_replay_writes_the_page_anew(directory: Path) -> None:
-    page = directory / "replay.html"
+@pytest.mark.parametrize("verb", ["replay", "report"])
+def test_a_page_is_written_anew_or_elsewhere(directory: Path, tmp_path: Path, verb: str) -> None:
+    page, elsewhere = directory / f"{verb}.html", tmp_path / "seen.html"
+    size = page.stat().st_size
     page.unlink()
-    outcome = run("replay", directory)
-    assert outcome == Outcome(status=0, out=f"Written to {page}.\n", err="")
+    assert run(verb, directory) == Outcome(status=0, out=f"Written to {page}.\n", err="")
     assert page.read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
-
-
-def test_replay_writes_a_page_elsewhere(directory: Path, tmp_path: Path) -> None:
+    assert page.stat().st_size == pytest.approx(size, rel=1e-3)
     before = {path: path.read_bytes() for path in directory.iterdir()}
-    page = tmp_path / "seen.html"
-    outcome = run("replay", directory, "--html", page)
-    assert outcome == Outcome(status=0, out=f"Written to {page}.\n", err="")
-    assert page.stat().st_size > 100_000
+    outcome = run(verb, directory, "--html", elsewhere)
+    assert outcome == Outcome(status=0, out=f"Written to {elsewhere}.\n", err="")
+    assert elsewhere.stat().st_size > 100_000
     assert {path: path.read_bytes() for path in directory.iterdir()} == before
-
-
-def test_report_writes_the_page_anew(directory: Path) -> None:
-    page = directory / "report.html"
-    before = page.read_bytes()
-    page.unlink()
-    outcome = run("report", directory)
-    assert outcome == Outcome(status=0, out=f"Written to {page}.\n", err="")
-    assert page.read_bytes().startswith(b"<!DOCTYPE html>")
-    assert len(page.read_bytes()) == pytest.approx(len(before), rel=1e-3)
 
 
 def test_report_replaces_no_file_elsewhere_unasked(directory: Path, tmp_path: Path) -> None:
     page = tmp_path / "mine.html"
-    assert run("report", directory, "--html", page) == Outcome(status=0, out=f"Written to {page}.\n", err="")
     page.write_text("mine", encoding="utf-8")
     outcome = run("report", directory, "--html", page)
     expected = f"error: {page}: got a file that is already there, expected a new file, or --force\n"
@@ -221,23 +178,21 @@ def test_report_replaces_no_file_elsewhere_unasked(directory: Path, tmp_path: Pa
     assert page.stat().st_size > 100_000
 
 
-@pytest.mark.parametrize("verb", ["plan", "replay", "report"])
-def test_the_page_in_a_plan_directory_is_added_by_the_archive(
-    known: cmbot.Plan, directory: Path, monkeypatch: pytest.MonkeyPatch, verb: str
-) -> None:
+@pytest.mark.usefixtures("known")
+def test_pages_are_added_by_the_archive(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """So that it comes whole, and into nothing but a plan directory."""
     added: list[tuple[Path, str]] = []
     monkeypatch.setattr(
         cmbot.archive, "add_file", lambda folder, name, _: added.append((folder, name)) or folder / name
     )
-    words = {
-        "plan": ("short.yaml", "-o", directory, "--force"),
-        "replay": (directory,),
-        "report": (directory,),
-    }[verb]
-    assert run(verb, *words).status == 0
-    names = {"plan": ["replay.html", "report.html"], "replay": ["replay.html"], "report": ["report.html"]}
-    assert added == [(directory, name) for name in names[verb]]
+    for words in (
+        ("plan", "short.yaml", "-o", directory, "--force"),
+        ("replay", directory),
+        ("report", directory),
+    ):
+        assert run(*words).status == 0
+    pages = ("replay.html", "report.html")
+    assert added == [(directory, name) for name in (*pages, *pages)]
 
 
 def test_replay_serves_the_page_until_ctrl_c(directory: Path) -> None:
@@ -249,7 +204,6 @@ def test_replay_serves_the_page_until_ctrl_c(directory: Path) -> None:
         text=True,
     ) as process:
         try:
-            assert process.stdout is not None
             line = process.stdout.readline()
             found = re.fullmatch(r"Replay of short at (http://127\.0\.0\.1:\d+/); stop with Ctrl-C\.\n", line)
             assert found, line

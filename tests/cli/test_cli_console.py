@@ -1,8 +1,8 @@
 """Progress on standard error: a bar with the remaining time on a terminal, plain lines elsewhere, or none."""
 
-from __future__ import annotations
-
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from io import StringIO
 from pathlib import Path
 
@@ -28,22 +28,21 @@ class Clock:
         return self.now
 
 
-@pytest.fixture
-def clock() -> Clock:
-    return Clock()
-
-
-def stream(monkeypatch: pytest.MonkeyPatch, *, terminal: bool, width: int = 120) -> StringIO:
-    file = StringIO()
+@contextmanager
+def shown(
+    *, terminal: bool = True, width: int = 120, quiet: bool = False
+) -> Iterator[tuple[ConsoleProgress, Clock, StringIO]]:
+    """Progress on a console, its clock, and what it writes."""
+    clock, file = Clock(), StringIO()
     console = Console(file=file, force_terminal=terminal, width=width, markup=False)
-    monkeypatch.setattr(cmbot.cli.console, "err", console)
-    return file
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cmbot.cli.console, "err", console)
+        with ConsoleProgress(quiet=quiet, clock=clock) as progress:
+            yield progress, clock, file
 
 
-def told(monkeypatch: pytest.MonkeyPatch, clock: Clock, *, terminal: bool, quiet: bool = False) -> str:
-    """What a narrator writes of some work."""
-    file = stream(monkeypatch, terminal=terminal)
-    with ConsoleProgress(quiet=quiet, clock=clock) as progress:
+def told(*, terminal: bool, quiet: bool = False) -> str:
+    with shown(terminal=terminal, quiet=quiet) as (progress, clock, file):
         progress.update(Progress(stage="path"), prefix="[red]line[/red]: ")
         for step in range(5):
             progress.stage(f"simulating {step}" if terminal else "simulating", step / 4)
@@ -57,8 +56,8 @@ def lines(text: str) -> list[str]:
     return [line.rstrip() for line in drawn if line.strip()]
 
 
-def test_on_a_terminal_it_is_a_bar(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
-    text = told(monkeypatch, clock, terminal=True)
+def test_on_a_terminal_it_is_a_bar() -> None:
+    text = told(terminal=True)
     plain = without_colours(text)
     assert "\x1b[" in text
     # Markup is shown as it is.
@@ -69,58 +68,49 @@ def test_on_a_terminal_it_is_a_bar(monkeypatch: pytest.MonkeyPatch, clock: Clock
     assert re.search(r"6 s, about 2 s left · simulating 3", plain)
 
 
-def test_the_remaining_time_of_a_step_counts_down(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
-    file = stream(monkeypatch, terminal=True)
-    with ConsoleProgress(clock=clock) as progress:
+def test_the_remaining_time_of_a_step_counts_down() -> None:
+    with shown() as (progress, clock, file):
         clock.now = 3.0
         progress.update(Progress(stage="path", step="charting", share=0.1, left=Eta(seconds=20.0)))
-        for later, expected in ((0.0, "3 s, step: about 20 s left"), (8.0, "11 s, step: about 12 s left")):
-            clock.now = 3.0 + later
+        for now, expected in (
+            (3.0, "3 s, step: about 20 s left"),
+            (11.0, "11 s, step: about 12 s left"),
+            # Longer than foretold: no figure rather than a wrong one.
+            (30.0, "30 s · charting"),
+        ):
+            clock.now = now
             progress._bars.refresh()  # type: ignore[union-attr]
             assert expected in lines(file.getvalue())[-1]
-        clock.now = 30.0
-        progress._bars.refresh()  # type: ignore[union-attr]
-        # Longer than foretold: no figure rather than a wrong one.
-        assert "30 s · charting" in lines(file.getvalue())[-1]
 
 
-def test_the_bar_begins_anew_with_a_step(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
-    stream(monkeypatch, terminal=True)
-    with ConsoleProgress(clock=clock) as progress:
+def test_the_bar_begins_anew_with_a_step_unless_the_whole_is_known() -> None:
+    def bar() -> tuple[float | None, float]:
+        (task,) = progress._bars.tasks  # type: ignore[union-attr]
+        return task.total, task.completed
+
+    with shown() as (progress, _, _):
         progress.update(Progress(stage="path", step="charting", share=0.9, left=Eta(seconds=1.0)))
-        (task,) = progress._bars.tasks  # type: ignore[union-attr]
-        assert (task.total, task.completed) == (1.0, 0.9)
+        assert bar() == (1.0, 0.9)
         progress.update(Progress(stage="path", step="choosing"))
-        (task,) = progress._bars.tasks  # type: ignore[union-attr]
-        assert task.total is None
+        assert bar() == (None, 0.0)
         progress.update(Progress(stage="path", step="refining", share=0.0))
-        (task,) = progress._bars.tasks  # type: ignore[union-attr]
-        assert (task.total, task.completed) == (1.0, 0.0)
-
-
-def test_where_the_whole_is_known_a_step_does_not_move_its_bar(
-    monkeypatch: pytest.MonkeyPatch, clock: Clock
-) -> None:
-    file = stream(monkeypatch, terminal=True)
-    with ConsoleProgress(clock=clock) as progress:
+        assert bar() == (1.0, 0.0)
+    with shown() as (progress, clock, file):
         clock.now = 5.0
         progress.stage("line: via-points that slide", 0.5)
         progress.update(Progress(stage="path", step="charting", share=0.1, left=Eta(seconds=99.0)), "line: ")
-        (task,) = progress._bars.tasks  # type: ignore[union-attr]
-        assert task.completed == 0.5
+        assert bar()[1] == 0.5
         progress.stage("line: simulating", 0.4)
-        assert task.completed == 0.5
+        assert bar()[1] == 0.5
     assert "5 s, about 5 s left · line: charting" in without_colours(file.getvalue())
     assert "99 s" not in file.getvalue()
 
 
-def test_passes_are_told_with_what_is_left_at_most(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
-    file = stream(monkeypatch, terminal=True)
-    with ConsoleProgress(clock=clock) as progress:
+def test_passes_are_told_with_what_is_left_at_most() -> None:
+    with shown() as (progress, _, file):
         progress.update(Progress(stage="optimise", report=a_pass(3), left=some_passes(37)))
-    assert "0 s, at most 37 more passes, 0.4 s each · optimising, pass 3 (peak): peak" in without_colours(
-        file.getvalue()
-    )
+    expected = "0 s, at most 37 more passes, 0.4 s each · optimising, pass 3 (peak): peak"
+    assert expected in without_colours(file.getvalue())
 
 
 def a_pass(number: int) -> ExchangeReport:
@@ -135,11 +125,8 @@ def some_passes(most: int) -> Eta:
 
 
 @pytest.mark.parametrize("width", [60, 70, 80, 100])
-def test_a_narrow_terminal_cuts_what_is_told_and_nothing_else(
-    monkeypatch: pytest.MonkeyPatch, clock: Clock, width: int
-) -> None:
-    file = stream(monkeypatch, terminal=True, width=width)
-    with ConsoleProgress(clock=clock) as progress:
+def test_a_narrow_terminal_cuts_what_is_told_and_nothing_else(width: int) -> None:
+    with shown(width=width) as (progress, _, file):
         progress.update(Progress(stage="optimise", report=a_pass(3), left=Eta(seconds=12.0)))
     drawn = [line for line in lines(file.getvalue()) if "opt" in line]
     assert drawn
@@ -149,16 +136,13 @@ def test_a_narrow_terminal_cuts_what_is_told_and_nothing_else(
         assert len(line) <= width
 
 
-def test_elsewhere_it_is_plain_lines(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
-    text = told(monkeypatch, clock, terminal=False)
-    assert text == "[red]line[/red]: following the tool path\nsimulating\n"
+def test_elsewhere_it_is_plain_lines_and_with_quiet_nothing() -> None:
+    assert told(terminal=False) == "[red]line[/red]: following the tool path\nsimulating\n"
+    assert told(terminal=True, quiet=True) == told(terminal=False, quiet=True) == ""
 
 
-def test_elsewhere_long_work_says_every_so_often_how_far_it_is(
-    monkeypatch: pytest.MonkeyPatch, clock: Clock
-) -> None:
-    file = stream(monkeypatch, terminal=False)
-    with ConsoleProgress(clock=clock) as progress:
+def test_elsewhere_long_work_says_every_so_often_how_far_it_is() -> None:
+    with shown(terminal=False) as (progress, clock, file):
         for done in range(31):
             progress.stage("simulating", done / 30)
             clock.now += 1.0
@@ -170,9 +154,8 @@ def test_elsewhere_long_work_says_every_so_often_how_far_it_is(
     ]
 
 
-def test_elsewhere_not_every_step_and_pass_is_told(monkeypatch: pytest.MonkeyPatch, clock: Clock) -> None:
-    file = stream(monkeypatch, terminal=False)
-    with ConsoleProgress(clock=clock) as progress:
+def test_elsewhere_not_every_step_and_pass_is_told() -> None:
+    with shown(terminal=False) as (progress, clock, file):
         progress.update(Progress(stage="path"))
         for share in (0.0, 0.3, 0.6):
             progress.update(Progress(stage="path", step="charting", share=share, left=Eta(seconds=8.0)))
@@ -193,11 +176,6 @@ def test_elsewhere_not_every_step_and_pass_is_told(monkeypatch: pytest.MonkeyPat
         "compensating the sag, round 1",
         "compensating the sag, round 2",
     ]
-
-
-@pytest.mark.parametrize("terminal", [True, False])
-def test_quiet_shows_nothing(monkeypatch: pytest.MonkeyPatch, clock: Clock, terminal: bool) -> None:
-    assert told(monkeypatch, clock, terminal=terminal, quiet=True) == ""
 
 
 def test_planning_shows_the_remaining_time_on_a_terminal(tmp_path: Path) -> None:

@@ -2,10 +2,11 @@
 
 import json
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from command_line import ROOT, Outcome, run, write_scene
+from command_line import ROOT, output, refusal, run, write_scene
 from small_scenes import SHORT
 
 import cmbot
@@ -14,36 +15,30 @@ from cmbot.planning.objectives import objective_of
 from cmbot.robot import Postures
 
 
-def values(outcome: Outcome) -> dict[str, str]:
+def values(out: str) -> dict[str, str]:
     """The lines but the last, as names and values."""
-    return {line[:34].strip(): line[34:] for line in outcome.out.splitlines()[:-1]}
+    return {line[:34].strip(): line[34:] for line in out.splitlines()[:-1]}
 
 
-def test_a_shipped_scene() -> None:
-    outcome = run("check", "triangle")
-    assert (outcome.status, outcome.err) == (0, "")
-    found = values(outcome)
+def test_a_shipped_scene_and_a_scene_file(tmp_path: Path) -> None:
+    out = output("check", "triangle")
+    found = values(out)
     assert found["via-points"] == "50"
     assert found["robot"].startswith("cmbot: 7 joints, ")
     assert found["tool path"] == "3 legs, 2.030 m in 20 s, keeps the tool's pose"
     assert found["tool point at the start"] == "(1.8154, 0.7796, -2.0628) m"
-    last = outcome.out.splitlines()[-1]
-    assert last.startswith(
-        "No warning. Checked: the start, and whether the stretched arm reaches the legs' ends."
-    )
-    assert last.endswith(
-        "Not checked: obstacles, joint ranges and limits on the way; cmbot plan triangle finds out."
-    )
-
-
-def test_a_scene_file(tmp_path: Path) -> None:
+    last = out.splitlines()[-1]
+    checked = "No warning. Checked: the start, and whether the stretched arm reaches the legs' ends."
+    unchecked = "Not checked: obstacles, joint ranges and limits on the way; cmbot plan triangle finds out."
+    assert last.startswith(checked)
+    assert last.endswith(unchecked)
     block = {"name": "block", "box": [1, 1, 1], "xyz": [9, 9, 9], "workpiece": True}
-    path = write_scene(tmp_path / "short.yaml", {**SHORT, "obstacles": [block]})
-    outcome = run("check", path)
-    assert (outcome.status, outcome.err) == (0, "")
-    assert f"short ({path})" in outcome.out
-    assert "1 leg, 0.300 m in 4 s" in outcome.out
-    assert values(outcome)["obstacles"].endswith(", of them 1 workpiece")
+    # Whatever its name.
+    path = write_scene(tmp_path / "short.scene", {**SHORT, "obstacles": [block]})
+    out = output("check", path)
+    assert f"short ({path})" in out
+    assert "1 leg, 0.300 m in 4 s" in out
+    assert values(out)["obstacles"].endswith(", of them 1 workpiece")
 
 
 # The tool, a cylinder of radius 0.04 m, is 0.01 m deep in it, or as far away.
@@ -58,9 +53,8 @@ def test_a_start_that_is_not_clear_is_warned_of(tmp_path: Path, gap: float, word
     x, y, z = START
     block = {"name": "block", "box": [0.1, 0.1, 0.1], "xyz": [x, y + 0.09 + gap, z]}
     path = write_scene(tmp_path / "short.yaml", {**SHORT, "obstacles": [block]})
-    outcome = run("check", path)
-    assert (outcome.status, outcome.err) == (0, "")
-    first, *_, last = outcome.out.splitlines()
+    out = output("check", path)
+    first, *_, last = out.splitlines()
     assert first.startswith(
         f"warning: {path}: posture_deg: got {words}, the safety margin is 0.02 m, expected"
     )
@@ -70,7 +64,7 @@ def test_a_start_that_is_not_clear_is_warned_of(tmp_path: Path, gap: float, word
     assert run("check", path, "--quiet").out == ""
 
 
-def test_legs_beyond_the_arms_reach_are_warned_of(tmp_path: Path) -> None:
+def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) -> None:
     """The shipped arm is 3.78 m long with its tool (Table 2), and its first joint at (0, 0.5, 0)."""
     legs = [{"by": by, "seconds": 9} for by in ([0, 0.1, 0], [0, 3.0, 0], [0, -3.0, 0], [2.5, 0, -2.0])]
     path = write_scene(tmp_path / "far.yaml", {**SHORT, "tool_path": {"legs": legs}})
@@ -82,11 +76,8 @@ def test_legs_beyond_the_arms_reach_are_warned_of(tmp_path: Path) -> None:
     )
     assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1].by", "tool_path.legs[3].by"]
     assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
-
-
-def test_a_load_too_heavy_at_the_start_is_warned_of(tmp_path: Path) -> None:
-    heavy = {"robot": {"model": "cmbot", "payload_kg": 60.0}}
-    path = write_scene(tmp_path / "heavy.yaml", {**SHORT, **heavy})
+    heavy = {"model": "cmbot", "payload_kg": 60.0}
+    path = write_scene(tmp_path / "heavy.yaml", {**SHORT, "robot": heavy})
     first, *_ = run("check", path).out.splitlines()
     assert "of the torque that joint_" in first
     assert first.startswith(f"warning: {path}: posture_deg: got ")
@@ -96,14 +87,23 @@ def test_a_load_too_heavy_at_the_start_is_warned_of(tmp_path: Path) -> None:
     ("weights", "warned"), [([0, 0, 1], True), ([0, 0, 0.5], True), ([0, 0.1, 1], False), ([1, 1, 0], False)]
 )
 def test_an_objective_that_gravity_has_no_part_in_is_warned_of(
-    tmp_path: Path, weights: list[float], warned: bool
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, weights: list[float], warned: bool
 ) -> None:
     path = write_scene(tmp_path / "z.yaml", {**SHORT, "planner": {"axis_weights": weights}})
     found = json.loads(run("check", path, "--json").out)["findings"]
     assert [finding["key"] for finding in found] == ["planner.axis_weights"] * warned
-    if warned:
-        assert "gravity has no torque about z" in found[0]["got"]
-        assert "a weight above 0 for x or y" in found[0]["expected"]
+    for finding in found:
+        assert "gravity has no torque about z" in finding["got"]
+        assert "a weight above 0 for x or y" in finding["expected"]
+    # Before it is planned, too.
+    monkeypatch.setattr(cmbot, "plan", Mock(side_effect=cmbot.PlanningError("far enough")))
+    path = write_scene(tmp_path / "short.yaml", SHORT)
+    words = ("plan", path, "-o", tmp_path / "out", "--set", f"axis_weights={weights}")
+    *warnings, last = run(*words).err.splitlines()
+    start = f"warning: planner.axis_weights: got {weights}: gravity has no torque about z"
+    assert [warning.startswith(start) for warning in warnings] == [True] * warned
+    assert last == "error: far enough"
+    assert run(*words, "--quiet").err == "error: far enough\n"
 
 
 def test_that_gravity_has_no_torque_about_z_is_so() -> None:
@@ -117,30 +117,9 @@ def test_that_gravity_has_no_torque_about_z_is_so() -> None:
         np.testing.assert_allclose(values, 0.0, atol=1e-9)
 
 
-def test_the_objective_is_warned_of_before_it_is_planned(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def plan(*_: object, **__: object) -> None:
-        raise cmbot.PlanningError("far enough")
-
-    monkeypatch.setattr(cmbot, "plan", plan)
-    path = write_scene(tmp_path / "short.yaml", SHORT)
-    words = ("plan", path, "-o", tmp_path / "out", "--set", "axis_weights=[0, 0, 1]")
-    first, last = run(*words).err.splitlines()
-    assert first.startswith("warning: planner.axis_weights: got [0, 0, 1]: gravity has no torque about z")
-    assert last == "error: far enough"
-    assert run(*words, "--quiet").err == "error: far enough\n"
-
-
-def test_a_scene_file_may_have_any_name(tmp_path: Path) -> None:
-    path = write_scene(tmp_path / "short.scene", SHORT)
-    assert run("check", path).status == 0
-
-
 def test_a_urdf() -> None:
-    outcome = run("check", model_folder() / "urdf" / "cmbot.urdf")
-    assert (outcome.status, outcome.err) == (0, "")
-    found = values(outcome)
+    out = output("check", model_folder() / "urdf" / "cmbot.urdf")
+    found = values(out)
     joints = cmbot.load_robot("cmbot").limits.velocity.size
     assert (found["robot"], found["SRDF beside it"]) == ("cmbot", "cmbot.srdf")
     assert found["links"] == f"16, {cmbot.load_robot('cmbot').mass:.2f} kg in all"
@@ -148,7 +127,7 @@ def test_a_urdf() -> None:
     assert found["limits in the URDF"] == "of 12 movable joints: position 12, velocity 12, effort 12"
     assert found["joint_limits.yaml beside it"] == f"acceleration and jerk of {joints} of 12 movable joints"
     assert "tool0" in found["tool frame"]
-    assert outcome.out.splitlines()[-1] == "OK: no error, 0 warnings."
+    assert out.splitlines()[-1] == "OK: no error, 0 warnings."
 
 
 BARE = """<robot name="bare">
@@ -163,11 +142,12 @@ BARE = """<robot name="bare">
 </robot>"""
 
 
-def test_a_urdf_that_lacks_limits(tmp_path: Path) -> None:
-    (tmp_path / "bare.urdf").write_text(BARE, encoding="utf-8")
-    outcome = run("check", tmp_path / "bare.urdf")
+def test_a_urdf_that_lacks_limits_and_is_doubtful_is_usable(tmp_path: Path) -> None:
+    path = tmp_path / "bare.urdf"
+    path.write_text(BARE, encoding="utf-8")
+    outcome = run("check", path)
     assert outcome.status == 0
-    assert values(outcome) == {
+    assert values(outcome.out) == {
         "robot": "bare",
         "links": "4, 2.50 kg in all",
         "movable joints": "2 (1 prismatic, 1 continuous)",
@@ -180,10 +160,6 @@ def test_a_urdf_that_lacks_limits(tmp_path: Path) -> None:
         "base frame": "any link; the root is floor",
         "tool frame": "any link that joints move below it; at the ends: wheel, plate",
     }
-
-
-def test_a_doubtful_urdf_is_usable(tmp_path: Path) -> None:
-    path = tmp_path / "bare.urdf"
     path.write_text(BARE.replace('izz="1"', 'izz="5"'), encoding="utf-8")
     outcome = run("check", path)
     first, *_, last = outcome.out.splitlines()
@@ -195,41 +171,31 @@ def test_a_doubtful_urdf_is_usable(tmp_path: Path) -> None:
 def test_a_damaged_urdf(tmp_path: Path, bare_urdf: str) -> None:
     path = tmp_path / "arm.urdf"
     path.write_text(bare_urdf.replace('value="7.8"', 'value="-7.8"'), encoding="utf-8")
-    outcome = run("check", path)
-    assert (outcome.status, outcome.err) == (2, "")
-    finding, last = outcome.out.splitlines()
+    finding, last = output("check", path, status=2).splitlines()
     assert finding.startswith(f"error: {path}: link[link_1].inertial.mass: got ")
     assert last == "Not usable: 1 error, 0 warnings."
 
 
+NEITHER = "), expected a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)"
+
+
 @pytest.mark.parametrize(
-    ("name", "content"),
+    ("name", "content", "words", "end"),
     [
-        ("README.md", (ROOT / "README.md").read_bytes()),
-        ("words.txt", "words"),
-        ("empty", ""),
-        ("data.bin", b"\xff\x00"),
-        ("arm.xacro", BARE),
+        ("README.md", (ROOT / "README.md").read_bytes(), "got a file that is neither (", NEITHER),
+        ("words.txt", b"words", "got a file that is neither (", NEITHER),
+        ("empty", b"", "got a file that is neither (", NEITHER),
+        ("data.bin", b"\xff\x00", "got a file that is neither (", NEITHER),
+        ("arm.xacro", BARE.encode(), "got a file that is neither (", NEITHER),
+        ("words.yaml", b"words", "got 'words', expected a mapping", ""),
+        ("slip", json.dumps({**SHORT, "nam": "x"}).encode(), "nam: got an unknown key", ""),
     ],
 )
-def test_what_is_neither_is_said_to_be_neither(tmp_path: Path, name: str, content: str | bytes) -> None:
+def test_what_is_neither_is_said_to_be_neither_and_a_slip_is_named(
+    tmp_path: Path, name: str, content: bytes, words: str, end: str
+) -> None:
     path = tmp_path / name
-    path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    outcome = run("check", path)
-    assert (outcome.status, outcome.out) == (2, "")
-    assert outcome.err.startswith(f"error: {path}: got a file that is neither (")
-    assert outcome.err.endswith("), expected a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)\n")
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "words"),
-    [
-        ("words.yaml", "words", "words.yaml: got 'words', expected a mapping"),
-        ("slip", json.dumps({**SHORT, "nam": "x"}), "slip: nam: got an unknown key"),
-    ],
-)
-def test_a_slip_in_a_scene_file_is_named(tmp_path: Path, name: str, content: str, words: str) -> None:
-    (tmp_path / name).write_text(content, encoding="utf-8")
-    outcome = run("check", tmp_path / name)
-    assert (outcome.status, outcome.out) == (2, "")
-    assert words in outcome.err
+    path.write_bytes(content)
+    line = refusal("check", path)
+    assert line.startswith(f"error: {path}: {words}")
+    assert line.endswith(end)

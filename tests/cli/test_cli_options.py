@@ -1,13 +1,12 @@
 """What long verbs have in common: ``--json``, ``--quiet``, ``--figures``; and ``--set`` of ``cmbot plan``."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import pytest
-from command_line import Outcome, run, write_scene
+from command_line import Outcome, output, refusal, run, write_scene
 from small_scenes import SHORT
 
 import cmbot
@@ -34,7 +33,6 @@ def known(short_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> list[cmbot.Plann
     asked: list[cmbot.PlannerOptions] = []
 
     def plan(scene: Any, *, options: cmbot.PlannerOptions, progress: Any) -> Plan:
-        del scene
         progress(Progress(stage="path"))
         asked.append(options)
         return short_plan
@@ -44,7 +42,6 @@ def known(short_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> list[cmbot.Plann
 
 
 def printed(outcome: Outcome) -> dict[str, Any]:
-    """The one JSON object on standard output."""
     assert outcome.status == 0, outcome.err
     data = json.loads(outcome.out)
     assert data["format"] == "cmbot-summary/1"
@@ -75,15 +72,13 @@ def test_set_overrides_one_option(
     assert type(getattr(options, name)) is type(getattr(before, name))
 
 
-def test_set_may_be_repeated(known: list[cmbot.PlannerOptions]) -> None:
+def test_set_may_be_repeated_or_left_out(known: list[cmbot.PlannerOptions]) -> None:
     words = ("--set", "knots=sliding", "--set", "start=pinned", "--set", "smoothing_weight=1e-3")
     assert run("plan", "short.yaml", *words).status == 0
-    assert (known[0].knots, known[0].start, known[0].smoothing_weight) == ("sliding", "pinned", 1e-3)
-
-
-def test_without_set_the_scenes_options_are_taken(known: list[cmbot.PlannerOptions]) -> None:
-    assert run("plan", "short.yaml").status == 0
-    assert known == [cmbot.load_scene("short.yaml").planner]
+    assert run("plan", "short.yaml", "--force").status == 0
+    changed, kept = known
+    assert (changed.knots, changed.start, changed.smoothing_weight) == ("sliding", "pinned", 1e-3)
+    assert kept == cmbot.load_scene("short.yaml").planner
 
 
 def test_what_was_set_is_planned_and_kept(folder: Path) -> None:
@@ -97,39 +92,28 @@ def test_what_was_set_is_planned_and_kept(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("start",), "--set: got 'start', expected NAME=VALUE, such as start=pinned"),
-        (
-            ("strat=free",),
-            "--set: strat: got an unknown key, expected a known key; did you mean start? (one of:",
-        ),
-        (
-            ("start=fre",),
-            "--set: start: got 'fre', expected a known value; did you mean free? (one of: free, p",
-        ),
-        (("start=",), "--set: start: got None, expected a known value"),
+        (("start",), "got 'start', expected NAME=VALUE, such as start=pinned"),
+        (("strat=free",), "strat: got an unknown key, expected a known key; did you mean start? (one of:"),
+        (("start=fre",), "start: got 'fre', expected a known value; did you mean free? (one of: free, p"),
+        (("start=",), "start: got None, expected a known value"),
         (
             ("via_points=3000",),
-            "--set: via_points: got a key of the scene, expected one of the planner's options; it is part",
+            "via_points: got a key of the scene, expected one of the planner's options; it is part",
         ),
-        (("compensate=yes",), "--set: compensate: got 'yes', expected true or false"),
-        (("max_passes=many",), "--set: max_passes: got 'many', expected a whole number"),
-        (("max_passes=0",), "--set: max_passes: got 0, expected at least 1"),
-        (
-            ("path_step_s=.inf",),
-            "--set: path_step_s: got '.inf' (line 1, column 1), expected a finite number",
-        ),
-        (("axis_weights=[1, 2]",), "--set: axis_weights: got [1, 2], expected a list of 3 items"),
-        (("axis_weights=[1, 2",), "--set: axis_weights: got "),
-        (("start=free", "start=free"), "--set: start: got the same option again, expected each option once"),
+        (("compensate=yes",), "compensate: got 'yes', expected true or false"),
+        (("max_passes=many",), "max_passes: got 'many', expected a whole number"),
+        (("max_passes=0",), "max_passes: got 0, expected at least 1"),
+        (("path_step_s=.inf",), "path_step_s: got '.inf' (line 1, column 1), expected a finite number"),
+        (("axis_weights=[1, 2]",), "axis_weights: got [1, 2], expected a list of 3 items"),
+        (("axis_weights=[1, 2",), "axis_weights: got "),
+        (("start=free", "start=free"), "start: got the same option again, expected each option once"),
     ],
 )
 def test_a_wrong_option_is_named_before_anything_is_planned(
     known: list[cmbot.PlannerOptions], words: tuple[str, ...], message: str
 ) -> None:
-    outcome = run("plan", "short.yaml", *(part for word in words for part in ("--set", word)))
-    assert (outcome.status, outcome.out) == (2, "")
-    assert outcome.err.startswith(f"error: {message}"), outcome.err
-    assert outcome.err.count("\n") == 1
+    line = refusal("plan", "short.yaml", *(part for word in words for part in ("--set", word)))
+    assert line.startswith(f"error: --set: {message}")
     assert known == []
 
 
@@ -163,25 +147,18 @@ def test_json_of_a_simulation_is_that_of_tracking_json(short_folder: Path) -> No
     assert data["remarks"]
 
 
-def test_json_of_a_scenes_check() -> None:
+def test_json_of_a_check(urdf_folder: Path) -> None:
     data = printed(run("check", "short.yaml", "--json"))
     assert (data["verb"], data["kind"], data["file"]) == ("check", "scene", "short.yaml")
     assert (data["usable"], data["findings"]) == (True, [])
     assert data["found"]["via-points"] == "8"
-
-
-def test_json_of_a_urdfs_check(urdf_folder: Path) -> None:
-    data = printed(run("check", urdf_folder / "cmbot.urdf", "--json"))
+    path = urdf_folder / "cmbot.urdf"
+    data = printed(run("check", path, "--json"))
     assert (data["kind"], data["usable"], data["findings"]) == ("urdf", True, [])
     assert data["found"]["robot"] == "cmbot"
-
-
-def test_json_of_an_unusable_urdf(urdf_folder: Path) -> None:
-    path = urdf_folder / "cmbot.urdf"
     path.write_text(path.read_text("utf-8").replace('mass value="', 'mass value="-', 1), encoding="utf-8")
-    outcome = run("check", path, "--json")
-    assert (outcome.status, outcome.err) == (2, "")
-    data = json.loads(outcome.out)
+    out = output("check", path, "--json", status=2)
+    data = json.loads(out)
     assert (data["usable"], data["found"]) == (False, {})
     assert {"severity", "key", "got", "expected"} == set(data["findings"][0])
     assert data["findings"][0]["severity"] == "error"
@@ -191,57 +168,40 @@ def test_json_of_an_unusable_urdf(urdf_folder: Path) -> None:
     assert quiet.out
 
 
-@pytest.mark.parametrize("words", [("check", "nosuch"), ("plan", "nosuch"), ("simulate", "nosuch")])
-def test_with_json_an_error_stays_one_line_on_standard_error(words: tuple[str, ...]) -> None:
-    outcome = run(*words, "--json", "--quiet")
-    assert (outcome.status, outcome.out) == (2, "")
-    assert outcome.err.startswith("error: nosuch: ")
-    assert outcome.err.count("\n") == 1
+@pytest.mark.usefixtures("known")
+def test_quiet_prints_nothing_and_with_json_an_error_stays_one_line(short_folder: Path) -> None:
+    for verb, what in (("plan", "short.yaml"), ("simulate", short_folder), ("check", "short.yaml")):
+        assert run(verb, what, "--quiet") == Outcome(status=0, out="", err="")
+        assert refusal(verb, "nosuch", "--json", "--quiet").startswith("error: nosuch: ")
 
 
 @pytest.mark.usefixtures("known")
-def test_quiet_prints_nothing(short_folder: Path) -> None:
-    for words in (
-        ("plan", "short.yaml"),
-        ("simulate", short_folder),
-        ("check", "short.yaml"),
+def test_figures_are_drawn_into_the_plan_directory(folder: Path, short_folder: Path) -> None:
+    for words, directory, names in (
+        (("plan", "short.yaml"), folder / "out" / "short", FIGURES),
+        (("simulate", short_folder), short_folder, TRACKING_FIGURES),
     ):
-        assert run(*words, "--quiet") == Outcome(status=0, out="", err="")
-
-
-@pytest.mark.usefixtures("known")
-def test_figures_are_drawn_into_the_plan_directory(folder: Path) -> None:
-    outcome = run("plan", "short.yaml", "--figures")
-    assert outcome.status == 0, outcome.err
-    written = {path.name for path in (folder / "out" / "short").iterdir()}
-    drawn = {f"{name}.{suffix}" for name in FIGURES for suffix in ("png", "svg")}
-    assert written >= drawn
-    (line,) = (line for line in outcome.out.splitlines() if line.startswith("Figures: "))
-    assert set(line.removeprefix("Figures: ").removesuffix(".").split(", ")) == drawn
-    # They are no part of what is read back.
-    cmbot.load_plan(folder / "out" / "short")
-
-
-def test_figures_of_a_simulation(short_folder: Path) -> None:
-    outcome = run("simulate", short_folder, "--figures")
-    assert outcome.status == 0, outcome.err
-    drawn = {f"{name}.{suffix}" for name in TRACKING_FIGURES for suffix in ("png", "svg")}
-    assert {path.name for path in short_folder.iterdir()} >= drawn
-    assert all(name in outcome.out for name in drawn)
+        outcome = run(*words, "--figures")
+        assert outcome.status == 0, outcome.err
+        drawn = {f"{name}.{suffix}" for name in names for suffix in ("png", "svg")}
+        assert {path.name for path in directory.iterdir()} >= drawn
+        assert all(name in outcome.out for name in drawn)
+        # They are no part of what is read back.
+        cmbot.load_plan(directory)
+        if words[0] == "plan":
+            (line,) = (line for line in outcome.out.splitlines() if line.startswith("Figures: "))
+            assert set(line.removeprefix("Figures: ").removesuffix(".").split(", ")) == drawn
 
 
 def test_without_matplotlib_nothing_is_planned(
     known: list[cmbot.PlannerOptions], short_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def missing() -> None:
-        raise MissingExtra("matplotlib", "plots")
-
+    missing = Mock(side_effect=MissingExtra("matplotlib", "plots"))
     monkeypatch.setattr("cmbot.views.require_matplotlib", missing)
     monkeypatch.setattr(cmbot, "simulate", lambda *_, **__: pytest.fail("simulated first"))
     for words in (("plan", "short.yaml"), ("simulate", short_folder)):
-        outcome = run(*words, "--figures")
-        assert (outcome.status, outcome.out) == (1, "")
-        assert outcome.err == f"error: matplotlib is not installed; run: {install_command('plots')}\n"
+        line = refusal(*words, "--figures", status=1)
+        assert line == f"error: matplotlib is not installed; run: {install_command('plots')}"
     assert known == []
 
 

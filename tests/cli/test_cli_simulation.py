@@ -1,7 +1,5 @@
 """``cmbot simulate``: what it writes, prints and refuses."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -10,38 +8,24 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from command_line import Outcome, on_a_terminal, run, without_colours
+from command_line import Outcome, on_a_terminal, refusal, run, without_colours
+from plan_folders import names
 
 import cmbot
 from cmbot.archive import save_tracking
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan
-from cmbot.simulation import (
-    MotionTracking,
-    Tracking,
-    tracking_remarks,
-    tracking_rows,
-    tracking_summary,
-    tracking_verdict,
-)
+from cmbot.simulation import Tracking, tracking_remarks, tracking_rows, tracking_summary, tracking_verdict
 
 TABLES = ("tracking.csv", "tracking_baseline.csv")
 FILES = {*TABLES, "tracking.json"}
 PAGES = ("replay.html", "report.html")
+WRITTEN = (*TABLES, "tracking.json", *PAGES)
 COLUMNS = ["t", "error_x", "error_y", "error_z", "static_x", "static_y", "static_z"]
-
-
-@pytest.fixture
-def directory(short_folder: Path) -> Path:
-    return short_folder
-
-
-@pytest.fixture
-def tracking(short_tracking: Tracking) -> Tracking:
-    return short_tracking
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +41,9 @@ def rows_of(path: Path) -> tuple[list[str], np.ndarray]:
     return header, np.array(rows, dtype=float)
 
 
-def test_it_adds_files_and_changes_none(simulated: tuple[Path, Outcome], saved_short: Path) -> None:
+def test_it_adds_tables_of_the_errors_and_changes_no_file(
+    simulated: tuple[Path, Outcome], saved_short: Path, short_tracking: Tracking
+) -> None:
     folder, outcome = simulated
     assert outcome.status == 0, outcome.err
     before = {path.name: path.read_bytes() for path in saved_short.iterdir()}
@@ -65,11 +51,8 @@ def test_it_adds_files_and_changes_none(simulated: tuple[Path, Outcome], saved_s
     assert after.keys() - before.keys() == FILES | set(PAGES)
     assert {name: after[name] for name in before} == before
     cmbot.load_plan(folder)
-
-
-def test_the_tables_are_the_errors(simulated: tuple[Path, Outcome], tracking: Tracking) -> None:
-    for name, motion in zip(TABLES, (tracking.planned, tracking.baseline), strict=True):
-        header, table = rows_of(simulated[0] / name)
+    for name, motion in zip(TABLES, (short_tracking.planned, short_tracking.baseline), strict=True):
+        header, table = rows_of(folder / name)
         assert header == COLUMNS
         np.testing.assert_array_equal(table[:, 0], motion.t)
         np.testing.assert_allclose(np.diff(table[:, 0]), 0.005, atol=1e-12)
@@ -104,40 +87,37 @@ def test_the_figures_are_those_of_the_tables(simulated: tuple[Path, Outcome], sa
         assert len(data[motion]["modes"]) == 4
 
 
-WRITTEN = (*TABLES, "tracking.json", "replay.html", "report.html")
-
-
-def test_it_prints_a_summary(simulated: tuple[Path, Outcome], short_plan: Plan, tracking: Tracking) -> None:
+def test_it_prints_a_summary_and_with_details_all_figures(
+    simulated: tuple[Path, Outcome], short_folder: Path, short_plan: Plan, short_tracking: Tracking
+) -> None:
     folder, outcome = simulated
     lines = outcome.out.splitlines()
-    rows = list(tracking_summary(tracking, compensated=False))
+    rows = list(tracking_summary(short_tracking, compensated=False))
     assert lines[0] == "short, mm"
     assert lines[1].split() == ["baseline", "planned"]
     assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
     assert lines[2 + len(rows) :] == [
-        tracking_verdict(short_plan, tracking),
+        tracking_verdict(short_plan, short_tracking),
         f"Written to {', '.join(str(folder / name) for name in WRITTEN)}.",
         f"All figures: {folder / 'report.html'}, under Simulation; --details --force prints them.",
     ]
     assert outcome.err == "simulating\n"
-
-
-def test_with_details_it_prints_all_figures(directory: Path, tracking: Tracking) -> None:
-    lines = run("simulate", directory, "--details").out.splitlines()
-    first = lines.index("short, mm", 1)
-    assert lines[first + 1].split() == ["x", "y", "z", "norm"]
-    rows = list(tracking_rows(tracking))
-    table = lines[first + 2 : first + 2 + len(rows)]
-    assert [line.split() for line in table] == [" ".join(row).split() for row in rows]
-    *told, time, written = lines[first + 2 + len(rows) :]
-    assert told == list(tracking_remarks(tracking))[:-1]
+    lines = run("simulate", short_folder, "--details").out.splitlines()
+    lines = lines[lines.index("short, mm", 1) :]
+    assert lines[1].split() == ["x", "y", "z", "norm"]
+    rows = list(tracking_rows(short_tracking))
+    assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
+    *told, time, written = lines[2 + len(rows) :]
+    assert told == list(tracking_remarks(short_tracking))[:-1]
     assert re.fullmatch(r"Time: \d+\.\d\d s for 12 s of motion\.", time)
-    assert written == f"Written to {', '.join(str(directory / name) for name in WRITTEN)}."
+    assert written == f"Written to {', '.join(str(short_folder / name) for name in WRITTEN)}."
 
 
-def test_the_answer_is_what_was_measured(tracking: Tracking) -> None:
-    rows = {name: [float(x) for x in pair] for name, *pair in tracking_summary(tracking, compensated=False)}
-    motions = (tracking.baseline, tracking.planned)
+def test_the_answer_is_what_was_measured(short_tracking: Tracking) -> None:
+    rows = {
+        name: [float(x) for x in pair] for name, *pair in tracking_summary(short_tracking, compensated=False)
+    }
+    motions = (short_tracking.baseline, short_tracking.planned)
     norms = {
         part: [1e3 * np.linalg.norm(getattr(m, part)[m.t <= m.stop + 1e-9], axis=1) for m in motions]
         for part in ("static", "dynamic", "path_error")
@@ -152,17 +132,17 @@ def test_the_answer_is_what_was_measured(tracking: Tracking) -> None:
         "bent tool off its path, at most": pytest.approx([x.max() for x in norms["path_error"]], abs=1e-3),
         "tool swings after the stop": pytest.approx(swings, abs=1e-3),
     }
-    (first, *_), *_ = tracking_summary(tracking, compensated=True)
+    (first, *_), *_ = tracking_summary(short_tracking, compensated=True)
     assert first == "tool sags beyond what was foreseen, mean"
 
 
-def test_the_verdict_follows_the_margin(saved_short: Path, tracking: Tracking) -> None:
+def test_the_verdict_follows_the_margin(saved_short: Path, short_tracking: Tracking) -> None:
     def verdict(allowed_mm: float, *, compensate: bool = False) -> str:
         options = replace(plan.options, max_tool_deviation_m=1e-3 * allowed_mm, compensate=compensate)
-        return tracking_verdict(replace(plan, options=options), tracking)
+        return tracking_verdict(replace(plan, options=options), short_tracking)
 
     plan: Plan = cmbot.load_plan(saved_short)
-    rows = {name: float(planned) for name, _, planned in tracking_summary(tracking, compensated=False)}
+    rows = {name: float(planned) for name, _, planned in tracking_summary(short_tracking, compensated=False)}
     off, sways = rows["bent tool off its path, at most"], rows["tool sways beside its sag, at most"]
     assert verdict(1.01 * off).startswith("Within the margin: bent as it is, the tool stays within ")
     assert verdict(0.5 * (off + sways)).endswith("compensate: true the plan makes up for it.")
@@ -174,36 +154,35 @@ def test_the_verdict_follows_the_margin(saved_short: Path, tracking: Tracking) -
     assert missed.endswith("what bends here is not what was planned with.")
 
 
-def test_on_a_terminal_it_draws_a_table(directory: Path) -> None:
-    text = without_colours(on_a_terminal("simulate", directory, "--details", columns=80))
+def test_on_a_terminal_it_draws_a_table(short_folder: Path) -> None:
+    text = without_colours(on_a_terminal("simulate", short_folder, "--details", columns=80))
     assert re.search(r"│ bent tool off its path, at most +│ +\d+\.\d{3} │", text)
     assert re.search(r"│ error, mean +│ baseline │ +-?\d+\.\d{3} │", text)
 
 
-def test_options_reach_the_simulation(directory: Path) -> None:
+def test_options_reach_the_simulation(short_folder: Path) -> None:
     words = ("--damping", "0.02", "--initial", "undeformed", "--stiffness", "0.8", "--segments", "2")
-    outcome = run("simulate", directory, "--details", *words)
+    outcome = run("simulate", short_folder, "--details", *words)
     assert outcome.status == 0, outcome.err
-    options = json.loads((directory / "tracking.json").read_text(encoding="utf-8"))["options"]
+    options = json.loads((short_folder / "tracking.json").read_text(encoding="utf-8"))["options"]
     changed = {"damping": 0.02, "initial": "undeformed", "segments": 2}
     factors = {"guardrail_factor": 0.8, "link_factor": 0.8}
     assert options | changed | factors == options
     assert "Starts undeformed" in outcome.out
-    _, table = rows_of(directory / "tracking.csv")
+    _, table = rows_of(short_folder / "tracking.csv")
     assert np.abs(table[0, 1:4]).max() < 1e-12
 
 
 @pytest.mark.parametrize("name", sorted(FILES))
-def test_it_replaces_nothing_without_force(directory: Path, name: str) -> None:
-    (directory / name).write_text("mine", encoding="utf-8")
-    outcome = run("simulate", directory)
-    assert (outcome.status, outcome.out) == (2, "")
-    assert outcome.err.startswith(f"error: {directory / name}: got a file that is already there")
-    assert "--force" in outcome.err
-    assert (directory / name).read_text(encoding="utf-8") == "mine"
-    assert not (FILES - {name}) & {path.name for path in directory.iterdir()}
-    assert run("simulate", directory, "--force").status == 0
-    assert (directory / name).read_text(encoding="utf-8") != "mine"
+def test_it_replaces_nothing_without_force(short_folder: Path, name: str) -> None:
+    (short_folder / name).write_text("mine", encoding="utf-8")
+    line = refusal("simulate", short_folder)
+    assert line.startswith(f"error: {short_folder / name}: got a file that is already there")
+    assert "--force" in line
+    assert (short_folder / name).read_text(encoding="utf-8") == "mine"
+    assert not (FILES - {name}) & {path.name for path in short_folder.iterdir()}
+    assert run("simulate", short_folder, "--force").status == 0
+    assert (short_folder / name).read_text(encoding="utf-8") != "mine"
 
 
 @pytest.mark.parametrize(
@@ -218,51 +197,44 @@ def test_it_replaces_nothing_without_force(directory: Path, name: str) -> None:
         (["--stiffness", "1e-5"], "stiff enough"),
     ],
 )
-def test_what_cannot_be_is_refused_in_one_line(directory: Path, words: list[str], message: str) -> None:
-    outcome = run("simulate", directory, *words)
+def test_what_cannot_be_is_refused_in_one_line(short_folder: Path, words: list[str], message: str) -> None:
+    outcome = run("simulate", short_folder, *words)
     assert (outcome.status, outcome.out) == (2, "")
     error = outcome.err.splitlines()[-1]
     assert error.startswith("error: ")
     assert message in error
-    assert not FILES & {path.name for path in directory.iterdir()}
+    assert not FILES & names(short_folder)
 
 
-def test_options_are_checked_before_files(directory: Path) -> None:
-    (directory / "tracking.json").write_text("mine", encoding="utf-8")
-    assert "--stiffness: got 0.0" in run("simulate", directory, "--stiffness", "0").err
+def test_options_are_checked_before_the_folder(short_folder: Path, tmp_path: Path) -> None:
+    for place in (tmp_path, tmp_path / "nosuch"):
+        assert run("simulate", place).status == 2
+    (short_folder / "tracking.json").write_text("mine", encoding="utf-8")
+    assert "--stiffness: got 0.0" in run("simulate", short_folder, "--stiffness", "0").err
 
 
-def test_a_folder_without_a_plan_is_refused(tmp_path: Path) -> None:
-    assert run("simulate", tmp_path).status == 2
-    assert run("simulate", tmp_path / "nosuch").status == 2
-
-
-def test_divergence_has_the_status_of_anything_else(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def simulate(*_: object, **__: object) -> None:
-        raise cmbot.SimulationDiverged(time=1.5, state=[0.1, math.nan])
-
-    monkeypatch.setattr(cmbot, "simulate", simulate)
-    outcome = run("simulate", directory)
+def test_divergence_is_told_with_its_time(short_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    diverged = cmbot.SimulationDiverged(time=1.5, state=[0.1, math.nan])
+    monkeypatch.setattr(cmbot, "simulate", Mock(side_effect=diverged))
+    outcome = run("simulate", short_folder)
     assert outcome.status == 1
     assert "diverges at t = 1.5000 s: the largest elastic coordinate is 0.1" in outcome.err
     assert "1 of 2 are not finite" in outcome.err
 
 
-def test_a_number_that_is_none_is_not_written(directory: Path, tracking: Tracking) -> None:
-    values = vars(tracking.planned)
+def test_it_is_saved_from_python_too_and_a_number_that_is_none_is_not(
+    short_folder: Path, short_tracking: Tracking
+) -> None:
+    planned = short_tracking.planned
     for name, column in (("error", "error_y"), ("static", "static_y")):
-        array = values[name].copy()
+        array = getattr(planned, name).copy()
         array[7, 1] = np.nan
-        broken = MotionTracking(**{**values, name: array})
-        whole = Tracking(**{**vars(tracking), "planned": broken})
+        broken = replace(short_tracking, planned=replace(planned, **{name: array}))
         with pytest.raises(ArchiveError, match=rf"tracking\.csv: line 9, {column}: got nan"):
-            save_tracking(whole, directory)
-    assert not FILES & {path.name for path in directory.iterdir()}
-
-
-def test_it_is_saved_from_python_too(directory: Path, tracking: Tracking) -> None:
-    paths = cmbot.save_tracking(tracking, directory)
+            save_tracking(broken, short_folder)
+    assert not FILES & names(short_folder)
+    paths = cmbot.save_tracking(short_tracking, short_folder)
     assert {path.name for path in paths} == FILES
     with pytest.raises(ArchiveError, match="already there"):
-        cmbot.save_tracking(tracking, directory)
-    assert cmbot.save_tracking(tracking, directory, force=True) == paths
+        cmbot.save_tracking(short_tracking, short_folder)
+    assert cmbot.save_tracking(short_tracking, short_folder, force=True) == paths

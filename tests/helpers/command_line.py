@@ -1,7 +1,5 @@
 """Runs the command line: in this process, or in one of its own."""
 
-from __future__ import annotations
-
 import json
 import os
 import pty
@@ -46,6 +44,29 @@ def run(*words: str | Path) -> Outcome:
         with pytest.raises(SystemExit) as ended:
             main()
     return Outcome(status=int(ended.value.code or 0), out=out.getvalue(), err=err.getvalue())
+
+
+def output(*words: str | Path, status: int = 0) -> str:
+    """What ``cmbot WORDS`` prints; it has to end with that status and tell of no error."""
+    outcome = run(*words)
+    assert (outcome.status, outcome.err) == (status, ""), outcome.err
+    return outcome.out
+
+
+def refusal(*words: str | Path, status: int = 2) -> str:
+    """The error of ``cmbot WORDS``, which has to end with that status."""
+    outcome = run(*words)
+    assert outcome.status == status
+    return one_line(outcome)
+
+
+def one_line(outcome: Outcome) -> str:
+    """The error's one line, nothing else having been printed."""
+    assert outcome.out == ""
+    assert re.fullmatch(r"error: [^\n]+\n", outcome.err), outcome.err
+    assert "Traceback" not in outcome.err
+    assert "\x1b" not in outcome.err
+    return outcome.err.rstrip("\n")
 
 
 def run_apart(*words: str | Path, before: str = "") -> Outcome:
