@@ -73,20 +73,20 @@ def next_frame(chrome: webdriver.Chrome) -> None:
     )
 
 
-def console_errors(chrome: webdriver.Chrome) -> list[str]:
-    return [entry["message"] for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"]
-
-
-def connections(chrome: webdriver.Chrome) -> set[str]:
-    """What was asked for since the page was opened, but data in the page."""
+def require_quiet(chrome: webdriver.Chrome, page: Path) -> None:
+    """The page shows no failure, reported no error, and asked for nothing but itself and data in it."""
+    chrome.execute_script("cmbotReplay.seek(5)")
+    next_frame(chrome)
+    assert [entry for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"] == []
     events = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]
     asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
     asked |= {e["params"]["url"] for e in events if e["method"] == "Network.webSocketCreated"}
-    return {url for url in asked if not url.startswith(("data:", "blob:"))}
+    assert {url for url in asked if not url.startswith(("data:", "blob:"))} == {page.as_uri()}
+    assert chrome.find_elements("id", "failure") == []
 
 
 def ask(chrome: webdriver.Chrome, expression: str) -> Any:
-    """The value of a JavaScript expression on the page."""
+
     return chrome.execute_script(f"return {expression}")
 
 

@@ -18,7 +18,7 @@ def floats(packed: str, *shape: int) -> np.ndarray:
 
 
 def data_of(text: str) -> dict[str, Any]:
-    """The data of a page."""
+
     found = re.search(r'<script type="application/json" id="replay-data">(.*?)</script>', text, re.DOTALL)
     assert found
     data: dict[str, Any] = json.loads(found[1])

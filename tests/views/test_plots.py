@@ -1,8 +1,5 @@
 """Plots from Python: what is drawn is what was planned and simulated."""
 
-from __future__ import annotations
-
-import subprocess
 import sys
 from dataclasses import replace
 from xml.etree import ElementTree
@@ -10,7 +7,6 @@ from xml.etree import ElementTree
 import matplotlib as mpl
 import numpy as np
 import pytest
-from command_line import environment
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
@@ -20,16 +16,11 @@ from matplotlib.patches import Rectangle
 import cmbot
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan
-from cmbot.simulation import MotionTracking, Tracking
+from cmbot.simulation import Tracking
 from cmbot.views import figure_files, plot, plots
 
 PLAN = ("guardrail_torque", "joints", "clearance", "tool_deviation")
 TRACKING = ("tracking_error", "tracking_dynamic", "tracking_residual")
-
-
-@pytest.fixture(scope="module")
-def tracking(short_plan: Plan) -> Tracking:
-    return cmbot.simulate(short_plan)
 
 
 @pytest.fixture(scope="module")
@@ -38,8 +29,8 @@ def figures(triangle_plan: Plan) -> dict[str, Figure]:
 
 
 @pytest.fixture(scope="module")
-def tracked(tracking: Tracking) -> dict[str, Figure]:
-    return labelled(plot(tracking))
+def tracked(short_tracking: Tracking) -> dict[str, Figure]:
+    return labelled(plot(short_tracking))
 
 
 def labelled(figures: tuple[Figure, ...]) -> dict[str, Figure]:
@@ -66,17 +57,25 @@ def assert_drawn(line: Line2D, t: np.ndarray, y: np.ndarray) -> None:
     assert (drawn_t[0], drawn_t[-1]) == (t[0], t[-1])
 
 
-def test_every_figure_has_a_name(figures: dict[str, Figure], tracked: dict[str, Figure]) -> None:
+def test_every_figure_has_a_name_and_without_a_residual_there_is_none_of_it(
+    figures: dict[str, Figure], tracked: dict[str, Figure], short_tracking: Tracking
+) -> None:
     assert tuple(figures) == PLAN
     assert tuple(tracked) == TRACKING
+    without_rest = {
+        name: replace(motion, metrics=replace(motion.metrics, residual=None))
+        for name, motion in (("baseline", short_tracking.baseline), ("planned", short_tracking.planned))
+    }
+    assert tuple(labelled(plot(replace(short_tracking, **without_rest)))) == TRACKING[:2]
 
 
-def test_the_torque_with_its_floor_and_the_approach(figures: dict[str, Figure], triangle_plan: Plan) -> None:
+def test_the_torque_with_its_floor_and_the_approach(
+    figures: dict[str, Figure], triangle_plan: Plan, short_plan: Plan
+) -> None:
     (axes,) = figures["guardrail_torque"].axes
     (baseline,), (planned,) = lines(axes, plots._BASELINE), lines(axes, plots._PLANNED)
     samples, before = triangle_plan.baseline, triangle_plan.approach_samples
     assert_drawn(baseline, samples.t, np.linalg.norm(samples.guardrail_torque, axis=1))
-    assert before is not None
     assert planned.get_xdata()[0] == pytest.approx(-before.t[-1])
     after = np.asarray(planned.get_ydata())[np.asarray(planned.get_xdata()) >= 0]
     assert after.max() == pytest.approx(triangle_plan.figures.peak_guardrail_torque, rel=1e-4)
@@ -84,12 +83,12 @@ def test_the_torque_with_its_floor_and_the_approach(figures: dict[str, Figure], 
     assert set(bound.get_ydata()) == {triangle_plan.torque_floor}
     assert not forbidden(axes)
     assert axes.get_xlabel() == "time, s (the approach before 0)"
-
-
-def test_without_a_floor_there_is_no_line_of_it(short_plan: Plan) -> None:
-    (axes,) = plot(short_plan)[0].axes
-    assert [text.get_text() for text in plot(short_plan)[0].legends[0].get_texts()] == ["baseline", "planned"]
-    assert axes.get_xlabel() == "time, s"
+    without_floor = plot(short_plan)[0]
+    assert [text.get_text() for text in without_floor.legends[0].get_texts()] == ["baseline", "planned"]
+    assert without_floor.axes[0].get_xlabel() == "time, s"
+    # The motions differ in grey, too.
+    shades = [np.dot((0.299, 0.587, 0.114), to_rgb(colour)) for colour in (plots._BASELINE, plots._PLANNED)]
+    assert np.ptp(shades) > 0.25
 
 
 def test_clearance_and_deviation_are_shaded_beyond_their_bounds(
@@ -140,50 +139,28 @@ def test_a_joint_without_a_range_has_no_share_of_it(short_plan: Plan) -> None:
         assert content
 
 
-def test_tracking_errors_and_their_static_parts(tracked: dict[str, Figure], tracking: Tracking) -> None:
-    for number, axes in enumerate(tracked["tracking_error"].axes):
+def test_tracking_errors_and_their_parts(tracked: dict[str, Figure], short_tracking: Tracking) -> None:
+    motions = ((plots._BASELINE, short_tracking.baseline), (plots._PLANNED, short_tracking.planned))
+    rows = zip(*(tracked[name].axes for name in TRACKING), strict=True)
+    for number, (axes, dynamic, residual) in enumerate(rows):
         static = [line for line in axes.get_lines() if line.get_linestyle() == ":"]
         assert len(static) == 2
-        for dotted, (colour, motion) in zip(static, motions(tracking), strict=True):
-            (line,) = lines(axes, colour)
-            assert_drawn(line, motion.t, 1e3 * motion.error[:, number])
+        for dotted, (colour, motion) in zip(static, motions, strict=True):
+            assert_drawn(*lines(axes, colour), motion.t, 1e3 * motion.error[:, number])
             np.testing.assert_allclose(dotted.get_ydata(), 1e3 * motion.static[:, number])
+            values = 1e3 * (motion.error - motion.static)[:, number]
+            assert_drawn(lines(dynamic, colour)[0], motion.t, values)
+            after = motion.t >= motion.stop
+            assert_drawn(lines(residual, colour)[0], motion.t[after] - motion.stop, values[after])
         assert axes.get_ylabel().endswith(f"along {'xyz'[number]}, mm")
     (legend,) = tracked["tracking_error"].legends
     assert [text.get_text() for text in legend.get_texts()] == ["baseline", "planned", "static part"]
 
 
-def test_dynamic_part_and_what_is_left_of_it(tracked: dict[str, Figure], tracking: Tracking) -> None:
-    rows = zip(tracked["tracking_dynamic"].axes, tracked["tracking_residual"].axes, strict=True)
-    for number, (dynamic, residual) in enumerate(rows):
-        for colour, motion in motions(tracking):
-            values = 1e3 * (motion.error - motion.static)[:, number]
-            assert_drawn(lines(dynamic, colour)[0], motion.t, values)
-            after = motion.t >= motion.stop
-            assert_drawn(lines(residual, colour)[0], motion.t[after] - motion.stop, values[after])
-
-
-def motions(tracking: Tracking) -> tuple[tuple[str, MotionTracking], ...]:
-    return (plots._BASELINE, tracking.baseline), (plots._PLANNED, tracking.planned)
-
-
-def test_without_a_residual_it_has_no_figure(tracking: Tracking) -> None:
-    without_rest = {
-        name: replace(motion, metrics=replace(motion.metrics, residual=None))
-        for name, motion in (("baseline", tracking.baseline), ("planned", tracking.planned))
-    }
-    assert tuple(labelled(plot(replace(tracking, **without_rest)))) == TRACKING[:2]
-
-
-def test_the_motions_differ_in_grey() -> None:
-    def grey(colour: str) -> float:
-        return float(np.dot((0.299, 0.587, 0.114), to_rgb(colour)))
-
-    assert abs(grey(plots._BASELINE) - grey(plots._PLANNED)) > 0.25
-
-
-def test_files_are_pictures_and_the_same_every_time(short_plan: Plan) -> None:
+def test_files_are_pictures_the_same_every_time_and_settings_stay(short_plan: Plan) -> None:
+    before = dict(mpl.rcParams)
     files, again = (dict(figure_files(plot(short_plan)[:2])) for _ in range(2))
+    assert dict(mpl.rcParams) == before
     assert set(files) == {f"{name}.{suffix}" for name in PLAN[:2] for suffix in ("png", "svg")}
     for name, content in files.items():
         assert again[name] == content, name
@@ -195,28 +172,9 @@ def test_files_are_pictures_and_the_same_every_time(short_plan: Plan) -> None:
         assert len(content) < 500_000
 
 
-def test_the_callers_settings_stay_as_they_are(short_plan: Plan) -> None:
-    before = dict(mpl.rcParams)
-    list(figure_files(plot(short_plan)[:1]))
-    assert dict(mpl.rcParams) == before
-
-
-def test_what_is_neither_is_refused() -> None:
+def test_what_cannot_be_plotted_is_refused(short_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match=r"cmbot\.plot: result: got str, expected a Plan or a Tracking"):
         cmbot.plot("triangle")  # type: ignore[arg-type]
-
-
-def test_without_matplotlib_the_command_to_run_is_given(
-    short_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(MissingExtra, match=r"matplotlib is not installed; run: pip install .*\[plots\]"):
         plot(short_plan)
-
-
-def test_matplotlib_is_loaded_only_when_it_is_needed() -> None:
-    code = "import sys, cmbot\ncmbot.plot, cmbot.replay\nprint('matplotlib' in sys.modules)"
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
-    )
-    assert done.stdout == "False\n"

@@ -8,15 +8,17 @@ import socket
 import subprocess
 import urllib.error
 import urllib.request
+from collections.abc import Callable
 from html.parser import HTMLParser
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from page_data import data_of, hostile
 
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan
-from cmbot.views import ReplayServer, replay, replay_page
+from cmbot.views import ReplayServer, replay, replay_page, report_page
 from cmbot.views.replay_data import replay_data
 
 EVIL = "</script></title><img src=x onerror=alert(1)><!--\u2028\ud800"
@@ -40,12 +42,9 @@ class Page(HTMLParser):
             self.texts.append((*self.elements[-1], data))
 
     def text_of(self, tag: str, **attributes: str) -> str:
-        found = [
-            text
-            for name, given, text in self.texts
-            if name == tag and all(given.get(key) == value for key, value in attributes.items())
-        ]
-        return "".join(found)
+        return "".join(
+            text for name, given, text in self.texts if name == tag and attributes.items() <= given.items()
+        )
 
 
 @pytest.fixture(scope="module")
@@ -58,15 +57,9 @@ def page(text: str) -> Page:
     return Page(text)
 
 
-# The page ---------------------------------------------------------------------------------------------------
-
-
-def test_the_page_is_small_and_the_same_again(text: str, triangle_plan: Plan) -> None:
+def test_the_page_is_small_and_holds_all_it_needs(text: str, page: Page, triangle_plan: Plan) -> None:
     assert len(text.encode()) < 5_000_000
     assert replay_page(triangle_plan) == text
-
-
-def test_the_page_holds_all_it_needs(page: Page) -> None:
     for tag, attributes in page.elements:
         assert "src" not in attributes
         assert attributes.get("href", "data:,") == "data:,", tag
@@ -75,6 +68,10 @@ def test_the_page_holds_all_it_needs(page: Page) -> None:
     assert "url(" not in style
     assert "@import" not in style
     assert page.text_of("title") == "triangle"
+    for notice in ("Robin Deits", "Three.js Authors", "Feross Aboukhadijeh", "Yusuke Kawasaki"):
+        assert notice in text
+    data = json.loads(page.text_of("script", id="replay-data"))
+    assert data == json.loads(json.dumps(replay_data(triangle_plan)))
 
 
 def test_its_policy_allows_its_own_two_scripts_alone(page: Page) -> None:
@@ -88,33 +85,21 @@ def test_its_policy_allows_its_own_two_scripts_alone(page: Page) -> None:
     assert set(rules["script-src"].split()) == {f"'sha256-{digest}'" for digest in hashes}
 
 
-def test_the_page_keeps_the_notices_of_what_it_carries(text: str) -> None:
-    for notice in ("Robin Deits", "Three.js Authors", "Feross Aboukhadijeh", "Yusuke Kawasaki"):
-        assert notice in text
-
-
-def test_names_are_text(triangle_plan: Plan, page: Page) -> None:
-    text = replay_page(hostile(triangle_plan, EVIL))
+@pytest.mark.parametrize("page_of", [replay_page, report_page])
+def test_names_are_text(triangle_plan: Plan, page_of: Callable[[Plan], str]) -> None:
+    text, plain = (page_of(plan) for plan in (hostile(triangle_plan, EVIL), triangle_plan))
     evil, data = Page(text), data_of(text)
-    assert [tag for tag, _ in evil.elements] == [tag for tag, _ in page.elements]
+    assert "<img src" not in text
+    assert text.count("</script>") == plain.count("</script>")
+    assert [tag for tag, _ in evil.elements] == [tag for tag, _ in Page(plain).elements]
     assert evil.text_of("title") == evil.text_of("h1") == EVIL
     assert data["title"] == data["robot"] == EVIL
-
-
-def test_its_data_is_the_replays(page: Page, triangle_plan: Plan) -> None:
-    data = json.loads(page.text_of("script", id="replay-data"))
-    assert data == json.loads(json.dumps(replay_data(triangle_plan)))
-
-
-# Files and the server ---------------------------------------------------------------------------------------
 
 
 def test_a_file_is_written_without_a_server_or_a_process(
     triangle_plan: Plan, text: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(*_: object, **__: object) -> None:
-        pytest.fail("a process or a socket was asked for")
-
+    refuse = Mock(side_effect=pytest.fail.Exception("a process or a socket was asked for"))
     monkeypatch.setattr(subprocess, "Popen", refuse)
     monkeypatch.setattr(socket, "socket", refuse)
     path = tmp_path / "replay.html"
@@ -124,11 +109,6 @@ def test_a_file_is_written_without_a_server_or_a_process(
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_neither_file_nor_server_is_an_error(triangle_plan: Plan) -> None:
-    with pytest.raises(InputError, match="html, serve: got neither"):
-        replay(triangle_plan)
-
-
 @pytest.mark.parametrize("place", ["missing/replay.html", "folder", "null\0byte"])
 def test_a_file_that_cannot_be_written(triangle_plan: Plan, tmp_path: Path, place: str) -> None:
     (tmp_path / "folder").mkdir()
@@ -136,11 +116,12 @@ def test_a_file_that_cannot_be_written(triangle_plan: Plan, tmp_path: Path, plac
         replay(triangle_plan, tmp_path / place)
     assert caught.value.source == str(tmp_path / place)
     assert [path.name for path in tmp_path.iterdir()] == ["folder"]
+    with pytest.raises(InputError, match="html, serve: got neither"):
+        replay(triangle_plan)
 
 
-def test_the_server_serves_the_page_to_this_computer_alone(triangle_plan: Plan, text: str) -> None:
+def test_the_server_serves_this_computer_alone(triangle_plan: Plan, text: str) -> None:
     server = replay(triangle_plan, serve=True)
-    assert server is not None
     with server:
         assert re.fullmatch(r"http://127\.0\.0\.1:\d+/", server.url)
         with urllib.request.urlopen(server.url, timeout=10) as answer:
@@ -149,9 +130,14 @@ def test_the_server_serves_the_page_to_this_computer_alone(triangle_plan: Plan, 
         # Every address 127.x.y.z is this computer: a server on all interfaces would answer here.
         with pytest.raises(ConnectionRefusedError):
             socket.create_connection(("127.0.0.2", server.port), timeout=10)
+        assert server.wait(timeout=0) is False
+        server.close()
+    assert server.wait() is True
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", server.port), timeout=10)
 
 
-def test_the_server_refuses_other_paths_and_hosts() -> None:
+def test_the_server_refuses_other_paths_hosts_and_ports() -> None:
     with ReplayServer("<p>page</p>") as server:
         for url, host, status in ((f"{server.url}x", "localhost", 404), (server.url, "evil.example", 421)):
             request = urllib.request.Request(url, headers={"Host": host})
@@ -159,21 +145,6 @@ def test_the_server_refuses_other_paths_and_hosts() -> None:
                 urllib.request.urlopen(request, timeout=10)
             caught.value.close()
             assert caught.value.code == status
-
-
-def test_the_server_ends_when_closed(triangle_plan: Plan) -> None:
-    server = replay(triangle_plan, serve=True)
-    assert server is not None
-    assert server.wait(timeout=0) is False
-    server.close()
-    server.close()
-    assert server.wait() is True
-    with pytest.raises(ConnectionRefusedError):
-        socket.create_connection(("127.0.0.1", server.port), timeout=10)
-
-
-def test_a_port_that_is_taken_or_none() -> None:
-    with ReplayServer("page") as server:
         for port in (server.port, 70_000, -1):
             with pytest.raises(InputError, match="a free port"):
                 ReplayServer("page", port)

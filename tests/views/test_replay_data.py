@@ -7,18 +7,11 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from page_data import floats
-from small_scenes import short_scene
 
-from cmbot.planning import Approach, Plan, plan
+from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
 from cmbot.simulation import Tracking
 from cmbot.views.replay_data import MOST_POSES, replay_data
-
-
-@pytest.fixture(scope="module")
-def approach(triangle_plan: Plan) -> Approach:
-    assert triangle_plan.approach is not None
-    return triangle_plan.approach
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +30,7 @@ def shown(motion: dict[str, Any], frame: int) -> np.ndarray:
     return np.array([pin.XYZQUATToSE3(pose).homogeneous for pose in poses])
 
 
-def test_links_move_as_the_kinematics_says(data: dict[str, Any], triangle_plan: Plan) -> None:
+def test_links_and_numbers_are_those_of_the_samples(data: dict[str, Any], triangle_plan: Plan) -> None:
     assert data["links"] == [f"link_{number}" for number in range(1, 8)]
     assert data["duration"] == 20.0
     times = np.linspace(0, 20.0, 1001)
@@ -46,10 +39,6 @@ def test_links_move_as_the_kinematics_says(data: dict[str, Any], triangle_plan: 
         for k in range(0, len(times), 100):
             q = samples.q[np.argmin(np.abs(samples.t - times[k]))]
             np.testing.assert_allclose(shown(data[name], k), placements(triangle_plan.robot, q), atol=1e-5)
-
-
-def test_numbers_over_time_are_the_samples(data: dict[str, Any], triangle_plan: Plan) -> None:
-    for name, samples in (("planned", triangle_plan.samples), ("baseline", triangle_plan.baseline)):
         torque = floats(data[name]["torque"], 3)
         np.testing.assert_allclose(torque, samples.guardrail_torque[::2], rtol=1e-6, atol=1e-3)
         np.testing.assert_allclose(floats(data[name]["clearance"]), samples.clearance[::2], rtol=1e-6)
@@ -57,25 +46,18 @@ def test_numbers_over_time_are_the_samples(data: dict[str, Any], triangle_plan: 
     assert data["baseline"]["minClearance"] == triangle_plan.baseline_figures.min_clearance
 
 
-def test_the_approach_leads_from_the_scenes_posture_to_the_work(
-    data: dict[str, Any], triangle_plan: Plan, approach: Approach
-) -> None:
-    robot, planned = triangle_plan.robot, data["approach"]["planned"]
+def test_the_approach_leads_to_the_work_as_certified(data: dict[str, Any], triangle_plan: Plan) -> None:
+    robot, approach, planned = triangle_plan.robot, triangle_plan.approach, data["approach"]["planned"]
+    torque, clearance = floats(planned["torque"], 3), floats(planned["clearance"])
     assert data["start"] == -approach.trajectory.duration
     np.testing.assert_allclose(shown(planned, 0), placements(robot, triangle_plan.scene.posture), atol=1e-5)
     np.testing.assert_allclose(shown(planned, -1), shown(data["planned"], 0), atol=1e-5)
-    times = np.linspace(0.0, approach.trajectory.duration, len(floats(planned["clearance"])))
+    times = np.linspace(0.0, approach.trajectory.duration, len(clearance))
     assert times[1] == pytest.approx(0.02, rel=0.01)
     for k in range(0, len(times), 100):
         q = approach.trajectory.evaluate(times[[k]], 0)[0]
         np.testing.assert_allclose(shown(planned, k), placements(robot, q), atol=1e-5)
-
-
-def test_the_approachs_numbers_are_those_of_its_certificate(
-    data: dict[str, Any], triangle_plan: Plan, approach: Approach
-) -> None:
-    planned, figures = data["approach"]["planned"], approach.certificate.figures
-    torque, clearance = floats(planned["torque"], 3), floats(planned["clearance"])
+    figures = approach.certificate.figures
     assert planned["peakTorque"] == figures.peak_guardrail_torque
     assert planned["minClearance"] == figures.min_clearance
     assert np.linalg.norm(torque, axis=1).max() == pytest.approx(figures.peak_guardrail_torque, rel=1e-3)
@@ -83,46 +65,32 @@ def test_the_approachs_numbers_are_those_of_its_certificate(
     ends = approach.trajectory.q[[0, -1]]
     static = Dynamics(triangle_plan.robot).static_efforts(ends).guardrail_torque
     np.testing.assert_allclose(torque[[0, -1]], static, atol=0.01)
-
-
-def test_the_baseline_rests_during_the_approach(data: dict[str, Any], triangle_plan: Plan) -> None:
+    # The baseline rests meanwhile.
     rest, first = data["approach"]["baseline"], triangle_plan.baseline.q[:1]
     for frame in (0, -1):
         np.testing.assert_allclose(shown(rest, frame), shown(data["baseline"], 0), atol=1e-6)
-    static = Dynamics(triangle_plan.robot).static_efforts(first).guardrail_torque
+    static = Dynamics(robot).static_efforts(first).guardrail_torque
     np.testing.assert_allclose(floats(rest["torque"], 3), np.repeat(static, 2, axis=0), rtol=1e-5, atol=1e-3)
     np.testing.assert_allclose(floats(rest["clearance"]), triangle_plan.baseline.clearance[0], rtol=1e-5)
     assert rest["peakTorque"] == pytest.approx(float(np.linalg.norm(static)))
 
 
-@pytest.mark.parametrize(
-    ("along", "label"), [(True, "approach along the self-motion"), (False, "approach, tool off")]
-)
-def test_the_approachs_label_is_its_kind(
-    triangle_plan: Plan, approach: Approach, along: bool, label: str
-) -> None:
-    other = dataclasses.replace(approach, along_self_motion=along)
-    assert replay_data(dataclasses.replace(triangle_plan, approach=other))["approach"]["label"] == label
-
-
-def test_a_slow_approach_has_no_more_frames(triangle_plan: Plan, approach: Approach) -> None:
-    trajectory = approach.trajectory
+def test_the_approachs_label_is_its_kind_and_a_slow_one_has_no_more_frames(triangle_plan: Plan) -> None:
+    approach, trajectory = triangle_plan.approach, triangle_plan.approach.trajectory
     slow = dataclasses.replace(trajectory, t=4 * trajectory.t, v=trajectory.v / 4, a=trajectory.a / 16)
-    slowed = dataclasses.replace(approach, trajectory=slow)
-    data = replay_data(dataclasses.replace(triangle_plan, approach=slowed))
-    frames = [len(floats(part["planned"]["clearance"])) for part in (data["approach"], data)]
-    assert 0.95 * MOST_POSES < 7 * sum(frames) <= MOST_POSES + 4 * 7
+    for along, label in ((True, "approach along the self-motion"), (False, "approach, tool off")):
+        slowed = dataclasses.replace(approach, trajectory=slow, along_self_motion=along)
+        data = replay_data(dataclasses.replace(triangle_plan, approach=slowed))
+        assert data["approach"]["label"] == label
+        frames = [len(floats(part["planned"]["clearance"])) for part in (data["approach"], data)]
+        assert 0.95 * MOST_POSES < 7 * sum(frames) <= MOST_POSES + 4 * 7
 
 
-def test_the_floor_is_the_plans(data: dict[str, Any], triangle_plan: Plan) -> None:
-    assert triangle_plan.lower_bound is not None
-    assert data["floor"] == triangle_plan.torque_floor
-
-
-def test_fixed_knots_have_neither_approach_nor_floor() -> None:
-    data = replay_data(plan(short_scene()))
-    assert (data["start"], data["approach"], data["floor"]) == (0.0, None, None)
-    assert not np.signbit(data["start"])
+def test_the_floor_is_the_plans(data: dict[str, Any], triangle_plan: Plan, short_plan: Plan) -> None:
+    assert data["floor"] == triangle_plan.lower_bound.value == triangle_plan.torque_floor
+    without = replay_data(short_plan)
+    assert (without["start"], without["approach"], without["floor"]) == (0.0, None, None)
+    assert not np.signbit(without["start"])
 
 
 def test_nearest_points_are_as_far_apart_as_the_clearance(
@@ -142,7 +110,9 @@ def test_nearest_points_are_as_far_apart_as_the_clearance(
     assert seen == set(data["pairs"])
 
 
-def test_the_error_is_that_of_the_simulation(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
+def test_the_error_is_that_of_the_simulation_from_where_the_tool_is_expected(
+    triangle_plan: Plan, triangle_tracking: Tracking, compensated_short: tuple[Plan, Tracking]
+) -> None:
     data = replay_data(triangle_plan, triangle_tracking)
     assert data["end"] == pytest.approx(triangle_tracking.planned.t[-1])
     times = np.linspace(0, data["duration"], len(floats(data["planned"]["clearance"])))
@@ -154,12 +124,7 @@ def test_the_error_is_that_of_the_simulation(triangle_plan: Plan, triangle_track
         assert np.ptp(floats(rest["error"], 3), axis=0).max() > 0
     assert data["approach"]["planned"]["error"] is None
     assert replay_data(triangle_plan)["rest"] is None
-
-
-def test_the_error_starts_where_the_tool_is_expected(compensated_short: tuple[Plan, Tracking]) -> None:
-    made, tracking = compensated_short
-    expected = made.samples.expected_tool_point
-    assert expected is not None
-    shown = floats(replay_data(made, tracking)["planned"]["tool"], 3)
-    np.testing.assert_allclose(shown[[0, -1]], expected[[0, -1]], atol=1e-6)
-    assert np.linalg.norm(shown[0] - made.samples.tool_point[0]) > 1e-3
+    samples = compensated_short[0].samples
+    shown = floats(replay_data(*compensated_short)["planned"]["tool"], 3)
+    np.testing.assert_allclose(shown[[0, -1]], samples.expected_tool_point[[0, -1]], atol=1e-6)
+    assert np.linalg.norm(shown[0] - samples.tool_point[0]) > 1e-3

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 import pytest
 import trimesh
-from numpy.typing import NDArray
 
 from cmbot.robot import Robot
 from cmbot.views.surfaces import (
@@ -22,7 +21,6 @@ from cmbot.views.surfaces import (
     visual_surface,
 )
 
-FloatArray = NDArray[np.float64]
 CREASE = np.deg2rad(35.0)
 SIZE = np.array([0.2, 0.3, 0.4])
 CORNERS = box(SIZE).vertices
@@ -45,7 +43,7 @@ def solid(surface: Surface) -> trimesh.Trimesh:
     ids=("box", "cylinder", "cone", "ball", "capsule", "hull"),
 )
 def test_solids_are_closed_and_as_large_as_they_should_be(
-    surface: Surface, volume: float, extents: FloatArray
+    surface: Surface, volume: float, extents: np.ndarray
 ) -> None:
     mesh = solid(surface)
     assert mesh.is_watertight
@@ -58,51 +56,44 @@ def test_solids_are_closed_and_as_large_as_they_should_be(
     assert set(surface.faces.ravel()) == set(range(len(surface.vertices)))
 
 
-def test_a_tube_follows_its_points() -> None:
+def test_a_tube_follows_its_points_and_merged_surfaces_keep_their_triangles() -> None:
     points = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.3, 0.0, -1.0], [0.3, 0.5, -0.4]])
-    surface = tube(points, 0.01)
-    pieces = solid(surface).split()
+    pieces = solid(tube(points, 0.01)).split()
     assert len(pieces) == 3 + 4
     assert all(piece.is_watertight and piece.volume > 0 for piece in pieces)
     lengths = np.linalg.norm(np.diff(points, axis=0), axis=1)
     for piece, start, end, length in zip(pieces[:3], points, points[1:], lengths, strict=False):
         np.testing.assert_allclose(piece.centroid, (start + end) / 2, atol=1e-12)
         assert piece.volume == pytest.approx(np.pi * 0.01**2 * length, rel=0.05)
+    pieces = solid(merged([box(SIZE), ball(0.1)])).split()
+    assert sorted(len(piece.faces) for piece in pieces) == sorted([12, len(ball(0.1).faces)])
 
 
-def test_a_box_has_a_normal_for_each_side() -> None:
+def test_a_box_has_a_normal_for_each_side_what_is_round_is_smooth_but_at_its_rims() -> None:
     surface, normals = creased(box(SIZE), CREASE)
     assert len(surface.vertices) == 24
     np.testing.assert_allclose(np.abs(normals).max(axis=1), 1.0)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert (np.einsum("ki,ki->k", normals, surface.vertices) > 0).all()
-
-
-def test_a_ball_is_smooth() -> None:
     surface, normals = creased(ball(0.5), CREASE)
     assert len(surface.vertices) == len(ball(0.5).vertices)
     np.testing.assert_allclose(normals, surface.vertices / 0.5, atol=0.01)
-
-
-def test_a_cylinder_is_smooth_but_at_its_rims() -> None:
-    surface, normals = creased(cylinder(0.1, 0.4), CREASE)
     plain = cylinder(0.1, 0.4)
+    surface, normals = creased(plain, CREASE)
     assert len(surface.vertices) == 2 * (len(plain.vertices) - 2) + 2
     level = np.abs(normals[:, 2]) < 1e-9
     np.testing.assert_allclose(normals[level], surface.vertices[level] * [10, 10, 0], atol=1e-9)
     np.testing.assert_allclose(np.abs(normals[~level, 2]), 1.0)
 
 
-def test_edges_of_three_triangles_are_sharp_and_lines_are_left_out() -> None:
+def test_edges_of_three_triangles_and_of_two_wound_differently_are_sharp() -> None:
     fin = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0.02], [0.5, 1, 0.0], [0.5, 1, -0.02], [0.5, 0, 0]])
+    # The last two are lines, which are left out.
     faces = np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4], [0, 1, 5], [2, 2, 3]])
     surface, normals = creased(Surface(fin, faces), CREASE)
     assert (len(surface.faces), len(surface.vertices)) == (3, 9)
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
-
-
-def test_where_two_triangles_are_wound_differently_their_edge_is_sharp_or_folded_flat() -> None:
-    """The one's normal is the other's turned round: only what lies back to back shares it."""
+    # The one's normal is the other's turned round: only what lies back to back shares it.
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0.9, 0.1]])
     apart, _ = creased(Surface(points, np.array([[0, 1, 2], [0, 1, 3]])), CREASE)
     assert len(apart.vertices) == 6
@@ -129,9 +120,3 @@ def test_the_robot_is_shaded_as_trimesh_would(cmbot_robot: Robot) -> None:
         )
         order = [np.lexsort(np.round(rows[:, :9], 9).T) for rows in (ours, theirs)]
         np.testing.assert_allclose(ours[order[0]], theirs[order[1]], atol=1e-6)
-
-
-def test_merged_surfaces_keep_their_triangles() -> None:
-    both = merged([box(SIZE), ball(0.1)])
-    pieces = solid(both).split()
-    assert sorted(len(piece.faces) for piece in pieces) == sorted([12, len(ball(0.1).faces)])
