@@ -1,7 +1,5 @@
 """How long work will still take: exact where its parts cost the same, no figure without a basis."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -24,7 +22,6 @@ def test_parts_of_equal_cost_are_foretold_exactly(
     for k in range(first + 1, done + 1):
         work.note(k / total, began + (k - first) * each)
     left = work.left(began + (done - first + since) * each)
-    assert left is not None
     assert left.seconds == pytest.approx((total - done - since) * each, rel=1e-6, abs=1e-6)
 
 
@@ -43,11 +40,13 @@ def test_whatever_is_noted_nothing_falls_below_zero(notes: list[tuple[float, flo
         assert left is None or share > 0.0
 
 
-def test_before_the_first_part_there_is_no_figure() -> None:
+def test_before_the_first_part_there_is_no_figure_and_parts_that_nobody_counts_do_not_run_out() -> None:
     work = Remaining(10.0)
     assert work.left(20.0) is None
     work.note(0.0, 20.0)
     assert work.left(30.0) is None
+    left = Eta(seconds=2.0, most=5, part="pass", parts="passes")
+    assert left.after(100.0) == left
 
 
 @given(share=st.floats(0.01, 0.99), spent=seconds, later=seconds)
@@ -55,12 +54,10 @@ def test_what_takes_longer_than_foretold_has_no_figure(share: float, spent: floa
     work = Remaining(0.0)
     work.note(share, spent)
     foretold = work.left(spent)
-    assert foretold is not None
     left = work.left(spent + later)
     if later >= foretold.seconds:
         assert left is None
     else:
-        assert left is not None
         assert left.seconds == pytest.approx(foretold.seconds - later, rel=1e-9, abs=1e-9)
 
 
@@ -76,8 +73,3 @@ def test_what_takes_longer_than_foretold_has_no_figure(share: float, spent: floa
 )
 def test_it_is_said_in_words(left: Eta, words: str) -> None:
     assert left.sentence() == words
-
-
-def test_parts_that_nobody_can_count_do_not_run_out() -> None:
-    left = Eta(seconds=2.0, most=5, part="pass", parts="passes")
-    assert left.after(100.0) == left

@@ -1,18 +1,13 @@
 """The shipped arm on the shipped guardrail, and a motion for it that needs no planning."""
 
-from __future__ import annotations
-
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
 from cmbot.simulation import PrescribedMotion
-
-FloatArray = NDArray[np.float64]
 
 
 def arm_on_its_guardrail(robot: Robot, segments: int = 1) -> ElasticArm:
@@ -28,7 +23,7 @@ def swing(seconds: float, size: float = 0.15) -> PrescribedMotion:
     return PrescribedMotion.through(t, np.array(load_scene("triangle").posture) + size * (ways - ways[0]))
 
 
-def tool_points(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:
+def tool_points(arm: ElasticArm, q: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Tool of the bent arm, (N, 3), m."""
     data, points = arm.model.createData(), np.empty((len(q), 3))
     for k, configuration in enumerate(arm.configuration(q, u)):

@@ -50,18 +50,15 @@ def name_of(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("document", DOCUMENTS, ids=name_of)
-def test_relative_links_lead_somewhere(document: Path) -> None:
-    for target in re.findall(r"\]\(([^)\s]+)\)", prose(document)):
-        if not re.match(r"[a-z]+:", target):
-            assert (document.parent / target.split("#")[0]).exists(), f"{target} in {name_of(document)}"
-
-
-def test_the_documents_are_there_and_the_readme_is_short() -> None:
+def test_the_documents_are_there_their_links_lead_somewhere_and_the_readme_is_short() -> None:
     names = {name_of(path) for path in DOCUMENTS}
     pages = ("conventions", "assumptions", "errata", "method", "architecture", "results", "performance")
     assert names >= {"README.md", "CHANGELOG.md", "CONTRIBUTING.md", *(f"docs/{page}.md" for page in pages)}
     assert len(README.read_text("utf-8").splitlines()) <= 120
+    for document in DOCUMENTS:
+        for target in re.findall(r"\]\(([^)\s]+)\)", prose(document)):
+            if not re.match(r"[a-z]+:", target):
+                assert (document.parent / target.split("#")[0]).exists(), f"{target} in {name_of(document)}"
 
 
 def test_readme_python_runs(
@@ -96,22 +93,19 @@ def test_named_commands_exist() -> None:
     assert named - {"--help"} == set(verbs), "a command that no document names"
 
 
-def test_makefile_has_the_named_targets() -> None:
+def test_named_targets_paths_columns_and_code_exist() -> None:
     targets = re.findall(r"^([a-z]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), flags=re.MULTILINE)
     text = "".join(path.read_text("utf-8") for path in DOCUMENTS)
     named = set(re.findall(r"(?:`|^    )make ([a-z]+)", text, flags=re.MULTILINE))
     assert {"demo", "test", "lint"} <= named <= set(targets)
-
-
-def test_named_paths_exist() -> None:
     pattern = re.compile(r"`((?:cmbot|tools|tests|scenes|models|examples|docs|benchmarks)/[\w./]*)`")
     for document in DOCUMENTS:
         for path in (path for path in pattern.findall(prose(document)) if "NAME" not in path):
             assert (ROOT / path).exists(), f"{path} in {name_of(document)}"
-
-
-def test_named_code_exists() -> None:
-    """Every dotted name of the documents, such as those beside the equations, is one of the package."""
+    # Of the columns the first of each kind, such as q1 and tool_x.
+    words = set(re.findall(r"`(\w+)`", prose(DOCS / "command_line.md")))
+    assert {name for name in columns(7) if not re.search(r"[2-9]$|_[yz]$", name)} <= words
+    # Every dotted name, such as those beside the equations, is one of the package.
     dotted = re.compile(r"`(cmbot(?:\.\w+)+)(?:\(.*?\))?`")
     named = {name for path in DOCUMENTS for name in dotted.findall(prose(path))}
     assert len(named) > 20
@@ -217,13 +211,7 @@ def test_table_of_tracking_is_the_simulations(triangle_plan: Plan) -> None:
         assert [float(x) for x in left[2:]] == pytest.approx(values[1:], rel=1e-2, abs=5e-3), name
 
 
-def test_the_columns_are_named() -> None:
-    """The first of each kind, such as q1 and tool_x."""
-    named = set(re.findall(r"`(\w+)`", prose(DOCS / "command_line.md")))
-    assert {name for name in columns(7) if not re.search(r"[2-9]$|_[yz]$", name)} <= named
-
-
-def test_citation() -> None:
+def test_citation_license_and_changelog() -> None:
     citation = YAML(typ="safe").load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert citation["cff-version"] == "1.2.0"
     assert all(citation[key] for key in ("message", "title", "authors", "license", "type"))
@@ -231,16 +219,13 @@ def test_citation() -> None:
     (paper,) = citation["references"]
     expected = {
         "type": "article",
-        "doi": "10.3390/electronics10222793",
-        "year": 2021,
         "journal": "Electronics",
+        "year": 2021,
+        "doi": "10.3390/electronics10222793",
     }
     expected |= {"volume": 10, "issue": 22, "start": "2793"}
     assert expected.items() <= paper.items()
     assert all({"family-names"} <= author.keys() for author in paper["authors"])
-
-
-def test_license_and_changelog() -> None:
     license_text = (ROOT / "LICENSE").read_text(encoding="utf-8")
     assert license_text.startswith("BSD 3-Clause License\n\nCopyright (c) 2026, The cmbot developers\n")
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")

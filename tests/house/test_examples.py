@@ -1,5 +1,6 @@
 """The examples run as a reader runs them, and print what they say."""
 
+import math
 import re
 import subprocess
 import sys
@@ -21,9 +22,14 @@ def run(name: str, folder: Path, *arguments: str) -> str:
 
 
 def number(pattern: str, text: str) -> float:
+    return numbers(pattern, text)[0]
+
+
+def numbers(pattern: str, text: str) -> list[float]:
+    """The numbers of the first group."""
     found = re.search(pattern, text, flags=re.MULTILINE)
     assert found is not None, f"{pattern!r} is not in:\n{text}"
-    return float(found[1])
+    return [float(word) for word in found[1].split()]
 
 
 def test_every_example_is_tested() -> None:
@@ -72,24 +78,16 @@ def test_simulate_and_compensate(tmp_path: Path) -> None:
     text = run("04_simulate_and_compensate.py", tmp_path)
     assert number(r"shifted by up to (\S+) mm", text) > 5
     parts = ("bent from expected tool", "  of that at rest", "  of that vibration", "bent tool off its path")
-    rms = {part: [float(x) for x in numbers(rf"^{part} +(.+)$", text)] for part in parts}
+    rms = {part: numbers(rf"^{part} +(.+)$", text) for part in parts}
     total, sag, vibration, path = rms.values()
     # Sag that was predicted counts no more; vibration stays.
     assert sag[2] < 0.01 * sag[1]
-    assert total == pytest.approx(
-        [(a**2 + b**2) ** 0.5 for a, b in zip(sag, vibration, strict=True)], rel=0.05
-    )
+    assert total == pytest.approx(list(map(math.hypot, sag, vibration)), rel=0.05)
     baseline, planned, compensated = path
     assert compensated < 0.1 * planned < 0.1 * baseline
     for name, value in (("planned", planned), ("compensated", compensated)):
         reduction = number(rf"^{name}: off its path (\S+) % less", text)
         assert reduction == pytest.approx(100 * (1 - value / baseline), abs=0.06)
-
-
-def numbers(pattern: str, text: str) -> list[str]:
-    found = re.search(pattern, text, flags=re.MULTILINE)
-    assert found is not None, f"{pattern!r} is not in:\n{text}"
-    return found[1].split()
 
 
 def test_your_own_objective(tmp_path: Path) -> None:

@@ -14,12 +14,18 @@ from small_scenes import SHORT
 import cmbot
 
 HEAVY = {"pinocchio", "coal", "numpy", "scipy", "meshcat", "trimesh", "yourdfpy", "pydantic", "rich", "typer"}
-
-
 # What planning a scene without meshes and writing its pages can do without.
 NOT_TO_PLAN = {"IPython", "matplotlib", "meshcat", "networkx", "requests", "selenium", "ssl", "tornado"}
 NOT_TO_PLAN |= {"trimesh", "yourdfpy", "zmq"}
 NOT_TO_PLAN |= {f"scipy.{name}" for name in ("integrate", "interpolate", "ndimage", "signal", "stats")}
+
+
+def printed_by(code: str) -> list[str]:
+    done = subprocess.run(
+        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout.splitlines()
 
 
 def loaded_by(code: str, depth: int = 1) -> set[str]:
@@ -29,11 +35,7 @@ def loaded_by(code: str, depth: int = 1) -> set[str]:
         f"loaded = {{'.'.join(name.split('.')[:{depth}]) for name in sys.modules}}\n"
         "print('\\n' + json.dumps(sorted(loaded)))"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code + report], env=environment(), capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
-    return set(json.loads(done.stdout.splitlines()[-1]))
+    return set(json.loads(printed_by(code + report)[-1]))
 
 
 def run_by(words: list[str]) -> str:
@@ -49,13 +51,11 @@ except SystemExit as ended:
 """
 
 
-def test_importing_cmbot_loads_nothing_heavy() -> None:
+def test_importing_cmbot_loads_nothing_heavy_and_a_name_what_it_needs() -> None:
     assert not loaded_by("import cmbot\ncmbot.__version__, cmbot.SceneError, dir(cmbot)") & HEAVY
-
-
-def test_a_name_brings_what_it_needs() -> None:
-    """The test above would notice: the same look finds the heavy ones when they are there."""
+    # The same look finds the heavy ones when they are there.
     assert loaded_by("import cmbot\ncmbot.load_scene") >= {"numpy", "pydantic"}
+    assert "matplotlib" not in loaded_by("import cmbot\ncmbot.plot, cmbot.replay")
 
 
 @pytest.mark.parametrize("words", [["--help"], ["plan", "--help"], ["--version"], ["plan", "nosuch"]])
@@ -76,20 +76,11 @@ def test_planning_loads_nothing_that_it_does_not_use(tmp_path: Path) -> None:
 
 
 def test_nothing_is_looked_through_at_the_end() -> None:
-    code = """
-import atexit, gc, sys
-atexit.register(lambda: print(gc.get_freeze_count() > 1000))
-sys.argv = ["cmbot", "--version"]
-from cmbot.cli import main
-main()
-"""
-    done = subprocess.run(
-        [sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True
-    )
-    assert done.stdout.splitlines()[-1] == "True"
+    look = "import atexit, gc\natexit.register(lambda: print(gc.get_freeze_count() > 1000))\n"
+    assert printed_by(look + run_by(["--version"]))[-1] == "True"
 
 
-def test_dir_and_all_are_complete() -> None:
+def test_dir_and_all_are_complete_and_type_checkers_see_the_same_names() -> None:
     assert set(cmbot.__all__) <= set(dir(cmbot))
     assert len(cmbot.__dir__()) == len(set(cmbot.__dir__()))
     assert len(cmbot.__all__) == len(set(cmbot.__all__))
@@ -97,32 +88,20 @@ def test_dir_and_all_are_complete() -> None:
     helpers = {"annotations", "import_module", "TYPE_CHECKING"}
     modules = {name for name in public if inspect.ismodule(getattr(cmbot, name))}
     assert public - modules - helpers == set(cmbot.__all__) - {"__version__"}
-
-
-def test_type_checkers_see_the_same_names() -> None:
-    """The imports under TYPE_CHECKING are those that are made on first use."""
+    # The imports under TYPE_CHECKING are those that are made on first use.
     tree = ast.parse(Path(cmbot.__file__).read_text(encoding="utf-8"))
     (block,) = (node for node in tree.body if isinstance(node, ast.If))
-    seen = {
-        (node.module, name.name)
-        for node in block.body
-        if isinstance(node, ast.ImportFrom)
-        for name in node.names
-    }
+    imports = (node for node in block.body if isinstance(node, ast.ImportFrom))
+    seen = {(node.module, name.name) for node in imports for name in node.names}
     assert seen == {(room, name) for name, room in cmbot._ROOM_OF.items()}
 
 
-@pytest.mark.parametrize("name", cmbot.__all__)
-def test_every_public_name_is_there_and_documented(name: str) -> None:
-    value = getattr(cmbot, name)
-    if name == "__version__":
-        assert isinstance(value, str)
-    else:
+def test_every_public_name_is_there_and_documented_and_an_unknown_one_an_error() -> None:
+    assert isinstance(cmbot.__version__, str)
+    for name in set(cmbot.__all__) - {"__version__"}:
+        value = getattr(cmbot, name)
         assert value.__name__ == name
-        assert inspect.getdoc(value)
-
-
-def test_an_unknown_name_is_an_attribute_error() -> None:
+        assert inspect.getdoc(value), name
     with pytest.raises(AttributeError, match="module 'cmbot' has no attribute 'simulate_everything'"):
         cmbot.simulate_everything  # noqa: B018
     with pytest.raises(ImportError, match="nothing_of_ours"):

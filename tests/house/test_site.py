@@ -47,14 +47,9 @@ class Resources(HTMLParser):
             self.loaded += [value for value in (values.get("src"), values.get("href")) if value]
 
 
-def test_every_page_is_there(site: Path) -> None:
-    built = {page.stem for page in site.glob("*.html")} - {"404"}
-    assert built == {page.stem for page in DOCS.glob("*.md")}
-
-
-def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
+def test_every_page_is_there_and_loads_nothing_from_elsewhere(site: Path) -> None:
     pages = list(site.glob("*.html"))
-    assert pages
+    assert {page.stem for page in pages} - {"404"} == {page.stem for page in DOCS.glob("*.md")}
     for page in pages:
         loaded = Resources(page).loaded
         assert loaded
@@ -63,10 +58,9 @@ def test_nothing_is_loaded_from_elsewhere(site: Path) -> None:
             # What stands on the page of errors is addressed from the server's root.
             if page.stem != "404":
                 assert (site / address.split("?")[0].split("#")[0]).exists(), f"{address} in {page.name}"
+    elsewhere = re.compile(r"(?:url\(|@import)\s*['\"]?(?:https?:)?//")
     for style in site.rglob("*.css"):
-        assert not re.search(
-            r"(?:url\(|@import)\s*['\"]?(?:https?:)?//", style.read_text(encoding="utf-8")
-        ), style
+        assert not elsewhere.search(style.read_text(encoding="utf-8")), style
 
 
 def test_every_public_name_is_described(site: Path) -> None:
@@ -84,9 +78,8 @@ def test_formulas_are_drawn_without_a_script(site: Path) -> None:
     for page in DOCS.glob("*.md"):
         source, built = page.read_text("utf-8"), (site / f"{page.stem}.html").read_text("utf-8")
         formulas = re.findall(r"<math.*?</math>", built)
-        assert len(formulas) == len(re.findall(r"^\$\$$", source, flags=re.MULTILINE)) // 2 + source.count(
-            "$`"
-        )
+        blocks = len(re.findall(r"^\$\$$", source, flags=re.MULTILINE)) // 2
+        assert len(formulas) == blocks + source.count("$`")
         # What the converter does not know it leaves as it is.
         assert not any("\\" in formula or ">&<" in formula for formula in formulas), page.name
     assert (site / "method.html").read_text("utf-8").count('display="block"') > 10

@@ -7,7 +7,6 @@ import sys
 import zipfile
 from email.parser import Parser
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -70,11 +69,6 @@ def installed(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return target
 
 
-def content(wheel: Path) -> dict[str, bytes]:
-    with zipfile.ZipFile(wheel) as file:
-        return {name: file.read(name) for name in file.namelist() if not name.endswith("/")}
-
-
 def expected_files() -> dict[str, Path]:
     """From its name in the wheel, each file of the checkout that belongs there."""
     command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard", *PLACES]
@@ -90,20 +84,16 @@ def expected_files() -> dict[str, Path]:
     return files
 
 
-def test_the_wheel_holds_every_file_and_nothing_else(wheel: Path) -> None:
+def test_the_wheel_holds_every_file_and_nothing_else_and_says_what_it_is(wheel: Path) -> None:
     expected = expected_files()
     assert {"cmbot/py.typed", "cmbot/views/page/replay.html", "cmbot/_data/scenes/line.yaml"} <= set(expected)
-    found = content(wheel)
+    with zipfile.ZipFile(wheel) as file:
+        found = {name: file.read(name) for name in file.namelist() if not name.endswith("/")}
     info = f"cmbot_planner-{cmbot.__version__}.dist-info"
-    metadata = {f"{info}/{name}" for name in ("METADATA", "RECORD", "WHEEL", "entry_points.txt")}
-    assert set(found) == set(expected) | metadata | {f"{info}/licenses/LICENSE"}
+    names = ("METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE")
+    assert set(found) == set(expected) | {f"{info}/{name}" for name in names}
     for name, path in expected.items():
         assert found[name] == path.read_bytes(), name
-
-
-def test_the_wheel_says_what_it_is(wheel: Path) -> None:
-    found = content(wheel)
-    info = f"cmbot_planner-{cmbot.__version__}.dist-info"
     metadata = Parser().parsestr(found[f"{info}/METADATA"].decode())
     assert (metadata["Name"], metadata["Version"]) == (DISTRIBUTION, cmbot.__version__)
     assert metadata["License-Expression"] == "BSD-3-Clause"
@@ -113,37 +103,23 @@ def test_the_wheel_says_what_it_is(wheel: Path) -> None:
     assert b"Root-Is-Purelib: true" in found[f"{info}/WHEEL"]
 
 
-@pytest.fixture(scope="module")
-def seen(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What the installed package finds, far from the checkout."""
-    away = tmp_path_factory.mktemp("away")
-    return dict(json.loads(python("-c", LOOK, cwd=away, path=str(installed))))
-
-
-def test_the_installed_package_finds_its_own_data(seen: dict[str, Any], installed: Path) -> None:
-    package = installed.resolve() / "cmbot"
-    assert seen["package"] == str(package)
-    assert seen["data"] == str(package / "_data")
-    assert seen["urdf"] == str(package / "_data" / "models" / "urdf" / "cmbot.urdf")
-    assert seen["version"] == cmbot.__version__
-
-
-def test_the_installed_scene_and_robot_are_those_of_the_checkout(
-    seen: dict[str, Any], cmbot_robot: cmbot.Robot
-) -> None:
-    assert seen["scene"] == cmbot.load_scene("triangle").content_hash
-    assert seen["robot"] == cmbot_robot.content_hash
+def test_the_wheel_finds_its_own_data(installed: Path, tmp_path: Path, cmbot_robot: cmbot.Robot) -> None:
+    package, script = installed.resolve() / "cmbot", str(installed / "bin" / "cmbot")
+    assert json.loads(python("-c", LOOK, cwd=tmp_path, path=str(installed))) == {
+        "package": str(package),
+        "data": str(package / "_data"),
+        "urdf": str(package / "_data" / "models" / "urdf" / "cmbot.urdf"),
+        "version": cmbot.__version__,
+        "scene": cmbot.load_scene("triangle").content_hash,
+        "robot": cmbot_robot.content_hash,
+    }
+    assert python(script, "--version", cwd=tmp_path, path=str(installed)) == f"{cmbot.__version__}\n"
+    found = python(script, "doctor", cwd=tmp_path, path=str(installed))
+    assert f"from {package}\n" in found
+    assert "MISSING" not in found
 
 
 def test_the_checkout_finds_its_data_beside_the_package() -> None:
     assert Path(cmbot.__file__).parent == ROOT / "cmbot", "this is to be tested in the checkout"
     assert data_folder() == ROOT
     assert (model_folder(), scene_folder()) == (ROOT / "models", ROOT / "scenes")
-
-
-def test_the_installed_command_runs(installed: Path, tmp_path: Path) -> None:
-    script = installed / "bin" / "cmbot"
-    assert python(str(script), "--version", cwd=tmp_path, path=str(installed)) == f"{cmbot.__version__}\n"
-    found = python(str(script), "doctor", cwd=tmp_path, path=str(installed))
-    assert f"from {installed.resolve() / 'cmbot'}\n" in found
-    assert "MISSING" not in found

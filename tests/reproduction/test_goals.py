@@ -1,7 +1,5 @@
 """The goals of a reproduction: what holds and what does not, and why, follow from the figures."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -10,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from numpy.typing import NDArray
 
 from cmbot.planning import Plan
 from cmbot.reproduction import FACTORS, cells, goals
@@ -28,7 +25,6 @@ from cmbot.simulation import (
     simulate,
 )
 
-FloatArray = NDArray[np.float64]
 MM = 1e-3
 NONE = Variant(plan=None, trackings=(), why_not="no way")
 size = st.floats(2.0, 20.0)
@@ -40,9 +36,7 @@ def statistics(mean: Any, deviation: Any) -> Statistics:
     return Statistics(mean=both[0], standard_deviation=both[1], rms=np.ones(4), peak_to_peak=np.ones(4))
 
 
-def motion(
-    mean: Any, deviation: Any = (0, 0, 0), *, static: Any = None, vibration: Any = (0, 0, 0), rest: Any = None
-) -> MotionTracking:
+def motion(mean, deviation=(0, 0, 0), *, static=None, vibration=(0, 0, 0), rest=None) -> MotionTracking:
     """A tracking error with given means and standard deviations, and what is left after the stop, mm."""
     nothing = np.zeros((2, 3))
     left = None
@@ -58,15 +52,8 @@ def motion(
         mode_frequencies=np.empty(0),
         mode_power=np.empty(0),
     )
-    return MotionTracking(
-        t=np.array([0.0, 1.0]),
-        stop=1.0,
-        error=nothing,
-        static=nothing,
-        command=nothing,
-        path_error=nothing,
-        metrics=figures,
-    )
+    arrays = dict.fromkeys(("error", "static", "command", "path_error"), nothing)
+    return MotionTracking(t=np.array([0.0, 1.0]), stop=1.0, metrics=figures, **arrays)
 
 
 def tracking(baseline: MotionTracking, planned: MotionTracking, factor: float = 1.0) -> Tracking:
@@ -90,7 +77,7 @@ def sagging(sag: Any) -> Any:
     return SimpleNamespace(samples=samples, quieting=None)
 
 
-def deviation_of(sag: Any) -> FloatArray:
+def deviation_of(sag: Any) -> np.ndarray:
     """Of an even rate from 0 to 2 s: s / sqrt(3)."""
     return np.abs(np.asarray(sag, dtype=float)) / np.sqrt(3)
 
@@ -112,14 +99,11 @@ def test_postures_are_judged_by_the_norm_and_the_rising_axis_is_named() -> None:
     assert verdicts(table) == [("better postures: a smaller mean error", "5.02 -> 3.16 mm", True)]
     assert len(table.remarks) == 2
     assert table.remarks[1].startswith("Along y the absolute mean grows from 0.50 to 1.00 mm.")
-
-
-def test_postures_that_sag_more_miss_the_goal() -> None:
-    table = posture_goal(run_of(tracking(motion([1, 2, 2]), motion([2, 2, 3]))))
-    assert table.rows[-1].holds is False
-    assert [verdict.holds for verdict in table.verdicts] == [False]
-    assert "the goal does not hold" in table.remarks[0]
-    assert [remark[:7] for remark in table.remarks[1:]] == ["Along x", "Along z"]
+    missed = posture_goal(run_of(tracking(motion([1, 2, 2]), motion([2, 2, 3]))))
+    assert missed.rows[-1].holds is False
+    assert [verdict.holds for verdict in missed.verdicts] == [False]
+    assert "the goal does not hold" in missed.remarks[0]
+    assert [remark[:7] for remark in missed.remarks[1:]] == ["Along x", "Along z"]
 
 
 @given(
@@ -152,7 +136,7 @@ def test_what_is_all_sag_falls_by_its_bound(
 
 
 def compensated_table(
-    planned: MotionTracking, factor: float, sag: Any = (2, 2, 2), baseline: Any = (10, 10, 10)
+    planned: MotionTracking, factor: float, sag=(2, 2, 2), baseline=(10, 10, 10)
 ) -> GoalTable:
     before = motion(np.asarray(baseline) / factor, (0.1, 0.1, 0.1))
     return compensation_goal(
@@ -176,16 +160,7 @@ def test_the_goal_depends_on_the_stiffness(factor: float, left: float, holds: bo
     assert verdicts(table) == [(f"sag compensated: errors {asked}", count, holds)]
 
 
-def test_beyond_what_the_goal_speaks_of_nothing_is_judged() -> None:
-    table = compensated_table(motion([9, 9, 9]), 0.5)
-    assert {(row.goal, row.holds) for row in table.rows} == {("", None)}
-    # But for how far the tool is off its path.
-    assert len(table.remarks) == 1
-    assert "goal" not in table.remarks[0]
-    assert table.verdicts == ()
-
-
-def test_small_figures_are_not_asked_for() -> None:
+def test_small_figures_are_not_asked_for_and_nothing_beyond_what_the_goal_speaks_of() -> None:
     table = compensated_table(motion([5, 5, 0]), 1.0, baseline=(0.9, 1.1, 10))
     (row,) = only_rows(table, "reduction of mean, %")
     assert row.values[0] is None
@@ -195,6 +170,14 @@ def test_small_figures_are_not_asked_for() -> None:
     headings, first, *_ = cells(table)
     assert headings == ("", "", "x", "y", "z", "goal", "holds")
     assert first == ("stiffness times 1", "reduction of mean, %", "-", "-354.5", "100.0", "at least 90", "no")
+    table = compensated_table(motion([9, 9, 9]), 0.5)
+    assert {(row.goal, row.holds) for row in table.rows} == {("", None)}
+    # But for how far the tool is off its path.
+    assert len(table.remarks) == 1
+    assert "goal" not in table.remarks[0]
+    assert table.verdicts == ()
+    assert FACTORS[0] == 1.0
+    assert sorted(FACTORS) == pytest.approx(np.linspace(0.7, 1.3, 7))
 
 
 def test_a_sag_larger_than_the_baselines_is_the_reason() -> None:
@@ -202,49 +185,48 @@ def test_a_sag_larger_than_the_baselines_is_the_reason() -> None:
     (why,) = (remark for remark in table.remarks if "falls by" in remark)
     assert why.startswith("At stiffness times 0.7 the mean along y falls by 62.5 %: 30 % of the sag was not")
     assert "1.25 times the baseline's mean. That bounds the reduction at about 62.5 %" in why
-
-
-def test_otherwise_vibration_is_the_reason() -> None:
+    # Otherwise vibration is.
     table = compensated_table(motion([0, 6, 0], vibration=[0, 5.5, 0]), 0.7)
     (why,) = (remark for remark in table.remarks if "falls by" in remark)
     assert "the sag alone would allow 94.0 %: vibration has a mean of 5.500 mm there" in why
 
 
 def test_without_a_plan_the_reason_is_given() -> None:
-    assert compensation_goal(NONE).remarks == ("There is no plan: no way.",)
-    assert compensation_goal(NONE).rows == ()
-    assert verdicts(compensation_goal(NONE)) == [("sag compensated: errors 90 % less", "no plan", False)]
+    table = compensation_goal(NONE)
+    assert (table.remarks, table.rows) == (("There is no plan: no way.",), ())
+    assert verdicts(table) == [("sag compensated: errors 90 % less", "no plan", False)]
 
 
-def resting(
-    planned: Any,
-    unsuppressed: Any,
-    other: Any = (1, 1, 1, 1),
-    *,
-    plan_: Any = None,
-    before: Any = (100, 50, 10, 120),
-) -> GoalTable | None:
+def experiment_of(planned: Run, compensated: Variant = NONE, unsuppressed: Variant = NONE) -> Experiment:
+    return Experiment(
+        paper=PAPER[0],
+        planned=planned,
+        fixed=None,
+        why_not="",
+        compensated=compensated,
+        unsuppressed=unsuppressed,
+        least_sag=None,
+    )
+
+
+def resting(planned, unsuppressed, other=(1, 1, 1, 1), *, plan_=None, before=(100, 50, 10, 120)):
+    """The goal of rest, from what is left after the stop of each."""
     first, second, third = (
         tracking(motion([1, 1, 1], rest=before), motion([1, 1, 1], rest=after), factor)
         for after, factor in ((planned, 1.0), (unsuppressed, 1.0), (other, 1.3))
     )
     silent: Any = SimpleNamespace(quieting=None)
     return rest_goal(
-        Experiment(
-            paper=PAPER[0],
-            planned=run_of(first, plan_ or suppressed()),
-            fixed=None,
-            why_not="",
+        experiment_of(
+            run_of(first, plan_ or suppressed()),
             compensated=Variant(plan=suppressed(), trackings=(third,), why_not=""),
             unsuppressed=Variant(plan=silent, trackings=(second,), why_not=""),
-            least_sag=None,
         )
     )
 
 
 def test_rest_is_a_share_of_the_baselines() -> None:
     table = resting((4, 1, 0.5, 4.8), (30, 10, 0.1, 36), (50, 25, 5, 60))
-    assert table is not None
     first, second, third = table.rows
     assert first.values == pytest.approx((4, 2, 5, 4))
     assert (first.goal, first.holds) == ("at most 5", True)
@@ -268,7 +250,6 @@ def test_rest_is_a_share_of_the_baselines() -> None:
 )
 def test_why_the_tool_does_not_rest(plan_: Any, cause: str) -> None:
     table = resting((4, 1, 0.6, 4.8), (1, 1, 0.1, 1), plan_=plan_)
-    assert table is not None
     assert table.rows[0].holds is False
     assert [verdict.holds for verdict in table.verdicts] == [False]
     assert "the goal does not hold" in table.remarks[0]
@@ -278,15 +259,7 @@ def test_why_the_tool_does_not_rest(plan_: Any, cause: str) -> None:
 
 def test_without_a_simulated_rest_there_is_no_goal_of_it() -> None:
     found = tracking(motion([1, 1, 1]), motion([1, 1, 1]))
-    without_rest = Experiment(
-        paper=PAPER[0],
-        planned=run_of(found, suppressed()),
-        fixed=None,
-        why_not="",
-        compensated=NONE,
-        unsuppressed=NONE,
-        least_sag=None,
-    )
+    without_rest = experiment_of(run_of(found, suppressed()))
     assert rest_goal(without_rest) is None
     assert [table.title.split(":")[0] for table in goals(without_rest)] == ["Postures", "Compensation"]
 
@@ -327,8 +300,3 @@ def test_a_simulated_arm_keeps_to_the_bound(compensated_short: tuple[Plan, Track
     for axis in asked:
         assert softer.values[axis] == pytest.approx(bound.values[axis], abs=2.0)
     assert softer.holds == all(softer.values[axis] >= 65 for axis in asked)
-
-
-def test_the_stiffnesses_are_those_of_the_goals() -> None:
-    assert FACTORS[0] == 1.0
-    assert sorted(FACTORS) == pytest.approx(np.linspace(0.7, 1.3, 7))

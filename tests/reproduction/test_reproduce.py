@@ -1,7 +1,5 @@
 """The comparison with the paper: its data, what is computed of ours, what is written."""
 
-from __future__ import annotations
-
 import json
 import re
 from dataclasses import replace
@@ -12,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from command_line import run
-from numpy.typing import NDArray
+from plan_folders import names
 
 import cmbot
 from cmbot.archive import write_file
@@ -37,13 +35,7 @@ from cmbot.reproduction.paper import PAPER, PaperExperiment, assumption_tables
 from cmbot.reproduction.report import markdown
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
-FloatArray = NDArray[np.float64]
 TRIANGLE, LINE = PAPER
-
-
-@pytest.fixture(scope="module")
-def tracking(short_plan: Plan) -> Tracking:
-    return simulate(short_plan)
 
 
 @pytest.fixture(scope="module")
@@ -54,7 +46,7 @@ def released(short_plan: Plan) -> Tracking:
 @pytest.fixture
 def planner(
     short_plan: Plan,
-    tracking: Tracking,
+    short_tracking: Tracking,
     released: Tracking,
     compensated_short: tuple[Plan, Tracking],
     monkeypatch: pytest.MonkeyPatch,
@@ -64,7 +56,6 @@ def planner(
     compensated, foreseen = compensated_short
 
     def known(scene: Any, *, options: Any, progress: Any = None) -> Plan:
-        del progress
         changed = [key for key, value in vars(options).items() if getattr(scene.planner, key) != value]
         asked.append(", ".join(f"{key}: {getattr(options, key)}" for key in changed))
         return compensated if options.compensate else short_plan
@@ -75,7 +66,7 @@ def planner(
             # The tracking of the nominal stiffness for any: these tests do not depend on its effect.
             return replace(foreseen, options=options)
         assert planned is short_plan
-        return {found.options: found for found in (tracking, released)}[options]
+        return {found.options: found for found in (short_tracking, released)}[options]
 
     monkeypatch.setattr(experiment, "plan", known)
     monkeypatch.setattr(experiment, "simulate", simulated)
@@ -88,15 +79,11 @@ def test_the_papers_rows_give_the_papers_percentages(paper: PaperExperiment) -> 
     np.testing.assert_allclose(computed, paper.reductions, atol=0.15)
 
 
-def test_the_papers_rows_the_other_way_round_do_not() -> None:
+def test_reduction_is_of_magnitudes_and_not_the_other_way_round() -> None:
+    computed = reduction(np.array([-4.0, 4.0, 2.0]), np.array([1.0, -1.0, 3.0]))
+    np.testing.assert_allclose(computed, [75, 75, -50])
     computed = reduction(TRIANGLE.planned.mean, TRIANGLE.without.mean)
     assert np.abs(computed - TRIANGLE.reductions).min() > 100
-
-
-def test_reduction_is_of_magnitudes() -> None:
-    np.testing.assert_allclose(
-        reduction(np.array([-4.0, 4.0, 2.0]), np.array([1.0, -1.0, 3.0])), [75, 75, -50]
-    )
 
 
 def with_figures(tracking: Tracking, baseline: Any, planned: Any, vibration: float = 0.0) -> Tracking:
@@ -121,14 +108,12 @@ def as_the_paper(tracking: Tracking, paper: PaperExperiment, **changes: Any) -> 
     }
     vibration, difference = changes.pop("vibration", 0.0), changes.pop("difference", paper.torque_difference)
     ours = with_figures(tracking, **(figures | changes), vibration=vibration)
-    known: Any = SimpleNamespace(
-        largest_torque_difference=(difference, 0.0), start=SimpleNamespace(moved=0.0)
-    )
-    same = Run(plan=known, equilibrium=ours, undeformed=ours)
+    start: Any = SimpleNamespace(moved=0.0)
+    known: Any = SimpleNamespace(largest_torque_difference=(difference, 0.0), start=start)
     none = Variant(plan=None, trackings=(), why_not="no way")
     return Experiment(
         paper=paper,
-        planned=same,
+        planned=Run(plan=known, equilibrium=ours, undeformed=ours),
         fixed=None,
         why_not="no way",
         compensated=none,
@@ -138,92 +123,75 @@ def as_the_paper(tracking: Tracking, paper: PaperExperiment, **changes: Any) -> 
 
 
 @pytest.mark.parametrize("paper", PAPER, ids=lambda paper: paper.scene)
-def test_the_papers_own_figures_agree_with_it(tracking: Tracking, paper: PaperExperiment) -> None:
-    found = list(findings(as_the_paper(tracking, paper)))
+def test_the_papers_own_figures_agree_with_it(short_tracking: Tracking, paper: PaperExperiment) -> None:
+    found = list(findings(as_the_paper(short_tracking, paper)))
     assert len(found) == 9
     assert all(finding.agrees for finding in found), [finding.text for finding in found]
 
 
 @pytest.mark.parametrize(
-    ("motion", "mean", "deviation", "expected"),
+    ("motion", "changes", "expected"),
     [
+        ("planned", {"mean": (-1.22, 12, -9.23)}, "The absolute mean falls along x, z here, along x, y, z"),
         (
             "planned",
-            (-1.22, 12, -9.23),
-            (1.28, 3.99, 8.22),
-            "The absolute mean falls along x, z here, along x, y, z",
-        ),
-        (
-            "planned",
-            (-1.22, 3.94, -9.23),
-            (2.0, 3.99, 8.22),
+            {"standard_deviation": (2.0, 3.99, 8.22)},
             "The standard deviation falls by 52.5, 75.4, 69.3 % here, by 69.6, 75.4, 69.3 % in the paper",
         ),
         (
             "baseline",
-            (2.44, 11.52, -24.48),
-            (4.21, 16.2, 26.78),
+            {"mean": (2.44, 11.52, -24.48)},
             "The mean without optimisation has the paper's sign along y, z;",
         ),
         (
             "baseline",
-            (-2.44, 11.52, -24.48),
-            (4.21, 10, 20),
+            {"standard_deviation": (4.21, 10, 20)},
             "Without optimisation the standard deviation exceeds the absolute mean along x here, along x, y",
         ),
         (
             "baseline",
-            (-8, 11.52, -24.48),
-            (9, 16.2, 26.78),
+            {"mean": (-8, 11.52, -24.48), "standard_deviation": (9, 16.2, 26.78)},
             "Without optimisation the absolute mean is 3.28, 1.00, 1.00 times the paper's",
         ),
     ],
 )
-def test_what_differs_is_found(
-    tracking: Tracking, motion: str, mean: tuple[float, ...], deviation: tuple[float, ...], expected: str
-) -> None:
-    change = {motion: (1e-3 * np.array(mean), 1e-3 * np.array(deviation)), "difference": 104.3}
-    found = findings(as_the_paper(tracking, TRIANGLE, **change))
+def test_what_differs_is_found(short_tracking: Tracking, motion: str, changes: Any, expected: str) -> None:
+    own = TRIANGLE.planned if motion == "planned" else TRIANGLE.without
+    given = replace(own, **{name: 1e-3 * np.array(values) for name, values in changes.items()})
+    figures = {motion: (given.mean, given.standard_deviation)}
+    found = findings(as_the_paper(short_tracking, TRIANGLE, **figures, difference=104.3))
     differing = [finding.text for finding in found if not finding.agrees]
     assert any(text.startswith(expected) for text in differing), differing
-    assert (
-        "difference of the torque on the guardrail is 104.3 Nm here, 157.2 Nm in the paper" in differing[-1]
-    )
+    words = "difference of the torque on the guardrail is 104.3 Nm here, 157.2 Nm in the paper"
+    assert words in differing[-1]
 
 
-def test_reasons_follow_the_figures(tracking: Tracking) -> None:
-    sagging, shaking = (
-        " ".join(reasons(as_the_paper(tracking, LINE, vibration=share))) for share in (0.01, 0.8)
-    )
+def test_reasons_follow_the_figures(short_tracking: Tracking) -> None:
+    def said(paper: Experiment) -> str:
+        return " ".join(reasons(paper))
+
+    sagging, shaking = (said(as_the_paper(short_tracking, LINE, vibration=share)) for share in (0.01, 0.8))
     assert "1.00 % (baseline) and 1.00 % (planned) is dynamic" in sagging
     assert "the means are those of the sag" in sagging
     assert "vibration is a large part of the error" in shaking
     assert "With fixed via-points (Eq. (30)) there is no plan here: no way." in sagging
-
-
-def test_reasons_say_what_releasing_the_arm_does(tracking: Tracking) -> None:
-    paper = as_the_paper(tracking, LINE)
-    still = with_figures(
-        tracking,
-        (LINE.without.mean, 0.1 * LINE.without.standard_deviation),
-        (LINE.planned.mean, 0.1 * LINE.planned.standard_deviation),
-    )
-    shaken, at_rest = paper.planned.equilibrium, still
-    nearer = replace(paper, planned=replace(paper.planned, equilibrium=at_rest, undeformed=shaken))
-    further = replace(paper, planned=replace(paper.planned, equilibrium=shaken, undeformed=at_rest))
-    assert "nearer to the paper's as a whole" in " ".join(reasons(nearer))
-    assert "further from the paper's as a whole" in " ".join(reasons(further))
-
-
-def test_reasons_say_where_the_gain_comes_from(tracking: Tracking) -> None:
-    paper = as_the_paper(tracking, TRIANGLE)
+    paper = as_the_paper(short_tracking, TRIANGLE)
     known: Any = SimpleNamespace(largest_torque_difference=(2.0, 0.0), start=SimpleNamespace(moved=0.0))
     stuck = replace(paper, fixed=replace(paper.planned, plan=known))
-    assert "the gain comes from other postures, not from the splines" in " ".join(reasons(stuck))
+    assert "the gain comes from other postures, not from the splines" in said(stuck)
     known.start.moved = 0.5
-    moved = " ".join(reasons(stuck))
-    assert "from another start (28.6 deg away)" in moved
-    assert "not from the splines" not in moved
+    assert "from another start (28.6 deg away)" in said(stuck)
+    assert "not from the splines" not in said(stuck)
+
+
+def test_reasons_say_what_releasing_the_arm_does(short_tracking: Tracking) -> None:
+    paper = as_the_paper(short_tracking, LINE)
+    figures = ((row.mean, 0.1 * row.standard_deviation) for row in (LINE.without, LINE.planned))
+    shaken, at_rest = paper.planned.equilibrium, with_figures(short_tracking, *figures)
+    for equilibrium, undeformed, words in ((at_rest, shaken, "nearer to"), (shaken, at_rest, "further from")):
+        run_ = replace(paper.planned, equilibrium=equilibrium, undeformed=undeformed)
+        text = " ".join(reasons(replace(paper, planned=run_)))
+        assert f"{words} the paper's as a whole" in text
 
 
 def test_the_assumptions_are_those_of_the_page() -> None:
@@ -246,48 +214,38 @@ def test_both_experiments_are_planned_and_simulated(planner: list[str]) -> None:
     found = reproduce(on_step=lambda *words: steps.append(words), factors=(1.0, 0.7))
     assert planner == ["", "knots: fixed", "compensate: True", "quiet_modes: 0", "objective: sag"] * 2
     assert [scene for scene, *_ in steps] == ["triangle"] * 21 + ["line"] * 21
+    nominal, released = "simulating, stiffness times 1", "simulating, stiffness times 1, released undeformed"
     # Plans and simulations of an experiment: 3 + 3 + 3 + 2 + 2.
-    assert steps[:6] == [
-        ("triangle", what, pytest.approx(share / 26))
-        for what, share in (
-            ("sliding via-points", 0),
-            ("sliding via-points: simulating, stiffness times 1", 1),
-            ("sliding via-points: simulating, stiffness times 1", 1.5),
-            ("sliding via-points: simulating, stiffness times 1, released undeformed", 2),
-            ("sliding via-points: simulating, stiffness times 1, released undeformed", 2.5),
-            ("fixed via-points", 3),
-        )
-    ]
-    assert steps[13] == (
-        "triangle",
-        "sag compensation: simulating, stiffness times 0.7",
-        pytest.approx(8 / 26),
-    )
+    for number, scene, what, share in (
+        (0, "triangle", "sliding via-points", 0),
+        (1, "triangle", f"sliding via-points: {nominal}", 1),
+        (2, "triangle", f"sliding via-points: {nominal}", 1.5),
+        (3, "triangle", f"sliding via-points: {released}", 2),
+        (4, "triangle", f"sliding via-points: {released}", 2.5),
+        (5, "triangle", "fixed via-points", 3),
+        (13, "triangle", "sag compensation: simulating, stiffness times 0.7", 8),
+        (-1, "line", f"least sag: {nominal}", 25.5),
+    ):
+        assert steps[number] == (scene, what, pytest.approx(share / 26))
     shares = [share for *_, share in steps]
     assert shares == sorted(shares)
-    assert steps[-1] == ("line", "least sag: simulating, stiffness times 1", pytest.approx(25.5 / 26))
     for entry in found.experiments:
         for run_ in (entry.planned, entry.fixed):
-            assert run_ is not None
             assert run_.equilibrium.options.initial == "equilibrium"
             assert run_.undeformed.options.initial == "undeformed"
         for softer, factor in zip(entry.compensated.trackings, (1.0, 0.7), strict=True):
             assert softer.options == SimulationOptions(guardrail_factor=factor, link_factor=factor)
         assert len(entry.unsuppressed.trackings) == 1
     assert [entry.paper for entry in found.experiments] == list(PAPER)
-
-
-def test_least_sag_can_be_left_out(planner: list[str]) -> None:
-    steps: list[float] = []
-    found = reproduce(on_step=lambda *words: steps.append(words[-1]), factors=(1.0,), least_sag=False)
-    assert len(planner) == 8
+    # Least sag can be left out.
+    found = reproduce(on_step=lambda *words: steps.append(words), factors=(1.0,), least_sag=False)
+    assert len(planner) == 10 + 8
     assert all(entry.least_sag is None for entry in found.experiments)
-    assert steps[-1] == pytest.approx((20 - 0.5) / 20)
+    assert steps[-1][-1] == pytest.approx((20 - 0.5) / 20)
 
 
 @pytest.fixture
 def found(planner: list[str]) -> Reproduction:
-    del planner
     return reproduce(factors=(1.0, 0.7))
 
 
@@ -298,7 +256,6 @@ def test_without_a_plan_for_fixed_knots_the_reason_is_told(
     error = OptimisationFailed("too steep", constraint="jerk", violation=0.5)
 
     def known(scene: Any, *, options: Any, progress: Any = None) -> Plan:
-        del progress
         if options != scene.planner:
             raise error
         return short_plan
@@ -315,43 +272,44 @@ def test_without_a_plan_for_fixed_knots_the_reason_is_told(
     assert [goal["rows"] == () for goal in data["goals"]] == [False, True, False, True]
 
 
-def test_the_page_shows_the_figures(found: Reproduction) -> None:
+def test_the_page_shows_the_figures_in_tables(found: Reproduction) -> None:
     page = markdown(found)
+    width = None
+    for line in page.splitlines():
+        columns = line.count("|") if line.startswith("|") else None
+        assert None in (width, columns) or width == columns, line
+        width = columns
+    shown = [table.heading for table in assumption_tables()]
+    assert all(f"### {heading}\n" in page for heading in shown)
     assert page.index("## Goals") < page.index("### ")
-    for row in verdict_rows(found):
-        assert f"| {' | '.join(row)} |" in page
+    assert page.count("### What agrees") == page.count("### What does not") == 2
+    rows = [*verdict_rows(found)]
     for entry in found.experiments:
-        _, *rows = comparison(entry)
-        assert len(rows) == 30
-        for row in rows:
-            assert f"| {' | '.join(row)} |" in page
+        _, *compared = comparison(entry)
+        assert len(compared) == 30
+        rows += compared
         mean = 1e3 * entry.planned.equilibrium.baseline.metrics.total.mean[:3]
-        assert [float(x) for x in rows[6][2:]] == pytest.approx(mean, abs=6e-3)
+        assert [float(x) for x in compared[6][2:]] == pytest.approx(mean, abs=6e-3)
         for sentence in (*(finding.text for finding in findings(entry)), *reasons(entry)):
             assert sentence in page
         for goal in goals(entry):
             assert f"#### {goal.title}\n" in page
-            for row in cells(goal):
-                assert f"| {' | '.join(row)} |" in page
-            for remark in goal.remarks:
-                assert f"- {remark}\n" in page
-    for table in assumption_tables():
-        assert f"### {table.heading}\n" in page
-    assert page.count("### What agrees") == page.count("### What does not") == 2
+            rows += cells(goal)
+            assert all(f"- {remark}\n" in page for remark in goal.remarks)
+    assert all(f"| {' | '.join(row)} |" in page for row in rows)
 
 
-def test_every_markdown_table_is_one(found: Reproduction) -> None:
-    width = None
-    for line in markdown(found).splitlines():
-        if not line.startswith("|"):
-            width = None
-            continue
-        cells = line.count("|")
-        assert width in (None, cells), line
-        width = cells
-
-
-def test_json_holds_the_same(found: Reproduction) -> None:
+def test_it_is_written_with_both_plans_and_json_holds_the_same(found: Reproduction, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "folder"
+    page, figures = save_reproduction(found, folder)
+    assert (page, figures) == (folder / "reproduce.md", folder / "reproduce.json")
+    assert names(folder) == {"triangle", "line", "reproduce.md", "reproduce.json"}
+    assert names(folder / "line") >= {"plan.json", "tracking.csv", "tracking_baseline.csv", "tracking.json"}
+    cmbot.load_plan(folder / "line")
+    assert page.read_text(encoding="utf-8") == markdown(found)
+    with pytest.raises(ArchiveError):
+        save_reproduction(found, folder)
+    save_reproduction(found, folder, force=True)
     data = json.loads(json.dumps(as_json(found), allow_nan=False))
     assert data["format"] == "cmbot-reproduction/1"
     first = data["experiments"][0]
@@ -367,23 +325,6 @@ def test_json_holds_the_same(found: Reproduction) -> None:
     assert len(data["assumptions"]) == len(assumption_tables())
 
 
-def names(folder: Path) -> set[str]:
-    return {path.name for path in folder.iterdir()}
-
-
-def test_it_is_written_with_both_plans(found: Reproduction, tmp_path: Path) -> None:
-    page, figures = save_reproduction(found, tmp_path / "new" / "folder")
-    folder = tmp_path / "new" / "folder"
-    assert (page, figures) == (folder / "reproduce.md", folder / "reproduce.json")
-    assert names(folder) == {"triangle", "line", "reproduce.md", "reproduce.json"}
-    assert names(folder / "line") >= {"plan.json", "tracking.csv", "tracking_baseline.csv", "tracking.json"}
-    cmbot.load_plan(folder / "line")
-    assert page.read_text(encoding="utf-8") == markdown(found)
-    with pytest.raises(ArchiveError):
-        save_reproduction(found, folder)
-    save_reproduction(found, folder, force=True)
-
-
 def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     write_file(tmp_path / "page.md", b"old")
     write_file(tmp_path / "page.md", b"new")
@@ -396,7 +337,7 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("planner")
-def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
+def test_the_command_answers_in_short_or_in_detail_and_replaces_a_reproduction(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     outcome = run("reproduce", "-o", folder, "--quick", "--details")
     assert outcome.status == 0, outcome.err
@@ -420,24 +361,6 @@ def test_the_command_prints_and_writes_it(tmp_path: Path) -> None:
                 assert f"goal: {remark}" in lines
     assert lines[-1].startswith(f"Written to {folder / 'reproduce.md'} and {folder / 'reproduce.json'}")
     assert "line: fixed via-points" in outcome.err.splitlines()
-
-
-def test_the_command_refuses_what_is_in_the_way_before_it_plans(tmp_path: Path, planner: list[str]) -> None:
-    (tmp_path / "reproduce.md").write_text("mine", encoding="utf-8")
-    outcome = run("reproduce", "-o", tmp_path)
-    assert (outcome.status, outcome.out, planner) == (2, "", [])
-    assert outcome.err.startswith(f"error: {tmp_path / 'reproduce.md'}: got a file that is already there")
-    (tmp_path / "triangle").mkdir()
-    (tmp_path / "triangle" / "thesis.txt").touch()
-    outcome = run("reproduce", "-o", tmp_path, "--force")
-    assert (outcome.status, planner) == (2, [])
-    assert "nothing else is replaced" in outcome.err
-
-
-@pytest.mark.usefixtures("planner")
-def test_the_command_replaces_a_reproduction_and_answers_in_short(tmp_path: Path) -> None:
-    folder = tmp_path / "out"
-    folder.mkdir()
     (folder / "reproduce.md").write_text("old", encoding="utf-8")
     outcome = run("reproduce", "-o", folder, "--quick", "--force")
     assert outcome.status == 0, outcome.err
@@ -463,3 +386,15 @@ def test_the_command_replaces_a_reproduction_and_answers_in_short(tmp_path: Path
         assert f"{agreeing} of {len(entry['findings'])} are found again for the {entry['scene']}" in paper
     assert written.startswith("Written to ")
     assert more == f"All figures, and why: {folder / 'reproduce.md'}; --details prints them."
+
+
+def test_the_command_refuses_what_is_in_the_way_before_it_plans(tmp_path: Path, planner: list[str]) -> None:
+    (tmp_path / "reproduce.md").write_text("mine", encoding="utf-8")
+    outcome = run("reproduce", "-o", tmp_path)
+    assert (outcome.status, outcome.out, planner) == (2, "", [])
+    assert outcome.err.startswith(f"error: {tmp_path / 'reproduce.md'}: got a file that is already there")
+    (tmp_path / "triangle").mkdir()
+    (tmp_path / "triangle" / "thesis.txt").touch()
+    outcome = run("reproduce", "-o", tmp_path, "--force")
+    assert (outcome.status, planner) == (2, [])
+    assert "nothing else is replaced" in outcome.err
