@@ -1,5 +1,14 @@
-"""The version of the package."""
+"""The version of the package, and of what its numbers depend on."""
 
-__all__ = ["__version__"]
+__all__ = ["__version__", "versions"]
 
 __version__ = "0.1.0"
+
+
+def versions() -> dict[str, str]:
+    """Return the versions of cmbot, Python and the packages that compute, by their names."""
+    import platform
+    from importlib import metadata
+
+    packages = {name: metadata.version(name) for name in ("numpy", "scipy", "pin", "coal")}
+    return {"cmbot": __version__, "python": platform.python_version(), **packages}

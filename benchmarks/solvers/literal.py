@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy import optimize
+from scipy import optimize, sparse
 
 from cmbot.common.arrays import FloatArray
 from cmbot.optimization.program import StateSamples
@@ -93,7 +93,7 @@ class LiteralProblem:
         self._bounds = list(zip((1, 2, 3), bounds, strict=True))
         # Eqs. (34) and (37): jerk just after and just before each knot, zero outside.
         self._jumps = _jerk_jumps(problem)
-        self._energy = space.jerk_product(np.eye(3 * n), np.eye(3 * n))
+        self._energy = space.jerk_products(sparse.eye_array(3 * n)).toarray()
         linear = [np.kron(self._by_unknowns[order], np.diag(1 / bound)) for order, bound in self._bounds]
         both = np.vstack([sign * rows for rows in linear for sign in (1.0, -1.0)])
         self._linear = np.hstack([both, np.zeros((len(both), 1))])

@@ -58,7 +58,9 @@ def require_fit(
     _require_objective(file, source)
     _require_floor(file, len(work.t), source)
     if approach is not None:
-        _require_join(approach.trajectory, posture, work, str(folder / "approach.npz"))
+        q, knots = approach.trajectory.q, str(folder / "approach.npz")
+        _require_angles(q[0], posture, knots, "q", "the scene's posture at first")
+        _require_angles(q[-1], work.q[0], knots, "q", "where the work starts at last")
 
 
 def _require_start(file: PlanFile, work: QuinticTrajectory, source: str) -> None:
@@ -124,14 +126,6 @@ def _require_number(got: float | None, expected: float | None, source: str, key:
     if not same:
         shown = "null" if expected is None else f"{expected:g}"
         raise ArchiveError(source, key, "null" if got is None else got, f"{shown}, by the other figures")
-
-
-def _require_join(
-    approach: QuinticTrajectory, posture: FloatArray, work: QuinticTrajectory, source: str
-) -> None:
-    """Refuse an approach that does not lead from the scene's posture to the start of the work."""
-    _require_angles(approach.q[0], posture, source, "q", "the scene's posture at first")
-    _require_angles(approach.q[-1], work.q[0], source, "q", "where the work starts at last")
 
 
 def _require_angles(got: FloatArray, expected: FloatArray, source: str, key: str, what: str) -> None:

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import platform
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -19,11 +17,9 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, input_error, validated
 from cmbot.planning import Approach, Plan, require_plan
 from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file, update_file
-from cmbot.version import __version__
+from cmbot.version import versions
 
 __all__ = ["save"]
-
-_PACKAGES = ("numpy", "scipy", "pin", "coal")
 
 
 def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
@@ -91,7 +87,7 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "smallest_singular_value": plan.smallest_singular_value,
         "options": plan.options,
         "scene": scene,
-        "versions": _versions(),
+        "versions": versions(),
         "hashes": {
             "robot": plan.robot.content_hash,
             "scene": given.content_hash,
@@ -132,8 +128,3 @@ def _resolved(scene: Scene) -> SceneFile:
         update={name: str(path) for name, path in paths.items() if path is not None}
     )
     return scene.file.model_copy(update={"obstacles": obstacles, "robot": robot})
-
-
-def _versions() -> dict[str, str]:
-    packages = {name: metadata.version(name) for name in _PACKAGES}
-    return {"cmbot": __version__, "python": platform.python_version(), **packages}

@@ -10,7 +10,7 @@ import pinocchio as pin
 from pydantic import Field
 from scipy.linalg import block_diag
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.validation import CheckedFields
 from cmbot.elastic.base import ElasticBase
 from cmbot.robot import Robot
@@ -162,18 +162,15 @@ class _Builder:
         stiffness, added_mass = block_diag(*self.blocks).reshape(f, f), np.zeros((f, f))
         if base is not None:
             added_mass[:6, :6] = base.mass
-        driven, elastic = np.array(self.driven, dtype=np.intp), np.array(self.elastic, dtype=np.intp)
-        for array in (driven, elastic, stiffness, added_mass):
-            array.setflags(write=False)
         return ElasticArm(
             robot=robot,
             base=base,
             options=self.options,
             model=self.model,
-            driven=driven,
-            elastic=elastic,
-            stiffness=stiffness,
-            added_mass=added_mass,
+            driven=read_only(np.array(self.driven, dtype=np.intp)),
+            elastic=read_only(np.array(self.elastic, dtype=np.intp)),
+            stiffness=read_only(stiffness),
+            added_mass=read_only(added_mass),
             tool_frame_id=int(self.model.addFrame(tool)),
         )
 

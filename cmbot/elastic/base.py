@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
 from cmbot.elastic.beam import SectionConstants, section_constants
 from cmbot.elastic.frame import Frame, Member
@@ -72,10 +72,11 @@ def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
 
 def _base(stiffness: FloatArray, mass: FloatArray, frequencies: FloatArray) -> ElasticBase:
     # Matrices from files may be asymmetric in the last digit; symmetric ones are unchanged.
-    arrays = [(stiffness + stiffness.T) / 2, (mass + mass.T) / 2, frequencies.copy()]
-    for array in arrays:
-        array.setflags(write=False)
-    return ElasticBase(stiffness=arrays[0], mass=arrays[1], frequencies=arrays[2])
+    return ElasticBase(
+        stiffness=read_only((stiffness + stiffness.T) / 2),
+        mass=read_only((mass + mass.T) / 2),
+        frequencies=read_only(frequencies),
+    )
 
 
 class GuardrailFrame(NamedTuple):

@@ -124,11 +124,7 @@ class NlpEvaluation:
             gradient = gradient + self._mean_jacobian.T @ self._residual
         rows = self._rows
         return NlpModel(
-            objective=values.objective,
-            value=values.value,
-            family=values.family,
-            epigraph=values.epigraph,
-            least=values.least,
+            **vars(values),
             gradient=gradient,
             hessian=sparse.csr_array((form.dimension, form.dimension)),
             jacobian=form.jacobian(rows, at.derivative),

@@ -142,16 +142,16 @@ def minimize_peak(
     """
     exchange = _Exchange(program, options, progress)
     bound = program.lower_bound * (1 + options.peak_tolerance)
-    try:
-        if program.lower_bound <= 0:
-            raise _failure("nothing is known of the peak", Violation("peak", 0.0))
-        exchange.run(options.smoothing, bound=bound, attempt=True)
-    except OptimisationFailed:
-        exchange.restart()
-        peak = exchange.lowest_peak(bound)
-        bound = max(bound, peak * (1 + options.peak_tolerance))
-        exchange.run(options.smoothing, bound=bound)
-    return Result(parametrization=exchange.form, passes=tuple(exchange.reports), peak_bound=bound)
+    if program.lower_bound > 0:
+        try:
+            exchange.run(options.smoothing, bound=bound, attempt=True)
+            return exchange.result(bound)
+        except OptimisationFailed:
+            exchange.restart()
+    peak = exchange.lowest_peak(bound)
+    bound = max(bound, peak * (1 + options.peak_tolerance))
+    exchange.run(options.smoothing, bound=bound)
+    return exchange.result(bound)
 
 
 def minimize_smoothed_peak(program: Program, options: ExchangeOptions) -> Result:
@@ -160,8 +160,7 @@ def minimize_smoothed_peak(program: Program, options: ExchangeOptions) -> Result
     Errors are those of `minimize_peak`.
     """
     exchange = _Exchange(program, options, None)
-    peak = exchange.run(options.smoothing)
-    return Result(parametrization=exchange.form, passes=tuple(exchange.reports), peak_bound=peak)
+    return exchange.result(exchange.run(options.smoothing))
 
 
 class _Exchange:
@@ -192,6 +191,10 @@ class _Exchange:
         self._constraints = ConstraintSet(step=step).at_all(single, middles).at_all([OBJECTIVE], t).rebased()
         self.form = self._program.parametrization
         self._warm: SqpResult[NlpEvaluation] | None = None
+
+    def result(self, peak_bound: float) -> Result:
+        """Return the present trajectory, its peak held below `peak_bound`."""
+        return Result(parametrization=self.form, passes=tuple(self.reports), peak_bound=peak_bound)
 
     def lowest_peak(self, target: float) -> float:
         """Minimise the peak with ever less smoothing, as long as that is worthwhile; return it.
@@ -238,7 +241,7 @@ class _Exchange:
             found = self._separated(limit)
             known, self._constraints = self._constraints, found.added_to(self._constraints)
             self._report(stage, iterations, found)
-            worst = max(found.worst, Violation("peak", found.peak - limit), key=lambda each: each.value)
+            worst = found.worst_beside(limit)
             if worst.value <= o.feasibility_tolerance and self._constraints is known:
                 if done:
                     return found.peak
@@ -264,8 +267,7 @@ class _Exchange:
         if result.status is SqpStatus.INFEASIBLE:
             self.form = result.iterate.parametrization
             limit = result.iterate.peak if start.stage.bound is None else start.stage.bound
-            found = self._separated(limit)
-            worst = max(found.worst, Violation("peak", found.peak - limit), key=lambda each: each.value)
+            worst = self._separated(limit).worst_beside(limit)
             reason = "near the trajectory that was found the constraints cannot all be met"
             raise OptimisationFailed(reason, constraint=worst.name, violation=worst.value)
         return result.iterate, result.iterations, result.status is not SqpStatus.ITERATION_LIMIT

@@ -38,6 +38,13 @@ class StateSamples:
         return StateSamples(times, *trajectory.states(times))
 
     @staticmethod
+    def even(trajectory: QuinticTrajectory, samples: int) -> StateSamples:
+        """Return a trajectory's states at so many even times of every segment, and at its end."""
+        t = trajectory.t
+        inner = np.linspace(t[:-1], t[1:], samples, endpoint=False, axis=1)
+        return StateSamples(np.append(inner.ravel(), t[-1]), *trajectory.sampled(samples))
+
+    @staticmethod
     def at_rest(t: FloatArray, q: FloatArray) -> StateSamples:
         """Return postures `q` (N, n) without any motion."""
         return StateSamples(t, q, np.zeros_like(q), np.zeros_like(q))

@@ -46,6 +46,10 @@ class Separation:
     worst: Violation
     peak: float
 
+    def worst_beside(self, limit: float) -> Violation:
+        """Return the worst violation, with that of the peak beyond `limit` among them."""
+        return max(self.worst, Violation("peak", self.peak - limit), key=lambda each: each.value)
+
     def added_to(self, constraints: ConstraintSet) -> ConstraintSet:
         """Return a set with what is violated; the same object where all of it is there."""
         return constraints.extended(self.family, self.component, self.time)
@@ -77,9 +81,7 @@ def find_violations(
     most : int
         At most so many of each family, the worst.
     """
-    t = trajectory.t
-    grid = np.linspace(t[:-1], t[1:], program.samples_per_segment, endpoint=False, axis=1)
-    states = StateSamples(np.append(grid.ravel(), t[-1]), *trajectory.sampled(program.samples_per_segment))
+    states = StateSamples.even(trajectory, program.samples_per_segment)
     functions = (program.objective, *program.constraints)
     limits = [bound] + [0.0] * len(program.constraints)
     found: list[WorstViolations] = []

@@ -135,15 +135,14 @@ def _start(plan: Plan) -> Iterator[str]:
 
 
 def _gain(plan: Plan) -> str:
-    # Adding zero turns -0.0 into 0.0.
-    change = round(-100 * plan.peak_static_reduction, 2) + 0.0
+    change = -100 * plan.peak_static_reduction
     mean = plan.figures.mean_guardrail_torque / plan.baseline_figures.mean_guardrail_torque - 1
     difference, time = plan.largest_torque_difference
     fixed = plan.options.knots == "fixed" and plan.start.moved == 0
     why = " (fixed via-points cannot lower it)" if fixed else ""
     return (
         "Against the baseline, the paper's motion without optimisation: gravity's peak "
-        f"{change:+.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
+        f"{change:+z.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
         f"at t = {time:.1f} s."
     )
 

@@ -158,12 +158,6 @@ class PostureBatch(ToolBatch):
         return np.asarray((pin.skew(self.gravity).T @ moment).T)
 
     @cached_property
-    def guardrail_torque_derivative(self) -> FloatArray:
-        """Derivatives (N, 3, n) of `guardrail_torque` with respect to the joints, Nm/rad."""
-        moved = np.cross(self.axis, self._carried_moment.transpose(2, 0, 1))
-        return np.asarray(np.cross(moved, self.gravity).transpose(0, 2, 1))
-
-    @cached_property
     def joint_torque(self) -> FloatArray:
         """Static joint torques (N, n), Nm (Chang 2021, Eq. (13))."""
         about = pin.skew(self.gravity) @ self._carried_moment

@@ -16,7 +16,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.validation import FileModel, validated
 from cmbot.common.yaml_reader import read_yaml
@@ -58,8 +58,7 @@ class JointLimits:
             if array.shape != np.shape(self.lower) or np.isnan(array).any():
                 expected = f"numbers, shape {np.shape(self.lower)}"
                 raise InputError("JointLimits", field.name, array.tolist(), expected)
-            array.setflags(write=False)
-            object.__setattr__(self, field.name, array)
+            object.__setattr__(self, field.name, read_only(array))
 
 
 class _JointEntry(FileModel):

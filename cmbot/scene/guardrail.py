@@ -11,7 +11,7 @@ from typing import Annotated, Self, cast
 import numpy as np
 from pydantic import ConfigDict, Field, ValidationInfo, field_validator, model_validator
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.validation import FileModel, refusal, shown
 from cmbot.elastic import (
     AngleSection,
@@ -266,8 +266,4 @@ def _check_positive_definite(rows: Matrix6, key: str) -> None:
 
 
 def _matrix(rows: Matrix6 | None) -> FloatArray | None:
-    if rows is None:
-        return None
-    matrix = np.array(rows)
-    matrix.setflags(write=False)
-    return matrix
+    return None if rows is None else read_only(np.array(rows))

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 from pydantic import ConfigDict, model_validator
 from scipy.spatial.transform import Rotation
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, FileModel, plain, require_type, shown
 from cmbot.scene.fields import Angles, Length, Slug, Text, Vector, exactly_one, one_of_schema
@@ -227,5 +227,4 @@ def pose(xyz: ArrayLike, rpy: ArrayLike = (0.0, 0.0, 0.0)) -> FloatArray:
     X = np.eye(4)
     X[:3, :3] = Rotation.from_euler("xyz", np.asarray(rpy, dtype=float)).as_matrix()
     X[:3, 3] = xyz
-    X.setflags(write=False)
-    return X
+    return read_only(X)

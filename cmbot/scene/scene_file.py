@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import scene_folder
 from cmbot.common.validation import given_path, hint, plain, shown, validated
@@ -91,13 +91,11 @@ def scene_from_file(
 
     own = tuple(obstacle_from_file(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
     guardrail = guardrail_from_file(file.guardrail)
-    posture = np.radians(file.posture_deg)
-    posture.setflags(write=False)
     return Scene(
         name=file.name,
         source=source,
         robot=_robot(file.robot, find),
-        posture=posture,
+        posture=read_only(np.radians(file.posture_deg)),
         obstacles=(*own, *guardrail_obstacles(guardrail)),
         guardrail=guardrail,
         planner=file.planner,

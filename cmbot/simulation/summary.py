@@ -86,10 +86,10 @@ def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
     """
     for part, attribute in _PARTS:
         for quantity, field in _QUANTITIES:
-            for name, motion in _named(tracking):
+            for name, motion in tracking.motions:
                 statistics = getattr(motion.metrics, attribute)
                 yield f"{part}, {quantity}", name, *_numbers(getattr(statistics, field))
-    for name, motion in _named(tracking):
+    for name, motion in tracking.motions:
         rest = motion.metrics.residual
         if rest is not None:
             numbers = _numbers(np.append(rest.peak_to_peak, rest.diameter))
@@ -104,16 +104,12 @@ def tracking_remarks(tracking: Tracking) -> Iterator[str]:
     )
     yield "Off the path: the bent tool from the nearest point of its leg."
     for remark in (_command, _vibration, _decay):
-        for name, motion in _named(tracking):
+        for name, motion in tracking.motions:
             if text := remark(motion):
                 yield f"{name.capitalize()}: {text}."
     yield _setting(tracking.options)
     simulated = tracking.baseline.t[-1] + tracking.planned.t[-1]
     yield f"Time: {tracking.seconds:.2f} s for {simulated:.0f} s of motion."
-
-
-def _named(tracking: Tracking) -> tuple[tuple[str, MotionTracking], ...]:
-    return ("baseline", tracking.baseline), ("planned", tracking.planned)
 
 
 def _largest(error: FloatArray, motion: MotionTracking) -> float:
@@ -157,5 +153,4 @@ def _setting(options: SimulationOptions) -> str:
 
 
 def _numbers(values: FloatArray) -> tuple[str, ...]:
-    # Adding zero turns -0.0 into 0.0.
-    return tuple(f"{round(1e3 * value, 3) + 0.0:.3f}" for value in values)
+    return tuple(f"{1e3 * value:z.3f}" for value in values)

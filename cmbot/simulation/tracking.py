@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import pinocchio as pin
@@ -90,6 +91,11 @@ class Tracking:
     baseline: MotionTracking
     planned: MotionTracking
     seconds: float
+
+    @property
+    def motions(self) -> tuple[tuple[Literal["baseline", "planned"], MotionTracking], ...]:
+        """Both motions with their names."""
+        return ("baseline", self.baseline), ("planned", self.planned)
 
 
 def simulate(

@@ -63,7 +63,7 @@ class SparseSplines:
         self.space = space
         self.bounds = bounds
         self.columns = sparse.csr_array(sparse.hstack([space.basis, space.cardinal]))
-        self.gram = sparse.csr_array(space.jerk_products(self.columns))
+        self.gram = space.jerk_products(self.columns)
 
     @property
     def count(self) -> int:

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.errors import InputError
 from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interval, values
 
@@ -98,9 +98,7 @@ class QuinticTrajectory:
 
     def __post_init__(self) -> None:
         for name in ("t", "q", "v", "a"):
-            array = np.array(getattr(self, name), dtype=float)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
+            object.__setattr__(self, name, read_only(np.array(getattr(self, name), dtype=float)))
         increases = self.t.ndim == 1 and len(self.t) >= 2 and np.all(np.diff(self.t) > 0)
         if not increases or not np.isfinite(self.t).all():
             raise InputError(
@@ -123,9 +121,8 @@ class QuinticTrajectory:
     def coefficients(self) -> FloatArray:
         """Coefficients of ``q(t) = sum_k c_k ((t - t_j)/h_j)^k``, (m, n, 6), rad."""
         knots = (self.q, self.v, self.a)
-        c = hermite_coefficients(np.diff(self.t), tuple(x[:-1] for x in knots), tuple(x[1:] for x in knots))
-        c.setflags(write=False)
-        return c
+        start, end = tuple(x[:-1] for x in knots), tuple(x[1:] for x in knots)
+        return read_only(hermite_coefficients(np.diff(self.t), start, end))
 
     def evaluate(self, times: ArrayLike, order: int = 0) -> FloatArray:
         """Evaluate the trajectory or one of its derivatives.

@@ -94,11 +94,7 @@ class SplineSpace:
     @cached_property
     def jerk_gram(self) -> sparse.csr_array:
         """Gram matrix of the basis under the time mean of the product of jerks, (n - 4, n - 4), banded."""
-        return sparse.csr_array(self.basis.T @ self._jerk_energy @ self.basis)
-
-    def jerk_product(self, z_a: FloatArray, z_b: FloatArray) -> FloatArray:
-        """Time means (a, b) of the products of the jerks of knot vectors `z_a` (3n, a) and `z_b` (3n, b)."""
-        return np.asarray(z_a.T @ (self._jerk_energy @ z_b))
+        return self.jerk_products(self.basis)
 
     def jerk_products(self, columns: sparse.csr_array) -> sparse.csr_array:
         """Time means of the products of the jerks of all pairs of sparse knot vectors `columns` (3n, a)."""

@@ -10,10 +10,10 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, Samples
-from cmbot.simulation import MotionTracking, Tracking
+from cmbot.simulation import Tracking
 from cmbot.views.page import pack
 
-__all__ = ["Chart", "Curve", "charts", "joint_charts", "joint_quantities", "thinned", "tracked_motions"]
+__all__ = ["Chart", "Curve", "charts", "downsampled", "joint_charts", "joint_quantities"]
 
 MOST_POINTS = 1000  # of a curve in a large plot
 MOST_SMALL_POINTS = 400  # of a curve in a small one
@@ -63,7 +63,7 @@ class Chart:
         """Return it ready for JSON; arrays are little-endian float32 in base64."""
         curves = []
         for curve in self.curves:
-            t, y = thinned(curve.t, curve.y, most)
+            t, y = downsampled(curve.t, curve.y, most)
             curves.append({"motion": curve.motion, "thin": curve.thin, "t": pack(t), "y": pack(y)})
         return vars(self) | {"curves": curves}
 
@@ -115,7 +115,7 @@ def joint_quantities(plan: Plan) -> tuple[tuple[str, str, FloatArray, FloatArray
     )
 
 
-def thinned(t: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
+def downsampled(t: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[FloatArray, FloatArray]:
     """Return at most `most` (4 or more) points of the curve `y` (N,) over `t` (N,), in the order of time.
 
     The curve is divided into segments of equally many points; its ends and the extremes of each segment stay.
@@ -128,11 +128,6 @@ def thinned(t: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[Floa
     segments = y[np.minimum(first[:, None] + np.arange((last - first).max()), last[:, None] - 1)]
     kept = np.unique([0, *first + segments.argmin(axis=1), *first + segments.argmax(axis=1), len(t) - 1])
     return t[kept], y[kept]
-
-
-def tracked_motions(tracking: Tracking) -> tuple[tuple[Motion, MotionTracking], ...]:
-    """Return both simulated motions with their names."""
-    return ("baseline", tracking.baseline), ("planned", tracking.planned)
 
 
 def _torque(plan: Plan) -> Chart:
@@ -189,7 +184,7 @@ def _tool_deviation(plan: Plan) -> Chart:
 
 def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
     """Yield the tracking error along each axis, all to one scale."""
-    motions = tracked_motions(tracking)
+    motions = tracking.motions
     shown = np.vstack([each for _, motion in motions for each in (motion.error, motion.static)])
     middles = 0.5e3 * (shown.min(axis=0) + shown.max(axis=0))
     half = 0.5e3 * ROOM * float(np.ptp(shown, axis=0).max())
@@ -212,7 +207,7 @@ def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
 def _off_path(tracking: Tracking) -> Chart:
     curves = tuple(
         Curve(motion=name, t=motion.t, y=1e3 * np.linalg.norm(motion.path_error, axis=1))
-        for name, motion in tracked_motions(tracking)
+        for name, motion in tracking.motions
     )
     return Chart(
         key="tracking",

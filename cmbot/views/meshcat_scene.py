@@ -58,10 +58,7 @@ def scene_commands(plan: Plan) -> list[bytes]:
 
 def reach(robot: Robot) -> float:
     """Return the length of the stretched arm, m, to which markers are scaled."""
-    tool = robot.model.frames[robot.tool_frame_id].placement
-    offsets = [X.translation for X in robot.model.jointPlacements[2:]]
-    length = float(sum(np.linalg.norm(p) for p in (*offsets, tool.translation)))
-    return max(length, SHORTEST_REACH)
+    return max(robot.reach, SHORTEST_REACH)
 
 
 def _robot(robot: Robot) -> Iterator[Command]:

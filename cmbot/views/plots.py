@@ -12,7 +12,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views.charts import Chart, charts, joint_quantities, thinned, tracked_motions
+from cmbot.views.charts import Chart, charts, downsampled, joint_quantities
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -162,7 +162,7 @@ def _joints(plan: Plan) -> Figure:
             _forbidden(axes, 1.0, reach)
             _forbidden(axes, -reach, -1.0)
             for joint in range(plan.robot.dof):
-                t, y = thinned(samples.t, shares[:, joint])
+                t, y = downsampled(samples.t, shares[:, joint])
                 colour = _JOINT_COLOURS[joint % len(_JOINT_COLOURS)]
                 dashes = _DASHES[joint // len(_JOINT_COLOURS) % len(_DASHES)]
                 axes.plot(t, y, color=colour, linestyle=dashes, linewidth=0.9)
@@ -184,7 +184,7 @@ def _shares(values: FloatArray, lower: FloatArray, upper: FloatArray) -> FloatAr
 def _tracking(tracking: Tracking) -> Iterator[Figure]:
     yield _tracking_rows("tracking_error", "tracking error", tracking, "error")
     yield _tracking_rows("tracking_dynamic", "dynamic part", tracking, "dynamic")
-    if all(motion.metrics.residual is not None for _, motion in tracked_motions(tracking)):
+    if all(motion.metrics.residual is not None for _, motion in tracking.motions):
         yield _tracking_rows("tracking_residual", "dynamic part", tracking, "dynamic", after_stop=True)
 
 
@@ -194,7 +194,7 @@ def _tracking_rows(
     """Draw a part of the tracking error in a row for each axis; of the error its static part, too."""
     figure = _figure(label, 5.0)
     rows: Sequence[Axes] = figure.subplots(3, 1, sharex=True)
-    motions = tracked_motions(tracking)
+    motions = tracking.motions
     for number, axes in enumerate(rows):
         axes.set_ylabel(f"{what}\nalong {'xyz'[number]}, mm")
         for name, motion in motions:
@@ -222,7 +222,7 @@ def _figure(label: str, height: float) -> Figure:
 
 
 def _line(axes: Axes, t: FloatArray, y: FloatArray, motion: str) -> None:
-    t, y = thinned(t, y)
+    t, y = downsampled(t, y)
     axes.plot(t, y, color=_COLOURS[motion], label=motion)
 
 

@@ -147,7 +147,7 @@ def _link_names(robot: Robot) -> list[str]:
 
 
 def _end(tracking: Tracking, duration: float) -> float:
-    for name, motion in (("planned", tracking.planned), ("baseline", tracking.baseline)):
+    for name, motion in reversed(tracking.motions):
         if not np.isclose(motion.stop, duration, rtol=1e-9, atol=0.0):
             expected = f"{duration:g} s, the plan's duration: the tracking errors of this plan"
             raise InputError("tracking", f"{name}.stop", f"{motion.stop:g} s", expected)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import platform
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
-from importlib import metadata
 from math import inf
 from pathlib import Path
 from typing import Any, Literal
@@ -16,7 +14,7 @@ import numpy as np
 from cmbot.common.validation import given_path
 from cmbot.planning import Certificate, Check, Plan, remarks, require_plan
 from cmbot.simulation import Tracking, off_path, tracking_remarks, tracking_rows, tracking_verdict
-from cmbot.version import __version__
+from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, joint_charts
 from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
 from cmbot.views.replay import replay_html
@@ -25,7 +23,6 @@ from cmbot.views.replay_data import replay_data
 __all__ = ["REPLAY", "REPORT", "bound_use", "headlines", "pages", "report", "report_page"]
 
 REPLAY, REPORT = "replay.html", "report.html"
-_PACKAGES = ("numpy", "scipy", "pin", "coal")
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 
 Row = Sequence[str]
@@ -57,35 +54,15 @@ def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) ->
 def report_page(plan: Plan, tracking: Tracking | None = None) -> str:
     """Return an HTML page with the gains and constraints of a plan, and with its motions in 3-D.
 
-    Like `replay_page` it opens no connection and runs only its own two scripts. It stays below 6 MB, and can
-    be printed.
-
-    Parameters
-    ----------
-    plan : Plan
-    tracking : Tracking, optional
-        Of that plan: its plots and metrics are then on the page, too.
-
-    Raises
-    ------
-    InputError
-        When `tracking` is that of another plan.
-    ModelError, SceneError
-        When a shape cannot be drawn.
+    Like `replay_page`, with the same arguments and errors, it opens no connection and runs only its own two
+    scripts. With `tracking` its plots and metrics are on the page, too. It stays below 6 MB, and can be
+    printed.
     """
     return _report_html(plan, tracking, replay_data(plan, tracking))
 
 
 def pages(plan: Plan, tracking: Tracking | None = None) -> dict[str, bytes]:
-    """Return the pages of `replay` and `report` by their names in a plan directory.
-
-    Raises
-    ------
-    InputError
-        When `tracking` is that of another plan.
-    ModelError, SceneError
-        When a shape cannot be drawn.
-    """
+    """Return `replay_page` and `report_page` by their names in a plan directory, from one set of data."""
     data = replay_data(plan, tracking)
     texts = {REPLAY: replay_html(plan, data), REPORT: _report_html(plan, tracking, data)}
     return {name: text.encode("utf-8", "replace") for name, text in texts.items()}
@@ -358,10 +335,7 @@ def _options(options: Any) -> Iterator[Row]:
 
 
 def _versions(plan: Plan) -> Iterator[Row]:
-    yield "cmbot", __version__
-    yield "python", platform.python_version()
-    for name in _PACKAGES:
-        yield name, metadata.version(name)
+    yield from versions().items()
     yield "scene", plan.scene.content_hash[:16]
     yield "robot", plan.robot.content_hash[:16]
 

@@ -111,19 +111,6 @@ def test_a_batch_equals_pinocchio(rng: np.random.Generator) -> None:
         np.testing.assert_allclose(batch.jacobian[k], J, atol=1e-13)
 
 
-def test_the_torques_derivative(cmbot_robot: Robot, rng: np.random.Generator) -> None:
-    postures = Postures(cmbot_robot)
-    for q in rng.uniform(-3, 3, (5, cmbot_robot.dof)):
-        check_derivative(
-            lambda x: postures.at(x[None]).guardrail_torque[0],
-            q,
-            postures.at(q[None]).guardrail_torque_derivative[0],
-            step=1e-3,
-            rtol=1e-8,
-            atol=1e-6,
-        )
-
-
 @pytest.mark.parametrize("number", [0, 3, 700])
 def test_tool_poses_and_jacobians_are_those_of_each_posture(
     any_arm: Robot, random_states: StateSamples, number: int

@@ -10,7 +10,7 @@ from page_data import floats
 
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views.charts import MOST_POINTS, Chart, charts, joint_charts, thinned
+from cmbot.views.charts import MOST_POINTS, Chart, charts, downsampled, joint_charts
 
 
 def test_peaks_survive_the_thinning(triangle_plan: Plan, triangle_tracking: Tracking) -> None:
@@ -72,7 +72,7 @@ def test_tracking_errors_share_one_scale_and_say_where_they_are_measured_from(
 def test_thinning_keeps_ends_and_extremes(values: list[float], most: int) -> None:
     y = np.array(values)
     t = np.arange(len(y), dtype=float)
-    kept_t, kept_y = thinned(t, y, most)
+    kept_t, kept_y = downsampled(t, y, most)
     assert len(kept_t) <= max(most, len(y) if len(y) <= most else 0)
     assert (np.diff(kept_t) > 0).all()
     np.testing.assert_array_equal(y[kept_t.astype(int)], kept_y)

@@ -11,7 +11,6 @@ subject to the bounds of Eqs. (31)-(32), the tool's deviation and the clearance.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -58,8 +57,10 @@ class TorqueProblem:
         t, q = self.space.t, parametrization.via_points
         self.at_via_points = context.objective.values(StateSamples.at_rest(t, q))
         """The objective at rest in each of the via-points, (n,)."""
-        sampled = parametrization.trajectory.sampled(self.samples_per_segment)
-        self.scale = float(context.objective.values(StateSamples(self.grid, *sampled)).max())
+        sampled = StateSamples.even(parametrization.trajectory, self.samples_per_segment)
+        self.grid = sampled.t
+        """Times (N,) at which functions of the state are sampled."""
+        self.scale = float(context.objective.values(sampled).max())
         fixed = np.setdiff1d(np.arange(len(t)), parametrization.movable)
         if parametrization.retraction is None:
             fixed = fixed[[0, -1]]
@@ -81,13 +82,6 @@ class TorqueProblem:
     def space(self) -> SplineSpace:
         """The splines' space."""
         return self.parametrization.space
-
-    @cached_property
-    def grid(self) -> FloatArray:
-        """Times (N,) at which functions of the state are sampled."""
-        t = self.space.t
-        inner = np.linspace(t[:-1], t[1:], self.samples_per_segment, endpoint=False, axis=1)
-        return np.append(inner.ravel(), t[-1])
 
     def mean_residuals(self, trajectory: QuinticTrajectory) -> tuple[Linearization, ...]:
         """Return weighted parts of the objective at `mean_times`: their squares sum to its mean square."""
