@@ -1,6 +1,6 @@
 """Plan directories: written whole or not at all, checked when they are read."""
 
-from cmbot.archive.folder import add_file, require_free, write_file
+from cmbot.archive.folder import add_file, claim, require_free, write_file
 from cmbot.archive.motion_files import columns
 from cmbot.archive.reading import load_plan, plan_data
 from cmbot.archive.strict_json import json_bytes
@@ -9,6 +9,7 @@ from cmbot.archive.writing import save
 
 __all__ = [
     "add_file",
+    "claim",
     "columns",
     "json_bytes",
     "load_plan",

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from cmbot.archive.folder import PLAN_FILE
+from cmbot.archive.names import PLAN_FILE
 from cmbot.archive.schema import PlanFile, made
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError

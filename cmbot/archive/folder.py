@@ -1,40 +1,33 @@
-"""Folders and files that appear whole or not at all."""
+"""Plan directories on the disk: what may be written where, and how it is read."""
 
 from __future__ import annotations
 
 import os
 import re
-import secrets
-import shutil
 import stat
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager, suppress
+from collections.abc import Collection, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 
+from cmbot.archive.atomic import exclusive, put_file, recover, refusals, replace_folder
+from cmbot.archive.names import APPROACH_FILES, OWN_FILES, PLAN_FILE, SAVED_FILES, SHOWN_FILES, is_own
 from cmbot.archive.strict_json import read_json
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import shown
 
 __all__ = [
-    "APPROACH_FILES",
-    "FORMAT",
-    "PLAN_FILE",
-    "SAVED_FILES",
     "add_file",
+    "add_files",
+    "claim",
     "plans_nearby",
     "read_file",
     "require_free",
+    "require_plan_directory",
+    "shown_files",
     "write_file",
     "write_folder",
 ]
-
-FORMAT = "cmbot-plan/1"
-PLAN_FILE = "plan.json"
-SAVED_FILES = ("trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json")
-"""The files beside `PLAN_FILE` of every plan."""
-APPROACH_FILES = ("approach.csv", "approach.npz", "approach.ros.json")
-"""Those of a plan with an approach."""
 
 _FORMAT_OF_ANY_VERSION = re.compile(r"cmbot-plan/\d+")
 _FILE_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,199}")
@@ -43,29 +36,36 @@ _DEFAULT_PLACE = Path("out")
 _MOST_SUGGESTED = 3
 
 
-def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool) -> None:
-    """Write a plan directory of files by their names: a hidden folder beside it is filled, then renamed.
+@contextmanager
+def claim(directory: str | Path) -> Iterator[None]:
+    """Keep other processes from writing to a plan directory, or to where one is to be, in the meantime.
 
-    With `force` it replaces the plan that is there. An `ArchiveError` is raised when something is in the way
-    or the system refuses; nothing is left behind then.
+    What a call that was killed has left there is brought to rest first.
+
+    Raises
+    ------
+    ArchiveError
+        When another process has claimed it, or nothing can be written there.
     """
-    require_free(directory, force=force)
-    with _refusals(directory), ExitStack() as cleanup:
-        target = _resolved(directory)
-        missing = [parent for parent in target.parents if not parent.exists()]
-        cleanup.callback(_remove_empty, missing)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        part = _unique(target.parent)
-        cleanup.callback(shutil.rmtree, part, ignore_errors=True)
-        part.mkdir()
-        for name, content in contents.items():
-            _write(part / name, content)
-        _sync(part)
-        if force and target.exists():
-            _swap(part, target)
-        else:
-            part.rename(target)
-        _sync(target.parent)
+    directory = Path(directory)
+    with ExitStack() as claimed:
+        with refusals(directory):
+            target = _resolved(directory)
+            _require_writable(directory, target)
+        claimed.enter_context(exclusive(target))
+        yield
+
+
+def write_folder(contents: Mapping[str, bytes], directory: Path, *, force: bool) -> None:
+    """Write a plan directory of files by their names: it appears whole or not at all.
+
+    With `force` it replaces the plan that is there. What is not the plan's stays there. An `ArchiveError` is
+    raised when something is in the way or the system refuses; nothing is left behind then.
+    """
+    with claim(directory):
+        require_free(directory, force=force)
+        _require_names(contents)
+        replace_folder(contents, _resolved(directory))
 
 
 def require_free(directory: str | Path, *, force: bool = False) -> None:
@@ -83,7 +83,7 @@ def require_free(directory: str | Path, *, force: bool = False) -> None:
         When something is in the way, or no folder can be made there.
     """
     directory = Path(directory)
-    with _refusals(directory):
+    with refusals(directory):
         target = _resolved(directory)
         _require_writable(directory, target)
         if not target.exists():
@@ -97,6 +97,7 @@ def require_free(directory: str | Path, *, force: bool = False) -> None:
             got = "a folder with something other than a plan in it"
             expected = "a plan directory or an empty folder: nothing else is replaced, not even with --force"
             raise ArchiveError(str(directory), "", got, expected)
+        _require_no_folder(OWN_FILES, target)
 
 
 def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
@@ -119,7 +120,8 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
     Raises
     ------
     ArchiveError
-        When `directory` is no plan directory, the name is not possible, or the system refuses.
+        When `directory` is no plan directory, the name is not possible, another process is writing there, or
+        the system refuses.
     """
     directory = Path(directory)
     if not _FILE_NAME.fullmatch(name):
@@ -127,24 +129,38 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
         raise ArchiveError("add_file", "name", shown(name), expected)
     if name in (PLAN_FILE, *SAVED_FILES, *APPROACH_FILES):
         raise ArchiveError("add_file", "name", name, "a name that is not one of the plan's own files")
-    with _refusals(directory):
-        target = _resolved(directory)
-        if not _is_plan_directory(target):
-            raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
-        _put(target / name, _in_bytes(content))
+    target, data = require_plan_directory(directory), _in_bytes(content)
+    with exclusive(target) as work, refusals(directory):
+        put_file(target / name, data, work)
     return directory / name
 
 
+def add_files(directory: Path, contents: Mapping[str, bytes]) -> tuple[Path, ...]:
+    """Add files, all of them or none, to a plan directory; earlier ones of their names are replaced.
+
+    The names are those of files that cmbot adds. An `ArchiveError` is raised as by `add_file`.
+    """
+    target = require_plan_directory(directory)
+    with claim(directory):
+        _require_names(contents)
+        _require_no_folder(contents, target)
+        with refusals(directory):
+            keep = {path.name for path in target.iterdir() if is_own(path)} - contents.keys()
+        replace_folder(contents, target, sorted(keep))
+    return tuple(directory / name for name in contents)
+
+
 def write_file(path: Path, content: bytes) -> None:
-    """Write a file, whole or not at all; an earlier one of its name is replaced.
+    """Write a file, whole or not at all; an earlier one of its name is replaced, folders are made as needed.
 
     Raises
     ------
     ArchiveError
-        When the system refuses.
+        When the system refuses, or another process is writing it.
     """
-    with _refusals(path.parent):
-        _put(path, content)
+    target = _resolved(path)
+    with exclusive(target) as work, refusals(path.parent):
+        put_file(target, content, work)
 
 
 def read_file(path: Path) -> bytes:
@@ -189,6 +205,14 @@ def _similar(folder: Path) -> list[Path]:
     return [folder.parent / name for name in get_close_matches(folder.name, names, n=1)]
 
 
+def shown_files(contents: Mapping[str, bytes | str] | None) -> dict[str, bytes]:
+    """Return the bytes of pages and plots by their names; refuse other names."""
+    given = contents or {}
+    if strange := sorted(given.keys() - set(SHOWN_FILES)):
+        raise ArchiveError("added", "", shown(strange[0]), "a page or a plot of a plan", SHOWN_FILES)
+    return {name: _in_bytes(content) for name, content in given.items()}
+
+
 def _in_bytes(content: bytes | str) -> bytes:
     if isinstance(content, bytes):
         return content
@@ -202,19 +226,24 @@ def _in_bytes(content: bytes | str) -> bytes:
 def _resolved(directory: Path) -> Path:
     """Return the absolute path without links: the target of a link is replaced, not the link."""
     try:
-        return directory.resolve()
+        target = directory.resolve()
     except (RuntimeError, ValueError) as error:  # links in a circle; a name that no file can have
         raise ArchiveError(shown(str(directory)), "", shown(str(error)), "the path of a folder") from error
+    if not target.name:
+        raise ArchiveError(str(directory), "", "the root of all folders", "the path of a folder below it")
+    return target
 
 
 def _require_writable(directory: Path, target: Path) -> None:
-    """Refuse a directory whose nearest existing ancestor is no folder, or not writable."""
+    """Refuse a directory that is not writable, or whose nearest existing ancestor is no folder or not."""
     above = next(parent for parent in target.parents if parent.exists())
     expected = "a place that can be written to"
     if not above.is_dir():
         raise ArchiveError(str(directory), "", f"a place below {above}, which is a file", expected)
     if not os.access(above, os.W_OK | os.X_OK):
         raise ArchiveError(str(directory), "", f"a place in {above}, which must not be written to", expected)
+    if target.is_dir() and not os.access(target, os.W_OK | os.X_OK):
+        raise ArchiveError(str(directory), "", "a folder that must not be written to", expected)
 
 
 def _is_plan_directory(folder: Path) -> bool:
@@ -227,66 +256,25 @@ def _is_plan_directory(folder: Path) -> bool:
     return _FORMAT_OF_ANY_VERSION.fullmatch(str(data.get("format"))) is not None
 
 
-def _swap(part: Path, target: Path) -> None:
-    """Replace `target` by `part` and delete it; at every moment one of both can be found."""
-    old = _unique(target.parent)
-    try:
-        target.rename(old)
-        part.rename(target)
-    finally:
-        if old.exists() and not target.exists():
-            old.rename(target)
-    try:
-        shutil.rmtree(old)
-    except OSError as error:
-        got = f"the replaced plan, which cannot be deleted ({error.strerror})"
-        raise ArchiveError(str(old), "", got, "to be deleted by hand; the new plan is in place") from error
+def require_plan_directory(directory: Path) -> Path:
+    """Return the absolute path of a plan directory; refuse any other folder."""
+    with refusals(directory):
+        target = _resolved(directory)
+        recover(target)
+        if not _is_plan_directory(target):
+            raise ArchiveError(str(directory), "", "no plan directory", "a folder that a plan was saved in")
+    return target
 
 
-def _unique(parent: Path) -> Path:
-    return parent / f".cmbot-{secrets.token_hex(8)}.part"
+def _require_names(names: Collection[str]) -> None:
+    """Refuse names other than those of a plan's files: what has another name is never replaced or deleted."""
+    if strange := sorted(set(names) - OWN_FILES):
+        expected = "names of the files that cmbot writes into a plan directory"
+        raise ArchiveError("a plan directory", "", f"a file {shown(strange[0])}", expected)
 
 
-def _remove_empty(folders: Sequence[Path]) -> None:
-    for folder in folders:
-        with suppress(OSError):  # not empty, or never made
-            folder.rmdir()
-
-
-def _put(path: Path, content: bytes) -> None:
-    """Write a hidden file beside its place, then move it there."""
-    with ExitStack() as cleanup:
-        part = _unique(path.parent)
-        cleanup.callback(part.unlink, missing_ok=True)
-        _write(part, content)
-        part.replace(path)
-        _sync(path.parent)
-
-
-def _write(path: Path, content: bytes) -> None:
-    with path.open("xb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-
-
-def _sync(folder: Path) -> None:
-    """Make the names in a folder outlast a power cut."""
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(descriptor)
-    finally:
-        os.close(descriptor)
-
-
-@contextmanager
-def _refusals(directory: Path) -> Iterator[None]:
-    """Turn an OSError into an ArchiveError."""
-    try:
-        yield
-    except ArchiveError:
-        raise
-    except OSError as error:
-        where = f" at {error.filename}" if error.filename else ""
-        got = f"a refusal of the system ({error.strerror or error}{where})"
-        raise ArchiveError(str(directory), "", got, "a place that can be written to") from error
+def _require_no_folder(names: Collection[str], target: Path) -> None:
+    """Refuse folders with the names of a plan's files."""
+    for name in sorted(names):
+        if (target / name).is_dir():
+            raise ArchiveError(str(target / name), "", "a folder", "a file of the plan, or nothing")

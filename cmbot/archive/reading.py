@@ -10,9 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from cmbot.archive.atomic import recover
 from cmbot.archive.consistency import require_fit, require_times, require_unchanged
-from cmbot.archive.folder import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES, plans_nearby, read_file
+from cmbot.archive.folder import plans_nearby, read_file
 from cmbot.archive.motion_files import read_knots, read_motion
+from cmbot.archive.names import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES
 from cmbot.archive.schema import ApproachFile, CertificateFile, MetricsFile, PlanFile, made
 from cmbot.archive.strict_json import read_json
 from cmbot.collision import Clearances
@@ -50,6 +52,8 @@ _SAME, _SAME_ZERO = 1e-6, 1e-9
 
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     """Read a plan directory.
+
+    Where a call that wrote there was killed, what it left is put back first, with a warning.
 
     The scene is checked as one from a file. Robot and meshes are loaded from their paths and must not have
     changed since the plan was made. The baseline's torques, clearances and tool points are computed again.
@@ -119,13 +123,14 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
 
 
 def plan_data(directory: Path) -> dict[str, Any]:
-    """Return what is in a directory's plan.json.
+    """Return what is in a directory's plan.json, after what an interrupted call left there is put back.
 
     Raises
     ------
     ArchiveError
         When it is no plan directory, or the file is damaged or of another version.
     """
+    recover(directory)
     try:
         is_folder = directory.is_dir()
     except (OSError, ValueError) as error:  # no permission; a name that no file can have

@@ -11,8 +11,10 @@ from typing import Any
 import numpy as np
 from pydantic import ConfigDict
 
-from cmbot.archive.folder import PLAN_FILE, add_file, read_file
+from cmbot.archive.atomic import recover
+from cmbot.archive.folder import add_files, claim, read_file, require_plan_directory, shown_files
 from cmbot.archive.motion_files import read_table, table_csv
+from cmbot.archive.names import PLAN_FILE, TRACKING_FILES
 from cmbot.archive.strict_json import json_bytes, read_json
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
@@ -31,10 +33,8 @@ from cmbot.version import __version__
 __all__ = ["load_tracking", "require_no_tracking", "save_tracking", "tracking_json"]
 
 _FORMAT = "cmbot-tracking/1"
-_PLANNED, _BASELINE, _METRICS = "tracking.csv", "tracking_baseline.csv", "tracking.json"
+_PLANNED, _BASELINE, _METRICS = TRACKING_FILES
 _TABLES = {_PLANNED: "planned", _BASELINE: "baseline"}
-# The metrics are written last: where they are, the tables are, too.
-_FILES = (*_TABLES, _METRICS)
 _COLUMNS = ("t", *(f"{part}_{axis}" for part in ("error", "static") for axis in "xyz"))
 
 
@@ -60,8 +60,14 @@ class _TrackingFile(_Entry):
     files: dict[str, str]
 
 
-def save_tracking(tracking: Tracking, directory: str | Path, *, force: bool = False) -> tuple[Path, ...]:
-    """Add the tracking errors to a plan directory, each file whole or not at all.
+def save_tracking(
+    tracking: Tracking,
+    directory: str | Path,
+    *,
+    force: bool = False,
+    added: Mapping[str, bytes | str] | None = None,
+) -> tuple[Path, ...]:
+    """Add the tracking errors to a plan directory, all files or none.
 
     The metrics have a file of their own, ``tracking.json``: ``plan.json``, the certified record of the plan
     with the hashes of its files, is never changed.
@@ -73,6 +79,8 @@ def save_tracking(tracking: Tracking, directory: str | Path, *, force: bool = Fa
     directory : str or Path
     force : bool
         Replace tracking errors that are there.
+    added : mapping from str to bytes or str, optional
+        Pages and plots that are added with them, by their names: those that the command line gives them.
 
     Returns
     -------
@@ -84,21 +92,24 @@ def save_tracking(tracking: Tracking, directory: str | Path, *, force: bool = Fa
     InputError
         When `tracking` is no Tracking, or `directory` no path.
     ArchiveError
-        When `directory` is no plan directory, holds tracking errors already, a number is not finite, or the
-        system refuses.
+        When `directory` is no plan directory, holds tracking errors already, a number is not finite, another
+        process is writing there, or the system refuses.
     """
     expected = "a Tracking, as cmbot.simulate returns it"
     require_type(tracking, Tracking, "cmbot.save_tracking", "tracking", expected)
     folder = given_path(directory, "cmbot.save_tracking", "directory", "the path of a plan directory")
-    require_no_tracking(folder, force=force)
     contents = {}
     for name, attribute in _TABLES.items():
         motion: MotionTracking = getattr(tracking, attribute)
         table = np.column_stack([motion.t, motion.error, motion.static])
         contents[name] = table_csv(_COLUMNS, table, name)
-    hashes = _hashes({PLAN_FILE: read_file(folder / PLAN_FILE), **contents})
-    contents[_METRICS] = json_bytes(tracking_json(tracking) | {"files": hashes}, indent=2)
-    return tuple(add_file(folder, name, content) for name, content in contents.items())
+    pages = shown_files(added)
+    require_plan_directory(folder)
+    with claim(folder):
+        require_no_tracking(folder, force=force)
+        hashes = _hashes({PLAN_FILE: read_file(folder / PLAN_FILE), **contents})
+        contents[_METRICS] = json_bytes(tracking_json(tracking) | {"files": hashes}, indent=2)
+        return add_files(folder, contents | pages)
 
 
 def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
@@ -110,7 +121,7 @@ def require_no_tracking(directory: str | Path, *, force: bool = False) -> None:
         When tracking errors are there and are not to be replaced.
     """
     folder = Path(directory)
-    for name in _FILES:
+    for name in TRACKING_FILES:
         if (folder / name).exists() and not force:
             expected = "a plan without tracking errors; --force (in Python force=True) replaces them"
             raise ArchiveError(str(folder / name), "", "a file that is already there", expected)
@@ -139,7 +150,8 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     """
     require_plan(plan, "cmbot.load_tracking")
     folder = given_path(directory, "cmbot.load_tracking", "directory", "the path of a plan directory")
-    if not any((folder / name).exists() for name in _FILES):
+    recover(folder)
+    if not any((folder / name).exists() for name in TRACKING_FILES):
         return None
     source = str(folder / _METRICS)
     data = read_json(read_file(folder / _METRICS), source)

@@ -9,8 +9,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from cmbot.archive.folder import FORMAT, PLAN_FILE, write_folder
+from cmbot.archive.folder import shown_files, write_folder
 from cmbot.archive.motion_files import motion_files, samples_csv
+from cmbot.archive.names import FORMAT, PLAN_FILE
 from cmbot.archive.schema import PlanFile
 from cmbot.archive.strict_json import json_bytes
 from cmbot.common.errors import ArchiveError
@@ -22,7 +23,13 @@ from cmbot.version import versions
 __all__ = ["save"]
 
 
-def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
+def save(
+    plan: Plan,
+    directory: str | Path,
+    *,
+    force: bool = False,
+    added: Mapping[str, bytes | str] | None = None,
+) -> Path:
     """Write a plan directory; it appears whole or not at all.
 
     Parameters
@@ -31,7 +38,10 @@ def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
     directory : str or Path
         A new folder; folders above it are made as needed.
     force : bool
-        Replace the plan that is there, with all files that were added to it; never another folder.
+        Replace the plan that is there, with its pages, plots and tracking errors; never another folder.
+        Files of other names are not the plan's: they stay.
+    added : mapping from str to bytes or str, optional
+        Pages and plots that appear with it, by their names: those that the command line gives them.
 
     Returns
     -------
@@ -43,18 +53,20 @@ def save(plan: Plan, directory: str | Path, *, force: bool = False) -> Path:
     InputError
         When `plan` is no Plan, or `directory` no path.
     ArchiveError
-        When something is in the way, the system refuses, or the plan holds a number that is not finite.
+        When something is in the way, another process is writing there, the system refuses, or the plan holds
+        a number that is not finite.
     SceneError
         When a file that the scene names is missing, or Python made a scene that no scene file describes.
     """
     require_plan(plan, "cmbot.save")
     directory = given_path(directory, "cmbot.save", "directory", "the path of a new folder")
+    shown = shown_files(added)
     contents = motion_files("trajectory", plan.robot, plan.trajectory, plan.samples)
     contents["baseline.csv"] = samples_csv(plan.baseline, "baseline.csv")
     if plan.approach is not None and plan.approach_samples is not None:
         contents |= motion_files("approach", plan.robot, plan.approach.trajectory, plan.approach_samples)
     contents[PLAN_FILE] = _plan_json(plan, contents)
-    write_folder(contents, directory, force=force)
+    write_folder(contents | shown, directory, force=force)
     return directory
 
 

@@ -6,6 +6,7 @@ import atexit
 import gc
 import sys
 import traceback
+import warnings
 from types import TracebackType
 from typing import Annotated, Any
 
@@ -40,6 +41,7 @@ _UsageError: Any = typer.BadParameter.__bases__[0]
 def main() -> None:
     """Run the command line; turn errors into one line and an exit status."""
     sys.excepthook = _one_line
+    warnings.showwarning = _show_warning
     # No search for reference cycles at exit.
     atexit.register(gc.freeze)
     # --debug is allowed before the verb and after it.
@@ -74,6 +76,11 @@ def _one_line(kind: type[BaseException], error: BaseException, trace: TracebackT
         sys.__excepthook__(kind, error, trace)
     else:
         _print_error(f"{kind.__name__}: {error} (a bug in cmbot: --debug shows where)")
+
+
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    """Print a warning, such as that an interrupted call was made good, in one line."""
+    err.print(f"warning: {flat(message)}")
 
 
 def _debugging() -> bool:

@@ -22,7 +22,7 @@ from cmbot.cli.console import (
     print_result,
     print_table,
 )
-from cmbot.cli.views import add_pages, add_plots, require_plots
+from cmbot.cli.views import plot_files, require_plots
 from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -66,27 +66,29 @@ def plan(
     loaded = cmbot.load_scene(scene)
     options = _changed(asdict(loaded.planner), changes or [])
     # Imports the robot's libraries: after the scene file, so that its errors are reported at once.
-    from cmbot.archive import require_free
+    from cmbot.archive import claim, require_free
     from cmbot.planning import precheck_options
 
     directory = output if output is not None else Path("out") / loaded.name
-    require_free(directory, force=force)
-    require_plots(figures)
-    for finding in () if quiet else precheck_options(options):
-        err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
-    with ConsoleProgress(quiet=quiet) as console_progress:
-        planned = cmbot.plan(loaded, options=options, progress=console_progress.update)
-    cmbot.save(planned, directory, force=force)
-    *_, page = add_pages(planned, None, directory)
-    drawn = add_plots(planned, directory) if figures else ()
+    with claim(directory):
+        require_free(directory, force=force)
+        require_plots(figures)
+        for finding in () if quiet else precheck_options(options):
+            err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
+        with ConsoleProgress(quiet=quiet) as console_progress:
+            planned = cmbot.plan(loaded, options=options, progress=console_progress.update)
+        from cmbot.views import REPORT, pages
+
+        drawn = plot_files(planned, figures)
+        cmbot.save(planned, directory, force=force, added=pages(planned) | drawn)
     if as_json:
         print_result("plan", directory, _summary(planned, directory))
     elif not quiet:
         _print_plan(planned)
         out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
         if drawn:
-            out.print(f"Figures: {', '.join(flat(path.name) for path in drawn)}.")
-        out.print(f"Look at it: open {flat(page)} in a browser.")
+            out.print(f"Figures: {', '.join(drawn)}.")
+        out.print(f"Look at it: open {flat(directory / REPORT)} in a browser.")
 
 
 def _changed(options: dict[str, Any], changes: Sequence[str]) -> cmbot.PlannerOptions:

@@ -18,7 +18,7 @@ from cmbot.cli.console import (
     print_result,
     print_table,
 )
-from cmbot.cli.views import add_pages, add_plots, require_plots
+from cmbot.cli.views import claimed_plan, plot_files, require_plots
 from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,18 +59,20 @@ def simulate(
     Example: [bold]cmbot simulate out/triangle[/bold]
     """
     options = _options(damping=damping, initial=initial, stiffness=stiffness, segments=segments)
-    loaded = cmbot.load_plan(directory)
-    from cmbot.archive import require_no_tracking
+    with claimed_plan(directory) as loaded:
+        from cmbot.archive import require_no_tracking
 
-    require_no_tracking(directory, force=force)
-    require_plots(figures)
-    with ConsoleProgress(quiet=quiet) as progress:
-        progress.stage("simulating", 0.0)
-        tracking = cmbot.simulate(loaded, options, progress=lambda share: progress.stage("simulating", share))
-    written = cmbot.save_tracking(tracking, directory, force=force)
-    written += (pages := add_pages(loaded, tracking, directory))
-    if figures:
-        written += add_plots(tracking, directory)
+        require_no_tracking(directory, force=force)
+        require_plots(figures)
+        with ConsoleProgress(quiet=quiet) as progress:
+            progress.stage("simulating", 0.0)
+            tracking = cmbot.simulate(
+                loaded, options, progress=lambda share: progress.stage("simulating", share)
+            )
+        from cmbot.views import REPORT, pages
+
+        added = pages(loaded, tracking) | plot_files(tracking, figures)
+        written = cmbot.save_tracking(tracking, directory, force=force, added=added)
     if as_json:
         print_result("simulate", directory, _summary(loaded, tracking))
     elif not quiet:
@@ -79,8 +81,8 @@ def simulate(
             _print_tracking(loaded.scene.name, tracking)
         out.print(f"Written to {', '.join(map(flat, written))}.")
         if not details:
-            page = flat(pages[-1])
-            out.print(f"All figures: {page}, under Simulation; --details --force prints them.")
+            page = directory / REPORT
+            out.print(f"All figures: {flat(page)}, under Simulation; --details --force prints them.")
 
 
 def reproduce(

@@ -1,7 +1,9 @@
-"""The verbs of the command line that show a plan, and the pages and plots that other verbs add to one."""
+"""The verbs of the command line that show a plan, and what other verbs need to add pages and plots to one."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,7 +17,7 @@ if TYPE_CHECKING:
     from cmbot.planning import Plan
     from cmbot.simulation import Tracking
 
-__all__ = ["add_pages", "add_plots", "replay", "report", "require_plots"]
+__all__ = ["claimed_plan", "plot_files", "replay", "report", "require_plots"]
 
 PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
@@ -38,14 +40,20 @@ def replay(
     if len(given) > 1:
         got = "both" if len(given) == 2 else "all"
         raise InputError("cmbot replay", ", ".join(given), got, "one of them")
+    from cmbot.views import REPLAY, ReplayServer, film, replay_page
+
+    if not given:
+        with claimed_plan(directory) as loaded:
+            tracking = cmbot.load_tracking(loaded, directory)
+            written = _add(directory, REPLAY, replay_page(loaded, tracking))
+        out.print(f"Written to {flat(written)}.")
+        return
     loaded = cmbot.load_plan(directory)
     tracking = cmbot.load_tracking(loaded, directory)
     if html is not None:
         cmbot.replay(loaded, html=html, tracking=tracking)
         out.print(f"Written to {flat(html)}.")
         return
-    from cmbot.views import REPLAY, ReplayServer, film, replay_page
-
     page = replay_page(loaded, tracking)
     if serve:
         with ReplayServer(page) as server:
@@ -59,8 +67,6 @@ def replay(
             progress.stage("filming")
             film(page, video, progress=lambda share: progress.stage(f"filming, {100 * share:.0f} %"))
         out.print(f"Written to {flat(video)}.")
-    else:
-        out.print(f"Written to {flat(_add(directory, REPLAY, page))}.")
 
 
 def report(
@@ -80,23 +86,27 @@ def report(
     """
     if html is not None and html.exists() and not force:
         raise InputError(str(html), "", "a file that is already there", "a new file, or --force")
-    loaded = cmbot.load_plan(directory)
-    tracking = cmbot.load_tracking(loaded, directory)
     if html is not None:
-        cmbot.report(loaded, html=html, tracking=tracking)
+        loaded = cmbot.load_plan(directory)
+        cmbot.report(loaded, html=html, tracking=cmbot.load_tracking(loaded, directory))
         out.print(f"Written to {flat(html)}.")
-    else:
-        from cmbot.views import REPORT, report_page
+        return
+    from cmbot.views import REPORT, report_page
 
-        out.print(f"Written to {flat(_add(directory, REPORT, report_page(loaded, tracking)))}.")
+    with claimed_plan(directory) as loaded:
+        page = report_page(loaded, cmbot.load_tracking(loaded, directory))
+        written = _add(directory, REPORT, page)
+    out.print(f"Written to {flat(written)}.")
 
 
-def add_pages(planned: Plan, tracking: Tracking | None, directory: Path) -> tuple[Path, ...]:
-    """Put replay and report into a plan directory, each whole or not at all."""
-    from cmbot.archive import add_file
-    from cmbot.views import pages
+@contextmanager
+def claimed_plan(directory: Path) -> Iterator[Plan]:
+    """Read a plan and keep other processes from changing its directory in the meantime."""
+    from cmbot.archive import claim, plan_data
 
-    return tuple(add_file(directory, name, page) for name, page in pages(planned, tracking).items())
+    plan_data(directory)  # what is no plan directory is refused before anything is written beside it
+    with claim(directory):
+        yield cmbot.load_plan(directory)
 
 
 def require_plots(wanted: bool) -> None:
@@ -107,12 +117,13 @@ def require_plots(wanted: bool) -> None:
         require_matplotlib()
 
 
-def add_plots(result: Plan | Tracking, directory: Path) -> tuple[Path, ...]:
-    """Put plots into a plan directory as PNG and SVG, each file whole or not at all."""
-    from cmbot.archive import add_file
+def plot_files(result: Plan | Tracking, wanted: bool) -> dict[str, bytes]:
+    """Return plots as PNG and SVG files by their names, if they are wanted."""
+    if not wanted:
+        return {}
     from cmbot.views import figure_files, plot
 
-    return tuple(add_file(directory, name, content) for name, content in figure_files(plot(result)))
+    return dict(figure_files(plot(result)))
 
 
 def _add(directory: Path, name: str, page: str) -> Path:

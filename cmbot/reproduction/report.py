@@ -7,7 +7,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from cmbot.archive import add_file, json_bytes, require_free, save, save_tracking, write_file
+from cmbot.archive import json_bytes, require_free, save, save_tracking, write_file
 from cmbot.common.errors import ArchiveError
 from cmbot.reproduction.agreement import findings, reasons
 from cmbot.reproduction.experiment import Experiment, Reproduction, Run, axes, reduction
@@ -77,9 +77,7 @@ def save_reproduction(
     for experiment in reproduction.experiments:
         target, run = folder / experiment.paper.scene, experiment.planned
         save(run.plan, target, force=force)
-        save_tracking(run.equilibrium, target)
-        for name, page in pages(run.plan, run.equilibrium).items():
-            add_file(target, name, page)
+        save_tracking(run.equilibrium, target, added=pages(run.plan, run.equilibrium))
     write_file(folder / _FIGURES, json_bytes(as_json(reproduction), indent=2))
     write_file(folder / _PAGE, markdown(reproduction).encode())
     return folder / _PAGE, folder / _FIGURES

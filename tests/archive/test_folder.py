@@ -1,7 +1,6 @@
 """Plan directories appear whole or not at all, and replace nothing but plans."""
 
 import os
-import shutil
 from functools import partial
 from itertools import count, product
 from pathlib import Path
@@ -10,20 +9,25 @@ from unittest.mock import Mock
 import pytest
 from plan_folders import names
 
-from cmbot.archive import add_file, require_free
-from cmbot.archive.folder import APPROACH_FILES, SAVED_FILES, write_folder
+from cmbot.archive import add_file, atomic, require_free
+from cmbot.archive.folder import add_files, write_folder
+from cmbot.archive.names import APPROACH_FILES, SAVED_FILES
 from cmbot.common.errors import ArchiveError
 
-CONTENTS = {"plan.json": b'{"format": "cmbot-plan/1"}', "a.csv": b"1,2\n", "b.npz": b"\0"}
+CONTENTS = {"plan.json": b'{"format": "cmbot-plan/1"}', "trajectory.csv": b"1,2\n", "trajectory.npz": b"\0"}
+CHANGED = CONTENTS | {"trajectory.csv": b"3,4\n"}
 FILES = set(CONTENTS)
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A plan directory with a file that was added to it."""
+    """A plan directory with a file that is not the plan's."""
     write_folder(CONTENTS, tmp_path / "plan", force=False)
     (tmp_path / "plan" / "old").touch()
     return tmp_path / "plan"
+
+
+ALWAYS = 0
 
 
 def failing(function, at, error):
@@ -31,14 +35,15 @@ def failing(function, at, error):
     calls = count(1)
 
     def stand_in(*args):
-        if next(calls) == at:
+        if next(calls) == at or at == ALWAYS:
             raise error
         return function(*args)
 
     return stand_in
 
 
-@pytest.mark.parametrize("call", range(1, 6))  # three files, the folder, the folder above
+# Three files, the folder, the folder above; with force again the folder and the one above.
+@pytest.mark.parametrize("call", range(1, 8))
 @pytest.mark.parametrize("force", [False, True])
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch, call, force, error):
@@ -47,36 +52,30 @@ def test_a_failure_leaves_nothing_behind(tmp_path, monkeypatch, call, force, err
         write_folder(CONTENTS, target, force=False)
         (target / "old").touch()
     monkeypatch.setattr(os, "fsync", failing(os.fsync, call, error))
-    with pytest.raises(ArchiveError if isinstance(error, OSError) else KeyboardInterrupt):
-        write_folder(CONTENTS, target, force=force)
+    if force or call <= 5:
+        with pytest.raises(ArchiveError if isinstance(error, OSError) else KeyboardInterrupt):
+            write_folder(CHANGED, target, force=force)
     if call < 5 and not force:
         assert not list(tmp_path.iterdir())
         return
-    # At the last call the plan is in place, and whole.
-    assert names(target) == FILES | ({"old"} if call < 5 else set())
-    assert names(target.parent) == {"plan"}
+    if force:
+        assert names(target) == FILES | {"old"}
+        expected = CONTENTS if call < 5 else CHANGED
+        assert (target / "trajectory.csv").read_bytes() == expected["trajectory.csv"]
+        assert names(target.parent) == {"plan"}
 
 
-@pytest.mark.parametrize("call", [1, 2])
+@pytest.mark.parametrize("call", range(1, 7))  # three for each of two swaps
 @pytest.mark.parametrize("error", [OSError(5, "Input/output error"), KeyboardInterrupt()])
-def test_a_failed_swap_keeps_the_old_plan(folder, monkeypatch, call, error):
+def test_a_failed_rename_leaves_a_whole_plan(folder, monkeypatch, call, error):
+    monkeypatch.setattr(atomic, "_swap_at_once", lambda one, other: False)
     monkeypatch.setattr(Path, "rename", failing(Path.rename, call, error))
     with pytest.raises((ArchiveError, KeyboardInterrupt)):
-        write_folder(CONTENTS, folder, force=True)
+        write_folder(CHANGED, folder, force=True)
     assert names(folder) == FILES | {"old"}
+    expected = CONTENTS if call < 3 else CHANGED
+    assert (folder / "trajectory.csv").read_bytes() == expected["trajectory.csv"]
     assert names(folder.parent) == {"plan"}
-
-
-def test_an_old_plan_that_cannot_be_deleted_is_named(folder, monkeypatch):
-    def refuse(path, ignore_errors=False):
-        if not ignore_errors:
-            raise OSError(13, "Permission denied")
-
-    monkeypatch.setattr(shutil, "rmtree", refuse)
-    with pytest.raises(ArchiveError, match="the new plan is in place") as caught:
-        write_folder(CONTENTS, folder, force=True)
-    assert names(folder) == FILES
-    assert names(Path(caught.value.source)) == FILES | {"old"}
 
 
 def test_a_place_that_cannot_be_written_to(tmp_path):
@@ -117,11 +116,18 @@ def test_what_is_free_and_where_nothing_can_be_made_is_said_before_the_work(fold
 
 @pytest.mark.parametrize("version", [1, 2])
 @pytest.mark.parametrize("place", ["plan", "link"])
-def test_force_replaces_a_plan_of_any_version_and_what_was_added_to_it(folder, version, place):
+def test_force_replaces_a_plan_of_any_version_and_its_pages_alone(folder, version, place):
     (folder.parent / "link").symlink_to(folder)
     (folder / "plan.json").write_text(f'{{"format": "cmbot-plan/{version}"}}')
+    add_files(folder, {"tracking.csv": b"", "report.html": b""})
+    (folder / "photos").mkdir()
+    (folder / "photos" / "report.html").touch()
+    before = folder.stat()
     write_folder(CONTENTS, folder.parent / place, force=True)
-    assert names(folder) == FILES
+    assert names(folder) == FILES | {"old", "photos"}
+    assert names(folder / "photos") == {"report.html"}
+    # A shell that stands in it stays there.
+    assert os.path.samestat(folder.stat(), before)
     assert names(folder.parent) == {"plan", "link"}
     assert (folder.parent / "link").is_symlink()
 
@@ -144,6 +150,36 @@ def test_force_never_destroys_another_folder(tmp_path, plan_json, ask):
     with pytest.raises(ArchiveError, match="something other than a plan"):
         ask(tmp_path, force=True)
     assert names(tmp_path) == before
+
+
+@pytest.mark.parametrize("swaps", [True, False])
+@pytest.mark.parametrize("links", [True, False])
+def test_on_any_file_system_all_files_change_at_once(folder, monkeypatch, swaps, links):
+    if not swaps:
+        monkeypatch.setattr(atomic, "_swap_at_once", lambda one, other: False)
+    if not links:
+        monkeypatch.setattr(Path, "hardlink_to", failing(Path.hardlink_to, ALWAYS, OSError(1, "no")))
+    pages = {"replay.html": b"1", "report.html": b"2"}
+    assert add_files(folder, pages) == (folder / "replay.html", folder / "report.html")
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == CONTENTS | pages | {"old": b""}
+    assert all(path.stat().st_nlink == 1 for path in folder.iterdir())
+    assert names(folder.parent) == {"plan"}
+
+
+def test_folders_with_names_of_files_are_in_the_way(folder):
+    (folder / "report.html").mkdir()
+    for ask in (partial(require_free, force=True), partial(write_folder, CONTENTS, force=True)):
+        with pytest.raises(ArchiveError, match=r"report\.html: got a folder"):
+            ask(folder)
+    with pytest.raises(ArchiveError, match=r"report\.html: got a folder"):
+        add_files(folder, {"report.html": b""})
+    assert names(folder) == FILES | {"old", "report.html"}
+
+
+def test_only_names_of_a_plans_files_are_written(tmp_path):
+    with pytest.raises(ArchiveError, match=r"got a file 'thesis\.tex'"):
+        write_folder(CONTENTS | {"thesis.tex": b""}, tmp_path / "plan", force=False)
+    assert not list(tmp_path.iterdir())
 
 
 def test_force_never_replaces_a_file(tmp_path):

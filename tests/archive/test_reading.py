@@ -11,7 +11,7 @@ import pytest
 from plan_folders import FILES, edit, same_arrays
 
 from cmbot.archive import load_plan, save
-from cmbot.archive.folder import APPROACH_FILES
+from cmbot.archive.names import APPROACH_FILES
 from cmbot.common.errors import ArchiveError, PathNotFound
 from cmbot.planning import Plan, Start
 from cmbot.planning.verification.metrics import figures

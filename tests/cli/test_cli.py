@@ -5,7 +5,9 @@ import shutil
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
 from unittest.mock import Mock
 from urllib.request import urlopen
 
@@ -26,6 +28,7 @@ from plan_folders import names
 from small_scenes import SHORT
 
 import cmbot
+from cmbot.archive import claim
 
 SAVED = {"plan.json", "baseline.csv", "replay.html", "report.html"} | {
     f"trajectory.{suffix}" for suffix in ("csv", "npz", "ros.json")
@@ -133,7 +136,7 @@ def test_plan_writes_to_out_by_default_and_shows_a_name_as_it_is(tmp_path: Path)
     (tmp_path / "out" / "short" / "replay.html").write_text("old", encoding="utf-8")
     (tmp_path / "out" / "short" / "notes.txt").touch()
     assert run("plan", "short.yaml", "--force").status == 0
-    assert "notes.txt" not in names(tmp_path / "out" / "short")
+    assert "notes.txt" in names(tmp_path / "out" / "short")
     assert (tmp_path / "out" / "short" / "replay.html").stat().st_size > 100_000
     name = "a [red]b[/red]  :warning:"
     assert f"Written to {name} in " in output("plan", "short.yaml", "-o", name)
@@ -180,11 +183,13 @@ def test_report_replaces_no_file_elsewhere_unasked(directory: Path, tmp_path: Pa
 
 @pytest.mark.usefixtures("known")
 def test_pages_are_added_by_the_archive(directory: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """So that it comes whole, and into nothing but a plan directory."""
+    """So that they come whole, and into nothing but a plan directory; those of a plan together with it."""
     added: list[tuple[Path, str]] = []
     monkeypatch.setattr(
         cmbot.archive, "add_file", lambda folder, name, _: added.append((folder, name)) or folder / name
     )
+    save = Mock()
+    monkeypatch.setattr(cmbot, "save", save)
     for words in (
         ("plan", "short.yaml", "-o", directory, "--force"),
         ("replay", directory),
@@ -192,7 +197,36 @@ def test_pages_are_added_by_the_archive(directory: Path, monkeypatch: pytest.Mon
     ):
         assert run(*words).status == 0
     pages = ("replay.html", "report.html")
-    assert added == [(directory, name) for name in (*pages, *pages)]
+    assert added == [(directory, name) for name in pages]
+    assert tuple(save.call_args.kwargs["added"]) == pages
+
+
+@pytest.mark.usefixtures("known")
+def test_where_another_process_writes_a_call_is_refused_in_one_line(directory: Path) -> None:
+    ended, claimed = Event(), Event()
+
+    def other() -> None:
+        with claim(directory):
+            claimed.set()
+            ended.wait()
+
+    with ThreadPoolExecutor() as threads:
+        done = threads.submit(other)
+        claimed.wait()
+        try:
+            for words in (
+                ("plan", "short.yaml", "-o", directory, "--force"),
+                ("simulate", directory, "--force"),
+                ("replay", directory),
+                ("report", directory),
+            ):
+                line = refusal(*words)
+                assert line.startswith(f"error: {directory}: got a place where another process is writing")
+            cmbot.load_plan(directory)
+        finally:
+            ended.set()
+        done.result()
+    assert run("report", directory).status == 0
 
 
 def test_replay_serves_the_page_until_ctrl_c(directory: Path) -> None:

@@ -330,7 +330,8 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     write_file(tmp_path / "page.md", b"new")
     assert (tmp_path / "page.md").read_bytes() == b"new"
     (tmp_path / "taken").mkdir()
-    for path in (tmp_path / "nosuch" / "page.md", tmp_path / "taken"):
+    (tmp_path / "taken" / "file").touch()
+    for path in (tmp_path / "page.md" / "page.md", tmp_path / "taken"):
         with pytest.raises(ArchiveError, match="refusal of the system"):
             write_file(path, b"text")
     assert names(tmp_path) == {"page.md", "taken"}

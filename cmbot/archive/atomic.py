@@ -1,0 +1,273 @@
+"""Folders and files that change at once, whatever stops the process.
+
+Whoever changes ``NAME`` works beside it, in the hidden folder ``.NAME.cmbot-part``::
+
+    lock    held by the process (flock); the system releases it when the process ends
+    file    a file that is being written
+    new     the next content of NAME; after the swap, the folder that NAME was before
+    old     NAME between two renames, where the system cannot swap names
+
+`settle` brings these to rest. It runs when the work ends, and again in the next call on NAME, because a call
+may be killed at any time.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import fcntl
+import itertools
+import os
+import shutil
+import warnings
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from contextvars import ContextVar
+from pathlib import Path
+
+from cmbot.archive.names import is_own
+from cmbot.common.errors import ArchiveError
+
+__all__ = ["exclusive", "put_file", "recover", "refusals", "replace_folder"]
+
+_LOCK, _FILE, _NEW, _OLD = "lock", "file", "new", "old"
+# How often the lock is tried again when the call that held it removes it at that moment.
+_ATTEMPTS = 100
+
+# linux/fcntl.h, linux/fs.h
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
+# What renameat2 says where kernel, file system or a sandbox does not have it.
+_NO_SWAP = (errno.ENOSYS, errno.EINVAL, errno.EOPNOTSUPP, errno.EPERM)
+
+_held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())
+
+
+@contextmanager
+def exclusive(target: Path) -> Iterator[Path]:
+    """Keep other processes and threads away from a target; yield the work folder beside it.
+
+    Folders above the target are made as needed, and removed again if nothing is in them at the end. Inside
+    another `exclusive` of the same target this does nothing.
+
+    Parameters
+    ----------
+    target : Path
+        Absolute and without links; it need not exist.
+
+    Raises
+    ------
+    ArchiveError
+        When another process has the target, the system refuses, or something cannot be brought to rest.
+    """
+    work = _work_folder(target)
+    if target in _held.get():
+        yield work
+        return
+    with ExitStack() as cleanup:
+        with refusals(target):
+            cleanup.callback(_remove_empty, [parent for parent in target.parents if not parent.exists()])
+            cleanup.callback(_unlock, work, _lock(work, target))
+        cleanup.callback(_held.reset, _held.set(_held.get() | {target}))
+        if put_back := _settle(work, target):
+            text = f"{target}: a call was interrupted when it wrote there; put back: {', '.join(put_back)}"
+            warnings.warn(text, stacklevel=2)
+        try:
+            yield work
+        finally:
+            _settle(work, target)
+
+
+def recover(path: Path) -> None:
+    """Bring to rest what a call that was killed has left of a target, unless another process has it.
+
+    Where nothing can be written, or the path is impossible, nothing is done.
+    """
+    with suppress(OSError, RuntimeError, ValueError):  # an ArchiveError is a ValueError
+        target = path.resolve()
+        if _work_folder(target).exists():
+            with exclusive(target):
+                pass
+
+
+def replace_folder(contents: Mapping[str, bytes], target: Path, keep: Collection[str] = ()) -> None:
+    """Make a folder hold the files `contents` and, of its own files, those in `keep`: all at once.
+
+    What is not the plan's stays in it. To be called inside `exclusive`.
+    """
+    with exclusive(target) as work, refusals(target):
+        new = work / _NEW
+        new.mkdir()
+        for name in keep:
+            _link(target / name, new / name)
+        for name, content in contents.items():
+            _write(new / name, content)
+        _sync(new)
+        if not target.exists():
+            new.rename(target)
+            _sync(target.parent)
+            return
+        shutil.copymode(target, new)
+        _swap(new, target, work / _OLD)
+        _sync(target.parent)
+        # The folder itself gets the same files and its name back: shells and programs may be open in it, and
+        # what is not the plan's has never left it.
+        for path in filter(is_own, list(new.iterdir())):
+            path.unlink()
+        for name in (*keep, *contents):
+            _link(target / name, new / name)
+        _sync(new)
+        _swap(new, target, work / _OLD)
+        _sync(target.parent)
+
+
+def put_file(path: Path, content: bytes, work: Path) -> None:
+    """Write a file into a work folder and move it to its place, where it replaces an earlier one."""
+    part = work / _FILE
+    _write(part, content)
+    part.replace(path)
+    _sync(path.parent)
+
+
+@contextmanager
+def refusals(directory: Path) -> Iterator[None]:
+    """Turn an OSError into an ArchiveError."""
+    try:
+        yield
+    except OSError as error:
+        where = f" at {error.filename}" if error.filename else ""
+        got = f"a refusal of the system ({error.strerror or error}{where})"
+        raise ArchiveError(str(directory), "", got, "a place that can be written to") from error
+
+
+def _work_folder(target: Path) -> Path:
+    return target.with_name(f".{target.name}.cmbot-part")
+
+
+# The lock
+
+
+def _lock(work: Path, target: Path) -> int:
+    """Make the work folder and lock it; return the lock's file descriptor."""
+    for _ in range(_ATTEMPTS):
+        # FileNotFoundError: the call that had the lock removes it at this moment.
+        with suppress(FileNotFoundError), ExitStack() as cleanup:
+            work.mkdir(parents=True, exist_ok=True)
+            descriptor = os.open(work / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+            cleanup.callback(os.close, descriptor)
+            try:
+                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                break
+            if os.path.samestat(os.fstat(descriptor), (work / _LOCK).stat()):
+                cleanup.pop_all()
+                return descriptor
+    expected = "one process at a time: wait until it has finished, or take another place"
+    raise ArchiveError(str(target), "", "a place where another process is writing", expected)
+
+
+def _unlock(work: Path, descriptor: int) -> None:
+    with suppress(OSError):  # not empty: another call has taken it between the two
+        (work / _LOCK).unlink()
+        work.rmdir()
+    os.close(descriptor)
+
+
+def _remove_empty(folders: Sequence[Path]) -> None:
+    for folder in folders:
+        with suppress(OSError):  # not empty, or never made
+            folder.rmdir()
+
+
+# What a call leaves
+
+
+def _settle(work: Path, target: Path) -> list[str]:
+    """Empty the work folder but for the lock; return what had to be put back to the target."""
+    old, put_back = work / _OLD, list[str]()
+    try:
+        (work / _FILE).unlink(missing_ok=True)
+        if old.exists() and not target.exists():
+            old.rename(target)
+            _sync(target.parent)
+            put_back.append("the plan")
+        for folder in (work / _NEW, old):
+            if folder.exists():
+                put_back += _discard(folder, target)
+    except OSError as error:
+        got = f"remains of a call that cannot be cleared ({error.strerror} at {error.filename})"
+        raise ArchiveError(str(work), "", got, "a folder that can be cleared, or to be moved away") from error
+    return put_back
+
+
+def _discard(folder: Path, target: Path) -> list[str]:
+    """Delete a folder; what is not the plan's goes to `target` and is named."""
+    moved = []
+    for path in sorted(folder.iterdir()):
+        if is_own(path):
+            path.unlink()
+        else:
+            moved.append(_move(path, target))
+    folder.rmdir()
+    return moved
+
+
+def _move(path: Path, target: Path) -> str:
+    """Move something into the folder `target`, where nothing is replaced; return its name there."""
+    if not target.is_dir():
+        got = "a file that is not the plan's; the plan directory that it was in is gone"
+        raise ArchiveError(str(path), "", got, "it to be moved elsewhere by hand")
+    names = itertools.chain([path.name], (f"{path.name}.{number}" for number in itertools.count(1)))
+    name = next(name for name in names if not os.path.lexists(target / name))
+    path.rename(target / name)
+    return name
+
+
+# Names and files
+
+
+def _swap(one: Path, other: Path, spare: Path) -> None:
+    """Swap two names; by way of a third, `spare`, where that cannot be done at once."""
+    if not _swap_at_once(one, other):
+        other.rename(spare)
+        _sync(spare.parent)
+        one.rename(other)
+        _sync(other.parent)
+        spare.rename(one)
+
+
+def _swap_at_once(one: Path, other: Path) -> bool:
+    """Swap two names in one system call; return False where there is none."""
+    renameat2 = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if renameat2 is None:
+        return False
+    paths = (_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other))
+    if renameat2(*paths, _RENAME_EXCHANGE) == 0:
+        return True
+    code = ctypes.get_errno()
+    if code in _NO_SWAP:
+        return False
+    raise OSError(code, os.strerror(code), str(other))
+
+
+def _link(source: Path, place: Path) -> None:
+    """Give a file a second name, or copy it where the file system has no links."""
+    try:
+        place.hardlink_to(source)
+    except OSError:
+        _write(place, source.read_bytes())
+
+
+def _write(path: Path, content: bytes) -> None:
+    with path.open("xb") as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync(folder: Path) -> None:
+    """Make the names in a folder outlast a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
