@@ -1,0 +1,171 @@
+"""Calls that are killed at any step on the file system leave all or nothing, and the next one goes on."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import warnings
+from collections.abc import Callable
+from dataclasses import fields, replace
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import write_scene
+from killed_calls import dies_at
+from plan_folders import names
+from small_scenes import SHORT
+
+import cmbot
+import cmbot.views
+from cmbot.archive import load_plan, load_tracking, plan_data, writing
+from cmbot.archive.names import OWN_FILES
+from cmbot.cli import planning, simulation, views
+from cmbot.planning import Plan, Samples
+from cmbot.simulation import Tracking
+
+NOTES = "notes.txt"
+TARGET = Path("work/plan")
+# What is called, and whether there is a plan directory before, and whether it has been simulated.
+CALLS: dict[str, tuple[Callable[[bool], None], bool, bool]] = {
+    "plan": (lambda force: planning.plan("short.yaml", TARGET, force=force, quiet=True), False, False),
+    "plan --force": (lambda _: planning.plan("short.yaml", TARGET, force=True, quiet=True), True, True),
+    "simulate": (lambda force: simulation.simulate(TARGET, force=force, quiet=True), True, False),
+    "simulate --force": (lambda _: simulation.simulate(TARGET, force=True, quiet=True), True, True),
+    "report": (lambda _: views.report(TARGET), True, True),
+}
+
+
+@pytest.fixture(scope="module")
+def plans(short_plan: Plan) -> tuple[Plan, Plan]:
+    """Two plans that differ, with few samples of the baseline."""
+
+    def thinned(step: int) -> Plan:
+        samples = short_plan.baseline
+        whole = {field.name: getattr(samples, field.name) for field in fields(samples)}
+        few = {name: None if value is None else value[::step] for name, value in whole.items()}
+        return replace(short_plan, baseline=Samples(**few))
+
+    return thinned(200), thinned(100)
+
+
+@pytest.fixture(scope="module")
+def trackings(short_tracking: Tracking) -> tuple[Tracking, Tracking]:
+    """Two simulations that differ, with few samples."""
+
+    def scaled(factor: float) -> Tracking:
+        motions = {}
+        for name in ("baseline", "planned"):
+            motion = getattr(short_tracking, name)
+            few = {key: getattr(motion, key)[::20] for key in ("t", "error", "static")}
+            motions[name] = replace(motion, **few | {"error": factor * few["error"]})
+        return replace(short_tracking, **motions)
+
+    return scaled(1.0), scaled(2.0)
+
+
+def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that is computed once for each first argument."""
+    results: dict[Any, Any] = {}
+
+    def stand_in(first: Any, *others: Any) -> Any:
+        key = first if isinstance(first, str) else id(first)
+        if key not in results:
+            results[key] = function(first, *others)
+        return results[key]
+
+    return stand_in
+
+
+@pytest.fixture
+def folder(
+    plans: tuple[Plan, Plan],
+    trackings: tuple[Tracking, Tracking],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> Path:
+    """The current folder, in which planning, simulation and pages take no time, and give what is new."""
+    monkeypatch.chdir(tmp_path)
+    scene = cmbot.load_scene(write_scene(tmp_path / "short.yaml", SHORT))
+    pages = {f"{name}.html": f"<p>new {name}</p>".encode() for name in ("replay", "report")}
+    for module, name, value in (
+        (cmbot, "load_scene", lambda path: scene),
+        (cmbot, "plan", lambda scene, options, progress: plans[1]),
+        (cmbot, "simulate", lambda plan, options, progress: trackings[1]),
+        (cmbot, "load_plan", lambda directory: plans[0]),
+        (cmbot, "load_tracking", lambda plan, directory: trackings[0]),
+        (cmbot.views, "pages", lambda plan, tracking=None: pages),
+        (cmbot.views, "report_page", lambda plan, tracking: "<p>new</p>"),
+        (writing, "_plan_json", remembered(writing._plan_json)),
+        (writing, "samples_csv", remembered(writing.samples_csv)),
+        (os, "fsync", lambda descriptor: None),
+    ):
+        monkeypatch.setattr(module, name, value)
+    return tmp_path
+
+
+def own_files(folder: Path) -> dict[str, bytes] | None:
+    """What the plan's files in a folder hold, if it is there."""
+    if not folder.exists():
+        return None
+    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name in OWN_FILES}
+
+
+def notes(folder: Path) -> list[str]:
+    """What stands in all files in and below a folder that are not the plan's."""
+    return [path.read_text(encoding="utf-8") for path in folder.rglob(NOTES)]
+
+
+@pytest.mark.parametrize(
+    ("name", "swaps"),
+    [*((name, True) for name in CALLS), ("plan --force", False), ("simulate --force", False)],
+)
+def test_a_kill_leaves_the_old_or_the_new(
+    folder: Path,
+    plans: tuple[Plan, Plan],
+    trackings: tuple[Tracking, Tracking],
+    name: str,
+    swaps: bool,
+) -> None:
+    call, there, simulated = CALLS[name]
+    before, work = folder / "before", folder / "work"
+    before.mkdir()
+    if there:
+        cmbot.save(
+            plans[0], before / "plan", added={"replay.html": "<p>old</p>", "report.html": "<p>old</p>"}
+        )
+        (before / "plan" / NOTES).write_text("mine", encoding="utf-8")
+    if simulated:
+        cmbot.save_tracking(trackings[0], before / "plan")
+    mine = notes(before)
+    shutil.copytree(before, work)
+    call(False)
+    old, new = own_files(before / "plan"), own_files(TARGET)
+    assert old != new
+    assert names(work) == {"plan"}
+    seen = []
+    for step in count(1):
+        shutil.rmtree(work)
+        shutil.copytree(before, work)
+        if not dies_at(step, lambda: call(False), swaps=swaps):
+            break
+        state = own_files(TARGET)
+        # Without a swap of names there is a moment without the plan; the next call puts it in place.
+        assert state in (old, new) or (not swaps and state is None)
+        assert notes(work) == mine
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            if step % 2 and (there or state is not None):
+                plan_data(TARGET)
+                assert own_files(TARGET) in ((old, new) if state is None else (state,))
+                assert names(work) == {"plan"}
+            call(True)
+        assert own_files(TARGET) == new
+        assert notes(TARGET) == mine
+        assert names(work) == {"plan"}
+        seen.append(state)
+    assert (seen[0], seen[-1]) == (old, new)
+    for place in (before / "plan", TARGET) if there else (TARGET,):
+        tracking = load_tracking(load_plan(place), place)
+        assert (tracking is None) == ("tracking.json" not in names(place))
