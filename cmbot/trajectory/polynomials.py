@@ -9,7 +9,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 
-__all__ = ["derivative", "hull", "roots_in_unit_interval", "values"]
+__all__ = ["bernstein_coefficients", "derivative", "halves", "hull", "roots_in_unit_interval", "values"]
 
 
 # A root is found once the next step is no longer than this; so many steps are enough, even if every other one
@@ -34,14 +34,31 @@ def hull(c: FloatArray) -> tuple[FloatArray, FloatArray]:
     centennial retrospective", 2012, Section 5.1. Far cheaper than extrema, and for short segments of a smooth
     curve hardly wider.
     """
-    b = c @ _to_bernstein(c.shape[-1] - 1)
+    b = bernstein_coefficients(c)
     return b.min(axis=-1), b.max(axis=-1)
+
+
+def bernstein_coefficients(c: FloatArray) -> FloatArray:
+    """Return the Bernstein coefficients (..., k + 1) on the unit interval of polynomials `c` (..., k + 1)."""
+    return np.asarray(c @ _to_bernstein(c.shape[-1] - 1))
+
+
+def halves(b: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the Bernstein coefficients (..., k + 1) on either half of the interval (de Casteljau)."""
+    left = _to_left_half(b.shape[-1] - 1)
+    return np.asarray(b @ left), np.asarray(b @ left[::-1, ::-1])
 
 
 @cache
 def _to_bernstein(degree: int) -> FloatArray:
     every = range(degree + 1)
     return np.array([[comb(i, j) / comb(degree, j) for i in every] for j in every])
+
+
+@cache
+def _to_left_half(degree: int) -> FloatArray:
+    every = range(degree + 1)
+    return np.array([[comb(j, i) / 2.0**j for j in every] for i in every])
 
 
 def roots_in_unit_interval(c: FloatArray) -> FloatArray:

@@ -8,6 +8,7 @@ from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.robot import Robot
 from cmbot.scene import load_scene
 from cmbot.simulation import PrescribedMotion
+from cmbot.trajectory import QuinticTrajectory
 
 
 def arm_on_its_guardrail(robot: Robot, segments: int = 1) -> ElasticArm:
@@ -30,3 +31,11 @@ def tool_points(arm: ElasticArm, q: np.ndarray, u: np.ndarray) -> np.ndarray:
         pin.forwardKinematics(arm.model, data, configuration)
         points[k] = pin.updateFramePlacement(arm.model, data, arm.tool_frame_id).translation
     return points
+
+
+def wild(seed: int, joints: int = 2, knots: int = 6) -> QuinticTrajectory:
+    """Random knots: several radians, and rates to match, between them."""
+    rng = np.random.default_rng(seed)
+    t = np.cumsum(rng.uniform(0.2, 2.0, knots))
+    q, v, a = (scale * rng.normal(size=(knots, joints)) for scale in (1.5, 1.0, 1.0))
+    return QuinticTrajectory(t=t - t[0], q=q, v=v, a=a)
