@@ -74,7 +74,6 @@ def measured(number: int) -> Iterator[Kernel]:
         ("their derivatives", _ROUNDING, _derivatives(robot, number)),
         ("tool poses", _ROUNDING, _tool_poses(robot, number)),
         ("smallest clearance", _GJK, _smallest(robot, scene, number)),
-        ("smallest along a path", _GJK, _smallest_of_a_path(robot, scene, number)),
         ("collision check", 0.0, _collision_check(robot, scene, number)),
     ):
         expected = ways[0][2]()
@@ -173,14 +172,6 @@ def _smallest(robot: Robot, scene: Scene, number: int) -> list[Way]:
         ("coal on all pairs", False, all_pairs),
         ("one by one, remembering", False, one_by_one),
         ("many in one call", True, lambda: clearances.smallest(q).distance),
-    ]
-
-
-def _smallest_of_a_path(robot: Robot, scene: Scene, number: int) -> list[Way]:
-    clearances, q = Clearances(robot, scene.obstacles), _path(scene, number)
-    return [
-        ("every posture", False, lambda: clearances.smallest(q).distance.min(keepdims=True)),
-        ("where it matters", True, lambda: clearances.along(q, 0.0).min(keepdims=True)),
     ]
 
 

@@ -1,10 +1,11 @@
 """Clearances: the smallest distances between the arm, the obstacles and the arm itself."""
 
-from cmbot.collision.clearance import Clearances, Nearest, Smallest
+from cmbot.collision.clearance import RESOLUTION, Clearances, Nearest, Smallest
 from cmbot.collision.motion_bounds import raise_bounds, travel
 from cmbot.collision.shapes import PairedShapes, ShapePair, load_mesh
 
 __all__ = [
+    "RESOLUTION",
     "Clearances",
     "Nearest",
     "PairedShapes",

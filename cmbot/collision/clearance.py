@@ -12,20 +12,21 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.collision.broad_phase import BroadPhase, LowerBounds
-from cmbot.collision.motion_bounds import DistanceCache, pair_reach, raise_bounds, shape_reach, travel
+from cmbot.collision.motion_bounds import DistanceCache, pair_reach, shape_reach
 from cmbot.collision.shapes import PairedShapes
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.robot import Robot
 from cmbot.scene import Obstacle
 
-__all__ = ["Clearances", "Nearest", "Smallest"]
+__all__ = ["RESOLUTION", "Clearances", "Nearest", "Smallest"]
+
+RESOLUTION = 1e-4
+"""To which the smallest distance of a motion is known, m: what lies so near a margin may count as below."""
 
 # From this number of postures on the broad phase is worth its calls: benchmarks/kernels.py.
 _BROAD_PHASE_FROM = 24
 # One of this many neighbouring postures is measured first: its nearest pair often is that of the others.
 _GUIDE_STRIDE = 8
-# Strides of the samples of a path that are measured, from coarse to fine; shorter paths are measured whole.
-_STRIDES, _SHORT_PATH = (16, 4, 1), 200
 # Rounding that the choice of near pairs allows for, m.
 _SLACK = 1e-9
 # GJK's default of 1e-6 m would blur the derivatives; this costs nothing that can be measured. EPA, which
@@ -97,6 +98,8 @@ class Clearances:
         The P pairs whose distances count.
     reach : (n,), m
         Of the joints: no distance changes by more than the joints' moves times these.
+    pair_reach : (P, n), m
+        The same for each pair.
     """
 
     def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
@@ -111,8 +114,8 @@ class Clearances:
         reach = shape_reach(self._model, shapes)
         self.reach = reach.max(axis=0, initial=0.0)
         self._broad_phase = BroadPhase(robot, shapes, self._shapes)
-        between = pair_reach(reach, self._joints, self._shapes)
-        self._cache = DistanceCache(self._model, self._geometry, self._geometry_data, between)
+        self.pair_reach = pair_reach(reach, self._joints, self._shapes)
+        self._cache = DistanceCache(self._model, self._geometry, self._geometry_data, self.pair_reach)
         self._unavoidable = np.array([not pair.avoidable for pair in self.pairs], dtype=np.bool_)
         self._margin = np.nan
 
@@ -140,31 +143,19 @@ class Clearances:
                 distance[known], pair[known] = self._smallest_of(q[known], left_out)
         return Smallest(distance=distance, pair=pair)
 
-    def along(self, q: FloatArray, spare: float) -> FloatArray:
-        """Return the smallest distance at every sample of a path, (N,), m, exact near the path's smallest.
+    def lower_bounds(self, q: FloatArray) -> FloatArray:
+        """Return lower bounds (N, P), m, of the distances of all pairs in postures `q` (N, n), cheaply."""
+        blocks = [bounds.value.T for bounds in self._broad_phase.lower_bounds(q)]
+        return np.concatenate([np.empty((0, len(self.pairs))), *blocks])
 
-        Where it is certainly more than `spare` above the path's smallest, a lower bound that is above it by
-        as much may stand in its place: no distance changes faster than the joints move times their reach.
-
-        Parameters
-        ----------
-        q : (N, n), rad
-        spare : float, m
-        """
-        N = len(q)
-        if N < _SHORT_PATH:
-            return self.smallest(q).distance
-        covered = travel(q, self.reach)
-        distance, measured = np.full(N, -np.inf), np.zeros(N, dtype=np.bool_)
-        for stride in _STRIDES:
-            # Not "<=": samples that are not finite are measured, too.
-            least = distance[measured].min(initial=np.inf)
-            asked = np.flatnonzero(~measured & ~(distance > least + spare))
-            asked = asked[(asked % stride == 0) | (asked == N - 1)]
-            measured[asked] = True
-            distance[asked] = self.smallest(q[asked]).distance
-            raise_bounds(distance, measured, covered)
-        return distance
+    def distances(self, q: FloatArray, posture: IntArray, pair: IntArray) -> FloatArray:
+        """Return the distances (M,), m, of pairs (M,) in postures (M,), ascending, of `q` (N, n)."""
+        found = np.empty(len(pair))
+        for k, items in _grouped(posture, list(enumerate(pair.tolist()))):
+            self._place_shapes(q[k])
+            for item, number in items:
+                found[item] = self._distance(number)
+        return found
 
     def check_collision(self, q: FloatArray, margin: float) -> BoolArray:
         """Return in which of the postures `q` (N, n) any distance is below `margin`, m."""
