@@ -18,6 +18,7 @@ from cmbot.archive.names import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES
 from cmbot.archive.schema import ApproachFile, CertificateFile, MetricsFile, PlanFile, made
 from cmbot.archive.strict_json import read_json
 from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
 from cmbot.elastic.sag import Sag
@@ -39,9 +40,11 @@ from cmbot.planning import (
     objective_of,
     robot_of,
     sag_of,
+    second_opinion,
     task_of,
+    tool_lag,
 )
-from cmbot.robot import Robot
+from cmbot.robot import Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, scene_from_file
 
 __all__ = ["load_plan", "plan_data"]
@@ -79,7 +82,6 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     source = folder / PLAN_FILE
     data = plan_data(folder)
     file = validated(PlanFile, data, str(source), ArchiveError)
-    certificate = _certificate(file.certificate, file.planned, source, "certificate")
     with _as_archive_error(str(source)):
         scene = _scene(file, data, source)
         robot = _robot(scene, file, source)
@@ -89,6 +91,8 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     contents = {name: read_file(folder / name) for name in names}
     duration = task.path.duration
     trajectory = _trajectory(contents, folder, "trajectory.npz", robot, duration, "the scene")
+    planned = _metrics(file.planned, robot, task, *_knots(trajectory))
+    certificate = _certificate(file.certificate, planned, source, "certificate")
     approach = None
     if file.approach is not None:
         approach = _approach(file.approach, contents, folder, robot, task)
@@ -103,7 +107,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         task=task,
         start=file.start.made(),
         baseline=measure(robot, task, clearances, t, motion),
-        baseline_figures=made(MotionMetrics, file.baseline),
+        baseline_figures=_metrics(file.baseline, robot, task, t, motion[0]),
         drift=file.drift,
         smallest_singular_value=file.smallest_singular_value,
         trajectory=trajectory,
@@ -173,13 +177,27 @@ def _sag(scene: Scene, robot: Robot, options: PlannerOptions) -> Sag | None:
     return sag_of(scene, bending_arm(scene, robot), options)
 
 
-def _certificate(entry: CertificateFile, metrics: MetricsFile, source: Path, key: str) -> Certificate:
+def _metrics(entry: MetricsFile, robot: Robot, task: ToolTask, t: FloatArray, q: FloatArray) -> MotionMetrics:
+    """Return the metrics; the lag, which older files do not have, from postures `q` (N, n) at `t` (N,)."""
+    lag = entry.max_tool_lag
+    if lag is None:
+        lag = float(tool_lag(task, t, Kinematics(robot).tool_poses(q)[0]).max())
+    return made(MotionMetrics, entry, max_tool_lag=lag)
+
+
+def _knots(trajectory: QuinticTrajectory) -> tuple[FloatArray, FloatArray]:
+    """Times (N,) and postures (N, n) between the knots, and at them."""
+    t = np.union1d(trajectory.t, 0.5 * (trajectory.t[:-1] + trajectory.t[1:]))
+    return t, trajectory.evaluate(t)
+
+
+def _certificate(entry: CertificateFile, metrics: MotionMetrics, source: Path, key: str) -> Certificate:
     checks = tuple(made(Check, check) for check in entry.checks)
     for index, (stored, check) in enumerate(zip(entry.checks, checks, strict=True)):
         if not (check.holds and stored.holds):
             where, got = f"{key}.checks[{index}]", f"a broken promise ({check.quantity})"
             raise ArchiveError(str(source), where, got, "kept ones")
-    return made(Certificate, entry, checks=checks, figures=made(MotionMetrics, metrics))
+    return made(Certificate, entry, checks=checks, figures=metrics)
 
 
 def _trajectory(
@@ -193,10 +211,13 @@ def _trajectory(
 def _approach(
     file: ApproachFile, contents: Mapping[str, bytes], folder: Path, robot: Robot, task: ToolTask
 ) -> Approach:
+    trajectory = _trajectory(contents, folder, "approach.npz", robot, file.seconds, PLAN_FILE)
+    held = task.held_at_start()
+    metrics = _metrics(file, robot, held, *_knots(trajectory))
     return Approach(
-        trajectory=_trajectory(contents, folder, "approach.npz", robot, file.seconds, PLAN_FILE),
-        certificate=_certificate(file.certificate, file, folder / PLAN_FILE, "approach.certificate"),
-        task=task.held_at_start(),
+        trajectory=trajectory,
+        certificate=_certificate(file.certificate, metrics, folder / PLAN_FILE, "approach.certificate"),
+        task=held,
         along_self_motion=file.along_self_motion,
     )
 
@@ -204,19 +225,42 @@ def _approach(
 def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
     """Return the plan with new certificates; their metrics must be those in the file."""
     robot, options, trajectory = plan.robot, plan.options, plan.trajectory
-    _require_same(plan.baseline_figures, figures(robot, plan.baseline), source, "baseline")
-    certificate = certify(robot, plan.task, trajectory, trajectory.q, clearances, options, sag=plan.sag)
+    posture = np.array(plan.scene.posture)
+    rests_there = plan.approach is None and options.knots == "sliding"
+    certificate = certify(
+        robot,
+        plan.task,
+        trajectory,
+        clearances,
+        options,
+        via_points=plan.scene.via_points,
+        start=posture if rests_there else None,
+        sag=plan.sag,
+    )
+    certificate = _seconded(plan, certificate, trajectory, plan.sag)
     certificate.require()
     _require_same(plan.figures, certificate.figures, source, "planned")
+    _require_same(plan.baseline_figures, figures(robot, plan.baseline), source, "baseline")
     if not plan.objective.own:
         _verify_objective(plan, source)
     approach = plan.approach
     if approach is not None:
-        fresh = certify_approach(robot, approach.task, approach.trajectory, clearances, options)
+        held, way = plan.task.held_at_start(), approach.trajectory
+        fresh = certify_approach(robot, held, way, clearances, options, posture, trajectory.q[0])
+        fresh = _seconded(plan, fresh, way)
         fresh.require()
         _require_same(approach.certificate.figures, fresh.figures, source, "approach")
         approach = replace(approach, certificate=fresh)
     return replace(plan, certificate=certificate, approach=approach)
+
+
+def _seconded(
+    plan: Plan, certificate: Certificate, trajectory: QuinticTrajectory, sag: Sag | None = None
+) -> Certificate:
+    """Return a certificate with the checks of a second opinion."""
+    at_work = trajectory is plan.trajectory
+    checks = second_opinion(plan.scene, plan.options, trajectory, robot=plan.robot, at_work=at_work, sag=sag)
+    return replace(certificate, checks=(*certificate.checks, *checks))
 
 
 def _verify_objective(plan: Plan, source: Path) -> None:

@@ -69,6 +69,8 @@ class MetricsFile(FileModel):
     min_clearance: OrInfinite
     max_tool_deviation: NonNegative
     max_tool_rotation: NonNegative
+    max_tool_lag: NonNegative | None = None
+    """None in older files."""
     limit_use: Annotated[LimitUse, _at_least_zero()]
 
 
@@ -88,6 +90,8 @@ class CertificateFile(FileModel):
     """`Certificate` without the metrics, which the motion has."""
 
     clearance_bound: OrInfinite
+    guardrail_torque_bound: OrInfinite = math.inf
+    """Unknown in older files."""
     checks: Annotated[tuple[CheckFile, ...], Field(min_length=1)]
 
 

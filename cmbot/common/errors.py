@@ -97,6 +97,8 @@ _REMEDIES = (
     ("joint torque", "a lighter payload, another posture_deg or another place for the tool path"),
     ("position", "another posture_deg or another place for the tool path"),
     ("tool deviation", "more tool_path.via_points or a larger planner.max_tool_deviation_m"),
+    ("tool rotation", "more tool_path.via_points or a larger planner.max_tool_rotation_deg"),
+    ("tool lag", "more tool_path.via_points or a larger planner.max_tool_lag_m"),
     ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),
 )
 

@@ -27,8 +27,9 @@ from cmbot.planning.remarks import remarks
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.certificate import Certificate, Check, certificate_grid, certify
-from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure
+from cmbot.planning.verification.certificate import Certificate, Check, certify
+from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
+from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
@@ -62,7 +63,6 @@ __all__ = [
     "WrenchFunction",
     "WrenchObjective",
     "bending_arm",
-    "certificate_grid",
     "certify",
     "certify_approach",
     "figures",
@@ -76,5 +76,7 @@ __all__ = [
     "require_plan",
     "robot_of",
     "sag_of",
+    "second_opinion",
     "task_of",
+    "tool_lag",
 ]

@@ -26,8 +26,6 @@ _KNOT_SPACING, _HALVINGS = 0.4, 4
 _LIMIT_SHARE = 0.95
 # Postures of a chart are neighbours within this many spacings.
 _NEIGHBOURS = 1.6
-# Of the certificate: the tool is off and the motion slow, so a coarser grid than the work's suffices.
-_SAMPLES_PER_SEGMENT = 10
 # Longest step of a tree, rad, and how often the trees are grown before the search is given up.
 _STEP = 0.3
 _MOST_GROWTHS = 4000
@@ -93,7 +91,7 @@ def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) 
     held = context.task.held_at_start()
     for halving in range(_HALVINGS):
         trajectory = _timed(robot, path, _KNOT_SPACING / 2**halving)
-        certificate = certify_approach(robot, held, trajectory, clearances, options)
+        certificate = certify_approach(robot, held, trajectory, clearances, options, start, end)
         if certificate.holds:
             break
     certificate.require()
@@ -108,8 +106,10 @@ def certify_approach(
     trajectory: QuinticTrajectory,
     clearances: Clearances,
     options: PlannerOptions,
+    start: FloatArray,
+    end: FloatArray,
 ) -> Certificate:
-    """Certify an approach on the grid of approaches.
+    """Certify an approach: the tool is off, so its place is measured, not bounded.
 
     Parameters
     ----------
@@ -119,14 +119,15 @@ def certify_approach(
     trajectory : QuinticTrajectory
     clearances : Clearances
     options : PlannerOptions
+    start, end : (n,), rad
+        The scene's posture, and that in which the work starts.
 
     Returns
     -------
     Certificate
         It may not hold, as with `certify`.
     """
-    coarse = replace(options, samples_per_segment=_SAMPLES_PER_SEGMENT)
-    return certify(robot, task, trajectory, trajectory.q, clearances, coarse, at_work=False)
+    return certify(robot, task, trajectory, clearances, options, via_points=None, start=start, end=end)
 
 
 def _along_chart(

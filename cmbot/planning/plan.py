@@ -21,7 +21,7 @@ from cmbot.planning.initial_guess import Choice
 from cmbot.planning.objectives import Objective
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.certificate import Certificate, certificate_grid
+from cmbot.planning.verification.certificate import Certificate
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
@@ -31,6 +31,8 @@ __all__ = ["ObjectiveMetrics", "Plan", "Seconds", "Start", "objective_metrics", 
 
 # Step of the sampled motions, s.
 _SAMPLE_STEP = 0.01
+# Samples per segment at which the peak of an objective is taken that is not enclosed.
+_PEAK_SAMPLES = 400
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,11 +270,12 @@ def objective_metrics(
         It is a custom function, not the options' objective.
     baseline : MotionMetrics and Samples
     planned : MotionMetrics and QuinticTrajectory
-        Sampled as finely as it is certified.
+        Of what is not the torque about the foot the peak is sampled.
     floor : float or None
     """
     (baseline_metrics, samples), (metrics, trajectory) = baseline, planned
-    grid = certificate_grid(trajectory, options)
+    t = trajectory.t
+    grid = np.append(np.linspace(t[:-1], t[1:], _PEAK_SAMPLES, endpoint=False, axis=1).ravel(), t[-1])
 
     def peak(of: MotionMetrics, t: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> float:
         if objective.reported:

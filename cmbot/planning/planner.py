@@ -182,19 +182,20 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         optimised, quieting = suppress_vibration(context.arm, problem, optimised)
 
     reporter.stage("certify")
+    posture = optimised.trajectory.q[0]
+    moved = float(np.abs(posture - context.posture).max())
     certificate = certify(
         context.robot,
         context.task,
         optimised.trajectory,
-        optimised.via_points,
         context.clearances,
         options,
+        via_points=len(context.times),
+        start=context.posture if moved <= _SAME_POSTURE else None,
         sag=context.sag,
-        report=partial(reporter.part, "certifying"),
     )
     certificate.require()
-    posture = optimised.via_points[0]
-    moved, approach = float(np.abs(posture - context.posture).max()), None
+    approach = None
     if moved <= _SAME_POSTURE:
         posture, moved = context.posture, 0.0
     elif guess.search is not None:

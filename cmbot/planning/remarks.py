@@ -40,8 +40,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     checks, passes = len(plan.certificate.checks), counted(len(plan.passes), "pass", "passes")
     yield (
         f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}, computed again from "
-        "the finished motion by code that the optimiser does not use; clearance stays above "
-        f"{1e3 * plan.certificate.clearance_bound:.1f} mm at all times, between samples too."
+        "the finished motion by code that the optimiser does not use; at all times "
+        f"{plan.certificate.at_all_times}."
     )
     seconds, done = plan.seconds, plan.compensation
     if done is not None and done.rounds:

@@ -60,6 +60,18 @@ class JointLimits:
                 raise InputError("JointLimits", field.name, array.tolist(), expected)
             object.__setattr__(self, field.name, read_only(array))
 
+    @property
+    def range_half(self) -> FloatArray:
+        """Half the range (n,) of each joint, rad; infinite for a continuous joint."""
+        half = 0.5 * (self.upper - self.lower)
+        return np.where(np.isfinite(half), half, np.inf)
+
+    @property
+    def range_middle(self) -> FloatArray:
+        """Middle (n,) of each range, rad; zero for a continuous joint."""
+        finite = np.isfinite(self.lower)
+        return np.where(finite, self.upper, 0.0) - np.where(finite, self.range_half, 0.0)
+
 
 class _JointEntry(FileModel):
     acceleration_deg: Positive

@@ -85,7 +85,11 @@ class PlannerOptions:
     safety_margin_m : float
         Smallest clearance that a plan may have, m.
     max_tool_deviation_m : float
-        Largest distance of the tool point from the legs between via-points, m.
+        Largest distance of the tool point from the leg of its time, m.
+    max_tool_rotation_deg : float
+        Largest angle by which the tool may miss its prescribed orientation or axis between via-points.
+    max_tool_lag_m : float
+        Largest distance of the tool point from its timed place along the leg, between via-points.
     solver : str
         ``sqp``: sequential quadratic programming on sparse matrices; needs the extra ``fast``.
         ``slsqp``: SciPy's, on dense ones. ``auto``: ``sqp`` where PIQP is installed, otherwise ``slsqp``, and
@@ -131,6 +135,8 @@ class PlannerOptions:
     step_share: Annotated[float, Field(gt=0, le=1)] = 0.6
     safety_margin_m: NonNegativeFloat = 0.02
     max_tool_deviation_m: PositiveFloat = 0.001
+    max_tool_rotation_deg: Annotated[float, Field(gt=0, le=180)] = 1.0
+    max_tool_lag_m: PositiveFloat = 0.02
     solver: Literal["auto", "sqp", "slsqp"] = "auto"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
     smoothing_weight: Annotated[float, Field(gt=0, le=100)] = 0.1

@@ -149,6 +149,15 @@ class ToolPath:
         leg, u = self._locate(times)
         return np.asarray((self.profile.rate(u) / self.seconds[leg])[:, None] * self._edges[leg])
 
+    @cached_property
+    def breaks(self) -> FloatArray:
+        """Times (B,), s, between which the timed position is a polynomial: ends of legs and of ramps."""
+        ramp = self.profile.ramp
+        shares = [0.0, ramp, 1 - ramp, 1.0]
+        if self.profile.kind == "jerk_limited":
+            shares += [0.5 * ramp, 1 - 0.5 * ramp]
+        return np.unique(self.leg_times[:-1, None] + np.array(shares) * self.seconds[:, None])
+
     def progress(self, time: float) -> float:
         """Share of the path's length that is covered at `time`."""
         leg, u = self._locate([time])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from html import escape
-from math import inf
+from math import floor, inf
 from pathlib import Path
 from typing import Any, Literal
 
@@ -174,12 +174,12 @@ def _clearance_card(plan: Plan) -> Headline:
     value, margin = plan.figures.min_clearance, plan.options.safety_margin_m
     if value == inf:
         return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
-    always = plan.certificate.clearance_bound
+    always = floor(1e4 * plan.certificate.clearance_bound) / 10
     return Headline(
         title="Smallest clearance",
         before=f"{1e3 * plan.baseline_figures.min_clearance:.1f}",
         value=f"{1e3 * value:.1f} mm",
-        detail=f"rigid arm; margin {1e3 * margin:g} mm; above {1e3 * always:.1f} mm at all times",
+        detail=f"rigid arm; margin {1e3 * margin:g} mm; above {always:.1f} mm at all times",
         state="good" if value >= margin else "bad",
     )
 
@@ -301,7 +301,7 @@ def _check_table(certificate: Certificate) -> str:
         )
         for check in certificate.checks
     )
-    bound = f"Clearance stays above {1e3 * certificate.clearance_bound:.1f} mm, between samples too."
+    bound = f"At all times {certificate.at_all_times}."
     headings = ("check", "at, s", "value", "bound", "unit", "use", "holds")
     return _table(rows, headings) + f"<p>{escape(bound)}</p>"
 

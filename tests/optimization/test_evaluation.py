@@ -20,7 +20,7 @@ from cmbot.planning.torque.problem import TorqueProblem
 PEAK = Stage(smoothing=0.1, tolerance=1e-5)
 MEAN = Stage(smoothing=0.1, bound=0.9, tolerance=1e-5)
 # Families of the torque problem: objective, three functions of the state, four bounds.
-TORQUE, DEVIATION, CLEARANCE, JERK = 1, 2, 3, 7
+TORQUE, DEVIATION, CLEARANCE, LAG, ROTATION, JERK = 1, 2, 3, 4, 5, 9
 TIMES = np.array([0.4, 1.7, 3.1])
 
 
@@ -36,8 +36,8 @@ def step_of(problem: TorqueProblem, rng: np.random.Generator, size: float = 1.0,
 def constraints_of(problem: TorqueProblem) -> ConstraintSet:
     """Some of every family."""
     joints = np.array([2, 5, 9])
-    some = ConstraintSet(step=0.01).at_all([OBJECTIVE, DEVIATION], TIMES)
-    for family in (TORQUE, *range(4, 8)):
+    some = ConstraintSet(step=0.01).at_all([OBJECTIVE, DEVIATION, LAG, ROTATION], TIMES)
+    for family in (TORQUE, *range(6, 10)):
         some = some.extended(np.full(3, family), joints, TIMES)
     tool = next(k for k, pair in enumerate(problem.context.clearances.pairs) if pair.link == "tool")
     return some.extended(np.full(3, CLEARANCE), np.full(3, tool), TIMES)

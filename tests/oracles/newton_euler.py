@@ -83,7 +83,7 @@ def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, Fl
         inertia = tensor(INERTIA[i])
         F.append(MASS[i] * acc_c)  # Eq. (8)
         N.append(g @ inertia + np.cross(w, w @ inertia))  # Eq. (9), the tensor is symmetric
-    f, n, tau = np.zeros((len(q), 3)), np.zeros((len(q), 3)), np.empty((len(q), 7))
+    f, n, tau = np.zeros((len(q), 3)), np.zeros((len(q), 3)), np.empty_like(q)
     for i in reversed(range(7)):
         # Here f and n are still those of link i + 1, already in frame i.
         lever = p[i + 1] if i < 6 else np.zeros(3)

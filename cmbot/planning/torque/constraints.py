@@ -11,9 +11,9 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Dynamics, Kinematics
+from cmbot.robot import Dynamics, Postures, ToolBatch
 
-__all__ = ["ClearanceMargin", "JointTorque", "ToolDeviation"]
+__all__ = ["ClearanceMargin", "JointTorque", "ToolDeviation", "ToolLag", "ToolRotation"]
 
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
 _FLAT = 1e-12
@@ -59,7 +59,7 @@ class ToolDeviation:
     That is never less than its distance from all the legs, and unlike that has no kink at a corner.
     """
 
-    kinematics: Kinematics
+    postures: Postures
     task: ToolTask
     bound: float
     name: str = "tool deviation"
@@ -67,7 +67,7 @@ class ToolDeviation:
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return distance/bound - 1, (N, 1)."""
-        offset = self.task.path.leg_offset(states.t, self.kinematics.tool_poses(states.q)[0])
+        offset = self.task.path.leg_offset(states.t, _tool(self.postures, states).tool_point)
         value = np.linalg.norm(offset, axis=1, keepdims=True) / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 
@@ -76,8 +76,9 @@ class ToolDeviation:
 
         To first order a distance knows no direction but its own; a step could leave the leg in any other.
         """
-        p_WT, J = self.kinematics.tool_point_jacobians(states.q)
-        offset = self.task.path.leg_offset(states.t, p_WT) / self.bound
+        tool = _tool(self.postures, states)
+        J = tool.jacobian[:, :3]
+        offset = self.task.path.leg_offset(states.t, tool.tool_point) / self.bound
         distance = np.linalg.norm(offset, axis=1)
         d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _FLAT)[:, None] / self.bound, J)
         still = np.zeros_like(d_q)
@@ -92,6 +93,66 @@ class ToolDeviation:
         by_q = directions.transpose(1, 0, 2) @ J / self.bound
         cuts = (Linearization(value[k], by_q[:, k], still, still) for k in range(len(angle)))
         return Linearization(distance - 1, d_q, still, still, tuple(cuts))
+
+
+@dataclass(frozen=True)
+class ToolLag:
+    """Distance of the tool point along the leg from its timed place within its bound; ahead, then behind."""
+
+    postures: Postures
+    task: ToolTask
+    bound: float
+    name: str = "tool lag"
+    components: int = 2
+
+    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
+        """Return +lag/bound - 1 and -lag/bound - 1, (N, 2)."""
+        path = self.task.path
+        away = _tool(self.postures, states).tool_point - path.position(states.t)
+        share = np.einsum("ki,ki->k", away, path.leg_directions(states.t))[:, None] / self.bound
+        value = np.hstack([share - 1, -share - 1])
+        return value, np.broadcast_to(np.arange(2), value.shape)
+
+    def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
+        """Linearize the lag of one sign at each state."""
+        k, sign = np.arange(len(component)), np.where(component == 0, 1.0, -1.0)
+        by_point = (sign / self.bound)[:, None] * self.task.path.leg_directions(states.t)
+        d_q = np.einsum("ki,kij->kj", by_point, _tool(self.postures, states).jacobian[:, :3])
+        return Linearization(
+            self.sample(states)[0][k, component], d_q, np.zeros_like(d_q), np.zeros_like(d_q)
+        )
+
+
+@dataclass(frozen=True)
+class ToolRotation:
+    """Angle by which the tool misses its prescribed orientation or axis within its bound."""
+
+    postures: Postures
+    task: ToolTask
+    bound: float
+    name: str = "tool rotation"
+    components: int = 1
+
+    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
+        """Return angle/bound - 1, (N, 1)."""
+        value = self.task.rotation(_tool(self.postures, states).tool_rotation)[:, None] / self.bound - 1
+        return value, np.zeros(value.shape, dtype=np.intp)
+
+    def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
+        """Linearize the angle."""
+        tool, task = _tool(self.postures, states), self.task
+        turn = task.errors(tool.tool_point, tool.tool_rotation, tool.tool_point)[:, 3:] / self.bound
+        # The errors lead to the goal: they fall as the tool turns towards it.
+        J = -task.jacobian(tool.tool_rotation, tool.jacobian)[:, 3:] / self.bound
+        angle = np.linalg.norm(turn, axis=1)
+        d_q = np.einsum("ki,kij->kj", turn / np.maximum(angle, _FLAT)[:, None], J)
+        still = np.zeros_like(d_q)
+        return Linearization(angle - 1, d_q, still, still)
+
+
+def _tool(postures: Postures, states: StateSamples) -> ToolBatch:
+    """The tool at the states: computed once, whichever constraints need it."""
+    return states.computed(id(postures), lambda s: postures.tool_at(s.q))
 
 
 @dataclass

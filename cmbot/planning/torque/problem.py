@@ -14,13 +14,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cmbot.collision import RESOLUTION
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization import KinematicBound, Linearization, StateFunction, StateSamples
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import Objective
-from cmbot.planning.torque.constraints import ClearanceMargin, JointTorque, ToolDeviation
+from cmbot.planning.torque.constraints import (
+    ClearanceMargin,
+    JointTorque,
+    ToolDeviation,
+    ToolLag,
+    ToolRotation,
+)
 from cmbot.planning.torque.task_manifold import TaskManifold
-from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.robot import Dynamics, Robot
 from cmbot.trajectory import Parametrization, QuinticTrajectory, SparseSplines, SplineSpace
 
 __all__ = ["TorqueProblem", "parametrization_through"]
@@ -30,8 +37,8 @@ __all__ = ["TorqueProblem", "parametrization_through"]
 # only room for the solver's tolerance.
 _SAMPLED_SHARE = 0.5
 _EXACT_SHARE_IN_TOLERANCES = 10.0
-# The same room for the clearance, m.
-_CLEARANCE_ROOM = 1e-5
+# The same room for the clearance, m, and what the certificate's bound may fall short of the distance.
+_CLEARANCE_ROOM = 1e-5 + RESOLUTION
 # Gauss points per segment at which the mean square of the torque is taken.
 _MEAN_SAMPLES = 3
 
@@ -68,10 +75,14 @@ class TorqueProblem:
         self.objective: StateFunction = ScaledObjective(context.objective, self.scale)
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2
+        postures, task = context.postures, context.task
+        angle = np.deg2rad(options.max_tool_rotation_deg) * inside
         self.constraints: tuple[StateFunction, ...] = (
             JointTorque(Dynamics(robot), robot.limits.torque * inside),
-            ToolDeviation(Kinematics(robot), context.task, options.max_tool_deviation_m * inside),
+            ToolDeviation(postures, task, options.max_tool_deviation_m * inside),
             ClearanceMargin(context.clearances, options.safety_margin_m + _CLEARANCE_ROOM),
+            ToolLag(postures, task, options.max_tool_lag_m * inside),
+            *([] if task.keep == "position" else [ToolRotation(postures, task, angle)]),
         )
         nodes, weights = np.polynomial.legendre.leggauss(_MEAN_SAMPLES)
         h = np.diff(t)[:, None]
@@ -147,8 +158,7 @@ class ScaledObjective:
 
 def _kinematic_bounds(robot: Robot, inside: float) -> tuple[KinematicBound, ...]:
     limits = robot.limits
-    half = np.where(np.isfinite(limits.lower), 0.5 * (limits.upper - limits.lower), np.inf)
-    middle = np.where(np.isfinite(half), limits.upper, 0.0) - np.where(np.isfinite(half), half, 0.0)
+    half, middle = limits.range_half, limits.range_middle
     low, high = middle - half * inside, middle + half * inside
     symmetric = ((limits.velocity, "velocity"), (limits.acceleration, "acceleration"), (limits.jerk, "jerk"))
     return (

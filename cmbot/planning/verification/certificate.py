@@ -1,9 +1,9 @@
-"""The certificate: everything that a plan promises, computed again apart from the optimiser.
+"""The certificate: everything that a plan promises, computed again apart from the optimiser, for all times.
 
-It reads the finished trajectory alone. Position, velocity, acceleration and jerk are judged at the exact
-extrema of their polynomials, which is for all times; torques, clearance and the tool's deviation on a grid
-ten times finer than the optimiser's. For the clearance it also states a bound that holds between samples; by
-the same bound most samples are known to be further away than the nearest one and are not measured.
+It reads the finished trajectory and the task alone. Position, velocity, acceleration and jerk are judged at
+the exact extrema of their polynomials; torques and the tool's pose by enclosures, the clearance by bounds on
+the motion (`enclosure`, `nearest_approach`). Where sag is compensated its part of the tool's pose is computed
+at the points of interpolation, and what lies between them is estimated from how its coefficients decay.
 """
 
 from __future__ import annotations
@@ -13,36 +13,40 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray
+from cmbot.collision import RESOLUTION, Clearances
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import LimitViolation
 from cmbot.elastic.sag import Sag
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.metrics import MotionMetrics, figures, measure, together
-from cmbot.robot import Robot
+from cmbot.planning.verification.growth import Growth, growth
+from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
+from cmbot.planning.verification.nearest_approach import nearest_approach
+from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import PlannerOptions
-from cmbot.trajectory import QuinticTrajectory
+from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, clenshaw_curtis, highest
 
-__all__ = ["Certificate", "Check", "certificate_grid", "certify"]
+__all__ = ["Certificate", "Check", "certify"]
 
-
-# Grid of the certificate: this many times finer than the optimiser's.
-_FINER = 10
-# What "continuous", "at rest" and "through the via-points" mean in floating point: jumps relative to the
-# joint's bound, and via-point errors in rad.
-_JUMP = 1e-9
-# Where knots are dense, the last digit of a position is a jump of the jerk. By this many last digits a
-# spline's knots may be off the smooth ones.
-_DIGITS = 64
-_VIA_POINT = 1e-10
-# Samples that are measured at once: more only need memory, beyond the processor's cache.
-_BLOCK = 1 << 14
+# How far bounds may lie beyond what was found: of torques, as a share of the bound or of the largest value;
+# of the tool, m and rad.
+_TORQUE_RESOLUTION, _TOOL_RESOLUTION = 1e-6, 1e-8
+# Pieces of a trajectory at most, a segment, before the remainder of interpolation stays what it is.
+_MOST_PIECES = 64
+# What "continuous" and "at rest" mean in floating point: jumps relative to the joint's bound. Where knots
+# are dense, the last digit of a position is a jump of a derivative; positions may be off by this many.
+_JUMP, _DIGITS = 1e-9, 64
+# What the last digit of a position does to derivative k at the end of a quintic, in units of h^-k.
+_AMPLIFIED = (1.0, 15.0, 60.0, 60.0)
+# No allowance for rounding is larger than this share of a joint's bound, but for the jerk.
+_LARGEST_ALLOWANCE = 1e-6
+# What "at its timed pose" means, m and rad; the same posture, rad; the same duration, as a share of it.
+_AT_VIA_POINT, _SAME_POSTURE, _SAME_DURATION = 1e-6, 1e-9, 1e-9
 _DERIVATIVES = (("velocity", "rad/s"), ("acceleration", "rad/s2"), ("jerk", "rad/s3"))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Check:
-    """One promise of a plan: the worst value found against its bound.
+    """One promise of a plan: the worst value against its bound.
 
     Attributes
     ----------
@@ -50,6 +54,7 @@ class Check:
     time : float, s
         Where the worst value is.
     value, bound : float
+        The value is not passed at any time; where interpolation leaves a remainder, it is included.
     unit : str
     at_least : bool
         The bound is a lower one.
@@ -77,19 +82,32 @@ class Certificate:
     checks : tuple of Check
         All promises; the plan is valid when every one holds.
     figures : MotionMetrics
-        Velocity, acceleration and jerk at their exact extrema, the rest at the samples.
+        The largest and smallest values that were found.
     clearance_bound : float, m
-        No distance is smaller than this at *any* time: samples, less how far the arm can move in between.
+        No distance is smaller than this at any time.
+    guardrail_torque_bound : float, Nm
+        The torque on the guardrail is nowhere larger: with the peak among the figures, an interval.
     """
 
     checks: tuple[Check, ...]
     figures: MotionMetrics
     clearance_bound: float
+    guardrail_torque_bound: float
 
     @property
     def holds(self) -> bool:
         """Whether every promise is kept."""
         return all(check.holds for check in self.checks)
+
+    @property
+    def at_all_times(self) -> str:
+        """The bounds of clearance and torque on the guardrail in words, rounded away from what was found."""
+        bounds = [f"clearance stays above {np.floor(1e4 * self.clearance_bound) / 10:.1f} mm"]
+        if np.isfinite(self.guardrail_torque_bound):
+            bounds.append(
+                f"the torque on the guardrail below {np.ceil(100 * self.guardrail_torque_bound) / 100:.2f} Nm"
+            )
+        return " and ".join(bounds)
 
     def require(self) -> None:
         """Refuse a trajectory that breaks a promise.
@@ -110,87 +128,231 @@ def certify(
     robot: Robot,
     task: ToolTask,
     trajectory: QuinticTrajectory,
-    via_points: FloatArray,
     clearances: Clearances,
     options: PlannerOptions,
     *,
-    at_work: bool = True,
+    via_points: int | None,
+    start: FloatArray | None = None,
+    end: FloatArray | None = None,
     sag: Sag | None = None,
-    report: Callable[[int, int], None] | None = None,
 ) -> Certificate:
-    """Look at a finished trajectory with fresh eyes.
+    """Judge a finished trajectory by its task.
 
     Parameters
     ----------
     robot : Robot
     task : ToolTask
+        The scene's; of an approach, the tool held where the work starts.
     trajectory : QuinticTrajectory
-    via_points : (m + 1, n), rad
-        What the trajectory was to pass through at its knot times.
     clearances : Clearances
     options : PlannerOptions
-        Margin and tool deviation that were promised, and the optimiser's grid.
-    at_work : bool
-        False with the tool off: its deviation is measured, not bounded.
+        Margin, tool deviation, rotation and lag that were promised.
+    via_points : int or None
+        The scene's number: at their times the tool has to be at its timed pose, and between them within the
+        bounds of the options. None with the tool off: then the task is only measured.
+    start, end : (n,), rad, optional
+        Postures that the trajectory has to start and end in.
     sag : Sag, optional
-        Where it is compensated: the tool's deviation is that of the bent arm, as predicted.
-    report : callable, optional
-        Called with the number of samples that are done, and of all.
+        Where it is compensated: the tool is where the bent arm is predicted to hold it; its orientation is
+        the commanded one.
     """
-    grid = certificate_grid(trajectory, options)
-    if report is not None:
-        report(0, len(grid))
-    q = trajectory.evaluate(grid)
-    approach = _approach(trajectory, grid, clearances.reach)
-    # Where no interval beside a sample can hold the smallest bound, its clearance need not be exact.
-    clearance = clearances.along(q, 2 * float(approach.max()))
+    work = _Work(robot, task, trajectory, sag)
+    nearest = nearest_approach(trajectory, clearances, RESOLUTION)
     rates = _rate_checks(robot, trajectory)
-    velocity, acceleration, jerk = (check.value / check.bound for check in rates)
-    torques, deviations, parts = [], [], []
-    # Sag that is compensated is interpolated along the motion as a whole.
-    block = _BLOCK if sag is None else len(grid)
-    for first in range(0, len(grid) - 1, block):
-        # Each block ends where the next one begins, so that means are over all times.
-        some = slice(first, first + block + 1)
-        motion = (q[some], *trajectory.derivatives(grid[some], (1, 2, 3)))
-        samples = measure(robot, task, clearances, grid[some], motion, sag, clearance=clearance[some])
-        times, torque = np.broadcast_arrays(grid[some, None], np.abs(samples.joint_torque))
-        torques.append(_joint_check(robot, "torque of {}", "Nm", times, torque, robot.limits.torque))
-        if at_work:
-            bound = options.max_tool_deviation_m
-            quantity = "tool deviation" if sag is None else "expected tool deviation"
-            deviations.append(_grid_check(quantity, grid[some], samples.tool_deviation, bound, "m"))
-        parts.append((grid[some][-1] - grid[first], figures(robot, samples, (velocity, acceleration, jerk))))
-    checks = [
-        _range_check(robot, trajectory),
-        *rates,
-        _worst(torques),
-        _continuity_check(robot, trajectory),
-        _via_point_check(trajectory, via_points),
-        _grid_check("clearance", grid, clearance, options.safety_margin_m, "m", at_least=True),
-    ]
-    if at_work:
-        checks.append(_worst(deviations))
+    torque = work.joint_torque()
+    checks = [_range_check(robot, trajectory), *rates, torque, _continuity_check(robot, trajectory)]
+    for name, posture, k in (("start", start, 0), ("end", end, -1)):
+        if posture is not None:
+            checks.append(
+                Check(
+                    quantity=f"distance of the {name} from the posture required there",
+                    time=float(trajectory.t[k]),
+                    value=float(np.abs(trajectory.q[k] - posture).max()),
+                    bound=_SAME_POSTURE,
+                    unit="rad",
+                )
+            )
+    checks.append(
+        Check(
+            quantity="clearance",
+            time=nearest.time,
+            value=nearest.bound if nearest.distance >= options.safety_margin_m else nearest.distance,
+            bound=options.safety_margin_m,
+            unit="m",
+            at_least=True,
+        )
+    )
+    deviation, rotation, lag = work.tool_deviation(), work.tool_rotation(), work.tool_lag()
+    if via_points is not None:
+        checks.append(_duration_check(task, trajectory))
+        expected = "" if sag is None else "expected "
+        off, turned = work.at_via_points(via_points)
+        # The compensation converges to a share of what is allowed in between.
+        allowed = _AT_VIA_POINT if sag is None else options.max_tool_deviation_m
+        checks += [
+            _largest(f"{expected}distance of the tool from its place at a via-point", *off, allowed, "m"),
+            _largest(
+                "rotation of the tool from its orientation at a via-point", *turned, _AT_VIA_POINT, "rad"
+            ),
+            _enclosed(f"{expected}tool deviation", deviation, options.max_tool_deviation_m, "m"),
+            _enclosed("tool rotation", rotation, np.deg2rad(options.max_tool_rotation_deg), "rad"),
+            _enclosed(f"{expected}tool lag", lag, options.max_tool_lag_m, "m"),
+        ]
+    guardrail, mean, static = work.guardrail_torque()
+    shares = [check.value / check.bound for check in (*rates, torque)]
+    figures = MotionMetrics(
+        peak_guardrail_torque=guardrail.value,
+        mean_guardrail_torque=mean,
+        peak_static_guardrail_torque=static,
+        min_clearance=nearest.distance,
+        max_tool_deviation=deviation.value,
+        max_tool_rotation=rotation.value,
+        max_tool_lag=lag.value,
+        limit_use=LimitUse(velocity=shares[0], acceleration=shares[1], jerk=shares[2], torque=shares[3]),
+    )
     return Certificate(
         checks=tuple(checks),
-        figures=together(parts),
-        clearance_bound=float((0.5 * (clearance[:-1] + clearance[1:]) - approach).min()),
+        figures=figures,
+        clearance_bound=nearest.bound,
+        guardrail_torque_bound=guardrail.bound,
     )
 
 
-def certificate_grid(trajectory: QuinticTrajectory, options: PlannerOptions) -> FloatArray:
-    """Times (N,) at which what has no exact extrema is judged, s."""
-    t = trajectory.t
-    per_segment = _FINER * options.samples_per_segment
-    return np.append(np.linspace(t[:-1], t[1:], per_segment, endpoint=False, axis=1).ravel(), t[-1])
+class _Work:
+    """Torques and tool of a trajectory at the points of interpolation, and their enclosures."""
+
+    def __init__(self, robot: Robot, task: ToolTask, trajectory: QuinticTrajectory, sag: Sag | None) -> None:
+        self._robot, self._task, self._trajectory, self._sag = robot, task, trajectory, sag
+        self._dynamics = Dynamics(robot)
+        pieces = Pieces.between(trajectory, task.path.breaks)
+        self._pieces = pieces.refined(self._share, _MOST_PIECES * len(pieces.start))
+        self._growth = growth(robot, self._pieces.ellipses)
+        q, v, a = self._pieces.states
+        self._efforts: Efforts = self._dynamics.efforts(q, v, a)
+        self._p_WT, self._R_WT = Kinematics(robot).tool_poses(q)
+        self._unknown = np.zeros(len(self._pieces.start))
+        if sag is not None:
+            bent = sag.at(q).tool
+            self._p_WT = self._p_WT + bent
+            self._unknown = self._pieces.estimated_remainder(bent)
+
+    def _share(self, pieces: Pieces) -> FloatArray:
+        """Remainders (K,) as shares of what they may be."""
+        of: Growth = growth(self._robot, pieces.ellipses)
+        torque, scale = self._robot.limits.torque, float(self._robot.limits.torque.max())
+        shares = [
+            pieces.remainder(of.guardrail_torque) / (_TORQUE_RESOLUTION * scale),
+            pieces.remainder(of.tool_point) / _TOOL_RESOLUTION,
+            pieces.remainder(of.tool_rotation) / _TOOL_RESOLUTION,
+            *(
+                pieces.remainder(of.joint_torque[..., j]) / (_TORQUE_RESOLUTION * torque[j])
+                for j in range(self._robot.dof)
+            ),
+        ]
+        return np.asarray(np.max(shares, axis=0))
+
+    def _highest(
+        self,
+        values: FloatArray,
+        convex: Callable[[FloatArray, IntArray], FloatArray],
+        remainder: FloatArray,
+        resolution: float,
+    ) -> Peak:
+        return highest(self._pieces, self._pieces.control_points(values), convex, remainder, resolution)
+
+    def joint_torque(self) -> Check:
+        """The torque of the joint that uses most of its bound (Chang 2021, Eq. (32))."""
+        robot, bound = self._robot, self._robot.limits.torque
+        each = [
+            self._pieces.remainder(self._growth.joint_torque[..., j]) / bound[j] for j in range(robot.dof)
+        ]
+        peak = self._highest(
+            self._efforts.joint_torque / bound,
+            lambda share, piece: np.abs(share).max(axis=1),
+            np.max(each, axis=0),
+            _TORQUE_RESOLUTION,
+        )
+        there = self._dynamics.efforts(*self._trajectory.states([peak.time]))
+        joint = int((np.abs(there.joint_torque[0]) / bound).argmax())
+        return Check(
+            quantity=f"torque of {robot.joints[joint]}",
+            time=peak.time,
+            value=peak.bound * float(bound[joint]),
+            bound=float(bound[joint]),
+            unit="Nm",
+        )
+
+    def guardrail_torque(self) -> tuple[Peak, float, float]:
+        """Peak and time mean of the norm of the torque on the guardrail, and its peak at rest, Nm."""
+        pieces, torque = self._pieces, self._efforts.guardrail_torque
+        size = np.linalg.norm(torque, axis=1)
+        resolution = _TORQUE_RESOLUTION * float(size.max())
+        remainder = pieces.remainder(self._growth.guardrail_torque)
+        peak = self._highest(torque, _norm, remainder, resolution)
+        means = size.reshape(len(pieces.start), -1) @ clenshaw_curtis()
+        mean = float(np.average(means, weights=pieces.end - pieces.start))
+        static = self._dynamics.static_efforts(pieces.states[0]).guardrail_torque
+        return peak, mean, self._highest(static, _norm, remainder, resolution).value
+
+    def tool_deviation(self) -> Peak:
+        """Distance of the tool point from the leg of its time, m."""
+        path, middle = self._task.path, self._pieces.middle
+
+        def distance(p: FloatArray, piece: IntArray) -> FloatArray:
+            points = np.swapaxes(p, 1, 2)
+            times = np.repeat(middle[piece], points.shape[1])
+            offset = path.leg_offset(times, points.reshape(-1, 3))
+            return np.asarray(np.linalg.norm(offset, axis=1).reshape(points.shape[:2]))
+
+        return self._highest(self._p_WT, distance, self._point_remainder, _TOOL_RESOLUTION)
+
+    def tool_lag(self) -> Peak:
+        """Distance along its leg of the tool point from its timed place, m."""
+        pieces, path = self._pieces, self._task.path
+        away = (self._p_WT - path.position(pieces.times.ravel())).reshape(len(pieces.start), -1, 3)
+        along = np.einsum("knd,kd->kn", away, path.leg_directions(pieces.middle))
+        return self._highest(
+            along.reshape(-1, 1), lambda x, piece: np.abs(x[:, 0]), self._point_remainder, _TOOL_RESOLUTION
+        )
+
+    def tool_rotation(self) -> Peak:
+        """Angle by which the tool misses what is prescribed of its orientation, rad."""
+        goal, keep = self._task.path.orientation, self._task.keep
+        if keep == "position":
+            return Peak(time=float(self._trajectory.t[0]), value=0.0, bound=0.0)
+        # Both chords are 2 k sin(angle/2): of the axis as a vector, of the orientation as a matrix.
+        columns, k = (slice(2, 3), 1.0) if keep == "axis" else (slice(None), np.sqrt(2.0))
+        away = (self._R_WT - goal)[:, :, columns].reshape(len(self._R_WT), -1)
+        remainder = self._pieces.remainder(self._growth.tool_rotation) * np.sqrt(away.shape[1] / 3)
+        chord = self._highest(away, _norm, remainder, _TOOL_RESOLUTION)
+        value, bound = (2 * np.arcsin(np.minimum(x / (2 * k), 1.0)) for x in (chord.value, chord.bound))
+        return Peak(time=chord.time, value=float(value), bound=float(bound))
+
+    def at_via_points(self, count: int) -> tuple[tuple[FloatArray, FloatArray], ...]:
+        """Times and distances of the tool from its place, m, and rotations, rad, at the via-points."""
+        task, trajectory = self._task, self._trajectory
+        times = task.path.via_times(count)
+        # What is not in the trajectory's time is where it rests; another check says so.
+        q = trajectory.evaluate(np.clip(times, trajectory.t[0], trajectory.t[-1]))
+        p_WT, R_WT = Kinematics(self._robot).tool_poses(q)
+        if self._sag is not None:
+            p_WT = p_WT + self._sag.at(q).tool
+        away = np.linalg.norm(p_WT - task.path.position(times), axis=1)
+        return (times, np.asarray(away)), (times, task.rotation(R_WT))
+
+    @property
+    def _point_remainder(self) -> FloatArray:
+        return np.asarray(self._pieces.remainder(self._growth.tool_point) + self._unknown)
+
+
+def _norm(vectors: FloatArray, piece: IntArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(vectors, axis=1))
 
 
 def _range_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     """Position of the joint that comes nearest to an end of its range, at its exact extrema."""
-    limits, position = robot.limits, trajectory.extrema(0)
-    finite = np.isfinite(limits.lower)
-    half = np.where(finite, 0.5 * (limits.upper - limits.lower), np.inf)
-    middle = np.where(finite, limits.upper, 0.0) - np.where(finite, half, 0.0)
+    position = trajectory.extrema(0)
+    middle, half = robot.limits.range_middle, robot.limits.range_half
     # Extrema are (segments, n, k).
     value, time = (np.moveaxis(x, 1, 2).reshape(-1, robot.dof) for x in (position.value, position.time))
     quantity = "distance of {} from the middle of its range"
@@ -222,62 +384,54 @@ def _joint_check(
 
 
 def _continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
-    """Largest jump at an inner knot, or rate left at an end, as a share of its bound (Eqs. (34)-(37))."""
+    """Largest jump at an inner knot, or rate left at an end (Eqs. (34)-(37)), as a share of what it may be.
+
+    That is a billionth of the joint's bound, or what the last digits of the positions do in the shorter one
+    of the segments at the knot, order by order.
+    """
     limits, t = robot.limits, trajectory.t
-    # A quintic whose end is off by x has 60 x / h^3 of jerk more there.
-    digit = np.spacing(np.abs(trajectory.q).max(axis=0))
-    rounding = float((60 * _DIGITS * digit / limits.jerk).max()) / float(np.diff(t).min()) ** 3
+    h = np.diff(t)
+    digit = _DIGITS * np.spacing(np.abs(trajectory.q).max(axis=0))
+    shorter = np.concatenate([h[:1], np.minimum(h[:-1], h[1:]), h[-1:]])[:, None]
     worst, where = 0.0, float(t[0])
     bounds: tuple[FloatArray | float, ...] = (np.pi, limits.velocity, limits.acceleration, limits.jerk)
     for order, bound in enumerate(bounds):
-        jumps = [(t[1:-1], trajectory.jumps(order))]
+        jump = np.zeros_like(trajectory.q)
+        jump[1:-1] = trajectory.jumps(order)
         if order > 0:
-            jumps.append((t[[0, -1]], trajectory.evaluate(t[[0, -1]], order)))
-        for times, jump in jumps:
-            if len(times):
-                share = np.abs(jump / bound).max(axis=1)
-                if not share.max() <= worst:
-                    worst, where = float(share.max()), float(times[share.argmax()])
+            jump[[0, -1]] = trajectory.evaluate(t[[0, -1]], order)
+        rounding = _AMPLIFIED[order] * digit / bound / shorter**order
+        if order < len(bounds) - 1:
+            rounding = np.minimum(rounding, _LARGEST_ALLOWANCE)
+        share = (np.abs(jump / bound) / np.maximum(rounding, _JUMP)).max(axis=1)
+        if not share.max() <= worst:
+            worst, where = float(share.max()), float(t[share.argmax()])
     return Check(
         quantity="jump of a joint's position, velocity, acceleration or jerk",
         time=where,
         value=worst,
-        bound=max(_JUMP, rounding),
-        unit="of its bound",
+        bound=1.0,
+        unit="of its allowance",
     )
 
 
-def _via_point_check(trajectory: QuinticTrajectory, via_points: FloatArray) -> Check:
-    error = np.abs(trajectory.evaluate(trajectory.t) - via_points).max(axis=1)
-    return _grid_check("distance from a via-point", trajectory.t, error, _VIA_POINT, "rad")
-
-
-def _grid_check(
-    quantity: str, grid: FloatArray, value: FloatArray, bound: float, unit: str, *, at_least: bool = False
-) -> Check:
-    worst = int(value.argmin() if at_least else value.argmax())
+def _duration_check(task: ToolTask, trajectory: QuinticTrajectory) -> Check:
+    first, last, duration = float(trajectory.t[0]), float(trajectory.t[-1]), task.path.duration
     return Check(
-        quantity=quantity,
-        time=float(grid[worst]),
-        value=float(value[worst]),
-        bound=bound,
-        unit=unit,
-        at_least=at_least,
+        quantity="difference of the trajectory's times from the tool path's",
+        time=last,
+        value=max(abs(first), abs(last - duration)),
+        bound=_SAME_DURATION * duration,
+        unit="s",
     )
 
 
-def _worst(checks: list[Check]) -> Check:
-    """The check, of several with upper bounds, that uses most of it; one that is no number is worst."""
-    return checks[int(np.argmax([check.value / check.bound for check in checks]))]
+def _largest(quantity: str, times: FloatArray, value: FloatArray, bound: float, unit: str) -> Check:
+    worst = int(value.argmax())
+    return Check(
+        quantity=quantity, time=float(times[worst]), value=float(value[worst]), bound=bound, unit=unit
+    )
 
 
-def _approach(trajectory: QuinticTrajectory, grid: FloatArray, reach: FloatArray) -> FloatArray:
-    """By how much any distance can fall below the mean of those at two neighbouring samples, (N - 1,), m.
-
-    A joint that turns at rate w moves no point beyond it faster than w times its reach. Two shapes of the arm
-    are moved against each other only by the joints between them, so the same rate bounds every distance: it
-    falls between two samples, h apart, by at most half of rate times h below the mean of both.
-    """
-    per_segment = (len(grid) - 1) // (len(trajectory.t) - 1)
-    fastest = np.abs(trajectory.extrema(1).value).max(axis=2) @ reach
-    return np.asarray(0.5 * np.repeat(fastest, per_segment) * np.diff(grid))
+def _enclosed(quantity: str, peak: Peak, bound: float, unit: str) -> Check:
+    return Check(quantity=quantity, time=peak.time, value=peak.bound, bound=float(bound), unit=unit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,7 +13,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 
-__all__ = ["LimitUse", "MotionMetrics", "Samples", "figures", "measure", "together"]
+__all__ = ["LimitUse", "MotionMetrics", "Samples", "figures", "measure", "tool_lag"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -39,9 +39,11 @@ class MotionMetrics:
     min_clearance : float, m
         Smallest distance to obstacles and of the arm to itself.
     max_tool_deviation : float, m
-        Largest distance of the tool point from the legs, whenever it is there.
+        Largest distance of the tool point from the leg of its time.
     max_tool_rotation : float, rad
         Largest angle by which the tool misses the prescribed orientation or axis.
+    max_tool_lag : float, m
+        Largest distance of the tool point from its timed place, along the leg.
     limit_use : LimitUse
     """
 
@@ -51,6 +53,7 @@ class MotionMetrics:
     min_clearance: float
     max_tool_deviation: float
     max_tool_rotation: float
+    max_tool_lag: float
     limit_use: LimitUse
 
 
@@ -70,7 +73,9 @@ class Samples:
     expected_tool_point : (N, 3), m, or None
         Where it is expected with its predicted sag; None where sag is not compensated.
     tool_deviation : (N,), m
-        Distance of the tool point, the expected one if there is one, from the legs.
+        Distance of the tool point, the expected one if there is one, from the leg of its time.
+    tool_lag : (N,), m
+        Distance along that leg from its timed place.
     tool_rotation : (N,), rad
     clearance : (N,), m
     """
@@ -86,6 +91,7 @@ class Samples:
     tool_point: FloatArray
     expected_tool_point: FloatArray | None
     tool_deviation: FloatArray
+    tool_lag: FloatArray
     tool_rotation: FloatArray
     clearance: FloatArray
 
@@ -119,7 +125,7 @@ def measure(
     efforts = Dynamics(robot).efforts(q, v, a)
     p_WT, R_WT = Kinematics(robot).tool_poses(q)
     expected = None if sag is None else p_WT + sag.along(t, q)
-    offset = task.path.offset(p_WT if expected is None else expected)
+    point = p_WT if expected is None else expected
     return Samples(
         t=t,
         q=q,
@@ -131,35 +137,32 @@ def measure(
         guardrail_torque=efforts.guardrail_torque,
         tool_point=p_WT,
         expected_tool_point=expected,
-        tool_deviation=np.asarray(np.linalg.norm(offset, axis=1)),
+        tool_deviation=np.asarray(np.linalg.norm(task.path.leg_offset(t, point), axis=1)),
+        tool_lag=tool_lag(task, t, point),
         tool_rotation=task.rotation(R_WT),
         clearance=clearances.smallest(q).distance if clearance is None else clearance,
     )
 
 
-def figures(
-    robot: Robot, samples: Samples, kinematic_use: tuple[float, float, float] | None = None
-) -> MotionMetrics:
+def tool_lag(task: ToolTask, t: FloatArray, p_WT: FloatArray) -> FloatArray:
+    """Return how far tool points (N, 3) are from their timed places along the legs, (N,), m."""
+    path = task.path
+    return np.asarray(np.abs(np.einsum("ki,ki->k", p_WT - path.position(t), path.leg_directions(t))))
+
+
+def figures(robot: Robot, samples: Samples) -> MotionMetrics:
     """Reduce samples to figures.
 
     Parameters
     ----------
     robot : Robot
     samples : Samples
-    kinematic_use : three floats, optional
-        Shares of the velocity, acceleration and jerk bounds where they are known exactly; default: as
-        sampled.
     """
     limits = robot.limits
 
     def use(x: FloatArray, bound: FloatArray) -> float:
         return float((np.abs(x) / bound).max())
 
-    velocity, acceleration, jerk = kinematic_use or (
-        use(samples.v, limits.velocity),
-        use(samples.a, limits.acceleration),
-        use(samples.j, limits.jerk),
-    )
     torque = np.linalg.norm(samples.guardrail_torque, axis=1)
     static = Postures(robot).at(samples.q).guardrail_torque
     duration = float(samples.t[-1] - samples.t[0])
@@ -170,32 +173,11 @@ def figures(
         min_clearance=float(samples.clearance.min()),
         max_tool_deviation=float(samples.tool_deviation.max()),
         max_tool_rotation=float(samples.tool_rotation.max()),
+        max_tool_lag=float(samples.tool_lag.max()),
         limit_use=LimitUse(
-            velocity=velocity,
-            acceleration=acceleration,
-            jerk=jerk,
+            velocity=use(samples.v, limits.velocity),
+            acceleration=use(samples.a, limits.acceleration),
+            jerk=use(samples.j, limits.jerk),
             torque=use(samples.joint_torque, limits.torque),
         ),
-    )
-
-
-def together(parts: Sequence[tuple[float, MotionMetrics]]) -> MotionMetrics:
-    """Return the figures of a whole motion from the durations, s, and figures of its consecutive parts."""
-    durations, each = zip(*parts, strict=True)
-    uses = [part.limit_use for part in each]
-
-    # Unlike Python's own, NumPy's extremes keep what is no number.
-    def most(name: str, of: Sequence[object] = each) -> float:
-        return float(np.max([getattr(part, name) for part in of]))
-
-    return MotionMetrics(
-        peak_guardrail_torque=most("peak_guardrail_torque"),
-        mean_guardrail_torque=float(
-            np.average([part.mean_guardrail_torque for part in each], weights=durations)
-        ),
-        peak_static_guardrail_torque=most("peak_static_guardrail_torque"),
-        min_clearance=float(np.min([part.min_clearance for part in each])),
-        max_tool_deviation=most("max_tool_deviation"),
-        max_tool_rotation=most("max_tool_rotation"),
-        limit_use=LimitUse(**{use.name: most(use.name, uses) for use in fields(LimitUse)}),
     )

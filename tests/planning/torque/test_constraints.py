@@ -1,5 +1,6 @@
 """Functions of the state: values by definition, derivatives by finite differences, samples by thresholds."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,6 +10,7 @@ from conftest import StateSamples as RandomStates
 from finite_differences import check_derivative, check_state_derivatives
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
 from small_scenes import parts, short_context, short_scene
 
 from cmbot.collision import Clearances, Smallest
@@ -16,8 +18,14 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.program import Linearization, StateFunction, StateSamples
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
-from cmbot.planning.torque.constraints import ClearanceMargin, JointTorque, ToolDeviation
-from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
+from cmbot.planning.torque.constraints import (
+    ClearanceMargin,
+    JointTorque,
+    ToolDeviation,
+    ToolLag,
+    ToolRotation,
+)
+from cmbot.robot import Dynamics, Efforts, Kinematics, Postures, Robot
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 N = 6
@@ -79,7 +87,7 @@ def test_derivatives_of_a_joint_torque(
 
 def test_tool_deviation(corner: Corner, states: StateSamples) -> None:
     robot, task, _ = corner
-    function = ToolDeviation(Kinematics(robot), task, 0.5)
+    function = ToolDeviation(Postures(robot), task, 0.5)
     value, component = function.sample(states)
     p_WT, _ = Kinematics(robot).tool_poses(states.q)
     start, middle, end = task.path.corners
@@ -91,11 +99,39 @@ def test_tool_deviation(corner: Corner, states: StateSamples) -> None:
     check_linearization(function, states, component[:, 0], 1e-3, 1e-7)
 
 
+def test_tool_lag(corner: Corner, states: StateSamples) -> None:
+    robot, task, _ = corner
+    function = ToolLag(Postures(robot), task, 0.5)
+    value, component = function.sample(states)
+    p_WT, _ = Kinematics(robot).tool_poses(states.q)
+    corners = task.path.corners
+    for k in range(N):
+        leg = corners[1] - corners[0] if states.t[k] < 2 else corners[2] - corners[1]
+        lag = (p_WT[k] - task.path.position(states.t[[k]])[0]) @ leg / np.linalg.norm(leg)
+        np.testing.assert_allclose(value[k], [lag / 0.5 - 1, -lag / 0.5 - 1], atol=1e-12)
+    for side in (0, 1):
+        check_linearization(function, states, component[:, side], 1e-3, 1e-7)
+
+
+@pytest.mark.parametrize("keep", ["pose", "axis"])
+def test_tool_rotation(corner: Corner, states: StateSamples, keep: Any) -> None:
+    robot, task, _ = corner
+    task = replace(task, keep=keep)
+    function = ToolRotation(Postures(robot), task, 0.5)
+    value, component = function.sample(states)
+    _, R_WT = Kinematics(robot).tool_poses(states.q)
+    for k in range(N):
+        turn = Rotation.from_matrix(task.path.orientation @ R_WT[k].T).magnitude()
+        axes = np.arccos(np.clip(task.path.orientation[:, 2] @ R_WT[k][:, 2], -1, 1))
+        assert value[k, 0] == pytest.approx((turn if keep == "pose" else axes) / 0.5 - 1, abs=1e-7)
+    check_linearization(function, states, component[:, 0], 1e-3, 1e-6)
+
+
 def test_direction_cuts_of_the_tool_deviation(corner: Corner, rng: np.random.Generator) -> None:
     """In eight directions across the leg, the offset's own among them; none ever exceeds the deviation."""
     robot, task, _ = corner
     bound = 0.01
-    function, kinematics = ToolDeviation(Kinematics(robot), task, bound), Kinematics(robot)
+    function, kinematics = ToolDeviation(Postures(robot), task, bound), Kinematics(robot)
     t = np.array([0.0, 0.0, 0.0])
     q = np.deg2rad([-10.0, -90, 90, 0, 10, 50, 0]) + 0.01 * rng.normal(size=(3, 7))
     at = function.linearize(StateSamples.at_rest(t, q), np.zeros(3, dtype=np.intp))
@@ -124,7 +160,7 @@ def test_tool_deviation_on_the_path_is_flat(corner: Corner) -> None:
     """A distance has no derivative at zero: none is made up, and nothing is divided by."""
     robot, task, _ = corner
     q = np.deg2rad([[-10.0, -90, 90, 0, 10, 50, 0]])
-    got = ToolDeviation(Kinematics(robot), task, 1e-3).linearize(
+    got = ToolDeviation(Postures(robot), task, 1e-3).linearize(
         StateSamples.at_rest(np.zeros(1), q), np.zeros(1, dtype=np.intp)
     )
     assert got.value[0] == pytest.approx(-1, abs=1e-9)

@@ -9,6 +9,7 @@ from quadrature import gauss_points
 from small_scenes import problem_of, torque_along, torque_problem
 from urdf_arms import endless_scene
 
+from cmbot.collision import RESOLUTION
 from cmbot.common.arrays import FloatArray
 from cmbot.optimization.constraint_set import ConstraintSet
 from cmbot.optimization.linearization import linearize
@@ -111,12 +112,15 @@ def test_endless_joints_have_no_ends(tmp_path: Path) -> None:
 def test_sampled_constraints_are_kept_a_little_inside(fixed: TorqueProblem) -> None:
     """For what is not seen between samples, the less the more there are."""
     context, options = fixed.context, fixed.context.options
-    torque, deviation, clearance = fixed.constraints
+    torque, deviation, clearance, lag, rotation = fixed.constraints
     inside = 1 - 0.5 / options.samples_per_segment**2
     np.testing.assert_allclose(torque.bound, context.robot.limits.torque * inside, rtol=1e-14)
     assert deviation.bound == pytest.approx(options.max_tool_deviation_m * inside)
-    assert clearance.margin == pytest.approx(options.safety_margin_m + 1e-5)
-    assert [each.components for each in fixed.constraints] == [14, 1, None]
+    assert lag.bound == pytest.approx(options.max_tool_lag_m * inside)
+    assert rotation.bound == pytest.approx(np.deg2rad(options.max_tool_rotation_deg) * inside)
+    # The clearance's bound falls short of the distance by up to its resolution.
+    assert clearance.margin == pytest.approx(options.safety_margin_m + 1e-5 + RESOLUTION)
+    assert [each.components for each in fixed.constraints] == [14, 1, None, 2, 1]
     assert fixed.joints == context.robot.joints
 
 

@@ -18,7 +18,8 @@ from cmbot.collision import Clearances
 from cmbot.common.errors import InputError, LimitViolation
 from cmbot.planning import Plan, QuinticTrajectory, plan
 from cmbot.planning.verification.certificate import Certificate, Check, _continuity_check, certify
-from cmbot.robot import Robot, load_robot
+from cmbot.planning.verification.metrics import measure
+from cmbot.robot import Kinematics, Robot, load_robot
 from cmbot.scene import Box, Obstacle, pose
 from cmbot.trajectory import Parametrization, SparseSplines, SplineSpace
 
@@ -30,10 +31,15 @@ QUANTITIES = (
     "jerk of *",
     "torque of *",
     "jump of a joint's position, velocity, acceleration or jerk",
-    "distance from a via-point",
     "clearance",
+    "difference of the trajectory's times from the tool path's",
+    "distance of the tool from its place at a via-point",
+    "rotation of the tool from its orientation at a via-point",
     "tool deviation",
+    "tool rotation",
+    "tool lag",
 )
+START = "distance of the start from the posture required there"
 
 
 @pytest.fixture(scope="module")
@@ -49,8 +55,9 @@ def again(planned: Plan, **changes: Any) -> Certificate:
     arguments: dict[str, Any] = {
         "task": planned.task,
         "trajectory": planned.trajectory,
-        "via_points": planned.trajectory.q,
+        "via_points": planned.scene.via_points,
         "options": planned.options,
+        "start": planned.scene.posture if planned.start.moved == 0 else None,
     } | changes
     return certify(robot=robot, clearances=Clearances(robot, obstacles), **arguments)
 
@@ -75,6 +82,8 @@ def test_plans_hold(name: str, request: pytest.FixtureRequest) -> None:
     certificate.require()
     joints = planned.robot.joints
     got = [check.quantity for check in certificate.checks]
+    assert (START in got) == (planned.start.moved == 0)
+    got = [quantity for quantity in got if quantity != START]
     for quantity, pattern in zip(got, QUANTITIES, strict=True):
         assert quantity in {pattern.replace("*", joint) for joint in joints}
 
@@ -101,14 +110,17 @@ def test_time_that_is_run_too_fast(short_plan: Plan, name: str, order: int) -> N
     assert name not in broken(again(short_plan, trajectory=slower))
 
 
-def test_a_via_point_that_was_shifted(short_plan: Plan) -> None:
+@pytest.mark.parametrize(("shift", "holds"), [(1e-8, True), (2e-6, False)])
+def test_a_via_point_that_was_shifted(short_plan: Plan, shift: float, holds: bool) -> None:
     x = short_plan.trajectory
     q = x.q.copy()
-    q[3, 2] += 2e-10
-    moved = QuinticTrajectory(t=x.t, q=q, v=x.v, a=x.a)
-    failed = broken(again(short_plan, trajectory=moved, via_points=x.q))
-    assert failed["distance from a via-point"].time == x.t[3]
-    assert failed["distance from a via-point"].value == pytest.approx(2e-10, rel=1e-3)
+    q[3, 2] += shift
+    certificate = again(short_plan, trajectory=QuinticTrajectory(t=x.t, q=q, v=x.v, a=x.a))
+    (check,) = (check for check in certificate.checks if "its place at a via-point" in check.quantity)
+    assert check.holds is holds
+    assert check.time == x.t[3]
+    poses = [Kinematics(short_plan.robot).tool_pose(each[3]).translation for each in (q, x.q)]
+    assert check.value == pytest.approx(np.linalg.norm(poses[0] - poses[1]), rel=1e-3)
 
 
 def test_a_kink(short_plan: Plan) -> None:
@@ -121,7 +133,7 @@ def test_a_kink(short_plan: Plan) -> None:
     check = failed["jump"]
     bent = QuinticTrajectory(t=x.t, q=x.q, v=x.v, a=a)
     jumps = np.abs(bent.jumps(3) / short_plan.robot.limits.jerk)
-    assert check.value == pytest.approx(jumps.max(), rel=1e-6)
+    assert check.value == pytest.approx(jumps.max() / 1e-9, rel=1e-3)
     # The neighbouring knots feel it too.
     assert check.time in x.t[3:6]
 
@@ -131,10 +143,27 @@ def test_ends_that_do_not_rest(short_plan: Plan, kept: slice, end: int) -> None:
     """Without its first or last segment a plan is as smooth as before, but starts or stops with a jolt."""
     x = short_plan.trajectory
     cut = QuinticTrajectory(t=x.t[kept], q=x.q[kept], v=x.v[kept], a=x.a[kept])
-    failed = broken(again(short_plan, trajectory=cut, via_points=cut.q))
-    assert list(failed) == ["jump"]
+    failed = broken(again(short_plan, trajectory=cut))
+    assert {"jump", "difference"} <= set(failed)
     assert failed["jump"].time == cut.t[end]
-    assert failed["jump"].value > 1e-3
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_a_short_segment_allows_no_more_than_its_own_rounding(short_plan: Plan, order: int) -> None:
+    """The last digits of a jerk over 1e-5 s are no allowance for a rate, nor for other segments."""
+    x = short_plan.trajectory
+    t = np.concatenate([[0.0, 1e-5], x.t[1:]])
+    q, v, a = (np.array(each) for each in x.states(t))
+    assert "jump" not in broken(again(short_plan, trajectory=QuinticTrajectory(t=t, q=q, v=v, a=a)))
+    (v, a)[order - 1][0] += 1e-4
+    assert "jump" in broken(again(short_plan, trajectory=QuinticTrajectory(t=t, q=q, v=v, a=a)))
+    a = x.a.copy()
+    a[5, 1] += 1e-6
+    q, v, a = (
+        np.insert(each, 1, other, axis=0) for each, other in zip((x.q, x.v, a), x.states([1e-5]), strict=True)
+    )
+    failed = broken(again(short_plan, trajectory=QuinticTrajectory(t=t, q=q, v=v, a=a)))
+    assert failed["jump"].time in x.t[4:7]
 
 
 def test_dense_knots_are_smooth_as_far_as_their_digits_go(cmbot_robot: Robot) -> None:
@@ -146,12 +175,10 @@ def test_dense_knots_are_smooth_as_far_as_their_digits_go(cmbot_robot: Robot) ->
     # As plans are made; solved for the whole path at once, twice as many digits would be lost.
     smooth = Parametrization(splines, via_points, splines.least_jerk(via_points)).trajectory
     check = _continuity_check(cmbot_robot, smooth)
-    assert 1e-9 < check.value <= check.bound < 1e-6
+    assert 1e-3 < check.value <= check.bound == 1.0
     a = smooth.a.copy()
     a[500, 2] += 1e-6
     assert not _continuity_check(cmbot_robot, replace(smooth, a=a)).holds
-    few = SplineSpace(t[::50])
-    assert _continuity_check(cmbot_robot, few.trajectory(few.least_jerk(via_points[::50]))).bound == 1e-9
 
 
 def test_a_joint_beyond_its_range(short_plan: Plan) -> None:
@@ -159,6 +186,7 @@ def test_a_joint_beyond_its_range(short_plan: Plan) -> None:
     limits = replace(short_plan.robot.limits, upper=furthest - 1e-6)
     failed = broken(again(short_plan, robot=replace(short_plan.robot, limits=limits)))
     assert list(failed) == ["distance"]
+    assert "range" in failed["distance"].quantity
 
 
 def test_an_obstacle_in_the_way(short_plan: Plan) -> None:
@@ -181,9 +209,22 @@ def test_another_tool_path(short_plan: Plan) -> None:
     path = short_plan.task.path
     corners = path.corners + np.array([[0, 0, 0], [0, 0, 0.02]])
     failed = broken(again(short_plan, task=replace(short_plan.task, path=replace(path, corners=corners))))
-    assert list(failed) == ["tool deviation"]
+    assert set(failed) == {"distance", "tool deviation"}
     assert failed["tool deviation"].value == pytest.approx(0.02, rel=0.1)
     assert failed["tool deviation"].time == pytest.approx(4.0, abs=0.5)
+
+
+@pytest.mark.parametrize("quantity", ["tool deviation", "tool rotation", "tool lag"])
+def test_bounds_of_the_tool_are_met_to_the_last_digits(short_plan: Plan, quantity: str) -> None:
+    """The value holds for all times and is no more than a millionth, or 1e-7 m or rad, above what occurs."""
+    (check,) = (check for check in short_plan.certificate.checks if check.quantity == quantity)
+    t = np.linspace(0, short_plan.trajectory.t[-1], 40_001)
+    motion = [short_plan.trajectory.evaluate(t, order) for order in range(4)]
+    clearance = np.zeros_like(t)
+    clearances = Clearances(short_plan.robot, ())
+    samples = measure(short_plan.robot, short_plan.task, clearances, t, motion, clearance=clearance)
+    largest = getattr(samples, quantity.replace(" ", "_")).max()
+    assert largest <= check.value <= largest + 1e-7
 
 
 @pytest.mark.parametrize("name", ["velocity", "acceleration", "jerk", "torque"])
@@ -192,7 +233,7 @@ def test_the_joint_that_is_over_its_bound_is_named(short_plan: Plan, name: str) 
     bound[3] *= 1e-6
     limits = replace(short_plan.robot.limits, **{name: bound})
     failed = broken(again(short_plan, robot=replace(short_plan.robot, limits=limits)))
-    assert list(failed) == [name] or name == "jerk"
+    assert set(failed) in ({name}, {name, "jump"})
     assert failed[name].quantity == f"{name} of joint_4"
     assert failed[name].bound == bound[3]
 
@@ -202,9 +243,9 @@ def test_numbers_that_are_none(short_plan: Plan) -> None:
     x = short_plan.trajectory
     with pytest.raises(InputError, match="not finite"):
         QuinticTrajectory(t=x.t, q=np.full_like(x.q, np.nan), v=x.v, a=x.a)
-    via_points = x.q.copy()
-    via_points[2, 2] = np.nan
-    assert "distance from a via-point" in broken(again(short_plan, via_points=via_points))
+    away = replace(short_plan.task.path, corners=np.full_like(short_plan.task.path.corners, np.nan))
+    failed = broken(again(short_plan, task=replace(short_plan.task, path=away)))
+    assert {"tool deviation", "tool lag", "distance"} <= set(failed)
     nothing = Check(quantity="x", time=0.0, value=np.nan, bound=1.0, unit="")
     assert not nothing.holds
     assert not replace(nothing, at_least=True).holds
@@ -213,58 +254,30 @@ def test_numbers_that_are_none(short_plan: Plan) -> None:
 
 
 def test_figures_by_hand(triangle_plan: Plan) -> None:
-    """The paper's recursion, typed in again, at the certificate's own times."""
+    """The paper's recursion, typed in again, at 400 times a segment."""
     x = triangle_plan.trajectory
-    per_segment = 10 * triangle_plan.options.samples_per_segment
-    grid = np.append(np.linspace(x.t[:-1], x.t[1:], per_segment, endpoint=False, axis=1).ravel(), x.t[-1])
+    grid = np.append(np.linspace(x.t[:-1], x.t[1:], 400, endpoint=False, axis=1).ravel(), x.t[-1])
     q, v, a = x.states(grid)
     tau, n_0, _ = newton_euler.efforts(q, v, a)
     norm = np.linalg.norm(n_0, axis=1)
-    figures = triangle_plan.figures
-    assert figures.peak_guardrail_torque == pytest.approx(norm.max(), rel=1e-9)
-    assert figures.mean_guardrail_torque == pytest.approx(np.trapezoid(norm, grid) / 20, rel=1e-9)
+    certificate, figures = triangle_plan.certificate, triangle_plan.figures
+    assert figures.peak_guardrail_torque == pytest.approx(norm.max(), rel=1e-6)
+    assert norm.max() <= certificate.guardrail_torque_bound <= norm.max() * (1 + 2e-6)
+    assert figures.mean_guardrail_torque == pytest.approx(np.trapezoid(norm, grid) / 20, rel=1e-7)
     static = np.linalg.norm(newton_euler.efforts(q, 0 * v, 0 * a)[1], axis=1)
-    assert figures.peak_static_guardrail_torque == pytest.approx(static.max(), rel=1e-9)
+    assert figures.peak_static_guardrail_torque == pytest.approx(static.max(), rel=1e-6)
     share = np.abs(tau) / triangle_plan.robot.limits.torque
-    assert figures.limit_use.torque == pytest.approx(share.max(), rel=1e-9)
-    (check,) = (check for check in triangle_plan.certificate.checks if check.quantity.startswith("torque"))
+    assert figures.limit_use.torque == pytest.approx(share.max(), rel=2e-6)
+    (check,) = (check for check in certificate.checks if check.quantity.startswith("torque"))
+    assert check.value >= share.max() * check.bound
     at = np.abs(grid - check.time).argmin()
-    assert np.abs(tau[at]).max() == pytest.approx(check.value, rel=1e-6)
+    assert np.abs(tau[at]).max() == pytest.approx(check.value, rel=1e-4)
 
 
-@pytest.mark.parametrize("name", ["short_plan", "fixed_triangle_plan"])
-def test_clearance_bound(name: str, request: pytest.FixtureRequest) -> None:
-    planned: Plan = request.getfixturevalue(name)
-    certificate, x = planned.certificate, planned.trajectory
-    clearances = Clearances(planned.robot, planned.scene.obstacles)
-    # At other times than the certificate's, and again closely about the worst.
-    fine = np.linspace(0, x.t[-1], 4001)
-    distance = clearances.smallest(x.evaluate(fine)).distance
-    near = np.clip(fine[distance.argmin()] + np.linspace(-0.01, 0.01, 1001), 0, x.t[-1])
-    smallest = min(distance.min(), clearances.smallest(x.evaluate(near)).distance.min())
-    assert certificate.clearance_bound <= smallest
-    # It is no more than a millimetre or two below.
-    assert certificate.clearance_bound > smallest - 2e-3
-
-
-def test_samples_that_are_not_looked_at_change_nothing(
-    short_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    some = again(short_plan)
-    monkeypatch.setattr(Clearances, "along", lambda self, q, spare: self.smallest(q).distance)
-    every = again(short_plan)
-    assert some.clearance_bound == pytest.approx(every.clearance_bound, abs=1e-9)
-    assert some.figures.min_clearance == pytest.approx(every.figures.min_clearance, abs=1e-9)
-    checks = [
-        next(check for check in certificate.checks if check.quantity == "clearance")
-        for certificate in (some, every)
-    ]
-    assert checks[0].value == pytest.approx(checks[1].value, abs=1e-9)
-    # Several samples may be as near.
-    x = short_plan.trajectory
-    clearances = Clearances(short_plan.robot, short_plan.scene.obstacles)
-    distance = clearances.smallest(x.evaluate([checks[0].time])).distance[0]
-    assert distance == pytest.approx(checks[0].value, abs=1e-9)
+@pytest.mark.parametrize("samples", [4, 400])
+def test_the_resolution_is_not_an_option(short_plan: Plan, samples: int) -> None:
+    options = replace(short_plan.options, samples_per_segment=samples)
+    assert again(short_plan, options=options) == short_plan.certificate
 
 
 def test_certificate_of_an_arm_without_shapes(short_plan: Plan) -> None:
@@ -298,7 +311,10 @@ def test_the_certificate_leans_on_nothing_that_made_the_plan() -> None:
     assert method <= {
         "cmbot.planning.task",
         "cmbot.planning.verification.certificate",
+        "cmbot.planning.verification.growth",
         "cmbot.planning.verification.metrics",
+        "cmbot.planning.verification.nearest_approach",
+        "cmbot.trajectory.enclosure",
         "cmbot.trajectory.polynomials",
         "cmbot.trajectory.quintic",
     }

@@ -1,0 +1,85 @@
+"""How large torques and tool poses become at complex joint angles: what bounds the error of interpolation.
+
+The recursion of inverse dynamics, written for norms. A rotation by an angle with imaginary part y has the
+norm exp |y|, and no cross product is longer than the product of both lengths: both hold for complex vectors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.robot import Robot
+from cmbot.trajectory import Ellipses
+
+__all__ = ["Growth", "growth"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Growth:
+    """What norms do not exceed on Bernstein ellipses, R around each of K pieces.
+
+    Attributes
+    ----------
+    joint_torque : (K, R, n), Nm
+    guardrail_torque : (K, R), Nm
+    tool_point : (K, R), m
+    tool_rotation : (K, R)
+        Spectral norm of the rotation matrix.
+    """
+
+    joint_torque: FloatArray
+    guardrail_torque: FloatArray
+    tool_point: FloatArray
+    tool_rotation: FloatArray
+
+
+def growth(robot: Robot, on: Ellipses) -> Growth:
+    """Bound the norms of a robot's torques and tool pose.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its arm is a serial chain of revolute joints, as `load_robot` guarantees.
+    on : Ellipses
+    """
+    model, n = robot.model, robot.dof
+    bodies = list(model.inertias)[1:]
+    mass = [float(body.mass) for body in bodies]
+    lever = [float(np.linalg.norm(body.lever)) for body in bodies]
+    inertia = [float(np.linalg.norm(body.inertia, 2)) for body in bodies]
+    offset = [float(np.linalg.norm(X.translation)) for X in model.jointPlacements][1:]
+    armature = np.broadcast_to(model.armature, n)
+    with np.errstate(over="ignore", invalid="ignore"):
+        turn = np.exp(on.turn)
+        point, rotation = np.zeros(turn.shape[:2]), np.ones(turn.shape[:2])
+        spin, spin_rate = np.zeros_like(point), np.zeros_like(point)
+        acceleration = np.full_like(point, float(np.linalg.norm(model.gravity.linear)))
+        force, moment = [], []
+        for i in range(n):
+            e, v, a = turn[..., i], on.v[..., i], on.a[..., i]
+            point = point + rotation * offset[i]
+            rotation = rotation * e
+            acceleration = e * (acceleration + (spin_rate + spin**2) * offset[i])
+            spin_rate = e * spin_rate + a + e * spin * v
+            spin = e * spin + v
+            force.append(mass[i] * (acceleration + (spin_rate + spin**2) * lever[i]))
+            moment.append(inertia[i] * (spin_rate + spin**2))
+        joint_torque = np.empty_like(turn)
+        carried, about = np.zeros_like(point), np.zeros_like(point)
+        for i in reversed(range(n)):
+            about = moment[i] + lever[i] * force[i] + about
+            carried = force[i] + carried
+            joint_torque[..., i] = about + armature[i] * on.a[..., i]
+            # From here on in the frame of the joint before, about its origin.
+            carried = turn[..., i] * carried
+            about = turn[..., i] * about + offset[i] * carried
+        tool = float(np.linalg.norm(model.frames[robot.tool_frame_id].placement.translation))
+        return Growth(
+            joint_torque=joint_torque,
+            guardrail_torque=about,
+            tool_point=point + rotation * tool,
+            tool_rotation=rotation,
+        )

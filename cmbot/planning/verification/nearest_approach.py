@@ -1,0 +1,104 @@
+"""The smallest clearance of a trajectory over all times, by subdivision with bounds on the motion.
+
+Schwarzer, Saha and Latombe, "Adaptive dynamic collision checking for single and multiple articulated robots
+in complex environments", 2005: within an interval no distance is smaller than in its middle, less the moves
+of the joints from there times their reach. Where that is not enough for a pair the interval is halved.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cmbot.collision import Clearances
+from cmbot.trajectory import QuinticTrajectory, bernstein_coefficients, halves
+
+__all__ = ["NearestApproach", "nearest_approach"]
+
+# What coal's distances may be too large, m.
+_ROUNDING = 1e-6
+# Halvings of a segment at most, and intervals of one level; where they do not suffice the bound stays lower.
+_HALVINGS, _MOST_INTERVALS = 40, 20_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class NearestApproach:
+    """Where a motion comes nearest to an obstacle or to itself.
+
+    Attributes
+    ----------
+    time : float, s
+    distance : float, m
+        The smallest that was found, at `time`; infinite where no pair counts.
+    pair : int
+        Index into `Clearances.pairs`; -1 where none counts.
+    bound : float, m
+        No distance is smaller at any time.
+    """
+
+    time: float
+    distance: float
+    pair: int
+    bound: float
+
+
+def nearest_approach(
+    trajectory: QuinticTrajectory, clearances: Clearances, resolution: float
+) -> NearestApproach:
+    """Enclose the smallest distance of any pair along a trajectory.
+
+    Parameters
+    ----------
+    trajectory : QuinticTrajectory
+    clearances : Clearances
+    resolution : float, m
+        How far the bound may lie below the smallest distance that was found.
+    """
+    control = bernstein_coefficients(trajectory.coefficients)
+    start, width = trajectory.t[:-1], np.diff(trajectory.t)
+    reach = clearances.pair_reach
+    if len(reach) == 0:
+        return NearestApproach(time=float(start[0]), distance=np.inf, pair=-1, bound=np.inf)
+    alive = np.ones((len(start), len(reach)), dtype=np.bool_)
+    # Nothing is nearer than in the middles to begin with: what is found first rules out most of the rest.
+    nearest = NearestApproach(time=0.0, distance=np.inf, pair=-1, bound=np.inf)
+    bound = np.inf
+    for halving in range(_HALVINGS + 1):
+        left, right = halves(control)
+        q = left[..., -1]
+        travel = np.abs(control - q[..., None]).max(axis=-1) @ reach.T
+        middle = start + 0.5 * width
+        if halving == 0:
+            guide = clearances.smallest(q)
+            k = int(guide.distance.argmin())
+            nearest = NearestApproach(
+                time=float(middle[k]), distance=float(guide.distance[k]), pair=int(guide.pair[k]), bound=0.0
+            )
+        lower = clearances.lower_bounds(q) - travel
+        row, pair = np.nonzero(alive & ~(lower >= nearest.distance - resolution))
+        measured = clearances.distances(q, row, pair)
+        lower[row, pair] = measured - travel[row, pair]
+        if len(measured) and measured.min() < nearest.distance:
+            k = int(measured.argmin())
+            nearest = NearestApproach(
+                time=float(middle[row[k]]), distance=float(measured[k]), pair=int(pair[k]), bound=0.0
+            )
+        undecided = alive & ~(lower >= nearest.distance - resolution)
+        some = undecided.any(axis=1)
+        if halving == _HALVINGS or 2 * int(some.sum()) > _MOST_INTERVALS:
+            undecided[:], some[:] = False, False
+        bound = min(bound, float(lower[alive & ~undecided].min(initial=np.inf)))
+        if not some.any():
+            break
+        control = np.concatenate([left[some], right[some]])
+        width = 0.5 * width[some]
+        start = np.concatenate([start[some], start[some] + width])
+        width = np.concatenate([width, width])
+        alive = np.concatenate([undecided[some], undecided[some]])
+    return NearestApproach(
+        time=nearest.time,
+        distance=nearest.distance,
+        pair=nearest.pair,
+        bound=min(bound, nearest.distance) - _ROUNDING,
+    )

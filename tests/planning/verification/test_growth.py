@@ -1,0 +1,57 @@
+"""Bounds at complex joint angles, against the paper's recursion evaluated there."""
+
+import numpy as np
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from oracles import newton_euler
+from small_motions import wild
+
+from cmbot.planning.verification.growth import growth
+from cmbot.robot import Robot
+from cmbot.trajectory import Pieces, QuinticTrajectory
+from cmbot.trajectory.enclosure import _RHO
+
+# Beyond this imaginary part of an angle, rad, norms overflow, and no remainder comes from there.
+LARGEST_TURN = 12.0
+
+
+@settings(max_examples=5)
+@given(seed=st.integers(min_value=0, max_value=2**32 - 1))
+def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> None:
+    x = wild(seed, joints=7, knots=3)
+    pieces = Pieces.between(x, np.empty(0))
+    for _ in range(3):
+        pieces = pieces.halved(np.ones(len(pieces.start), dtype=np.bool_))
+    of = growth(cmbot_robot, pieces.ellipses)
+    usual = pieces.ellipses.turn.max(axis=2) < LARGEST_TURN
+    assert usual[:, 2].all()
+    angle = np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
+    segment = np.searchsorted(x.t, pieces.middle, side="right") - 1
+    for k, r in zip(*np.nonzero(usual), strict=True):
+        rho = _RHO[r] * angle
+        t = pieces.middle[k] + 0.25 * (rho + 1 / rho) * (pieces.end[k] - pieces.start[k])
+        c, h = x.coefficients[segment[k]].T, np.diff(x.t)[segment[k]]
+        u = (t - x.t[segment[k]]) / h
+        q, v, a = (
+            np.polynomial.polynomial.polyval(u, np.polynomial.polynomial.polyder(c, order)).T / h**order
+            for order in range(3)
+        )
+        tau, n_0, _ = newton_euler.efforts(q, v, a)
+        p, R = newton_euler.tool_pose(q)
+        slack = 1 + 1e-9
+        assert (np.abs(tau) <= of.joint_torque[k, r] * slack).all()
+        assert (np.linalg.norm(n_0, axis=1) <= of.guardrail_torque[k, r] * slack).all()
+        assert (np.linalg.norm(p, axis=1) <= of.tool_point[k, r] * slack).all()
+        assert (np.linalg.norm(R, 2, axis=(1, 2)) <= of.tool_rotation[k, r] * slack).all()
+
+
+def test_at_rest_only_gravity_and_the_stretched_arm_are_left(cmbot_robot: Robot) -> None:
+    x = wild(1, joints=7)
+    still = QuinticTrajectory(t=x.t, q=np.tile(x.q[:1], (len(x.t), 1)), v=0 * x.v, a=0 * x.a)
+    of = growth(cmbot_robot, Pieces.between(still, np.empty(0)).ellipses)
+    np.testing.assert_allclose(of.tool_rotation[:, 0], 1.0, rtol=1e-9)
+    base = float(np.linalg.norm(cmbot_robot.base_point))
+    np.testing.assert_allclose(of.tool_point[:, 0], base + cmbot_robot.reach, rtol=1e-9)
+    # The weights' torques about O0 cannot be larger than with every link stretched out sideways.
+    weight, levers = cmbot_robot.arm_mass * 9.81, base + cmbot_robot.reach
+    assert (of.guardrail_torque[:, 0] <= weight * levers).all()
