@@ -18,9 +18,9 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import LimitViolation
 from cmbot.elastic.sag import Sag
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.growth import Growth, growth
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.verification.nearest_approach import nearest_approach
+from cmbot.planning.verification.norm_bounds import NormBounds, norm_bounds
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, clenshaw_curtis, highest
@@ -226,7 +226,7 @@ class _Work:
         self._dynamics = Dynamics(robot)
         pieces = Pieces.between(trajectory, task.path.breaks)
         self._pieces = pieces.refined(self._share, _MOST_PIECES * len(pieces.start))
-        self._growth = growth(robot, self._pieces.ellipses)
+        self._bounds = norm_bounds(robot, self._pieces.ellipses)
         q, v, a = self._pieces.states
         self._efforts: Efforts = self._dynamics.efforts(q, v, a)
         self._p_WT, self._R_WT = Kinematics(robot).tool_poses(q)
@@ -238,7 +238,7 @@ class _Work:
 
     def _share(self, pieces: Pieces) -> FloatArray:
         """Remainders (K,) as shares of what they may be."""
-        of: Growth = growth(self._robot, pieces.ellipses)
+        of: NormBounds = norm_bounds(self._robot, pieces.ellipses)
         torque, scale = self._robot.limits.torque, float(self._robot.limits.torque.max())
         shares = [
             pieces.remainder(of.guardrail_torque) / (_TORQUE_RESOLUTION * scale),
@@ -264,7 +264,7 @@ class _Work:
         """The torque of the joint that uses most of its bound (Chang 2021, Eq. (32))."""
         robot, bound = self._robot, self._robot.limits.torque
         each = [
-            self._pieces.remainder(self._growth.joint_torque[..., j]) / bound[j] for j in range(robot.dof)
+            self._pieces.remainder(self._bounds.joint_torque[..., j]) / bound[j] for j in range(robot.dof)
         ]
         peak = self._highest(
             self._efforts.joint_torque / bound,
@@ -287,7 +287,7 @@ class _Work:
         pieces, torque = self._pieces, self._efforts.guardrail_torque
         size = np.linalg.norm(torque, axis=1)
         resolution = _TORQUE_RESOLUTION * float(size.max())
-        remainder = pieces.remainder(self._growth.guardrail_torque)
+        remainder = pieces.remainder(self._bounds.guardrail_torque)
         peak = self._highest(torque, _norm, remainder, resolution)
         means = size.reshape(len(pieces.start), -1) @ clenshaw_curtis()
         mean = float(np.average(means, weights=pieces.end - pieces.start))
@@ -323,7 +323,7 @@ class _Work:
         # Both chords are 2 k sin(angle/2): of the axis as a vector, of the orientation as a matrix.
         columns, k = (slice(2, 3), 1.0) if keep == "axis" else (slice(None), np.sqrt(2.0))
         away = (self._R_WT - goal)[:, :, columns].reshape(len(self._R_WT), -1)
-        remainder = self._pieces.remainder(self._growth.tool_rotation) * np.sqrt(away.shape[1] / 3)
+        remainder = self._pieces.remainder(self._bounds.tool_rotation) * np.sqrt(away.shape[1] / 3)
         chord = self._highest(away, _norm, remainder, _TOOL_RESOLUTION)
         value, bound = (2 * np.arcsin(np.minimum(x / (2 * k), 1.0)) for x in (chord.value, chord.bound))
         return Peak(time=chord.time, value=float(value), bound=float(bound))
@@ -342,7 +342,7 @@ class _Work:
 
     @property
     def _point_remainder(self) -> FloatArray:
-        return np.asarray(self._pieces.remainder(self._growth.tool_point) + self._unknown)
+        return np.asarray(self._pieces.remainder(self._bounds.tool_point) + self._unknown)
 
 
 def _norm(vectors: FloatArray, piece: IntArray) -> FloatArray:

@@ -311,7 +311,7 @@ def test_the_certificate_leans_on_nothing_that_made_the_plan() -> None:
     assert method <= {
         "cmbot.planning.task",
         "cmbot.planning.verification.certificate",
-        "cmbot.planning.verification.growth",
+        "cmbot.planning.verification.norm_bounds",
         "cmbot.planning.verification.metrics",
         "cmbot.planning.verification.nearest_approach",
         "cmbot.trajectory.enclosure",

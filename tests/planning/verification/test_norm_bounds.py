@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 from oracles import newton_euler
 from small_motions import wild
 
-from cmbot.planning.verification.growth import growth
+from cmbot.planning.verification.norm_bounds import norm_bounds
 from cmbot.robot import Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
 from cmbot.trajectory.enclosure import _RHO
@@ -22,7 +22,7 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
     pieces = Pieces.between(x, np.empty(0))
     for _ in range(3):
         pieces = pieces.halved(np.ones(len(pieces.start), dtype=np.bool_))
-    of = growth(cmbot_robot, pieces.ellipses)
+    of = norm_bounds(cmbot_robot, pieces.ellipses)
     usual = pieces.ellipses.turn.max(axis=2) < LARGEST_TURN
     assert usual[:, 2].all()
     angle = np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
@@ -48,7 +48,7 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
 def test_at_rest_only_gravity_and_the_stretched_arm_are_left(cmbot_robot: Robot) -> None:
     x = wild(1, joints=7)
     still = QuinticTrajectory(t=x.t, q=np.tile(x.q[:1], (len(x.t), 1)), v=0 * x.v, a=0 * x.a)
-    of = growth(cmbot_robot, Pieces.between(still, np.empty(0)).ellipses)
+    of = norm_bounds(cmbot_robot, Pieces.between(still, np.empty(0)).ellipses)
     np.testing.assert_allclose(of.tool_rotation[:, 0], 1.0, rtol=1e-9)
     base = float(np.linalg.norm(cmbot_robot.base_point))
     np.testing.assert_allclose(of.tool_point[:, 0], base + cmbot_robot.reach, rtol=1e-9)

@@ -14,11 +14,11 @@ from cmbot.common.arrays import FloatArray
 from cmbot.robot import Robot
 from cmbot.trajectory import Ellipses
 
-__all__ = ["Growth", "growth"]
+__all__ = ["NormBounds", "norm_bounds"]
 
 
 @dataclass(frozen=True, kw_only=True)
-class Growth:
+class NormBounds:
     """What norms do not exceed on Bernstein ellipses, R around each of K pieces.
 
     Attributes
@@ -36,7 +36,7 @@ class Growth:
     tool_rotation: FloatArray
 
 
-def growth(robot: Robot, on: Ellipses) -> Growth:
+def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
     """Bound the norms of a robot's torques and tool pose.
 
     Parameters
@@ -77,7 +77,7 @@ def growth(robot: Robot, on: Ellipses) -> Growth:
             carried = turn[..., i] * carried
             about = turn[..., i] * about + offset[i] * carried
         tool = float(np.linalg.norm(model.frames[robot.tool_frame_id].placement.translation))
-        return Growth(
+        return NormBounds(
             joint_torque=joint_torque,
             guardrail_torque=about,
             tool_point=point + rotation * tool,
