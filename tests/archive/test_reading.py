@@ -139,10 +139,7 @@ def test_verify_certifies_again(saved_triangle, triangle_plan):
         assert again.clearance_bound == pytest.approx(made.clearance_bound, rel=1e-9)
         # Beyond the plan's own checks there are those of a second computation.
         own = again.checks[: len(made.checks)]
-        assert all(
-            "second" in check.quantity or "timed" in check.quantity for check in again.checks[len(own) :]
-        )
-        assert len(again.checks) > len(own) + 3
+        assert sum("second computation" in check.quantity for check in again.checks[len(own) :]) > 5
         for got, expected in zip(own, made.checks, strict=True):
             assert got.quantity == expected.quantity
             assert got.value == pytest.approx(expected.value, rel=1e-9, abs=1e-12)
