@@ -178,17 +178,16 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     gap = "" if objective.gap is None else f"; the peak is {100 * objective.gap:+.3f} % from it"
     value, error = _value(objective, bound.value), _value(objective, bound.error, 1)
     at, all_ = bound.via_point + 1, len(bound.each)
+    pinned = plan.options.start == "pinned"
+    name = "Lower bound for any start" if pinned else "Lower bound"
     where = f"at via-point {at} of the {all_} that the motion passes through, no posture"
     if bound.error <= _CLOSED * bound.value:
-        yield (
-            f"Lower bound: no admissible plan rests below {value} (error {error}): {where} asks less{gap}."
-        )
+        yield (f"{name}: no admissible plan rests below {value} (error {error}): {where} asks less{gap}.")
     else:
         yield (
-            f"Lower bound, not closed: {where} was found that asks less than {value}, but the search ended "
+            f"{name}, not closed: {where} was found that asks less than {value}, but the search ended "
             f"with {error} open{gap}."
         )
-    pinned = plan.options.start == "pinned"
     other, peak = (
         ("in another posture (start: free)", plan.choice.free)
         if pinned
