@@ -29,7 +29,7 @@ from cmbot.scene import PlannerOptions, SpeedProfile, ToolPath
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 _SEGMENTS = (4, 12)
-_EVEN, _DENSE, _WINDOW = 2000, 100_000, 500
+_EVEN, _DENSE, _WINDOW = 1000, 100_000, 100
 _SIZES = (50, 200, 1000)
 _BOUNDS = (
     "torque on the guardrail, share of its peak",
