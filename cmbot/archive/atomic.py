@@ -19,6 +19,7 @@ import fcntl
 import itertools
 import os
 import shutil
+import time
 import warnings
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
@@ -31,8 +32,8 @@ from cmbot.common.errors import ArchiveError
 __all__ = ["exclusive", "put_file", "recover", "refusals", "replace_folder"]
 
 _LOCK, _FILE, _NEW, _OLD = "lock", "file", "new", "old"
-# How often the lock is tried again when the call that held it removes it at that moment.
-_ATTEMPTS = 100
+# How often the lock is tried, and how long to wait in between, s: whoever reads may hold it for a moment.
+_ATTEMPTS, _PAUSE = 20, 0.02
 
 # linux/fcntl.h, linux/fs.h
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
@@ -43,7 +44,7 @@ _held: ContextVar[frozenset[Path]] = ContextVar("held", default=frozenset())
 
 
 @contextmanager
-def exclusive(target: Path) -> Iterator[Path]:
+def exclusive(target: Path, attempts: int = _ATTEMPTS) -> Iterator[Path]:
     """Keep other processes and threads away from a target; yield the work folder beside it.
 
     Folders above the target are made as needed, and removed again if nothing is in them at the end. Inside
@@ -53,6 +54,8 @@ def exclusive(target: Path) -> Iterator[Path]:
     ----------
     target : Path
         Absolute and without links; it need not exist.
+    attempts : int
+        How often the lock is tried.
 
     Raises
     ------
@@ -66,7 +69,7 @@ def exclusive(target: Path) -> Iterator[Path]:
     with ExitStack() as cleanup:
         with refusals(target):
             cleanup.callback(_remove_empty, [parent for parent in target.parents if not parent.exists()])
-            cleanup.callback(_unlock, work, _lock(work, target))
+            cleanup.callback(_unlock, work, _lock(work, target, attempts))
         cleanup.callback(_held.reset, _held.set(_held.get() | {target}))
         if put_back := _settle(work, target):
             text = f"{target}: a call was interrupted when it wrote there; put back: {', '.join(put_back)}"
@@ -85,7 +88,7 @@ def recover(path: Path) -> None:
     with suppress(OSError, RuntimeError, ValueError):  # an ArchiveError is a ValueError
         target = path.resolve()
         if _work_folder(target).exists():
-            with exclusive(target):
+            with exclusive(target, attempts=1):
                 pass
 
 
@@ -146,9 +149,10 @@ def _work_folder(target: Path) -> Path:
 # The lock
 
 
-def _lock(work: Path, target: Path) -> int:
+def _lock(work: Path, target: Path, attempts: int) -> int:
     """Make the work folder and lock it; return the lock's file descriptor."""
-    for _ in range(_ATTEMPTS):
+    for attempt in range(attempts):
+        time.sleep(_PAUSE if attempt else 0.0)
         # FileNotFoundError: the call that had the lock removes it at this moment.
         with suppress(FileNotFoundError), ExitStack() as cleanup:
             work.mkdir(parents=True, exist_ok=True)
@@ -157,7 +161,7 @@ def _lock(work: Path, target: Path) -> int:
             try:
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
-                break
+                continue
             if os.path.samestat(os.fstat(descriptor), (work / _LOCK).stat()):
                 cleanup.pop_all()
                 return descriptor

@@ -80,7 +80,8 @@ def _one_line(kind: type[BaseException], error: BaseException, trace: TracebackT
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
     """Print a warning, such as that an interrupted call was made good, in one line."""
-    err.print(f"warning: {flat(message)}")
+    if not {"--quiet", "-q"} & set(sys.argv):
+        err.print(f"warning: {flat(message)}")
 
 
 def _debugging() -> bool:

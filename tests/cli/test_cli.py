@@ -21,6 +21,7 @@ from command_line import (
     plain,
     refusal,
     run,
+    run_apart,
     without_colours,
     write_scene,
 )
@@ -199,6 +200,26 @@ def test_pages_are_added_by_the_archive(directory: Path, monkeypatch: pytest.Mon
     pages = ("replay.html", "report.html")
     assert added == [(directory, name) for name in pages]
     assert tuple(save.call_args.kwargs["added"]) == pages
+
+
+def test_what_a_killed_call_left_is_put_back_with_a_warning(directory: Path) -> None:
+    work = directory.with_name(".plan.cmbot-part")
+    work.mkdir()
+    directory.rename(work / "old")
+    outcome = run_apart("report", directory)
+    text = f"warning: {directory}: a call was interrupted when it wrote there; put back: the plan\n"
+    assert (outcome.status, outcome.err) == (0, text)
+    assert not work.exists()
+
+
+def test_a_plan_directory_may_be_the_current_folder(
+    directory: Path, known: cmbot.Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(directory)
+    for words in (("plan", "../short.yaml", "--force", "-o", "."), ("simulate", "."), ("report", ".")):
+        assert run(*words).status == 0
+    assert names(Path()) >= {"tracking.json", "report.html"}
+    assert names(directory.parent) == {"plan", "short.yaml"}
 
 
 @pytest.mark.usefixtures("known")
