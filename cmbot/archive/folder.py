@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import stat
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from difflib import get_close_matches
@@ -14,6 +13,7 @@ from cmbot.archive.atomic import exclusive, put_file, recover, refusals, replace
 from cmbot.archive.names import APPROACH_FILES, OWN_FILES, PLAN_FILE, SAVED_FILES, SHOWN_FILES, is_own
 from cmbot.archive.strict_json import read_json
 from cmbot.common.errors import ArchiveError
+from cmbot.common.input_files import LARGEST_TEXT, read_input
 from cmbot.common.validation import shown
 
 __all__ = [
@@ -163,17 +163,9 @@ def write_file(path: Path, content: bytes) -> None:
         put_file(target, content, work)
 
 
-def read_file(path: Path) -> bytes:
-    """Return a file's content; an `ArchiveError` if it is missing, no regular file or unreadable."""
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):  # reading a pipe or a device may never end
-            raise ArchiveError(str(path), "", "something that is not a regular file", "a file")
-        return path.read_bytes()
-    except FileNotFoundError as error:
-        raise ArchiveError(str(path), "", "no such file", "a file of the plan directory") from error
-    except OSError as error:
-        got = f"a file that cannot be read ({error.strerror})"
-        raise ArchiveError(str(path), "", got, "a readable file") from error
+def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:
+    """Return a file's content; an `ArchiveError` if it is missing, no regular file, too large, unreadable."""
+    return read_input(path, ArchiveError, kind="a file of the plan directory", largest=largest)
 
 
 def plans_nearby(folder: Path) -> str:

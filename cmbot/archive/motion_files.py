@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import io
 import math
+import re
 import zipfile
 import zlib
-from typing import Any
+from typing import Literal
 
 import numpy as np
 from pydantic_core import to_json
@@ -21,6 +22,8 @@ from cmbot.robot import Robot
 __all__ = [
     "columns",
     "knots_npz",
+    "largest_knots",
+    "largest_table",
     "motion_files",
     "number_rows",
     "read_knots",
@@ -39,11 +42,24 @@ _ROS_POINT = (
 )
 # `repr` writes numbers outside these sizes with an exponent.
 _WITHOUT_EXPONENT = (1e-4, 1e16)
-# What np.load raises for a file that is damaged or no .npz at all.
+_KNOTS = ("t", "q", "v", "a")
+# Several times as many as a scene may have via-points.
+_MOST_KNOTS = 100_000
+# Begins an entry of the directory at a zip file's end; few numbers contain it by chance.
+_ZIP_ENTRY, _MOST_ENTRIES = b"PK\x01\x02", 100
+_NPY_VERSION_1 = b"\x93NUMPY\x01\x00"
+# Narrower than NumPy's own reader, which evaluates the header as Python.
+_NPY_HEADER = re.compile(
+    rb"\{'descr': '<f8', 'fortran_order': (?P<order>True|False), "
+    rb"'shape': \((?P<rows>\d{1,9}),(?: (?P<columns>\d{1,9}))?\), \} *\n"
+)
+# The longest number is -2.2250738585072014e-308, and a comma after it.
+_LONGEST_CELL = 25
+_LARGEST_TABLE = 2_000_000_000
+# What zipfile raises for a file that is damaged or no .zip at all.
 _DAMAGED = (
     EOFError,
     KeyError,
-    MemoryError,
     NotImplementedError,
     OSError,
     RuntimeError,
@@ -109,6 +125,11 @@ def number_rows(table: FloatArray) -> list[list[str]]:
     for k in np.flatnonzero(~((size >= least) & (size < most))).tolist():
         cells[k] = repr(numbers[k])
     return [cells[k : k + width] for k in range(0, table.size, width)]
+
+
+def largest_table(rows: float, columns: int) -> int:
+    """Bytes of the largest table with so many rows: ten more, and 16 kB for the columns' names."""
+    return round(min((rows + 10) * columns * _LONGEST_CELL, _LARGEST_TABLE)) + 16_000
 
 
 def read_motion(
@@ -199,34 +220,61 @@ def knots_npz(trajectory: QuinticTrajectory) -> bytes:
     return file.getvalue()
 
 
+def largest_knots(dof: int) -> int:
+    """Bytes of the largest file that `read_knots` takes: knots and 16 kB for names and headers."""
+    return 8 * _MOST_KNOTS * (1 + 3 * dof) + 16_000
+
+
 def read_knots(content: bytes, source: str, dof: int) -> QuinticTrajectory:
     """Return the trajectory of `dof` joints whose knots are in a file's `content`; `source` is for messages.
 
-    An `ArchiveError` is raised when the file is damaged, holds other arrays, or they are no knots.
+    An `ArchiveError` is raised when the file is damaged, holds other arrays, or they are no knots. Names,
+    types and shapes are checked before numbers are unpacked.
     """
-    knots = _arrays(content, source)
-    if sorted(knots) != ["a", "q", "t", "v"]:
-        raise ArchiveError(source, "", f"the arrays {', '.join(sorted(knots))}", "the arrays t, q, v, a")
-    for name, array in knots.items():
-        # A member without NumPy's header is read as bytes.
-        if not isinstance(array, np.ndarray) or array.dtype != np.float64:
-            got = getattr(array, "dtype", "no array")
-            raise ArchiveError(source, name, got, "an array of float64")
+    if content.count(_ZIP_ENTRY) > _MOST_ENTRIES:  # zipfile makes an object of each
+        raise ArchiveError(source, "", "many members", f"the arrays {', '.join(_KNOTS)}")
     try:
-        trajectory = QuinticTrajectory(**knots)
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            _require_members(archive, source)
+            knots = {name: _array(archive, name, source, dof) for name in _KNOTS}
+    except ArchiveError:
+        raise
+    except _DAMAGED as error:
+        got = f"a damaged file ({shown(str(error))})"
+        raise ArchiveError(source, "", got, "a NumPy .npz file") from error
+    try:
+        return QuinticTrajectory(**knots)
     except InputError as error:
         raise ArchiveError(source, error.key, error.got, error.expected) from error
-    if trajectory.q.shape[1] != dof:
-        raise ArchiveError(source, "q", counted(trajectory.q.shape[1], "joint"), counted(dof, "joint"))
-    return trajectory
 
 
-def _arrays(content: bytes, source: str) -> dict[str, Any]:
-    expected = "a NumPy .npz file"
-    try:
-        file = np.load(io.BytesIO(content), allow_pickle=False)
-        if isinstance(file, np.lib.npyio.NpzFile):
-            return {name: file[name] for name in file.files}
-    except _DAMAGED as error:
-        raise ArchiveError(source, "", f"a damaged file ({shown(str(error))})", expected) from error
-    raise ArchiveError(source, "", "a lone array", expected)
+def _require_members(archive: zipfile.ZipFile, source: str) -> None:
+    names = archive.namelist()
+    if sorted(names) != sorted(f"{name}.npy" for name in _KNOTS):
+        got = shown(", ".join(names[: len(_KNOTS) + 1]))
+        raise ArchiveError(source, "", f"the members {got}", f"the arrays {', '.join(_KNOTS)}")
+
+
+def _array(archive: zipfile.ZipFile, name: str, source: str, dof: int) -> FloatArray:
+    """Return an array (n,) or (n, dof) of float64; of another one, only the header is unpacked."""
+    with archive.open(f"{name}.npy") as member:
+        preamble = member.read(10)
+        if len(preamble) != 10 or preamble[:8] != _NPY_VERSION_1:
+            raise ArchiveError(source, name, shown(preamble), "an array in version 1.0 of NumPy's format")
+        header = member.read(int.from_bytes(preamble[8:], "little"))
+        match = _NPY_HEADER.fullmatch(header)
+        if match is None:
+            got = shown(header.decode("latin-1").strip())
+            raise ArchiveError(source, name, got, "an array of float64, with one or two dimensions")
+        shape = tuple(int(match[key]) for key in ("rows", "columns") if match[key])
+        rows, wanted = shape[0], ((shape[0],) if name == "t" else (shape[0], dof))
+        if not 2 <= rows <= _MOST_KNOTS or shape != wanted:
+            expected = f"2 to {_MOST_KNOTS} knots" + ("" if name == "t" else f" of {counted(dof, 'joint')}")
+            raise ArchiveError(source, name, f"an array of shape {shape}", expected)
+        size = 8 * math.prod(shape)
+        numbers = member.read(size + 1)
+        if len(numbers) != size:
+            got = "fewer numbers" if len(numbers) < size else "more numbers"
+            raise ArchiveError(source, name, got, f"an array of shape {shape}, as its header says")
+    order: Literal["F", "C"] = "F" if match["order"] == b"True" else "C"
+    return np.frombuffer(numbers, "<f8").reshape(shape, order=order)

@@ -13,7 +13,7 @@ import numpy as np
 from cmbot.archive.atomic import recover
 from cmbot.archive.consistency import require_fit, require_times, require_unchanged
 from cmbot.archive.folder import plans_nearby, read_file
-from cmbot.archive.motion_files import read_knots, read_motion
+from cmbot.archive.motion_files import columns, largest_knots, largest_table, read_knots, read_motion
 from cmbot.archive.names import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES
 from cmbot.archive.schema import ApproachFile, CertificateFile, MetricsFile, PlanFile, made
 from cmbot.archive.strict_json import read_json
@@ -51,6 +51,8 @@ __all__ = ["load_plan", "plan_data"]
 
 # Relative and absolute tolerance of metrics computed again: processors round differently.
 _SAME, _SAME_ZERO = 1e-6, 1e-9
+# Of the tables of planned motions.
+_ROWS_A_SECOND = 100.0
 
 
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
@@ -87,9 +89,10 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         robot = _robot(scene, file, source)
         task = task_of(scene, robot)
         clearances = Clearances(robot, scene.obstacles)
-    names = SAVED_FILES if file.approach is None else (*SAVED_FILES, *APPROACH_FILES)
-    contents = {name: read_file(folder / name) for name in names}
     duration = task.path.duration
+    contents = _contents(folder, file, robot.dof, duration)
+    # What is in them is looked at only when they are the ones that were saved.
+    require_unchanged(folder, file, contents)
     trajectory = _trajectory(contents, folder, "trajectory.npz", robot, duration, "the scene")
     planned = _metrics(file.planned, robot, task, *_knots(trajectory))
     certificate = _certificate(file.certificate, planned, source, "certificate")
@@ -98,7 +101,6 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         approach = _approach(file.approach, contents, folder, robot, task)
     t, motion = read_motion(contents["baseline.csv"], str(folder / "baseline.csv"), robot.dof)
     require_times(t, duration, str(folder / "baseline.csv"), "the scene")
-    require_unchanged(folder, file, contents)
     require_fit(file, np.array(scene.posture), trajectory, approach, folder)
     plan = Plan(
         scene=scene,
@@ -151,6 +153,21 @@ def plan_data(directory: Path) -> dict[str, Any]:
     if data.get("format") != FORMAT:
         raise ArchiveError(str(path), "format", shown(data.get("format")), repr(FORMAT))
     return data
+
+
+def _contents(folder: Path, file: PlanFile, dof: int, duration: float) -> dict[str, bytes]:
+    """Read the files beside plan.json, each at most as large as a plan of that duration, s, has them."""
+    names = SAVED_FILES if file.approach is None else (*SAVED_FILES, *APPROACH_FILES)
+    steps = {"baseline": duration / file.options.path_step_s, "trajectory": _ROWS_A_SECOND * duration}
+    if file.approach is not None:
+        steps["approach"] = _ROWS_A_SECOND * file.approach.seconds
+    contents = {}
+    for name in names:
+        motion, _, kind = name.partition(".")
+        rows, width = steps[motion], len(columns(dof, compensated=True))
+        largest = largest_knots(dof) if kind == "npz" else largest_table(rows, width)
+        contents[name] = read_file(folder / name, largest)
+    return contents
 
 
 def _scene(file: PlanFile, data: dict[str, Any], source: Path) -> Scene:

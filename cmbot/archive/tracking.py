@@ -13,11 +13,12 @@ from pydantic import ConfigDict
 
 from cmbot.archive.atomic import recover
 from cmbot.archive.folder import add_files, claim, read_file, require_plan_directory, shown_files
-from cmbot.archive.motion_files import read_table, table_csv
+from cmbot.archive.motion_files import largest_table, read_table, table_csv
 from cmbot.archive.names import PLAN_FILE, TRACKING_FILES
 from cmbot.archive.strict_json import json_bytes, read_json
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
+from cmbot.common.input_files import LARGEST_TEXT
 from cmbot.common.validation import FileModel, given_path, require_type, shown, validated
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import (
@@ -158,7 +159,9 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     if data.get("format") != _FORMAT:
         raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMAT))
     file = validated(_TrackingFile, data, source, ArchiveError)
-    contents = {name: read_file(folder / name) for name in (PLAN_FILE, *_TABLES)}
+    rows = (plan.trajectory.duration + file.options.settle_s) / file.options.output_step_s
+    largest = {PLAN_FILE: LARGEST_TEXT, **dict.fromkeys(_TABLES, largest_table(rows, len(_COLUMNS)))}
+    contents = {name: read_file(folder / name, size) for name, size in largest.items()}
     for name, got in _hashes(contents).items():
         if got != (expected := file.files.get(name)):
             why = f"{shown(expected)[:16]}…: {name} has changed since the simulation; simulate again"

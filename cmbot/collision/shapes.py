@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,6 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.errors import SceneError
+from cmbot.common.input_files import LARGEST_MESH, read_input
+from cmbot.common.validation import shown
 from cmbot.robot import Robot, convex_hull, encloses_volume
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
 
@@ -22,6 +25,7 @@ __all__ = ["PairedShapes", "ShapePair", "coal_shapes", "load_mesh"]
 
 # The formats that trimesh reads without further packages.
 _FORMATS = ("glb", "obj", "off", "ply", "stl")
+_FARTHEST = 1e4  # m, as of any coordinate in a scene
 # The errors that its readers raise when a file is damaged.
 _DAMAGED = (
     OSError,
@@ -156,17 +160,24 @@ def load_mesh(path: Path, name: str) -> trimesh.Trimesh:
         When it cannot be read or has no volume.
     """
     key = f"obstacles[{name}].mesh"
-    if path.suffix.lower().removeprefix(".") not in _FORMATS:
+    suffix = path.suffix.lower().removeprefix(".")
+    if suffix not in _FORMATS:
         raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)
     # It takes a while to come, and few scenes have a mesh.
     import trimesh
 
+    content = io.BytesIO(read_input(path, SceneError, kind="a mesh file", key=key, largest=LARGEST_MESH))
     try:
-        mesh = trimesh.load_mesh(path)
+        # As a stream: a file's reader would also open what it names, such as materials.
+        mesh = trimesh.load_mesh(content, file_type=suffix)
         mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        vertices = np.asarray(mesh.vertices, dtype=float).reshape(-1, 3)
     except _DAMAGED as error:
-        raise SceneError(str(path), key, f"unreadable ({error})", "a mesh file") from error
-    if len(mesh.faces) == 0 or not encloses_volume(np.asarray(mesh.vertices)):
+        raise SceneError(str(path), key, f"unreadable ({shown(str(error))})", "a mesh file") from error
+    if not (np.abs(vertices) <= _FARTHEST).all():
+        got, expected = "a mesh that is larger or not finite", f"vertices within {_FARTHEST:g} m"
+        raise SceneError(str(path), key, got, expected)
+    if len(mesh.faces) == 0 or not encloses_volume(vertices):
         raise SceneError(str(path), key, "no volume", "a mesh with three dimensions")
     return mesh
 

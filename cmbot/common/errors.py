@@ -37,6 +37,10 @@ __all__ = [
 ]
 
 
+# Longer than any phrase, so that only values are cut.
+_LONGEST_GOT = 300
+
+
 class CmbotError(Exception):
     """Root of every error that cmbot raises on purpose."""
 
@@ -51,7 +55,8 @@ class InputError(CmbotError, ValueError):
     key : str
         Where in it: a key's path such as ``tool_path.legs[1].seconds``; empty for the whole.
     got : object
-        What stands there. ``no such file`` and the like are written without "got".
+        What stands there; 300 characters of it are written. ``no such file`` and the like are written without
+        "got".
     expected : str
         What should stand there, or what to do.
     choices : sequence of str, optional
@@ -67,7 +72,9 @@ class InputError(CmbotError, ValueError):
         self.expected = expected
         self.choices = tuple(choices)
         where = f"{source}: {key}" if key else source
-        found = str(got) if str(got).startswith("no such ") else f"got {got}"
+        text = str(got)
+        text = text if len(text) <= _LONGEST_GOT else f"{text[: _LONGEST_GOT - 1]}…"
+        found = text if text.startswith("no such ") else f"got {text}"
         listed = f" (one of: {', '.join(self.choices)})" if self.choices else ""
         super().__init__(f"{where}: {found}, expected {expected}{listed}")
 

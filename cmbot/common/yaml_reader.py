@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import stat
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from ruamel.yaml.nodes import ScalarNode
 from ruamel.yaml.reader import ReaderError
 
 from cmbot.common.errors import InputError
+from cmbot.common.input_files import read_input
 from cmbot.common.validation import key_path, shown
 
 __all__ = ["LARGEST_FILE", "read_yaml", "yaml_value"]
@@ -84,21 +84,7 @@ def yaml_value(text: str, source: str, error_type: type[InputError]) -> Any:
 
 
 def _read_text(path: Path, source: str, error_type: type[InputError]) -> str:
-    try:
-        status = path.stat()
-        if stat.S_ISDIR(status.st_mode):
-            raise error_type(source, "", "a folder", "a file")
-        if not stat.S_ISREG(status.st_mode):  # reading a pipe or a device may never end
-            raise error_type(source, "", "something that is not a regular file", "a file")
-        with path.open("rb") as file:
-            content = file.read(LARGEST_FILE + 1)
-    except FileNotFoundError as error:
-        raise error_type(source, "", "no such file", "a file that exists") from error
-    except OSError as error:
-        got = f"a file that cannot be read ({error.strerror})"
-        raise error_type(source, "", got, "a readable file") from error
-    if len(content) > LARGEST_FILE:
-        raise error_type(source, "", "a larger file", f"at most {LARGEST_FILE // 1_000_000} MB")
+    content = read_input(path, error_type, largest=LARGEST_FILE)
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

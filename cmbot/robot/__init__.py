@@ -3,11 +3,12 @@
 from cmbot.robot.arm_model import convex_hull, encloses_volume
 from cmbot.robot.dynamics import Dynamics, Efforts
 from cmbot.robot.elasticity import LinkTube
-from cmbot.robot.inspection import Finding, inspect_urdf, overview, parse_urdf
+from cmbot.robot.inspection import Finding, inspect_urdf, overview
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch
 from cmbot.robot.limits import JointLimits
 from cmbot.robot.loading import load_robot
 from cmbot.robot.robot import Robot
+from cmbot.robot.xml_file import parse_urdf
 
 __all__ = [
     "Chain",

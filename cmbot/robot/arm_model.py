@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,13 +13,19 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
-from cmbot.common.validation import hint
-from cmbot.robot.inspection import parse_urdf
+from cmbot.common.validation import hint, shown
+from cmbot.robot.mesh_file import FARTHEST, locate_meshes, require_near
+from cmbot.robot.xml_file import parse_urdf
 
 __all__ = ["arm_model", "attach_payload", "convex_hull", "encloses_volume", "set_tool_length"]
 
 # Smallest thickness of points relative to their extent. At about 3e-8 coal's hull crashes the process.
 _FLAT = 1e-5
+# As many as a posture in a scene file may have.
+_MOST_JOINTS = 100
+# Joint angles and distances at which other joints are locked, rad or m.
+_LARGEST_STANCE = 1e4
+_LARGEST_PAYLOAD = 1e4  # kg
 
 
 def arm_model(
@@ -37,6 +42,7 @@ def arm_model(
     _require_revolute(root, str(urdf), [full.names[i] for i in moving])
     locked = [i for i in range(1, full.njoints) if i not in moving]
     model, shapes = pin.buildReducedModel(full, shapes, locked, _stance(full, str(srdf), semantics))
+    _require_extent(model, shapes, str(urdf))
     _enable_pairs(model, shapes[0], str(srdf), semantics)
     return model, *shapes
 
@@ -60,11 +66,11 @@ def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
     """Build the full model with its collision and visual geometry; collision meshes become convex hulls."""
     _adapt(urdf, root)
     xml = ElementTree.tostring(root, encoding="unicode")
-    packages = [str(parent) for parent in urdf.resolve().parent.parents]
     try:
         model = pin.buildModelFromXML(xml)
         kinds = (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL)
-        shapes = [pin.buildGeomFromUrdfString(model, xml, kind, package_dirs=packages) for kind in kinds]
+        loader = coal.CachedMeshLoader()  # a file is often that of several shapes
+        shapes = [pin.buildGeomFromUrdfString(model, xml, kind, mesh_loader=loader) for kind in kinds]
     except (ValueError, RuntimeError, IndexError) as error:
         got = f"a file that pinocchio refuses ({' '.join(str(error).split())})"
         raise ModelError(str(urdf), "", got, "a loadable URDF") from error
@@ -102,11 +108,8 @@ def _adapt(urdf: Path, root: ElementTree.Element) -> None:
         for tag in ("dynamics", "calibration", "safety_controller"):
             for element in joint.findall(tag):
                 joint.remove(element)
-    for mesh in root.iter("mesh"):
-        # Relative to the URDF; package:// is relative to a folder above it.
-        name = mesh.get("filename", "")
-        if "://" not in name:
-            mesh.set("filename", str((urdf.resolve().parent / name).resolve()))
+    locate_meshes(urdf, root)
+    require_near(root, str(urdf))
 
 
 def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[int]:
@@ -120,12 +123,17 @@ def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[in
     if base not in supports[:-1]:
         expected = f"a link that joints move below {base_frame!r}"
         raise ModelError(source, "tool_frame", repr(tool_frame), expected)
-    return supports[supports.index(base) + 1 :]
+    chain = supports[supports.index(base) + 1 :]
+    if len(chain) > _MOST_JOINTS:
+        got = f"{tool_frame!r}, {len(chain)} joints above {base_frame!r}"
+        raise ModelError(source, "tool_frame", got, f"an arm of at most {_MOST_JOINTS} joints")
+    return chain
 
 
 def _require_revolute(root: ElementTree.Element, source: str, names: Sequence[str]) -> None:
     """Refuse an arm with a prismatic or a mimic joint."""
-    for joint in (joint for joint in root.findall("joint") if joint.get("name") in names):
+    moving = set(names)
+    for joint in (joint for joint in root.findall("joint") if joint.get("name") in moving):
         key, kind = f"joint[{joint.get('name')}]", joint.get("type")
         if kind != "revolute":  # continuous joints have been changed by `_adapt`
             raise ModelError(source, f"{key}.type", kind, "an arm of revolute or continuous joints")
@@ -137,36 +145,56 @@ def _require_revolute(root: ElementTree.Element, source: str, names: Sequence[st
 def _stance(model: Any, source: str, semantics: ElementTree.Element | None) -> FloatArray:
     """Return the configuration of the full model: the SRDF's group states, zero elsewhere."""
     q: FloatArray = pin.neutral(model)
+    joints = {name: index for index, name in enumerate(model.names) if index}
     for entry in () if semantics is None else semantics.findall("group_state/joint"):
         name, text = entry.get("name", ""), entry.get("value", "")
-        if name not in list(model.names)[1:]:
-            raise ModelError(source, "group_state", repr(name), "the name of a movable joint of the URDF")
+        if name not in joints:
+            raise ModelError(source, "group_state", shown(name), "the name of a movable joint of the URDF")
         try:
             value = float(text)
         except ValueError:
             value = np.nan
-        if not np.isfinite(value):
-            raise ModelError(source, f"group_state.{name}", repr(text), "an angle, rad, or a distance, m")
-        q[model.joints[model.getJointId(name)].idx_q] = value
+        if not abs(value) <= _LARGEST_STANCE:
+            expected = f"an angle, rad, or a distance, m, of at most {_LARGEST_STANCE:g}"
+            raise ModelError(source, f"group_state.{name}", shown(text), expected)
+        q[model.joints[joints[name]].idx_q] = value
     return q
 
 
 def _enable_pairs(model: Any, collision: Any, source: str, semantics: ElementTree.Element | None) -> None:
     """Let all pairs of shapes collide but those that the SRDF disables (without one: neighbouring joints)."""
-    collision.addAllCollisionPairs()
-    if semantics is not None:
+    joints = np.array([shape.parentJoint for shape in collision.geometryObjects], dtype=int)
+    enabled = joints[:, None] != joints
+    if semantics is None:
+        parents = np.array(model.parents)[joints]
+        # Neighbours: the joint of one is the parent of the other's. That of the universe is itself.
+        enabled &= (parents[:, None] != joints) & (parents != joints[:, None])
+    else:
+        links: dict[str, list[int]] = {}
+        for index, shape in enumerate(collision.geometryObjects):
+            links.setdefault(model.frames[shape.parentFrame].name, []).append(index)
         for pair in semantics.findall("disable_collisions"):
-            if not (pair.get("link1") and pair.get("link2")):
+            one, other = pair.get("link1"), pair.get("link2")
+            if not (one and other):
                 expected = "the names of link1 and link2"
-                raise ModelError(source, "disable_collisions", pair.attrib, expected)
-        text = ElementTree.tostring(semantics, encoding="unicode")
-        pin.removeCollisionPairsFromXML(model, collision, text)
-        return
-    # Copied first: pinocchio returns references into the list that is changed here.
-    for first, second in [(pair.first, pair.second) for pair in collision.collisionPairs]:
-        joints = [collision.geometryObjects[i].parentJoint for i in (first, second)]
-        if model.parents[max(joints)] == min(joints):
-            collision.removeCollisionPair(pin.CollisionPair(first, second))
+                raise ModelError(source, "disable_collisions", shown(pair.attrib), expected)
+            for index in links.get(one, ()):
+                for second in links.get(other, ()):
+                    enabled[index, second] = enabled[second, index] = False
+    collision.setCollisionPairs(enabled)
+
+
+def _require_extent(model: Any, shapes: Sequence[Any], source: str) -> None:
+    """Refuse frames and shapes that are too far from the joint that carries them, by origins that add up."""
+    placed = [(frame.name, frame.placement) for frame in model.frames]
+    placed += [(name, X) for name, X in zip(model.names, model.jointPlacements, strict=True)]
+    placed += [(shape.name, shape.placement) for geometry in shapes for shape in geometry.geometryObjects]
+    for name, X in placed:
+        if not np.abs(X.translation).max() <= FARTHEST:
+            got = f"{shown(name)}, {np.abs(X.translation).max():g} m from its joint"
+            raise ModelError(
+                source, "origin", got, f"frames and shapes within {FARTHEST:g} m of their joints"
+            )
 
 
 def set_tool_length(
@@ -175,14 +203,19 @@ def set_tool_length(
     """Move the tool point along the flange's z axis and stretch the tool's shapes with it, in place.
 
     The flange is the frame that carries `tool_frame`'s link, on whose z axis the tool point lies; the tool's
-    shapes are those fixed to it. `length`, m, is the new distance of the tool point from the flange.
+    shapes are those fixed to it. `length`, m, is the new distance of the tool point from the flange. Shapes
+    and masses of `tool_frame`'s own link stay where they were.
     """
     frame = model.frames[model.getFrameId(tool_frame)]
     flange = _flange(model, frame)
+    if flange.parentJoint != frame.parentJoint:
+        # Its pose in the frame of another joint says nothing about where the tool lies.
+        expected = f"{tool_frame!r} to be fixed to its flange, not moved by a joint, or no tool length"
+        raise ModelError(source, "tool_length", length, expected)
     X_FT = flange.placement.inverse() * frame.placement
     old = float(X_FT.translation[2])
-    if not (isinstance(length, int | float | np.number) and math.isfinite(length) and length > 0):
-        raise ModelError(source, "tool_length", length, "a positive length in m")
+    if not (isinstance(length, int | float | np.number) and 0 < length <= FARTHEST):
+        raise ModelError(source, "tool_length", length, f"a positive length in m, at most {FARTHEST:g}")
     if old <= 0 or np.abs(X_FT.translation[:2]).max() > 1e-9:
         expected = f"{tool_frame!r} to lie on its flange's z axis, or no tool length"
         raise ModelError(source, "tool_length", length, expected)
@@ -196,8 +229,9 @@ def set_tool_length(
 
 def attach_payload(model: Any, tool_frame: str, mass: float) -> None:
     """Add a point mass, kg, at the tool point, in place."""
-    if not (isinstance(mass, int | float | np.number) and math.isfinite(mass) and mass >= 0):
-        raise ModelError("load_robot", "payload", mass, "a mass in kg that is not negative")
+    if not (isinstance(mass, int | float | np.number) and 0 <= mass <= _LARGEST_PAYLOAD):
+        expected = f"a mass in kg that is not negative, at most {_LARGEST_PAYLOAD:g}"
+        raise ModelError("load_robot", "payload", mass, expected)
     if mass > 0:
         frame = model.frames[model.getFrameId(tool_frame)]
         point_mass = pin.Inertia(mass, np.zeros(3), np.zeros((3, 3)))

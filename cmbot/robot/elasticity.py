@@ -28,7 +28,7 @@ __all__ = ["LinkTube", "read_elasticity"]
 
 # The bounds keep every power of a length finite, and catch lengths in millimetres and moduli in gigapascals.
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
-Length = Annotated[float, Field(gt=0, le=1e4)]
+Length = Annotated[float, Field(ge=1e-5, le=1e4)]
 Modulus = Annotated[float, Field(ge=1e3, le=1e13)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
 

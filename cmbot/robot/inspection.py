@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,28 +17,29 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from cmbot.common.errors import ModelError
-from cmbot.common.validation import counted
+from cmbot.common.validation import counted, shown
 from cmbot.robot.limits import read_joint_limits
 
-__all__ = ["Finding", "inspect_urdf", "overview", "parse_urdf"]
+__all__ = ["Finding", "inspect_urdf", "overview"]
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
-# Number of values of each attribute, by element.
-_COUNTS = {
-    "origin": {"xyz": 3, "rpy": 3},
-    "mass": {"value": 1},
-    "inertia": dict.fromkeys(_INERTIA, 1),
-    "box": {"size": 3},
-    "cylinder": {"radius": 1, "length": 1},
-    "sphere": {"radius": 1},
-    "mesh": {"scale": 3},
-    "color": {"rgba": 4},
-    "axis": {"xyz": 3},
-    "limit": dict.fromkeys(("lower", "upper", "velocity", "effort"), 1),
-    "mimic": {"multiplier": 1, "offset": 1},
+# Number of values of each attribute and the largest magnitude of one, by element, in URDF's units: far beyond
+# any robot, but small enough that nothing made of them overflows. A range of positions may be "endless".
+_NUMBERS = {
+    "origin": {"xyz": (3, 1e4), "rpy": (3, 1e3)},
+    "mass": {"value": (1, 1e5)},
+    "inertia": dict.fromkeys(_INERTIA, (1, 1e9)),
+    "box": {"size": (3, 1e4)},
+    "cylinder": {"radius": (1, 1e4), "length": (1, 1e4)},
+    "sphere": {"radius": (1, 1e4)},
+    "mesh": {"scale": (3, 1e4)},
+    "color": {"rgba": (4, 1.0)},
+    "axis": {"xyz": (3, 1e3)},
+    "limit": {"lower": (1, 1e17), "upper": (1, 1e17), "velocity": (1, 1e6), "effort": (1, 1e9)},
+    "mimic": {"multiplier": (1, 1e4), "offset": (1, 1e4)},
+    "dynamics": {"damping": (1, 1e9), "friction": (1, 1e9)},
 }
 # Attributes without which the URDF reader drops the element or refuses the file.
 _REQUIRED = {
@@ -55,7 +56,14 @@ _REQUIRED = {
     "texture": ("filename",),
 }
 # Narrower than Python's: the URDF reader refuses 1_000 and digits of other scripts.
-_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_LONGEST_TEXT = 1000
+# A scale or a direction that is smaller is taken for zero.
+_ZERO = 1e-9
+# Pinocchio calls itself for each link in a row, and its time grows with the square of links and joints.
+_MOST_IN_A_ROW = 1000
+_MOST = {"link": 5000, "joint": 5000, "movable joint": 500, "collision shape": 1000, "visual shape": 1000}
+_PLAIN_NAME = re.compile(r"[\w.\- /:]{0,60}")
 # Tables are rounded: tolerance, relative, for inertias at the boundary of the physically possible.
 _ROUNDING = 1e-6
 
@@ -78,29 +86,6 @@ class Finding:
     expected: str
 
 
-def parse_urdf(path: Path, kind: str = "a URDF") -> ElementTree.Element:
-    """Parse a URDF or, as an error names its `kind`, an SRDF into its XML tree.
-
-    Raises
-    ------
-    ModelError
-        When the file is missing, unreadable, no XML or its root element is not ``<robot>``.
-    """
-    try:
-        root = ElementTree.fromstring(path.read_bytes())
-    except FileNotFoundError as error:
-        raise ModelError(str(path), "", "no such file", f"{kind} file") from error
-    except OSError as error:
-        got = f"a file that cannot be read ({error.strerror or error})"
-        raise ModelError(str(path), "", got, f"{kind} file") from error
-    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
-        got = f"text that is not well-formed XML ({error})"
-        raise ModelError(str(path), "", got, f"{kind} file") from error
-    if root.tag != "robot":
-        raise ModelError(str(path), "", f"<{root.tag}>", f"{kind}, whose root element is <robot>")
-    return root
-
-
 def inspect_urdf(root: ElementTree.Element) -> list[Finding]:
     """List all errors and warnings about a URDF, errors first.
 
@@ -109,6 +94,9 @@ def inspect_urdf(root: ElementTree.Element) -> list[Finding]:
     root : xml.etree.ElementTree.Element
         From `parse_urdf`.
     """
+    findings = [*_sizes(root)]
+    if findings:
+        return findings
     findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root), *_joint_types(root)]
     for link in root.findall("link"):
         findings += _inertial(link)
@@ -123,7 +111,11 @@ def _error(key: str, got: object, expected: str) -> Finding:
 
 
 def _name(element: ElementTree.Element) -> str:
-    return f"{element.tag}[{element.get('name', '?')}]"
+    return f"{element.tag}[{_plain(element.get('name', '?'))}]"
+
+
+def _plain(name: str) -> str:
+    return name if _PLAIN_NAME.fullmatch(name) else shown(name)
 
 
 def _float(element: ElementTree.Element, attribute: str, default: float) -> float:
@@ -134,13 +126,19 @@ def _float(element: ElementTree.Element, attribute: str, default: float) -> floa
         return math.nan
 
 
+def _floats(text: str) -> list[float]:
+    """The numbers in a text; none where one is no number, which `_attributes` reports."""
+    words = text.split() if len(text) <= _LONGEST_TEXT else []
+    return [float(word) for word in words] if all(map(_NUMBER.fullmatch, words)) else []
+
+
 def _header(root: ElementTree.Element) -> Iterator[Finding]:
     """The robot has a name, and a version that the URDF reader accepts."""
     if not root.get("name"):
         yield _error("robot.name", "nothing", "a name")
     version = root.get("version", "1.0")
     if version not in ("1.0", "1.1", "1.2"):
-        yield _error("robot.version", repr(version), "1.0, 1.1 or 1.2")
+        yield _error("robot.version", shown(version), "1.0, 1.1 or 1.2")
 
 
 def _attributes(root: ElementTree.Element) -> Iterator[Finding]:
@@ -151,18 +149,24 @@ def _attributes(root: ElementTree.Element) -> Iterator[Finding]:
             for attribute in _REQUIRED.get(element.tag, ()):
                 if not element.get(attribute):
                     yield _error(f"{key}.{attribute}", repr(element.get(attribute)), "a value")
-            for attribute, count in _COUNTS.get(element.tag, {}).items():
+            for attribute, (count, most) in _NUMBERS.get(element.tag, {}).items():
                 if element.get(attribute) is not None:
-                    yield from _numbers(f"{key}.{attribute}", element.get(attribute, ""), count)
+                    yield from _numbers(f"{key}.{attribute}", element.get(attribute, ""), count, most)
+            if element.get("quat_xyzw") is not None:
+                yield _error(f"{key}.quat_xyzw", "a quaternion", "the angles rpy in place of it")
 
 
-def _numbers(key: str, text: str, count: int) -> Iterator[Finding]:
-    words = [word for word in text.split(" ") if word]
+def _numbers(key: str, text: str, count: int, most: float) -> Iterator[Finding]:
+    words = [word for word in text.split(" ") if word] if len(text) <= _LONGEST_TEXT else []
     well_formed = len(words) == count and all(map(_NUMBER.fullmatch, words))
     if not well_formed or not all(math.isfinite(float(word)) for word in words):
-        yield _error(key, repr(text), counted(count, "finite number"))
-    elif key.endswith("rgba") and not all(0 <= float(word) <= 1 for word in words):
-        yield _error(key, repr(text), "4 numbers from 0 to 1")
+        yield _error(key, shown(text), counted(count, "finite number"))
+    elif key.endswith("rgba"):
+        if not all(0 <= float(word) <= most for word in words):
+            yield _error(key, shown(text), "4 numbers from 0 to 1")
+    elif any(abs(float(word)) > most for word in words):
+        expected = f"{counted(count, 'finite number')} of at most {most:g}"
+        yield _error(key, shown(text), expected)
 
 
 def _materials(root: ElementTree.Element) -> Iterator[Finding]:
@@ -175,9 +179,9 @@ def _materials(root: ElementTree.Element) -> Iterator[Finding]:
 def _tree(root: ElementTree.Element) -> Iterator[Finding]:
     """Links and joints form one tree with unique names."""
     for tag in ("link", "joint", "material"):
-        names = [element.get("name", "") for element in root.findall(tag)]
-        for name in sorted({name for name in names if names.count(name) > 1 or not name}):
-            yield _error(f"{tag}[{name}]", f"{names.count(name)} of that name", "a unique name for each")
+        names = Counter(element.get("name", "") for element in root.findall(tag))
+        for name in sorted(name for name, number in names.items() if number > 1 or not name):
+            yield _error(f"{tag}[{_plain(name)}]", f"{names[name]} of that name", "a unique name for each")
         if "universe" in names:
             yield _error(f"{tag}[universe]", "pinocchio's name for the world", "another name")
     links = {link.get("name", "") for link in root.findall("link")}
@@ -193,21 +197,52 @@ def _tree(root: ElementTree.Element) -> Iterator[Finding]:
             element = joint.find(end)
             ends[end] = "" if element is None else element.get("link", "")
             if ends[end] not in links:
-                yield _error(f"{_name(joint)}.{end}", repr(ends[end]), "the name of a link of this file")
+                yield _error(f"{_name(joint)}.{end}", shown(ends[end]), "the name of a link of this file")
         if ends["child"] in parents:
-            yield _error(f"{_name(joint)}.child", ends["child"], "a link that is no other joint's child")
+            yield _error(
+                f"{_name(joint)}.child", _plain(ends["child"]), "a link that is no other joint's child"
+            )
         parents[ends["child"]] = ends["parent"]
     roots = sorted(links - parents.keys())
     if len(roots) != 1:
-        yield _error("robot", f"root links {roots}", "exactly one link that is no joint's child")
-    for link in sorted(links):
-        seen = {link}
-        above = parents.get(link)
-        while above is not None and above not in seen:
-            seen.add(above)
-            above = parents.get(above)
-        if above == link:
-            yield _error(f"link[{link}]", "a cycle of joints", "a tree")
+        yield _error("robot", f"root links {shown(roots)}", "exactly one link that is no joint's child")
+    yield from _rows(links, parents)
+
+
+def _rows(links: set[str], parents: Mapping[str, str]) -> Iterator[Finding]:
+    """No links form a cycle or a row that is too long, in a time that grows with their number."""
+    depths: dict[str, int] = {}
+    cyclic = set[str]()
+    for link in links:
+        row, place, above = list[str](), dict[str, int](), link
+        while above in parents and above not in depths and above not in place:
+            place[above] = len(row)
+            row.append(above)
+            above = parents[above]
+        if above in place:
+            cyclic.update(row[place[above] :])
+        depth = depths.get(above, 0)
+        for number, name in enumerate(reversed(row), start=1):
+            depths[name] = depth + number
+    for link in sorted(cyclic):
+        yield _error(f"link[{_plain(link)}]", "a cycle of joints", "a tree")
+    if not cyclic and depths and (longest := max(depths.values())) > _MOST_IN_A_ROW:
+        yield _error("robot", f"{longest} joints in a row", f"at most {_MOST_IN_A_ROW}")
+
+
+def _sizes(root: ElementTree.Element) -> Iterator[Finding]:
+    """There are not too many parts."""
+    joints = root.findall("joint")
+    numbers = {
+        "link": len(root.findall("link")),
+        "joint": len(joints),
+        "movable joint": sum(joint.get("type") != "fixed" for joint in joints),
+        "collision shape": len(root.findall("link/collision")),
+        "visual shape": len(root.findall("link/visual")),
+    }
+    for part, number in numbers.items():
+        if number > _MOST[part]:
+            yield _error("robot", counted(number, part), f"at most {_MOST[part]}")
 
 
 def _joint_types(root: ElementTree.Element) -> Iterator[Finding]:
@@ -237,12 +272,14 @@ def _inertial(link: ElementTree.Element) -> Iterator[Finding]:
     if not np.isfinite(inertia).all():
         return
     moments = np.linalg.eigvalsh(inertia)
-    shown = "principal moments " + ", ".join(f"{moment:.4g}" for moment in moments)
+    listed = "principal moments " + ", ".join(f"{moment:.4g}" for moment in moments)
     if moments[0] < -_ROUNDING * max(moments[2], 0.0) or moments[2] < 0:
-        yield _error(f"{_name(link)}.inertial.inertia", shown, "none negative")
+        yield _error(f"{_name(link)}.inertial.inertia", listed, "none negative")
     elif moments[2] > (moments[0] + moments[1]) * (1 + _ROUNDING):
         expected = "the largest at most the sum of the others, as for any rigid body"
-        yield Finding(severity="warning", key=f"{_name(link)}.inertial.inertia", got=shown, expected=expected)
+        yield Finding(
+            severity="warning", key=f"{_name(link)}.inertial.inertia", got=listed, expected=expected
+        )
 
 
 def _shapes(link: ElementTree.Element) -> Iterator[Finding]:
@@ -251,27 +288,30 @@ def _shapes(link: ElementTree.Element) -> Iterator[Finding]:
         key = f"{_name(link)}.{element.tag}.geometry"
         shapes = [shape for geometry in element.findall("geometry") for shape in geometry]
         if len(shapes) != 1 or shapes[0].tag not in _SHAPES:
-            shown = ", ".join(f"<{shape.tag}>" for shape in shapes) or "nothing"
-            yield _error(key, shown, "one of " + ", ".join(_SHAPES))
+            listed = shown(", ".join(f"<{shape.tag}>" for shape in shapes))[1:-1] or "nothing"
+            yield _error(key, listed, "one of " + ", ".join(_SHAPES))
             continue
         for attribute in ("size", "radius", "length"):
             text = shapes[0].get(attribute, "")
             if any(word.startswith("-") for word in text.split()):
-                yield _error(f"{key}.{shapes[0].tag}.{attribute}", repr(text), "no negative size")
+                yield _error(f"{key}.{shapes[0].tag}.{attribute}", shown(text), "no negative size")
+        scale = shapes[0].get("scale", "1")
+        if any(abs(number) < _ZERO for number in _floats(scale)):
+            yield _error(f"{key}.mesh.scale", shown(scale), "no scale of zero")
 
 
 def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
     """Types are known, axes have a direction, limits are in order."""
     kind = joint.get("type", "")
     if kind not in _JOINT_TYPES:
-        yield _error(f"{_name(joint)}.type", repr(kind), "one of " + ", ".join(_JOINT_TYPES))
+        yield _error(f"{_name(joint)}.type", shown(kind), "one of " + ", ".join(_JOINT_TYPES))
     if kind == "fixed":
         return
     axis = joint.find("axis")
     if axis is not None:
-        words = axis.get("xyz", "1 0 0").split()
-        if all(map(_NUMBER.fullmatch, words)) and math.hypot(*map(float, words)) < 1e-9:
-            yield _error(f"{_name(joint)}.axis", repr(axis.get("xyz")), "a direction, not zero")
+        numbers = _floats(axis.get("xyz", "1 0 0"))
+        if numbers and math.hypot(*numbers) < _ZERO:
+            yield _error(f"{_name(joint)}.axis", shown(axis.get("xyz")), "a direction, not zero")
     limit = joint.find("limit")
     if limit is None:
         if kind in ("revolute", "prismatic"):
@@ -282,7 +322,9 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
         yield _error(f"{_name(joint)}.limit", f"lower {lower:g} > upper {upper:g}", "lower <= upper")
     for name in ("velocity", "effort"):
         if _float(limit, name, 0.0) < 0:
-            yield _error(f"{_name(joint)}.limit.{name}", limit.get(name), "a number that is not negative")
+            yield _error(
+                f"{_name(joint)}.limit.{name}", shown(limit.get(name)), "a number that is not negative"
+            )
 
 
 def overview(path: Path, root: ElementTree.Element) -> Iterator[tuple[str, str]]:

@@ -23,7 +23,9 @@ from cmbot.common.yaml_reader import read_yaml
 
 __all__ = ["JointLimits", "joint_limits", "read_joint_limits"]
 
-Positive = Annotated[float, Field(gt=0)]
+# Beyond any robot, but nothing made of them overflows. The least is also that of velocity and effort.
+_LEAST = 1e-6
+Positive = Annotated[float, Field(ge=_LEAST, le=1e9)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,8 +100,9 @@ def joint_limits(model: Any, urdf: Path, path: Path) -> JointLimits:
     velocity, torque = model.upperVelocityLimit, model.upperEffortLimit
     for i, name in enumerate(names):
         for key, value in (("velocity", velocity[i]), ("effort", torque[i])):
-            if not (np.isfinite(value) and value > 0):
-                raise ModelError(str(urdf), f"joint[{name}].limit.{key}", value, "a positive bound")
+            if not (np.isfinite(value) and value >= _LEAST):
+                expected = f"a positive bound, at least {_LEAST:g}"
+                raise ModelError(str(urdf), f"joint[{name}].limit.{key}", value, expected)
     unlimited = np.abs(model.upperPositionLimit) >= 1e9
     return JointLimits(
         lower=np.where(unlimited, -np.inf, model.lowerPositionLimit),

@@ -12,15 +12,20 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from cmbot.common.errors import ModelError
+from cmbot.common.input_files import read_input
 from cmbot.common.installation import model_folder
 from cmbot.common.validation import given_path, hint
 from cmbot.robot.arm_model import arm_model, attach_payload, set_tool_length
 from cmbot.robot.elasticity import read_elasticity
-from cmbot.robot.inspection import inspect_urdf, parse_urdf
+from cmbot.robot.inspection import inspect_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
+from cmbot.robot.xml_file import parse_urdf
 
 __all__ = ["load_robot"]
+
+# An arm that weighs less is one without masses, kg.
+_LIGHTEST = 1e-3
 
 
 def load_robot(
@@ -64,7 +69,8 @@ def load_robot(
     Raises
     ------
     ModelError
-        When a file is missing or unusable, a frame does not exist, or a joint of the arm is not revolute.
+        When a file is missing or unusable, a frame does not exist, a joint of the arm is not revolute, the
+        arm has no mass or more than 100 joints, or a number is beyond any robot's.
     """
     if str(model) == "cmbot":
         urdf = model_folder() / "urdf" / "cmbot.urdf"
@@ -87,7 +93,11 @@ def load_robot(
     if tool_length is not None:
         set_tool_length(arm, (collision, visual), tool_frame, tool_length, source=str(urdf))
     attach_payload(arm, tool_frame, payload)
+    if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _LIGHTEST:
+        got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
+        raise ModelError(str(urdf), "link.inertial.mass", got, f"an arm of at least {_LIGHTEST:g} kg")
     files = (urdf, srdf_file, limits_file, elasticity_file)
+    contents = [read_input(file, ModelError) for file in files if file]
     return Robot(
         name=root.get("name", urdf.stem),
         urdf=urdf.resolve(),
@@ -100,7 +110,7 @@ def load_robot(
         base_frame=base_frame,
         tool_frame=tool_frame,
         payload=payload,
-        content_hash=hashlib.sha256(b"\0".join(file.read_bytes() for file in files if file)).hexdigest(),
+        content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import SceneError
+from cmbot.common.input_files import LARGEST_MESH, read_input
 from cmbot.common.installation import scene_folder
 from cmbot.common.validation import given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import read_yaml
@@ -166,11 +167,10 @@ def _content_hash(data: Mapping[str, Any], obstacles: tuple[Obstacle, ...], sour
     for index, obstacle in enumerate(obstacles):
         if isinstance(obstacle.shape, Mesh):
             try:
-                with obstacle.shape.path.open("rb") as mesh:
-                    total.update(hashlib.file_digest(mesh, "sha256").digest())
-            except OSError as error:
-                got = f"a file that cannot be read ({error.strerror})"
-                raise SceneError(source, f"obstacles[{index}].mesh", got, "a readable file") from error
+                content = read_input(obstacle.shape.path, SceneError, largest=LARGEST_MESH)
+            except SceneError as error:
+                raise SceneError(source, f"obstacles[{index}].mesh", error.got, error.expected) from error
+            total.update(hashlib.sha256(content).digest())
     return total.hexdigest()
 
 

@@ -89,7 +89,7 @@ def with_number(number, name="drift"):
         (lambda text: text[: len(text) // 2], "", "breaks off"),
         (lambda text: "", "", "breaks off"),
         (lambda text: "[1]", "", "[1]"),
-        (lambda text: "[" * 100_000, "", "recursion"),
+        (lambda text: "[" * 100_000, "", "deeper than 50"),
         (lambda text: text.replace('"drift"', '"status"', 1), "'status'", "the same key again"),
         (lambda text: text.replace("clearance", "\udcff", 1), "", "UTF-8"),
         (with_number("NaN"), "", "NaN"),

@@ -126,7 +126,7 @@ def test_one_flat_part_is_enough_to_refuse_a_mesh(cmbot_robot: Robot, tmp_path: 
 @pytest.mark.parametrize(
     ("name", "content", "got"),
     [
-        ("gone.stl", None, "unreadable"),
+        ("gone.stl", None, "no such file"),
         ("empty.stl", b"", "no volume|unreadable"),
         ("text.stl", b"no mesh at all", "no volume|unreadable"),
         ("text.obj", b"no mesh at all", "no volume"),
@@ -148,7 +148,7 @@ def test_one_flat_part_is_enough_to_refuse_a_mesh(cmbot_robot: Robot, tmp_path: 
 def test_files_that_hold_no_mesh(tmp_path: Path, name: str, content: bytes | None, got: str) -> None:
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    with pytest.raises(SceneError, match=rf"{name}: obstacles\[thing\].mesh: got ({got})"):
+    with pytest.raises(SceneError, match=rf"{name}: obstacles\[thing\].mesh: (got )?({got})"):
         load_mesh(tmp_path / name, "thing")
 
 

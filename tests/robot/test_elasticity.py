@@ -78,7 +78,7 @@ def test_links_that_do_not_move_are_rigid(bending_folder: Path) -> None:
         ("link_5:", "joint_5:", "links", "a link of the URDF"),
         ("elasticity/1", "elasticity/2", "format", "cmbot-elasticity/1"),
         ("wall_m: 0.003", "wall_m: 0.041", "links.link_5.wall_m", "half of outer_diameter_m"),
-        ("wall_m: 0.003", "wall_m: 0", "links.link_5.wall_m", "more than 0"),
+        ("wall_m: 0.003", "wall_m: 0", "links.link_5.wall_m", "at least 1e-05"),
         ("    wall_m: 0.003\n", "", "links.link_5.wall_m", "a value"),
         ("wall_m: 0.003", "wall: 0.003", "links.link_5.wall", "known key"),
         ("diameter_m: 0.08", "diameter_m: '0.08'", "links.link_5.outer_diameter_m", "a number"),

@@ -106,7 +106,7 @@ def test_damage_is_named(
 @pytest.mark.parametrize(
     ("content", "word"),
     [
-        (b"", "not well-formed XML"),
+        (b"", "got an empty file, expected a URDF file"),
         (b"joints: {}", "not well-formed XML"),
         (b"<robot name='a'>", r"got text that is not well-formed XML \(no element found"),
         (b"<sdf/>", "<sdf>"),
@@ -117,7 +117,7 @@ def test_damage_is_named(
         (b"<robot name='a'>\xff</robot>", "not well-formed XML"),
         (
             b'<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/hostname">]><robot name="a">&x;</robot>',
-            "not well-formed XML",
+            "a document type",
         ),
     ],
 )
@@ -131,7 +131,7 @@ def test_file_that_is_no_urdf(tmp_path: Path, content: bytes, word: str) -> None
 def test_missing_file(tmp_path: Path) -> None:
     with pytest.raises(ModelError, match=r"none\.urdf: no such file, expected a URDF file"):
         parse_urdf(tmp_path / "none.urdf")
-    with pytest.raises(ModelError, match=r"got a file that cannot be read .*directory"):
+    with pytest.raises(ModelError, match=r"got a folder, expected a URDF file"):
         parse_urdf(tmp_path)
 
 

@@ -179,7 +179,7 @@ SRDF, LIMITS = "cmbot.srdf", "joint_limits.yaml"
     ("name", "old", "new", "word"),
     [
         (LIMITS, "joint_3:", "joint_9:", "joints.joint_3: got nothing"),
-        (LIMITS, "jerk_deg: 160", "jerk_deg: 0", r"joints.joint_1.jerk_deg: got 0, expected more than 0"),
+        (LIMITS, "jerk_deg: 160", "jerk_deg: 0", r"joints.joint_1.jerk_deg: got 0, expected at least 1e-06"),
         (LIMITS, "jerk_deg: 160", "jerk_deg: .nan", "jerk_deg"),
         (LIMITS, "jerk_deg: 160", "jerk_deg: '160'", "jerk_deg"),
         (LIMITS, "jerk_deg: 160", "jerk: 160", "jerk"),

@@ -1,0 +1,119 @@
+"""Input files: regular files of bounded size, read in one piece.
+
+Reading a pipe or a device may never end, and a file that fits no memory ends the process.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from pathlib import Path
+
+from cmbot.common.errors import InputError
+
+__all__ = ["LARGEST_MESH", "LARGEST_TEXT", "read_input", "require_input"]
+
+LARGEST_TEXT = 20_000_000
+"""Bytes of a URDF, an SRDF or a plan.json."""
+LARGEST_MESH = 50_000_000
+"""Bytes of a mesh."""
+
+
+def read_input(
+    path: Path,
+    error_type: type[InputError],
+    *,
+    kind: str = "a file",
+    key: str = "",
+    largest: int = LARGEST_TEXT,
+) -> bytes:
+    """Return the content of a regular file.
+
+    Parameters
+    ----------
+    path : Path
+    error_type : type
+        What to raise: `SceneError`, `ModelError`, …
+    kind : str
+        What the file should be, for messages.
+    key : str
+        What names the file, for messages.
+    largest : int
+        Most bytes that it may have.
+
+    Raises
+    ------
+    InputError
+        Of `error_type`: the file is missing, a folder, a pipe or a device, too large, or cannot be read.
+    """
+    try:
+        _require_regular(path.stat().st_mode, kind)
+        # It may have been replaced since: opening a pipe would wait for a writer.
+        descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+        with os.fdopen(descriptor, "rb") as file:
+            status = os.fstat(descriptor)
+            _require_regular(status.st_mode, kind)
+            # A byte more than allowed shows a file that has grown since.
+            content = b"" if status.st_size > largest else file.read(largest + 1)
+        _require_size(max(status.st_size, len(content)), largest)
+    except (OSError, ValueError, _RefusedError) as error:
+        raise _input_error(error, path, error_type, kind, key) from error
+    return content
+
+
+def require_input(
+    path: Path,
+    error_type: type[InputError],
+    *,
+    kind: str = "a file",
+    key: str = "",
+    largest: int = LARGEST_MESH,
+) -> None:
+    """Refuse a file that another library will read, unless it is regular, not empty and not too large.
+
+    Parameters and errors are those of `read_input`.
+    """
+    try:
+        status = path.stat()
+        _require_regular(status.st_mode, kind)
+        _require_size(status.st_size, largest)
+        _require_filled(status.st_size, kind)
+    except (OSError, ValueError, _RefusedError) as error:
+        raise _input_error(error, path, error_type, kind, key) from error
+
+
+class _RefusedError(Exception):
+    """A file that is there but not taken."""
+
+    def __init__(self, got: str, expected: str) -> None:
+        super().__init__(got)
+        self.got, self.expected = got, expected
+
+
+def _require_regular(mode: int, kind: str) -> None:
+    if stat.S_ISDIR(mode):
+        raise _RefusedError("a folder", kind)
+    if not stat.S_ISREG(mode):
+        raise _RefusedError("something that is not a regular file", kind)
+
+
+def _require_size(size: int, largest: int) -> None:
+    if size > largest:
+        raise _RefusedError("a larger file", f"at most {largest / 1e6:.3g} MB")
+
+
+def _require_filled(size: int, kind: str) -> None:
+    if size == 0:
+        raise _RefusedError("an empty file", kind)
+
+
+def _input_error(
+    error: Exception, path: Path, error_type: type[InputError], kind: str, key: str
+) -> InputError:
+    if isinstance(error, _RefusedError):
+        return error_type(str(path), key, error.got, error.expected)
+    if isinstance(error, FileNotFoundError):
+        return error_type(str(path), key, "no such file", kind)
+    # A ValueError: a name that no file can have.
+    why = error.strerror if isinstance(error, OSError) else str(error)
+    return error_type(str(path), key, f"a file that cannot be read ({why})", kind)

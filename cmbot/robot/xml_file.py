@@ -1,0 +1,68 @@
+"""The XML of a URDF or an SRDF: no document type, so no entities, and of bounded size and depth."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import NoReturn
+from xml.etree import ElementTree
+
+from cmbot.common.errors import ModelError
+from cmbot.common.input_files import read_input
+from cmbot.common.validation import shown
+
+__all__ = ["parse_urdf"]
+
+# Readers of XML trees call themselves for each level.
+_DEEPEST = 50
+# The parser is stopped after the piece in which a refusal is found.
+_PIECE = 1 << 16
+
+
+def parse_urdf(path: Path, kind: str = "a URDF") -> ElementTree.Element:
+    """Parse a URDF or, as an error names its `kind`, an SRDF into its XML tree.
+
+    Raises
+    ------
+    ModelError
+        When the file is missing, no regular file, empty, larger than 20 MB, unreadable, no XML, has a
+        document type (and so could have entities), elements deeper than 50, or a root element other than
+        ``<robot>``.
+    """
+    content, source = read_input(path, ModelError, kind=f"{kind} file"), str(path)
+    if not content:
+        raise ModelError(source, "", "an empty file", f"{kind} file")
+    parser = ElementTree.XMLParser(target=_Builder(source, kind))
+    try:
+        for start in range(0, len(content), _PIECE):
+            parser.feed(content[start : start + _PIECE])
+        root: ElementTree.Element = parser.close()
+    except ModelError:
+        raise
+    except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
+        got = f"text that is not well-formed XML ({' '.join(str(error).split())})"
+        raise ModelError(source, "", got, f"{kind} file") from error
+    if root.tag != "robot":
+        raise ModelError(source, "", shown(f"<{root.tag}>")[1:-1], f"{kind}, whose root element is <robot>")
+    return root
+
+
+class _Builder(ElementTree.TreeBuilder):
+    """The tree of the elements; refuses what its readers or its memory could not hold."""
+
+    def __init__(self, source: str, kind: str) -> None:
+        super().__init__()
+        self._source, self._kind, self._depth = source, kind, 0
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> NoReturn:
+        del name, pubid, system
+        raise ModelError(self._source, "", "a document type (<!DOCTYPE …>)", f"{self._kind} without one")
+
+    def start(self, tag: str, attrs: dict[str, str]) -> ElementTree.Element:
+        self._depth += 1
+        if self._depth > _DEEPEST:
+            raise ModelError(self._source, "", "nesting too deep", f"at most {_DEEPEST} levels of elements")
+        return super().start(tag, attrs)
+
+    def end(self, tag: str) -> ElementTree.Element:
+        self._depth -= 1
+        return super().end(tag)
