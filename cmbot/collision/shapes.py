@@ -169,11 +169,14 @@ def load_mesh(path: Path, name: str) -> trimesh.Trimesh:
     content = io.BytesIO(read_input(path, SceneError, kind="a mesh file", key=key, largest=LARGEST_MESH))
     try:
         # As a stream: a file's reader would also open what it names, such as materials.
-        mesh = trimesh.load_mesh(content, file_type=suffix)
-        mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        vertices = np.asarray(mesh.vertices, dtype=float).reshape(-1, 3)
+        with np.errstate(invalid="ignore"):  # vertices that are too far away are refused below
+            mesh = trimesh.load_mesh(content, file_type=suffix)
+            mesh.merge_vertices(merge_tex=True, merge_norm=True)
+        vertices = np.asarray(mesh.vertices, dtype=float)
     except _DAMAGED as error:
         raise SceneError(str(path), key, f"unreadable ({shown(str(error))})", "a mesh file") from error
+    if vertices.shape[1:] != (3,):
+        raise SceneError(str(path), key, f"vertices of shape {vertices.shape}", "three coordinates each")
     if not (np.abs(vertices) <= _FARTHEST).all():
         got, expected = "a mesh that is larger or not finite", f"vertices within {_FARTHEST:g} m"
         raise SceneError(str(path), key, got, expected)

@@ -30,6 +30,8 @@ LARGEST_FILE = 5_000_000
 """Size in bytes above which a file is refused."""
 
 _DEEPEST = 50
+# 2,000 legs and 1,000 obstacles have half as many; each takes some 50 microseconds.
+_MOST_VALUES = 100_000
 _TEXT = "tag:yaml.org,2002:str"
 _PLAIN_TYPES = (str, int, float, type(None))  # bool is an int
 
@@ -51,7 +53,8 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
     InputError
         Of `error_type`: the file cannot be read, is no valid YAML, is no mapping, or uses what could be
         misread: doubled keys, anchors and aliases, tags, directives, several documents, keys that are
-        no text, dates, numbers that are not finite, nesting deeper than 50 levels.
+        no text, dates, numbers that are not finite, nesting deeper than 50 levels, more than 100,000 keys
+        and values.
     """
     source = str(path)
     data = yaml_value(_read_text(Path(path), source, error_type), source, error_type)
@@ -97,6 +100,7 @@ class _Document:
 
     def __init__(self, text: str, source: str, error_type: type[InputError]) -> None:
         self._source, self._error_type = source, error_type
+        self._values = 0
         self._yaml = YAML(typ="safe", pure=True)
         self._events: Iterator[Any] = self._yaml.parse(text)
 
@@ -158,6 +162,9 @@ class _Document:
 
     def _check(self, event: Any, path: _Path) -> None:
         mark = event.start_mark
+        self._values += 1
+        if self._values > _MOST_VALUES:
+            raise self._refused(path[:3], "more values", f"at most {_MOST_VALUES} in a file", mark)
         if len(path) > _DEEPEST:
             raise self._refused(path[:3], "nesting too deep", f"at most {_DEEPEST} levels", mark)
         if isinstance(event, AliasEvent):

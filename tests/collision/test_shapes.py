@@ -139,6 +139,8 @@ def test_one_flat_part_is_enough_to_refuse_a_mesh(cmbot_robot: Robot, tmp_path: 
             b"v 0 0 nan\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 2 3 4\nf 1 3 4\nf 1 2 4\n",
             "no volume",
         ),
+        ("short.obj", b"v 0 0\nv 1 0\nv 0 1\nf 1 2 3\n", "vertices of shape"),
+        ("far.obj", b"v 0 0 0\nv 1e200 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 2 3 4\n", "a mesh that is larger"),
         ("huge.obj", b"v 0 0 0\nf 1 2 99999999999999999999999\n", "unreadable"),
         ("part.step", b"ISO-10303-21;", "the format '.step'"),
         ("robot.dae", b"<COLLADA/>", "the format '.dae'"),

@@ -67,6 +67,7 @@ def test_plain_data_in_yaml_1_2(tmp_path):
         ("a: 'x\n", "", "found unexpected end of stream (line 2, column 1)"),
         ("a: b: c\n", "", "mapping values are not allowed here (line 1, column 5)"),
         ("a: \x07\n", "", "a control character (U+0007, at position 4)"),
+        ("a: [" + "0," * 100_000 + "]", "a[99997]", "more values (line 1"),
         (b"a: \xff\n", "", "a byte that is not UTF-8 (byte 3)"),
     ],
 )
