@@ -2,13 +2,17 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test lint bench docs models clean
+.PHONY: demo test fuzz lint bench docs models clean
 
 demo: .venv/installed
 	$(BIN)/cmbot plan triangle --output out/triangle --force
 
 test: .venv/tested
 	$(BIN)/pytest -n auto
+
+# Takes hours.
+fuzz: .venv/tested
+	$(BIN)/python tools/fuzz.py --count 100000
 
 lint: .venv/tested
 	$(BIN)/ruff check .

@@ -1,5 +1,27 @@
-"""``python -m cmbot``: the command line."""
+"""``python -m cmbot`` and the command ``cmbot``: the command line."""
 
-from cmbot.cli import main
+from __future__ import annotations
 
-main()
+import os
+import signal
+
+__all__ = ["main"]
+
+_STOPPED = 128 + signal.SIGINT
+
+
+def main() -> None:
+    """Run the command line; Ctrl-C during the imports ends it as quietly as later on."""
+    before = signal.signal(signal.SIGINT, lambda *_: os._exit(_STOPPED))
+    from cmbot.cli import main as run
+
+    signal.signal(signal.SIGINT, before)
+    try:
+        run()
+    finally:
+        # All is done: there is nothing left to stop.
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+if __name__ == "__main__":
+    main()

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import atexit
+import errno
 import gc
+import io
 import sys
 import traceback
 import warnings
@@ -14,12 +16,12 @@ import typer
 import typer.main
 
 import cmbot
-from cmbot.cli.console import ExitStatus, err, flat, out
+from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, flat, out
 from cmbot.cli.inspection import check, doctor
 from cmbot.cli.planning import plan
 from cmbot.cli.simulation import reproduce, simulate
 from cmbot.cli.views import replay, report
-from cmbot.common.errors import CmbotError, InputError, PlanningError
+from cmbot.common.errors import LONGEST_MESSAGE, CmbotError, InputError, PlanningError
 
 __all__ = ["app", "main"]
 
@@ -40,27 +42,59 @@ _UsageError: Any = typer.BadParameter.__bases__[0]
 
 def main() -> None:
     """Run the command line; turn errors into one line and an exit status."""
-    sys.excepthook = _one_line
+    sys.excepthook = _report
     warnings.showwarning = _show_warning
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        # Where the locale's encoding lacks a character of a file's name, as on standard error.
+        sys.stdout.reconfigure(errors="backslashreplace")
     # No search for reference cycles at exit.
     atexit.register(gc.freeze)
     # --debug is allowed before the verb and after it.
     words = [word for word in sys.argv[1:] if word != "--debug"]
     try:
+        status = _run(words)
+    except KeyboardInterrupt:
+        status = ExitStatus.STOPPED
+    sys.exit(_flushed(status))
+
+
+def _run(words: list[str]) -> int:
+    try:
         # Not `app()`: it replaces the hook and prints errors in a box of many lines.
-        sys.exit(typer.main.get_command(app)(words, prog_name="cmbot", standalone_mode=False))
+        status = typer.main.get_command(app)(words, prog_name="cmbot", standalone_mode=False)
+        return status if isinstance(status, int) else ExitStatus.DONE
     except _UsageError as error:
         # The message is empty where the help was printed.
         if message := flat(error.format_message()):
             verb = error.ctx.command_path if error.ctx is not None else "cmbot"
-            _print_error(f"{message.rstrip('.')}. See: {verb} --help")
-        sys.exit(ExitStatus.BAD_INPUT)
+            where = f". See: {verb} --help"
+            _print_error(f"{_cut(message.rstrip('.'), LONGEST_MESSAGE - len(where))}{where}")
+        return ExitStatus.BAD_INPUT
     except CmbotError as error:
         if _debugging():
             traceback.print_exc()
         else:
             _print_error(str(error))
-        sys.exit(exit_status(error))
+        return exit_status(error)
+    except OSError as error:
+        # Of the library's help; `out` has its own.
+        if error.errno not in (errno.EPIPE, errno.ENOSPC):
+            raise
+        return ExitStatus.DONE
+
+
+def _flushed(status: int) -> int:
+    """Write what is still in the buffer; return the status, another one where it cannot be written."""
+    try:
+        out.file.flush()
+    except BrokenPipeError:
+        discard(sys.stdout)
+    except OSError as error:
+        discard(sys.stdout)
+        if status == ExitStatus.DONE:
+            _print_error(str(LostOutputError(error)))
+            return ExitStatus.FAILED
+    return status
 
 
 def exit_status(error: CmbotError) -> ExitStatus:
@@ -70,12 +104,15 @@ def exit_status(error: CmbotError) -> ExitStatus:
     return ExitStatus.NO_PLAN if isinstance(error, PlanningError) else ExitStatus.FAILED
 
 
-def _one_line(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+def _report(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
     """Report an unexpected exception."""
-    if _debugging() or isinstance(error, KeyboardInterrupt):
+    if issubclass(kind, KeyboardInterrupt):
+        return
+    if _debugging():
         sys.__excepthook__(kind, error, trace)
     else:
-        _print_error(f"{kind.__name__}: {error} (a bug in cmbot: --debug shows where)")
+        end = " (a bug in cmbot: --debug shows where)"
+        _print_error(_cut(flat(f"{kind.__name__}: {error}"), LONGEST_MESSAGE - len(end)) + end)
 
 
 def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
@@ -89,7 +126,13 @@ def _debugging() -> bool:
 
 
 def _print_error(text: str) -> None:
-    err.print(f"error: {flat(text)}", style="red" if err.is_terminal else "")
+    """Print one line; a terminal breaks it between words."""
+    terminal = err.is_terminal
+    err.print(f"error: {flat(text)}", style="red" if terminal else "", soft_wrap=not terminal)
+
+
+def _cut(text: str, length: int) -> str:
+    return text if len(text) <= length else f"{text[: length - 1]}…"
 
 
 def _print_version(wanted: bool) -> None:

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import json
+import os
+import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from enum import IntEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, TextIO
 
 import typer
 from rich.console import Console
@@ -16,6 +19,8 @@ from rich.progress import Progress as Bars
 from rich.table import Table
 from rich.text import Text
 
+from cmbot.common.errors import CmbotError
+from cmbot.common.errors import one_line as flat
 from cmbot.common.eta import Remaining
 
 if TYPE_CHECKING:
@@ -26,7 +31,9 @@ __all__ = [
     "ExitStatus",
     "FiguresOption",
     "JsonOption",
+    "LostOutputError",
     "QuietOption",
+    "discard",
     "err",
     "flat",
     "out",
@@ -36,9 +43,44 @@ __all__ = [
     "print_table",
 ]
 
+
+class LostOutputError(CmbotError):
+    """Standard output takes nothing more, such as on a full disk."""
+
+    def __init__(self, error: OSError) -> None:
+        got = f"a refusal of the system ({error.strerror})"
+        super().__init__(f"standard output: got {got}, expected room for what is printed")
+
+
+class _Output(Console):
+    """A stream of the command line; a reader that has stopped, such as ``head``, does not stop the work."""
+
+    def print(self, *objects: Any, **options: Any) -> None:
+        """Print as rich does; what standard error does not take is lost."""
+        try:
+            super().print(*objects, **options)
+        except OSError as error:
+            if not self.stderr:
+                raise LostOutputError(error) from error
+            discard(sys.stderr)
+
+    def on_broken_pipe(self) -> None:
+        """Write nothing any more."""
+        self.quiet = True
+        discard(sys.stderr if self.stderr else sys.stdout)
+
+
+def discard(stream: TextIO | None) -> None:
+    """Let all that is still written to a standard stream be lost."""
+    with suppress(OSError, ValueError, AttributeError):  # no stream, or one without a file
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, stream.fileno())  # type: ignore[union-attr]
+        os.close(nowhere)
+
+
 # Without markup and emoji codes, so that file names are shown as they are.
-out = Console(soft_wrap=True, highlight=False, markup=False, emoji=False)
-err = Console(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
+out = _Output(soft_wrap=True, highlight=False, markup=False, emoji=False)
+err = _Output(stderr=True, soft_wrap=True, highlight=False, markup=False, emoji=False)
 
 JsonOption = Annotated[
     bool, typer.Option("--json", help="Print one JSON object on standard output instead of tables.")
@@ -58,12 +100,7 @@ _PRINT_INTERVAL = 10.0
 class ExitStatus(IntEnum):
     """Exit statuses of the command line."""
 
-    DONE, FAILED, BAD_INPUT, NO_PLAN = 0, 1, 2, 3
-
-
-def flat(text: object) -> str:
-    """Return one line of printable characters: messages and file names may hold anything."""
-    return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in str(text))
+    DONE, FAILED, BAD_INPUT, NO_PLAN, STOPPED = 0, 1, 2, 3, 130
 
 
 def print_json(data: Mapping[str, Any]) -> None:

@@ -40,7 +40,19 @@ _REQUIRED = {
     "typer": "typer",
     "rich": "rich",
 }
-_OPTIONAL = (("piqp", "fast"), ("matplotlib", "plots"), ("mujoco", "test"), ("hypothesis", "test"))
+# Programs that `cmbot replay --video` needs: the names that they have, and what installs them.
+_PROGRAMS = (
+    ("chromium", ("chromium", "chromium-browser", "google-chrome"), "apt-get install chromium"),
+    ("chromedriver", ("chromedriver",), "apt-get install chromium-driver"),
+    ("ffmpeg", ("ffmpeg",), "apt-get install ffmpeg"),
+)
+_OPTIONAL = (
+    ("piqp", "fast"),
+    ("matplotlib", "plots"),
+    ("selenium", "video"),
+    ("mujoco", "test"),
+    ("hypothesis", "test"),
+)
 
 
 def check(
@@ -71,8 +83,9 @@ def check(
     else:
         for finding in findings:
             if finding.severity == "error" or not quiet:
-                where = f"{finding.severity}: {file}: {finding.key}"
-                out.print(flat(f"{where}: got {finding.got}, expected {finding.expected}"))
+                # As long as an error's message at most.
+                message = InputError(file, finding.key, finding.got, finding.expected)
+                out.print(f"{finding.severity}: {message}")
     if not (as_json or quiet):
         print_pairs(found)
         out.print(conclusion)
@@ -167,8 +180,10 @@ def examine() -> list[Symptom]:
     ):
         found = str(path) if path.exists() else f"missing: {path}"
         symptoms.append(Symptom(name, found, healthy=path.exists()))
-    browser = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
-    return [*symptoms, Symptom("browser", browser or "none found (any browser opens the pages)")]
+    for name, programs, command in _PROGRAMS:
+        missing = f"not found (optional, for cmbot replay --video: {command})"
+        symptoms.append(Symptom(name, next(filter(None, map(shutil.which, programs)), missing)))
+    return symptoms
 
 
 def _package(name: str, module: str) -> Symptom:

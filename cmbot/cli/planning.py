@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -24,6 +25,7 @@ from cmbot.cli.console import (
 )
 from cmbot.cli.views import plot_files, require_plots
 from cmbot.common.errors import InputError
+from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
     from cmbot.planning import Plan
@@ -37,6 +39,34 @@ _SCENE_KEYS = (
     *("posture_deg", "robot", "payload_kg", "tool_length_m", "obstacles", "guardrail"),
     *("tool_path", "via_points", "legs", "seconds", "keep", "speed_profile", "ramp"),
 )
+
+
+def _print_options(wanted: bool) -> None:
+    """Print every option of ``--set``: default, what it may be, meaning."""
+    if not wanted:
+        return
+    # The models that check the options also wrote the schema.
+    schema = json.loads((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"))
+    out.print("Options of --set NAME=VALUE, and of a scene file's planner block:")
+    for name, option in schema["$defs"]["PlannerOptions"]["properties"].items():
+        default = json.dumps(option["default"])
+        out.print(f"\n{name}={default.strip(chr(34))}  ({_allowed(option)})")
+        out.print(
+            f"    {' '.join(option['description'].replace('``', '').split())}", soft_wrap=not out.is_terminal
+        )
+    raise typer.Exit
+
+
+def _allowed(option: Mapping[str, Any]) -> str:
+    """What an option may be, from its JSON Schema."""
+    if "enum" in option:
+        return ", ".join(option["enum"])
+    if "prefixItems" in option:
+        return f"a list of {option['minItems']} numbers, each {_allowed(option['prefixItems'][0])}"
+    kind = {"boolean": "true or false", "integer": "whole, "}.get(option["type"], "")
+    if option["type"] == "boolean":
+        return kind
+    return f"{kind}{option['minimum']:g} to {option['maximum']:g}"
 
 
 def plan(
@@ -53,6 +83,12 @@ def plan(
             "--set", metavar="NAME=VALUE", help="A planner option in place of the scene's; may be repeated."
         ),
     ] = None,
+    list_options: Annotated[
+        bool,
+        typer.Option(
+            "--options", callback=_print_options, is_eager=True, help="List the planner's options, and stop."
+        ),
+    ] = False,
     figures: FiguresOption = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -62,6 +98,7 @@ def plan(
     Examples: [bold]cmbot plan triangle -o out/triangle[/bold],
     [bold]cmbot plan triangle --set compensate=true --set start=pinned[/bold]
     """
+    del list_options
     started = time.perf_counter()
     loaded = cmbot.load_scene(scene)
     options = _changed(asdict(loaded.planner), changes or [])

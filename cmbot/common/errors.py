@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from cmbot.common.installation import install_command
 
 __all__ = [
+    "LONGEST_MESSAGE",
     "ArchiveError",
     "CmbotError",
     "InputError",
@@ -34,19 +35,52 @@ __all__ = [
     "PlanningError",
     "SceneError",
     "SimulationDiverged",
+    "one_line",
 ]
 
+LONGEST_MESSAGE = 390
+"""Characters of an error's message; with ``error: `` before it, a line has at most 400."""
 
-# Longer than any phrase, so that only values are cut.
-_LONGEST_GOT = 300
+# Characters of a value, and of a file's path, that are kept at least where a message has to be shortened.
+_SHORT_VALUE, _SHORT_SOURCE = 60, 80
+
+
+def one_line(text: object) -> str:
+    """Return one line of printable characters: file names and values may hold anything."""
+    return "".join(c if c.isprintable() else " " if c.isspace() else ascii(c)[1:-1] for c in str(text))
+
+
+def _cut(text: str, length: int) -> str:
+    return text if len(text) <= length else f"{text[: length - 1]}…"
+
+
+def _cut_within(text: str, length: int) -> str:
+    """Text without its middle, where it is longer."""
+    if len(text) <= length:
+        return text
+    return f"{text[: length // 2]}…{text[len(text) - (length - 1) // 2 :]}"
 
 
 class CmbotError(Exception):
-    """Root of every error that cmbot raises on purpose."""
+    """Root of every error that cmbot raises on purpose; its message is one line, `LONGEST_MESSAGE` at most.
+
+    Parameters
+    ----------
+    message : str
+        Shortened where it is longer.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(_cut(one_line(message), LONGEST_MESSAGE))
+
+    def add_hint(self, hint: str) -> None:
+        """Append a hint to the message, which is shortened for it where need be."""
+        message = _cut(str(self), max(LONGEST_MESSAGE - len(hint) - 2, 0))
+        self.args = (f"{message}; {hint}",)
 
 
 class InputError(CmbotError, ValueError):
-    """The input is wrong; reads ``FILE: KEY: got X, expected Y``.
+    """The input is wrong; reads ``FILE:LINE: KEY: got X, expected Y``.
 
     Parameters
     ----------
@@ -60,23 +94,61 @@ class InputError(CmbotError, ValueError):
     expected : str
         What should stand there, or what to do.
     choices : sequence of str, optional
-        The valid values, when they can be listed.
+        The valid values, when they can be listed; the message has as many as it can hold.
+    line : int, optional
+        Where in the file, counted from 1.
     """
 
     def __init__(
-        self, source: str, key: str, got: object, expected: str, choices: Sequence[str] = ()
+        self,
+        source: str,
+        key: str,
+        got: object,
+        expected: str,
+        choices: Sequence[str] = (),
+        *,
+        line: int | None = None,
     ) -> None:
         self.source = source
         self.key = key
         self.got = got
         self.expected = expected
         self.choices = tuple(choices)
-        where = f"{source}: {key}" if key else source
-        text = str(got)
-        text = text if len(text) <= _LONGEST_GOT else f"{text[: _LONGEST_GOT - 1]}…"
-        found = text if text.startswith("no such ") else f"got {text}"
-        listed = f" (one of: {', '.join(self.choices)})" if self.choices else ""
-        super().__init__(f"{where}: {found}, expected {expected}{listed}")
+        self.line = line
+        super().__init__(self._message())
+
+    def set_line(self, line: int | None) -> None:
+        """Say in the message where in the file the key is."""
+        self.line = line
+        self.args = (_cut(self._message(), LONGEST_MESSAGE),)
+
+    def _message(self) -> str:
+        source, key, expected = one_line(self.source), one_line(self.key), one_line(self.expected)
+        found = got = one_line(self.got)
+        if not got.startswith("no such "):
+            found = f"got {got}"
+
+        def joined() -> str:
+            line = "" if self.line is None else f":{self.line}"
+            return f"{source}{line}{f': {key}' if key else ''}: {found}, expected {expected}"
+
+        if (excess := len(joined()) - LONGEST_MESSAGE) > 0:
+            # The end often says more than the middle.
+            found = _cut_within(found, max(len(found) - excess, _SHORT_VALUE))
+        if len(joined()) > LONGEST_MESSAGE and len(source) > _SHORT_SOURCE:
+            source = f"…{source[1 - _SHORT_SOURCE :]}"
+        text = joined()
+        return text + _listed(self.choices, LONGEST_MESSAGE - len(text))
+
+
+def _listed(choices: Sequence[str], room: int) -> str:
+    """As many choices as there is room for, and the number of the others."""
+    for number in range(len(choices), 0, -1):
+        others = len(choices) - number
+        listed = ", ".join(map(one_line, choices[:number])) + (f" and {others} more" if others else "")
+        if len(listed) + len(" (one of: )") <= room:
+            return f" (one of: {listed})"
+    return ""
 
 
 class ModelError(InputError):

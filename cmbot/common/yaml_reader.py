@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -24,12 +26,13 @@ from cmbot.common.errors import InputError
 from cmbot.common.input_files import read_input
 from cmbot.common.validation import key_path, shown
 
-__all__ = ["LARGEST_FILE", "read_yaml", "yaml_value"]
+__all__ = ["LARGEST_FILE", "lines_named", "read_yaml", "yaml_value"]
 
-LARGEST_FILE = 5_000_000
+LARGEST_FILE = 2_000_000
 """Size in bytes above which a file is refused."""
 
 _DEEPEST = 50
+_XML = re.compile(r"\s*<[?!A-Za-z]")
 # 2,000 legs and 1,000 obstacles have half as many; each takes some 50 microseconds.
 _MOST_VALUES = 100_000
 _TEXT = "tag:yaml.org,2002:str"
@@ -44,7 +47,7 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
     Parameters
     ----------
     path : str or Path
-        The file, at most 5 MB of UTF-8.
+        The file, at most 2 MB of UTF-8.
     error_type : type
         What to raise: `SceneError`, `ModelError`, …
 
@@ -57,7 +60,11 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
         and values.
     """
     source = str(path)
-    data = yaml_value(_read_text(Path(path), source, error_type), source, error_type)
+    text = _read_text(Path(path), source, error_type)
+    if _XML.match(text):
+        expected = "a YAML file of keys and values (cmbot check inspects a URDF)"
+        raise error_type(source, "", "XML, such as a URDF", expected)
+    data = _parsed(text, source, error_type)
     if data is None:
         raise error_type(source, "", "an empty file", "a mapping of keys to values")
     if not isinstance(data, dict):
@@ -66,7 +73,7 @@ def read_yaml(path: str | Path, error_type: type[InputError]) -> dict[str, Any]:
 
 
 def yaml_value(text: str, source: str, error_type: type[InputError]) -> Any:
-    """Return the content of a YAML text, None for nothing, as `read_yaml` does.
+    """Return the content of a short YAML text, None for nothing, as `read_yaml` does.
 
     Raises
     ------
@@ -74,16 +81,56 @@ def yaml_value(text: str, source: str, error_type: type[InputError]) -> Any:
         Of `error_type`, with `source` as its source.
     """
     try:
+        return _parsed(text, source, error_type)
+    except InputError as error:
+        error.set_line(None)
+        raise
+
+
+def _parsed(text: str, source: str, error_type: type[InputError]) -> Any:
+    try:
         return _Document(text, source, error_type).read()
     except InputError:
         raise
     except MarkedYAMLError as error:
-        raise error_type(source, "", _syntax_problem(error), "valid YAML 1.2") from error
+        mark = error.problem_mark or error.context_mark
+        line = None if mark is None else mark.line + 1
+        raise error_type(source, "", _syntax_problem(error), "valid YAML 1.2", line=line) from error
     except ReaderError as error:
         got = f"a control character (U+{error.character:04X}, at position {error.position + 1})"
         raise error_type(source, "", got, "printable text") from error
     except (YAMLError, ValueError) as error:
         raise error_type(source, "", shown(str(error)), "valid YAML 1.2") from error
+
+
+@contextmanager
+def lines_named(path: str | Path) -> Iterator[None]:
+    """Add to an `InputError` that names a key of a YAML file the line of that key.
+
+    Parameters
+    ----------
+    path : str or Path
+        The file, as the error names it.
+    """
+    try:
+        yield
+    except InputError as error:
+        if error.source == str(path) and error.key and error.line is None:
+            error.set_line(_line_of(Path(path), error.key))
+        raise
+
+
+def _line_of(path: Path, key: str) -> int | None:
+    """The line of a key in a file, or of the block in which it is missing; None where neither is found."""
+    try:
+        document = _Document(_read_text(path, str(path), InputError), str(path), InputError)
+        document.read()
+    except (InputError, YAMLError, ValueError):
+        return None
+    lines = {key_path(steps): line for steps, line in document.lines.items()}
+    while key and key not in lines:
+        key = key.rpartition("[" if key.endswith("]") else ".")[0]
+    return lines.get(key)
 
 
 def _read_text(path: Path, source: str, error_type: type[InputError]) -> str:
@@ -103,6 +150,8 @@ class _Document:
         self._values = 0
         self._yaml = YAML(typ="safe", pure=True)
         self._events: Iterator[Any] = self._yaml.parse(text)
+        self.lines: dict[_Path, int] = {}
+        """Of every key and item."""
 
     def read(self) -> Any:
         next(self._events)  # start of the stream
@@ -126,7 +175,9 @@ class _Document:
             return self._mapping(path)
         items: list[Any] = []
         while not isinstance(event := next(self._events), SequenceEndEvent):
-            items.append(self._data(event, (*path, len(items))))
+            step = (*path, len(items))
+            self.lines[step] = event.start_mark.line + 1
+            items.append(self._data(event, step))
         return items
 
     def _mapping(self, path: _Path) -> dict[str, Any]:
@@ -140,6 +191,7 @@ class _Document:
                 raise self._refused(path, f"the key {shown(key)}", "a key that is text", event.start_mark)
             if key in mapping:
                 raise self._refused((*path, key), "the same key again", "each key once", event.start_mark)
+            self.lines[*path, key] = event.start_mark.line + 1
             mapping[key] = self._data(next(self._events), (*path, key))
         return mapping
 
@@ -172,18 +224,14 @@ class _Document:
         if event.anchor is not None:
             raise self._refused(path, f"the anchor &{event.anchor}", "no anchor", mark)
         if event.tag is not None:
-            raise self._refused(path, f"the tag {event.tag}", "no tag", mark)
+            raise self._refused(path, f"the tag {shown(str(event.tag))}", "no tag", mark)
 
     def _refused(self, path: _Path, got: str, expected: str, mark: Any) -> InputError:
-        return self._error_type(self._source, key_path(path), f"{got} ({_place(mark)})", expected)
+        return self._error_type(self._source, key_path(path), got, expected, line=mark.line + 1)
 
 
 def _syntax_problem(error: MarkedYAMLError) -> str:
     parts = [" ".join(str(part).split()) for part in (error.context, error.problem) if part]
     problem = ", ".join(parts) or "a syntax error"
     mark = error.problem_mark or error.context_mark
-    return f"{problem} ({_place(mark)})" if mark else problem
-
-
-def _place(mark: Any) -> str:
-    return f"line {mark.line + 1}, column {mark.column + 1}"
+    return f"{problem} (column {mark.column + 1})" if mark else problem

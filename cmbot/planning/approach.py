@@ -75,8 +75,15 @@ def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) 
     whole = FreeSpace(robot, clearances, options.safety_margin_m)
     for place, q in (("the scene's posture", start), ("the start of the work", end)):
         if whole.around(q[None]) is None:
+            nearest = clearances.smallest(q[None])
+            near, pair = "", None
+            if nearest.distance[0] < options.safety_margin_m:
+                shapes = clearances.pairs[nearest.pair[0]]
+                near, pair = f" ({shapes.link} and {shapes.other})", (shapes.link, shapes.other)
             raise context.path_not_found(
-                f"no collision-free approach: {place} is out of range or within the safety margin", start
+                f"no collision-free approach: {place} is out of range or within the safety margin{near}",
+                start,
+                pair=pair,
             )
     space = whole.around(np.stack([start, end])) or whole
     path = _along_chart(space, start, end, chart, options.chart_spacing)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError
+from cmbot.common.errors import CmbotError, InputError
 from cmbot.elastic.sag import Sag
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.robot import Dynamics, Efforts, PostureBatch, Postures, Robot
@@ -228,8 +229,11 @@ def objective_of(
         name = str(getattr(own, "__qualname__", None) or type(own).__qualname__)
         q = np.zeros((1, robot.dof)) if posture is None else posture[None]
         at = Postures(robot).at(q)
-        _check_wrench_function(own, np.hstack([at.guardrail_force, at.guardrail_torque]), name)
-        return WrenchObjective(robot, own, name=name, unit="")
+        checked = _CheckedFunction(own, name)
+        checked.require_gradient(np.hstack([at.guardrail_force, at.guardrail_torque]))
+        # A moment is known to be fine, and its components are used.
+        function = own if isinstance(own, WeightedMoment) else checked
+        return WrenchObjective(robot, function, name=name, unit="")
     if options.objective == "sag":
         if sag is None:
             raise InputError("objective_of", "sag", "nothing", "the predicted sag, for objective: sag")
@@ -238,41 +242,70 @@ def objective_of(
     if options.moment_about == "base":
         model = robot.model
         point = np.array(model.frames[model.getFrameId(robot.base_frame)].placement.translation)
-    function = WeightedMoment(point, np.array(options.axis_weights))
-    return WrenchObjective(robot, function, name=options.objective, unit="Nm")
+    moment = WeightedMoment(point, np.array(options.axis_weights))
+    return WrenchObjective(robot, moment, name=options.objective, unit="Nm")
 
 
-def _check_wrench_function(function: WrenchFunction, wrench: FloatArray, name: str) -> None:
-    """Try a custom function at wrenches (N, 6) before it is minimised.
+class _FailuresNamed:
+    """Turns whatever a custom function raises into what `refused` makes of it."""
 
-    Raises
-    ------
-    InputError
-        When its value or gradient has another shape, is not finite or negative, or when the gradient is not
-        the derivative of the value.
-    """
+    def __init__(self, refused: Callable[[str, str], InputError]) -> None:
+        self._refused = refused
 
-    def refuse(got: object, expected: str) -> InputError:
-        return InputError(f"objective {name}", "", got, expected)
+    def __enter__(self) -> None:
+        pass
 
-    answer = function(wrench)
-    if not isinstance(answer, tuple) or len(answer) != 2:
-        raise refuse(f"a {type(answer).__name__}", "a pair: values (N,) and gradients (N, 6)")
-    value, gradient = (np.asarray(part, dtype=float) for part in answer)
-    N = len(wrench)
-    if value.shape != (N,) or gradient.shape != (N, 6):
-        raise refuse(f"shapes {value.shape} and {gradient.shape}", f"shapes ({N},) and ({N}, 6)")
-    if not (np.isfinite(value).all() and np.isfinite(gradient).all() and (value >= 0).all()):
-        raise refuse("values that are negative or not finite", "finite values of zero or more")
-    for axis in range(6):
-        step = _STEP * max(1.0, float(np.abs(wrench[:, axis]).max()))
-        shift = step * np.eye(6)[axis]
-        slope = (np.asarray(function(wrench + shift)[0]) - np.asarray(function(wrench - shift)[0])) / (
-            2 * step
-        )
-        off = np.abs(slope - gradient[:, axis])
-        if (off > _GRADIENT_TOLERANCE * np.maximum(np.abs(gradient).max(axis=1), 1e-9)).any():
-            k = int(off.argmax())
-            raise refuse(
-                f"gradient[{axis}] = {gradient[k, axis]:.6g}", f"the derivative of the value, {slope[k]:.6g}"
-            )
+    def __exit__(self, kind: object, error: BaseException | None, trace: object) -> None:
+        if isinstance(error, Exception) and not isinstance(error, CmbotError):
+            got = f"{type(error).__name__}: {error}"
+            raise self._refused(got, "an answer without an error") from error
+
+
+class _CheckedFunction:
+    """A custom function of the wrench whose every answer is checked: an `InputError` names it."""
+
+    def __init__(self, function: WrenchFunction, name: str) -> None:
+        self._function, self._name = function, name
+
+    def __call__(self, wrench: FloatArray, /) -> tuple[FloatArray, FloatArray]:
+        # The function may keep or change what it is given.
+        own = wrench.copy()
+        with _FailuresNamed(self._refused):
+            answer = self._function(own)
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise self._refused(f"a {type(answer).__name__}", "a pair: values (N,) and gradients (N, 6)")
+        try:
+            # Copies: the function may keep what it returns.
+            value, gradient = (np.array(part, dtype=float) for part in answer)
+        except (TypeError, ValueError) as error:
+            raise self._refused(
+                f"something else ({error})", "values and gradients that are numbers"
+            ) from error
+        N = len(wrench)
+        if value.shape != (N,) or gradient.shape != (N, 6):
+            shapes = f"shapes {value.shape} and {gradient.shape}"
+            raise self._refused(shapes, f"shapes ({N},) and ({N}, 6)")
+        finite = np.isfinite(value) & np.isfinite(gradient).all(axis=1)
+        # A wrench that is not finite is not the function's fault.
+        wrong = np.isfinite(wrench).all(axis=1) & ~(finite & (value >= 0))
+        for k in np.flatnonzero(wrong)[:1]:
+            at = ", ".join(f"{component:.6g}" for component in wrench[k])
+            got = f"value {value[k]:.6g}, gradient {np.round(gradient[k], 6).tolist()} at the wrench ({at})"
+            raise self._refused(got, "finite numbers, the value zero or more")
+        return value, gradient
+
+    def require_gradient(self, wrench: FloatArray) -> None:
+        """Refuse a gradient at wrenches (N, 6) that is not the derivative of the value."""
+        _, gradient = self(wrench)
+        for axis in range(6):
+            step = _STEP * max(1.0, float(np.abs(wrench[:, axis]).max()))
+            shift = step * np.eye(6)[axis]
+            slope = (self(wrench + shift)[0] - self(wrench - shift)[0]) / (2 * step)
+            off = np.abs(slope - gradient[:, axis])
+            if (off > _GRADIENT_TOLERANCE * np.maximum(np.abs(gradient).max(axis=1), 1e-9)).any():
+                k = int(off.argmax())
+                got = f"gradient[{axis}] = {gradient[k, axis]:.6g}"
+                raise self._refused(got, f"the derivative of the value, {slope[k]:.6g}")
+
+    def _refused(self, got: str, expected: str) -> InputError:
+        return InputError(f"objective {self._name}", "", got, expected)

@@ -20,7 +20,12 @@ from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.plan import Plan, Seconds, Start, objective_metrics
-from cmbot.planning.precheck import require_reasonable_size, require_within_reach, solver_of
+from cmbot.planning.precheck import (
+    failures_explained,
+    require_reasonable_size,
+    require_within_reach,
+    solver_of,
+)
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.torque import Optimised, optimise, segments
@@ -84,7 +89,7 @@ def plan(
     # The plan holds the solver that it was made with.
     automatic, options = given.solver == "auto", replace(given, solver=solver_of(given))
     # The matrices are small: more threads of linear algebra than one only wait for each other.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
         return _plan(scene, options, objective, ProgressReporter(progress), automatic=automatic)
 
 

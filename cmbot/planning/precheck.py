@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import importlib.util
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
 
 from cmbot.collision import Clearances
-from cmbot.common.errors import MissingExtra, PathNotFound, SceneError
+from cmbot.common.errors import MissingExtra, PathNotFound, PlanningError, SceneError
 from cmbot.common.installation import install_command
 from cmbot.common.validation import counted
+from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module
 from cmbot.planning.context import PlanningContext, robot_of, task_of
 from cmbot.planning.task import task_dimension
@@ -24,6 +26,8 @@ __all__ = [
     "MOST_UNKNOWNS",
     "Precheck",
     "beyond_reach",
+    "failures_explained",
+    "looks_like_radians",
     "oversized",
     "precheck_options",
     "precheck_scene",
@@ -38,6 +42,8 @@ two minutes, at 4,000 more than three."""
 
 # A stretched arm is not out of its own reach.
 _ROUNDING = 1e-9
+# An angle is whole to this, deg.
+_WHOLE = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,8 +74,9 @@ def precheck_scene(scene: Scene) -> Precheck:
     SceneError, ModelError
         When scene and robot do not fit together.
     """
-    robot = robot_of(scene)
-    task = task_of(scene, robot)
+    with failures_explained(scene):
+        robot = robot_of(scene)
+        task = task_of(scene, robot)
     path, clearances = task.path, Clearances(robot, scene.obstacles)
     joints, legs = counted(robot.dof, "joint"), counted(len(scene.legs), "leg")
     workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
@@ -113,6 +120,9 @@ def precheck_scene(scene: Scene) -> Precheck:
     if too_large := oversized(scene, robot.dof, scene.planner):
         warnings.append(too_large)
     warnings += precheck_options(scene.planner)
+    if warnings and looks_like_radians(scene):
+        got = "values that all lie within 2 pi, which look like radians"
+        warnings.append(_warning("posture_deg", got, "degrees"))
     return Precheck(found=tuple(found), warnings=tuple(warnings))
 
 
@@ -131,6 +141,26 @@ def precheck_options(options: PlannerOptions) -> Iterator[Finding]:
             "minimised, and slowly",
             "a weight above 0 for x or y, as in [1, 1, 1]; or start: pinned and more seconds for the legs",
         )
+
+
+def looks_like_radians(scene: Scene) -> bool:
+    """Whether a scene's posture may have been given in radians: a hint where something else is wrong, too."""
+    angles = np.abs(np.degrees(scene.posture))
+    fractions = np.abs(angles - np.round(angles)) > _WHOLE
+    return bool(0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2)
+
+
+@contextmanager
+def failures_explained(scene: Scene) -> Iterator[None]:
+    """Add to errors about a scene, or its plan, the line in its file and what may have been mistaken."""
+    try:
+        with lines_named(scene.source):
+            yield
+    except (PlanningError, SceneError) as error:
+        about_posture = isinstance(error, PlanningError) or error.key == "posture_deg"
+        if about_posture and looks_like_radians(scene):
+            error.add_hint("posture_deg looks like radians, it is in degrees")
+        raise
 
 
 def beyond_reach(robot: Robot, path: ToolPath) -> Iterator[tuple[str, float]]:

@@ -22,7 +22,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import FileModel, refusal, validated
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.yaml_reader import lines_named, read_yaml
 
 __all__ = ["LinkTube", "read_elasticity"]
 
@@ -88,7 +88,13 @@ def read_elasticity(path: Path, model: Any) -> dict[str, LinkTube]:
 
     A tube of a link that the arm's joints do not move is checked and left out.
     """
-    data = validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError)
+    with lines_named(path):
+        return _tubes(
+            validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError), path, model
+        )
+
+
+def _tubes(data: _ElasticityFile, path: Path, model: Any) -> dict[str, LinkTube]:
     links = {frame.name: frame for frame in model.frames if frame.type == pin.FrameType.BODY}
     by_joint: dict[int, str] = {}
     for name in data.links:

@@ -19,7 +19,7 @@ from pydantic import Field
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.validation import FileModel, validated
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.yaml_reader import lines_named, read_yaml
 
 __all__ = ["JointLimits", "joint_limits", "read_joint_limits"]
 
@@ -87,7 +87,8 @@ class _JointLimitsFile(FileModel):
 
 def read_joint_limits(path: Path) -> dict[str, _JointEntry]:
     """Read the entries of a joint-limits file by the names of the joints."""
-    return validated(_JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError).joints
+    with lines_named(path):
+        return validated(_JointLimitsFile, read_yaml(path, ModelError), str(path), ModelError).joints
 
 
 def joint_limits(model: Any, urdf: Path, path: Path) -> JointLimits:

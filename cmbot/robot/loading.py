@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -77,13 +78,13 @@ def load_robot(
         base_frame, tool_frame = base_frame or "arm_base", tool_frame or "tool0"
     else:
         urdf = given_path(model, "load_robot", "model", "cmbot, or the path of a URDF")
+    root = _parsed(urdf)
     if base_frame is None or tool_frame is None:
         expected = f"the links that bound the arm{hint(urdf.name, ('cmbot',))}"
         raise ModelError(str(urdf), "base_frame, tool_frame", "none", expected)
     srdf_file = _given("srdf", srdf) or _existing(urdf.with_suffix(".srdf"))
     limits_file = _given("limits", limits) or urdf.with_name("joint_limits.yaml")
     elasticity_file = _given("elasticity", elasticity) or _existing(urdf.with_suffix(".elasticity.yaml"))
-    root = parse_urdf(urdf)
     for finding in inspect_urdf(root):
         if finding.severity == "error":
             raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
@@ -112,6 +113,15 @@ def load_robot(
         payload=payload,
         content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
     )
+
+
+def _parsed(urdf: Path) -> ElementTree.Element:
+    try:
+        return parse_urdf(urdf)
+    except ModelError as error:
+        if error.got == "no such file" and (meant := hint(urdf.name, ("cmbot",))):
+            raise ModelError(error.source, "", error.got, f"{error.expected}{meant}") from error
+        raise
 
 
 def _given(key: str, path: str | Path | None) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 from typing import NoReturn
 from xml.etree import ElementTree
@@ -15,6 +16,7 @@ __all__ = ["parse_urdf"]
 # Readers of XML trees call themselves for each level.
 _DEEPEST = 50
 # The parser is stopped after the piece in which a refusal is found.
+_SCENE = re.compile(rb"^[\"' {]*format[\"']?: *[\"']?cmbot-scene/", re.MULTILINE)
 _PIECE = 1 << 16
 
 
@@ -39,7 +41,8 @@ def parse_urdf(path: Path, kind: str = "a URDF") -> ElementTree.Element:
     except ModelError:
         raise
     except (ElementTree.ParseError, ValueError, LookupError) as error:  # the last two: unknown encodings
-        got = f"text that is not well-formed XML ({' '.join(str(error).split())})"
+        scene = _SCENE.search(content) is not None
+        got = "a scene file" if scene else f"text that is not well-formed XML ({error})"
         raise ModelError(source, "", got, f"{kind} file") from error
     if root.tag != "robot":
         raise ModelError(source, "", shown(f"<{root.tag}>")[1:-1], f"{kind}, whose root element is <robot>")

@@ -37,14 +37,14 @@ def _slug(text: str) -> str:
     return text
 
 
-# The bound of 10 km catches millimetres given for metres, and keeps every square finite.
-Length = Annotated[float, Field(gt=0, le=1e4)]
+# The bounds, a micrometre and 10 km, catch millimetres given for metres, and keep every power finite.
+Length = Annotated[float, Field(ge=1e-6, le=1e4)]
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 Angles = tuple[Angle, Angle, Angle]
 Mass = Annotated[float, Field(ge=0, le=1e4)]
-Text = Annotated[str, Field(min_length=1)]
+Text = Annotated[str, Field(min_length=1, max_length=4096)]
 Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
 Slug = Annotated[
     str, AfterValidator(_slug), WithJsonSchema({"type": "string", "pattern": f"^{_SLUG.pattern}$"})

@@ -29,7 +29,9 @@ __all__ = ["GuardrailFile", "guardrail_from_file", "guardrail_obstacles"]
 
 _SECTIONS = ("angle", "bar")
 
-Row6 = tuple[float, float, float, float, float, float]
+# Their bounds keep every product finite.
+Entry = Annotated[float, Field(ge=-1e15, le=1e15)]
+Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
 Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
 
 
@@ -96,7 +98,7 @@ class RailFile(FileModel):
 class FootFile(FileModel):
     """Where the foot holds; that point is the origin of W."""
 
-    post: Annotated[int, Field(ge=1)] | None = None
+    post: Annotated[int, Field(ge=1, le=101)] | None = None
     """The post that the foot holds, counted from 1 along x; left out: the middle one."""
     offset_m: Coordinate = 0.0
     """How far along x from that post the foot holds, m; other than 0, it holds the rail at height 0."""
@@ -105,9 +107,9 @@ class FootFile(FileModel):
 class MaterialFile(FileModel):
     """Material of all members; steel by default."""
 
-    young_pa: Annotated[float, Field(gt=0, le=1e13)] = 206e9
+    young_pa: Annotated[float, Field(ge=1e3, le=1e13)] = 206e9
     """Young's modulus, Pa."""
-    shear_pa: Annotated[float, Field(gt=0, le=1e13)] = 79e9
+    shear_pa: Annotated[float, Field(ge=1e3, le=1e13)] = 79e9
     """Shear modulus, Pa."""
     density_kg_m3: Annotated[float, Field(ge=0, le=1e5)] = 7850.0
     """Density, kg/m3."""

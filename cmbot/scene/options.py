@@ -11,10 +11,6 @@ from cmbot.common.validation import FileModel, refusal
 
 __all__ = ["PlannerOptions"]
 
-PositiveFloat = Annotated[float, Field(gt=0)]
-NonNegativeFloat = Annotated[float, Field(ge=0)]
-PositiveInt = Annotated[int, Field(ge=1)]
-
 
 def _not_all_zero(weights: tuple[float, ...]) -> tuple[float, ...]:
     if max(weights) <= 0:
@@ -30,7 +26,8 @@ AxisWeights = Annotated[tuple[AxisWeight, AxisWeight, AxisWeight], AfterValidato
 class PlannerOptions:
     """How a motion is planned; every option has a default.
 
-    The bounds in the annotations are checked where a scene file is read and again by `cmbot.plan`.
+    The bounds in the annotations are checked where a scene file is read and again by `cmbot.plan`. They are
+    wide: they exclude what has no meaning or cannot be computed, not what is unusual.
 
     Attributes
     ----------
@@ -122,26 +119,26 @@ class PlannerOptions:
     compensate: bool = False
     quiet_modes: Annotated[int, Field(ge=0, le=10)] = 2
     avoidance: Literal["smooth", "switch"] = "smooth"
-    avoidance_distance_m: PositiveFloat = 0.15
-    avoidance_gain: NonNegativeFloat = 2.0
-    centre_of_gravity_weight: NonNegativeFloat = 0.0
-    damping_max: NonNegativeFloat = 0.5
-    damping_threshold: NonNegativeFloat = 0.1
-    drift_gain: NonNegativeFloat = 10.0
-    path_step_s: Annotated[float, Field(gt=0, le=0.1)] = 0.01
-    other_starts: Annotated[int, Field(ge=0)] = 60
-    chart_spacing: Annotated[float, Field(gt=0, le=0.5)] = 0.15
-    chart_seeds: PositiveInt = 200
-    step_share: Annotated[float, Field(gt=0, le=1)] = 0.6
-    safety_margin_m: NonNegativeFloat = 0.02
-    max_tool_deviation_m: PositiveFloat = 0.001
-    max_tool_rotation_deg: Annotated[float, Field(gt=0, le=180)] = 1.0
-    max_tool_lag_m: PositiveFloat = 0.02
+    avoidance_distance_m: Annotated[float, Field(ge=1e-4, le=10)] = 0.15
+    avoidance_gain: Annotated[float, Field(ge=0, le=1000)] = 2.0
+    centre_of_gravity_weight: Annotated[float, Field(ge=0, le=1000)] = 0.0
+    damping_max: Annotated[float, Field(ge=0, le=1000)] = 0.5
+    damping_threshold: Annotated[float, Field(ge=0, le=1000)] = 0.1
+    drift_gain: Annotated[float, Field(ge=0, le=1000)] = 10.0
+    path_step_s: Annotated[float, Field(ge=1e-4, le=0.1)] = 0.01
+    other_starts: Annotated[int, Field(ge=0, le=10_000)] = 60
+    chart_spacing: Annotated[float, Field(ge=0.01, le=0.5)] = 0.15
+    chart_seeds: Annotated[int, Field(ge=1, le=10_000)] = 200
+    step_share: Annotated[float, Field(ge=1e-6, le=1)] = 0.6
+    safety_margin_m: Annotated[float, Field(ge=0, le=10)] = 0.02
+    max_tool_deviation_m: Annotated[float, Field(ge=1e-7, le=0.1)] = 0.001
+    max_tool_rotation_deg: Annotated[float, Field(ge=1e-5, le=180)] = 1.0
+    max_tool_lag_m: Annotated[float, Field(ge=1e-7, le=1)] = 0.02
     solver: Literal["auto", "sqp", "slsqp"] = "auto"
     samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
-    smoothing_weight: Annotated[float, Field(gt=0, le=100)] = 0.1
-    peak_tolerance: Annotated[float, Field(gt=0, le=0.1)] = 1e-4
-    gap_target: NonNegativeFloat = 2e-3
-    constraint_tolerance: Annotated[float, Field(gt=0, le=1e-4)] = 1e-5
-    max_passes: PositiveInt = 80
-    max_iterations: PositiveInt = 1000
+    smoothing_weight: Annotated[float, Field(ge=1e-9, le=100)] = 0.1
+    peak_tolerance: Annotated[float, Field(ge=1e-9, le=0.1)] = 1e-4
+    gap_target: Annotated[float, Field(ge=0, le=100)] = 2e-3
+    constraint_tolerance: Annotated[float, Field(ge=1e-9, le=1e-4)] = 1e-5
+    max_passes: Annotated[int, Field(ge=1, le=10_000)] = 80
+    max_iterations: Annotated[int, Field(ge=1, le=100_000)] = 1000

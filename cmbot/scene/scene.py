@@ -30,6 +30,9 @@ __all__ = ["FORMAT", "MountFile", "RobotFile", "RobotSource", "Scene", "SceneFil
 
 FORMAT = "cmbot-scene/1"
 
+# Duration of a tool path, s: motions are sampled every 0.01 s.
+_LONGEST = 36_000
+
 # A path is checked as the text that a file would hold.
 _AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
 
@@ -94,6 +97,10 @@ class ToolPathFile(FileModel):
         if self.via_points <= len(self.legs):
             expected = f"more than the {len(self.legs)} legs"
             raise refusal(expected, got=self.via_points, key=("via_points",))
+        seconds = sum(leg.seconds for leg in self.legs)
+        if seconds > _LONGEST:
+            expected = f"legs of at most {_LONGEST:,} s in all (10 h)"
+            raise refusal(expected, got=f"{seconds:g} s", key=("legs",))
         return self
 
 

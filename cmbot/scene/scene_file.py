@@ -7,6 +7,7 @@ import json
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from cmbot.common.errors import SceneError
 from cmbot.common.input_files import LARGEST_MESH, read_input
 from cmbot.common.installation import scene_folder
 from cmbot.common.validation import given_path, hint, plain, shown, validated
-from cmbot.common.yaml_reader import read_yaml
+from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.scene.fields import si_fields
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
@@ -52,8 +53,18 @@ def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
         name = "scene"
         return scene_from_file(validated(SceneFile, dict(source), name, SceneError), Path.cwd(), name)
     path = _scene_path(source)
-    file = validated(SceneFile, read_yaml(path, SceneError), str(path), SceneError)
-    return scene_from_file(file, path.parent, str(path))
+    with lines_named(path):
+        data = read_yaml(path, SceneError)
+        _require_model(data, path)
+        return scene_from_file(validated(SceneFile, data, str(path), SceneError), path.parent, str(path))
+
+
+def _require_model(data: Mapping[str, Any], path: Path) -> None:
+    """Refuse a URDF that is missing before the keys that go with one."""
+    robot = data.get("robot")
+    model = robot.get("model") if isinstance(robot, dict) else None
+    if isinstance(model, str) and model not in ("", "cmbot"):
+        _found(path.parent, str(path), model, "robot.model")
 
 
 def shipped_scenes() -> tuple[str, ...]:
@@ -81,15 +92,7 @@ def scene_from_file(
     SceneError
         A file that it names is missing.
     """
-
-    def find(text: str, key: str) -> Path:
-        path = base_folder / text
-        if os.path.isfile(path):  # noqa: PTH113  Path.is_file raises for names that no file can have
-            return path.resolve()
-        shipped = f", or cmbot{hint(text, ('cmbot',))}" if key == "robot.model" else ""
-        expected = f"a file that exists (relative to the scene file){shipped}"
-        raise SceneError(source, key, shown(text), expected)
-
+    find = partial(_found, base_folder, source)
     own = tuple(obstacle_from_file(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
     guardrail = guardrail_from_file(file.guardrail)
     return Scene(
@@ -132,6 +135,16 @@ def update_file(scene: Scene) -> Scene:
         return replace(scene, obstacles=obstacles)
     hashed = _content_hash(file.as_data(), own, scene.source)
     return replace(scene, obstacles=obstacles, file=file, content_hash=hashed)
+
+
+def _found(base_folder: Path, source: str, text: str, key: str) -> Path:
+    """The path of a file that a scene names."""
+    path = base_folder / text
+    if os.path.isfile(path):  # noqa: PTH113  Path.is_file raises for names that no file can have
+        return path.resolve()
+    shipped = f", or cmbot{hint(text, ('cmbot',))}" if key == "robot.model" else ""
+    expected = f"a file that exists (relative to the scene file){shipped}"
+    raise SceneError(source, key, shown(text), expected)
 
 
 def _scene_path(source: str | Path) -> Path:

@@ -43,7 +43,7 @@ class SpeedProfile(CheckedFields):
         ``trapezoidal``: constant acceleration in the ramps, as in the paper.
         ``jerk_limited``: acceleration rises and falls linearly in the ramps, so jerk is bounded.
     ramp : float
-        Share of a leg's duration spent speeding up, and again slowing down, in (0, 0.5].
+        Share of a leg's duration spent speeding up, and again slowing down, 0.001 to 0.5.
 
     Raises
     ------
@@ -52,7 +52,7 @@ class SpeedProfile(CheckedFields):
     """
 
     kind: Literal["trapezoidal", "jerk_limited"] = "trapezoidal"
-    ramp: Annotated[float, Field(gt=0, le=0.5)] = 0.2
+    ramp: Annotated[float, Field(ge=1e-3, le=0.5)] = 0.2
 
     def share(self, u: FloatArray) -> FloatArray:
         """Share of the length covered at share `u` of the duration, both in [0, 1]."""
@@ -97,7 +97,7 @@ class Leg(CheckedFields):
     """
 
     by: Annotated[Vector, AfterValidator(_long_enough)]
-    seconds: Annotated[float, Field(gt=0, le=1e6)]
+    seconds: Annotated[float, Field(ge=1e-3, le=36_000)]
 
 
 @dataclass(frozen=True, kw_only=True)

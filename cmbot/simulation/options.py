@@ -9,7 +9,7 @@ from pydantic import ConfigDict, Field
 
 __all__ = ["SimulationOptions"]
 
-PositiveFloat = Annotated[float, Field(gt=0)]
+Factor = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,14 +44,14 @@ class SimulationOptions:
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    step_s: Annotated[float, Field(gt=0, le=0.02)] = 0.002
-    output_step_s: Annotated[float, Field(gt=0, le=0.02)] = 0.005
+    step_s: Annotated[float, Field(ge=1e-5, le=0.02)] = 0.002
+    output_step_s: Annotated[float, Field(ge=1e-4, le=0.02)] = 0.005
     settle_s: Annotated[float, Field(ge=0, le=60)] = 2.0
     damping: Annotated[float, Field(ge=0, lt=1)] = 0.01
     initial: Literal["equilibrium", "undeformed"] = "equilibrium"
     segments: Annotated[int, Field(ge=1, le=8)] = 1
-    guardrail_factor: PositiveFloat = 1.0
-    link_factor: PositiveFloat = 1.0
-    payload_kg: Annotated[float, Field(ge=0)] | None = None
+    guardrail_factor: Factor = 1.0
+    link_factor: Factor = 1.0
+    payload_kg: Annotated[float, Field(ge=0, le=1e4)] | None = None
     spectral_radius: Annotated[float, Field(ge=0, le=1)] = 0.8
     corrections: Annotated[int, Field(ge=1, le=10)] = 2

@@ -188,7 +188,7 @@ NEITHER = "), expected a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)
         ("data.bin", b"\xff\x00", "got a file that is neither (", NEITHER),
         ("arm.xacro", BARE.encode(), "got a file that is neither (", NEITHER),
         ("words.yaml", b"words", "got 'words', expected a mapping", ""),
-        ("slip", json.dumps({**SHORT, "nam": "x"}).encode(), "nam: got an unknown key", ""),
+        ("slip", json.dumps({**SHORT, "nam": "x"}).encode(), "1: nam: got an unknown key", ""),
     ],
 )
 def test_what_is_neither_is_said_to_be_neither_and_a_slip_is_named(
@@ -197,5 +197,6 @@ def test_what_is_neither_is_said_to_be_neither_and_a_slip_is_named(
     path = tmp_path / name
     path.write_bytes(content)
     line = refusal("check", path)
-    assert line.startswith(f"error: {path}: {words}")
+    assert line.startswith(f"error: {path}:")
+    assert line.removeprefix(f"error: {path}:").lstrip().startswith(words)
     assert line.endswith(end)

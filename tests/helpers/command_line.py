@@ -77,8 +77,8 @@ def run_apart(*words: str | Path, before: str = "") -> Outcome:
     return Outcome(status=done.returncode, out=done.stdout, err=done.stderr)
 
 
-def on_a_terminal(*words: str | Path, columns: int) -> str:
-    """What ``cmbot WORDS`` shows on a terminal so wide, on all three streams; it has to succeed."""
+def on_a_terminal(*words: str | Path, columns: int, status: int = 0) -> str:
+    """What ``cmbot WORDS`` shows on a terminal so wide, on all three streams; it has to end with a status."""
     ours, theirs = pty.openpty()
     with subprocess.Popen(
         command(*words),
@@ -96,7 +96,7 @@ def on_a_terminal(*words: str | Path, columns: int) -> str:
             pass
         finally:
             os.close(ours)
-        assert process.wait() == 0, shown
+        assert process.wait() == status, shown
     return shown.decode()
 
 

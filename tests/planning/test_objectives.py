@@ -152,14 +152,66 @@ def test_scaled_objective(objective: Objective, states: StateSamples) -> None:
     [
         (lambda wrench: wrench[:, 0], "a ndarray"),
         (lambda wrench: (wrench[:, 0], wrench[:, :3]), r"shapes \(1,\) and \(1, 3\)"),
-        (lambda wrench: (wrench[:, 2], wrench), "negative or not finite"),
-        (lambda wrench: (wrench[:, 2] * np.nan, wrench), "negative or not finite"),
+        (
+            lambda wrench: (wrench[:, 2], wrench),
+            "value -369.*, expected finite numbers, the value zero or more",
+        ),
+        (lambda wrench: (wrench[:, 2] * np.nan, wrench), "value nan, .* zero or more"),
         (lambda wrench: (wrench[:, 2] ** 2, wrench), r"gradient\[\d\] = "),
     ],
 )
 def test_a_function_that_is_none(cmbot_robot: Robot, function: Any, got: str) -> None:
     with pytest.raises(InputError, match=got):
         objective_of(cmbot_robot, PlannerOptions(), function)
+
+
+class TurnsBad:
+    """A function of the wrench that answers as `then` does from its `calls`-th call on."""
+
+    def __init__(self, calls: int, then: Any) -> None:
+        self.left, self.then = calls, then
+
+    def __call__(self, wrench: FloatArray) -> Any:
+        self.left -= 1
+        return (wrench[:, 2] ** 2, 2 * wrench * np.eye(6)[2]) if self.left > 0 else self.then(wrench)
+
+
+def raises(_: object) -> None:
+    raise ZeroDivisionError("by\nzero")
+
+
+BAD_ANSWERS = {
+    "a NoneType": lambda _: None,
+    "ZeroDivisionError: by zero": raises,
+    r"shapes \(2,\) and \(\d+, 6\)": lambda w: (np.ones(2), w),
+    "value nan": lambda w: (w[:, 2] * np.nan, w),
+    "value .*, gradient .*inf": lambda w: (w[:, 2] ** 2, np.full_like(w, np.inf)),
+    "value -1, ": lambda w: (-np.ones(len(w)), w),
+    "something else": lambda w: (["x"] * len(w), w),
+}
+
+
+@pytest.mark.parametrize("calls", [1, 5, 14, 15, 20])
+@pytest.mark.parametrize("got", BAD_ANSWERS)
+def test_a_function_that_turns_bad_at_any_call_is_named(calls: int, got: str) -> None:
+    function = TurnsBad(calls, BAD_ANSWERS[got])
+    with pytest.raises(InputError, match=rf"^objective TurnsBad: got {got}") as caught:
+        cmbot.plan(short_scene(), objective=function)
+    assert str(caught.value).isprintable()
+
+
+def test_a_function_may_keep_and_change_what_it_is_given_and_gives(cmbot_robot: Robot) -> None:
+    value, gradient = np.ones(3), np.zeros((3, 6))
+
+    def careless(wrench: FloatArray) -> Any:
+        wrench[:] = 0.0
+        return value[: len(wrench)], gradient[: len(wrench)]
+
+    function = objective_of(cmbot_robot, PlannerOptions(), careless)
+    q = np.zeros((3, cmbot_robot.dof))
+    first = function.at_rest(Postures(cmbot_robot).at(q))
+    value[:] = 7.0
+    np.testing.assert_array_equal(first, 1.0)
 
 
 @pytest.mark.parametrize(

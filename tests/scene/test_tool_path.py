@@ -290,7 +290,7 @@ def test_known_shares_and_rates() -> None:
 @pytest.mark.parametrize(
     ("ramp", "expected"),
     [
-        *((ramp, "more than 0") for ramp in (0.0, -0.1)),
+        *((ramp, "at least 0.001") for ramp in (0.0, -0.1)),
         *((ramp, "at most 0.5") for ramp in (0.5000001, 1.0)),
         *((ramp, "a finite number") for ramp in (np.nan, np.inf)),
     ],

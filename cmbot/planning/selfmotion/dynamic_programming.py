@@ -225,7 +225,7 @@ def _candidates(
 
 def blocked(context: PlanningContext, layers: Sequence[GraphLayer], k: int) -> PathNotFound:
     """Return the error that says why no sequence leads to via-point `k`, or through it."""
-    layer = layers[k]
+    layer, pair = layers[k], None
     if not layer.chart.within.any():
         why = (
             "out of reach: no posture within the joint ranges holds the tool there; "
@@ -234,10 +234,12 @@ def blocked(context: PlanningContext, layers: Sequence[GraphLayer], k: int) -> P
     elif not layer.admissible.any():
         weak = int((layer.chart.within & (layer.chart.joint_use > 1.0)).sum())
         near = int(layer.too_near.sum())
+        if near >= weak:
+            pair = most_often_near(context, layer.chart.q[layer.too_near])
         why = (
-            f"{near} postures come within the safety margin, {weak} ask too much of a joint's torque; "
-            "move obstacles or tool path, or lower planner.safety_margin_m"
-            if near >= weak
+            f"{near} postures come within the safety margin, most often {pair[0]} and {pair[1]}, {weak} ask "
+            "too much of a joint's torque; move obstacles or tool path, or lower planner.safety_margin_m"
+            if pair is not None
             else f"{weak} postures ask too much of a joint's torque, {near} come within the safety margin; "
             "move the tool path, or take a lighter payload"
         )
@@ -250,5 +252,15 @@ def blocked(context: PlanningContext, layers: Sequence[GraphLayer], k: int) -> P
         )
     q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
     return context.path_not_found(
-        f"via-point {k + 1} of {len(layers)} is blocked: {why}", q[0], context.times[k]
+        f"via-point {k + 1} of {len(layers)} is blocked: {why}", q[0], context.times[k], pair
     )
+
+
+def most_often_near(context: PlanningContext, q: FloatArray) -> tuple[str, str] | None:
+    """Return the link and the obstacle, or second link, that are nearest in most of some postures (N, n)."""
+    nearest = context.clearances.smallest(q).pair
+    nearest = nearest[nearest >= 0]
+    if not len(nearest):
+        return None
+    pair = context.clearances.pairs[int(np.bincount(nearest).argmax())]
+    return pair.link, pair.other

@@ -1,0 +1,168 @@
+"""Natural mistakes are recognised, and the place in the file is named."""
+
+import json
+import math
+import re
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import refusal, run, write_scene
+from small_scenes import SHORT
+
+import cmbot
+from cmbot.common.errors import InputError, PathNotFound
+from cmbot.common.installation import model_folder, scene_folder
+from cmbot.scene import PlannerOptions
+
+TEXT = """\
+# A scene whose lines are counted.
+format: cmbot-scene/1
+name: counted
+posture_deg: [-10, -90, 90, 0, 10, 50, 0]
+tool_path:
+  legs:
+    - by: [0, -0.3, 0]
+      seconds: 4
+    - {by: [0, 0.3, 0], seconds: 4}
+  via_points: 8
+obstacles:
+  - name: ball
+    sphere: 0.1
+    xyz: [3, 3, 3]
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [
+        ("name: counted", "nam: counted", "3: nam: got an unknown key"),
+        ("name: counted\n", "", " name: got nothing"),
+        ("seconds: 4\n", "seconds: -4\n", "8: tool_path.legs[0].seconds: got -4"),
+        ("seconds: 4}", "seconds: x}", "9: tool_path.legs[1].seconds: got 'x'"),
+        ("0.3, 0], s", "0.3], s", "9: tool_path.legs[1].by: got [0, 0.3]"),
+        ("      seconds: 4\n", "", "7: tool_path.legs[0].seconds: got nothing"),
+        ("    sphere: 0.1\n", "", "12: obstacles[0]: got none"),
+        ("sphere: 0.1", "mesh: none.obj", "13: obstacles[0].mesh: got 'none.obj'"),
+        ("10, 50, 0]", "10, 50]", "4: posture_deg: got [-10.0, "),
+        ("8\n", "8\nplanner:\n  chart_seeds: 2147483648\n", "12: planner.chart_seeds: got 2147483648"),
+        ("8\n", "8\n  via_points: 9\n", "11: tool_path.via_points: got the same key again"),
+        ("8\n", "8 9: x\n", "10: got mapping values are not allowed here"),
+    ],
+)
+def test_the_line_of_a_wrong_key_or_value_is_named(old: str, new: str, place: str, tmp_path: Path) -> None:
+    path = tmp_path / "counted.yaml"
+    assert old in TEXT
+    path.write_text(TEXT.replace(old, new, 1), encoding="utf-8")
+    assert refusal("check", path).startswith(f"error: {path}:{place}")
+
+
+def test_the_line_is_named_in_a_robots_files_too(urdf_folder: Path) -> None:
+    path = urdf_folder / "joint_limits.yaml"
+    text = path.read_text(encoding="utf-8").replace(
+        "joint_2: {acceleration_deg: 60", "joint_2: {acceleration_deg: 0"
+    )
+    path.write_text(text, encoding="utf-8")
+    line = text[: text.index("joint_2:")].count("\n") + 1
+    with pytest.raises(
+        InputError, match=rf"joint_limits.yaml:{line}: joints.joint_2.acceleration_deg: got 0"
+    ):
+        cmbot.load_robot(urdf_folder / "cmbot.urdf", base_frame="arm_base", tool_frame="tool0")
+
+
+def in_radians(**changes: Any) -> dict[str, Any]:
+    return {
+        **SHORT,
+        "posture_deg": [round(math.radians(angle), 4) for angle in SHORT["posture_deg"]],
+        **changes,
+    }
+
+
+def test_radians_for_degrees_are_suspected_where_something_else_is_wrong(tmp_path: Path) -> None:
+    path = write_scene(tmp_path / "radians.yaml", in_radians())
+    out = run("check", path).out
+    assert out.count("warning: ") >= 2
+    assert (
+        "posture_deg: got values that all lie within 2 pi, which look like radians, expected degrees" in out
+    )
+    with pytest.raises(cmbot.PlanningError, match=r"; posture_deg looks like radians, it is in degrees$"):
+        cmbot.plan(cmbot.load_scene(path))
+
+
+@pytest.mark.parametrize("posture", [SHORT["posture_deg"], [0, 0, 0, 0, 0, 0, 0], [1, 2, 3, 4, 5, 6, 0]])
+def test_degrees_are_not_taken_for_radians(posture: list[float], tmp_path: Path) -> None:
+    legs = [{"by": [0, -30, 0], "seconds": 4}]
+    scene = {**SHORT, "posture_deg": posture, "tool_path": {"legs": legs}}
+    path = write_scene(tmp_path / "far.yaml", scene)
+    outcome = run("check", path)
+    assert "warning: " in outcome.out
+    assert "radians" not in outcome.out
+    with pytest.raises(cmbot.PlanningError) as caught:
+        cmbot.plan(cmbot.load_scene(path))
+    assert "radians" not in str(caught.value)
+
+
+def test_a_urdf_given_as_scene() -> None:
+    urdf = model_folder() / "urdf" / "cmbot.urdf"
+    expected = (
+        "got XML, such as a URDF, expected a YAML file of keys and values (cmbot check inspects a URDF)"
+    )
+    assert refusal("plan", urdf) == f"error: {urdf}: {expected}"
+
+
+@pytest.mark.parametrize("content", [TEXT, json.dumps(SHORT), json.dumps(SHORT, indent=2)])
+def test_a_scene_given_as_urdf(content: str, tmp_path: Path) -> None:
+    (tmp_path / "other.yaml").write_text(content, encoding="utf-8")
+    robot = {
+        "model": "other.yaml",
+        "base_frame": "arm_base",
+        "tool_frame": "tool0",
+        "limits": str(model_folder() / "urdf" / "joint_limits.yaml"),
+        "mount": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]},
+    }
+    line = refusal("check", write_scene(tmp_path / "scene.yaml", {**SHORT, "robot": robot}))
+    assert line == f"error: {tmp_path / 'other.yaml'}: got a scene file, expected a URDF file"
+
+
+def test_a_missing_urdf_is_said_before_what_goes_with_it(tmp_path: Path) -> None:
+    path = write_scene(tmp_path / "scene.yaml", {**SHORT, "robot": {"model": "nosuch.urdf"}})
+    assert refusal("plan", path).startswith(
+        f"error: {path}:1: robot.model: got 'nosuch.urdf', expected a file"
+    )
+    with pytest.raises(InputError, match=r"^nosuch\.urdf: no such file, expected a URDF file$"):
+        cmbot.load_robot("nosuch.urdf")
+
+
+def test_the_obstacle_in_the_way_is_named() -> None:
+    wall = {"name": "wall", "box": [0.02, 3, 3], "xyz": [1.9, 0.6, -2.0]}
+    for knots in ("fixed", "sliding"):
+        scene = {
+            **SHORT,
+            "obstacles": [wall],
+            "planner": {"knots": knots, "other_starts": 2, "chart_seeds": 20},
+        }
+        scene["tool_path"] = {"legs": [{"by": [0.4, 0, 0], "seconds": 4}], "via_points": 8}
+        with pytest.raises(PathNotFound, match="wall") as caught:
+            cmbot.plan(cmbot.load_scene(scene))
+        assert caught.value.pair is not None
+        assert "wall" in caught.value.pair
+
+
+def test_every_option_is_listed_with_default_bounds_and_meaning() -> None:
+    outcome = run("plan", "--options")
+    assert (outcome.status, outcome.err) == (0, "")
+    listed = dict(re.findall(r"^(\w+)=(.*)\n    \w.*$", outcome.out, flags=re.MULTILINE))
+    defaults = PlannerOptions()
+    assert list(listed) == [field.name for field in fields(PlannerOptions)]
+    assert listed["start"] == "free  (free, pinned)"
+    assert listed["chart_seeds"] == f"{defaults.chart_seeds}  (whole, 1 to 10000)"
+    assert listed["compensate"] == "false  (true or false)"
+    assert listed["safety_margin_m"] == "0.02  (0 to 10)"
+    assert listed["axis_weights"].endswith("(a list of 3 numbers, each 0 to 1e+06)")
+    assert (scene_folder() / "scene.schema.json").is_file()
+
+
+def test_doctor_lists_the_programs_of_videos() -> None:
+    names = {line.split()[1] for line in run("doctor").out.splitlines()}
+    assert names >= {"chromium", "chromedriver", "ffmpeg", "selenium"}

@@ -1,0 +1,100 @@
+"""Standard streams that are closed or full, Ctrl-C at any time, and messages on a terminal."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+from command_line import command, environment, on_a_terminal, without_colours
+
+# What the installed command runs.
+INSTALLED = "import sys\nprint('begun', flush=True)\nfrom cmbot.__main__ import main\nmain()\n"
+VERBS = [("check", "triangle"), ("plan", "--options"), ("doctor",), ("--version",)]
+
+
+@pytest.mark.parametrize("words", VERBS, ids=" ".join)
+def test_a_reader_that_stops_is_no_error(words: tuple[str, ...]) -> None:
+    ours, theirs = os.pipe()
+    os.close(ours)
+    done = subprocess.run(
+        command(*words), env=environment(), stdout=theirs, stderr=subprocess.PIPE, text=True, check=False
+    )
+    os.close(theirs)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+@pytest.mark.parametrize("words", VERBS, ids=" ".join)
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full")
+def test_a_full_disk_is_one_line(words: tuple[str, ...]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            command(*words), env=environment(), stdout=full, stderr=subprocess.PIPE, text=True, check=False
+        )
+    assert done.returncode == 1
+    assert done.stderr == (
+        "error: standard output: got a refusal of the system (No space left on device), "
+        "expected room for what is printed\n"
+    )
+
+
+@pytest.mark.parametrize("stream", [1, 2])
+def test_a_closed_stream_is_no_error(stream: int) -> None:
+    line = f'exec "$@" {stream}>&-'
+    done = subprocess.run(
+        ["/bin/sh", "-c", line, "sh", *command("check", "triangle")],
+        env=environment(),
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert bool(done.stdout) == (stream == 2)
+
+
+def test_where_standard_error_is_full_the_status_says_it() -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(command("check", "nosuch"), env=environment(), stderr=full, check=False)
+    assert done.returncode == 2
+
+
+def test_an_encoding_without_a_letter_is_no_error(tmp_path: Path) -> None:
+    done = subprocess.run(
+        command("check", "triangle", "--json"),
+        env=environment(PYTHONIOENCODING="ascii"),
+        capture_output=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.02, 0.1, 0.3, 0.6, 1.0])
+def test_ctrl_c_is_quiet_at_any_time(delay: float, tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", INSTALLED, "plan", "triangle", "--quiet", "-o", tmp_path / "plan"],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == b"begun\n"
+        # `cmbot` itself, without which there is nobody to be quiet, is imported in a moment.
+        time.sleep(0.05 + delay)
+        process.send_signal(signal.SIGINT)
+        out, err = process.communicate()
+    assert (process.returncode, out, err) == (130, b"", b"")
+    assert not (tmp_path / "plan").exists()
+
+
+def test_a_terminal_breaks_a_message_between_words() -> None:
+    name = "no_such_scene_of_this_name.yaml"
+    shown = on_a_terminal("plan", name, columns=50, status=2)
+    lines = without_colours(shown).split("\r\n")[:-1]
+    assert len(lines) > 1
+    assert all(len(line) <= 50 for line in lines)
+    assert " ".join(line.rstrip() for line in lines) == (
+        f"error: {name}: no such file, expected a scene file or the name of a shipped scene "
+        "(one of: line, triangle)"
+    )
