@@ -81,7 +81,8 @@ def _kills(words: tuple[str, ...], made_by: list[tuple[str, ...]]) -> Iterator[s
         reached[call] += 1
         shutil.rmtree(work)
         shutil.copytree(before, work)
-        _run(words, "-o", "log", "-e", f"inject={call}:signal=KILL:when={reached[call]}", status=-9)
+        kill = f"inject={call}:signal=KILL:when={reached[call]}"
+        _run(words, "-o", "log", "-e", f"trace={SYSTEM_CALLS}", "-e", kill, status=-9)
         found = _contents(work / "plan")
         notes = [path.read_text(encoding="utf-8") for path in work.rglob(NOTES)]
         if notes != ["mine"] * len(made_by[:1]):
