@@ -7,6 +7,7 @@ from cmbot.robot.inspection import Finding, inspect_urdf, overview
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch
 from cmbot.robot.limits import JointLimits
 from cmbot.robot.loading import load_robot
+from cmbot.robot.mesh_file import locate_meshes
 from cmbot.robot.robot import Robot
 from cmbot.robot.xml_file import parse_urdf
 
@@ -26,6 +27,7 @@ __all__ = [
     "encloses_volume",
     "inspect_urdf",
     "load_robot",
+    "locate_meshes",
     "overview",
     "parse_urdf",
 ]

@@ -21,7 +21,7 @@ from cmbot.scene import PlannerOptions
 
 FIGURES = {
     *(f"{kind}_guardrail_torque" for kind in ("peak", "mean", "peak_static")),
-    *("min_clearance", "max_tool_deviation", "max_tool_rotation", "limit_use"),
+    *("min_clearance", "max_tool_deviation", "max_tool_rotation", "max_tool_lag", "limit_use"),
 }
 
 

@@ -21,6 +21,7 @@ from cmbot.common.errors import ModelError
 from cmbot.common.installation import model_folder
 from cmbot.planning.verification.convex_distance import ConvexShape, hull
 from cmbot.planning.verification.multibody import Body, JointBounds, Multibody, PlacedShape, turn
+from cmbot.robot import locate_meshes
 from cmbot.scene import RobotSource
 
 __all__ = ["mesh_parts", "read_multibody"]
@@ -65,7 +66,10 @@ def _read(source: RobotSource, urdf: Path) -> Multibody:
     semantics = None if srdf is None else ElementTree.parse(srdf).getroot()
     base = source.base_frame or "arm_base"
     tool = source.tool_frame or "tool0"
-    tree = _Tree(ElementTree.parse(urdf).getroot(), semantics, base, tool)
+    root = ElementTree.parse(urdf).getroot()
+    # Where a mesh lies is no opinion: the loader's own search.
+    locate_meshes(urdf, root)
+    tree = _Tree(root, semantics, base, tool)
     if source.mount_xyz is not None and source.mount_rpy is not None:
         tree.move(_pose(source.mount_xyz, source.mount_rpy) @ np.linalg.inv(tree.placed[base][1]))
     X_JT, flange, ratio = tree.placed[tool][1], tree.parents[tool], 1.0
@@ -79,7 +83,7 @@ def _read(source: RobotSource, urdf: Path) -> Multibody:
         X_JT = tree.placed[flange][1] @ X_FT
     shapes = []
     for link, (joint, X_JL) in tree.placed.items():
-        for X_LS, shape in _link_shapes(tree.links[link], urdf, ratio if link == flange else 1.0):
+        for X_LS, shape in _link_shapes(tree.links[link], ratio if link == flange else 1.0):
             shapes.append(PlacedShape(link=link, joint=joint, X_JS=X_JL @ X_LS, shape=shape))
     load = Body(joint=len(tree.chain), mass=source.payload, centre=X_JT[:3, 3], inertia=np.zeros((3, 3)))
     return Multibody(
@@ -241,7 +245,7 @@ def _own_pairs(shapes: list[PlacedShape], semantics: Any) -> Iterator[tuple[int,
                 yield (i, j) if one.joint > other.joint else (j, i)
 
 
-def _link_shapes(link: Any, urdf: Path, ratio: float) -> Iterator[tuple[FloatArray, ConvexShape]]:
+def _link_shapes(link: Any, ratio: float) -> Iterator[tuple[FloatArray, ConvexShape]]:
     """Collision shapes of a link with their poses in it, stretched along the link's z axis."""
     capsules = {entry.get("name") for entry in link.findall("collision_checking/capsule")}
     for collision in link.findall("collision"):
@@ -249,7 +253,7 @@ def _link_shapes(link: Any, urdf: Path, ratio: float) -> Iterator[tuple[FloatArr
         X = _origin(collision)
         if geometry.tag == "mesh":
             scale = _numbers(geometry, "scale", "1 1 1")
-            points = _mesh_points(_mesh_file(geometry.get("filename"), urdf)) * scale
+            points = _mesh_points(Path(geometry.get("filename"))) * scale
             # Moved to the link's frame first, as the stretch is along that frame's axis.
             centre, shape = hull((points @ X[:3, :3].T + X[:3, 3]) * [1.0, 1.0, ratio])
             yield _pose(centre, np.zeros(3)), shape
@@ -283,17 +287,6 @@ def _stretched(X: FloatArray, half: FloatArray, radius: float, ratio: float) -> 
     X, half = X.copy(), half.copy()
     X[2, 3], half[axis] = 0.5 * (low + high), 0.5 * (high - low)
     return X, half
-
-
-def _mesh_file(name: str, urdf: Path) -> Path:
-    scheme, found, rest = name.partition("://")
-    folder = urdf.resolve().parent
-    if not found:
-        return folder / name
-    if scheme == "file":
-        return Path(rest)
-    # package:// starts at a folder above the URDF's.
-    return next((above / rest for above in folder.parents if (above / rest).is_file()), Path(rest))
 
 
 def _mesh_points(path: Path) -> FloatArray:
