@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -84,7 +85,8 @@ def report(
 
     Example: [bold]cmbot report out/triangle[/bold]
     """
-    if html is not None and html.exists() and not force:
+    # Path.exists raises for names that no file can have.
+    if html is not None and os.path.exists(html) and not force:  # noqa: PTH110
         raise InputError(str(html), "", "a file that is already there", "a new file, or --force")
     if html is not None:
         loaded = cmbot.load_plan(directory)

@@ -78,6 +78,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("check other.xml", ("other.xml: ",)),
     ("replay nosuch", ("nosuch: no such folder", "cmbot plan")),
     ("replay no_plan", ("no_plan",)),
+    (f"report nosuch --html {'a' * 300}", ("nosuch: no such folder",)),
     ("replay folder", ("folder",)),
     ("replay other_version", ("other_version", "cmbot-plan/999")),
     ("replay folder --serve --html page.html", ("--html, --serve: got both",)),
