@@ -51,7 +51,7 @@ def folder(sliding: Path, tmp_path: Path) -> Path:
         (lambda data: data["scene"].update(name="other"), "hashes.resolved_scene"),
         (lambda data: data["certificate"].update(checks=[]), "certificate.checks"),
         (lambda data: data["certificate"]["checks"][3].update(holds=False), "certificate.checks[3]"),
-        (lambda data: data["certificate"]["checks"][7].update(value=0.0), "certificate.checks[7]"),
+        (lambda data: data["certificate"]["checks"][6].update(value=0.0), "certificate.checks[6]"),
         (lambda data: data["start"].update(posture_deg=[1.0, 2.0]), "start.posture_deg"),
         (lambda data: data["start"].update(posture_deg=[]), "start.posture_deg"),
         (lambda data: data["start"]["posture_deg"].__setitem__(2, 1.0), "start.posture_deg"),
