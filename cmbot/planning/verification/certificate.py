@@ -172,9 +172,11 @@ def certify(
                     unit="rad",
                 )
             )
+    pair = clearances.pairs[nearest.pair] if nearest.pair >= 0 else None
+    between = "" if pair is None else f" of {pair.link} from {pair.other}"
     checks.append(
         Check(
-            quantity="clearance",
+            quantity="clearance" + between,
             time=nearest.time,
             value=nearest.bound if nearest.distance >= options.safety_margin_m else nearest.distance,
             bound=options.safety_margin_m,
