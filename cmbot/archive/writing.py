@@ -136,7 +136,8 @@ def _resolved(scene: Scene) -> SceneFile:
         for file, shape in zip(scene.file.obstacles, shapes, strict=True)
     )
     paths = {name: getattr(scene.robot, name) for name in ("model", "limits", "srdf", "elasticity")}
-    robot = scene.file.robot.model_copy(
-        update={name: str(path) for name, path in paths.items() if path is not None}
-    )
+    resolved: dict[str, object] = {name: str(path) for name, path in paths.items() if path is not None}
+    if scene.robot.package_dirs is not None:
+        resolved["package_dirs"] = tuple(map(str, scene.robot.package_dirs))
+    robot = scene.file.robot.model_copy(update=resolved)
     return scene.file.model_copy(update={"obstacles": obstacles, "robot": robot})

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Symptom", "check", "doctor", "examine"]
 
+_ROBOT_SUFFIXES = (".urdf", ".xml", ".xacro")
 _SCENE_SUFFIXES = (".yaml", ".yml", ".json")
 # The module of each required package.
 _REQUIRED = {
@@ -50,6 +51,8 @@ _OPTIONAL = (
     ("piqp", "fast"),
     ("matplotlib", "plots"),
     ("selenium", "video"),
+    ("example-robot-data", "robots"),
+    ("xacrodoc", "xacro"),
     ("mujoco", "test"),
     ("hypothesis", "test"),
 )
@@ -57,18 +60,32 @@ _OPTIONAL = (
 
 def check(
     file: Annotated[
-        str, typer.Argument(metavar="FILE", help="A URDF, a scene file, or a shipped scene's name.")
+        str,
+        typer.Argument(metavar="FILE", help="A URDF, a scene file, or a shipped scene's or a robot's name."),
     ],
+    write_srdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--write-srdf",
+            metavar="FILE",
+            help="Write an SRDF: which links of a URDF need not be checked against each other.",
+        ),
+    ] = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
     """Inspect a URDF or a scene before anything is planned with it.
 
-    Examples: [bold]cmbot check arm.urdf[/bold], [bold]cmbot check triangle[/bold]
+    Examples: [bold]cmbot check arm.urdf[/bold], [bold]cmbot check triangle[/bold],
+    [bold]cmbot check panda --write-srdf panda.srdf[/bold]
     """
-    is_urdf = Path(file).suffix.lower() in (".urdf", ".xml")
-    findings, found, conclusion = _check_urdf(Path(file)) if is_urdf else _check_scene(file)
+    is_urdf = _is_robot(file)
+    if write_srdf is not None:
+        _require_new(write_srdf, is_urdf)
+    findings, found, conclusion = _check_urdf(file) if is_urdf else _check_scene(file)
     usable = not _errors(findings)
+    if usable and write_srdf is not None:
+        found["SRDF written"] = _write_srdf(file, write_srdf)
     if as_json:
         print_json(
             {
@@ -93,15 +110,46 @@ def check(
         raise typer.Exit(ExitStatus.BAD_INPUT)
 
 
-def _check_urdf(path: Path) -> tuple[Sequence[Finding], dict[str, str], str]:
+def _is_robot(file: str) -> bool:
+    """Whether it is a URDF, by its ending, or the name of a robot and of no file or shipped scene."""
+    from cmbot.common.robot_library import library_robots
+
+    if Path(file).suffix.lower() in _ROBOT_SUFFIXES:
+        return True
+    if _is_file(Path(file)) or (scene_folder() / f"{file}.yaml").exists():
+        return False
+    return file == "cmbot" or file in (library_robots() or ())
+
+
+def _require_new(path: Path, is_urdf: bool) -> None:
+    if not is_urdf:
+        raise InputError("--write-srdf", "", "a scene to check", "a URDF to check, or the name of a robot")
+    if path.exists():
+        raise InputError("--write-srdf", "", f"{path}, which is there", "the path of a new file")
+
+
+def _write_srdf(file: str, path: Path) -> str:
+    from xml.etree import ElementTree
+
+    from cmbot.archive import write_file
+    from cmbot.robot import robot_files, srdf_text
+
+    text = srdf_text(robot_files(file))
+    write_file(path, text.encode())
+    reasons = [pair.get("reason", "") for pair in ElementTree.fromstring(text)]
+    numbers = ", ".join(f"{reasons.count(reason)} {reason}" for reason in ("Adjacent", "Always", "Never"))
+    return f"{path}: {len(reasons)} pairs of links ({numbers})"
+
+
+def _check_urdf(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
     """Findings, what is in the file, and the conclusion."""
     from cmbot.common.validation import counted
-    from cmbot.robot import inspect_urdf, overview, parse_urdf
+    from cmbot.robot import inspect_robot, overview, robot_files
 
-    root = parse_urdf(path)
-    findings = inspect_urdf(root)
+    files = robot_files(file)
+    root, findings = inspect_robot(files)
     errors = _errors(findings)
-    found = {} if errors else dict(overview(path, root))
+    found = {} if errors else dict(overview(files, root))
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
     return findings, found, f"{conclusion}, {counted(len(findings) - errors, 'warning')}."
 
@@ -116,7 +164,7 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
         if error.key or Path(file).suffix.lower() in _SCENE_SUFFIXES or not _is_file(Path(file)):
             raise
         # Nothing in it could be read as a scene's.
-        expected = "a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)"
+        expected = "a URDF (.urdf, .xml, .xacro) or a scene file (.yaml, .yml, .json)"
         raise InputError(file, "", f"a file that is neither ({error.got})", expected) from error
     precheck = precheck_scene(scene)
     warnings, verb = len(precheck.warnings), f"cmbot plan {flat(file)}"

@@ -319,3 +319,9 @@ class MissingExtra(CmbotError, ImportError):
         self.extra = extra
         self.command = command or install_command(extra)
         super().__init__(f"{package} is not installed; run: {self.command}")
+
+    def add_hint(self, hint: str) -> None:
+        """Append a hint to the message, which is shortened for it where need be."""
+        super().add_hint(hint)
+        # What an ImportError prints.
+        self.msg = self.args[0]

@@ -184,6 +184,7 @@ def robot_of(scene: Scene) -> Robot:
             mount=mount,
             tool_length=source.tool_length,
             payload=source.payload,
+            package_dirs=source.package_dirs or (),
         )
     except ModelError as error:
         if error.key not in ("base_frame", "tool_frame"):

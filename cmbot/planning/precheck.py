@@ -92,6 +92,7 @@ def precheck_scene(scene: Scene) -> Precheck:
         ("obstacles", f"{len(scene.obstacles)}, of them {workpieces}"),
         ("tool point at the start", f"({point}) m"),
     ]
+    found += [("assumed", remark) for remark in robot.remarks]
     warnings: list[Finding] = []
     smallest = clearances.smallest(scene.posture[None])
     if smallest.pair[0] >= 0:

@@ -29,6 +29,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _nothing_gained(plan)
     yield from _lower_bound(plan)
     yield from plan.fallbacks
+    yield from plan.robot.remarks
     yield from _bending(plan)
     objective = plan.objective
     if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:

@@ -3,15 +3,20 @@
 from cmbot.robot.arm_model import convex_hull, encloses_volume
 from cmbot.robot.dynamics import Dynamics, Efforts
 from cmbot.robot.elasticity import LinkTube
-from cmbot.robot.inspection import Finding, inspect_urdf, overview
+from cmbot.robot.files import RobotFiles, robot_files
+from cmbot.robot.frames import arm_frames
+from cmbot.robot.inspection import Finding, inspect_robot, inspect_urdf, overview
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch
 from cmbot.robot.limits import JointLimits
-from cmbot.robot.loading import load_robot
+from cmbot.robot.loading import load_robot, srdf_text
 from cmbot.robot.mesh_file import locate_meshes
 from cmbot.robot.robot import Robot
+from cmbot.robot.self_collision import MOST_FAR, NEAR, sampled_postures
 from cmbot.robot.xml_file import parse_urdf
 
 __all__ = [
+    "MOST_FAR",
+    "NEAR",
     "Chain",
     "Dynamics",
     "Efforts",
@@ -22,12 +27,18 @@ __all__ = [
     "PostureBatch",
     "Postures",
     "Robot",
+    "RobotFiles",
     "ToolBatch",
+    "arm_frames",
     "convex_hull",
     "encloses_volume",
+    "inspect_robot",
     "inspect_urdf",
     "load_robot",
     "locate_meshes",
     "overview",
     "parse_urdf",
+    "robot_files",
+    "sampled_postures",
+    "srdf_text",
 ]

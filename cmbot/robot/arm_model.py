@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,10 +15,19 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import hint, shown
+from cmbot.robot.frames import require_turning
 from cmbot.robot.mesh_file import FARTHEST, locate_meshes, require_near
-from cmbot.robot.xml_file import parse_urdf
+from cmbot.robot.self_collision import NEAR, near_pairs
 
-__all__ = ["arm_model", "attach_payload", "convex_hull", "encloses_volume", "set_tool_length"]
+__all__ = [
+    "ArmModel",
+    "arm_model",
+    "attach_payload",
+    "build_model",
+    "convex_hull",
+    "encloses_volume",
+    "set_tool_length",
+]
 
 # Smallest thickness of points relative to their extent. At about 3e-8 coal's hull crashes the process.
 _FLAT = 1e-5
@@ -26,25 +36,46 @@ _MOST_JOINTS = 100
 # Joint angles and distances at which other joints are locked, rad or m.
 _LARGEST_STANCE = 1e4
 _LARGEST_PAYLOAD = 1e4  # kg
+# Names that a remark lists.
+_MOST_NAMED = 6
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmModel:
+    """Pinocchio's model of an arm, only whose joints move, its shapes, and remarks on what was assumed."""
+
+    model: Any
+    collision: Any
+    visual: Any
+    remarks: tuple[str, ...]
 
 
 def arm_model(
-    urdf: Path, root: ElementTree.Element, srdf: Path | None, base_frame: str, tool_frame: str
-) -> tuple[Any, Any, Any]:
+    urdf: Path,
+    root: ElementTree.Element,
+    semantics: ElementTree.Element | None,
+    base_frame: str,
+    tool_frame: str,
+    *,
+    srdf: str,
+    package_dirs: Sequence[Path] = (),
+) -> ArmModel:
     """Build the model, collision shapes and visual shapes of an arm: only its joints move.
 
-    `root` is the content of `urdf` and is modified. The SRDF's group states are where the other joints are
-    locked, default zero; the pairs that it disables do not collide, default those of neighbouring joints.
+    `root` is the content of `urdf` and is modified; `semantics` is that of the SRDF, whose name `srdf` is for
+    messages. Its group states are where the other joints are locked, default zero; the pairs that it disables
+    do not collide. Where it disables none, those of neighbouring joints do not, nor those that `near_pairs`
+    finds always near.
     """
-    semantics = None if srdf is None else parse_urdf(srdf, "an SRDF")
-    full, shapes = _build(urdf, root)
+    require_turning(root, base_frame, tool_frame, str(urdf))
+    full, shapes = build_model(urdf, root, package_dirs)
     moving = _chain(full, str(urdf), base_frame, tool_frame)
-    _require_revolute(root, str(urdf), [full.names[i] for i in moving])
     locked = [i for i in range(1, full.njoints) if i not in moving]
-    model, shapes = pin.buildReducedModel(full, shapes, locked, _stance(full, str(srdf), semantics))
+    stance, absent = _stance(full, srdf, semantics)
+    model, shapes = pin.buildReducedModel(full, shapes, locked, stance)
     _require_extent(model, shapes, str(urdf))
-    _enable_pairs(model, shapes[0], str(srdf), semantics)
-    return model, *shapes
+    assumed = _enable_pairs(model, shapes[0], srdf, semantics)
+    return ArmModel(model=model, collision=shapes[0], visual=shapes[1], remarks=(*absent, *assumed))
 
 
 def encloses_volume(points: FloatArray) -> bool:
@@ -62,9 +93,14 @@ def convex_hull(points: FloatArray) -> Any:
     return coal.Convex.convexHull(vertices, False, "Qt")
 
 
-def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
-    """Build the full model with its collision and visual geometry; collision meshes become convex hulls."""
-    _adapt(urdf, root)
+def build_model(
+    urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()
+) -> tuple[Any, list[Any]]:
+    """Build the full model with its collision and visual geometry; collision meshes become convex hulls.
+
+    `root` is the content of `urdf`, without errors in `inspect_urdf`, and is modified.
+    """
+    _adapt(urdf, root, package_dirs)
     xml = ElementTree.tostring(root, encoding="unicode")
     try:
         model = pin.buildModelFromXML(xml)
@@ -80,23 +116,30 @@ def _build(urdf: Path, root: ElementTree.Element) -> tuple[Any, list[Any]]:
             if not encloses_volume(vertices):
                 expected = "a mesh that encloses a volume"
                 raise ModelError(str(urdf), shape.name, f"the mesh {shape.meshPath}", expected)
-            shape.geometry = convex_hull(vertices)
+            try:
+                shape.geometry = convex_hull(vertices)
+            except RuntimeError as error:
+                got, expected = f"the mesh {shape.meshPath}", "one whose convex hull coal can hold"
+                raise ModelError(str(urdf), shape.name, got, expected) from error
     return model, shapes
 
 
-def _adapt(urdf: Path, root: ElementTree.Element) -> None:
+def _adapt(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path]) -> None:
     """Change what pinocchio's reader of URDF would read differently or refuse."""
     names = {element.get("name", "") for tag in ("link", "joint") for element in root.findall(tag)}
     links = {link.get("name", "") for link in root.findall("link")}
     for joint in root.findall("joint"):
         name = joint.get("name", "")
         if name in links:
-            # URDF allows it for a fixed joint, pinocchio does not. Nothing refers to a fixed joint by name.
+            # URDF allows it, pinocchio does not. Nothing refers by name to a joint that is not the arm's.
             while name in names:
                 name += "_"
             names.add(name)
             joint.set("name", name)
-        if joint.get("type") == "continuous":
+        if joint.get("type") in ("floating", "planar"):
+            # It has several coordinates; it is locked, and no joint of the arm.
+            joint.set("type", "fixed")
+        elif joint.get("type") == "continuous":
             # It would have two coordinates; as a revolute joint without a range it has one.
             joint.set("type", "revolute")
             limit = joint.find("limit")
@@ -108,8 +151,32 @@ def _adapt(urdf: Path, root: ElementTree.Element) -> None:
         for tag in ("dynamics", "calibration", "safety_controller"):
             for element in joint.findall(tag):
                 joint.remove(element)
-    locate_meshes(urdf, root)
+    _adapt_materials(root)
+    locate_meshes(urdf, root, package_dirs)
     require_near(root, str(urdf))
+
+
+def _adapt_materials(root: ElementTree.Element) -> None:
+    """Leave out textures, which are not shown, and materials without a name or a colour."""
+    coloured = set[str]()
+    for material in root.findall("material"):
+        name = material.get("name", "")
+        if not name or name in coloured or material.find("color") is None:
+            root.remove(material)
+        else:
+            coloured.add(name)
+    visuals = root.findall("link/visual")
+    for number, visual in enumerate(visuals):
+        for material in visual.findall("material"):
+            for texture in material.findall("texture"):
+                material.remove(texture)
+            if material.find("color") is not None:
+                material.set("name", material.get("name") or f"nameless {number}")
+                coloured.add(material.get("name", ""))
+    for parent in visuals:
+        for material in parent.findall("material"):
+            if material.find("color") is None and material.get("name", "") not in coloured:
+                parent.remove(material)
 
 
 def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[int]:
@@ -130,26 +197,18 @@ def _chain(model: Any, source: str, base_frame: str, tool_frame: str) -> list[in
     return chain
 
 
-def _require_revolute(root: ElementTree.Element, source: str, names: Sequence[str]) -> None:
-    """Refuse an arm with a prismatic or a mimic joint."""
-    moving = set(names)
-    for joint in (joint for joint in root.findall("joint") if joint.get("name") in moving):
-        key, kind = f"joint[{joint.get('name')}]", joint.get("type")
-        if kind != "revolute":  # continuous joints have been changed by `_adapt`
-            raise ModelError(source, f"{key}.type", kind, "an arm of revolute or continuous joints")
-        if joint.find("mimic") is not None:
-            expected = "an arm of independent joints"
-            raise ModelError(source, f"{key}.mimic", "a joint that follows another", expected)
-
-
-def _stance(model: Any, source: str, semantics: ElementTree.Element | None) -> FloatArray:
-    """Return the configuration of the full model: the SRDF's group states, zero elsewhere."""
+def _stance(
+    model: Any, source: str, semantics: ElementTree.Element | None
+) -> tuple[FloatArray, tuple[str, ...]]:
+    """Return the configuration of the full model: the SRDF's group states, zero elsewhere; and remarks."""
     q: FloatArray = pin.neutral(model)
     joints = {name: index for index, name in enumerate(model.names) if index}
+    absent: dict[str, None] = {}
     for entry in () if semantics is None else semantics.findall("group_state/joint"):
         name, text = entry.get("name", ""), entry.get("value", "")
         if name not in joints:
-            raise ModelError(source, "group_state", shown(name), "the name of a movable joint of the URDF")
+            absent[name] = None
+            continue
         try:
             value = float(text)
         except ValueError:
@@ -158,30 +217,55 @@ def _stance(model: Any, source: str, semantics: ElementTree.Element | None) -> F
             expected = f"an angle, rad, or a distance, m, of at most {_LARGEST_STANCE:g}"
             raise ModelError(source, f"group_state.{name}", shown(text), expected)
         q[model.joints[joints[name]].idx_q] = value
-    return q
+    if not absent:
+        return q, ()
+    names = f"{', '.join(map(shown, list(absent)[:_MOST_NAMED]))}{', …' if len(absent) > _MOST_NAMED else ''}"
+    return q, (f"The SRDF's group states name {names}: no movable joint of the URDF, not used.",)
 
 
-def _enable_pairs(model: Any, collision: Any, source: str, semantics: ElementTree.Element | None) -> None:
-    """Let all pairs of shapes collide but those that the SRDF disables (without one: neighbouring joints)."""
+def _enable_pairs(
+    model: Any, collision: Any, source: str, semantics: ElementTree.Element | None
+) -> tuple[str, ...]:
+    """Let all pairs of shapes collide but those that the SRDF disables; return remarks.
+
+    Where it disables none, those of neighbouring joints, and of links that are always near, do not collide.
+    """
     joints = np.array([shape.parentJoint for shape in collision.geometryObjects], dtype=int)
     enabled = joints[:, None] != joints
-    if semantics is None:
-        parents = np.array(model.parents)[joints]
+    listed = [] if semantics is None else semantics.findall("disable_collisions")
+    assumed: tuple[str, ...] = ()
+    if not listed:
+        parents = np.array(model.parents, dtype=int)[joints]
         # Neighbours: the joint of one is the parent of the other's. That of the universe is itself.
         enabled &= (parents[:, None] != joints) & (parents != joints[:, None])
-    else:
-        links: dict[str, list[int]] = {}
-        for index, shape in enumerate(collision.geometryObjects):
-            links.setdefault(model.frames[shape.parentFrame].name, []).append(index)
-        for pair in semantics.findall("disable_collisions"):
-            one, other = pair.get("link1"), pair.get("link2")
-            if not (one and other):
-                expected = "the names of link1 and link2"
-                raise ModelError(source, "disable_collisions", shown(pair.attrib), expected)
-            for index in links.get(one, ()):
-                for second in links.get(other, ()):
-                    enabled[index, second] = enabled[second, index] = False
+        near = near_pairs(model, collision, enabled)
+        for shapes in near.values():
+            for first, second in shapes:
+                enabled[first, second] = enabled[second, first] = False
+        assumed = (_near_remark(list(near)),)
+    links: dict[str, list[int]] = {}
+    for index, shape in enumerate(collision.geometryObjects):
+        links.setdefault(model.frames[shape.parentFrame].name, []).append(index)
+    for pair in listed:
+        one, other = pair.get("link1"), pair.get("link2")
+        if not (one and other):
+            raise ModelError(source, "disable_collisions", shown(pair.attrib), "the names of link1 and link2")
+        for index in links.get(one, ()):
+            for second in links.get(other, ()):
+                enabled[index, second] = enabled[second, index] = False
     collision.setCollisionPairs(enabled)
+    return assumed
+
+
+def _near_remark(pairs: Sequence[tuple[str, str]]) -> str:
+    near = ", ".join(f"{one} and {other}" for one, other in pairs[:_MOST_NAMED])
+    if more := len(pairs) - _MOST_NAMED:
+        near += f" and {more} more" if more > 0 else ""
+    also = f", and links that are nearly always nearer than {1e3 * NEAR:g} mm: {near}" if pairs else ""
+    return (
+        f"No SRDF says which links may touch; not checked are those of neighbouring joints{also}. "
+        "cmbot check --write-srdf writes an SRDF."
+    )
 
 
 def _require_extent(model: Any, shapes: Sequence[Any], source: str) -> None:

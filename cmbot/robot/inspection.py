@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -17,12 +17,18 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from cmbot.common.errors import ModelError
 from cmbot.common.validation import counted, shown
+from cmbot.robot.files import RobotFiles
+from cmbot.robot.frames import arm_frames, moving_links
 from cmbot.robot.limits import read_joint_limits
+from cmbot.robot.xml_file import parse_urdf
 
-__all__ = ["Finding", "inspect_urdf", "overview"]
+__all__ = ["Finding", "inspect_robot", "inspect_urdf", "overview"]
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
+# Of joints of several coordinates: they are locked, and no arm may have one.
+_LOCKED_TYPES = ("floating", "planar")
 _SHAPES = ("box", "cylinder", "sphere", "mesh")
 _INERTIA = ("ixx", "iyy", "izz", "ixy", "ixz", "iyz")
 # Number of values of each attribute and the largest magnitude of one, by element, in URDF's units: far beyond
@@ -52,8 +58,6 @@ _REQUIRED = {
     "color": ("rgba",),
     "limit": ("velocity", "effort"),
     "mimic": ("joint",),
-    "material": ("name",),
-    "texture": ("filename",),
 }
 # Narrower than Python's: the URDF reader refuses 1_000 and digits of other scripts.
 _NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?", re.ASCII)
@@ -66,6 +70,8 @@ _MOST = {"link": 5000, "joint": 5000, "movable joint": 500, "collision shape": 1
 _PLAIN_NAME = re.compile(r"[\w.\- /:]{0,60}")
 # Tables are rounded: tolerance, relative, for inertias at the boundary of the physically possible.
 _ROUNDING = 1e-6
+# A moment of inertia, kg m2, too small to be felt: that of 0.1 g at 3 cm.
+_NO_INERTIA = 1e-7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,28 +92,57 @@ class Finding:
     expected: str
 
 
-def inspect_urdf(root: ElementTree.Element) -> list[Finding]:
+def inspect_urdf(root: ElementTree.Element, moving: Collection[str] | None = None) -> list[Finding]:
     """List all errors and warnings about a URDF, errors first.
 
     Parameters
     ----------
     root : xml.etree.ElementTree.Element
         From `parse_urdf`.
+    moving : collection of str, optional
+        The links that the arm's joints move; impossible inertias of others are no errors. Left out: all.
     """
     findings = [*_sizes(root)]
     if findings:
         return findings
     findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root), *_joint_types(root)]
     for link in root.findall("link"):
-        findings += _inertial(link)
+        findings += _inertial(link, moving is None or link.get("name", "") in moving)
         findings += _shapes(link)
     for joint in root.findall("joint"):
         findings += _joint(joint)
     return sorted(findings, key=lambda finding: finding.severity)
 
 
+def inspect_robot(files: RobotFiles) -> tuple[ElementTree.Element, list[Finding]]:
+    """Parse a robot's URDF and list its errors and warnings, errors first.
+
+    Where it is clear which arm is meant, impossible inertias are errors in links that its joints move;
+    elsewhere they are warnings.
+
+    Parameters
+    ----------
+    files : RobotFiles
+
+    Raises
+    ------
+    ModelError
+        When the URDF or the SRDF cannot be read.
+    """
+    root = parse_urdf(files.urdf, package_dirs=files.package_dirs)
+    findings = inspect_urdf(root, moving=())
+    if any(finding.severity == "error" for finding in findings):
+        return root, inspect_urdf(root)
+    arm = _default_arm(files, root)
+    return root, findings if arm is None else inspect_urdf(root, moving_links(root, arm[0]))
+
+
 def _error(key: str, got: object, expected: str) -> Finding:
     return Finding(severity="error", key=key, got=str(got), expected=expected)
+
+
+def _warning(key: str, got: object, expected: str) -> Finding:
+    return Finding(severity="warning", key=key, got=str(got), expected=expected)
 
 
 def _name(element: ElementTree.Element) -> str:
@@ -170,15 +205,29 @@ def _numbers(key: str, text: str, count: int, most: float) -> Iterator[Finding]:
 
 
 def _materials(root: ElementTree.Element) -> Iterator[Finding]:
-    """Every shared material has a colour or a texture."""
+    """Materials have names and a look. They are only seen: what is wrong with one is left out."""
+    seen = set[str]()
     for material in root.findall("material"):
-        if material.find("color") is None and material.find("texture") is None:
-            yield _error(_name(material), "neither colour nor texture", "<color> or <texture>")
+        name = material.get("name", "")
+        if not name:
+            yield _warning(_name(material), "no name", "a name; this material is not used")
+        elif name in seen:
+            yield _warning(_name(material), "another one of that name", "a unique name; the first is used")
+        elif material.find("color") is None and material.find("texture") is None:
+            yield _warning(_name(material), "neither colour nor texture", "<color> or <texture>")
+        seen.add(name)
+    for link in root.findall("link"):
+        for material in link.iter("material"):
+            if not material.get("name"):
+                yield _warning(f"{_name(link)}.material", "no name", "the name of a material")
+        for texture in link.iter("texture"):
+            if not texture.get("filename"):
+                yield _warning(f"{_name(link)}.texture", "no file", "the name of a picture; none is shown")
 
 
 def _tree(root: ElementTree.Element) -> Iterator[Finding]:
     """Links and joints form one tree with unique names."""
-    for tag in ("link", "joint", "material"):
+    for tag in ("link", "joint"):
         names = Counter(element.get("name", "") for element in root.findall(tag))
         for name in sorted(name for name, number in names.items() if number > 1 or not name):
             yield _error(f"{tag}[{_plain(name)}]", f"{names[name]} of that name", "a unique name for each")
@@ -191,7 +240,7 @@ def _tree(root: ElementTree.Element) -> Iterator[Finding]:
     parents: dict[str, str] = {}
     for joint in root.findall("joint"):
         if joint.get("type") != "fixed" and joint.get("name") in links:
-            yield _error(_name(joint), "the name of a link", "a name that no link has")
+            yield _warning(_name(joint), "the name of a link", "a name that no link has, to be the arm's")
         ends = {}
         for end in ("parent", "child"):
             element = joint.find(end)
@@ -252,11 +301,11 @@ def _joint_types(root: ElementTree.Element) -> Iterator[Finding]:
     if prismatic and not {"revolute", "continuous"} & set(kinds):
         got = f"{counted(prismatic, 'prismatic joint')} and none that turns"
         expected = "an arm of revolute or continuous joints between base and tool frame"
-        yield Finding(severity="warning", key="joint", got=got, expected=expected)
+        yield _warning("joint", got, expected)
 
 
-def _inertial(link: ElementTree.Element) -> Iterator[Finding]:
-    """Masses and inertias are physically possible."""
+def _inertial(link: ElementTree.Element, moves: bool) -> Iterator[Finding]:
+    """Masses and inertias are physically possible; only those of links that move have to be."""
     inertial = link.find("inertial")
     if inertial is None:
         return
@@ -274,12 +323,11 @@ def _inertial(link: ElementTree.Element) -> Iterator[Finding]:
     moments = np.linalg.eigvalsh(inertia)
     listed = "principal moments " + ", ".join(f"{moment:.4g}" for moment in moments)
     if moments[0] < -_ROUNDING * max(moments[2], 0.0) or moments[2] < 0:
-        yield _error(f"{_name(link)}.inertial.inertia", listed, "none negative")
+        felt = moves and moments[0] < -_NO_INERTIA
+        yield (_error if felt else _warning)(f"{_name(link)}.inertial.inertia", listed, "none negative")
     elif moments[2] > (moments[0] + moments[1]) * (1 + _ROUNDING):
         expected = "the largest at most the sum of the others, as for any rigid body"
-        yield Finding(
-            severity="warning", key=f"{_name(link)}.inertial.inertia", got=listed, expected=expected
-        )
+        yield _warning(f"{_name(link)}.inertial.inertia", listed, expected)
 
 
 def _shapes(link: ElementTree.Element) -> Iterator[Finding]:
@@ -303,6 +351,9 @@ def _shapes(link: ElementTree.Element) -> Iterator[Finding]:
 def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
     """Types are known, axes have a direction, limits are in order."""
     kind = joint.get("type", "")
+    if kind in _LOCKED_TYPES:
+        yield _warning(f"{_name(joint)}.type", kind, "a joint that turns; this one is locked where it is")
+        return
     if kind not in _JOINT_TYPES:
         yield _error(f"{_name(joint)}.type", shown(kind), "one of " + ", ".join(_JOINT_TYPES))
     if kind == "fixed":
@@ -327,19 +378,19 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
             )
 
 
-def overview(path: Path, root: ElementTree.Element) -> Iterator[tuple[str, str]]:
-    """Summarise a URDF and the files beside it, as names and values.
+def overview(files: RobotFiles, root: ElementTree.Element) -> Iterator[tuple[str, str]]:
+    """Summarise a URDF and the files that go with it, as names and values.
 
     Parameters
     ----------
-    path : pathlib.Path
+    files : RobotFiles
     root : xml.etree.ElementTree.Element
         From `parse_urdf`, without errors in `inspect_urdf`.
 
     Raises
     ------
     ModelError
-        When the joint-limits file beside it cannot be read.
+        When the joint-limits file or the SRDF cannot be read.
     """
     joints = [joint for joint in root.findall("joint") if joint.get("type") != "fixed"]
     links = [link.get("name", "") for link in root.findall("link")]
@@ -358,14 +409,16 @@ def overview(path: Path, root: ElementTree.Element) -> Iterator[tuple[str, str]]
         )
         yield "prismatic joints", f"{kinds['prismatic']}, {where}"
     yield "limits in the URDF", _limits(joints)
-    yield "joint_limits.yaml beside it", _joint_limits(path.with_name("joint_limits.yaml"), joints)
-    srdf = path.with_suffix(".srdf")
-    yield "SRDF beside it", srdf.name if srdf.exists() else "none: only neighbouring links may touch"
-    elasticity = path.with_suffix(".elasticity.yaml")
-    yield "elasticity file beside it", elasticity.name if elasticity.exists() else "none: no link bends"
+    yield "joint_limits.yaml beside it", _joint_limits(files.limits, joints)
+    none = "none: links that are neighbours or nearly always near may touch (--write-srdf writes one)"
+    yield "SRDF", none if files.srdf is None else files.srdf.name
+    yield "elasticity file", "none: no link bends" if files.elasticity is None else files.elasticity.name
     yield "base frame", f"any link; the root is {next(link for link in links if link not in children)}"
     ends = [link for link in links if link not in parents]
     yield "tool frame", f"any link that joints move below it; at the ends: {', '.join(ends)}"
+    arm = _default_arm(files, root)
+    chosen = "none: there are several choices" if arm is None else f"from {arm[0]} to {arm[1]}"
+    yield "arm where no frames are given", chosen
 
 
 def _limits(joints: Sequence[ElementTree.Element]) -> str:
@@ -384,9 +437,19 @@ def _limits(joints: Sequence[ElementTree.Element]) -> str:
     return f"of {counted(len(joints), 'movable joint')}: {listed}"
 
 
-def _joint_limits(path: Path, joints: Sequence[ElementTree.Element]) -> str:
-    if not path.exists():
-        return "none: the scene has to name one, with acceleration and jerk"
+def _default_arm(files: RobotFiles, root: ElementTree.Element) -> tuple[str, str] | None:
+    """Base and tool frame that `load_robot` chooses; None where it cannot."""
+    semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF")
+    try:
+        return arm_frames(root, semantics, files.base_frame, files.tool_frame, str(files.urdf))
+    except ModelError:
+        return None
+
+
+def _joint_limits(path: Path | None, joints: Sequence[ElementTree.Element]) -> str:
+    if path is None:
+        return "none: acceleration and jerk limits are assumed where the scene names none"
     known = read_joint_limits(path)
-    number = sum(joint.get("name") in known for joint in joints)
+    entries = [known.entry(joint.get("name", "")) for joint in joints]
+    number = sum(None not in (entry.acceleration_deg, entry.jerk_deg) for entry in entries)
     return f"acceleration and jerk of {number} of {counted(len(joints), 'movable joint')}"

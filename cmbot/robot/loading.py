@@ -14,16 +14,18 @@ from numpy.typing import ArrayLike
 
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
-from cmbot.common.installation import model_folder
-from cmbot.common.validation import given_path, hint
-from cmbot.robot.arm_model import arm_model, attach_payload, set_tool_length
+from cmbot.common.validation import hint
+from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_tool_length
 from cmbot.robot.elasticity import read_elasticity
-from cmbot.robot.inspection import inspect_urdf
+from cmbot.robot.files import RobotFiles, robot_files
+from cmbot.robot.frames import arm_frames, moving_links
+from cmbot.robot.inspection import Finding, inspect_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
-from cmbot.robot.xml_file import parse_urdf
+from cmbot.robot.self_collision import srdf_of
+from cmbot.robot.xml_file import parse_urdf, urdf_content
 
-__all__ = ["load_robot"]
+__all__ = ["load_robot", "srdf_text"]
 
 # An arm that weighs less is one without masses, kg.
 _LIGHTEST = 1e-3
@@ -40,6 +42,7 @@ def load_robot(
     mount: ArrayLike | None = None,
     tool_length: float | None = None,
     payload: float = 0.0,
+    package_dirs: Sequence[str | Path] = (),
 ) -> Robot:
     """Load a robot from its URDF.
 
@@ -50,13 +53,19 @@ def load_robot(
     Parameters
     ----------
     model : str or pathlib.Path
-        ``cmbot`` for the shipped robot, or a URDF file.
-    base_frame, tool_frame : str
-        Links that bound the arm; default for ``cmbot`` only.
-    limits : path
-        Joint-limits file (acceleration and jerk); default: ``joint_limits.yaml`` beside the URDF.
+        ``cmbot`` for the shipped robot; a URDF file, or xacro with the extra ``xacro``; or, with the extra
+        ``robots``, the name of a robot of example-robot-data, such as ``panda``.
+    base_frame, tool_frame : str, optional
+        Links that bound the arm; default: where there is one choice, the root link, and the link of the
+        SRDF's end effector, the tip of its chain, or the last link of the longest row of joints.
+    limits : path, optional
+        Joint-limits file (acceleration and jerk); default: ``joint_limits.yaml`` beside the URDF. Without
+        one, acceleration limits of 2 /s times the velocity limits and jerk limits of 10 /s times these are
+        assumed.
     srdf : path, optional
         Disabled collision pairs and stances; default: the file beside the URDF with its name, if there.
+        Without disabled pairs, neighbouring links and those that are nearly always near are not checked
+        against each other.
     elasticity : path, optional
         Which links bend; default: the file beside the URDF with its name and the ending
         ``.elasticity.yaml``, if there, else none does.
@@ -66,29 +75,36 @@ def load_robot(
         Distance of the tool point from the flange along its z axis, m; default: as in the URDF.
     payload : float
         Point mass at the tool point, kg.
+    package_dirs : sequence of path
+        Folders of ROS packages, or the packages, in which ``package://`` paths are sought first; then come
+        the folders beside the URDF and above it, and ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
 
     Raises
     ------
     ModelError
-        When a file is missing or unusable, a frame does not exist, a joint of the arm is not revolute, the
-        arm has no mass or more than 100 joints, or a number is beyond any robot's.
+        When a file is missing or unusable, a frame does not exist or has to be chosen, a joint of the arm is
+        not revolute, the arm has no mass or more than 100 joints, or a number is beyond any robot's.
+    MissingExtra
+        When `model` is xacro or could be a robot's name, and the extra for it is not installed.
     """
-    if str(model) == "cmbot":
-        urdf = model_folder() / "urdf" / "cmbot.urdf"
-        base_frame, tool_frame = base_frame or "arm_base", tool_frame or "tool0"
-    else:
-        urdf = given_path(model, "load_robot", "model", "cmbot, or the path of a URDF")
-    root = _parsed(urdf)
-    if base_frame is None or tool_frame is None:
-        expected = f"the links that bound the arm{hint(urdf.name, ('cmbot',))}"
-        raise ModelError(str(urdf), "base_frame, tool_frame", "none", expected)
-    srdf_file = _given("srdf", srdf) or _existing(urdf.with_suffix(".srdf"))
-    limits_file = _given("limits", limits) or urdf.with_name("joint_limits.yaml")
-    elasticity_file = _given("elasticity", elasticity) or _existing(urdf.with_suffix(".elasticity.yaml"))
-    for finding in inspect_urdf(root):
-        if finding.severity == "error":
-            raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
-    arm, collision, visual = arm_model(urdf, root, srdf_file, base_frame, tool_frame)
+    files = robot_files(model, srdf=srdf, limits=limits, elasticity=elasticity, package_dirs=package_dirs)
+    urdf, packages = files.urdf, files.package_dirs
+    root = _parsed(urdf, packages)
+    semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", packages)
+    # Frames can be sought only in a tree, and which links move is known only with the frames.
+    _refuse_errors(urdf, inspect_urdf(root, moving=()))
+    base_frame, tool_frame = arm_frames(
+        root,
+        semantics,
+        files.base_frame if base_frame is None else base_frame,
+        files.tool_frame if tool_frame is None else tool_frame,
+        str(urdf),
+    )
+    _refuse_errors(urdf, inspect_urdf(root, moving=moving_links(root, base_frame)))
+    made = arm_model(
+        urdf, root, semantics, base_frame, tool_frame, srdf=str(files.srdf), package_dirs=packages
+    )
+    arm, collision, visual = made.model, made.collision, made.visual
     if mount is not None:
         _move_root(arm, (collision, visual), base_frame, mount)
     if tool_length is not None:
@@ -97,8 +113,11 @@ def load_robot(
     if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _LIGHTEST:
         got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
         raise ModelError(str(urdf), "link.inertial.mass", got, f"an arm of at least {_LIGHTEST:g} kg")
-    files = (urdf, srdf_file, limits_file, elasticity_file)
-    contents = [read_input(file, ModelError) for file in files if file]
+    limited, assumed = joint_limits(arm, urdf, files.limits)
+    contents = [urdf_content(urdf, packages)]
+    contents += [
+        read_input(file, ModelError) for file in (files.srdf, files.limits, files.elasticity) if file
+    ]
     return Robot(
         name=root.get("name", urdf.stem),
         urdf=urdf.resolve(),
@@ -106,30 +125,51 @@ def load_robot(
         floating_model=_on_free_flyer(arm),
         collision_model=collision,
         visual_model=visual,
-        limits=joint_limits(arm, urdf, limits_file),
-        elasticity={} if elasticity_file is None else read_elasticity(elasticity_file, arm),
+        limits=limited,
+        elasticity={} if files.elasticity is None else read_elasticity(files.elasticity, arm),
         base_frame=base_frame,
         tool_frame=tool_frame,
         payload=payload,
         content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
+        remarks=(*assumed, *made.remarks),
     )
 
 
-def _parsed(urdf: Path) -> ElementTree.Element:
+def srdf_text(files: RobotFiles) -> str:
+    """Return an SRDF that says which links of a robot need not be checked against each other, and why.
+
+    All movable joints are sampled: Adjacent are links that a joint joins, Always those that are nearly always
+    near, Never those that are near in none of 10,000 random postures.
+
+    Parameters
+    ----------
+    files : RobotFiles
+
+    Raises
+    ------
+    ModelError
+        When the URDF is missing or unusable.
+    """
+    root = _parsed(files.urdf, files.package_dirs)
+    _refuse_errors(files.urdf, inspect_urdf(root, moving=()))
+    name = root.get("name", files.urdf.stem)
+    model, (collision, _) = build_model(files.urdf, root, files.package_dirs)
+    return srdf_of(model, collision, name)
+
+
+def _refuse_errors(urdf: Path, findings: Sequence[Finding]) -> None:
+    for finding in findings:
+        if finding.severity == "error":
+            raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
+
+
+def _parsed(urdf: Path, package_dirs: Sequence[Path]) -> ElementTree.Element:
     try:
-        return parse_urdf(urdf)
+        return parse_urdf(urdf, package_dirs=package_dirs)
     except ModelError as error:
         if error.got == "no such file" and (meant := hint(urdf.name, ("cmbot",))):
             raise ModelError(error.source, "", error.got, f"{error.expected}{meant}") from error
         raise
-
-
-def _given(key: str, path: str | Path | None) -> Path | None:
-    return None if path is None else given_path(path, "load_robot", key, "the path of a file")
-
-
-def _existing(path: Path) -> Path | None:
-    return path if path.exists() else None
 
 
 def _move_root(model: Any, shapes: Sequence[Any], base_frame: str, mount: ArrayLike) -> None:

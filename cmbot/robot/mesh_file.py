@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator
+from collections.abc import Sequence
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -14,6 +14,7 @@ import numpy as np
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import LARGEST_MESH, read_input, require_input
 from cmbot.common.validation import shown
+from cmbot.robot.packages import find_resource
 
 __all__ = ["FARTHEST", "locate_meshes", "require_near"]
 
@@ -26,10 +27,11 @@ _LIBRARIES = re.compile(rb"^[ \t]*mtllib[ \t]+([^\r\n]+)", re.MULTILINE)
 _REFUSED_FORMATS = (".gltf",)
 
 
-def locate_meshes(urdf: Path, root: ElementTree.Element) -> None:
+def locate_meshes(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()) -> None:
     """Give every mesh of a URDF the absolute path of its file, in place.
 
-    A path is relative to the URDF; ``package://`` to a folder above it, or one that ROS knows.
+    A path is relative to the URDF; ``package://`` to a package in one of `package_dirs`, beside the URDF or
+    above it, or one that ROS knows.
 
     Raises
     ------
@@ -41,7 +43,7 @@ def locate_meshes(urdf: Path, root: ElementTree.Element) -> None:
         for mesh in link.iter("mesh"):
             name = mesh.get("filename", "")
             if name not in checked:
-                path = _located(name, folder)
+                path = _located(name, folder, package_dirs)
                 try:
                     _require_mesh(path)
                 except ModelError as error:
@@ -73,27 +75,15 @@ def require_near(root: ElementTree.Element, source: str) -> None:
                 raise ModelError(source, key, got, f"a mesh of vertices within {FARTHEST:g} m")
 
 
-def _located(name: str, folder: Path) -> Path:
+def _located(name: str, folder: Path, package_dirs: Sequence[Path]) -> Path:
     scheme, found, rest = name.partition("://")
     if not found:
         return (folder / name).resolve()
     if scheme == "file":
         return Path(rest)
     if scheme in ("package", "model"):
-        for above in _packages(folder):
-            path = above / rest.lstrip("/")
-            if os.path.exists(path):  # noqa: PTH110  Path.exists raises for names that no file can have
-                return path
+        return find_resource(rest, folder, package_dirs) or Path(name)
     return Path(name)
-
-
-def _packages(folder: Path) -> Iterator[Path]:
-    """Folders of packages: those above the URDF's, then ROS's."""
-    yield from folder.parents
-    for variable, below in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
-        for place in os.environ.get(variable, "").split(os.pathsep):
-            if place:
-                yield Path(place) / below
 
 
 def _require_mesh(path: Path) -> None:

@@ -50,6 +50,8 @@ class Robot:
         Point mass at the tool, kg.
     content_hash : str
         SHA-256 of URDF, SRDF, joint-limits and elasticity file.
+    remarks : tuple of str
+        What the files do not say and had to be assumed, a sentence each.
     """
 
     name: str
@@ -64,6 +66,7 @@ class Robot:
     tool_frame: str
     payload: float
     content_hash: str
+    remarks: tuple[str, ...] = ()
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 from xml.etree import ElementTree
@@ -10,8 +11,9 @@ from xml.etree import ElementTree
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
 from cmbot.common.validation import shown
+from cmbot.robot.xacro import expand_xacro, is_xacro
 
-__all__ = ["parse_urdf"]
+__all__ = ["parse_urdf", "urdf_content"]
 
 # Readers of XML trees call themselves for each level.
 _DEEPEST = 50
@@ -20,17 +22,41 @@ _SCENE = re.compile(rb"^[\"' {]*format[\"']?: *[\"']?cmbot-scene/", re.MULTILINE
 _PIECE = 1 << 16
 
 
-def parse_urdf(path: Path, kind: str = "a URDF") -> ElementTree.Element:
-    """Parse a URDF or, as an error names its `kind`, an SRDF into its XML tree.
+def urdf_content(path: Path, package_dirs: Sequence[Path] = (), kind: str = "a URDF") -> bytes:
+    """Return the bytes of a URDF or an SRDF; of one that is written in xacro, what it expands to.
+
+    Parameters
+    ----------
+    path : Path
+    package_dirs : sequence of Path
+        Where the packages that xacro names are sought first, see `find_package`.
+    kind : str
+        What errors call it.
+
+    Raises
+    ------
+    ModelError
+        When the file is missing, no regular file, larger than 20 MB or unreadable, or does not expand.
+    MissingExtra
+        When it is xacro, and the extra that expands it is not installed.
+    """
+    content = read_input(path, ModelError, kind=f"{kind} file")
+    return expand_xacro(path, content, package_dirs) if is_xacro(content) else content
+
+
+def parse_urdf(path: Path, kind: str = "a URDF", package_dirs: Sequence[Path] = ()) -> ElementTree.Element:
+    """Parse a URDF or, as an error names its `kind`, an SRDF into its XML tree; xacro is expanded.
 
     Raises
     ------
     ModelError
         When the file is missing, no regular file, empty, larger than 20 MB, unreadable, no XML, has a
         document type (and so could have entities), elements deeper than 50, or a root element other than
-        ``<robot>``.
+        ``<robot>``; or when it is xacro that does not expand.
+    MissingExtra
+        When it is xacro, and the extra that expands it is not installed.
     """
-    content, source = read_input(path, ModelError, kind=f"{kind} file"), str(path)
+    content, source = urdf_content(path, package_dirs, kind), str(path)
     if not content:
         raise ModelError(source, "", "an empty file", f"{kind} file")
     parser = ElementTree.XMLParser(target=_Builder(source, kind))

@@ -14,7 +14,6 @@ from cmbot.common.validation import (
     CheckedFields,
     FileModel,
     check_fields,
-    hint,
     refusal,
     require_type,
     shown,
@@ -50,19 +49,21 @@ class RobotFile(FileModel):
     """Which robot: the shipped ``cmbot``, or any URDF with its frames, limits and mount."""
 
     model: Text = "cmbot"
-    """``cmbot``, or a URDF's path relative to the scene file."""
+    """``cmbot``, a URDF's path relative to the scene file, or the name of a robot of example-robot-data."""
     base_frame: Text | None = None
-    """Of another URDF: the frame that is mounted."""
+    """Of another URDF: the frame that is mounted; left out: the only choice, as `cmbot.load_robot` says."""
     tool_frame: Text | None = None
-    """Of another URDF: the frame that follows the tool path."""
+    """Of another URDF: the frame that follows the tool path; left out: the only choice."""
     limits: Text | None = None
-    """Of another URDF: path of its joint-limits file."""
+    """Of another URDF: path of its joint-limits file; left out: as beside the URDF, else assumed."""
     srdf: Text | None = None
     """Of another URDF: path of its SRDF, if there is one."""
     elasticity: Text | None = None
     """Of another URDF: path of the file that says which of its links bend; left out: as beside the URDF."""
+    package_dirs: Annotated[tuple[Text, ...], Field(max_length=100)] | None = None
+    """Of another URDF: folders in which ``package://`` is sought first, relative to the scene file."""
     mount: MountFile | None = None
-    """Of another URDF: where its base frame is held."""
+    """Of another URDF: where its base frame is held; left out: its root link is at the origin of W."""
     tool_length_m: Length | None = None
     """Length of the tool, m; left out: as in the model."""
     payload_kg: Mass = 0.0
@@ -70,15 +71,11 @@ class RobotFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for name in ("base_frame", "tool_frame", "limits", "mount", "srdf", "elasticity"):
-            given = getattr(self, name) is not None
-            if self.model == "cmbot" and given:
+        for name in ("base_frame", "tool_frame", "limits", "package_dirs", "mount", "srdf", "elasticity"):
+            if self.model == "cmbot" and getattr(self, name) is not None:
                 got = shown(self.model_dump(mode="json")[name])
                 expected = "no such key beside model: cmbot: it goes with a URDF of one's own as robot.model"
                 raise refusal(expected, got=got, key=(name,))
-            if self.model != "cmbot" and not given and name not in ("srdf", "elasticity"):
-                expected = f"a value, as model is {shown(self.model)}{hint(self.model, ('cmbot',))}"
-                raise refusal(expected, got="nothing", key=(name,))
         return self
 
 
@@ -142,13 +139,13 @@ class RobotSource(CheckedFields):
     Attributes
     ----------
     model : str or Path
-        ``cmbot``, or the path of a URDF.
+        ``cmbot``, the name of a robot of example-robot-data, or the path of a URDF.
     base_frame, tool_frame : str or None
-        Frames of the URDF: the mounted one, and the one that follows the tool path.
-    limits : Path or None
-        Joint-limits file.
-    srdf, elasticity : Path or None
-        None also where there is none, or the elasticity file is the one beside the URDF.
+        Frames of the URDF: the mounted one, and the one that follows the tool path. None: the only choice.
+    limits, srdf, elasticity : Path or None
+        Joint limits, SRDF, elasticity file. None also where they lie beside the URDF.
+    package_dirs : tuple of Path or None
+        Where ROS packages are sought first.
     mount_xyz, mount_rpy : tuple of float or None
         (3,) each, pose of the base frame in W, m and rad: ``R = Rz(yaw) Ry(pitch) Rx(roll)``.
     tool_length : float or None
@@ -163,6 +160,7 @@ class RobotSource(CheckedFields):
     limits: Annotated[Path, _AS_TEXT] | None
     srdf: Annotated[Path, _AS_TEXT] | None
     elasticity: Annotated[Path, _AS_TEXT] | None
+    package_dirs: tuple[Annotated[Path, _AS_TEXT], ...] | None
     mount_xyz: Vector | None
     mount_rpy: Vector | None
     tool_length: Length | None

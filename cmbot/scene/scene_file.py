@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.arrays import FloatArray, read_only
-from cmbot.common.errors import SceneError
+from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.common.input_files import LARGEST_MESH, read_input
 from cmbot.common.installation import scene_folder
+from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
 from cmbot.common.validation import given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.scene.fields import si_fields
@@ -27,6 +28,7 @@ from cmbot.scene.scene import RobotFile, RobotSource, Scene, SceneFile
 __all__ = ["load_scene", "scene_from_file", "shipped_scenes", "update_file"]
 
 _LONGEST_SOURCE = 300
+_PACKAGES = "robot.package_dirs"
 
 _Find = Callable[[str, str], Path]
 
@@ -48,6 +50,8 @@ def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
     ------
     SceneError
         The file is missing or unreadable, a key or value in it is wrong, or a file that it names is missing.
+    MissingExtra
+        Its robot is no file but could be one of example-robot-data, and that is not installed.
     """
     if isinstance(source, Mapping):
         name = "scene"
@@ -64,7 +68,7 @@ def _require_model(data: Mapping[str, Any], path: Path) -> None:
     robot = data.get("robot")
     model = robot.get("model") if isinstance(robot, dict) else None
     if isinstance(model, str) and model not in ("", "cmbot"):
-        _found(path.parent, str(path), model, "robot.model")
+        _model(partial(_found, path.parent, str(path)), model)
 
 
 def shipped_scenes() -> tuple[str, ...]:
@@ -140,11 +144,31 @@ def update_file(scene: Scene) -> Scene:
 def _found(base_folder: Path, source: str, text: str, key: str) -> Path:
     """The path of a file that a scene names."""
     path = base_folder / text
-    if os.path.isfile(path):  # noqa: PTH113  Path.is_file raises for names that no file can have
+    if key == _PACKAGES and os.path.isdir(path):  # noqa: PTH112  they raise for names that no file can have
         return path.resolve()
-    shipped = f", or cmbot{hint(text, ('cmbot',))}" if key == "robot.model" else ""
-    expected = f"a file that exists (relative to the scene file){shipped}"
-    raise SceneError(source, key, shown(text), expected)
+    if key != _PACKAGES and os.path.isfile(path):  # noqa: PTH113
+        return path.resolve()
+    kind, known = ("folder" if key == _PACKAGES else "file"), ""
+    if key == "robot.model":
+        known = f", or cmbot{hint(text, ('cmbot', *(library_robots() or ())))}"
+    raise SceneError(source, key, shown(text), f"a {kind} that exists (relative to the scene file){known}")
+
+
+def _model(find: _Find, text: str) -> str | Path:
+    """The URDF that a scene names, or the name of a robot; a file of that name comes first."""
+    try:
+        return find(text, "robot.model")
+    except SceneError as error:
+        robots = library_robots()
+        if robots is not None and text in robots:
+            return text
+        if robots is None and is_robot_name(text) and "did you mean" not in error.expected:
+            missing = MissingExtra(LIBRARY, LIBRARY_EXTRA)
+            missing.add_hint(
+                f"{error.source}: {error.key}: {text} is no file, and may be a robot of that package"
+            )
+            raise missing from error
+        raise
 
 
 def _scene_path(source: str | Path) -> Path:
@@ -164,9 +188,13 @@ def _scene_path(source: str | Path) -> Path:
 
 def _robot(file: RobotFile, find: _Find) -> RobotSource:
     values = si_fields(file)
-    for key in ("limits", "srdf", "elasticity", *(() if file.model == "cmbot" else ("model",))):
+    for key in ("limits", "srdf", "elasticity"):
         if values[key] is not None:
             values[key] = find(values[key], f"robot.{key}")
+    if file.package_dirs is not None:
+        values["package_dirs"] = tuple(find(place, _PACKAGES) for place in file.package_dirs)
+    if file.model != "cmbot":
+        values["model"] = _model(find, file.model)
     mount = values.pop("mount")
     placed = {} if mount is None else si_fields(mount)
     return RobotSource(**values, mount_xyz=placed.get("xyz"), mount_rpy=placed.get("rpy"))
@@ -213,6 +241,8 @@ def _robot_data(robot: RobotSource, file: RobotFile) -> dict[str, Any]:
     for key in ("limits", "srdf", "elasticity"):
         path = getattr(robot, key)
         data[key] = None if path is None else getattr(file, key) or str(path)
+    if robot.package_dirs is not None:
+        data["package_dirs"] = file.package_dirs or [str(place) for place in robot.package_dirs]
     if robot.mount_xyz is not None and robot.mount_rpy is not None:
         rpy_deg = _degrees(robot.mount_rpy, file.mount.rpy_deg if file.mount else None)
         data["mount"] = {"xyz": list(robot.mount_xyz), "rpy_deg": rpy_deg}

@@ -121,7 +121,7 @@ def test_a_urdf() -> None:
     out = output("check", model_folder() / "urdf" / "cmbot.urdf")
     found = values(out)
     joints = cmbot.load_robot("cmbot").limits.velocity.size
-    assert (found["robot"], found["SRDF beside it"]) == ("cmbot", "cmbot.srdf")
+    assert (found["robot"], found["SRDF"]) == ("cmbot", "cmbot.srdf")
     assert found["links"] == f"16, {cmbot.load_robot('cmbot').mass:.2f} kg in all"
     assert found["movable joints"] == "12 (12 revolute)"
     assert found["limits in the URDF"] == "of 12 movable joints: position 12, velocity 12, effort 12"
@@ -154,11 +154,13 @@ def test_a_urdf_that_lacks_limits_and_is_doubtful_is_usable(tmp_path: Path) -> N
         "prismatic joints": "1, not between base and tool frame: an arm that is planned has revolute or "
         "continuous joints only",
         "limits in the URDF": "of 2 movable joints: position 1, velocity 0, effort 1",
-        "joint_limits.yaml beside it": "none: the scene has to name one, with acceleration and jerk",
-        "SRDF beside it": "none: only neighbouring links may touch",
-        "elasticity file beside it": "none: no link bends",
+        "joint_limits.yaml beside it": "none: acceleration and jerk limits are assumed where the scene names "
+        "none",
+        "SRDF": "none: links that are neighbours or nearly always near may touch (--write-srdf writes one)",
+        "elasticity file": "none: no link bends",
         "base frame": "any link; the root is floor",
         "tool frame": "any link that joints move below it; at the ends: wheel, plate",
+        "arm where no frames are given": "none: there are several choices",
     }
     path.write_text(BARE.replace('izz="1"', 'izz="5"'), encoding="utf-8")
     outcome = run("check", path)
@@ -176,7 +178,7 @@ def test_a_damaged_urdf(tmp_path: Path, bare_urdf: str) -> None:
     assert last == "Not usable: 1 error, 0 warnings."
 
 
-NEITHER = "), expected a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)"
+NEITHER = "), expected a URDF (.urdf, .xml, .xacro) or a scene file (.yaml, .yml, .json)"
 
 
 @pytest.mark.parametrize(
@@ -186,7 +188,7 @@ NEITHER = "), expected a URDF (.urdf, .xml) or a scene file (.yaml, .yml, .json)
         ("words.txt", b"words", "got a file that is neither (", NEITHER),
         ("empty", b"", "got a file that is neither (", NEITHER),
         ("data.bin", b"\xff\x00", "got a file that is neither (", NEITHER),
-        ("arm.xacro", BARE.encode(), "got a file that is neither (", NEITHER),
+        ("arm.sdf", BARE.encode(), "got a file that is neither (", NEITHER),
         ("words.yaml", b"words", "got 'words', expected a mapping", ""),
         ("slip", json.dumps({**SHORT, "nam": "x"}).encode(), "1: nam: got an unknown key", ""),
     ],

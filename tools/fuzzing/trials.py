@@ -21,7 +21,7 @@ import cmbot
 from cmbot.cli import main
 from cmbot.common.errors import CmbotError, InputError
 from cmbot.planning import bending_arm, precheck_scene, robot_of
-from cmbot.robot import inspect_urdf, overview, parse_urdf
+from cmbot.robot import inspect_urdf, overview, parse_urdf, robot_files
 from fuzzing.mutations import Case
 
 __all__ = ["LIMIT", "LONGEST_MESSAGE", "Verdict", "fresh_folder", "time_limit", "try_case"]
@@ -148,7 +148,7 @@ def _read_robot(case: Case) -> Any:
             if (verdict := _judged_message(text, f"inspection, {finding.expected[:20]}")).is_finding:
                 raise _BadMessageError(verdict)
     if not any(finding.severity == "error" for finding in found):
-        found.append(dict(overview(Path("arm.urdf"), root)))
+        found.append(dict(overview(robot_files("arm.urdf"), root)))
     return found, _read_scene(case)
 
 

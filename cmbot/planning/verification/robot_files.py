@@ -6,7 +6,8 @@ is not looked for again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -18,10 +19,18 @@ from ruamel.yaml.error import YAMLError
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
-from cmbot.common.installation import model_folder
-from cmbot.planning.verification.convex_distance import ConvexShape, hull
+from cmbot.planning.verification.convex_distance import ConvexShape, hull, smallest_distances
 from cmbot.planning.verification.multibody import Body, JointBounds, Multibody, PlacedShape, turn
-from cmbot.robot import locate_meshes
+from cmbot.robot import (
+    MOST_FAR,
+    NEAR,
+    RobotFiles,
+    arm_frames,
+    locate_meshes,
+    parse_urdf,
+    robot_files,
+    sampled_postures,
+)
 from cmbot.scene import RobotSource
 
 __all__ = ["mesh_parts", "read_multibody"]
@@ -49,26 +58,36 @@ def read_multibody(source: RobotSource) -> Multibody:
         When a file cannot be read, as it could be by `cmbot.robot.load_robot`, or the tool cannot be given
         another length.
     """
-    shipped = source.model == "cmbot"
-    urdf = model_folder() / "urdf" / "cmbot.urdf" if shipped else Path(source.model)
+    # Which files and frames are meant, and what xacro expands to, is no opinion: the loader's own search.
+    files = robot_files(
+        source.model,
+        srdf=source.srdf,
+        limits=source.limits,
+        elasticity=source.elasticity,
+        package_dirs=source.package_dirs or (),
+    )
     try:
-        return _read(source, urdf)
+        return _read(source, files)
     except ModelError:
         raise
     except _UNREADABLE as error:
         got = f"files that cannot be read a second time ({type(error).__name__}: {error})"
-        raise ModelError(str(urdf), "", got, "what was there when the robot was loaded") from error
+        raise ModelError(str(files.urdf), "", got, "what was there when the robot was loaded") from error
 
 
-def _read(source: RobotSource, urdf: Path) -> Multibody:
-    beside = urdf.with_suffix(".srdf")
-    srdf = source.srdf or (beside if beside.exists() else None)
-    semantics = None if srdf is None else ElementTree.parse(srdf).getroot()
-    base = source.base_frame or "arm_base"
-    tool = source.tool_frame or "tool0"
-    root = ElementTree.parse(urdf).getroot()
-    # Where a mesh lies is no opinion: the loader's own search.
-    locate_meshes(urdf, root)
+def _read(source: RobotSource, files: RobotFiles) -> Multibody:
+    urdf = files.urdf
+    semantics = None if files.srdf is None else ElementTree.parse(files.srdf).getroot()
+    root: Any = parse_urdf(urdf, package_dirs=files.package_dirs)
+    base, tool = arm_frames(
+        root,
+        semantics,
+        files.base_frame if source.base_frame is None else source.base_frame,
+        files.tool_frame if source.tool_frame is None else source.tool_frame,
+        str(urdf),
+    )
+    # Nor is where a mesh lies.
+    locate_meshes(urdf, root, files.package_dirs)
     tree = _Tree(root, semantics, base, tool)
     if source.mount_xyz is not None and source.mount_rpy is not None:
         tree.move(_pose(source.mount_xyz, source.mount_rpy) @ np.linalg.inv(tree.placed[base][1]))
@@ -81,21 +100,23 @@ def _read(source: RobotSource, urdf: Path) -> Multibody:
         ratio = source.tool_length / float(X_FT[2, 3])
         X_FT[2, 3] = source.tool_length
         X_JT = tree.placed[flange][1] @ X_FT
-    shapes = []
-    for link, (joint, X_JL) in tree.placed.items():
-        for X_LS, shape in _link_shapes(tree.links[link], ratio if link == flange else 1.0):
-            shapes.append(PlacedShape(link=link, joint=joint, X_JS=X_JL @ X_LS, shape=shape))
+    shapes = tuple(_placed_shapes(tree, flange, ratio))
     load = Body(joint=len(tree.chain), mass=source.payload, centre=X_JT[:3, 3], inertia=np.zeros((3, 3)))
-    return Multibody(
+    body = Multibody(
         joints=tuple(tree.chain),
         step=np.array(tree.step),
         axis=np.array([_axis(tree.joints[name]) for name in tree.chain]),
         bodies=(*tree.bodies(), load),
-        shapes=tuple(shapes),
+        shapes=shapes,
         pairs=tuple(_own_pairs(shapes, semantics)),
         X_JT=X_JT,
-        bounds=_bounds(tree, source.limits or urdf.with_name("joint_limits.yaml")),
+        bounds=_bounds(tree, files.limits),
     )
+    if semantics is not None and semantics.find("disable_collisions") is not None:
+        return body
+    # As the loader, with the tool as the URDF has it.
+    as_described = replace(body, shapes=tuple(_placed_shapes(tree, flange, 1.0)))
+    return replace(body, pairs=tuple(_without_near_links(as_described)))
 
 
 class _Tree:
@@ -205,9 +226,13 @@ def _pose(xyz: ArrayLike, rpy: ArrayLike) -> FloatArray:
     return X
 
 
-def _bounds(tree: _Tree, file: Path) -> JointBounds:
-    with file.open("rb") as stream:
-        listed = YAML(typ="safe", pure=True).load(stream)["joints"]
+def _bounds(tree: _Tree, file: Path | None) -> JointBounds:
+    listed: dict[str, Any] = {}
+    if file is not None:
+        with file.open("rb") as stream:
+            listed = YAML(typ="safe", pure=True).load(stream)
+    every, single = listed.get("all") or {}, listed.get("joints") or {}
+    entries = [single.get(name, every) for name in tree.chain]
     limits = [tree.joints[name].find("limit") for name in tree.chain]
     endless = [tree.joints[name].get("type") == "continuous" for name in tree.chain]
     lower, upper, velocity, torque = (
@@ -216,10 +241,12 @@ def _bounds(tree: _Tree, file: Path) -> JointBounds:
     )
     # As in the package, a range that ends beyond a billion rad is none.
     endless = endless | (np.abs(upper) >= 1e9)
-    acceleration, jerk = (
-        np.array([float(listed[name][key]) for name in tree.chain]) * (np.pi / 180)
-        for key in ("acceleration_deg", "jerk_deg")
-    )
+    # In degrees; what is not given is twice the velocity limit and ten times the acceleration limit, per s.
+    given = np.array(
+        [[float(entry.get(key) or "nan") for entry in entries] for key in ("acceleration_deg", "jerk_deg")]
+    ) * (np.pi / 180)
+    acceleration = np.where(np.isnan(given[0]), 2.0 * velocity, given[0])
+    jerk = np.where(np.isnan(given[1]), 10.0 * acceleration, given[1])
     return JointBounds(
         lower=np.where(endless, -np.inf, lower),
         upper=np.where(endless, np.inf, upper),
@@ -230,8 +257,15 @@ def _bounds(tree: _Tree, file: Path) -> JointBounds:
     )
 
 
-def _own_pairs(shapes: list[PlacedShape], semantics: Any) -> Iterator[tuple[int, int]]:
-    """Pairs of shapes that the SRDF does not disable; without one, those of joints that are no neighbours."""
+def _placed_shapes(tree: _Tree, flange: str, ratio: float) -> Iterator[PlacedShape]:
+    """Collision shapes of all links; those of the flange stretched along its z axis."""
+    for link, (joint, X_JL) in tree.placed.items():
+        for X_LS, shape in _link_shapes(tree.links[link], ratio if link == flange else 1.0):
+            yield PlacedShape(link=link, joint=joint, X_JS=X_JL @ X_LS, shape=shape)
+
+
+def _own_pairs(shapes: Sequence[PlacedShape], semantics: Any) -> Iterator[tuple[int, int]]:
+    """Pairs of shapes that the SRDF does not disable; where it disables none, of joints not neighbouring."""
     disabled = {
         frozenset((pair.get("link1"), pair.get("link2")))
         for pair in (() if semantics is None else semantics.findall("disable_collisions"))
@@ -239,10 +273,29 @@ def _own_pairs(shapes: list[PlacedShape], semantics: Any) -> Iterator[tuple[int,
     for j, other in enumerate(shapes):
         for i, one in enumerate(shapes[:j]):
             apart = abs(one.joint - other.joint)
-            near = apart == 1 if semantics is None else frozenset((one.link, other.link)) in disabled
+            near = apart == 1 if not disabled else frozenset((one.link, other.link)) in disabled
             if apart and not near:
                 # The one further out is the one that moves.
                 yield (i, j) if one.joint > other.joint else (j, i)
+
+
+def _without_near_links(body: Multibody) -> Iterator[tuple[int, int]]:
+    """Pairs of shapes but those of links that are nearly always near, in the loader's postures."""
+    links: dict[frozenset[str], list[tuple[int, int]]] = {}
+    for first, second in body.pairs:
+        names = frozenset((body.shapes[first].link, body.shapes[second].link))
+        links.setdefault(names, []).append((first, second))
+    q = sampled_postures(body.bounds.lower, body.bounds.upper)
+    R_WJ, p_WJ = body.frames(q)
+    shapes = body.shapes
+    R, p = np.empty((len(shapes), len(q), 3, 3)), np.empty((len(shapes), len(q), 3))
+    for k, one in enumerate(shapes):
+        R[k] = R_WJ[one.joint] @ one.X_JS[:3, :3]
+        p[k] = p_WJ[one.joint] + R_WJ[one.joint] @ one.X_JS[:3, 3]
+    for pairs in links.values():
+        distance = smallest_distances([one.shape for one in shapes], R, p, pairs)
+        if (distance.upper >= NEAR).sum() > MOST_FAR:
+            yield from pairs
 
 
 def _link_shapes(link: Any, ratio: float) -> Iterator[tuple[FloatArray, ConvexShape]]:

@@ -1,0 +1,190 @@
+"""Which frames bound the arm where nothing names them: by the SRDF, else by the tree of links."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from xml.etree import ElementTree
+
+from cmbot.common.errors import ModelError
+from cmbot.common.validation import shown
+
+__all__ = ["arm_frames", "moving_links", "require_turning"]
+
+_TURNING = ("revolute", "continuous")
+# The name of a tool frame in ROS-Industrial's convention.
+_TOOL = "tool0"
+
+
+def arm_frames(
+    root: ElementTree.Element,
+    semantics: ElementTree.Element | None,
+    base_frame: str | None,
+    tool_frame: str | None,
+    source: str,
+) -> tuple[str, str]:
+    """Return base and tool frame of an arm, with what is not given chosen where there is one choice.
+
+    The tool frame is the link of the SRDF's only end effector, or the tip of its only chain; without these
+    the last link of the longest row of joints that turn, ``tool0`` before other links fixed to it. The base
+    frame is the base of that chain, else the root link.
+
+    Parameters
+    ----------
+    root : xml.etree.ElementTree.Element
+        Of a URDF without errors.
+    semantics : xml.etree.ElementTree.Element or None
+        Of the SRDF.
+    base_frame, tool_frame : str or None
+    source : str
+        The URDF, for messages.
+
+    Raises
+    ------
+    ModelError
+        When there are several choices, or none; it lists the ends of the tree.
+    """
+    tree = _Tree(root)
+    chains = list(dict.fromkeys(_chains(tree, semantics)))
+    if base_frame is None and tool_frame is None and len(chains) == 1:
+        return chains[0]
+    base = tree.root if base_frame is None else base_frame
+    if tool_frame is not None:
+        return base, tool_frame
+    ends = list(dict.fromkeys(_end_effectors(tree, semantics)))
+    ends = [link for link in ends if base in tree.row(link)]
+    if len(ends) == 1 and tree.turning(base, ends[0]):
+        return base, ends[0]
+    tips = [tip for start, tip in chains if start == base]
+    return base, tips[0] if len(tips) == 1 else _last_link(tree, base, source)
+
+
+def moving_links(root: ElementTree.Element, base_frame: str) -> set[str]:
+    """Return the links that joints move below `base_frame`, fixed ones on them included."""
+    tree = _Tree(root)
+    return {link for link in tree.links if tree.joints(base_frame, link)}
+
+
+def require_turning(root: ElementTree.Element, base_frame: str, tool_frame: str, source: str) -> None:
+    """Refuse an arm with a joint that does not turn by itself, or has the name of a link.
+
+    Raises
+    ------
+    ModelError
+        With that joint as its key.
+    """
+    tree = _Tree(root)
+    for joint in tree.joints(base_frame, tool_frame):
+        key, kind = f"joint[{joint.get('name')}]", joint.get("type")
+        if joint.get("name") in tree.links:
+            # Pinocchio finds no frame then; elsewhere such a joint is renamed.
+            raise ModelError(source, key, "the name of a link", "a name that no link has")
+        if kind not in _TURNING:
+            raise ModelError(source, f"{key}.type", kind, "an arm of revolute or continuous joints")
+        if joint.find("mimic") is not None:
+            raise ModelError(
+                source, f"{key}.mimic", "a joint that follows another", "an arm of independent joints"
+            )
+
+
+class _Tree:
+    """Links and the joints above them."""
+
+    def __init__(self, root: ElementTree.Element) -> None:
+        self.links = [link.get("name", "") for link in root.findall("link")]
+        self.above: dict[str, ElementTree.Element] = {}
+        self.parents: dict[str, str] = {}
+        for joint in root.findall("joint"):
+            parent, child = joint.find("parent"), joint.find("child")
+            if parent is not None and child is not None:
+                self.above[child.get("link", "")] = joint
+                self.parents[child.get("link", "")] = parent.get("link", "")
+        self.root = next((link for link in self.links if link not in self.above), "")
+
+    def row(self, link: str) -> list[str]:
+        """The links from the root to `link`."""
+        row = [link]
+        while row[0] in self.parents:
+            row.insert(0, self.parents[row[0]])
+        return row
+
+    def joints(self, base: str, link: str) -> list[ElementTree.Element]:
+        """The movable joints from `base` to `link`, in that order; none where `base` is not above it."""
+        row = self.row(link)
+        below = row[row.index(base) + 1 :] if base in row else []
+        return [self.above[name] for name in below if self.above[name].get("type") != "fixed"]
+
+    def turning(self, base: str, link: str) -> bool:
+        """Whether there are joints from `base` to `link`, and all turn by themselves."""
+        joints = self.joints(base, link)
+        return bool(joints) and all(map(_turns, joints))
+
+    def with_joints(self, base: str, links: Sequence[str], number: int) -> list[str]:
+        """Those of the links to which so many joints lead that all turn, each once."""
+        return [
+            link
+            for link in dict.fromkeys(links)
+            if self.turning(base, link) and len(self.joints(base, link)) == number
+        ]
+
+    def before_gripper(self, base: str, link: str) -> str:
+        """The last link towards `link` that only joints move which turn by themselves."""
+        while not all(map(_turns, self.joints(base, link))):
+            link = self.parents[link]
+        return link
+
+    @property
+    def ends(self) -> list[str]:
+        """Links without links below."""
+        inner = set(self.parents.values())
+        return [link for link in self.links if link not in inner]
+
+
+def _turns(joint: ElementTree.Element) -> bool:
+    return joint.get("type") in _TURNING and joint.find("mimic") is None
+
+
+def _chains(tree: _Tree, semantics: ElementTree.Element | None) -> Iterator[tuple[str, str]]:
+    """Base and tip of the SRDF's chains between links that are there."""
+    for chain in () if semantics is None else semantics.iter("chain"):
+        base, tip = chain.get("base_link", ""), chain.get("tip_link", "")
+        if {base, tip} <= set(tree.links) and tree.turning(base, tip):
+            yield base, tip
+
+
+def _end_effectors(tree: _Tree, semantics: ElementTree.Element | None) -> Iterator[str]:
+    """Links of the SRDF's end effectors, each as far out as the joints of its group move."""
+    if semantics is None:
+        return
+    groups: Mapping[str, ElementTree.Element] = {
+        group.get("name", ""): group for group in semantics.findall("group")
+    }
+    for effector in semantics.findall("end_effector"):
+        group = groups.get(effector.get("group", ""))
+        listed = set[str]()
+        if group is not None and not any(_chains(tree, group)):
+            listed = {joint.get("name", "") for joint in group.findall("joint")}
+        link = effector.get("parent_link", "")
+        if link not in tree.links:
+            continue
+        # A gripper's joint is not the arm's.
+        while listed and any(joint.get("name") not in listed for joint in tree.joints(tree.root, link)):
+            link = tree.parents[link]
+        yield link
+
+
+def _last_link(tree: _Tree, base: str, source: str) -> str:
+    """The end of the longest row of turning joints below `base`."""
+    ends = [link for link in tree.ends if tree.joints(base, link)]
+    longest = max((sum(map(_turns, tree.joints(base, link))) for link in ends), default=0)
+    tips = tree.with_joints(base, ends, longest)
+    if not tips:
+        # Of a gripper whose fingers slide or follow each other, the arm's end is the link that carries them.
+        tips = tree.with_joints(base, [tree.before_gripper(base, link) for link in ends], longest)
+    last = {tree.joints(base, link)[-1].get("name") for link in tips}
+    if len(last) == 1:
+        if _TOOL in tips:
+            return _TOOL
+        if len(tips) == 1:
+            return tips[0]
+    expected = f"the last link of the arm: below {shown(base)} no end of the tree is the only choice"
+    raise ModelError(source, "tool_frame", "nothing", expected, tips or ends or tree.ends)

@@ -1,0 +1,67 @@
+"""ROS packages: where the one that a ``package://`` path or a ``$(find …)`` names lies, without ROS."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+from cmbot.common.errors import ModelError
+from cmbot.common.input_files import read_input
+
+__all__ = ["find_package", "find_resource"]
+
+
+def find_package(name: str, folder: Path, package_dirs: Sequence[Path] = ()) -> Path | None:
+    """Return the folder of a package, or None.
+
+    Parameters
+    ----------
+    name : str
+    folder : Path
+        Of the file that names it.
+    package_dirs : sequence of Path
+        Folders of packages, or the packages themselves; they come first. Then come `folder`, those above it,
+        and ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``. A package's folder has its name, or a
+        ``package.xml`` with its name.
+    """
+    return next((place for place in _candidates(name, folder, package_dirs) if place.is_dir()), None)
+
+
+def find_resource(rest: str, folder: Path, package_dirs: Sequence[Path] = ()) -> Path | None:
+    """Return the file ``package://rest``, or None; the other parameters are those of `find_package`.
+
+    Where no package of that name has it, a folder above may: that of a copy that has another name.
+    """
+    name, _, inside = rest.lstrip("/").partition("/")
+    places = [place / inside for place in _candidates(name, folder, package_dirs)]
+    places += [place / inside for place in (*package_dirs, folder, *folder.parents) if inside]
+    # Path.exists raises for names that no file can have.
+    return next((place for place in places if os.path.exists(place)), None)  # noqa: PTH110
+
+
+def _candidates(name: str, folder: Path, package_dirs: Sequence[Path]) -> Iterator[Path]:
+    for place in (*package_dirs, folder, *folder.parents, *_ros_paths("ROS_PACKAGE_PATH")):
+        yield place / name
+        if name and _declared_name(place) == name:
+            yield place
+    for place in _ros_paths("AMENT_PREFIX_PATH"):
+        yield place / "share" / name
+
+
+def _ros_paths(variable: str) -> Iterator[Path]:
+    for place in os.environ.get(variable, "").split(os.pathsep):
+        if place:
+            yield Path(place)
+
+
+def _declared_name(folder: Path) -> str:
+    """The name in a folder's ``package.xml``; empty without one."""
+    file = folder / "package.xml"
+    if not file.is_file():
+        return ""
+    try:
+        return (ElementTree.fromstring(read_input(file, ModelError)).findtext("name") or "").strip()
+    except (ModelError, ElementTree.ParseError, ValueError, LookupError):
+        return ""

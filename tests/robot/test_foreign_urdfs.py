@@ -1,0 +1,320 @@
+"""URDFs as they are in the world: what is odd about one is said, and keeps no arm from being planned."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from robot_files import replace
+
+from cmbot.common.errors import MissingExtra, ModelError, SceneError
+from cmbot.robot import Robot, inspect_urdf, load_robot, parse_urdf
+from cmbot.scene import load_scene
+
+INERTIA = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+BOX = '<box size="0.02 0.02 0.02"/>'
+LIMIT = '<axis xyz="0 1 0"/><limit lower="-1" upper="2" velocity="1.5" effort="9"/>'
+TETRAHEDRON = "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 2 3\nf 1 2 4\nf 1 3 4\nf 2 3 4\n"
+
+
+def link(name: str, parts: str = "", shape: str = BOX) -> str:
+    body = f"<collision><geometry>{shape}</geometry></collision>"
+    return f'<link name="{name}">{INERTIA}{body}{parts}</link>'
+
+
+def joint(name: str, kind: str, parent: str, child: str, parts: str = LIMIT, x: float = 0.1) -> str:
+    return (
+        f'<joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{x} 0 0.1"/>{parts}</joint>'
+    )
+
+
+ARM = [
+    link("base"),
+    *(link(f"link_{k}") for k in (1, 2, 3)),
+    joint("joint_1", "revolute", "base", "link_1"),
+    joint("joint_2", "revolute", "link_1", "link_2"),
+    joint("joint_3", "revolute", "link_2", "link_3"),
+]
+GRIPPER = [
+    *(link(name) for name in ("hand", "finger_1", "finger_2")),
+    joint("hand_joint", "fixed", "link_3", "hand", ""),
+    joint("finger_joint_1", "prismatic", "hand", "finger_1"),
+    joint("finger_joint_2", "prismatic", "hand", "finger_2", f'{LIMIT}<mimic joint="finger_joint_1"/>', -0.1),
+]
+
+
+def write(folder: Path, *parts: str, name: str = "arm.urdf") -> Path:
+    file = folder / name
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(f'<robot name="arm">{"".join(parts)}</robot>', encoding="utf-8")
+    return file
+
+
+def warned(file: Path) -> dict[str, str]:
+    findings = inspect_urdf(parse_urdf(file))
+    assert {finding.severity for finding in findings} <= {"warning"}
+    return {finding.key: finding.got for finding in findings}
+
+
+def test_materials_are_no_reason_to_refuse_a_robot(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    looks = (
+        '<material name=""><color rgba="1 0 0 1"/></material>',
+        '<material name="nowhere"/>',
+        '<material name="wood"><texture filename="package://none/wood.png"/></material>',
+        '<material name="pale"><texture/></material>',
+        "<material/>",
+    )
+    shared = '<material name="a"/><material/>' + 2 * '<material name="b"><color rgba="0 1 0 1"/></material>'
+    seen = [f"<visual><geometry>{BOX}</geometry>{look}</visual>" for look in looks]
+    file = write(
+        tmp_path, shared, link("extra", "".join(seen)), joint("to", "fixed", "base", "extra", ""), *ARM
+    )
+    assert warned(file) == {
+        "material[a]": "neither colour nor texture",
+        "material['?']": "no name",
+        "material[b]": "another one of that name",
+        "link[extra].material": "no name",
+        "link[extra].texture": "no file",
+    }
+    robot = load_robot(file, base_frame="base", tool_frame="link_3")
+    colours = [shape.meshColor for shape in robot.visual_model.geometryObjects if shape.overrideMaterial]
+    np.testing.assert_allclose(colours, [[1, 0, 0, 1]])
+    assert capfd.readouterr() == ("", "")
+
+
+def test_grippers_and_what_else_is_not_the_arms_are_locked(tmp_path: Path) -> None:
+    odd = [
+        link("wheel"),
+        link("cup"),
+        # Published tables are rounded: a milligram's moments of inertia may come out negative.
+        link("antenna").replace('ixx="1" iyy="1" izz="1"', 'ixx="-1e-8" iyy="1e-8" izz="2e-8"'),
+        joint("wheel", "continuous", "base", "wheel", ""),
+        joint("cup_joint", "floating", "hand", "cup", ""),
+        joint("antenna_joint", "fixed", "base", "antenna", ""),
+    ]
+    file = write(tmp_path, *ARM, *GRIPPER, *odd)
+    assert set(warned(file)) == {"joint[wheel]", "joint[cup_joint].type", "link[antenna].inertial.inertia"}
+    robot = load_robot(file)
+    assert (robot.base_frame, robot.joints) == ("base", ("joint_1", "joint_2", "joint_3"))
+    # The hand, two fingers and the cup move with the last link.
+    assert robot.arm_mass == pytest.approx(7.0)
+    with pytest.raises(ModelError, match=r"joint\[cup_joint\].type: got floating, expected an arm of"):
+        load_robot(file, base_frame="base", tool_frame="cup")
+    with pytest.raises(ModelError, match=r"joint\[finger_joint_2\].type: got prismatic"):
+        load_robot(file, base_frame="base", tool_frame="finger_2")
+    with pytest.raises(ModelError, match=r"joint\[wheel\]: got the name of a link"):
+        load_robot(file, base_frame="base", tool_frame="wheel")
+
+
+def test_impossible_inertias_count_in_the_arm_alone(tmp_path: Path) -> None:
+    negative = link("end").replace('ixx="1" iyy="1" izz="1"', 'ixx="-1" iyy="1" izz="2"')
+    file = write(tmp_path, *ARM, negative, joint("to_end", "fixed", "base", "end", ""))
+    assert load_robot(file, base_frame="base", tool_frame="link_3").dof == 3
+    file = write(tmp_path, *ARM, negative, joint("to_end", "fixed", "link_3", "end", ""))
+    with pytest.raises(ModelError, match=r"link\[end\].inertial.inertia: got principal moments -1, 1, 2"):
+        load_robot(file, base_frame="base", tool_frame="end")
+
+
+def test_group_states_of_absent_joints_are_remarked(tmp_path: Path) -> None:
+    file = write(tmp_path, *ARM)
+    states = '<group_state><joint name="elbow" value="x"/><joint name="joint_3" value="0.5"/></group_state>'
+    pairs = '<disable_collisions link1="base" link2="nowhere"/>'
+    (tmp_path / "arm.srdf").write_text(f'<robot name="arm">{states}{pairs}</robot>', encoding="utf-8")
+    robot = load_robot(file, base_frame="base", tool_frame="link_2")
+    assert robot.dof == 2
+    (remark,) = (remark for remark in robot.remarks if "group states" in remark)
+    assert remark == "The SRDF's group states name 'elbow': no movable joint of the URDF, not used."
+
+
+def mesh_arm(folder: Path, mesh: str) -> Path:
+    return write(
+        folder, *ARM, link("end", shape=f'<mesh filename="{mesh}"/>'), joint("e", "fixed", "link_3", "end")
+    )
+
+
+def put(file: Path, text: str = TETRAHEDRON) -> None:
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text(text, encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("place", "given", "variable"),
+    [
+        ("ws/src/arm_meshes/part.obj", None, None),  # above
+        ("ws/src/arm/urdf/arm_meshes/part.obj", None, None),  # beside
+        ("ws/src/arm/part.obj", None, None),  # a copy of the package that has another name
+        ("else/arm_meshes/part.obj", "else", None),
+        ("else/arm_meshes/part.obj", "else/arm_meshes", None),
+        ("else/part.obj", "else", None),
+        ("else/arm_meshes/part.obj", None, "ROS_PACKAGE_PATH"),
+        ("else/share/arm_meshes/part.obj", None, "AMENT_PREFIX_PATH"),
+    ],
+)
+def test_packages_are_found(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, place: str, given: str | None, variable: str | None
+) -> None:
+    put(tmp_path / place)
+    file = mesh_arm(tmp_path / "ws" / "src" / "arm" / "urdf", "package://arm_meshes/part.obj")
+    if variable is not None:
+        monkeypatch.setenv(variable, f"/nowhere:{tmp_path / 'else'}")
+    options: dict[str, Any] = {} if given is None else {"package_dirs": [tmp_path / given]}
+    robot = load_robot(file, **options)
+    (mesh,) = (shape for shape in robot.collision_model.geometryObjects if shape.meshPath.endswith(".obj"))
+    assert mesh.meshPath == str(tmp_path / place)
+
+
+def test_a_package_is_known_by_its_manifest_and_missed_by_its_name(tmp_path: Path) -> None:
+    file = mesh_arm(tmp_path / "checkout" / "urdf", "package://arm_meshes/meshes/part.obj")
+    with pytest.raises(
+        ModelError, match=r"link\[end\].mesh.filename: got 'package://arm_meshes/meshes/part.obj'"
+    ):
+        load_robot(file)
+    put(tmp_path / "checkout" / "package.xml", "<package><name> arm_meshes </name></package>")
+    put(tmp_path / "checkout" / "meshes" / "part.obj")
+    assert load_robot(file).dof == 3
+    put(tmp_path / "checkout" / "package.xml", "<package>")
+    assert load_robot(file).dof == 3
+
+
+def test_a_scene_names_folders_of_packages(tmp_path: Path) -> None:
+    put(tmp_path / "else" / "arm_meshes" / "part.obj")
+    mesh_arm(tmp_path / "urdf", "package://arm_meshes/part.obj")
+    (tmp_path / "s.yaml").write_text(
+        "format: cmbot-scene/1\nname: s\nrobot: {model: urdf/arm.urdf, package_dirs: [else]}\n"
+        "posture_deg: [0, 0, 0]\ntool_path: {legs: [{by: [0, 0, 1], seconds: 1}]}\n",
+        encoding="utf-8",
+    )
+    scene = load_scene(tmp_path / "s.yaml")
+    assert scene.robot.package_dirs == (tmp_path / "else",)
+    replace(tmp_path / "s.yaml", "[else]", "[urdf/arm.urdf]")
+    with pytest.raises(SceneError, match=r"s.yaml:3: robot.package_dirs: .* expected a folder that exists"):
+        load_scene(tmp_path / "s.yaml")
+
+
+XACRO = """<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm">
+<xacro:include filename="$(find arm_parts)/parts.xacro"/><xacro:include filename="more.xacro"/>
+<xacro:property name="length" value="${0.1 * 2}"/>
+<xacro:arm reach="${length}"/></robot>"""
+
+
+def write_xacro(folder: Path) -> Path:
+    macro = "".join(ARM).replace('xyz="0.1 0 0.1"', 'xyz="${reach} 0 0.1"')
+    root = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro">'
+    put(
+        folder / "else" / "arm_parts" / "parts.xacro",
+        f'{root}<xacro:macro name="arm" params="reach">{macro}</xacro:macro></robot>',
+    )
+    put(
+        folder / "urdf" / "more.xacro",
+        f"{root}{link('lamp')}{joint('lamp_joint', 'fixed', 'base', 'lamp', '')}</robot>",
+    )
+    put(folder / "urdf" / "arm.urdf.xacro", XACRO)
+    return folder / "urdf" / "arm.urdf.xacro"
+
+
+def test_xacro_is_expanded_without_ros(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("xacrodoc")
+    file = write_xacro(tmp_path)
+    robot = load_robot(file, package_dirs=[tmp_path / "else"])
+    assert (robot.name, robot.dof, robot.carrier_mass) == ("arm", 3, 2.0)
+    assert robot.model.jointPlacements[2].translation[0] == pytest.approx(0.2)
+    with pytest.raises(ModelError, match=r"arm.urdf.xacro: \$\(find arm_parts\): no such package"):
+        load_robot(file)
+    replace(file, "${length}", "${breadth}")
+    with pytest.raises(ModelError, match=r"got xacro that does not expand \(.*breadth"):
+        load_robot(file, package_dirs=[tmp_path / "else"])
+    # The namespace alone is no xacro.
+    plain = write(tmp_path, *ARM)
+    replace(plain, "<robot ", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" ')
+    replace(plain, "</robot>", "<!-- <xacro:arm/> --></robot>")
+    assert load_robot(plain).dof == 3
+    assert capfd.readouterr() == ("", "")
+
+
+def test_xacro_is_named_as_what_it_is(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "xacrodoc", None)
+    with pytest.raises(
+        MissingExtra, match=r"xacrodoc is not installed; run: pip install .*xacro.*not yet a URDF"
+    ):
+        load_robot(write_xacro(tmp_path))
+
+
+def limited(folder: Path, text: str) -> Robot:
+    (folder / "joint_limits.yaml").write_text(f"format: cmbot-joint-limits/1\n{text}", encoding="utf-8")
+    return load_robot(write(folder, *ARM))
+
+
+def test_limits_that_no_file_gives_are_assumed(tmp_path: Path) -> None:
+    robot = load_robot(write(tmp_path, *ARM))
+    np.testing.assert_allclose(robot.limits.acceleration, 2 * 1.5)
+    np.testing.assert_allclose(robot.limits.jerk, 10 * 2 * 1.5)
+    assert robot.remarks[:2] == (
+        "Acceleration limits of the joints are assumed, 2 /s times the velocity limit: no joint-limits file "
+        "gives them.",
+        "Jerk limits of the joints are assumed, 10 /s times the acceleration limit: no joint-limits file "
+        "gives them.",
+    )
+    robot = limited(tmp_path, "joints: {joint_2: {acceleration_deg: 90}}")
+    np.testing.assert_allclose(robot.limits.acceleration, [3, np.pi / 2, 3])
+    np.testing.assert_allclose(robot.limits.jerk, 10 * robot.limits.acceleration)
+    assert "of 2 joints of 3 are assumed" in robot.remarks[0]
+    robot = limited(
+        tmp_path,
+        "all: {acceleration_deg: 180, jerk_deg: 360}\njoints: {joint_1: {acceleration_deg: 90, jerk_deg: 9}}",
+    )
+    np.testing.assert_allclose(np.rad2deg(robot.limits.acceleration), [90, 180, 180])
+    np.testing.assert_allclose(np.rad2deg(robot.limits.jerk), [9, 360, 360])
+    assert not any("assumed" in remark for remark in robot.remarks)
+    with pytest.raises(ModelError, match=r"joint_limits.yaml:2: all.jerk_deg: got 0, expected at least"):
+        limited(tmp_path, "all: {acceleration_deg: 180, jerk_deg: 0}")
+
+
+SRDF_CASES = {
+    # Its fingers slide.
+    "": ("base", "hand"),
+    '<group name="g"><chain base_link="link_1" tip_link="link_3"/></group>': ("link_1", "link_3"),
+    '<group name="g"><chain base_link="nowhere" tip_link="link_3"/></group>': ("base", "hand"),
+    '<end_effector name="e" parent_link="link_2" group="g"/>': ("base", "link_2"),
+    # A finger's joint is not the arm's.
+    '<group name="g"><joint name="joint_1"/><joint name="joint_2"/><joint name="joint_3"/></group>'
+    '<end_effector name="e" parent_link="finger_1" group="g"/>': ("base", "hand"),
+    '<group name="g"><chain base_link="link_1" tip_link="link_3"/></group>'
+    '<group name="h"><chain base_link="base" tip_link="link_2"/></group>': ("base", "link_2"),
+}
+
+
+@pytest.mark.parametrize("semantics", SRDF_CASES)
+def test_frames_are_chosen_where_there_is_one_choice(tmp_path: Path, semantics: str) -> None:
+    file = write(tmp_path, *ARM, *GRIPPER)
+    (tmp_path / "arm.srdf").write_text(f'<robot name="arm">{semantics}</robot>', encoding="utf-8")
+    robot = load_robot(file)
+    assert (robot.base_frame, robot.tool_frame) == SRDF_CASES[semantics]
+    assert load_robot(file, base_frame="link_1", tool_frame="link_2").joints == ("joint_2",)
+
+
+def test_several_ends_have_to_be_chosen_from(tmp_path: Path) -> None:
+    tools = [
+        link("flange"),
+        link("camera"),
+        joint("f", "fixed", "link_3", "flange", ""),
+        joint("c", "fixed", "link_3", "camera", ""),
+    ]
+    file = write(tmp_path, *ARM, *tools)
+    with pytest.raises(
+        ModelError, match=r"tool_frame: got nothing, expected the last link of the arm"
+    ) as caught:
+        load_robot(file)
+    assert caught.value.choices == ("flange", "camera")
+    replace(file, "flange", "tool0")
+    assert load_robot(file).tool_frame == "tool0"
+    fork = [link("left"), joint("left_joint", "revolute", "link_2", "left")]
+    with pytest.raises(ModelError) as caught:
+        load_robot(write(tmp_path, *ARM, *fork))
+    assert caught.value.choices == ("link_3", "left")
+    sliding = joint("joint_2", "prismatic", "link_1", "link_2")
+    with pytest.raises(ModelError, match="got nothing"):
+        load_robot(write(tmp_path, *ARM[:5], sliding, ARM[6]))
