@@ -12,7 +12,7 @@ from cmbot.robot.loading import load_robot, srdf_text
 from cmbot.robot.mesh_file import locate_meshes
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import MOST_FAR, NEAR, sampled_postures
-from cmbot.robot.xml_file import parse_urdf
+from cmbot.robot.xml_file import parse_urdf, urdf_content
 
 __all__ = [
     "MOST_FAR",
@@ -41,4 +41,5 @@ __all__ = [
     "robot_files",
     "sampled_postures",
     "srdf_text",
+    "urdf_content",
 ]

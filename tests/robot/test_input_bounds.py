@@ -306,7 +306,9 @@ def test_pairs_are_those_of_pinocchio(urdf_folder: Path, cmbot_robot: Robot, wit
         {(pair.first, pair.second) for pair in each.collisionPairs}
         for each in (robot.collision_model, expected)
     ]
-    assert pairs[0] == pairs[1]
+    # Without an SRDF links may also touch that are always near: the wrist's, whose joints are close.
+    assert pairs[1] - pairs[0] == (set() if with_srdf else {(10, 11), (11, 12)})
+    assert pairs[0] <= pairs[1]
     assert len(pairs[0]) == len(robot.collision_model.collisionPairs)
 
 

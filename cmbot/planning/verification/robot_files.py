@@ -27,9 +27,9 @@ from cmbot.robot import (
     RobotFiles,
     arm_frames,
     locate_meshes,
-    parse_urdf,
     robot_files,
     sampled_postures,
+    urdf_content,
 )
 from cmbot.scene import RobotSource
 
@@ -78,7 +78,7 @@ def read_multibody(source: RobotSource) -> Multibody:
 def _read(source: RobotSource, files: RobotFiles) -> Multibody:
     urdf = files.urdf
     semantics = None if files.srdf is None else ElementTree.parse(files.srdf).getroot()
-    root: Any = parse_urdf(urdf, package_dirs=files.package_dirs)
+    root: Any = ElementTree.fromstring(urdf_content(urdf, files.package_dirs))
     base, tool = arm_frames(
         root,
         semantics,

@@ -344,7 +344,7 @@ def test_a_tool_that_has_no_flange() -> None:
 @pytest.mark.parametrize(
     ("file", "text"),
     [
-        ("limits.yaml", "joints: {}"),
+        ("limits.yaml", "joints: 3"),
         ("limits.yaml", "joints: {joint_1: {"),
         ("package/urdf/arm.urdf", "<robot>"),
         ("package/meshes/star.stl", "solid nothing"),
