@@ -51,6 +51,11 @@ def triangle_plan() -> Plan:
 
 
 @pytest.fixture(scope="session")
+def line_plan() -> Plan:
+    return plan(load_scene("line"))
+
+
+@pytest.fixture(scope="session")
 def triangle_tracking(triangle_plan: Plan) -> Tracking:
     return simulate(triangle_plan)
 

@@ -87,10 +87,10 @@ def side_by_side(both: Iterable[Iterable[Row]]) -> str:
     return "\n".join(lines)
 
 
-def tracking(plan: cmbot.Plan) -> Iterator[tuple[str, list[float]]]:
+def tracking(plan: cmbot.Plan, plain: cmbot.Tracking) -> Iterator[tuple[str, list[float]]]:
     """Yield tracking errors, mm: of the baseline, of the plan, of a plan with compensation."""
     options = replace(plan.scene.planner, compensate=True)
-    plain, compensated = cmbot.simulate(plan), cmbot.simulate(cmbot.plan(plan.scene, options=options))
+    compensated = cmbot.simulate(cmbot.plan(plan.scene, options=options))
     figures = [motion.metrics for motion in (plain.baseline, plain.planned, compensated.planned)]
     for name, part in (
         ("error, RMS", "total"),
@@ -104,7 +104,8 @@ def tracking(plan: cmbot.Plan) -> Iterator[tuple[str, list[float]]]:
 def tracking_table(plan: cmbot.Plan) -> str:
     """Return the tracking errors as a table."""
     lines = ["| mm | baseline | planned | planned, compensated |", "|---|---|---|---|"]
-    lines += [f"| {name} | {' | '.join(f'{x:.3f}' for x in row)} |" for name, row in tracking(plan)]
+    rows = tracking(plan, cmbot.simulate(plan))
+    lines += [f"| {name} | {' | '.join(f'{x:.3f}' for x in row)} |" for name, row in rows]
     return "\n".join(lines)
 
 

@@ -14,6 +14,7 @@ import cmbot.views.plots
 from cmbot.common.errors import MissingExtra
 from cmbot.common.installation import install_command
 from cmbot.planning import Plan, Progress
+from cmbot.simulation import Tracking
 
 FIGURES = {"guardrail_torque", "joints", "clearance", "tool_deviation"}
 TRACKING_FIGURES = {"tracking_error", "tracking_dynamic", "tracking_residual"}
@@ -28,8 +29,10 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def known(short_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> list[cmbot.PlannerOptions]:
-    """Planning takes no time; the options that were planned with."""
+def known(
+    short_plan: Plan, short_tracking: Tracking, monkeypatch: pytest.MonkeyPatch
+) -> list[cmbot.PlannerOptions]:
+    """Planning and simulation take no time; the options that were planned with."""
     asked: list[cmbot.PlannerOptions] = []
 
     def plan(scene: Any, *, options: cmbot.PlannerOptions, progress: Any) -> Plan:
@@ -38,6 +41,7 @@ def known(short_plan: Plan, monkeypatch: pytest.MonkeyPatch) -> list[cmbot.Plann
         return short_plan
 
     monkeypatch.setattr(cmbot, "plan", plan)
+    monkeypatch.setattr(cmbot, "simulate", lambda plan, options, progress: short_tracking)
     return asked
 
 

@@ -174,7 +174,10 @@ def test_options_reach_the_simulation(short_folder: Path) -> None:
 
 
 @pytest.mark.parametrize("name", sorted(FILES))
-def test_it_replaces_nothing_without_force(short_folder: Path, name: str) -> None:
+def test_it_replaces_nothing_without_force(
+    short_folder: Path, short_tracking: Tracking, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    monkeypatch.setattr(cmbot, "simulate", lambda plan, options, progress: short_tracking)
     (short_folder / name).write_text("mine", encoding="utf-8")
     line = refusal("simulate", short_folder)
     assert line.startswith(f"error: {short_folder / name}: got a file that is already there")

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from cmbot.common import yaml_reader
 from cmbot.common.errors import ModelError, SceneError
 from cmbot.common.yaml_reader import LARGEST_FILE, read_yaml
 
@@ -67,7 +68,6 @@ def test_plain_data_in_yaml_1_2(tmp_path):
         ("a: 'x\n", "", "found unexpected end of stream (column 1) (line 2)"),
         ("a: b: c\n", "", "mapping values are not allowed here (column 5) (line 1)"),
         ("a: \x07\n", "", "a control character (U+0007, at position 4)"),
-        ("a: [" + "0," * 100_000 + "]", "a[99997]", "more values (line 1"),
         (b"a: \xff\n", "", "a byte that is not UTF-8 (byte 3)"),
     ],
 )
@@ -76,6 +76,19 @@ def test_refused_content(tmp_path, content, key, got):
     assert error.key == key
     assert got in f"{error.got} (line {error.line})"
     assert error.expected
+
+
+def test_too_many_values_are_refused(tmp_path, monkeypatch):
+    """With a smaller bound: to read as many as are allowed takes seconds."""
+    assert yaml_reader._MOST_VALUES == 100_000
+    monkeypatch.setattr(yaml_reader, "_MOST_VALUES", 1000)
+    error = refused(tmp_path, "a: [" + "0," * 1000 + "]")
+    assert (error.key, error.got, error.line) == ("a[997]", "more values", 1)
+    assert error.expected == "at most 1000 in a file"
+    # The mapping, its key and the list count, too.
+    path = tmp_path / "file.yaml"
+    path.write_text("a: [" + "0," * 997 + "]")
+    assert len(read_yaml(path, SceneError)["a"]) == 997
 
 
 @pytest.mark.parametrize(

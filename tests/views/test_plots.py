@@ -136,7 +136,7 @@ def test_a_joint_without_a_range_has_no_share_of_it(short_plan: Plan) -> None:
     angle = figure.axes[1].get_lines()
     assert [bool(np.isnan(line.get_ydata()).all()) for line in angle] == [k == 2 for k in range(len(angle))]
     for _, content in figure_files([figure]):
-        assert content
+        assert 0 < len(content) < 500_000
 
 
 def test_tracking_errors_and_their_parts(tracked: dict[str, Figure], short_tracking: Tracking) -> None:
@@ -159,9 +159,9 @@ def test_tracking_errors_and_their_parts(tracked: dict[str, Figure], short_track
 
 def test_files_are_pictures_the_same_every_time_and_settings_stay(short_plan: Plan) -> None:
     before = dict(mpl.rcParams)
-    files, again = (dict(figure_files(plot(short_plan)[:2])) for _ in range(2))
+    files, again = (dict(figure_files(plot(short_plan)[:1])) for _ in range(2))
     assert dict(mpl.rcParams) == before
-    assert set(files) == {f"{name}.{suffix}" for name in PLAN[:2] for suffix in ("png", "svg")}
+    assert set(files) == {f"{name}.{suffix}" for name in PLAN[:1] for suffix in ("png", "svg")}
     for name, content in files.items():
         assert again[name] == content, name
         if name.endswith(".png"):

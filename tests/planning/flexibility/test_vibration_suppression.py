@@ -3,7 +3,6 @@
 Splines are changed in windows that are small however long the path, and quiet at their ends.
 """
 
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +19,8 @@ from cmbot.common.arrays import FloatArray
 from cmbot.optimization.least_distance import LeastChange
 from cmbot.planning import Plan, plan, remarks
 from cmbot.planning.flexibility.vibration_suppression import Window, legs_by_window
-from cmbot.simulation import SimulationOptions, simulate
+from cmbot.simulation import PrescribedMotion, SimulationOptions, track
+from cmbot.simulation.tracking import elastic_arm_of
 from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
@@ -46,7 +46,8 @@ def quiet() -> Plan:
 
 def swing(of: Plan, options: SimulationOptions) -> FloatArray:
     """How far the tool moves along x, y and z after the stop (3,), less the sag, m."""
-    tracking = simulate(of, options).planned
+    motion = PrescribedMotion.along(of.trajectory)
+    tracking = track(elastic_arm_of(of, options), of.task, motion, options)
     return np.ptp(tracking.dynamic[tracking.t > tracking.stop + 1e-9], axis=0)
 
 
@@ -121,7 +122,7 @@ def test_a_window_that_cannot_be_quieted_leaves_the_others_theirs(
 def test_a_wrong_stiffness_is_no_worse_than_no_quieting(loud: Plan, quiet: Plan) -> None:
     """Where the modes are not where they were thought to be, some of the vibration stays."""
     for factor in (0.9, 1.1):
-        options = replace(FINE, guardrail_factor=factor, link_factor=factor)
+        options = SimulationOptions(settle_s=1.0, guardrail_factor=factor, link_factor=factor)
         before, after = (swing(each, options).max() for each in (loud, quiet))
         assert after < 1.5 * before
 

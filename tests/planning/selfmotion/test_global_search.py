@@ -109,12 +109,18 @@ def test_joints_that_are_too_slow_are_named() -> None:
         search.solve(pinned=True)
 
 
-@pytest.mark.parametrize("keep", ["axis", "position"])
+@pytest.fixture(scope="module", params=["axis", "position"])
+def freer(request: pytest.FixtureRequest) -> tuple[PlanningContext, GlobalSearch]:
+    wide = sliding(tool_path={"keep": request.param})
+    return wide, GlobalSearch(wide)
+
+
 @pytest.mark.parametrize("pinned", [False, True])
-def test_wide_self_motions(search: GlobalSearch, keep: str, pinned: bool) -> None:
+def test_wide_self_motions(
+    search: GlobalSearch, freer: tuple[PlanningContext, GlobalSearch], pinned: bool
+) -> None:
     """More freedom costs nothing, and what is done about coarse charts keeps everything that was asked."""
-    wide = sliding(tool_path={"keep": keep})
-    wider = GlobalSearch(wide)
+    wide, wider = freer
     solution = wider.solve(pinned=pinned)
     test_a_solution_is_admissible(wide, wider, pinned)
     assert solution.peak <= search.solve(pinned=pinned).peak + 1e-9

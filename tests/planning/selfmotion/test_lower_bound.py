@@ -1,6 +1,7 @@
 """The lower bound: nothing admissible lies below it, by random restarts and descents without charts."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +11,7 @@ from small_scenes import context_of, short_scene
 from urdf_arms import endless_scene, panda_scene
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.planning import GlobalSearch, plan
+from cmbot.planning import GlobalSearch, Plan, plan
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.lower_bound import LowerBound
@@ -35,8 +36,14 @@ def context(kind: str) -> PlanningContext:
 
 
 @pytest.fixture(scope="module")
-def bound(context: PlanningContext) -> LowerBound:
-    return GlobalSearch(context).lower_bound
+def planned(kind: str) -> Plan:
+    return plan(scene_of(kind))
+
+
+@pytest.fixture(scope="module")
+def bound(planned: Plan) -> LowerBound:
+    assert planned.lower_bound is not None
+    return planned.lower_bound
 
 
 def admissible(context: PlanningContext, q: FloatArray) -> BoolArray:
@@ -112,29 +119,31 @@ def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, bound: Lo
         assert 0 < bound.error < 1e-4 * bound.value
 
 
-def test_more_freedom_has_a_lower_floor(kind: str, bound: LowerBound) -> None:
-    pose = GlobalSearch(context_of(scene_of("pose"))).lower_bound
+@pytest.fixture(scope="module")
+def pose() -> LowerBound:
+    return GlobalSearch(context_of(scene_of("pose"))).lower_bound
+
+
+def test_more_freedom_has_a_lower_floor(kind: str, bound: LowerBound, pose: LowerBound) -> None:
     assert bound.value <= pose.value + pose.error
     assert (bound.value < pose.value - 5.0) == (kind == "position")
 
 
-def test_a_plan_comes_near_it(kind: str, bound: LowerBound) -> None:
-    planned = plan(scene_of(kind))
+def test_a_plan_comes_near_it(planned: Plan, context: PlanningContext, bound: LowerBound) -> None:
     assert planned.certificate.holds
     assert planned.gap_to_floor < planned.options.gap_target + 1e-3
-    static = values(context_of(planned.scene), planned.trajectory.q)
+    static = values(context, planned.trajectory.q)
     assert static.max() >= bound.value - min(bound.error, 1e-4 * bound.value)
 
 
 @pytest.mark.parametrize("make", [panda_scene, endless_scene])
 @pytest.mark.parametrize("keep", ["pose", "axis"])
 def test_other_arms(make: Callable[..., Scene], keep: str, tmp_path: Path, rng: np.random.Generator) -> None:
-    scene = make(tmp_path, keep=keep)
-    context = context_of(scene)
-    bound = GlobalSearch(context).lower_bound
+    scene = make(tmp_path, keep=keep, via_points=5)
+    planned = plan(scene, options=replace(scene.planner, quiet_modes=0))
+    context, bound = context_of(scene), planned.lower_bound
     q = restarts(context, bound.via_point, rng)
     assert len(q) > 50
     assert values(context, q).min() >= bound.value - bound.error
-    planned = plan(scene)
     assert planned.certificate.holds
     assert -1e-3 < planned.gap_to_floor < planned.options.gap_target + 1e-3
