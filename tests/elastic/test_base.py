@@ -121,7 +121,6 @@ ALONG_THE_TRACK = np.diag([-1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
 
 
 @given(guardrails)
-@settings(max_examples=40)
 def test_mirrors_and_half_a_turn_of_the_posts(found: Guardrail) -> None:
     K, roll = stiffness(found), found.post.roll
     # In the plane y = 0: legs at roll and roll + 90 deg are then at -roll and -roll - 90 deg.
@@ -200,7 +199,6 @@ def test_members_at_the_same_height_share_nodes() -> None:
 
 
 @given(guardrails, st.floats(0.2, 5))
-@settings(max_examples=40)
 def test_stiffness_scales_with_moduli_and_mass_with_density(found: Guardrail, factor: float) -> None:
     material, before = found.material, condensed(found)
     stiffer = replace(material, young=factor * material.young, shear=factor * material.shear)
@@ -309,12 +307,13 @@ def test_the_shipped_scenes_hold_the_default_guardrail() -> None:
 powers = st.floats(-5, 3).map(lambda power: 10.0**power)
 sections = st.one_of(
     st.builds(lambda d: {"bar": d}, powers),
+    # A scene refuses a wall below 1e-6 m, as it does every length.
     st.builds(lambda a, share: {"angle": (a, max(a * 10.0**share, 1e-6))}, powers, st.floats(-6, -0.1)),
 )
 
 
 @given(st.lists(sections, min_size=2, max_size=4), powers, powers, powers, powers, st.floats(0.01, 1))
-@settings(max_examples=30)
+@settings(max_examples=60)
 def test_any_guardrail_gives_a_valid_base_or_an_error(
     members: list[dict[str, float]], spacing: float, depth: float, young: float, shear: float, share: float
 ) -> None:

@@ -51,7 +51,7 @@ def test_load_robot(tmp_path: Path) -> None:
 def test_plan_a_scene(tmp_path: Path) -> None:
     text = run("02_plan_a_scene.py", tmp_path)
     checks = text.split("check by check:\n")[1].split("\n\n")[0].splitlines()
-    assert len(checks) == 9
+    assert len(checks) == 13
     # What it is there to show: knot derivatives cannot undercut gravity at the via-points, slides can.
     baseline = number(r"baseline, from the scene's posture: +(\S+)", text)
     at_via_points = number(r"fixed knots, at the via-points: +(\S+)", text)
@@ -70,7 +70,7 @@ def test_your_own_arm(tmp_path: Path) -> None:
     deviation = number(r"^largest tool deviation, mm +\S+ +(\S+)", text)
     assert 0 < deviation <= 1.0
     assert number(r"^smallest clearance, mm +\S+ +(\S+)", text) >= 20
-    assert "Certified: 9 checks hold" in text
+    assert re.search(r"^Certified: \d+ checks hold", text, flags=re.MULTILINE)
     assert "A slip is told like this: tool_frame: got 'dsic', expected a link of the URDF" in text
 
 
