@@ -153,18 +153,23 @@ def _lock(work: Path, target: Path, attempts: int) -> int:
     """Make the work folder and lock it; return the lock's file descriptor."""
     for attempt in range(attempts):
         time.sleep(_PAUSE if attempt else 0.0)
-        # FileNotFoundError: the call that had the lock removes it at this moment.
-        with suppress(FileNotFoundError), ExitStack() as cleanup:
-            work.mkdir(parents=True, exist_ok=True)
-            descriptor = os.open(work / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
-            cleanup.callback(os.close, descriptor)
+        with ExitStack() as cleanup:
             try:
+                work.mkdir(parents=True, exist_ok=True)
+                descriptor = os.open(work / _LOCK, os.O_RDWR | os.O_CREAT, 0o666)
+                cleanup.callback(os.close, descriptor)
                 fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if not os.path.samestat(os.fstat(descriptor), (work / _LOCK).stat()):
+                    continue
             except BlockingIOError:
                 continue
-            if os.path.samestat(os.fstat(descriptor), (work / _LOCK).stat()):
-                cleanup.pop_all()
-                return descriptor
+            except FileNotFoundError:
+                # The call that had the lock removes it at this moment; or, as in /proc, nothing can be made.
+                if attempt + 1 == attempts:
+                    raise
+                continue
+            cleanup.pop_all()
+            return descriptor
     expected = "one process at a time: wait until it has finished, or take another place"
     raise ArchiveError(str(target), "", "a place where another process is writing", expected)
 

@@ -142,6 +142,13 @@ def test_a_lock_that_vanishes_again_and_again_is_given_up(
         pass
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc")
+def test_where_nothing_can_be_made_the_system_is_quoted() -> None:
+    expected = r"^/proc/plan: got a refusal of the system \(No such file"
+    with pytest.raises(ArchiveError, match=expected), claim("/proc/plan"):
+        pass
+
+
 # What killed calls leave
 
 
