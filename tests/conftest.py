@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -23,6 +24,10 @@ pytest_plugins = ["plan_folders"]
 
 FloatArray = NDArray[np.float64]
 StateSamples = Callable[..., tuple[FloatArray, FloatArray, FloatArray]]
+
+# A shell starts jobs in the background without SIGINT, and children inherit that; some tests send it to them.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No test may depend on speed; a failure in CI must come back on the next run.
 settings.register_profile("local", deadline=None)

@@ -163,7 +163,7 @@ def _lock(work: Path, target: Path, attempts: int) -> int:
                     continue
             except BlockingIOError:
                 continue
-            except FileNotFoundError:
+            except (FileNotFoundError, FileExistsError):
                 # The call that had the lock removes it at this moment; or, as in /proc, nothing can be made.
                 if attempt + 1 == attempts:
                     raise

@@ -54,7 +54,7 @@ def locate_meshes(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[
 
 
 def require_near(root: ElementTree.Element, source: str) -> None:
-    """Refuse meshes of a URDF, located before, whose vertices are not finite or too far away.
+    """Refuse meshes of a URDF, located before, that coal cannot read or whose vertices are too far away.
 
     Building the bounding volumes that pinocchio asks coal for crashes the process with such vertices; that of
     boxes along the axes does not.
@@ -63,15 +63,16 @@ def require_near(root: ElementTree.Element, source: str) -> None:
     for link in root.findall("link"):
         for mesh in link.iter("mesh"):
             path, scale = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
+            key, name = f"link[{link.get('name')}].mesh.filename", shown(Path(path).name)
             try:
                 shape = loader.load(path, np.ones(3))
-            except (ValueError, RuntimeError, IndexError):  # pinocchio says why
-                continue
+            except (ValueError, RuntimeError, IndexError) as error:
+                got = f"{name}, which coal cannot read ({' '.join(str(error).split())})"
+                raise ModelError(source, key, got, "a mesh file") from error
             shape.computeLocalAABB()
             corners = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
             if not (np.abs(corners * np.array(scale.split(), dtype=float)) <= FARTHEST).all():
-                key = f"link[{link.get('name')}].mesh.filename"
-                got = f"{shown(Path(path).name)}, which is larger or not finite"
+                got = f"{name}, which is larger or not finite"
                 raise ModelError(source, key, got, f"a mesh of vertices within {FARTHEST:g} m")
 
 

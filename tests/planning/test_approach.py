@@ -107,9 +107,9 @@ def test_a_certificate_made_again_is_the_same(triangle_plan: Plan) -> None:
     """The planner and the archive look at the same grid, with the tool held where the work starts."""
     task, approach = triangle_plan.task.held_at_start(), triangle_plan.approach
     clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
-    again = certify_approach(
-        triangle_plan.robot, task, approach.trajectory, clearances, triangle_plan.options
-    )
+    robot, options = triangle_plan.robot, triangle_plan.options
+    start, end = triangle_plan.scene.posture, triangle_plan.start.posture
+    again = certify_approach(robot, task, approach.trajectory, clearances, options, start, end)
     assert again == approach.certificate
     points = task.path.position(np.linspace(0.0, task.path.duration, 5))
     np.testing.assert_array_equal(points, np.tile(triangle_plan.task.path.corners[0], (5, 1)))

@@ -30,7 +30,7 @@ def test_passes_are_counted(short_plan: Plan, number: int, passes: str) -> None:
 
 
 def test_checks_are_counted(short_plan: Plan) -> None:
-    assert line(short_plan, "Certified: ").startswith("Certified: 9 checks hold, computed again ")
+    assert line(short_plan, "Certified: ").startswith("Certified: 14 checks hold, computed again ")
     certificate = replace(short_plan.certificate, checks=short_plan.certificate.checks[:1])
     one = replace(short_plan, certificate=certificate)
     assert line(one, "Certified: ").startswith("Certified: 1 check holds, computed again ")
