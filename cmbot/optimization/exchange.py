@@ -49,6 +49,8 @@ class ExchangeOptions:
         Optimality tolerance while the peak is minimised, which need not be known better than its tolerance.
     most_violations : int
         Constraints of a family that are added in an exchange iteration, at most.
+    nearly_met : float
+        An attempt at the lower bound goes on where the solver stops with violations up to this.
     stalls : int
         So often nothing new is violated by too much before the solver is given up.
     slsqp_accuracy : float
@@ -66,6 +68,7 @@ class ExchangeOptions:
     continuation: tuple[float, ...] = (1.0, 0.1, 1e-2, 1e-3)
     peak_accuracy: float = 1e-6
     most_violations: int = 400
+    nearly_met: float = 1e-3
     stalls: int = 3
     slsqp_accuracy: float = 1e-8
     slsqp_iterations: int = 10
@@ -223,7 +226,7 @@ class _Exchange:
     ) -> float:
         """Solve and separate until nothing is violated; return the peak.
 
-        An attempt is given up as soon as the solver ends short of the constraints that it knows.
+        An attempt is given up as soon as the solver ends far from the constraints that it knows.
         """
         o = self._options
         stage = Stage(smoothing=smoothing, bound=bound, target=target, tolerance=o.feasibility_tolerance)
@@ -245,7 +248,7 @@ class _Exchange:
             if worst.value <= o.feasibility_tolerance and self._constraints is known:
                 if done:
                     return found.peak
-            elif attempt and end.values.violation > o.feasibility_tolerance:
+            elif attempt and end.values.violation > o.nearly_met:
                 raise _failure("the known constraints were not met", worst)
             elif done and self._constraints is known:
                 if left == 0:
@@ -259,8 +262,13 @@ class _Exchange:
         o, accuracy = self._options, self._options.peak_accuracy if start.stage.bound is None else None
         if o.solver == "slsqp":
             most = min(o.slsqp_iterations, o.max_iterations)
-            end, iterations = solve_slsqp(start, accuracy or o.slsqp_accuracy, most)
-            return end, iterations, iterations < most
+            accuracy = accuracy or o.slsqp_accuracy
+            end, iterations = solve_slsqp(start, accuracy, most)
+            before, after = start.values, end.values
+            gained = before.objective + before.peak - after.objective - after.peak
+            # Where nothing more is to be gained SLSQP may go on without an end.
+            met = max(before.violation, after.violation) <= o.feasibility_tolerance
+            return end, iterations, iterations < most or (met and gained <= accuracy)
         sqp = replace(o.sqp, optimality_tolerance=accuracy) if accuracy else o.sqp
         result = solve_sqp(start, self._families, sqp, self._warm)
         self._warm = result

@@ -98,7 +98,7 @@ class SqpOptions:
     expand: float = 0.75
     correct_below: float = 0.5
     max_corrections: int = 2
-    correction_penalty: float = 1e3
+    correction_penalty: float = 30.0
     correction_damping: float = 100.0
     initial_radius: float = 4.0
     max_radius: float = 1e3

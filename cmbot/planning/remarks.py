@@ -48,8 +48,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     if done is not None and done.rounds:
         passes += f" in the last of {counted(done.rounds, 'round')}"
     yield (
-        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s "
-        f"({passes}), certificate {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
+        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({passes}), approach, "
+        f"baseline and certificates {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
     )
 
 

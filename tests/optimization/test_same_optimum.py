@@ -53,8 +53,8 @@ SMALL: dict[str, dict[str, Any]] = {
     "about x, pinned": {
         "planner": {"knots": "sliding", "start": "pinned", **COARSE, "axis_weights": [1.0, 0.0, 0.0]}
     },
-    # Gravity has no torque about z: a flat valley.
-    "about z": {"planner": {"knots": "sliding", "axis_weights": [0.0, 0.0, 1.0]}},
+    # Gravity has no torque about z: next to a flat valley.
+    "about z": {"planner": {"knots": "sliding", "axis_weights": [0.05, 0.05, 1.0]}},
     "fixed": {},
     "fixed, axis": {"tool_path": {"keep": "axis"}},
     "fixed, position": {"tool_path": {"keep": "position"}},
