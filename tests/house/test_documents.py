@@ -11,6 +11,7 @@ import pytest
 import typer.main
 from ruamel.yaml import YAML
 
+import cmbot
 from cmbot import __version__
 from cmbot.archive import columns
 from cmbot.cli import app
@@ -62,8 +63,13 @@ def test_the_documents_are_there_their_links_lead_somewhere_and_the_readme_is_sh
 
 
 def test_readme_python_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    triangle_plan: Plan,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
+    """With the plan that there is already of its scene."""
+    monkeypatch.setattr(cmbot, "plan", lambda scene: {"triangle": triangle_plan}[scene.name])
     (code,) = (code for language, code in FENCE.findall(README.read_text("utf-8")) if language == "python")
     monkeypatch.chdir(tmp_path)
     exec(compile(code, str(README), "exec"), {})
