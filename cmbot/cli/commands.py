@@ -17,6 +17,7 @@ import typer.main
 
 import cmbot
 from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, flat, out
+from cmbot.cli.creation import new
 from cmbot.cli.inspection import check, doctor
 from cmbot.cli.planning import plan
 from cmbot.cli.simulation import reproduce, simulate
@@ -151,5 +152,5 @@ def _options(
     del debug, version
 
 
-for _verb in (plan, replay, report, simulate, reproduce, check, doctor):
+for _verb in (plan, new, replay, report, simulate, reproduce, check, doctor):
     app.command()(_verb)

@@ -19,6 +19,7 @@ from cmbot.planning.objectives import (
     objective_of,
 )
 from cmbot.planning.path.gradient_projection import JointPath
+from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.plan import ObjectiveMetrics, Plan, Seconds, Start, objective_metrics, require_plan
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
@@ -57,6 +58,7 @@ __all__ = [
     "Seconds",
     "SplineSpace",
     "Start",
+    "StartPosture",
     "ToolTask",
     "VibrationSuppression",
     "WeightedMoment",
@@ -66,6 +68,7 @@ __all__ = [
     "certify",
     "certify_approach",
     "figures",
+    "find_start",
     "measure",
     "objective_metrics",
     "objective_of",

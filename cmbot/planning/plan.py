@@ -235,7 +235,8 @@ class Plan:
     def rows(self) -> Iterator[tuple[str, str, str]]:
         """Yield the figures, each as its name and unit, the baseline's value and the planned one."""
         pair = (self.baseline_figures, self.figures)
-        for name, attribute, unit, factor, digits in _ROWS:
+        for words, attribute, unit, factor, digits in _ROWS:
+            name = words.format(base=self.scene.base_name)
             left, right = (f"{factor * getattr(figures, attribute):.{digits}f}" for figures in pair)
             yield f"{name}, {unit}", left, right
             if attribute == "peak_guardrail_torque":
@@ -306,8 +307,8 @@ def require_plan(value: object, source: str) -> None:
 
 
 _ROWS = (
-    ("peak torque on the guardrail", "peak_guardrail_torque", "Nm", 1.0, 2),
-    ("mean torque on the guardrail", "mean_guardrail_torque", "Nm", 1.0, 2),
+    ("peak torque on the {base}", "peak_guardrail_torque", "Nm", 1.0, 2),
+    ("mean torque on the {base}", "mean_guardrail_torque", "Nm", 1.0, 2),
     ("peak of its gravity part", "peak_static_guardrail_torque", "Nm", 1.0, 2),
     ("smallest clearance", "min_clearance", "mm", 1e3, 1),
     ("largest tool deviation", "max_tool_deviation", "mm", 1e3, 3),

@@ -92,7 +92,8 @@ def precheck_scene(scene: Scene) -> Precheck:
         ("obstacles", f"{len(scene.obstacles)}, of them {workpieces}"),
         ("tool point at the start", f"({point}) m"),
     ]
-    found += [("assumed", remark) for remark in robot.remarks]
+    if robot.remarks:
+        found.append(("assumed", " ".join(robot.remarks)))
     warnings: list[Finding] = []
     smallest = clearances.smallest(scene.posture[None])
     if smallest.pair[0] >= 0:
@@ -109,7 +110,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     joint = robot.joints[use.argmax()]
     found += [
         ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
-        ("torque on the guardrail there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"),
+        (f"torque on the {scene.base_name} there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"),
         ("largest joint torque there", f"{use.max():.2f} of the bound of {joint}"),
     ]
     if use.max() > 1.0:

@@ -42,7 +42,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield (
         f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}, computed again from "
         "the finished motion by code that the optimiser does not use; at all times "
-        f"{plan.certificate.at_all_times}."
+        f"{plan.certificate.at_all_times(plan.scene.base_name)}."
     )
     seconds, done = plan.seconds, plan.compensation
     if done is not None and done.rounds:
@@ -62,21 +62,21 @@ def _bending(plan: Plan) -> Iterator[str]:
             "path, so that the bent arm follows it; the tool deviation is the bent arm's, as predicted."
         )
     if plan.quieting is not None:
-        yield _suppression(plan.quieting)
+        yield _suppression(plan.quieting, plan.scene.base_name)
 
 
-def _suppression(done: VibrationSuppression) -> str:
+def _suppression(done: VibrationSuppression, base: str) -> str:
     modes = "slowest vibration" if done.modes == 1 else f"{done.modes} slowest vibrations"
     swing = f"they would leave the tool swinging by {1e3 * done.before:.4f} mm to either side"
     if not any(done.shares):
         return (
-            f"Vibration suppression: the {modes} of guardrail and links could not be brought to rest at the "
+            f"Vibration suppression: the {modes} of {base} and links could not be brought to rest at the "
             "ends of the legs: no change of the motion that was tried keeps every bound. "
             f"As predicted, {swing}."
         )
     brought = ("is " if done.modes == 1 else "are ") + ("" if 1.0 in done.shares else "in part ")
     return (
-        f"Vibration suppression: the {modes} of guardrail and links {brought}brought to rest at the ends of "
+        f"Vibration suppression: the {modes} of {base} and links {brought}brought to rest at the ends of "
         f"{_suppressed_legs(done.shares)}, by how the joints move; as predicted, {swing} without that, and "
         f"by {1e3 * done.after:.4f} mm with it. This assumes that the modelled stiffness is exact."
     )
@@ -130,8 +130,8 @@ def _start(plan: Plan) -> Iterator[str]:
         )
         if figures.peak_guardrail_torque > worst * (1 + _GAIN):
             yield (
-                "The approach asks more of the guardrail than baseline and work do; start: pinned, or a "
-                "posture_deg nearer to this one, spares it."
+                f"The approach asks more of the {plan.scene.base_name} than baseline and work do; "
+                "start: pinned, or a posture_deg nearer to this one, spares it."
             )
 
 
@@ -141,8 +141,9 @@ def _gain(plan: Plan) -> str:
     difference, time = plan.largest_torque_difference
     fixed = plan.options.knots == "fixed" and plan.start.moved == 0
     why = " (fixed via-points cannot lower it)" if fixed else ""
+    whose = "the paper's" if plan.scene.on_guardrail else "the"
     return (
-        "Against the baseline, the paper's motion without optimisation: gravity's peak "
+        f"Against the baseline, {whose} motion without optimisation: gravity's peak "
         f"{change:+z.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
         f"at t = {time:.1f} s."
     )

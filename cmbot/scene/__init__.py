@@ -5,6 +5,7 @@ from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape,
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.scene import RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
+from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool_path import Leg, ShiftedToolPath, SpeedProfile, ToolPath, share_out_segments
 
 __all__ = [
@@ -26,9 +27,11 @@ __all__ = [
     "ToolPath",
     "guardrail_from_file",
     "guardrail_obstacles",
+    "limits_text",
     "load_scene",
     "pose",
     "scene_from_file",
+    "scene_text",
     "share_out_segments",
     "shipped_scenes",
     "update_file",

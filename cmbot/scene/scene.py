@@ -25,9 +25,18 @@ from cmbot.scene.obstacles import Obstacle, ObstacleFile
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.tool_path import Leg, SpeedProfile
 
-__all__ = ["FORMAT", "MountFile", "RobotFile", "RobotSource", "Scene", "SceneFile", "ToolPathFile"]
+__all__ = [
+    "FORMAT",
+    "BaseFile",
+    "MountFile",
+    "RobotFile",
+    "RobotSource",
+    "Scene",
+    "SceneFile",
+    "ToolPathFile",
+]
 
-FORMAT = "cmbot-scene/1"
+FORMAT = "cmbot-scene/2"
 
 # Duration of a tool path, s: motions are sampled every 0.01 s.
 _LONGEST = 36_000
@@ -43,6 +52,13 @@ class MountFile(FileModel):
     """m."""
     rpy_deg: Angles
     """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+
+class BaseFile(FileModel):
+    """What the robot stands on or holds."""
+
+    name: Slug
+    """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
 
 
 class RobotFile(FileModel):
@@ -104,10 +120,13 @@ class ToolPathFile(FileModel):
 class SceneFile(FileModel):
     """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
 
-    format: Literal["cmbot-scene/1"]
+    format: Literal["cmbot-scene/1", "cmbot-scene/2"]
+    """The second knows `base`, too."""
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
+    base: BaseFile | None = None
+    """What the robot stands on; of ``cmbot-scene/2``."""
     posture_deg: Posture
     """Joint angles at the start, from the base to the tool."""
     tool_path: ToolPathFile
@@ -117,6 +136,10 @@ class SceneFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if self.base is not None and self.format == "cmbot-scene/1":
+            raise refusal(
+                "no such key in cmbot-scene/1: it goes with cmbot-scene/2", got="base", key=("base",)
+            )
         taken = set(self.guardrail.member_names)
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:
@@ -238,6 +261,18 @@ class Scene:
     planner: PlannerOptions
     file: SceneFile
     content_hash: str
+
+    @property
+    def base_name(self) -> str:
+        """What messages and pages call that on which the robot stands."""
+        if self.file.base is not None:
+            return self.file.base.name
+        return "guardrail" if self.on_guardrail else "base"
+
+    @property
+    def on_guardrail(self) -> bool:
+        """Whether its robot is the shipped one, which holds a guardrail."""
+        return self.robot.model == "cmbot"
 
     def __post_init__(self) -> None:
         for name, (kind, expected) in _TYPES.items():

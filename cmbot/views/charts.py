@@ -135,7 +135,7 @@ def _torque(plan: Plan) -> Chart:
     bound = plan.torque_floor
     return Chart(
         key="torque",
-        title="Torque on the guardrail",
+        title=f"Torque on the {plan.scene.base_name}",
         unit="Nm",
         digits=1,
         curves=curves,

@@ -99,7 +99,7 @@ def replay_html(plan: Plan, data: dict[str, Any]) -> str:
         styles=("common.css", "replay.css"),
         scripts=(*STAGE_SCRIPTS, "plot.js", "replay.js"),
         data=data,
-        texts={"title": escape(plan.scene.name)},
+        texts={"title": escape(plan.scene.name), "base": escape(plan.scene.base_name)},
     )
 
 

@@ -45,6 +45,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "start": 0.0 - approach_duration,
         "duration": duration,
         "end": end,
+        "base": plan.scene.base_name,
         "legTimes": plan.task.path.leg_times.tolist(),
         "floor": plan.torque_floor,
         "margin": plan.options.safety_margin_m,

@@ -83,6 +83,7 @@ def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) ->
             "title": escape(plan.scene.name),
             "made": escape(f"Written by cmbot {__version__}."),
             "cards": "".join(map(_card, headlines(plan, tracking))),
+            "motion": "the paper's motion" if plan.scene.on_guardrail else "the motion",
             "bending": "" if tracking is not None else " hidden",
             "sections": "".join(_sections(plan, tracking)),
         },
@@ -131,7 +132,7 @@ def _peak_card(plan: Plan) -> Headline:
         peak = plan.approach.certificate.figures.peak_guardrail_torque
         detail += f"; {peak:.1f} Nm on the approach"
     return Headline(
-        title="Peak guardrail torque",
+        title=f"Peak {plan.scene.base_name} torque",
         before=f"{before:.1f}",
         value=f"{after:.1f} Nm",
         detail=detail,
@@ -224,7 +225,7 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     if elastic:
         yield _section("Predicted sag and vibration", _table(elastic))
     for name, certificate in certificates(plan).items():
-        yield _section(f"Certificate of the {name}", _check_table(certificate))
+        yield _section(f"Certificate of the {name}", _check_table(certificate, plan.scene.base_name))
     if tracking is not None:
         table = _table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
@@ -288,7 +289,7 @@ def _elastic(plan: Plan) -> Iterator[Row]:
         yield "residual amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
 
 
-def _check_table(certificate: Certificate) -> str:
+def _check_table(certificate: Certificate, base: str) -> str:
     rows = (
         (
             check.quantity,
@@ -301,7 +302,7 @@ def _check_table(certificate: Certificate) -> str:
         )
         for check in certificate.checks
     )
-    bound = f"At all times {certificate.at_all_times}."
+    bound = f"At all times {certificate.at_all_times(base)}."
     headings = ("check", "at, s", "value", "bound", "unit", "use", "holds")
     return _table(rows, headings) + f"<p>{escape(bound)}</p>"
 

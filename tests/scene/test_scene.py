@@ -210,7 +210,8 @@ def refused(data):
 
 WRONG = [
     # key, value, part of got, part of expected; then the key in the error, where it is another one
-    ("format", "cmbot-scene/2", "'cmbot-scene/2'", "'cmbot-scene/1'"),
+    ("format", "cmbot-scene/3", "'cmbot-scene/3'", "a known value; did you mean cmbot-scene/2?"),
+    ("base", {"name": "rail"}, "base", "no such key in cmbot-scene/1: it goes with cmbot-scene/2"),
     ("name", "a/b", "'a/b'", "letters, digits, - and _"),
     ("name", "..", "'..'", "letters, digits, - and _"),
     ("name", "a\n", r"'a\n'", "letters, digits, - and _"),

@@ -44,6 +44,18 @@ def test_defaults_are_filled_in():
     assert not scene.posture.flags.writeable
 
 
+def test_what_the_robot_stands_on_has_a_name():
+    assert load_scene(MINIMAL).base_name == "guardrail"
+    second = {**MINIMAL, "format": "cmbot-scene/2"}
+    assert load_scene(second).base_name == "guardrail"
+    scene = load_scene({**second, "base": {"name": "walkway"}})
+    assert scene.base_name == "walkway"
+    assert update_file(scene).file.base.name == "walkway"
+    assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
+    with pytest.raises(SceneError, match=r"base.name: got 'a b', expected 1 to 100 letters"):
+        load_scene({**second, "base": {"name": "a b"}})
+
+
 @pytest.fixture
 def folder(tmp_path):
     """A folder with a scene file for another robot and a mesh."""

@@ -99,13 +99,15 @@ class Certificate:
         """Whether every promise is kept."""
         return all(check.holds for check in self.checks)
 
-    @property
-    def at_all_times(self) -> str:
-        """The bounds of clearance and torque on the guardrail in words, rounded away from what was found."""
+    def at_all_times(self, base: str = "guardrail") -> str:
+        """Return the bounds of clearance and torque in words, rounded away from what was found.
+
+        `base` is what that is called on which the torque acts.
+        """
         bounds = [f"clearance stays above {np.floor(1e4 * self.clearance_bound) / 10:.1f} mm"]
         if np.isfinite(self.guardrail_torque_bound):
             bounds.append(
-                f"the torque on the guardrail below {np.ceil(100 * self.guardrail_torque_bound) / 100:.2f} Nm"
+                f"the torque on the {base} below {np.ceil(100 * self.guardrail_torque_bound) / 100:.2f} Nm"
             )
         return " and ".join(bounds)
 

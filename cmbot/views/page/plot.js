@@ -37,7 +37,7 @@ class TorquePlot {
     this.line([[this.x(this.data.start), this.y(0)], [this.x(this.data.end), this.y(0)]], this.colour("line"), 1);
     for (const phase of this.phases) this.drawPhase(phase);
     this.drawLowerBound();
-    this.text(`Torque on the guardrail, 0 to ${newtonMetres(this.peak)}`, this.x(0) + 6, this.height - 8);
+    this.text(`Torque on the ${this.data.base}, 0 to ${newtonMetres(this.peak)}`, this.x(0) + 6, this.height - 8);
     this.upright(now, this.colour("ink"), 1.5);
   }
 

@@ -1,0 +1,159 @@
+"""The verb of the command line that writes a new scene."""
+
+from __future__ import annotations
+
+import os
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import cmbot
+from cmbot.cli.console import JsonOption, QuietOption, flat, out, print_json
+from cmbot.common.errors import InputError
+from cmbot.common.installation import scene_folder
+
+if TYPE_CHECKING:
+    from cmbot.robot import Robot
+    from cmbot.scene import Obstacle
+
+__all__ = ["new"]
+
+_SHIPPED = "cmbot"
+_NO_SLUG = re.compile(r"[^A-Za-z0-9_\-]+")
+# Numbers of the command line are bounded as those of a scene file.
+_LARGEST, _LARGEST_ANGLE = 1e4, 360.0
+
+
+def new(
+    source: Annotated[
+        str, typer.Option("--from", metavar="URDF", help="A URDF, or the name of a robot such as panda.")
+    ],
+    tool_at: Annotated[
+        tuple[float, float, float],
+        typer.Option("--tool-at", metavar="X Y Z", help="Tool point at the start, m."),
+    ],
+    rpy_deg: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option("--rpy-deg", metavar="R P Y", help="Roll, pitch, yaw of the tool there; left out: any."),
+    ] = None,
+    base: Annotated[
+        str | None, typer.Option("--base", metavar="FRAME", help="Base frame; left out: the only choice.")
+    ] = None,
+    tool: Annotated[
+        str | None, typer.Option("--tool", metavar="FRAME", help="Tool frame; left out: the only choice.")
+    ] = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Scene file to write; NAME.yaml if left out.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace files that are there.")] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Write a scene for a robot: a start posture that holds the tool, a first leg, joint limits to fill in.
+
+    Example: [bold]cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml[/bold],
+    then [bold]cmbot plan panda.yaml[/bold]
+    """
+    path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
+    limits = path.with_name(f"{path.stem}.limits.yaml")
+    _require_free(path, force)
+    _require_numbers("--tool-at", tool_at, _LARGEST)
+    _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
+    if source == _SHIPPED and (base, tool) != (None, None):
+        raise InputError("--base, --tool", "", "frames", "none with --from cmbot: its frames are known")
+    robot, text, limits_content = _composed(source, base, tool, tool_at, rpy_deg, path, limits)
+    from cmbot.archive import write_file
+
+    written = [path]
+    if limits_content is not None:
+        _require_free(limits, force)
+        write_file(limits, limits_content.encode())
+        written.append(limits)
+    write_file(path, text.encode())
+    if as_json:
+        print_json({"verb": "new", "files": [str(file) for file in written], "remarks": list(robot.remarks)})
+    elif not quiet:
+        joints = f"{robot.dof} joints from {robot.base_frame} to {robot.tool_frame}"
+        out.print(flat(f"{robot.name}: {joints}"))
+        for remark in robot.remarks:
+            out.print(flat(remark))
+        out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {path}"))
+
+
+def _composed(
+    source: str,
+    base: str | None,
+    tool: str | None,
+    tool_at: tuple[float, float, float],
+    rpy_deg: tuple[float, float, float] | None,
+    path: Path,
+    limits: Path,
+) -> tuple[Robot, str, str | None]:
+    """The robot, the scene's text and that of its joint limits; None where it has a file of them."""
+    import numpy as np
+
+    from cmbot.planning import find_start
+    from cmbot.robot import Kinematics, robot_files
+    from cmbot.scene import PlannerOptions, limits_text, pose, scene_text
+
+    robot = cmbot.load_robot(source, base_frame=base, tool_frame=tool)
+    orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
+    start = find_start(robot, _obstacles(source), np.array(tool_at), orientation)
+    shipped, own_limits = source == _SHIPPED, robot_files(source).limits is not None
+    block: dict[str, tuple[object, str]] = {"model": (_model(source, path), "")}
+    if not shipped:
+        block["base_frame"] = (robot.base_frame, "")
+        block["tool_frame"] = (robot.tool_frame, "the frame that follows the tool path")
+        if not own_limits:
+            block["limits"] = (limits.name, "accelerations and jerks, assumed: put your robot's there")
+    block["payload_kg"] = (0.0, "point mass at the tool")
+    default = start.safety_margin == PlannerOptions().safety_margin_m
+    text = scene_text(
+        name=_slug(path.stem),
+        schema=str(scene_folder() / "scene.schema.json"),
+        robot=block,
+        on_guardrail=shipped,
+        posture_deg=np.rad2deg(start.posture).tolist(),
+        tool_point=np.array(Kinematics(robot).tool_pose(start.posture).translation),
+        keep=start.keep,
+        by=start.by,
+        seconds=start.seconds,
+        safety_margin_m=None if default else start.safety_margin,
+    )
+    if shipped or own_limits:
+        return robot, text, None
+    rates = np.rad2deg([robot.limits.acceleration, robot.limits.jerk])
+    return robot, text, limits_text(robot.joints, *rates)
+
+
+def _obstacles(source: str) -> tuple[Obstacle, ...]:
+    """What a scene without obstacles of its own has: the default guardrail, for the robot that holds it."""
+    from cmbot.scene import GuardrailFile, guardrail_from_file, guardrail_obstacles
+
+    return guardrail_obstacles(guardrail_from_file(GuardrailFile())) if source == _SHIPPED else ()
+
+
+def _model(source: str, path: Path) -> str:
+    """How the scene file names the robot: a URDF relative to it, or the name as it is."""
+    if source == _SHIPPED or not Path(source).exists():
+        return source
+    return os.path.relpath(Path(source).resolve(), path.resolve().parent)
+
+
+def _slug(text: str) -> str:
+    return _NO_SLUG.sub("_", text).strip("_-")[:100] or "scene"
+
+
+def _require_free(path: Path, force: bool) -> None:
+    if path.is_dir():
+        raise InputError(str(path), "", "a folder", "the path of a file to write")
+    if path.exists() and not force:
+        raise InputError(str(path), "", "a file that is there", "another -o, or --force to replace it")
+
+
+def _require_numbers(option: str, numbers: tuple[float, ...], most: float) -> None:
+    for number in numbers:
+        if not abs(number) <= most:
+            raise InputError(option, "", number, f"finite numbers of at most {most:g}")

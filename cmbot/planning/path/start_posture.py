@@ -1,0 +1,226 @@
+"""A start posture for a new scene: inverse kinematics from random postures, and a leg that it can follow."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from cmbot.collision import Clearances
+from cmbot.common.arrays import BoolArray, FloatArray, read_only
+from cmbot.common.errors import InputError, PlanningError
+from cmbot.common.validation import counted
+from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.task import ToolTask
+from cmbot.robot import Dynamics, Postures, Robot, sampled_postures
+from cmbot.scene import Obstacle, PlannerOptions, SpeedProfile, ToolPath
+
+__all__ = ["StartPosture", "find_start"]
+
+# Random postures that Newton's method starts from, its most steps, and how many results are tried with a leg.
+_RESTARTS, _STEPS, _TRIED = 2000, 60, 30
+# The first leg: its longest length, m, and as a share of the reach; shares of that which are tried; the steps
+# in which it is followed; the tool's speed, m/s, and the share of a joint's velocity limit, both on average.
+_LEG, _LEG_SHARE, _SHORTER, _LEG_STEPS = 0.10, 0.15, (1.0, 0.5, 0.25), 10
+_SPEED, _VELOCITY_SHARE, _LEAST_SECONDS = 0.05, 0.15, 4.0
+# Safety margins that are tried, as shares of the default: as convex hulls, some arms are near themselves.
+_MARGINS = (1.0, 0.5, 0.25)
+# What a start leaves: of the joints' ranges, of the clearance (m), and of the torque limits at rest.
+_RANGE_LEFT, _CLEARANCE_LEFT, _TORQUE_USE = 0.02, 0.002, 0.9
+# Smallest singular value of the task Jacobian below which a posture counts as singular.
+_SINGULAR = 0.01
+
+
+@dataclass(frozen=True, kw_only=True)
+class StartPosture:
+    """Where a new scene starts, and a first leg.
+
+    Attributes
+    ----------
+    posture : (n,), rad
+        Rounded to 0.0001 deg.
+    keep : str
+        What the arm can keep of the tool along the leg.
+    by : tuple of float
+        The leg (3,), m.
+    seconds : float
+        Its duration, s.
+    safety_margin : float
+        Which posture and leg keep, m.
+    """
+
+    posture: FloatArray
+    keep: Literal["pose", "axis", "position"]
+    by: tuple[float, float, float]
+    seconds: float
+    safety_margin: float
+
+
+def find_start(
+    robot: Robot,
+    obstacles: Sequence[Obstacle],
+    point: FloatArray,
+    orientation: FloatArray | None = None,
+) -> StartPosture:
+    """Find a posture that holds the tool, and a short leg that the arm can follow from it.
+
+    It is within the joints' ranges, clear and strong enough; of those found the one furthest from
+    singularities and the ends of the ranges. The same arguments give the same posture.
+
+    Parameters
+    ----------
+    robot : Robot
+    obstacles : sequence of Obstacle
+    point : (3,), m
+        The tool point in W.
+    orientation : (3, 3), optional
+        R_WT; left out: any.
+
+    Raises
+    ------
+    InputError
+        When the arm has fewer than three joints.
+    PlanningError
+        When no such posture is found; it says what most of them lacked.
+    """
+    if robot.dof < 3:
+        raise InputError(
+            str(robot.urdf), "joints", robot.dof, "an arm of at least 3 joints, to hold a tool point"
+        )
+    search = _Search(robot, obstacles)
+    held: Literal["pose", "axis", "position"] = "position" if orientation is None else search.keep
+    task = _task(point, np.eye(3) if orientation is None else orientation, held)
+    q = search.postures(task, point)
+    margins = _MARGINS if len(q) else ()
+    for margin in (share * PlannerOptions().safety_margin_m for share in margins):
+        for posture in search.best(q, margin):
+            if (start := search.first_leg(posture, margin)) is not None:
+                return start
+    raise PlanningError(search.reason(task, point, q))
+
+
+def _task(point: FloatArray, orientation: FloatArray, keep: Literal["pose", "axis", "position"]) -> ToolTask:
+    corners = np.array([point, point])
+    path = ToolPath(corners=corners, orientation=orientation, seconds=np.ones(1), profile=SpeedProfile())
+    return ToolTask(path=path, keep=keep)
+
+
+class _Search:
+    """What postures of one robot among obstacles are good for."""
+
+    def __init__(self, robot: Robot, obstacles: Sequence[Obstacle]) -> None:
+        self._robot, self._limits = robot, robot.limits
+        self._batch, self._dynamics = Postures(robot), Dynamics(robot)
+        self._clearances = Clearances(robot, obstacles)
+        self.keep: Literal["pose", "axis", "position"] = "position"
+        if robot.dof >= 5:
+            self.keep = "axis" if robot.dof == 5 else "pose"
+
+    def postures(self, task: ToolTask, point: FloatArray) -> FloatArray:
+        """Postures (N, n) on the task within the ranges of the joints."""
+        start = sampled_postures(self._limits.lower, self._limits.upper, _RESTARTS)
+        q, reached = project_onto_task(self._batch, task, start, point, steps=_STEPS)
+        q = self._turned_back(q[reached])
+        return q[self._within(q)]
+
+    def best(self, q: FloatArray, margin: float) -> Iterator[FloatArray]:
+        """The postures that are clear and strong enough, the one furthest from all limits first."""
+        q = q[self._strong(q)]
+        q = q[self._clearances.smallest(q).distance >= margin + _CLEARANCE_LEFT]
+        # Without a range there is all the room.
+        endless = np.isinf(self._limits.range_half)
+        room = np.where(endless, 1.0, self._room(q) / np.where(endless, 1.0, self._limits.range_half))
+        values = [self._singular_value(posture) for posture in q]
+        score = np.array(
+            [value * each.min() for value, each in zip(values, 1.0 - (1.0 - room) ** 2, strict=True)]
+        )
+        for k in np.argsort(-score)[:_TRIED]:
+            if values[k] > _SINGULAR:
+                yield np.deg2rad(np.round(np.rad2deg(q[k]), 4))
+
+    def first_leg(self, posture: FloatArray, margin: float) -> StartPosture | None:
+        """The posture with the longest leg along an axis of W that the arm follows from it; None without."""
+        at = self._batch.tool_at(posture[None])
+        p, task = at.tool_point[0], _task(at.tool_point[0], at.tool_rotation[0], self.keep)
+        longest = min(_LEG, _LEG_SHARE * self._robot.reach)
+        for share in _SHORTER:
+            # Up, and to the sides, before down and inward.
+            for direction in (*np.eye(3)[[1, 0, 2]], *-np.eye(3)[[1, 0, 2]]):
+                by = np.round(share * longest * direction, 3) + 0.0
+                points = p + np.linspace(0.0, 1.0, _LEG_STEPS + 1)[1:, None] * by
+                q = self._followed(task, posture, points)
+                if q is None or (self._clearances.smallest(q).distance < margin + _CLEARANCE_LEFT).any():
+                    continue
+                moved = np.abs(np.diff(q, axis=0, prepend=posture[None])).sum(axis=0)
+                seconds = max(
+                    _LEAST_SECONDS,
+                    float(np.linalg.norm(by)) / _SPEED,
+                    float((moved / self._limits.velocity).max()) / _VELOCITY_SHARE,
+                )
+                x, y, z = map(float, by)
+                return StartPosture(
+                    posture=read_only(posture),
+                    keep=self.keep,
+                    by=(x, y, z),
+                    seconds=float(np.ceil(seconds)),
+                    safety_margin=margin,
+                )
+        return None
+
+    def reason(self, task: ToolTask, point: FloatArray, q: FloatArray) -> str:
+        """Why none of the postures `q` (N, n) will do."""
+        away = float(np.linalg.norm(point - self._robot.base_point))
+        held = "the tool there" if task.keep == "position" else f"the tool there with that {task.keep}"
+        if len(q) == 0:
+            return (
+                f"no start posture: none of {_RESTARTS} random ones leads to one that holds {held} within "
+                f"the joints' ranges; the point is {away:.3f} m from the arm's first joint, whose reach is "
+                f"{self._robot.reach:.3f} m. Another --tool-at, --rpy-deg or --tool may help"
+            )
+        strong = q[self._strong(q)]
+        clear = self._clearances.smallest(strong)
+        text = (
+            f"no start posture: {counted(len(q), 'posture')} found that hold {held}, {len(strong)} of them "
+            "strong enough"
+        )
+        if len(strong):
+            k = int(clear.distance.argmax())
+            text += f"; the clearest one keeps {1e3 * clear.distance[k]:.1f} mm"
+            if clear.pair[k] >= 0:
+                pair = self._clearances.pairs[clear.pair[k]]
+                text += f" ({pair.link} to {pair.other})"
+        return f"{text}; none is clear, not singular, and can follow a short leg. Another --tool-at may help"
+
+    def _followed(self, task: ToolTask, posture: FloatArray, points: FloatArray) -> FloatArray | None:
+        """Postures that hold the tool at `points` (N, 3), each from the one before; None where one fails."""
+        q = [posture]
+        for point in points:
+            step, reached = project_onto_task(self._batch, task, q[-1][None], point, steps=10)
+            if not reached[0] or not self._within(step)[0] or self._singular_value(step[0]) < _SINGULAR:
+                return None
+            q.append(step[0])
+        followed = np.array(q[1:])
+        return followed if self._strong(followed).all() else None
+
+    def _turned_back(self, q: FloatArray) -> FloatArray:
+        """Postures with whole turns taken off, into the joints' ranges where that is possible."""
+        turns = np.round((q - self._limits.range_middle) / (2 * np.pi))
+        return q - 2 * np.pi * turns
+
+    def _room(self, q: FloatArray) -> FloatArray:
+        """How far (N, n) joints are from the nearer end of their ranges, rad."""
+        return np.minimum(q - self._limits.lower, self._limits.upper - q)
+
+    def _within(self, q: FloatArray) -> BoolArray:
+        half = np.where(np.isfinite(self._limits.range_half), self._limits.range_half, 0.0)
+        return np.asarray((self._room(q) >= _RANGE_LEFT * half).all(axis=1))
+
+    def _strong(self, q: FloatArray) -> BoolArray:
+        torque = np.abs(self._dynamics.static_efforts(q).joint_torque)
+        return np.asarray((torque <= _TORQUE_USE * self._limits.torque).all(axis=1))
+
+    def _singular_value(self, q: FloatArray) -> float:
+        at = self._batch.tool_at(q[None])
+        return _task(at.tool_point[0], at.tool_rotation[0], self.keep).smallest_singular_value(self._robot, q)

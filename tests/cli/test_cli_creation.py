@@ -1,0 +1,151 @@
+"""``cmbot new``: a scene that can be planned at once, and what keeps it from being written."""
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from command_line import output, refusal, run
+
+import cmbot
+from cmbot.collision import Clearances
+from cmbot.planning import robot_of
+from cmbot.robot import Kinematics
+
+
+@pytest.fixture
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_a_scene_of_the_panda(here: Path) -> None:
+    words = ("new", "--from", "panda", "--tool-at", "0.5", "0", "0.4")
+    out = output(*words)
+    assert out.splitlines()[0] == "panda: 7 joints from panda_link0 to panda_hand_tcp"
+    assert out.splitlines()[-1] == "Written: panda.yaml, panda.limits.yaml. Plan it: cmbot plan panda.yaml"
+    text = (here / "panda.yaml").read_text(encoding="utf-8")
+    assert text.startswith("# yaml-language-server: $schema=")
+    schema = Path(text.splitlines()[0].partition("=")[2])
+    assert json.loads(schema.read_text(encoding="utf-8"))["title"] == "cmbot-scene/2"
+    scene = cmbot.load_scene("panda.yaml")
+    assert (scene.name, scene.robot.model, scene.keep, scene.base_name) == ("panda", "panda", "pose", "base")
+    assert (scene.obstacles, scene.guardrail.post_positions) == ((), ())
+    robot = robot_of(scene)
+    point = Kinematics(robot).tool_pose(scene.posture).translation
+    np.testing.assert_allclose(point, [0.5, 0, 0.4], rtol=0, atol=1e-4)
+    assert Clearances(robot, []).smallest(scene.posture[None]).distance[0] >= scene.planner.safety_margin_m
+    robot.posture(scene.posture)
+    # The limits that it was given are those that were assumed, as the robot's own file now.
+    np.testing.assert_allclose(robot.limits.acceleration, 2 * robot.limits.velocity, rtol=1e-5)
+    np.testing.assert_allclose(robot.limits.jerk, 20 * robot.limits.velocity, rtol=1e-5)
+    assert not any("assumed" in remark for remark in robot.remarks)
+    # It is made anew as it was, but only when that is asked for.
+    assert refusal(*words) == (
+        "panda.yaml: got a file that is there, expected another -o, or --force to replace it"
+    )
+    assert run(*words, "--force", "--quiet").out == ""
+    assert (here / "panda.yaml").read_text(encoding="utf-8") == text
+
+
+def test_a_scene_of_a_urdf_with_limits_and_an_orientation(here: Path, urdf_folder: Path) -> None:
+    angles = ("180", "0", "90")
+    words = ("new", "--from", urdf_folder / "cmbot.urdf", "--base", "arm_base", "--tool", "tool0")
+    out = output(
+        *words,
+        "--tool-at",
+        "1.5",
+        "0.8",
+        "-1.5",
+        "--rpy-deg",
+        *angles,
+        "-o",
+        here / "a" / "my arm.yaml",
+        "--json",
+    )
+    files = json.loads(out)["files"]
+    assert files == [str(here / "a" / "my arm.yaml")]
+    scene = cmbot.load_scene(files[0])
+    assert scene.name == "my_arm"
+    assert scene.robot.model == urdf_folder / "cmbot.urdf"
+    assert scene.robot.limits is None
+    X = Kinematics(robot_of(scene)).tool_pose(scene.posture)
+    np.testing.assert_allclose(X.translation, [1.5, 0.8, -1.5], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(X.rotation, [[0, 1, 0], [1, 0, 0], [0, 0, -1]], rtol=0, atol=1e-4)
+
+
+def test_a_scene_of_the_shipped_robot(here: Path) -> None:
+    output("new", "--from", "cmbot", "--tool-at", "1.8", "0.8", "-1.5", "-o", "own.yaml")
+    scene = cmbot.load_scene("own.yaml")
+    assert (scene.robot.model, scene.base_name) == ("cmbot", "guardrail")
+    assert {"top_rail", "post_1"} <= {obstacle.name for obstacle in scene.obstacles}
+    assert [path.name for path in here.iterdir()] == ["own.yaml"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message", "status"),
+    [
+        (
+            ("panda", "--tool-at", "9", "0", "0"),
+            "no start posture: none of 2000 random ones leads to one that",
+            3,
+        ),
+        (("panda", "--tool-at", "0", "0", "0.05"), "no start posture: ", 3),
+        (("panda", "--tool-at", "nan", "0", "0"), "--tool-at: got nan, expected finite numbers", 2),
+        (("panda", "--tool-at", "1", "0", "0", "--rpy-deg", "0", "0", "999"), "--rpy-deg: got 999", 2),
+        (
+            ("cmbot", "--tool-at", "1", "0", "0", "--base", "x"),
+            "--base, --tool: got frames, expected none",
+            2,
+        ),
+        (
+            ("talos", "--tool-at", "1", "0", "0"),
+            "tool_frame: got nothing, expected the last link of the arm",
+            2,
+        ),
+        (("TwoDofs", "--tool-at", "1", "0", "0"), "joints: got 2, expected an arm of at least 3 joints", 2),
+        (("pandas", "--tool-at", "1", "0", "0"), "pandas: no such file", 2),
+        (("panda", "--tool-at", "1", "0", "0", "-o", "."), "got a folder, expected the path of a file", 2),
+    ],
+)
+def test_what_cannot_be_written(here: Path, words: tuple[str, ...], message: str, status: int) -> None:
+    assert message in refusal("new", "--from", *words, status=status)
+    assert list(here.iterdir()) == []
+
+
+def test_a_robot_is_checked_by_its_name(here: Path) -> None:
+    out = output("check", "panda", "--json")
+    found = json.loads(out)
+    assert (found["kind"], found["usable"], found["found"]["SRDF"]) == ("urdf", True, "panda.srdf")
+    assert found["found"]["arm where no frames are given"] == "from panda_link0 to panda_hand_tcp"
+    assert "none: there are several choices" in output("check", "talos", "--quiet", "--json")
+
+
+SHAPE = '<collision><origin xyz="{x} 0 0"/><geometry><box size="0.2 0.05 0.05"/></geometry></collision>'
+JOINT = """<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>
+<origin xyz="{x} 0 0.2"/><axis xyz="0 0 1"/><limit lower="-3" upper="3" velocity="1" effort="1"/></joint>"""
+ARM = "".join(
+    (
+        '<robot name="arm">',
+        *(
+            f'<link name="{name}">{SHAPE.format(x=x)}</link>'
+            for name, x in (("base", 0), ("a", 0.1), ("b", 0.1))
+        ),
+        JOINT.format(name="j", parent="base", child="a", x=0),
+        JOINT.format(name="k", parent="a", child="b", x=0.2),
+        "</robot>",
+    )
+)
+
+
+def test_an_srdf_is_written_once(here: Path) -> None:
+    (here / "arm.urdf").write_text(ARM, encoding="utf-8")
+    out = output("check", "arm.urdf", "--write-srdf", "arm.srdf")
+    assert "arm.srdf: 3 pairs of links (2 Adjacent, 0 Always, 1 Never)" in out
+    pairs = [dict(pair.attrib) for pair in ElementTree.parse(here / "arm.srdf").getroot()]
+    assert pairs[1] == {"link1": "a", "link2": "base", "reason": "Adjacent"}
+    assert "got arm.srdf, which is there, expected the path of a new file" in refusal(
+        "check", "arm.urdf", "--write-srdf", "arm.srdf"
+    )
+    assert "got a scene to check, expected a URDF" in refusal("check", "triangle", "--write-srdf", "b.srdf")
