@@ -57,8 +57,8 @@ def new(
     then [bold]cmbot plan panda.yaml[/bold]
     """
     path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
-    limits = path.with_name(f"{path.stem}.limits.yaml")
     _require_free(path, force)
+    limits = path.with_name(f"{path.stem}.limits.yaml")
     _require_numbers("--tool-at", tool_at, _LARGEST)
     _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
     if source == _SHIPPED and (base, tool) != (None, None):

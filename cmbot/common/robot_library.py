@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Mapping
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 
@@ -39,10 +41,7 @@ def library_robots() -> dict[str, Path] | None:
     folder = _folder()
     if folder is None:
         return None
-    robots: dict[str, Path] = {}
-    for path in sorted(folder.glob("*/*/*.urdf")):
-        robots.setdefault(path.stem, path)
-    return robots | {name: robots[stem] for name, stem in _SHORT.items() if stem in robots}
+    return dict(_robots_in(folder))
 
 
 def library_srdf(urdf: Path) -> Path | None:
@@ -50,6 +49,14 @@ def library_srdf(urdf: Path) -> Path | None:
     stems = {path.stem: path for path in (urdf.parent.parent / "srdf").glob("*.srdf")}
     matching = [stem for stem in stems if urdf.stem == stem or urdf.stem.startswith((f"{stem}_", f"{stem}-"))]
     return stems[max(matching, key=len)] if matching else None
+
+
+@cache
+def _robots_in(folder: Path) -> Mapping[str, Path]:
+    robots: dict[str, Path] = {}
+    for path in sorted(folder.glob("*/*/*.urdf")):
+        robots.setdefault(path.stem, path)
+    return robots | {name: robots[stem] for name, stem in _SHORT.items() if stem in robots}
 
 
 def _folder() -> Path | None:

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from command_line import output, refusal, run
+from urdf_arms import ROBOTS, only_collision
 
 import cmbot
 from cmbot.collision import Clearances
@@ -20,9 +21,11 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_a_scene_of_the_panda(here: Path) -> None:
-    words = ("new", "--from", "panda", "--tool-at", "0.5", "0", "0.4")
-    out = output(*words)
+def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    srdf = ROBOTS / "panda_description" / "srdf" / "panda.srdf"
+    only_collision("panda", here).with_suffix(".srdf").write_bytes(srdf.read_bytes())
+    monkeypatch.setenv("ROS_PACKAGE_PATH", str(ROBOTS.parent.parent))
+    out = output("new", "--from", "panda.urdf", "--tool-at", "0.5", "0", "0.4")
     assert out.splitlines()[0] == "panda: 7 joints from panda_link0 to panda_hand_tcp"
     assert out.splitlines()[-1] == "Written: panda.yaml, panda.limits.yaml. Plan it: cmbot plan panda.yaml"
     text = (here / "panda.yaml").read_text(encoding="utf-8")
@@ -30,7 +33,9 @@ def test_a_scene_of_the_panda(here: Path) -> None:
     schema = Path(text.splitlines()[0].partition("=")[2])
     assert json.loads(schema.read_text(encoding="utf-8"))["title"] == "cmbot-scene/2"
     scene = cmbot.load_scene("panda.yaml")
-    assert (scene.name, scene.robot.model, scene.keep, scene.base_name) == ("panda", "panda", "pose", "base")
+    assert (scene.name, scene.robot.model, scene.keep) == ("panda", here / "panda.urdf", "pose")
+    assert scene.base_name == "base"
+    assert "\n  model: panda.urdf\n" in text
     assert (scene.obstacles, scene.guardrail.post_positions) == ((), ())
     robot = robot_of(scene)
     point = Kinematics(robot).tool_pose(scene.posture).translation
@@ -41,12 +46,6 @@ def test_a_scene_of_the_panda(here: Path) -> None:
     np.testing.assert_allclose(robot.limits.acceleration, 2 * robot.limits.velocity, rtol=1e-5)
     np.testing.assert_allclose(robot.limits.jerk, 20 * robot.limits.velocity, rtol=1e-5)
     assert not any("assumed" in remark for remark in robot.remarks)
-    # It is made anew as it was, but only when that is asked for.
-    assert refusal(*words) == (
-        "panda.yaml: got a file that is there, expected another -o, or --force to replace it"
-    )
-    assert run(*words, "--force", "--quiet").out == ""
-    assert (here / "panda.yaml").read_text(encoding="utf-8") == text
 
 
 def test_a_scene_of_a_urdf_with_limits_and_an_orientation(here: Path, urdf_folder: Path) -> None:
@@ -76,11 +75,18 @@ def test_a_scene_of_a_urdf_with_limits_and_an_orientation(here: Path, urdf_folde
 
 
 def test_a_scene_of_the_shipped_robot(here: Path) -> None:
-    output("new", "--from", "cmbot", "--tool-at", "1.8", "0.8", "-1.5", "-o", "own.yaml")
+    words = ("new", "--from", "cmbot", "--tool-at", "1.8", "0.8", "-1.5", "-o", "own.yaml")
+    output(*words)
     scene = cmbot.load_scene("own.yaml")
     assert (scene.robot.model, scene.base_name) == ("cmbot", "guardrail")
     assert {"top_rail", "post_1"} <= {obstacle.name for obstacle in scene.obstacles}
     assert [path.name for path in here.iterdir()] == ["own.yaml"]
+    # It is made anew as it was, but only when that is asked for.
+    text = (here / "own.yaml").read_text(encoding="utf-8")
+    again = "own.yaml: got a file that is there, expected another -o, or --force to replace it"
+    assert refusal(*words).endswith(again)
+    assert run(*words, "--force", "--quiet").out == ""
+    assert (here / "own.yaml").read_text(encoding="utf-8") == text
 
 
 @pytest.mark.parametrize(
@@ -91,7 +97,7 @@ def test_a_scene_of_the_shipped_robot(here: Path) -> None:
             "no start posture: none of 2000 random ones leads to one that",
             3,
         ),
-        (("panda", "--tool-at", "0", "0", "0.05"), "no start posture: ", 3),
+        (("cmbot", "--tool-at", "0", "0", "0"), "no start posture: ", 3),
         (("panda", "--tool-at", "nan", "0", "0"), "--tool-at: got nan, expected finite numbers", 2),
         (("panda", "--tool-at", "1", "0", "0", "--rpy-deg", "0", "0", "999"), "--rpy-deg: got 999", 2),
         (

@@ -5,9 +5,11 @@ from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 
+from cmbot.common.robot_library import library_robots
 from cmbot.scene import Scene, load_scene
 
 ROBOTS = Path(sysconfig.get_path("purelib"), "cmeel.prefix", "share", "example-robot-data", "robots")
@@ -65,6 +67,19 @@ _ENDLESS = (
     ("0 1 0", 120, 0.11, 0.7),
     ("0 0 1", 0, 0.06, 0.4),
 )
+
+
+def only_collision(name: str, folder: Path, links: tuple[str, ...] = ()) -> Path:
+    """A copy of a robot's URDF that loads sooner: the collision shapes alone, of all links or of some."""
+    urdf = (library_robots() or {})[name]
+    root = ElementTree.parse(urdf).getroot()
+    for link in root.findall("link"):
+        left_out = bool(links) and not link.get("name", "").startswith(links)
+        for part in (*link.findall("visual"), *(link.findall("collision") if left_out else ())):
+            link.remove(part)
+    file = folder / f"{name}.urdf"
+    ElementTree.ElementTree(root).write(file)
+    return file
 
 
 def limits_file(folder: Path, joints: Iterable[str]) -> Path:

@@ -6,7 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from small_scenes import SHORT
-from urdf_arms import ROBOTS
+from urdf_arms import ROBOTS, only_collision
 
 import cmbot.common.robot_library
 from cmbot.collision import Clearances
@@ -15,19 +15,6 @@ from cmbot.common.robot_library import library_robots, library_srdf
 from cmbot.planning.verification.robot_files import read_multibody
 from cmbot.robot import NEAR, Robot, load_robot, robot_files, sampled_postures, srdf_text
 from cmbot.scene import load_scene
-
-
-def only_collision(name: str, folder: Path, links: tuple[str, ...] = ()) -> Path:
-    """A copy of a robot's URDF that loads sooner: the collision shapes alone, of all links or of some."""
-    urdf = (library_robots() or {})[name]
-    root = ElementTree.parse(urdf).getroot()
-    for link in root.findall("link"):
-        left_out = bool(links) and not link.get("name", "").startswith(links)
-        for part in (*link.findall("visual"), *(link.findall("collision") if left_out else ())):
-            link.remove(part)
-    file = folder / f"{name}.urdf"
-    ElementTree.ElementTree(root).write(file)
-    return file
 
 
 def load(name: str, folder: Path, base: str | None, tool: str | None, *links: str) -> Robot:
