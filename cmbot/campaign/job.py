@@ -1,0 +1,118 @@
+"""A job of a campaign, and what became of it."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Any
+
+from cmbot.common.errors import InputError, one_line
+
+__all__ = ["Job", "JobResult", "JobStatus"]
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,99}")
+_FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+class JobStatus(StrEnum):
+    """How a job ended."""
+
+    DONE = "done"
+    """The function returned."""
+    RAISED = "raised"
+    """The function raised an exception, `MemoryError` included."""
+    CRASHED = "crashed"
+    """A signal ended the process, or it exited without an answer."""
+    TIMED_OUT = "timed out"
+    """It was killed at its time limit."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A call of a function in a process of its own.
+
+    Attributes
+    ----------
+    name : str
+        Of the job and of its result file: letters, digits, ``.``, ``-`` and ``_``; unique in its campaign.
+    function : str
+        ``package.module:name`` of a function that a fresh process can import. It returns JSON data.
+    arguments : mapping
+        Keyword arguments of the function, as JSON data.
+    inputs : mapping of str to str
+        What else the result depends on, such as hashes of files by their names.
+    time_limit : float, s
+        Wall time after which the process is killed.
+
+    Raises
+    ------
+    InputError
+        When the name or the function's name is not possible, the arguments are no JSON data, or the time
+        limit is not positive.
+    """
+
+    name: str
+    function: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    inputs: Mapping[str, str] = field(default_factory=dict)
+    time_limit: float = 600.0
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            expected = "1 to 100 letters, digits, ., - and _, beginning with a letter or digit"
+            raise InputError("Job", "name", repr(self.name), expected)
+        if not _FUNCTION.fullmatch(self.function):
+            raise InputError("Job", "function", repr(self.function), "package.module:name")
+        if not self.time_limit > 0:
+            raise InputError("Job", "time_limit", self.time_limit, "a positive number of seconds")
+        try:
+            json.dumps(dict(self.arguments), allow_nan=False)
+        except (TypeError, ValueError) as error:
+            raise InputError("Job", "arguments", f"no JSON data ({error})", "JSON data") from error
+
+    @property
+    def key(self) -> str:
+        """SHA-256 (hexadecimal) of function, arguments and inputs: equal keys have equal results."""
+        content = [self.function, dict(self.arguments), dict(self.inputs)]
+        text = json.dumps(content, sort_keys=True, separators=(",", ":"), allow_nan=False)
+        return hashlib.sha256(text.encode()).hexdigest()
+
+
+@dataclass(frozen=True, kw_only=True)
+class JobResult:
+    """What became of a job.
+
+    Attributes
+    ----------
+    name, key : str
+        Of the job.
+    status : JobStatus
+    value : JSON data
+        What the function returned; None where it did not.
+    error : str
+        One line: the exception, the signal, or the time limit; empty when done.
+    details : str
+        End of what the process wrote to standard error, with the traceback of an exception.
+    seconds, cpu_seconds : float, s
+        Wall and processor time of the whole process.
+    resumed : bool
+        Read from its file, not run in this call.
+    """
+
+    name: str
+    key: str
+    status: JobStatus
+    value: Any = None
+    error: str = ""
+    details: str = ""
+    seconds: float = 0.0
+    cpu_seconds: float = 0.0
+    resumed: bool = False
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "status", JobStatus(self.status))
+        object.__setattr__(self, "error", one_line(self.error))
