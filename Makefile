@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test fuzz lint bench docs models clean
+.PHONY: demo test fuzz lint bench suite docs models clean
 
 demo: .venv/installed
 	$(BIN)/cmbot plan triangle --output out/triangle --force
@@ -25,6 +25,10 @@ lint: .venv/tested
 
 bench: .venv/benched
 	$(BIN)/python benchmarks/run.py
+
+# Takes hours; what has not changed since the last run is not run again.
+suite: .venv/tested
+	$(BIN)/python benchmarks/run_suite.py
 
 docs: .venv/tested
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
