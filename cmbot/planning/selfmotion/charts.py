@@ -4,6 +4,9 @@ A chart is grown by numerical continuation along the null space of the task, all
 postures it is given and from random ones, so that it reaches every branch (shoulder, elbow and wrist flips).
 It grows through postures beyond the joint ranges too, which connect the parts within them. Any two of its
 postures keep a distance, and every posture of the self-motion has one within its spacing.
+
+Charts are carried along the path. Branches that open later are found by random postures at every point,
+which are drawn until many in a row lie on the charts: `Coverage` says how many did.
 """
 
 from __future__ import annotations
@@ -14,17 +17,27 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.spatial import cKDTree
+from scipy.special import betaincinv
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
 
-__all__ = ["Chart", "GraphLayer", "PoissonDiskSets", "SelfMotionSampler", "charts_of", "without_neighbours"]
+__all__ = [
+    "Chart",
+    "Coverage",
+    "GraphLayer",
+    "PoissonDiskSets",
+    "SelfMotionSampler",
+    "charts_of",
+    "without_neighbours",
+]
 
 # Newton steps that put random postures onto the task.
 _RANDOM_STEPS = 40
-# Accepted postures keep this share of the spacing from each other.
-_APART = 0.7
+# Accepted postures keep this share of the spacing from each other. One that is further than so many spacings
+# from all of a chart is on a part of the self-motion that the chart misses.
+_APART, _BESIDE = 0.7, 1.5
 # Postures at most of the first chart, and of those along the path; where the self-motion has two dimensions
 # or more, there are more at first, and the spacing grows by this factor.
 _MOST_POSTURES, _TOO_MANY, _COARSER = 600, 1500, 1.6
@@ -33,13 +46,43 @@ _MOST_POSTURES, _TOO_MANY, _COARSER = 600, 1500, 1.6
 _STRIDE, _PAIRS = 6, 4
 # Charts that are evaluated at once: more only need memory, beyond the processor's cache.
 _TOGETHER = 10
-# A joint that passes half a turn is charted within one turn either way, rad.
+# Rounds of random postures along the path at most, and the factor of their number from one to the next.
+_ROUNDS, _MORE = 6, 2
 _ONE_TURN = 2 * np.pi
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How many of the random postures that hold the task within the joint ranges lay on the charts.
+
+    Attributes
+    ----------
+    drawn : int
+        Random postures of the last rounds, from which Newton's method started.
+    held : int
+        How many of them came to hold the task within the joint ranges.
+    missed : int
+        How many of these lay beside the charts; the charts hold them now.
+    """
+
+    drawn: int
+    held: int
+    missed: int
+
+    @property
+    def share(self) -> float:
+        """Share of such postures that the charts miss at most, by 95 % confidence (Clopper and Pearson)."""
+        if self.held == self.missed:
+            return 1.0
+        return float(betaincinv(self.missed + 1, self.held - self.missed, 0.95))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Chart:
-    """Postures that hold the tool task at one point."""
+    """Postures that hold the tool task at one point.
+
+    Angles of joints that can turn by more than a whole turn are given on one turn.
+    """
 
     q: FloatArray  # (M, n), rad
     value: FloatArray  # (M,), the objective at rest
@@ -109,27 +152,26 @@ class SelfMotionSampler:
     ----------
     spacing : float, rad
         Length of the steps of continuation; it grows where charts have too many postures.
+    coverage : Coverage
+        Of the charts, by the random postures that were drawn last.
     """
 
     def __init__(self, context: PlanningContext) -> None:
         self._postures, self._task = context.postures, context.task
         limits = context.robot.limits
-        # Joints without a range, or within half a turn, are charted on the circle, others within their
-        # ranges.
-        within_half_a_turn = (limits.lower >= -np.pi) & (limits.upper <= np.pi)
-        self._round = np.isinf(limits.lower) | within_half_a_turn
-        self._lower = np.where(self._round, -np.pi, np.maximum(limits.lower, -_ONE_TURN))
-        self._upper = np.where(self._round, np.pi, np.minimum(limits.upper, _ONE_TURN))
+        self._lower, self._upper = limits.lower, limits.upper
+        # Every joint is charted on the circle, about the middle of its range.
+        self._middle = np.where(np.isinf(limits.lower), 0.0, 0.5 * (limits.lower + limits.upper))
         self.spacing = context.options.chart_spacing
         self._seeds = context.options.chart_seeds
         self._wide = max(context.robot.dof - context.task.dimension, 2)
+        self.coverage = Coverage(0, 0, 0)
+        # The random numbers are the same in every run.
+        self._rng = np.random.default_rng(0)
 
     def first(self, point: FloatArray, known: FloatArray) -> FloatArray:
         """Chart the self-motion at `point` (3,) from the postures `known` (k, n) and from random ones."""
-        rng = np.random.default_rng(0)
-        random = rng.uniform(self._lower, self._upper, (self._seeds, len(self._lower)))
-        placed, reached = project_onto_task(self._postures, self._task, random, point, steps=_RANDOM_STEPS)
-        seeds = np.vstack([known, placed[reached]])
+        seeds = np.vstack([known, self._random(point[None], self._seeds).q])
         q = self._grown_from(seeds, point)
         while len(q) > _MOST_POSTURES:
             self._coarsen()
@@ -144,11 +186,70 @@ class SelfMotionSampler:
         `report` is called with the number of points that are charted, and of all.
         """
         report = report or (lambda *_: None)
-        each = self._each(points, known, report)
-        while max(len(q) for q in each) > _TOO_MANY:
-            self._coarsen()
+        while True:
             each = self._each(points, known, report)
-        return each
+            number = int(np.ceil(self._seeds / len(points)))
+            each = self.complete(each, points, range(len(points)), number)
+            if max(len(q) for q in each) <= _TOO_MANY:
+                return each
+            self._coarsen()
+
+    def complete(
+        self, charts: list[FloatArray], points: FloatArray, at: Sequence[int], number: int
+    ) -> list[FloatArray]:
+        """Add to charts at `points` (k, 3) what random postures at some of them show to be missing.
+
+        Parameters
+        ----------
+        charts : list of (M, n)
+        points : (k, 3)
+        at : sequence of int
+            Where random postures are drawn: `number` at each, and more and more, until none of a round lies
+            beside its chart. `coverage` tells of the last round.
+        """
+        sets, chosen = self._sets(charts), np.asarray(at)
+        for _ in range(_ROUNDS):
+            carried = sets.sizes
+            some = self._random(points[chosen], number)
+            some = _Postures(some.q, chosen[some.of])
+            missing = some[sets.far(some.q, some.of, _BESIDE * self.spacing)]
+            held, missed = self._within(some.q).sum(), self._within(missing.q).sum()
+            self.coverage = Coverage(len(chosen) * number, int(held), int(missed))
+            if len(missing.q) == 0 or sets.sizes.max() > _TOO_MANY:
+                break
+            self._grow(self._take(missing, sets), points, sets)
+            self._spread(sets, carried, points)
+            number *= _MORE
+        return sets.postures
+
+    def _random(self, points: FloatArray, number: int) -> _Postures:
+        """Random postures that hold the tool at `points` (k, 3), from `number` at each."""
+        of = np.repeat(np.arange(len(points)), number)
+        half = np.minimum(0.5 * (self._upper - self._lower), np.pi)
+        q = self._rng.uniform(self._middle - half, self._middle + half, (len(of), len(half)))
+        q, reached = project_onto_task(self._postures, self._task, q, points[of], steps=_RANDOM_STEPS)
+        return self._on_circle(_Postures(q, of)[reached])
+
+    def _spread(self, sets: PoissonDiskSets, carried: IntArray, points: FloatArray) -> None:
+        """Carry the postures of charts, but the first `carried` (k,) of each, along the path both ways."""
+        last = len(points) - 1
+        ways = [(1, carried.copy()), (-1, carried.copy())]
+        while sets.sizes.max() <= _TOO_MANY:
+            found = sets.sizes.sum()
+            for way, done in ways:
+                for k in range(last) if way == 1 else range(last, 0, -1):
+                    new = sets.postures[k][done[k] :]
+                    done[k] += len(new)
+                    if len(new):
+                        ahead = self._predictor(new, points[k]).towards(points[k + way])
+                        some = _Postures(ahead, np.full(len(ahead), k + way))
+                        some = some[sets.far(some.q, some.of)]
+                        self._grow(self._place(some, points, sets), points, sets)
+            if sets.sizes.sum() == found:
+                return
+
+    def _within(self, q: FloatArray) -> BoolArray:
+        return np.all((q >= self._lower) & (q <= self._upper), axis=1)
 
     def _coarsen(self) -> None:
         self.spacing *= _COARSER ** (2 / self._wide)
@@ -200,19 +301,24 @@ class SelfMotionSampler:
         self._take(_Postures(seeds, np.zeros(len(seeds), dtype=np.intp)), sets)
         return self._grown(sets, point[None])[0]
 
+    def _sets(self, charts: Sequence[FloatArray]) -> PoissonDiskSets:
+        return PoissonDiskSets(charts, _APART * self.spacing)
+
     def _empty_sets(self, number: int) -> PoissonDiskSets:
-        return PoissonDiskSets(number, _APART * self.spacing, self._round)
+        return self._sets([np.empty((0, len(self._middle)))] * number)
 
     def _grown(self, sets: PoissonDiskSets, points: FloatArray) -> list[FloatArray]:
-        """Grow charts at `points` (k, 3) from postures on the task until no new posture is far enough."""
-        frontier = _Postures.of_each(sets.postures)
+        self._grow(_Postures.of_each(sets.postures), points, sets)
+        return sets.postures
+
+    def _grow(self, frontier: _Postures, points: FloatArray, sets: PoissonDiskSets) -> None:
+        """Grow charts at `points` (k, 3) from postures of theirs until no new posture is far enough."""
         while len(frontier.q):
             frontier = frontier[(sets.sizes <= _TOO_MANY)[frontier.of]]
             steps = self.spacing * null_space(self._postures, self._task, frontier.q)
             ahead = np.concatenate([frontier.q[:, None] + steps, frontier.q[:, None] - steps], axis=1)
             some = _Postures(ahead.reshape(-1, frontier.q.shape[1]), np.repeat(frontier.of, ahead.shape[1]))
             frontier = self._place(some[sets.far(some.q, some.of)], points, sets)
-        return sets.postures
 
     def _place(self, some: _Postures, points: FloatArray, sets: PoissonDiskSets) -> _Postures:
         """Project postures onto the task at their points; take those far from others, and return them."""
@@ -220,10 +326,14 @@ class SelfMotionSampler:
         return self._take(_Postures(placed[reached], some.of[reached]), sets)
 
     def _take(self, some: _Postures, sets: PoissonDiskSets) -> _Postures:
-        """Take postures in the chart's range that are far from others, and return them."""
-        q = np.where(self._round, (some.q + np.pi) % (2 * np.pi) - np.pi, some.q)
-        some = _Postures(q, some.of)[np.all((q >= self._lower) & (q <= self._upper), axis=1)]
+        """Take postures that are far from others, and return them."""
+        some = self._on_circle(some)
         return some[sets.take(some.q, some.of)]
+
+    def _on_circle(self, some: _Postures) -> _Postures:
+        # Exact for angles that lie on it.
+        turns = np.round((some.q - self._middle) / _ONE_TURN)
+        return _Postures(some.q - _ONE_TURN * turns, some.of)
 
 
 @dataclass(frozen=True)
@@ -243,37 +353,38 @@ class _Postures:
 
 
 class PoissonDiskSets:
-    """Sets of postures, empty at first, which keep the distance `apart`, rad, from each other in their set.
+    """Sets of postures, which keep the distance `apart`, rad, from each other in their set.
 
-    Each has its own k-d tree, which is quicker than one of all. Angles of the joints `round_` (n,) lie on a
-    circle.
+    Each has its own k-d tree, which is quicker than one of all. All angles lie on a circle. `first` are the
+    postures at first, (M, n) of each.
     """
 
-    def __init__(self, number: int, apart: float, round_: BoolArray) -> None:
+    def __init__(self, first: Sequence[FloatArray], apart: float) -> None:
         self._apart = apart
-        self._round = round_
-        self._circle = np.where(round_, _ONE_TURN, 0.0)
-        self.postures = [np.empty((0, len(round_))) for _ in range(number)]
-        self._turned = self.postures.copy()
-        self._trees: list[cKDTree | None] = [None] * number
+        self.postures = list(first)
+        self._turned = [_on_one_turn(q) for q in first]
+        self._trees: list[cKDTree | None] = [None] * len(first)
 
     @property
     def sizes(self) -> IntArray:
         """Number of postures in each."""
         return np.array([len(q) for q in self.postures])
 
-    def far(self, q: FloatArray, of: IntArray) -> BoolArray:
-        """Which of postures `q` (N, n) are apart from those in their sets, whose indices `of` (N,) ascend."""
-        return self._far(self._on_circle(q), of)
+    def far(self, q: FloatArray, of: IntArray, distance: float | None = None) -> BoolArray:
+        """Which of postures `q` (N, n) are apart from those in their sets, whose indices `of` (N,) ascend.
+
+        Or, if given, at least so far, rad.
+        """
+        return self._far(_on_one_turn(q), of, distance or self._apart)
 
     def take(self, q: FloatArray, of: IntArray) -> BoolArray:
         """Add those of `q` (N, n) that are apart from all others, in order, and return which."""
-        turned = self._on_circle(q)
-        taken = self._far(turned, of)
+        turned = _on_one_turn(q)
+        taken = self._far(turned, of, self._apart)
         candidates = np.flatnonzero(taken)
         for k, some in _groups(of[candidates]):
             mine = candidates[some]
-            tree = cKDTree(turned[mine], boxsize=self._circle)
+            tree = cKDTree(turned[mine], boxsize=_ONE_TURN)
             pairs = tree.query_pairs(self._apart, output_type="ndarray")
             if len(pairs):
                 keep = without_neighbours(len(mine), pairs)
@@ -285,25 +396,26 @@ class PoissonDiskSets:
             self._turned[k] = np.concatenate([self._turned[k], turned[mine]])
         return taken
 
-    def _far(self, turned: FloatArray, of: IntArray) -> BoolArray:
+    def _far(self, turned: FloatArray, of: IntArray, least: float) -> BoolArray:
         far = np.ones(len(turned), dtype=np.bool_)
         for k, some in _groups(of):
             if len(self.postures[k]):
-                distance, _ = self._tree(k).query(turned[some], distance_upper_bound=self._apart)
-                far[some] = distance >= self._apart
+                distance, _ = self._tree(k).query(turned[some], distance_upper_bound=least)
+                far[some] = distance >= least
         return far
 
     def _tree(self, k: int) -> cKDTree:
         tree = self._trees[k]
         if tree is None:
-            tree = self._trees[k] = cKDTree(self._turned[k], boxsize=self._circle)
+            tree = self._trees[k] = cKDTree(self._turned[k], boxsize=_ONE_TURN)
         return tree
 
-    def _on_circle(self, q: FloatArray) -> FloatArray:
-        # The tree needs angles from 0 to below a whole turn; a tiny negative one would round up to it.
-        turned: FloatArray = q - self._circle * np.floor(q / _ONE_TURN)
-        turned[self._round & (turned >= _ONE_TURN)] = 0.0
-        return turned
+
+def _on_one_turn(q: FloatArray) -> FloatArray:
+    """Angles from 0 to below a whole turn, as the trees need them; a tiny negative one rounds up to it."""
+    turned: FloatArray = q % _ONE_TURN
+    turned[turned >= _ONE_TURN] = 0.0
+    return turned
 
 
 def _groups(of: IntArray) -> Iterator[tuple[int, slice]]:

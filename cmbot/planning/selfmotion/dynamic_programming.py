@@ -14,7 +14,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.planning.selfmotion.charts import GraphLayer, charts_of
+from cmbot.planning.selfmotion.charts import Coverage, GraphLayer, charts_of
 
 __all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_along", "nearest_turn", "refine"]
 
@@ -63,20 +63,20 @@ class Edges:
         return np.flatnonzero(np.diff(self.after, prepend=-1))
 
 
-def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray) -> Edges:
+def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, winding: BoolArray) -> Edges:
     """Find which postures `q_b` (N, n) can follow which of `q_a` (M, n) by moves within `step` (n,), rad.
 
-    Angles of joints without a range, `endless` (n,), count modulo a turn.
+    Angles of the joints `winding` (n,), which can turn by more than a whole turn, count modulo a turn.
     """
-    turn = np.where(endless, 2 * np.pi / step, 0.0)
+    turn = np.where(winding, 2 * np.pi / step, 0.0)
     # A tree with a box is slower, also without periods.
-    box = turn if endless.any() else None
+    box = turn if winding.any() else None
     trees = (cKDTree(_in_steps(q, step, turn), boxsize=box) for q in (q_a, q_b))
     near = next(trees).sparse_distance_matrix(next(trees), _A_STEP, p=np.inf, output_type="ndarray")
     before, after = near["i"], near["j"]
     moves = q_a[before] - q_b[after]
     if box is not None:
-        moves[:, endless] = nearest_turn(moves[:, endless])
+        moves[:, winding] = nearest_turn(moves[:, winding])
     moves /= step
     reachable = (np.abs(moves) <= 1.0).all(axis=1)
     order = np.flatnonzero(reachable)
@@ -84,7 +84,7 @@ def edges(q_a: FloatArray, q_b: FloatArray, step: FloatArray, endless: BoolArray
     return Edges(before[order], after[order], (moves[order] ** 2).sum(axis=1), len(q_b))
 
 
-def edges_along(layers: Sequence[GraphLayer], steps: FloatArray, endless: BoolArray) -> list[Edges]:
+def edges_along(layers: Sequence[GraphLayer], steps: FloatArray, winding: BoolArray) -> list[Edges]:
     """Find the edges between layers, `steps` (k, n) apart at most; see `edges`.
 
     Nodes that are known to be inadmissible have none.
@@ -92,7 +92,7 @@ def edges_along(layers: Sequence[GraphLayer], steps: FloatArray, endless: BoolAr
     found = []
     for (before, after), step in zip(pairwise(layers), steps, strict=True):
         i, j = np.flatnonzero(before.admissible), np.flatnonzero(after.admissible)
-        few = edges(before.chart.q[i], after.chart.q[j], step, endless)
+        few = edges(before.chart.q[i], after.chart.q[j], step, winding)
         found.append(Edges(i[few.before], j[few.after], few.length, len(after.chart.q)))
     return found
 
@@ -177,6 +177,7 @@ def refine(
     steps: FloatArray,
     reach: float,
     lower_bound: float,
+    winding: BoolArray,
     *,
     start_stays: bool,
 ) -> FloatArray:
@@ -184,7 +185,8 @@ def refine(
 
     Around the admissible postures `q` (k, n) others are drawn, at first up to `reach`, rad, from them, nearer
     ones in every round. Dynamic programming finds the best sequence of all these within `steps` (k - 1, n),
-    rad. The sequence before is among them, so the peak never rises; near `lower_bound` the rounds end.
+    rad; the joints `winding` (n,) count modulo a turn. The sequence before is among them, so the peak never
+    rises; near `lower_bound` the rounds end.
     """
     rng = np.random.default_rng(0)
     for done in range(_ROUNDS):
@@ -194,7 +196,7 @@ def refine(
             each[0] = q[:1]
         charts = charts_of(context, each)
         layers = [GraphLayer(context, chart) for chart in charts]
-        links = edges_along(layers, steps, np.isinf(context.robot.limits.lower))
+        links = edges_along(layers, steps, winding)
         starts = np.ones(len(each[0]), dtype=np.bool_)
         chosen = BottleneckDynamicProgram(context, layers, links, starts).best()
         q = np.stack([chart.q[k] for chart, k in zip(charts, chosen, strict=True)])
@@ -223,13 +225,16 @@ def _candidates(
     return [np.vstack([q[k : k + 1], placed[reached & (of == k)]]) for k in range(n)]
 
 
-def blocked(context: PlanningContext, layers: Sequence[GraphLayer], k: int) -> PathNotFound:
+def blocked(
+    context: PlanningContext, layers: Sequence[GraphLayer], k: int, coverage: Coverage | None = None
+) -> PathNotFound:
     """Return the error that says why no sequence leads to via-point `k`, or through it."""
     layer, pair = layers[k], None
+    tried = "" if coverage is None else f" in {coverage.drawn} attempts"
     if not layer.chart.within.any():
         why = (
-            "out of reach: no posture within the joint ranges holds the tool there; "
-            "take another posture_deg, move the tool path, or keep less of the pose (tool_path.keep)"
+            f"no posture within the joint ranges that holds the tool there was found{tried}; take another "
+            "posture_deg, move the tool path, or keep less of the pose (tool_path.keep)"
         )
     elif not layer.admissible.any():
         weak = int((layer.chart.within & (layer.chart.joint_use > 1.0)).sum())

@@ -17,7 +17,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.selfmotion.charts import GraphLayer, SelfMotionSampler, charts_of
+from cmbot.planning.selfmotion.charts import Chart, GraphLayer, SelfMotionSampler, charts_of
 from cmbot.planning.selfmotion.dynamic_programming import (
     BottleneckDynamicProgram,
     blocked,
@@ -35,6 +35,8 @@ _SAME_POSTURE = 1e-9
 _POSE = 6
 # Sequences beside one.
 _BESIDE = 40
+# Checks of a chart at most, and random postures of each as a multiple of those that charts are grown from.
+_CHECKS, _SEEDS_OF_A_CHECK = 5, 5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,25 +82,39 @@ class GlobalSearch:
 
     def __init__(self, context: PlanningContext) -> None:
         self._context = context
-        self._endless = np.isinf(context.robot.limits.lower)
-        each, self._spacing = _sampled(context)
-        charts = charts_of(context, each)
-        self._layers = [GraphLayer(context, chart) for chart in charts]
-        for k, layer in enumerate(self._layers):
-            if layer.best() is None:
-                raise blocked(context, self._layers, k)
-        self.lower_bound, lowest = find_lower_bound(context, self._layers, self._spacing)
+        limits = context.robot.limits
+        # The charts have one turn of these joints; the edges between charts count their angles modulo a turn.
+        self._winding = limits.upper - limits.lower > 2 * np.pi
+        each, lowest = self._bounded()
         self._wide = context.robot.dof - context.task.dimension > 1
         if self._wide:
             charts = charts_of(context, self._with_more(each, lowest))
             self._layers = [GraphLayer(context, chart) for chart in charts]
         self._allow(context.options.step_share)
-        self.first_chart = charts[0]
-        # The shorter way round for endless joints.
-        moves = charts[0].q - context.posture
-        moves[:, self._endless] = nearest_turn(moves[:, self._endless])
-        self._away = np.abs(moves).max(axis=1)
-        self._pinned = self._away < _SAME_POSTURE
+        self.first_chart = self._layers[0].chart
+
+    def _bounded(self) -> tuple[list[FloatArray], FloatArray]:
+        """Find the lower bound; return all charts, (M, d) each, and a posture (d,) with that value.
+
+        Where it is set, and where no posture is admissible, more random postures check the chart first.
+        """
+        context, sampler = self._context, SelfMotionSampler(self._context)
+        each = _sampled(sampler, context)
+        for _ in range(_CHECKS):
+            self._layers = [GraphLayer(context, chart) for chart in charts_of(context, each)]
+            empty = next((k for k, layer in enumerate(self._layers) if layer.best() is None), None)
+            if empty is None:
+                self.lower_bound, lowest = find_lower_bound(context, self._layers, sampler.spacing)
+            before = sum(len(q) for q in each)
+            number = _SEEDS_OF_A_CHECK * context.options.chart_seeds
+            at = self.lower_bound.via_point if empty is None else empty
+            each = sampler.complete(each, context.points, [at], number)
+            if sum(len(q) for q in each) == before:
+                break
+        if empty is not None:
+            raise blocked(context, self._layers, empty, sampler.coverage)
+        self._spacing = sampler.spacing
+        return each, lowest
 
     def halved(self) -> GlobalSearch:
         """Return the same charts with half the steps between via-points."""
@@ -119,7 +135,7 @@ class GlobalSearch:
         PathNotFound
             When no sequence of admissible postures can be followed to the end.
         """
-        return self._solve(self._pinned if pinned else np.ones_like(self._pinned))
+        return self._solve(self._context.posture if pinned else None)
 
     def solve_elsewhere(self, failed: PathNotFound) -> tuple[GlobalSolution, tuple[PathNotFound, ...]]:
         """Start in the posture nearest to the scene's from which the path can be followed.
@@ -142,12 +158,15 @@ class GlobalSearch:
         PathNotFound
             When none of `PlannerOptions.other_starts` postures leads to the end.
         """
-        others = np.flatnonzero(self._layers[0].chart.within & ~self._pinned)
-        nearest = others[np.argsort(self._away[others], kind="stable")]
+        chart, posture = self._layers[0].chart, self._context.posture
+        moves = self._moves(posture, chart.q)
+        away = np.abs(moves).max(axis=1)
+        others = np.flatnonzero(chart.within & (away >= _SAME_POSTURE))
+        nearest = others[np.argsort(away[others], kind="stable")]
         failures = [failed]
         for k in nearest[: self._context.options.other_starts]:
             try:
-                return self._solve(np.arange(len(self._away)) == k), tuple(failures)
+                return self._solve(posture + moves[k]), tuple(failures)
             except PathNotFound as failure:
                 failures.append(failure)
         raise no_start_left(failures) from failed
@@ -160,21 +179,38 @@ class GlobalSearch:
             step_share * context.robot.limits.velocity * np.diff(context.times)[:, None]
             + 0.5 * context.options.chart_spacing
         )
-        self._edges = edges_along(self._layers, self._steps, self._endless)
+        self._edges = edges_along(self._layers, self._steps, self._winding)
 
-    def _solve(self, starts: BoolArray) -> GlobalSolution:
+    def _moves(self, start: FloatArray, q: FloatArray) -> FloatArray:
+        """Moves (M, d) from a posture (d,) to others, the shorter way round where that stays in range."""
+        limits = self._context.robot.limits
+        moves = q - start
+        moves[:, self._winding] = nearest_turn(moves[:, self._winding])
+        end = start + moves
+        return np.where((end >= limits.lower) & (end <= limits.upper), moves, q - start)
+
+    def _solve(self, start: FloatArray | None) -> GlobalSolution:
+        """Find the best sequence from a posture (d,), or from anywhere."""
         context, layers = self._context, self._layers
+        starts = np.ones(len(layers[0].chart.q), dtype=np.bool_)
+        if start is not None:
+            moves = layers[0].chart.q - start
+            moves[:, self._winding] = nearest_turn(moves[:, self._winding])
+            starts = np.abs(moves).max(axis=1) < _SAME_POSTURE
         context.reporter.step("choosing the postures of least torque")
         chosen = BottleneckDynamicProgram(context, layers, self._edges, starts).best()
         q = np.stack([layer.chart.q[k] for layer, k in zip(layers, chosen, strict=True)])
         if self._wide:
-            stays = not starts.all()
+            stays = start is not None
             # A start that stays is a lower bound as well.
             at_start = float(layers[0].chart.value[chosen[0]]) if stays else 0.0
             bound = max(self.lower_bound.value, at_start)
-            q = refine(context, q, self._steps, self._spacing, bound, start_stays=stays)
+            q = refine(context, q, self._steps, self._spacing, bound, self._winding, start_stays=stays)
+        unwound, beyond = self._unwound(q, start)
+        if beyond.any():
+            return self._on_all_turns(int(beyond.argmax()))._solve(start)
         value = context.objective.at_rest(context.postures.at(q))
-        return GlobalSolution(q=self._unwound(q), value=value)
+        return GlobalSolution(q=unwound, value=value)
 
     def _with_more(self, each: list[FloatArray], lowest: FloatArray) -> list[FloatArray]:
         """Add to coarse charts the finer ones of the whole pose, and sequences beside the posture `lowest`.
@@ -184,24 +220,59 @@ class GlobalSearch:
         context = self._context
         more = [sequences_beside(context, lowest, self.lower_bound.via_point, self._spacing)]
         if context.robot.dof > _POSE:
-            more.append(_sampled(replace(context, task=replace(context.task, keep="pose")))[0])
+            pose = replace(context, task=replace(context.task, keep="pose"))
+            more.append(_sampled(SelfMotionSampler(pose), pose))
         return [np.vstack(of_point) for of_point in zip(each, *more, strict=True)]
 
-    def _unwound(self, q: FloatArray) -> FloatArray:
-        """The same postures (n, d) on the turns of endless joints that lie nearest to those before."""
-        q, posture = q.copy(), self._context.posture
-        before = np.vstack([posture, q[:-1]])[:, self._endless]
-        steps = nearest_turn(q[:, self._endless] - before)
-        q[:, self._endless] = posture[self._endless] + np.cumsum(steps, axis=0)
-        return q
+    def _unwound(self, q: FloatArray, start: FloatArray | None) -> tuple[FloatArray, BoolArray]:
+        """The same postures (n, d) on the turns next to each other, from those of `start` (d,) if given.
+
+        Also says which joints (d,) leave their ranges then.
+        """
+        limits = self._context.robot.limits
+        q, turn = q.copy(), 2 * np.pi
+        q[1:, self._winding] = q[0, self._winding] + np.cumsum(
+            nearest_turn(np.diff(q[:, self._winding], axis=0)), axis=0
+        )
+        first = self._context.posture if start is None else start
+        turns = np.where(self._winding, np.round((first - q[0]) / turn), 0.0)
+        if start is None:
+            # The turns nearest to the scene's posture on which the sequence stays within the ranges.
+            fewest = np.ceil((limits.lower - q.min(axis=0)) / turn)
+            most = np.floor((limits.upper - q.max(axis=0)) / turn)
+            turns = np.where(self._winding & (fewest <= most), np.clip(turns, fewest, most), turns)
+        q += turn * turns
+        beyond = (q.min(axis=0) < limits.lower) | (q.max(axis=0) > limits.upper)
+        return q, beyond & self._winding
+
+    def _on_all_turns(self, joint: int) -> GlobalSearch:
+        """Return the same charts with a joint's angles on all turns of its range."""
+        limits = self._context.robot.limits
+        reach = np.ceil((limits.upper[joint] - limits.lower[joint]) / (2 * np.pi))
+        turns = np.zeros((int(2 * reach) + 1, len(limits.lower)))
+        turns[:, joint] = 2 * np.pi * np.arange(-reach, reach + 1)
+        layers = []
+        for chart in (layer.chart for layer in self._layers):
+            q = (chart.q + turns[:, None]).reshape(-1, chart.q.shape[1])
+            inside = (q[:, joint] >= limits.lower[joint]) & (q[:, joint] <= limits.upper[joint])
+            same = np.tile(np.arange(len(chart.q)), len(turns))[inside]
+            copies = Chart(
+                q=q[inside],
+                value=chart.value[same],
+                joint_use=chart.joint_use[same],
+                within=chart.within[same],
+            )
+            layers.append(GraphLayer(self._context, copies))
+        search = copy.copy(self)
+        search._layers, search._winding = layers, self._winding & (np.arange(len(limits.lower)) != joint)
+        search._allow(self.step_share)
+        return search
 
 
-def _sampled(context: PlanningContext) -> tuple[list[FloatArray], float]:
-    """Postures (M, d) of the charts at all via-points, and their spacing, rad."""
-    sampler = SelfMotionSampler(context)
+def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[FloatArray]:
+    """Postures (M, d) of the charts at all via-points."""
     report = partial(context.reporter.part, f"charting the postures that hold the tool's {context.task.keep}")
-    each = sampler.along(context.points, context.posture[None], report)
-    return each, sampler.spacing
+    return sampler.along(context.points, context.posture[None], report)
 
 
 def sequences_beside(
