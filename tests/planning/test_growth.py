@@ -102,7 +102,7 @@ def test_the_best_sequence_is_the_same_when_all_clearances_are_computed(every: i
     scene = short_scene(obstacles=[post])
     context = context_of(scene, knots="sliding")
     stage = GlobalSearch(context)
-    starts = np.arange(len(stage._pinned)) % every == 0
+    starts = np.arange(len(stage.first_chart.q)) % every == 0
 
     def best(layers: list[GraphLayer]) -> list[int]:
         return BottleneckDynamicProgram(context, layers, stage._edges, starts).best()

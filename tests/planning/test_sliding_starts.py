@@ -33,7 +33,7 @@ def test_a_pinned_start_that_leads_nowhere_is_left_for_the_nearest_that_does() -
 
 @pytest.mark.parametrize(("tries", "words"), [(0, ""), (1, "; 1 other starting posture fails as well")])
 def test_a_pinned_start_with_few_others_to_try(tries: int, words: str) -> None:
-    scene = short_scene(obstacles=[BALL], planner={**PINNED, "other_starts": tries})
+    scene = short_scene(obstacles=[{**BALL, "sphere": 0.0666}], planner={**PINNED, "other_starts": tries})
     with pytest.raises(PathNotFound) as caught:
         plan(scene)
     assert "blocked" in str(caught.value)

@@ -161,7 +161,7 @@ class SelfMotionSampler:
         limits = context.robot.limits
         self._lower, self._upper = limits.lower, limits.upper
         # Every joint is charted on the circle, about the middle of its range.
-        self._middle = np.where(np.isinf(limits.lower), 0.0, 0.5 * (limits.lower + limits.upper))
+        self._middle = limits.range_middle
         self.spacing = context.options.chart_spacing
         self._seeds = context.options.chart_seeds
         self._wide = max(context.robot.dof - context.task.dimension, 2)
@@ -186,13 +186,11 @@ class SelfMotionSampler:
         `report` is called with the number of points that are charted, and of all.
         """
         report = report or (lambda *_: None)
-        while True:
-            each = self._each(points, known, report)
-            number = int(np.ceil(self._seeds / len(points)))
-            each = self.complete(each, points, range(len(points)), number)
-            if max(len(q) for q in each) <= _TOO_MANY:
-                return each
+        each = self._each(points, known, report)
+        while max(len(q) for q in each) > _TOO_MANY:
             self._coarsen()
+            each = self._each(points, known, report)
+        return self.complete(each, points, range(len(points)), int(np.ceil(self._seeds / len(points))))
 
     def complete(
         self, charts: list[FloatArray], points: FloatArray, at: Sequence[int], number: int
