@@ -247,7 +247,8 @@ class SelfMotionSampler:
                 return
 
     def _within(self, q: FloatArray) -> BoolArray:
-        return np.all((q >= self._lower) & (q <= self._upper), axis=1)
+        within: BoolArray = np.all((q >= self._lower) & (q <= self._upper), axis=1)
+        return within
 
     def _coarsen(self) -> None:
         self.spacing *= _COARSER ** (2 / self._wide)

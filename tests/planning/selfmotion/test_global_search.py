@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from small_scenes import context_of, off_task, short_scene
+from urdf_arms import six_joint_scene
 
 from cmbot.common.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalSearch, plan
@@ -91,7 +92,7 @@ FAR = {"legs": [{"by": [0, 2.5, 0], "seconds": 60}]}
             r"via-point \d of 8 is blocked: \d+ postures come within.*lower planner\.safety_margin_m",
             False,
         ),
-        ({"tool_path": FAR}, r"blocked: no posture within the joint ranges .* was found in \d+ attempts", False),
+        ({"tool_path": FAR}, r"blocked: no posture .* was found in \d+ attempts", False),
         ({"robot": {"payload_kg": 60.0}}, r"ask too much of a joint's torque.* lighter payload", True),
     ],
 )
@@ -148,3 +149,29 @@ def test_refining_never_raises_the_peak() -> None:
         assert peak <= before
         assert (peak < before - 10) != stays
         assert (better[0] == q[0]).all() == stays
+
+
+@pytest.fixture(scope="module")
+def turned(tmp_path_factory: pytest.TempPathFactory) -> PlanningContext:
+    """A UR5, whose joints can turn twice, with joint 4 one turn on."""
+    path = {"keep": "pose", "legs": [{"by": [0.06, -0.05, -0.02], "seconds": 5}], "via_points": 6}
+    folder = tmp_path_factory.mktemp("ur5")
+    return context_of(six_joint_scene(folder, "ur5", [-105, -76, -94, 84 - 360, 48, -61], path))
+
+
+def test_joints_that_can_turn_twice(turned: PlanningContext) -> None:
+    """One turn of the chart stands for all; a sequence begins on the turn of the scene's posture."""
+    limits, search = turned.robot.limits, GlobalSearch(turned)
+    pinned, free = search.solve(pinned=True), search.solve(pinned=False)
+    np.testing.assert_allclose(pinned.q[0], turned.posture, atol=1e-9)
+    for solution in (pinned, free):
+        assert ((solution.q >= limits.lower) & (solution.q <= limits.upper)).all()
+        assert off_task(turned.robot, turned.task, solution.q, turned.points) < 1e-9
+        assert np.abs(np.diff(solution.q, axis=0)).max() < 1.0
+    everywhere = search._on_all_turns(3)
+    for got, expected in ((everywhere.solve(pinned=True), pinned), (everywhere.solve(pinned=False), free)):
+        assert got.peak == pytest.approx(expected.peak, rel=1e-12)
+    # Where a range ends between two turns the sequence takes one that stays within.
+    narrow = replace(turned.robot.limits, upper=limits.upper - 2 * np.pi * (np.arange(6) == 3))
+    within = GlobalSearch(replace(turned, robot=replace(turned.robot, limits=narrow))).solve(pinned=False)
+    assert (within.q <= narrow.upper).all()

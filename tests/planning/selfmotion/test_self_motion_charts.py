@@ -215,3 +215,19 @@ def test_poisson_disk_sets_take_postures_that_are_apart(seed: int, number: int, 
     assert sets.sizes.tolist() == [len(each) for each in taken]
     for postures, each in zip(sets.postures, taken, strict=True):
         np.testing.assert_array_equal(postures, np.reshape(each, (-1, 2)))
+
+
+def test_a_branch_that_the_charts_miss_is_found_by_random_postures(cmbot_robot: Robot) -> None:
+    """As where one opens later on the path: here most of each chart but the first has been taken out."""
+    q = np.radians([-10, -90, 90, 0, 10, 50, 0])
+    task = task_at(cmbot_robot, q)
+    points = task.path.corners[0] + np.linspace(0, 0.1, 4)[:, None] * [0, 0, 1]
+    sampler = SelfMotionSampler(context_for(cmbot_robot, task, 0.2))
+    whole = sampler.along(points, q[None])
+    assert sampler.coverage.missed == 0
+    assert sampler.coverage.share == pytest.approx(1 - 0.05 ** (1 / sampler.coverage.held))
+    near = [each[np.abs(each - q).max(axis=1) < 1.0] for each in whole]
+    assert all(0 < len(few) < 0.3 * len(each) for few, each in zip(near, whole, strict=True))
+    again = sampler.complete(near, points, [2], 300)
+    for few, each in zip(again, whole, strict=True):
+        assert distance_on_circle(few, each).max() < 1.5 * 0.2
