@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import shutil
 from collections.abc import Sequence
@@ -116,7 +117,8 @@ def _is_robot(file: str) -> bool:
 
     if Path(file).suffix.lower() in _ROBOT_SUFFIXES:
         return True
-    if _is_file(Path(file)) or (scene_folder() / f"{file}.yaml").exists():
+    # Path.exists raises for names that no file can have.
+    if _is_file(Path(file)) or os.path.exists(scene_folder() / f"{file}.yaml"):  # noqa: PTH110
         return False
     return file == "cmbot" or file in (library_robots() or ())
 

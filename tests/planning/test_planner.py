@@ -259,7 +259,7 @@ def test_a_way_that_no_trajectory_follows_is_given_up_soon(tmp_path: Path) -> No
     with pytest.raises(OptimisationFailed, match="cannot all be met") as caught:
         optimise(problem_of(scene), reports.append)
     assert caught.value.constraint.split()[0] in ("acceleration", "jerk")
-    assert caught.value.violation > 1
+    assert caught.value.violation > 0.01
     assert len(reports) <= 1
     made = plan(scene)
     assert made.certificate.holds

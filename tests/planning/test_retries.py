@@ -206,7 +206,7 @@ def test_a_long_path_with_few_via_points_does_not_creep(tmp_path: Path) -> None:
         {"by": [0, -0.1, 0.1], "seconds": 3},
     ]
     scene = panda_scene(tmp_path, legs=legs, via_points=12)
-    problem = problem_of(scene, chart_spacing=0.3, samples_per_segment=15, solver="sqp")
+    problem = problem_of(scene, samples_per_segment=15, solver="sqp")
     found = optimise(problem)
     assert sum(report.iterations for report in found.passes) <= 80
     assert found.passes[-1].worst.value <= scene.planner.constraint_tolerance
