@@ -57,6 +57,9 @@ class ExchangeOptions:
     slsqp_iterations : int
         Of SLSQP in an exchange iteration: it need not end before the next one knows more constraints.
     sqp : SqpOptions
+    stop : callable
+        Asked between iterations whether the time is over: then the last trajectory that met all constraints
+        is the result, if there was one.
     """
 
     solver: str = "sqp"
@@ -73,6 +76,7 @@ class ExchangeOptions:
     slsqp_accuracy: float = 1e-8
     slsqp_iterations: int = 10
     sqp: SqpOptions = field(default_factory=SqpOptions)
+    stop: Callable[[], bool] = lambda: False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,11 +118,14 @@ class Result:
     passes : tuple of ExchangeReport
     peak_bound : float
         What the peak was held below, in units of the program's scale.
+    complete : bool
+        It was not stopped before its end.
     """
 
     parametrization: Parametrization
     passes: tuple[ExchangeReport, ...]
     peak_bound: float
+    complete: bool = True
 
 
 def minimize_peak(
@@ -145,15 +152,23 @@ def minimize_peak(
     """
     exchange = _Exchange(program, options, progress)
     bound = program.lower_bound * (1 + options.peak_tolerance)
-    if program.lower_bound > 0:
-        try:
-            exchange.run(options.smoothing, bound=bound, attempt=True)
-            return exchange.result(bound)
-        except OptimisationFailed:
-            exchange.restart()
-    peak = exchange.lowest_peak(bound)
-    bound = max(bound, peak * (1 + options.peak_tolerance))
-    exchange.run(options.smoothing, bound=bound)
+    try:
+        if program.lower_bound > 0:
+            try:
+                exchange.run(options.smoothing, bound=bound, attempt=True)
+                return exchange.result(bound)
+            except OptimisationFailed:
+                if options.stop():
+                    raise
+                exchange.restart()
+        peak = exchange.lowest_peak(bound)
+        bound = max(bound, peak * (1 + options.peak_tolerance))
+        exchange.run(options.smoothing, bound=bound)
+    except OptimisationFailed:
+        if exchange.feasible is None or not options.stop():
+            raise
+        form, peak = exchange.feasible
+        return Result(parametrization=form, passes=tuple(exchange.reports), peak_bound=peak, complete=False)
     return exchange.result(bound)
 
 
@@ -178,6 +193,8 @@ class _Exchange:
         self._program, self._options, self._progress = program, options, progress
         self._families = len(families_of(program))
         self.reports: list[ExchangeReport] = []
+        # The last trajectory that met all constraints, with its peak.
+        self.feasible: tuple[Parametrization, float] | None = None
         self.restart()
 
     def restart(self) -> None:
@@ -244,13 +261,19 @@ class _Exchange:
             found = self._separated(limit)
             known, self._constraints = self._constraints, found.added_to(self._constraints)
             self._report(stage, iterations, found)
-            worst = found.worst_beside(limit)
-            if worst.value <= o.feasibility_tolerance and self._constraints is known:
-                if done:
-                    return found.peak
-            elif attempt and end.values.violation > o.nearly_met:
+            worst, nothing_new = found.worst_beside(limit), self._constraints is known
+            met = worst.value <= o.feasibility_tolerance
+            if met:
+                self.feasible = self.form, found.peak
+            if met and nothing_new and done:
+                return found.peak
+            if o.stop():
+                raise _failure("the time was over before the optimum was found", worst)
+            if met and nothing_new:
+                continue
+            if attempt and end.values.violation > o.nearly_met:
                 raise _failure("the known constraints were not met", worst)
-            elif done and self._constraints is known:
+            if done and nothing_new:
                 if left == 0:
                     raise _failure("the solver stopped before the constraints were met", worst)
                 left -= 1
@@ -270,7 +293,7 @@ class _Exchange:
             met = max(before.violation, after.violation) <= o.feasibility_tolerance
             return end, iterations, iterations < most or (met and gained <= accuracy)
         sqp = replace(o.sqp, optimality_tolerance=accuracy) if accuracy else o.sqp
-        result = solve_sqp(start, self._families, sqp, self._warm)
+        result = solve_sqp(start, self._families, sqp, self._warm, o.stop)
         self._warm = result
         if result.status is SqpStatus.INFEASIBLE:
             self.form = result.iterate.parametrization

@@ -14,6 +14,7 @@ are linearized after the step: a second-order correction with fresh derivatives 
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Generic, Protocol, Self, TypeVar
 
@@ -169,14 +170,18 @@ def solve_sqp(
     families: int,
     options: SqpOptions,
     warm: SqpResult[AnyIterate] | None = None,
+    stop: Callable[[], bool] = lambda: False,
 ) -> SqpResult[AnyIterate]:
     """Lower the merit from `start`, with so many families of constraints, until nothing more is to be gained.
 
-    `warm` is a run with the first of the constraints, for its multipliers, penalties and damping.
+    `warm` is a run with the first of the constraints, for its multipliers, penalties and damping. Where
+    `stop` says so after an iteration it ends as at the iteration limit.
     """
     state = _SqpState(start, families, options, warm)
     iterations = 0
     while iterations < options.max_iterations and state.status is SqpStatus.ITERATION_LIMIT:
+        if iterations and stop():
+            break
         iterations += 1
         model = replace(state.iterate.model, hessian=state.hessian)
         step = state.steered(model)

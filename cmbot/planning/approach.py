@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import dijkstra
+from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import cKDTree
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.errors import LimitViolation
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate, certify
@@ -18,7 +20,7 @@ from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
-__all__ = ["Approach", "FreeSpace", "certify_approach", "connect", "plan_approach", "shorten"]
+__all__ = ["Approach", "FreeSpace", "certify_approach", "connect", "plan_approach", "reachable", "shorten"]
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
 _KNOT_SPACING, _HALVINGS = 0.4, 4
@@ -89,7 +91,7 @@ def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) 
     path = _along_chart(space, start, end, chart, options.chart_spacing)
     along_self_motion = path is not None
     if path is None:
-        path = connect(space, start, end)
+        path = connect(space, start, end, context.reporter.expired)
         if path is None:
             raise context.path_not_found(
                 "no collision-free approach to the start of the work was found", start
@@ -101,10 +103,23 @@ def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) 
         certificate = certify_approach(robot, held, trajectory, clearances, options, start, end)
         if certificate.holds:
             break
-    certificate.require()
+    try:
+        certificate.require()
+    except LimitViolation as violation:
+        reason = f"no approach to the start of the work is certified: {violation}"
+        raise context.path_not_found(reason, start) from violation
     return Approach(
         trajectory=trajectory, certificate=certificate, task=held, along_self_motion=along_self_motion
     )
+
+
+def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:
+    """Which postures of the start's chart (M, n) self-motion leads to from the scene's posture."""
+    space = FreeSpace(context.robot, context.clearances, context.options.safety_margin_m)
+    space = space.around(context.posture[None]) or space
+    graph = _neighbours(space, context.posture[None], chart, context.options.chart_spacing)[1]
+    _, component = connected_components(graph, directed=False)
+    return np.asarray(component[1:] == component[0])
 
 
 def certify_approach(
@@ -141,15 +156,7 @@ def _along_chart(
     space: FreeSpace, start: FloatArray, end: FloatArray, chart: FloatArray, spacing: float
 ) -> FloatArray | None:
     """Shortest path (k, n) between neighbouring postures of a chart; None where none connects the ends."""
-    nodes = np.vstack([start, end, chart])
-    pairs = cKDTree(nodes).query_pairs(_NEIGHBOURS * spacing, output_type="ndarray")
-    free = space.holds(nodes)
-    pairs = pairs[free[pairs].all(axis=1)]
-    lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
-    # A duplicate of an end in the chart is at distance zero, which a sparse graph takes for no edge.
-    graph = sparse.csr_array(
-        (np.maximum(lengths, 1e-12), (pairs[:, 0], pairs[:, 1])), shape=(len(nodes), len(nodes))
-    )
+    nodes, graph = _neighbours(space, np.stack([start, end]), chart, spacing)
     distance, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
     if not np.isfinite(distance[1]):
         return None
@@ -157,6 +164,21 @@ def _along_chart(
     while indices[-1] != 0:
         indices.append(int(before[indices[-1]]))
     return nodes[indices[::-1]]
+
+
+def _neighbours(
+    space: FreeSpace, ends: FloatArray, chart: FloatArray, spacing: float
+) -> tuple[FloatArray, sparse.csr_array]:
+    """Postures, those of `ends` (k, n) first, and the graph of distances between free neighbours."""
+    nodes = np.vstack([ends, chart])
+    pairs = cKDTree(nodes).query_pairs(_NEIGHBOURS * spacing, output_type="ndarray")
+    free = space.holds(nodes)
+    pairs = pairs[free[pairs].all(axis=1)]
+    lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
+    # A duplicate of an end in the chart is at distance zero, which a sparse graph takes for no edge.
+    lengths = np.maximum(lengths, 1e-12)
+    shape = (len(nodes), len(nodes))
+    return nodes, sparse.csr_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=shape)
 
 
 def _timed(robot: Robot, path: FloatArray, spacing: float) -> QuinticTrajectory:
@@ -217,11 +239,13 @@ class FreeSpace:
         return bool(self.holds(start + shares * (end - start)).all())
 
 
-def connect(space: FreeSpace, start: FloatArray, end: FloatArray) -> FloatArray | None:
+def connect(
+    space: FreeSpace, start: FloatArray, end: FloatArray, stop: Callable[[], bool] = lambda: False
+) -> FloatArray | None:
     """Connect two free postures (n,) by a broken line of free ones, (k, n); None when none was found.
 
     Two trees grow from both ends towards random postures and towards each other (RRT-Connect; Kuffner and
-    LaValle, 2000). The random numbers are the same in every run.
+    LaValle, 2000). The random numbers are the same in every run. The search is given up when `stop` says so.
     """
     if space.straight(start, end):
         return np.stack([start, end])
@@ -230,6 +254,8 @@ def connect(space: FreeSpace, start: FloatArray, end: FloatArray) -> FloatArray 
     lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
     trees = (_Tree(start), _Tree(end))
     for growth in range(_MOST_GROWTHS):
+        if stop():
+            break
         tree, other = trees[growth % 2], trees[1 - growth % 2]
         new = tree.grow(space, rng.uniform(lower, upper))
         if new is None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import find_path
@@ -64,13 +64,17 @@ def fixed_guess(context: PlanningContext) -> InitialGuess:
 
 
 def sliding_guess(
-    context: PlanningContext, unreached: PathNotFound | None = None, search: GlobalSearch | None = None
+    context: PlanningContext,
+    unreached: PathNotFound | None = None,
+    search: GlobalSearch | None = None,
+    starts: BoolArray | None = None,
 ) -> InitialGuess:
     """Take via-points from the global search, to slide along the self-motion.
 
     With ``start: free`` the arm starts wherever the tool pose is the scene's, if that gains enough. With
     ``pinned``, or where no approach leads there (`unreached`), it starts in the scene's posture, or in the
-    nearest one from which a path leads on. A `search` of the same context saves making the charts again.
+    nearest one from which a path leads on. A `search` of the same context saves making the charts again;
+    `starts` says in which postures of its first chart the arm may start.
 
     Raises
     ------
@@ -82,7 +86,7 @@ def sliding_guess(
     if search is None:
         _require_clear_start(context)
         search = GlobalSearch(context)
-    free, pinned = (_solved(search, pinned=choice) for choice in (False, True))
+    free, pinned = (_solved(search, pinned=choice, starts=starts) for choice in (False, True))
     failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
     if isinstance(free, PathNotFound):
         raise free
@@ -143,9 +147,9 @@ def _require_clear_start(context: PlanningContext) -> None:
     )
 
 
-def _solved(search: GlobalSearch, *, pinned: bool) -> GlobalSolution | PathNotFound:
+def _solved(search: GlobalSearch, *, pinned: bool, starts: BoolArray | None) -> GlobalSolution | PathNotFound:
     try:
-        return search.solve(pinned=pinned)
+        return search.solve(pinned=pinned, starts=None if pinned else starts)
     except PathNotFound as failure:
         return failure
 

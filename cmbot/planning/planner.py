@@ -90,7 +90,8 @@ def plan(
     automatic, options = given.solver == "auto", replace(given, solver=solver_of(given))
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        return _plan(scene, options, objective, ProgressReporter(progress), automatic=automatic)
+        reporter = ProgressReporter(progress, limit=options.time_limit_s)
+        return _plan(scene, options, objective, reporter, automatic=automatic)
 
 
 def _plan(
@@ -128,6 +129,9 @@ def _plan(
         floor=guess.lower_bound.value if sliding else None,
     )
     fallbacks = attempt.fallbacks
+    if not motion.optimised.complete:
+        fallback = f"Stopped after {options.time_limit_s:g} s (planner.time_limit_s): the best motion so far."
+        fallbacks = (*fallbacks, fallback)
     if why := motion.optimised.whole_because:
         fallback = f"The path was optimised as a whole, as a segment failed ({why}): that took longer."
         fallbacks = (*fallbacks, fallback)
@@ -183,7 +187,8 @@ def _certified_motion(attempt: Attempt) -> _Motion:
     compensation = quieting = None
     if context.sag is not None:
         optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
-    if context.arm is not None and options.knots == "sliding" and options.quiet_modes:
+    quiet = options.knots == "sliding" and options.quiet_modes > 0 and not reporter.expired()
+    if context.arm is not None and quiet:
         optimised, quieting = suppress_vibration(context.arm, problem, optimised)
 
     reporter.stage("certify")

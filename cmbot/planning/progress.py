@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -82,14 +83,17 @@ class Progress:
 class ProgressReporter:
     """Reports what the planner is doing, and how long it will still take; keeps the times of its stages.
 
-    `progress` is called with a `Progress`; `clock` gives seconds that do not go back.
+    `progress` is called with a `Progress`; `clock` gives seconds that do not go back; `limit` is how many of
+    them planning may take.
     """
 
     def __init__(
         self,
         progress: Callable[[Progress], None] | None = None,
         clock: Callable[[], float] = time.perf_counter,
+        limit: float = math.inf,
     ) -> None:
+        self._end = clock() + limit
         self._progress = progress or (lambda _: None)
         self._clock = clock
         self._now = Progress(stage="path")
@@ -99,6 +103,10 @@ class ProgressReporter:
         self._stage_began = clock()
         # When the optimisation began, and when the passes before compensation and each round of it ended.
         self._ends = [clock()]
+
+    def expired(self) -> bool:
+        """Whether the time is over."""
+        return self._clock() >= self._end
 
     def stage(self, stage: str, *, failed_starts: int = 0) -> None:
         """Begin a stage."""

@@ -1,8 +1,12 @@
 """Retries: what is tried where no certified motion is found, in the order of `RETRIES`.
 
-1. `shorter_steps`: a guess with shorter steps between via-points.
-2. `scene_start`: a guess that starts in the scene's posture, and 1.
-3. `dense_solver`: SLSQP, and 1 and 2.
+1. `finer_samples`: where the certificate misses a bound by a hair, twice the samples per segment.
+2. `shorter_steps`: a guess with shorter steps between via-points, and 1.
+3. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 and 2.
+4. `scene_start`: a guess that starts in the scene's posture, and 1 and 2.
+5. `dense_solver`: SLSQP, and 1 to 4.
+
+Each remedy runs while there is time (`PlannerOptions.time_limit_s`).
 """
 
 from __future__ import annotations
@@ -14,7 +18,8 @@ from typing import Protocol, TypeVar
 
 import numpy as np
 
-from cmbot.common.errors import OptimisationFailed, PathNotFound, PlanningError
+from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
+from cmbot.planning.approach import reachable
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, initial_guess, sliding_guess
 from cmbot.planning.torque import TorqueProblem
@@ -23,7 +28,9 @@ __all__ = [
     "RETRIES",
     "Attempt",
     "dense_solver",
+    "finer_samples",
     "guesses_in_shorter_steps",
+    "reachable_start",
     "roughness",
     "scene_start",
     "shorter_steps",
@@ -33,8 +40,12 @@ __all__ = [
 # Halvings of the steps, and guesses among these that are optimised, at most. A guess is worth it when its
 # roughness is at most this share of that before.
 _HALVINGS, _TRIES, _SMOOTHER = 4, 2, 0.9
+# What the certificate may miss a bound by for more samples to help, as a share of it.
+_BY_A_HAIR = 0.01
 # Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
 _FEW_VIA_POINTS = 100
+# Samples per segment at most, as the options have it.
+_MOST_SAMPLES = 400
 
 Work = TypeVar("Work")
 
@@ -59,6 +70,23 @@ class Retry(Protocol):
         """Return the attempt that succeeded and its result."""
 
 
+def finer_samples(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where the certificate misses a bound by a hair, which sampled constraints overlooked."""
+    context = failed.context
+    options = context.options
+    missed = isinstance(failure, LimitViolation) and _excess(failure) <= _BY_A_HAIR
+    if not missed or 2 * options.samples_per_segment > _MOST_SAMPLES:
+        raise failure
+    context.reporter.stage("path")
+    options = replace(options, samples_per_segment=2 * options.samples_per_segment)
+    context = replace(context, options=options)
+    fallback = (
+        f"The certificate missed a bound by a hair ({failure}): planned with twice the samples instead."
+    )
+    guess = initial_guess(context, failed.guess.search)
+    return run(replace(failed, context=context, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
+
+
 def shorter_steps(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
     """Where no trajectory follows a guess: the first one in shorter steps that a trajectory follows.
 
@@ -76,6 +104,21 @@ def shorter_steps(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
                 if not attempt.guess.pinned:
                     raise
     raise failure
+
+
+def reachable_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where no approach leads to a better start: the best start that self-motion leads to."""
+    context, search = failed.context, failed.guess.search
+    if not isinstance(failure, PathNotFound) or search is None or failed.guess.pinned:
+        raise failure
+    context.reporter.stage("path")
+    starts = reachable(context, search.first_chart.q)
+    guess = sliding_guess(context, search=search, starts=starts)
+    if guess.pinned:
+        # Nothing that can be reached is better; `scene_start` says so.
+        raise failure
+    fallback = f"No approach leads to the best start ({failure.reason}): the best that self-motion leads to."
+    return run(replace(failed, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
 
 
 def scene_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
@@ -102,7 +145,12 @@ def dense_solver(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tup
     return run(Attempt(context=context, guess=guess, fallbacks=(fallback,)))
 
 
-RETRIES: tuple[Retry, ...] = (shorter_steps, scene_start, dense_solver)
+def _excess(violation: LimitViolation) -> float:
+    """By how much a bound is missed, as a share of it."""
+    return abs(violation.value - violation.bound) / max(abs(violation.bound), 1e-12)
+
+
+RETRIES: tuple[Retry, ...] = (finer_samples, shorter_steps, reachable_start, scene_start, dense_solver)
 
 
 def with_retries(
@@ -118,13 +166,17 @@ def with_retries(
         When no trajectory follows the guess, nor any other.
     PathNotFound
         When a guess cannot be made, or no approach leads to its start.
+    LimitViolation
+        When the certificate does not hold.
     """
     if not retries:
         return attempt, work(attempt)
     run: Run[Work] = partial(with_retries, work=work, retries=retries[:-1])
     try:
         return run(attempt)
-    except (OptimisationFailed, PathNotFound) as failure:
+    except (OptimisationFailed, PathNotFound, LimitViolation) as failure:
+        if attempt.context.reporter.expired():
+            raise
         return retries[-1](attempt, failure, run)
 
 
@@ -139,7 +191,7 @@ def guesses_in_shorter_steps(failed: Attempt, failure: OptimisationFailed) -> It
         return
     rough, tries = roughness(failed.guess.problem), 0
     for _ in range(_HALVINGS):
-        if tries == _TRIES:
+        if tries == _TRIES or context.reporter.expired():
             return
         search = search.halved()
         context.reporter.step(f"no trajectory follows that guess; trying step_share {search.step_share:.3g}")

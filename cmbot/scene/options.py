@@ -103,6 +103,9 @@ class PlannerOptions:
         The arm leaves the scene's posture only where that lowers the peak by more than this share.
     constraint_tolerance : float
         Relative violation below which the optimiser takes a constraint for met.
+    time_limit_s : float
+        Time after which nothing new is begun: the best motion so far is certified and returned. Where there
+        is none, the error says what was the matter.
     max_passes : int
         Most exchange iterations.
     max_iterations : int
@@ -140,5 +143,6 @@ class PlannerOptions:
     peak_tolerance: Annotated[float, Field(ge=1e-9, le=0.1)] = 1e-4
     gap_target: Annotated[float, Field(ge=0, le=100)] = 2e-3
     constraint_tolerance: Annotated[float, Field(ge=1e-9, le=1e-4)] = 1e-5
+    time_limit_s: Annotated[float, Field(ge=1e-3, le=1e6)] = 60.0
     max_passes: Annotated[int, Field(ge=1, le=10_000)] = 80
     max_iterations: Annotated[int, Field(ge=1, le=100_000)] = 1000

@@ -14,6 +14,7 @@ from cmbot.common.validation import checked_options
 from cmbot.optimization import exchange
 from cmbot.optimization.evaluation import NlpEvaluation
 from cmbot.optimization.exchange import ExchangeOptions, minimize_peak
+from cmbot.optimization.separation import find_violations
 from cmbot.planning import ExchangeReport, QuinticTrajectory, plan
 from cmbot.planning.torque.decomposition import Optimised, exchange_options, optimise
 from cmbot.planning.torque.problem import TorqueProblem
@@ -117,6 +118,33 @@ def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solve
     lower = exchange._Exchange(problem, replace(exchange_options(problem), solver=solver), None)
     with pytest.raises(OptimisationFailed):
         lower.run(problem.context.options.smoothing_weight, bound=0.999 * found.peak_bound, attempt=True)
+
+
+@both_solvers
+def test_when_the_time_is_over_the_last_feasible_trajectory_is_the_result(solver: str) -> None:
+    problem = unattainable(solver=solver)
+    options = exchange_options(problem)
+    whole = minimize_peak(problem, options)
+    assert whole.complete
+    ends = set()
+    for most in range(1, len(whole.passes)):
+        reports: list[ExchangeReport] = []
+        timed = replace(options, stop=lambda reports=reports, most=most: len(reports) >= most)
+        met = [report.worst.value <= options.feasibility_tolerance for report in whole.passes[:most]]
+        try:
+            found = minimize_peak(problem, timed, reports.append)
+        except OptimisationFailed as failure:
+            assert not any(met)
+            assert "the time was over" in failure.reason
+            ends.add("failure")
+        else:
+            assert not found.complete
+            trajectory = found.parametrization.trajectory
+            left = find_violations(problem, trajectory, found.peak_bound, options.feasibility_tolerance, 1)
+            assert left.worst.value <= options.feasibility_tolerance
+            ends.add("feasible")
+        assert len(reports) <= most + 1
+    assert "feasible" in ends
 
 
 Solved = tuple[TorqueProblem, Optimised, list[ExchangeReport]]

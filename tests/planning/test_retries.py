@@ -15,11 +15,13 @@ from urdf_arms import panda_scene, path_of, six_joint_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.cli.inspection import examine
-from cmbot.common.errors import MissingExtra, OptimisationFailed, PathNotFound
+from cmbot.common.errors import LimitViolation, MissingExtra, OptimisationFailed, PathNotFound
 from cmbot.optimization import exchange
 from cmbot.planning import Plan, plan, remarks
+from cmbot.planning.approach import reachable
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.precheck import solver_of
+from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.retries import (
     Attempt,
     guesses_in_shorter_steps,
@@ -54,6 +56,31 @@ def attempt_at(scene: Scene, **options: Any) -> Attempt:
 def turned_wrist(folder: Path, **planner: object) -> Scene:
     """A UR3: of its two ways to hold the tool's pose the one with less torque turns a wrist too fast."""
     return six_joint_scene(folder, "ur3", POSTURE, TURNED, **planner)
+
+
+def test_when_the_time_is_over_nothing_else_is_tried(rough: Attempt) -> None:
+    over = ProgressReporter(clock=lambda: 2.0, limit=-1.0)
+    late = replace(rough, context=replace(rough.context, reporter=over))
+    failing = Failing(FAILURE)
+    with pytest.raises(OptimisationFailed, match="no"):
+        with_retries(late, failing)
+    assert len(failing.attempts) == 1
+    assert not list(guesses_in_shorter_steps(late, FAILURE))
+
+
+@pytest.mark.parametrize("knots", ["sliding", "fixed"])
+def test_a_time_limit_that_is_over_at_once(knots: str) -> None:
+    """Charts are a must; on a path that is known the first trajectory may already meet the constraints."""
+    scene = short_scene(planner={"knots": knots, "time_limit_s": 1e-3})
+    if knots == "sliding":
+        with pytest.raises(
+            PathNotFound, match=r"the time, 0\.001 s \(planner\.time_limit_s\), was over when"
+        ):
+            plan(scene)
+    else:
+        made = plan(scene)
+        assert made.certificate.holds
+        assert "Stopped after 0.001 s (planner.time_limit_s): the best motion so far." in made.fallbacks
 
 
 class Failing:
@@ -145,17 +172,50 @@ def test_an_approach_that_fails_is_raised_where_the_start_may_be_given_up(
 
 
 def test_where_no_approach_leads_to_a_better_start_the_scenes_is_taken() -> None:
-    attempt, work = attempt_at(rough_scene("free"), gap_target=0.0), Failing(UNREACHED)
+    attempt, work = attempt_at(rough_scene("free"), gap_target=0.0), Failing(UNREACHED, UNREACHED)
     assert not attempt.guess.pinned
     found, done = with_retries(attempt, work)
-    assert done == 2
+    assert done == 3
     assert found.guess.pinned
     assert found.guess.failures == (UNREACHED,)
     first = found.guess.problem.parametrization.via_points[0]
     np.testing.assert_allclose(first, attempt.context.posture, rtol=0, atol=1e-12)
     # It is the last: what fails then is raised.
     again = OptimisationFailed("again", constraint="jerk", violation=1.0)
-    assert raised_by(attempt, Failing(UNREACHED, *9 * [again])) is again
+    assert raised_by(attempt, Failing(UNREACHED, UNREACHED, *9 * [again])) is again
+
+
+def test_first_the_best_start_is_tried_that_self_motion_leads_to() -> None:
+    attempt, work = attempt_at(rough_scene("free"), gap_target=0.0), Failing(UNREACHED)
+    found, done = with_retries(attempt, work)
+    assert done == 2
+    assert not found.guess.pinned
+    context, chart = attempt.context, attempt.guess.search.first_chart.q
+    allowed = reachable(context, chart)
+    assert 0 < allowed.sum() < len(chart)
+    assert np.abs(chart[allowed] - context.posture).max(axis=1).min() < 1e-9
+    first = found.guess.problem.parametrization.via_points[0]
+    assert np.abs(chart[allowed] - first).max(axis=1).min() < 1e-9
+    (sentence,) = found.fallbacks
+    assert "No approach leads to the best start (no approach)" in sentence
+
+
+@pytest.mark.parametrize(("value", "helps"), [(1.00008e-3, True), (1.2e-3, False)])
+def test_where_a_bound_is_missed_by_a_hair_there_are_more_samples(
+    rough: Attempt, value: float, helps: bool
+) -> None:
+    missed = LimitViolation("tool deviation", time=1.0, value=value, bound=1e-3, unit="m")
+    work = Failing(missed)
+    if not helps:
+        with pytest.raises(LimitViolation):
+            with_retries(rough, work)
+        return
+    found, _ = with_retries(rough, work)
+    samples = rough.context.options.samples_per_segment
+    assert found.context.options.samples_per_segment == 2 * samples
+    assert found.guess.problem.samples_per_segment == 2 * samples
+    (sentence,) = found.fallbacks
+    assert "missed by a hair" in sentence
 
 
 @pytest.mark.parametrize("automatic", [True, False])

@@ -190,6 +190,8 @@ def refine(
     """
     rng = np.random.default_rng(0)
     for done in range(_ROUNDS):
+        if context.reporter.expired():
+            break
         context.reporter.part("refining the choice", done, _ROUNDS, at_most=True)
         each = _candidates(context, q, reach, rng)
         if start_stays:

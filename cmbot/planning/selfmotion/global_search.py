@@ -9,11 +9,10 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.projection import project_onto_task
@@ -122,20 +121,22 @@ class GlobalSearch:
         half._allow(0.5 * self.step_share)
         return half
 
-    def solve(self, *, pinned: bool) -> GlobalSolution:
+    def solve(self, *, pinned: bool, starts: BoolArray | None = None) -> GlobalSolution:
         """Find the sequence with the smallest peak, then mean square, of the objective at rest.
 
         Parameters
         ----------
         pinned : bool
             Start in the scene's posture; otherwise anywhere with its tool pose.
+        starts : (M,), optional
+            In which postures of the first chart it may start.
 
         Raises
         ------
         PathNotFound
             When no sequence of admissible postures can be followed to the end.
         """
-        return self._solve(self._context.posture if pinned else None)
+        return self._solve(self._context.posture if pinned else None, starts)
 
     def solve_elsewhere(self, failed: PathNotFound) -> tuple[GlobalSolution, tuple[PathNotFound, ...]]:
         """Start in the posture nearest to the scene's from which the path can be followed.
@@ -189,10 +190,11 @@ class GlobalSearch:
         end = start + moves
         return np.where((end >= limits.lower) & (end <= limits.upper), moves, q - start)
 
-    def _solve(self, start: FloatArray | None) -> GlobalSolution:
-        """Find the best sequence from a posture (d,), or from anywhere."""
+    def _solve(self, start: FloatArray | None, starts: BoolArray | None = None) -> GlobalSolution:
+        """Find the best sequence from a posture (d,), or from any of those that `starts` (M,) allows."""
         context, layers = self._context, self._layers
-        starts = np.ones(len(layers[0].chart.q), dtype=np.bool_)
+        if starts is None:
+            starts = np.ones(len(layers[0].chart.q), dtype=np.bool_)
         if start is not None:
             moves = layers[0].chart.q - start
             moves[:, self._winding] = nearest_turn(moves[:, self._winding])
@@ -208,7 +210,8 @@ class GlobalSearch:
             q = refine(context, q, self._steps, self._spacing, bound, self._winding, start_stays=stays)
         unwound, beyond = self._unwound(q, start)
         if beyond.any():
-            return self._on_all_turns(int(beyond.argmax()))._solve(start)
+            search, same = self._on_all_turns(int(beyond.argmax()))
+            return search._solve(start, starts[same])
         value = context.objective.at_rest(context.postures.at(q))
         return GlobalSolution(q=unwound, value=value)
 
@@ -245,17 +248,21 @@ class GlobalSearch:
         beyond = (q.min(axis=0) < limits.lower) | (q.max(axis=0) > limits.upper)
         return q, beyond & self._winding
 
-    def _on_all_turns(self, joint: int) -> GlobalSearch:
-        """Return the same charts with a joint's angles on all turns of its range."""
+    def _on_all_turns(self, joint: int) -> tuple[GlobalSearch, IntArray]:
+        """Return the same charts with a joint's angles on all turns of its range.
+
+        And of which postures of the first chart now those of the new one are copies, (M,).
+        """
         limits = self._context.robot.limits
         reach = np.ceil((limits.upper[joint] - limits.lower[joint]) / (2 * np.pi))
         turns = np.zeros((int(2 * reach) + 1, len(limits.lower)))
         turns[:, joint] = 2 * np.pi * np.arange(-reach, reach + 1)
-        layers = []
+        layers, same_as = [], list[IntArray]()
         for chart in (layer.chart for layer in self._layers):
             q = (chart.q + turns[:, None]).reshape(-1, chart.q.shape[1])
             inside = (q[:, joint] >= limits.lower[joint]) & (q[:, joint] <= limits.upper[joint])
             same = np.tile(np.arange(len(chart.q)), len(turns))[inside]
+            same_as.append(same)
             copies = Chart(
                 q=q[inside],
                 value=chart.value[same],
@@ -266,12 +273,20 @@ class GlobalSearch:
         search = copy.copy(self)
         search._layers, search._winding = layers, self._winding & (np.arange(len(limits.lower)) != joint)
         search._allow(self.step_share)
-        return search
+        return search, same_as[0]
 
 
 def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[FloatArray]:
     """Postures (M, d) of the charts at all via-points."""
-    report = partial(context.reporter.part, f"charting the postures that hold the tool's {context.task.keep}")
+    step = f"charting the postures that hold the tool's {context.task.keep}"
+
+    def report(done: int, total: int) -> None:
+        context.reporter.part(step, done, total)
+        if context.reporter.expired():
+            limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
+            reason = f"the time, {limit}, was over when {done} of {total} via-points had been charted"
+            raise context.path_not_found(reason, context.posture)
+
     return sampler.along(context.points, context.posture[None], report)
 
 

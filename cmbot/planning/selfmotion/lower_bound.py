@@ -75,7 +75,8 @@ def find_lower_bound(
     incumbent = -np.inf
     for first in range(0, len(order), together):
         some = order[first : first + together]
-        if each[some[0]] <= incumbent:
+        # The bound at each via-point is one of the whole path, so the search may end early.
+        if each[some[0]] <= incumbent or (first > 0 and context.reporter.expired()):
             break
         # The search of these may close some of the others.
         open_ = int((each[order[first:]] > incumbent).sum())
@@ -131,6 +132,9 @@ class _BranchAndBound:
         for _ in range(_MOST_HALVINGS * edges.shape[1]):
             value, fall, possible = self._bounded(cells)
             lowest = value - fall.sum(axis=1)
+            if self._context.reporter.expired():
+                np.minimum.at(left_out, cells.of, lowest)
+                break
             worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY))
             cells, value, fall, lowest = cells[worth], value[worth], fall[worth], lowest[worth]
             best, possible = self._checked(cells, value, best, postures)
@@ -155,6 +159,8 @@ class _BranchAndBound:
         for k in which:
             reach = self._spacing
             for _ in range(_STEPS):
+                if self._context.reporter.expired():
+                    break
                 q = postures[self._some[k]]
                 null = self._null_space(q[None])[0]
                 moves = reach * rng.uniform(size=(_TRIES, 1)) * rng.normal(size=(_TRIES, len(null))) @ null

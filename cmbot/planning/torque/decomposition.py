@@ -42,12 +42,15 @@ class Optimised:
     passes : tuple of ExchangeReport
     whole_because : str
         Of a long path that had to be solved whole: why its segments could not be; else empty.
+    complete : bool
+        The time was not over before the optimum was found.
     """
 
     trajectory: QuinticTrajectory
     via_points: FloatArray
     passes: tuple[ExchangeReport, ...]
     whole_because: str = ""
+    complete: bool = True
 
 
 def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None = None) -> Optimised:
@@ -121,6 +124,7 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
             feasibility_tolerance=_CLOSER * o.constraint_tolerance,
             max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
         ),
+        stop=problem.context.reporter.expired,
     )
 
 
@@ -139,7 +143,8 @@ def _in_segments(
 
     done = [_whole(problem.segment(first, last), report) for first, last in parts]
     trajectory = joined([each.trajectory for each in done])
-    return Optimised(trajectory=trajectory, via_points=trajectory.q, passes=tuple(passes))
+    complete = all(each.complete for each in done)
+    return Optimised(trajectory=trajectory, via_points=trajectory.q, passes=tuple(passes), complete=complete)
 
 
 def _whole(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None) -> Optimised:
@@ -148,4 +153,9 @@ def _whole(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | 
         check_feasible(problem)
     result = minimize_peak(problem, exchange_options(problem), progress)
     form = result.parametrization
-    return Optimised(trajectory=form.trajectory, via_points=form.via_points, passes=result.passes)
+    return Optimised(
+        trajectory=form.trajectory,
+        via_points=form.via_points,
+        passes=result.passes,
+        complete=result.complete,
+    )

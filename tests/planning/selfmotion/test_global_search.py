@@ -168,7 +168,8 @@ def test_joints_that_can_turn_twice(turned: PlanningContext) -> None:
         assert ((solution.q >= limits.lower) & (solution.q <= limits.upper)).all()
         assert off_task(turned.robot, turned.task, solution.q, turned.points) < 1e-9
         assert np.abs(np.diff(solution.q, axis=0)).max() < 1.0
-    everywhere = search._on_all_turns(3)
+    everywhere, same = search._on_all_turns(3)
+    assert len(same) > len(search.first_chart.q)
     for got, expected in ((everywhere.solve(pinned=True), pinned), (everywhere.solve(pinned=False), free)):
         assert got.peak == pytest.approx(expected.peak, rel=1e-12)
     # Where a range ends between two turns the sequence takes one that stays within.

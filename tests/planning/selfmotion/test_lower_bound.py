@@ -14,6 +14,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import GlobalSearch, Plan, plan
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.scene import Scene
 
@@ -113,6 +114,19 @@ def test_at_every_via_point_some_posture_has_no_more(
     last = len(bound.each) - 1
     # Elsewhere than where it is set, wide self-motions are known by coarse charts alone.
     assert bound.each[last] <= np.quantile(values(context, restarts(context, last, rng)), 0.1)
+
+
+def test_a_search_that_ends_early_bounds_from_below(context: PlanningContext, bound: LowerBound) -> None:
+    now = [0.0]
+
+    def pass_time(progress: Progress) -> None:
+        now[0] = float(progress.step.startswith("finding"))
+
+    reporter = ProgressReporter(pass_time, lambda: now[0], limit=0.5)
+    early = GlobalSearch(replace(context, reporter=reporter)).lower_bound
+    assert reporter.expired()
+    assert early.value - early.error <= bound.value
+    assert early.value >= bound.each[early.via_point] - bound.error
 
 
 def test_the_error_is_small_where_the_self_motion_is_narrow(kind: str, bound: LowerBound) -> None:
