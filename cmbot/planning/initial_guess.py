@@ -68,13 +68,15 @@ def sliding_guess(
     unreached: PathNotFound | None = None,
     search: GlobalSearch | None = None,
     starts: BoolArray | None = None,
+    unfollowed: PathNotFound | None = None,
 ) -> InitialGuess:
     """Take via-points from the global search, to slide along the self-motion.
 
     With ``start: free`` the arm starts wherever the tool pose is the scene's, if that gains enough. With
     ``pinned``, or where no approach leads there (`unreached`), it starts in the scene's posture, or in the
     nearest one from which a path leads on. A `search` of the same context saves making the charts again;
-    `starts` says in which postures of its first chart the arm may start.
+    `starts` says in which postures of its first chart the arm may start. Where no trajectory leads on from
+    the scene's posture (`unfollowed`), it starts elsewhere.
 
     Raises
     ------
@@ -91,7 +93,9 @@ def sliding_guess(
     if isinstance(free, PathNotFound):
         raise free
     may_leave = options.start == "free" and unreached is None
-    if isinstance(pinned, GlobalSolution):
+    if unfollowed is not None:
+        solution, failures = free, (unfollowed,)
+    elif isinstance(pinned, GlobalSolution):
         worth_leaving = pinned.peak > free.peak * (1 + options.gap_target)
         solution = free if may_leave and worth_leaving else pinned
     elif may_leave:

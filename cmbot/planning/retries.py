@@ -2,9 +2,10 @@
 
 1. `finer_samples`: where the certificate misses a bound by a hair, twice the samples per segment.
 2. `shorter_steps`: a guess with shorter steps between via-points, and 1.
-3. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 and 2.
-4. `scene_start`: a guess that starts in the scene's posture, and 1 and 2.
-5. `dense_solver`: SLSQP, and 1 to 4.
+3. `another_start`: a guess that leaves the scene's posture where no trajectory leads on from there, and 1, 2.
+4. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 to 3.
+5. `scene_start`: a guess that starts in the scene's posture, and 1 to 3.
+6. `dense_solver`: SLSQP, and 1 to 5.
 
 Each remedy runs while there is time (`PlannerOptions.time_limit_s`).
 """
@@ -27,6 +28,7 @@ from cmbot.planning.torque import TorqueProblem
 __all__ = [
     "RETRIES",
     "Attempt",
+    "another_start",
     "dense_solver",
     "finer_samples",
     "guesses_in_shorter_steps",
@@ -80,9 +82,7 @@ def finer_samples(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
     context.reporter.stage("path")
     options = replace(options, samples_per_segment=2 * options.samples_per_segment)
     context = replace(context, options=options)
-    fallback = (
-        f"The certificate missed a bound by a hair ({failure}): planned with twice the samples instead."
-    )
+    fallback = f"A bound was missed by a hair ({failure}): planned with twice the samples instead."
     guess = initial_guess(context, failed.guess.search)
     return run(replace(failed, context=context, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
 
@@ -103,6 +103,34 @@ def shorter_steps(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
                 # No approach leads to its start; only a free start has another retry.
                 if not attempt.guess.pinned:
                     raise
+    raise failure
+
+
+def another_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where no trajectory leads on from the scene's posture: a part of the self-motion where one may.
+
+    The way on from there may be so sudden that only rest is possible.
+    """
+    context, guess, search = failed.context, failed.guess, failed.guess.search
+    # Where an approach has failed before, the scene's posture is all that is left.
+    if not isinstance(failure, OptimisationFailed) or search is None or guess.unreached or not guess.pinned:
+        raise failure
+    context.reporter.stage("path")
+    reason = f"no trajectory follows the tool path ({failure.reason}; {failure.constraint})"
+    unfollowed = context.path_not_found(reason, context.posture)
+    rough, tries = roughness(guess.problem), 0
+    for _ in range(1 + _HALVINGS):
+        for starts in search.parts_of_first_chart():
+            if tries == _TRIES or context.reporter.expired():
+                raise failure
+            try:
+                left = sliding_guess(context, search=search, starts=starts, unfollowed=unfollowed)
+                if roughness(left.problem) <= _SMOOTHER * rough:
+                    tries += 1
+                    return run(replace(failed, guess=left))
+            except (OptimisationFailed, PathNotFound):
+                continue
+        search = search.halved()
     raise failure
 
 
@@ -150,7 +178,14 @@ def _excess(violation: LimitViolation) -> float:
     return abs(violation.value - violation.bound) / max(abs(violation.bound), 1e-12)
 
 
-RETRIES: tuple[Retry, ...] = (finer_samples, shorter_steps, reachable_start, scene_start, dense_solver)
+RETRIES: tuple[Retry, ...] = (
+    finer_samples,
+    shorter_steps,
+    another_start,
+    reachable_start,
+    scene_start,
+    dense_solver,
+)
 
 
 def with_retries(

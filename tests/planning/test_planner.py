@@ -263,4 +263,6 @@ def test_a_way_that_no_trajectory_follows_is_given_up_soon(tmp_path: Path) -> No
     assert len(reports) <= 1
     made = plan(scene)
     assert made.certificate.holds
-    assert made.options.step_share < scene.planner.step_share
+    # From another start: near the scene's posture the wrist turns round too fast.
+    assert made.start.moved > 0
+    assert "no trajectory follows the tool path" in made.start.failures[0].reason

@@ -16,6 +16,8 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.special import betaincinv
 
@@ -30,6 +32,7 @@ __all__ = [
     "PoissonDiskSets",
     "SelfMotionSampler",
     "charts_of",
+    "connected_parts",
     "without_neighbours",
 ]
 
@@ -106,6 +109,17 @@ def charts_of(context: PlanningContext, each: Sequence[FloatArray]) -> list[Char
             for a, b in pairwise(ends)
         ]
     return charts
+
+
+def connected_parts(q: FloatArray, within: BoolArray, spacing: float) -> IntArray:
+    """Number the connected parts of a chart's postures `q` (M, n); -1 for those not `within` the ranges."""
+    chosen = np.flatnonzero(within)
+    tree = cKDTree(_on_one_turn(q[chosen]), boxsize=_ONE_TURN)
+    pairs = tree.query_pairs(_BESIDE * spacing, output_type="ndarray")
+    graph = sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=2 * (len(chosen),))
+    label = np.full(len(q), -1, dtype=np.intp)
+    label[chosen] = connected_components(graph, directed=False)[1]
+    return label
 
 
 class GraphLayer:

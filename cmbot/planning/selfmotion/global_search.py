@@ -16,7 +16,13 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.selfmotion.charts import Chart, GraphLayer, SelfMotionSampler, charts_of
+from cmbot.planning.selfmotion.charts import (
+    Chart,
+    GraphLayer,
+    SelfMotionSampler,
+    charts_of,
+    connected_parts,
+)
 from cmbot.planning.selfmotion.dynamic_programming import (
     BottleneckDynamicProgram,
     blocked,
@@ -172,6 +178,14 @@ class GlobalSearch:
                 failures.append(failure)
         raise no_start_left(failures) from failed
 
+    def parts_of_first_chart(self) -> list[BoolArray]:
+        """Return which postures (M,) of the first chart each connected part of it has, nearest first."""
+        chart = self.first_chart
+        label = connected_parts(chart.q, chart.within, self._spacing)
+        away = np.abs(self._moves(self._context.posture, chart.q)).max(axis=1)
+        parts = [label == number for number in np.unique(label[label >= 0])]
+        return sorted(parts, key=lambda part: float(away[part].min()))
+
     def _allow(self, step_share: float) -> None:
         """Let joints use that share of their velocity bounds between via-points."""
         context = self._context
@@ -222,7 +236,7 @@ class GlobalSearch:
         """
         context = self._context
         more = [sequences_beside(context, lowest, self.lower_bound.via_point, self._spacing)]
-        if context.robot.dof > _POSE:
+        if context.robot.dof > _POSE and not context.reporter.expired():
             pose = replace(context, task=replace(context.task, keep="pose"))
             more.append(_sampled(SelfMotionSampler(pose), pose))
         return [np.vstack(of_point) for of_point in zip(each, *more, strict=True)]

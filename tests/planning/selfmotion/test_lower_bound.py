@@ -120,7 +120,7 @@ def test_a_search_that_ends_early_bounds_from_below(context: PlanningContext, bo
     now = [0.0]
 
     def pass_time(progress: Progress) -> None:
-        now[0] = float(progress.step.startswith("finding"))
+        now[0] = max(now[0], float(progress.step.startswith("finding")))
 
     reporter = ProgressReporter(pass_time, lambda: now[0], limit=0.5)
     early = GlobalSearch(replace(context, reporter=reporter)).lower_bound
