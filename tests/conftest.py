@@ -1,9 +1,10 @@
 """What all tests share: the shipped robot, repeatable random numbers, Hypothesis settings."""
 
+import math
 import os
 import re
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,10 @@ from small_scenes import short_scene
 from urdf_arms import arm_scene, endless_scene
 
 from cmbot.common.installation import model_folder
-from cmbot.planning import Plan, plan, robot_of
+from cmbot.planning import Plan, plan, planner, robot_of
+from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.robot import Dynamics, Kinematics, Robot, load_robot
-from cmbot.scene import load_scene
+from cmbot.scene import PlannerOptions, load_scene
 from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 pytest_plugins = ["plan_folders"]
@@ -33,6 +35,19 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 settings.register_profile("local", deadline=None)
 settings.register_profile("ci", deadline=None, derandomize=True)
 settings.load_profile("ci" if os.environ.get("CI") else "local")
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _without_the_default_time_limit() -> Iterator[None]:
+    """On a slow machine too, plans are what they are: only limits that a test gives count."""
+
+    def reporter(progress: Callable[[Progress], None] | None, limit: float) -> ProgressReporter:
+        given = limit != PlannerOptions.time_limit_s
+        return ProgressReporter(progress, limit=limit if given else math.inf)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(planner, "ProgressReporter", reporter)
+        yield
 
 
 @pytest.fixture(scope="session")
