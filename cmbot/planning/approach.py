@@ -226,8 +226,7 @@ class FreeSpace:
 
     def holds(self, q: FloatArray) -> BoolArray:
         """Which of the postures `q` (N, n) are free, and spare enough for their neighbours."""
-        limits = self.robot.limits
-        within: BoolArray = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
+        within = self.robot.limits.contain(q)
         free = within.copy()
         free[within] = ~self.clearances.check_collision(q[within], self.margin + self.spare)
         return free

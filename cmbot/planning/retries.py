@@ -118,9 +118,9 @@ def another_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
     context.reporter.stage("path")
     reason = f"no trajectory follows the tool path ({failure.reason}; {failure.constraint})"
     unfollowed = context.path_not_found(reason, context.posture)
-    rough, tries = roughness(guess.problem), 0
+    rough, tries, parts = roughness(guess.problem), 0, search.parts_of_first_chart()
     for _ in range(1 + _HALVINGS):
-        for starts in search.parts_of_first_chart():
+        for starts in parts:
             if tries == _TRIES or context.reporter.expired():
                 raise failure
             try:

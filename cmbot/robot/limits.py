@@ -22,7 +22,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
-from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.arrays import BoolArray, FloatArray, read_only
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.validation import FileModel, counted, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
@@ -91,6 +91,18 @@ class JointLimits:
         """Middle (n,) of each range, rad; zero for a continuous joint."""
         finite = np.isfinite(self.lower)
         return np.where(finite, self.upper, 0.0) - np.where(finite, self.range_half, 0.0)
+
+    def contain(self, q: FloatArray) -> BoolArray:
+        """Return which of the postures `q` (N, n), rad, are within the ranges, (N,)."""
+        within: BoolArray = np.all((q >= self.lower) & (q <= self.upper), axis=1)
+        return within
+
+    def turned_to_middle(self, q: FloatArray) -> FloatArray:
+        """Return `q` (N, n), rad, less whole turns, within half a turn of the middle of each range."""
+        turn = 2 * np.pi
+        # Exact for angles that are there already.
+        turned: FloatArray = q - turn * np.round((q - self.range_middle) / turn)
+        return turned
 
 
 class JointEntry(FileModel):

@@ -250,7 +250,7 @@ def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
             context.postures, task, q + _STEP * along, task.path.corners[0], steps=50, tolerance=1e-12
         )
         follows &= length[:, 0] >= 1e-6
-        follows &= ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
+        follows &= limits.contain(q)
         if step > 2:
             follows &= np.linalg.norm(q - posture, axis=1) >= _STEP
         q, along = q[follows], along[follows]

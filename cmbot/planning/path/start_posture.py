@@ -122,7 +122,7 @@ class _Search:
         """Postures (N, n) on the task within the ranges of the joints."""
         start = sampled_postures(self._limits.lower, self._limits.upper, _RESTARTS)
         q, reached = project_onto_task(self._batch, task, start, point, steps=_STEPS)
-        q = self._turned_back(q[reached])
+        q = self._limits.turned_to_middle(q[reached])
         return q[self._within(q)]
 
     def best(self, q: FloatArray, margin: float) -> Iterator[FloatArray]:
@@ -203,11 +203,6 @@ class _Search:
             q.append(step[0])
         followed = np.array(q[1:])
         return followed if self._strong(followed).all() else None
-
-    def _turned_back(self, q: FloatArray) -> FloatArray:
-        """Postures with whole turns taken off, into the joints' ranges where that is possible."""
-        turns = np.round((q - self._limits.range_middle) / (2 * np.pi))
-        return q - 2 * np.pi * turns
 
     def _room(self, q: FloatArray) -> FloatArray:
         """How far (N, n) joints are from the nearer end of their ranges, rad."""

@@ -102,7 +102,7 @@ def charts_of(context: PlanningContext, each: Sequence[FloatArray]) -> list[Char
         at = context.postures.at(q)
         value = context.objective.at_rest(at)
         use = (np.abs(at.joint_torque) / limits.torque).max(axis=1)
-        within: BoolArray = np.all((q >= limits.lower) & (q <= limits.upper), axis=1)
+        within = limits.contain(q)
         ends = np.cumsum([0, *(len(part) for part in some)])
         charts += [
             Chart(q=q[a:b], value=value[a:b], joint_use=use[a:b], within=within[a:b])
@@ -172,10 +172,8 @@ class SelfMotionSampler:
 
     def __init__(self, context: PlanningContext) -> None:
         self._postures, self._task = context.postures, context.task
-        limits = context.robot.limits
-        self._lower, self._upper = limits.lower, limits.upper
         # Every joint is charted on the circle, about the middle of its range.
-        self._middle = limits.range_middle
+        self._limits = context.robot.limits
         self.spacing = context.options.chart_spacing
         self._seeds = context.options.chart_seeds
         self._wide = max(context.robot.dof - context.task.dimension, 2)
@@ -225,7 +223,7 @@ class SelfMotionSampler:
             some = self._random(points[chosen], number)
             some = _Postures(some.q, chosen[some.of])
             missing = some[sets.far(some.q, some.of, _BESIDE * self.spacing)]
-            held, missed = self._within(some.q).sum(), self._within(missing.q).sum()
+            held, missed = self._limits.contain(some.q).sum(), self._limits.contain(missing.q).sum()
             self.coverage = Coverage(len(chosen) * number, int(held), int(missed))
             if len(missing.q) == 0 or sets.sizes.max() > _TOO_MANY:
                 break
@@ -237,8 +235,8 @@ class SelfMotionSampler:
     def _random(self, points: FloatArray, number: int) -> _Postures:
         """Random postures that hold the tool at `points` (k, 3), from `number` at each."""
         of = np.repeat(np.arange(len(points)), number)
-        half = np.minimum(0.5 * (self._upper - self._lower), np.pi)
-        q = self._rng.uniform(self._middle - half, self._middle + half, (len(of), len(half)))
+        middle, half = self._limits.range_middle, np.minimum(self._limits.range_half, np.pi)
+        q = self._rng.uniform(middle - half, middle + half, (len(of), len(half)))
         q, reached = project_onto_task(self._postures, self._task, q, points[of], steps=_RANDOM_STEPS)
         return self._on_circle(_Postures(q, of)[reached])
 
@@ -259,10 +257,6 @@ class SelfMotionSampler:
                         self._grow(self._place(some, points, sets), points, sets)
             if sets.sizes.sum() == found:
                 return
-
-    def _within(self, q: FloatArray) -> BoolArray:
-        within: BoolArray = np.all((q >= self._lower) & (q <= self._upper), axis=1)
-        return within
 
     def _coarsen(self) -> None:
         self.spacing *= _COARSER ** (2 / self._wide)
@@ -318,7 +312,7 @@ class SelfMotionSampler:
         return PoissonDiskSets(charts, _APART * self.spacing)
 
     def _empty_sets(self, number: int) -> PoissonDiskSets:
-        return self._sets([np.empty((0, len(self._middle)))] * number)
+        return self._sets([np.empty((0, len(self._limits.lower)))] * number)
 
     def _grown(self, sets: PoissonDiskSets, points: FloatArray) -> list[FloatArray]:
         self._grow(_Postures.of_each(sets.postures), points, sets)
@@ -344,9 +338,7 @@ class SelfMotionSampler:
         return some[sets.take(some.q, some.of)]
 
     def _on_circle(self, some: _Postures) -> _Postures:
-        # Exact for angles that lie on it.
-        turns = np.round((some.q - self._middle) / _ONE_TURN)
-        return _Postures(some.q - _ONE_TURN * turns, some.of)
+        return _Postures(self._limits.turned_to_middle(some.q), some.of)
 
 
 @dataclass(frozen=True)

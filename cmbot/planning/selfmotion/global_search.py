@@ -210,9 +210,7 @@ class GlobalSearch:
         if starts is None:
             starts = np.ones(len(layers[0].chart.q), dtype=np.bool_)
         if start is not None:
-            moves = layers[0].chart.q - start
-            moves[:, self._winding] = nearest_turn(moves[:, self._winding])
-            starts = np.abs(moves).max(axis=1) < _SAME_POSTURE
+            starts = np.abs(self._moves(start, layers[0].chart.q)).max(axis=1) < _SAME_POSTURE
         context.reporter.step("choosing the postures of least torque")
         chosen = BottleneckDynamicProgram(context, layers, self._edges, starts).best()
         q = np.stack([layer.chart.q[k] for layer, k in zip(layers, chosen, strict=True)])

@@ -215,7 +215,7 @@ class _BranchAndBound:
         """Compute clearances in cells: the best values then, and which cells may be clear somewhere."""
         limits, clearances = self._context.robot.limits, self._context.clearances
         margin = self._context.options.safety_margin_m
-        within = ((cells.q >= limits.lower) & (cells.q <= limits.upper)).all(axis=1)
+        within = limits.contain(cells.q)
         hopeful = within & (value < best[cells.of])
         hopeful[hopeful] = self._measured(cells.q[hopeful])[1] <= 1.0
         reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
