@@ -109,6 +109,11 @@ def _adapter(model: Any) -> TypeAdapter[Any]:
     return TypeAdapter(model)
 
 
+@cache
+def _schema(model: Any) -> dict[str, Any]:
+    return _adapter(model).json_schema()
+
+
 def check_fields(instance: object, model: type[BaseModel] | None = None) -> None:
     """Check the fields of a dataclass's instance by the bounds in their annotations.
 
@@ -209,7 +214,7 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
     """Return the one error to raise for those that pydantic found against `model`."""
     detail = _most_telling(error.errors(include_url=False))
     loc, kind, context = detail["loc"], detail["type"], detail.get("ctx", {})
-    schema = TypeAdapter(model).json_schema()
+    schema = _schema(model)
     if kind == _REFUSAL:
         key = key_path((*loc, *context["key"]))
         return error_type(source, key, context["got"], context["expected"], context["choices"])
