@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: demo test fuzz lint bench suite docs models clean
+.PHONY: demo test fuzz kills lint bench suite docs models clean
 
 demo: .venv/installed
 	$(BIN)/cmbot plan triangle --output out/triangle --force
@@ -14,6 +14,11 @@ test: .venv/tested
 # Takes hours.
 fuzz: .venv/tested
 	$(BIN)/python tools/fuzz.py --count 100000
+
+# Kills at every step on the file system, the second time by strace in whole processes: that takes an hour.
+kills: .venv/tested
+	CMBOT_KILLS_APART=1 $(BIN)/pytest -n auto tests/cli/test_cli_kills.py
+	$(BIN)/python tools/kill_calls.py
 
 lint: .venv/tested
 	$(BIN)/ruff check .
