@@ -17,6 +17,8 @@ from cmbot.robot import Robot
 
 __all__ = ["ElasticArm", "ElasticOptions", "cut_inertia", "elastic_arm"]
 
+# Bodies that are lighter are there for their frames only, kg; no radius of gyration is made of their mass.
+_NO_MASS = 1e-12
 # A body thinner than this share of the axis' length lies in a plane across it.
 _FLAT = 1e-9
 # Share of a piece's own second moment along the axis that is kept: about what the consistent mass matrix of a
@@ -205,7 +207,7 @@ def cut_inertia(inertia: Any, start: FloatArray, end: FloatArray, cuts: FloatArr
     k + 1 pieces follow in that order. Points and pieces are in the frame of `inertia`.
     """
     pieces = [pin.Inertia.Zero() for _ in range(len(cuts) + 1)]
-    if inertia.mass == 0:
+    if inertia.mass < _NO_MASS:
         return pieces
     length = np.linalg.norm(end - start)
     u = (end - start) / length

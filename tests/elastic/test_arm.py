@@ -169,6 +169,8 @@ def test_mass_stays_on_its_side_of_a_cut() -> None:
     assert far.isApprox(head)
     assert [piece.mass for piece in cut(rod(1.0, 0.2, 0.0))] == [1.0, 0.0]
     assert [piece.mass for piece in cut(pin.Inertia.Zero())] == [0, 0]
+    # Its radius of gyration would overflow.
+    assert [piece.mass for piece in cut(pin.Inertia(5e-324, np.zeros(3), np.eye(3)))] == [0, 0]
 
 
 def test_the_payload_is_at_the_end_of_a_bending_link(tmp_path: Path) -> None:
