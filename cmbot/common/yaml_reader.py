@@ -6,6 +6,8 @@ import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import deepcopy
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -88,6 +90,12 @@ def yaml_value(text: str, source: str, error_type: type[InputError]) -> Any:
 
 
 def _parsed(text: str, source: str, error_type: type[InputError]) -> Any:
+    # The files of a robot are read again each time that it is loaded.
+    return deepcopy(_parsed_once(text, source, error_type))  # type: ignore[arg-type]  # an Any of mypy's
+
+
+@lru_cache(maxsize=8)
+def _parsed_once(text: str, source: str, error_type: type[InputError]) -> Any:
     try:
         return _Document(text, source, error_type).read()
     except InputError:

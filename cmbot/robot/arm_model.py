@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import hint, shown
 from cmbot.robot.frames import require_turning
-from cmbot.robot.mesh_file import FARTHEST, locate_meshes, require_near
+from cmbot.robot.mesh_file import FARTHEST, load_near_meshes, locate_meshes
 from cmbot.robot.self_collision import NEAR, near_pairs
 
 __all__ = [
@@ -42,11 +43,14 @@ _MOST_NAMED = 6
 
 @dataclass(frozen=True, kw_only=True)
 class ArmModel:
-    """Pinocchio's model of an arm, only whose joints move, its shapes, and remarks on what was assumed."""
+    """Pinocchio's model of an arm, only whose joints move, its shapes, and remarks on what was assumed.
+
+    `read_visual` returns another such model with the visual shapes, whose meshes it reads.
+    """
 
     model: Any
     collision: Any
-    visual: Any
+    read_visual: Callable[[], tuple[Any, Any]]
     remarks: tuple[str, ...]
 
 
@@ -60,7 +64,7 @@ def arm_model(
     srdf: str,
     package_dirs: Sequence[Path] = (),
 ) -> ArmModel:
-    """Build the model, collision shapes and visual shapes of an arm: only its joints move.
+    """Build the model and the shapes of an arm: only its joints move.
 
     `root` is the content of `urdf` and is modified; `semantics` is that of the SRDF, whose name `srdf` is for
     messages. Its group states are where the other joints are locked, default zero; the pairs that it disables
@@ -68,14 +72,24 @@ def arm_model(
     finds always near.
     """
     require_turning(root, base_frame, tool_frame, str(urdf))
-    full, shapes = build_model(urdf, root, package_dirs)
+    full, collision = build_model(urdf, root, package_dirs)
     moving = _chain(full, str(urdf), base_frame, tool_frame)
     locked = [i for i in range(1, full.njoints) if i not in moving]
     stance, absent = _stance(full, srdf, semantics)
-    model, shapes = pin.buildReducedModel(full, shapes, locked, stance)
-    _require_extent(model, shapes, str(urdf))
-    assumed = _enable_pairs(model, shapes[0], srdf, semantics)
-    return ArmModel(model=model, collision=shapes[0], visual=shapes[1], remarks=(*absent, *assumed))
+
+    def reduced(shapes: Any) -> tuple[Any, Any]:
+        model, (shapes,) = pin.buildReducedModel(full, [shapes], locked, stance)
+        _require_extent(model, shapes, str(urdf))
+        return model, shapes
+
+    model, collision = reduced(collision)
+    assumed = _enable_pairs(model, collision, srdf, semantics)
+    return ArmModel(
+        model=model,
+        collision=collision,
+        read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
+        remarks=(*absent, *assumed),
+    )
 
 
 def encloses_volume(points: FloatArray) -> bool:
@@ -93,26 +107,20 @@ def convex_hull(points: FloatArray) -> Any:
     return coal.Convex.convexHull(vertices, False, "Qt")
 
 
-def build_model(
-    urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()
-) -> tuple[Any, list[Any]]:
-    """Build the full model with its collision and visual geometry; collision meshes become convex hulls.
+def build_model(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path] = ()) -> tuple[Any, Any]:
+    """Build the full model and its collision shapes; collision meshes become convex hulls.
 
     `root` is the content of `urdf`, without errors in `inspect_urdf`, and is modified.
     """
     _adapt(urdf, root, package_dirs)
     xml = ElementTree.tostring(root, encoding="unicode")
-    try:
+    with _refusals_named(urdf):
         model = pin.buildModelFromXML(xml)
-        kinds = (pin.GeometryType.COLLISION, pin.GeometryType.VISUAL)
-        loader = coal.CachedMeshLoader()  # a file is often that of several shapes
-        shapes = [pin.buildGeomFromUrdfString(model, xml, kind, mesh_loader=loader) for kind in kinds]
-    except (ValueError, RuntimeError, IndexError) as error:
-        got = f"a file that pinocchio refuses ({' '.join(str(error).split())})"
-        raise ModelError(str(urdf), "", got, "a loadable URDF") from error
-    for shape in shapes[0].geometryObjects:
-        if isinstance(shape.geometry, coal.BVHModelBase):
-            vertices = shape.geometry.vertices()
+    loader = load_near_meshes(root, "collision", str(urdf))
+    collision = _shapes(urdf, xml, model, pin.GeometryType.COLLISION, loader)
+    for shape in collision.geometryObjects:
+        if shape.geometry.getObjectType() == coal.OT_BVH:
+            vertices = loader.load(shape.meshPath, shape.meshScale).vertices()
             if not encloses_volume(vertices):
                 expected = "a mesh that encloses a volume"
                 raise ModelError(str(urdf), shape.name, f"the mesh {shape.meshPath}", expected)
@@ -121,7 +129,29 @@ def build_model(
             except RuntimeError as error:
                 got, expected = f"the mesh {shape.meshPath}", "one whose convex hull coal can hold"
                 raise ModelError(str(urdf), shape.name, got, expected) from error
-    return model, shapes
+    return model, collision
+
+
+def _visual_shapes(urdf: Path, root: ElementTree.Element, model: Any) -> Any:
+    """Visual shapes of the adapted `root`, from which the full `model` was built."""
+    load_near_meshes(root, "visual", str(urdf))
+    # Coal gives the triangles only of meshes with its usual bounding volumes.
+    xml = ElementTree.tostring(root, encoding="unicode")
+    return _shapes(urdf, xml, model, pin.GeometryType.VISUAL, coal.CachedMeshLoader())
+
+
+def _shapes(urdf: Path, xml: str, model: Any, kind: Any, loader: Any) -> Any:
+    with _refusals_named(urdf):
+        return pin.buildGeomFromUrdfString(model, xml, kind, mesh_loader=loader)
+
+
+@contextmanager
+def _refusals_named(urdf: Path) -> Iterator[None]:
+    try:
+        yield
+    except (ValueError, RuntimeError, IndexError) as error:
+        got = f"a file that pinocchio refuses ({' '.join(str(error).split())})"
+        raise ModelError(str(urdf), "", got, "a loadable URDF") from error
 
 
 def _adapt(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path]) -> None:
@@ -153,7 +183,6 @@ def _adapt(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[Path]) 
                 joint.remove(element)
     _adapt_materials(root)
     locate_meshes(urdf, root, package_dirs)
-    require_near(root, str(urdf))
 
 
 def _adapt_materials(root: ElementTree.Element) -> None:
@@ -268,11 +297,11 @@ def _near_remark(pairs: Sequence[tuple[str, str]]) -> str:
     )
 
 
-def _require_extent(model: Any, shapes: Sequence[Any], source: str) -> None:
+def _require_extent(model: Any, shapes: Any, source: str) -> None:
     """Refuse frames and shapes that are too far from the joint that carries them, by origins that add up."""
     placed = [(frame.name, frame.placement) for frame in model.frames]
     placed += [(name, X) for name, X in zip(model.names, model.jointPlacements, strict=True)]
-    placed += [(shape.name, shape.placement) for geometry in shapes for shape in geometry.geometryObjects]
+    placed += [(shape.name, shape.placement) for shape in shapes.geometryObjects]
     for name, X in placed:
         if not np.abs(X.translation).max() <= FARTHEST:
             got = f"{shown(name)}, {np.abs(X.translation).max():g} m from its joint"
@@ -281,9 +310,7 @@ def _require_extent(model: Any, shapes: Sequence[Any], source: str) -> None:
             )
 
 
-def set_tool_length(
-    model: Any, shapes: Sequence[Any], tool_frame: str, length: float, *, source: str
-) -> None:
+def set_tool_length(model: Any, shapes: Any, tool_frame: str, length: float, *, source: str) -> None:
     """Move the tool point along the flange's z axis and stretch the tool's shapes with it, in place.
 
     The flange is the frame that carries `tool_frame`'s link, on whose z axis the tool point lies; the tool's
@@ -306,7 +333,7 @@ def set_tool_length(
     ratio = length / old
     X_FT.translation = np.array([0.0, 0.0, length])
     frame.placement = flange.placement * X_FT
-    for shape in (shape for geometry in shapes for shape in geometry.geometryObjects):
+    for shape in shapes.geometryObjects:
         if model.frames[shape.parentFrame].name == flange.name:
             _stretch(shape, flange.placement, ratio, source)
 

@@ -24,7 +24,7 @@ from cmbot.robot.frames import arm_frames, moving_links
 from cmbot.robot.limits import read_joint_limits
 from cmbot.robot.xml_file import parse_urdf
 
-__all__ = ["Finding", "inspect_robot", "inspect_urdf", "overview"]
+__all__ = ["Finding", "inspect_inertias", "inspect_robot", "inspect_urdf", "overview"]
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 # Of joints of several coordinates: they are locked, and no arm may have one.
@@ -112,6 +112,12 @@ def inspect_urdf(root: ElementTree.Element, moving: Collection[str] | None = Non
     for joint in root.findall("joint"):
         findings += _joint(joint)
     return sorted(findings, key=lambda finding: finding.severity)
+
+
+def inspect_inertias(root: ElementTree.Element, moving: Collection[str]) -> list[Finding]:
+    """List what `inspect_urdf` finds about masses and inertias of the links `moving`."""
+    links = (link for link in root.findall("link") if link.get("name", "") in moving)
+    return [finding for link in links for finding in _inertial(link, moves=True)]
 
 
 def inspect_robot(files: RobotFiles) -> tuple[ElementTree.Element, list[Finding]]:

@@ -19,11 +19,11 @@ from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_to
 from cmbot.robot.elasticity import read_elasticity
 from cmbot.robot.files import RobotFiles, robot_files
 from cmbot.robot.frames import arm_frames, moving_links
-from cmbot.robot.inspection import Finding, inspect_urdf
+from cmbot.robot.inspection import Finding, inspect_inertias, inspect_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import srdf_of
-from cmbot.robot.xml_file import parse_urdf, urdf_content
+from cmbot.robot.xml_file import parse_urdf, read_urdf
 
 __all__ = ["load_robot", "srdf_text"]
 
@@ -89,7 +89,7 @@ def load_robot(
     """
     files = robot_files(model, srdf=srdf, limits=limits, elasticity=elasticity, package_dirs=package_dirs)
     urdf, packages = files.urdf, files.package_dirs
-    root = _parsed(urdf, packages)
+    content, root = _read(urdf, packages)
     semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", packages)
     # Frames can be sought only in a tree, and which links move is known only with the frames.
     _refuse_errors(urdf, inspect_urdf(root, moving=()))
@@ -100,31 +100,35 @@ def load_robot(
         files.tool_frame if tool_frame is None else tool_frame,
         str(urdf),
     )
-    _refuse_errors(urdf, inspect_urdf(root, moving=moving_links(root, base_frame)))
+    _refuse_errors(urdf, inspect_inertias(root, moving_links(root, base_frame)))
     made = arm_model(
         urdf, root, semantics, base_frame, tool_frame, srdf=str(files.srdf), package_dirs=packages
     )
-    arm, collision, visual = made.model, made.collision, made.visual
-    if mount is not None:
-        _move_root(arm, (collision, visual), base_frame, mount)
-    if tool_length is not None:
-        set_tool_length(arm, (collision, visual), tool_frame, tool_length, source=str(urdf))
+    X_WB = None if mount is None else _pose(mount)
+
+    def placed(model: Any, shapes: Any) -> Any:
+        """Shapes on the mount and with the tool's length; the model is changed, too."""
+        if X_WB is not None:
+            _move_root(model, shapes, base_frame, X_WB)
+        if tool_length is not None:
+            set_tool_length(model, shapes, tool_frame, tool_length, source=str(urdf))
+        return shapes
+
+    arm, collision = made.model, placed(made.model, made.collision)
     attach_payload(arm, tool_frame, payload)
     if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _LIGHTEST:
         got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
         raise ModelError(str(urdf), "link.inertial.mass", got, f"an arm of at least {_LIGHTEST:g} kg")
     limited, assumed = joint_limits(arm, urdf, files.limits)
-    contents = [urdf_content(urdf, packages)]
-    contents += [
-        read_input(file, ModelError) for file in (files.srdf, files.limits, files.elasticity) if file
-    ]
+    beside = (file for file in (files.srdf, files.limits, files.elasticity) if file)
+    contents = [content, *(read_input(file, ModelError) for file in beside)]
     return Robot(
         name=root.get("name", urdf.stem),
         urdf=urdf.resolve(),
         model=arm,
         floating_model=_on_free_flyer(arm),
         collision_model=collision,
-        visual_model=visual,
+        read_visual_model=lambda: placed(*made.read_visual()),
         limits=limited,
         elasticity={} if files.elasticity is None else read_elasticity(files.elasticity, arm),
         base_frame=base_frame,
@@ -150,10 +154,10 @@ def srdf_text(files: RobotFiles) -> str:
     ModelError
         When the URDF is missing or unusable.
     """
-    root = _parsed(files.urdf, files.package_dirs)
+    _, root = _read(files.urdf, files.package_dirs)
     _refuse_errors(files.urdf, inspect_urdf(root, moving=()))
     name = root.get("name", files.urdf.stem)
-    model, (collision, _) = build_model(files.urdf, root, files.package_dirs)
+    model, collision = build_model(files.urdf, root, files.package_dirs)
     return srdf_of(model, collision, name)
 
 
@@ -163,18 +167,18 @@ def _refuse_errors(urdf: Path, findings: Sequence[Finding]) -> None:
             raise ModelError(str(urdf), finding.key, finding.got, finding.expected)
 
 
-def _parsed(urdf: Path, package_dirs: Sequence[Path]) -> ElementTree.Element:
+def _read(urdf: Path, package_dirs: Sequence[Path]) -> tuple[bytes, ElementTree.Element]:
     try:
-        return parse_urdf(urdf, package_dirs=package_dirs)
+        return read_urdf(urdf, package_dirs=package_dirs)
     except ModelError as error:
         if error.got == "no such file" and (meant := hint(urdf.name, ("cmbot",))):
             raise ModelError(error.source, "", error.got, f"{error.expected}{meant}") from error
         raise
 
 
-def _move_root(model: Any, shapes: Sequence[Any], base_frame: str, mount: ArrayLike) -> None:
-    """Place `base_frame` at `mount` in W by moving everything that is fixed to the universe."""
-    X_WU = _pose(mount) * model.frames[model.getFrameId(base_frame)].placement.inverse()
+def _move_root(model: Any, shapes: Any, base_frame: str, X_WB: Any) -> None:
+    """Place `base_frame` at `X_WB` in W by moving everything that is fixed to the universe."""
+    X_WU = X_WB * model.frames[model.getFrameId(base_frame)].placement.inverse()
     for i in range(1, model.njoints):
         if model.parents[i] == 0:
             model.jointPlacements[i] = X_WU * model.jointPlacements[i]
@@ -182,7 +186,7 @@ def _move_root(model: Any, shapes: Sequence[Any], base_frame: str, mount: ArrayL
         if frame.parentJoint == 0 and frame.name != "universe":
             frame.placement = X_WU * frame.placement
     model.inertias[0] = X_WU.act(model.inertias[0])
-    for shape in (shape for geometry in shapes for shape in geometry.geometryObjects):
+    for shape in shapes.geometryObjects:
         if shape.parentJoint == 0:
             shape.placement = X_WU * shape.placement
 

@@ -6,6 +6,7 @@ import os
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import coal
@@ -16,7 +17,7 @@ from cmbot.common.input_files import LARGEST_MESH, read_input, require_input
 from cmbot.common.validation import shown
 from cmbot.robot.packages import find_resource
 
-__all__ = ["FARTHEST", "locate_meshes", "require_near"]
+__all__ = ["FARTHEST", "load_near_meshes", "locate_meshes"]
 
 FARTHEST = 1e4
 """Largest distance, m, of a point or a frame from the origin that it is given in."""
@@ -53,27 +54,29 @@ def locate_meshes(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[
             mesh.set("filename", checked[name])
 
 
-def require_near(root: ElementTree.Element, source: str) -> None:
-    """Refuse meshes of a URDF, located before, that coal cannot read or whose vertices are too far away.
+def load_near_meshes(root: ElementTree.Element, tag: str, source: str) -> Any:
+    """Return the loader that holds the meshes of a URDF's shapes `tag`, ``collision`` or ``visual``.
 
-    Building the bounding volumes that pinocchio asks coal for crashes the process with such vertices; that of
-    boxes along the axes does not.
+    They are located before. Meshes that coal cannot read or whose vertices are too far away are refused.
+    The loader builds boxes along the axes: building coal's usual bounding volumes crashes the process with
+    such vertices.
     """
-    loader = coal.CachedMeshLoader(coal.NODE_TYPE.BV_AABB)
+    loader = coal.CachedMeshLoader(coal.NODE_TYPE.BV_AABB)  # a file is often that of several shapes
     for link in root.findall("link"):
-        for mesh in link.iter("mesh"):
+        for mesh in (mesh for shape in link.findall(tag) for mesh in shape.iter("mesh")):
             path, scale = mesh.get("filename", ""), mesh.get("scale", "1 1 1")
             key, name = f"link[{link.get('name')}].mesh.filename", shown(Path(path).name)
             try:
-                shape = loader.load(path, np.ones(3))
+                shape = loader.load(path, np.array(scale.split(), dtype=float))
             except (ValueError, RuntimeError, IndexError) as error:
                 got = f"{name}, which coal cannot read ({' '.join(str(error).split())})"
                 raise ModelError(source, key, got, "a mesh file") from error
             shape.computeLocalAABB()
             corners = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
-            if not (np.abs(corners * np.array(scale.split(), dtype=float)) <= FARTHEST).all():
+            if not (np.abs(corners) <= FARTHEST).all():
                 got = f"{name}, which is larger or not finite"
                 raise ModelError(source, key, got, f"a mesh of vertices within {FARTHEST:g} m")
+    return loader
 
 
 def _located(name: str, folder: Path, package_dirs: Sequence[Path]) -> Path:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -35,8 +36,8 @@ def find_resource(rest: str, folder: Path, package_dirs: Sequence[Path] = ()) ->
     Where no package of that name has it, a folder above may: that of a copy that has another name.
     """
     name, _, inside = rest.lstrip("/").partition("/")
-    places = [place / inside for place in _candidates(name, folder, package_dirs)]
-    places += [place / inside for place in (*package_dirs, folder, *folder.parents) if inside]
+    above = (*package_dirs, folder, *folder.parents) if inside else ()
+    places = (place / inside for place in chain(_candidates(name, folder, package_dirs), above))
     # Path.exists raises for names that no file can have.
     return next((place for place in places if os.path.exists(place)), None)  # noqa: PTH110
 

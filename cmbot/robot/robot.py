@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -38,7 +39,8 @@ class Robot:
         are the wrench that the base exerts on the arm, and their derivatives are exact.
     collision_model : pinocchio.GeometryModel
         Collision shapes and the pairs of them that may collide.
-    visual_model : pinocchio.GeometryModel
+    read_visual_model : callable
+        Reads what `visual_model` is; no plan needs it.
     limits : JointLimits
         Of the n joints of the arm.
     elasticity : mapping of str to LinkTube
@@ -59,7 +61,7 @@ class Robot:
     model: Any
     floating_model: Any
     collision_model: Any
-    visual_model: Any
+    read_visual_model: Callable[[], Any]
     limits: JointLimits
     elasticity: Mapping[str, LinkTube]
     base_frame: str
@@ -67,6 +69,17 @@ class Robot:
     payload: float
     content_hash: str
     remarks: tuple[str, ...] = ()
+
+    @cached_property
+    def visual_model(self) -> Any:
+        """Visual shapes, a `pinocchio.GeometryModel`; their meshes are read when it is first used.
+
+        Raises
+        ------
+        ModelError
+            When a mesh cannot be read.
+        """
+        return self.read_visual_model()
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ from cmbot.common.input_files import read_input
 from cmbot.common.validation import shown
 from cmbot.robot.xacro import expand_xacro, is_xacro
 
-__all__ = ["parse_urdf", "urdf_content"]
+__all__ = ["parse_urdf", "read_urdf", "urdf_content"]
 
 # Readers of XML trees call themselves for each level.
 _DEEPEST = 50
@@ -56,6 +56,19 @@ def parse_urdf(path: Path, kind: str = "a URDF", package_dirs: Sequence[Path] = 
     MissingExtra
         When it is xacro, and the extra that expands it is not installed.
     """
+    return read_urdf(path, kind, package_dirs)[1]
+
+
+def read_urdf(
+    path: Path, kind: str = "a URDF", package_dirs: Sequence[Path] = ()
+) -> tuple[bytes, ElementTree.Element]:
+    """Return what `urdf_content` and what `parse_urdf` returns, of one reading.
+
+    Raises
+    ------
+    ModelError, MissingExtra
+        As `parse_urdf`.
+    """
     content, source = urdf_content(path, package_dirs, kind), str(path)
     if not content:
         raise ModelError(source, "", "an empty file", f"{kind} file")
@@ -72,7 +85,7 @@ def parse_urdf(path: Path, kind: str = "a URDF", package_dirs: Sequence[Path] = 
         raise ModelError(source, "", got, f"{kind} file") from error
     if root.tag != "robot":
         raise ModelError(source, "", shown(f"<{root.tag}>")[1:-1], f"{kind}, whose root element is <robot>")
-    return root
+    return content, root
 
 
 class _Builder(ElementTree.TreeBuilder):

@@ -27,7 +27,7 @@ def data_of(text: str) -> dict[str, Any]:
 
 def without_shapes(plan: Plan) -> Plan:
     """The plan of a robot without visual meshes: a browser opens its pages quickly."""
-    return replace(plan, robot=replace(plan.robot, visual_model=pin.GeometryModel()))
+    return replace(plan, robot=replace(plan.robot, read_visual_model=pin.GeometryModel))
 
 
 def hostile(plan: Plan, name: str) -> Plan:

@@ -109,6 +109,22 @@ def test_damaged_and_huge_meshes(urdf_folder: Path, name: str, content: str, sca
     assert name in str(caught.value) or "mesh.scale" in caught.value.key
 
 
+def test_visual_meshes_are_read_when_they_are_asked_for(urdf_folder: Path) -> None:
+    shape = '<visual><geometry><mesh filename="part.obj" /></geometry></visual>'
+    replace(urdf_folder / "cmbot.urdf", FOOT, f"{FOOT}{shape}")
+    part = urdf_folder / "part.obj"
+    part.write_text(TETRAHEDRON)
+    (mesh,) = load_copy(urdf_folder).visual_model.geometryObjects
+    (moved,) = load_copy(urdf_folder, mount=np.diag([-1, -1, 1, 1])).visual_model.geometryObjects
+    assert mesh.geometry.num_tris == 4
+    assert not mesh.placement.isApprox(moved.placement)
+    for damaged in ("v 0\nf 1 1 1\n", TETRAHEDRON.replace("1", "1e200", 1)):
+        part.write_text(damaged)
+        robot = load_copy(urdf_folder)
+        with pytest.raises(ModelError, match=r"link\[foot_1\].mesh.filename: got 'part.obj', which"):
+            _ = robot.visual_model
+
+
 def test_mirrored_meshes_and_slashes_in_front_of_packages(urdf_folder: Path) -> None:
     mesh = f"package:///{urdf_folder.name}/part.obj"
     replace(urdf_folder / "cmbot.urdf", BOX, f'<mesh filename="{mesh}" scale="1 -1 1" />')

@@ -42,7 +42,7 @@ def with_visual(plan: Plan, geometry: Any, mesh_path: str = "") -> Plan:
     shape.meshColor = np.array([1.0, 0.5, 0.0, 0.5])
     visual = pin.GeometryModel()
     visual.addGeometryObject(shape)
-    return dataclasses.replace(plan, robot=dataclasses.replace(plan.robot, visual_model=visual))
+    return dataclasses.replace(plan, robot=dataclasses.replace(plan.robot, read_visual_model=lambda: visual))
 
 
 def test_the_robot_is_drawn_whole_in_its_colours(triangle_plan: Plan) -> None:
