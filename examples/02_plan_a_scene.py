@@ -40,4 +40,4 @@ print(f"  fixed knots, at the via-points:      {np.linalg.norm(at_via_points, ax
 print(f"  fixed knots, all along:              {fixed.figures.peak_static_guardrail_torque:.2f}")
 print(f"  as the scene has it, all along:      {plan.figures.peak_static_guardrail_torque:.2f}")
 if plan.torque_floor is not None:
-    print(f"  lower bound, at one of these:        {plan.torque_floor:.2f}")
+    print(f"  lower bound, at one of these:        {plan.torque_floor:.2f} ({plan.torque_floor_kind})")

@@ -85,6 +85,7 @@ def _require_floor(file: PlanFile, via_points: int, source: str) -> None:
     value = None if floor is None else floor.value
     reported = value if objective.is_guardrail_torque else None
     _require_number(file.torque_floor, reported, source, "torque_floor")
+    _require_kind(file, source)
     gap = file.planned.peak_guardrail_torque / reported - 1.0 if reported else None
     _require_number(file.gap_to_floor, gap, source, "gap_to_floor")
     _require_number(file.objective.floor, value, source, "objective.floor")
@@ -97,6 +98,19 @@ def _require_floor(file: PlanFile, via_points: int, source: str) -> None:
     if floor.via_point >= via_points:
         raise ArchiveError(source, "floor.via_point", floor.via_point, f"less than {via_points}")
     _require_number(floor.value, floor.each[floor.via_point], source, "floor.value")
+
+
+def _require_kind(file: PlanFile, source: str) -> None:
+    """Refuse a kind and an error of the torque's lower bound that are not that bound's."""
+    floor = None if file.torque_floor is None else file.floor
+    kind, error = (None, None) if floor is None else (floor.kind, floor.error)
+    if file.torque_floor_kind is None and kind != "proven":
+        # A plan of an earlier version.
+        error = None
+    elif file.torque_floor_kind != kind:
+        got, expected = (shown(value) for value in (file.torque_floor_kind, kind))
+        raise ArchiveError(source, "torque_floor_kind", got, f"{expected}, by the other figures")
+    _require_number(file.torque_floor_error, error, source, "torque_floor_error")
 
 
 def _require_objective(file: PlanFile, source: str) -> None:

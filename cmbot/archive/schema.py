@@ -139,6 +139,10 @@ class LowerBoundFile(FileModel):
     error: NonNegative
     via_point: Count
     each: tuple[NonNegative, ...]
+    kind: Literal["proven", "estimated"] = "estimated"
+    """Plans of earlier versions had no proof."""
+    missed: Share | None = None
+    """Of the postures, at most, with 95 % confidence; null where proven or not known."""
 
     def made(self) -> LowerBound:
         """Return it as the planner has it."""
@@ -197,6 +201,10 @@ class PlanFile(FileModel):
     """null: the sag was not compensated."""
     torque_floor: NonNegative | None
     """Of the torque on the guardrail, Nm; null with fixed knots or another objective."""
+    torque_floor_kind: Literal["proven", "estimated"] | None = None
+    """null without a bound, and in plans of earlier versions, which are estimated."""
+    torque_floor_error: NonNegative | None = None
+    """How far the true value may lie below the bound, Nm; null where the kind is."""
     gap_to_floor: float | None
     """Planned peak less its lower bound, as a share of the bound."""
     objective: ObjectiveFile

@@ -83,6 +83,8 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "quieting": plan.quieting,
         "compensation": plan.compensation,
         "torque_floor": plan.torque_floor,
+        "torque_floor_kind": plan.torque_floor_kind,
+        "torque_floor_error": plan.torque_floor_error,
         "gap_to_floor": plan.gap_to_floor,
         "objective": plan.objective,
         "floor": None if bound is None else {**vars(bound), "each": tuple(bound.each.tolist())},

@@ -58,7 +58,9 @@ def fixed_guess(context: PlanningContext) -> InitialGuess:
     rough = np.stack([np.interp(context.times, path.t, joint) for joint in path.q.T], axis=1)
     form = parametrization_through(context, _placed(context, rough), sliding=False)
     each = context.objective.at_rest(context.postures.at(form.via_points))
-    bound = LowerBound(value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each)
+    bound = LowerBound(
+        value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each, kind="proven"
+    )
     problem = TorqueProblem(context, form, bound.value)
     return InitialGuess(problem=problem, pinned=True, lower_bound=bound, failures=failures)
 

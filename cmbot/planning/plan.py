@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
@@ -211,6 +212,18 @@ class Plan:
     def torque_floor(self) -> float | None:
         """Lower bound of the torque on the guardrail, Nm; None with fixed knots or another objective."""
         return self.objective.floor if self.objective.is_guardrail_torque else None
+
+    @property
+    def torque_floor_kind(self) -> Literal["proven", "estimated"] | None:
+        """Whether `torque_floor` is proven or estimated; None without one."""
+        bound = None if self.torque_floor is None else self.lower_bound
+        return None if bound is None else bound.kind
+
+    @property
+    def torque_floor_error(self) -> float | None:
+        """How far the true value of `torque_floor` may lie below it, Nm; None without one."""
+        bound = None if self.torque_floor is None else self.lower_bound
+        return None if bound is None else bound.error
 
     @property
     def gap_to_floor(self) -> float | None:

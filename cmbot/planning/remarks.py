@@ -183,8 +183,14 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     pinned = plan.options.start == "pinned"
     name = "Lower bound for any start" if pinned else "Lower bound"
     where = f"at via-point {at} of the {all_} that the motion passes through, no posture"
-    if bound.error <= _CLOSED * bound.value:
-        yield (f"{name}: no admissible plan rests below {value} (error {error}): {where} asks less{gap}.")
+    basis = f"({bound.basis}; error {error})"
+    if bound.kind == "proven":
+        yield f"{name}: no admissible plan rests below {value} {basis}: {where} asks less{gap}."
+    elif bound.error <= _CLOSED * bound.value:
+        yield (
+            f"{name}: no admissible plan was found to rest below {value} {basis}: {where} was found that "
+            f"asks less{gap}."
+        )
     else:
         yield (
             f"{name}, not closed: {where} was found that asks less than {value}, but the search ended "

@@ -160,11 +160,11 @@ class PostureBatch(ToolBatch):
     @cached_property
     def joint_torque(self) -> FloatArray:
         """Static joint torques (N, n), Nm (Chang 2021, Eq. (13))."""
-        about = pin.skew(self.gravity) @ self._carried_moment
+        about = pin.skew(self.gravity) @ self.carried_moment
         return np.asarray((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
 
     @cached_property
-    def _carried_moment(self) -> FloatArray:
+    def carried_moment(self) -> FloatArray:
         """First moment (n, 3, N), kg m, about each joint's origin of all mass from that joint to the tool."""
         moment = self.mass[:, None, None] * self.centre.transpose(1, 2, 0)
         for i in reversed(range(len(moment) - 1)):

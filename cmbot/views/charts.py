@@ -13,7 +13,16 @@ from cmbot.planning import Plan, Samples
 from cmbot.simulation import Tracking
 from cmbot.views.page import pack
 
-__all__ = ["Chart", "Curve", "charts", "downsampled", "joint_charts", "joint_quantities"]
+__all__ = [
+    "Chart",
+    "Curve",
+    "charts",
+    "downsampled",
+    "floor_meaning",
+    "floor_name",
+    "joint_charts",
+    "joint_quantities",
+]
 
 MOST_POINTS = 1000  # of a curve in a large plot
 MOST_SMALL_POINTS = 400  # of a curve in a small one
@@ -25,7 +34,6 @@ _COMPENSATED = (
     "Elastic arm's tool minus its expected position: the rigid arm's at the same joint angles and, for the "
     "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
-_LOWER_BOUND = "Lower bound of the peak: at a via-point no admissible posture at rest has a smaller torque."
 _NOT_SIMULATED = "not simulated"
 
 Motion = Literal["planned", "baseline"]
@@ -130,6 +138,20 @@ def downsampled(t: FloatArray, y: FloatArray, most: int = MOST_POINTS) -> tuple[
     return t[kept], y[kept]
 
 
+def floor_name(plan: Plan) -> str:
+    """Return what a plan's torque floor is called."""
+    return "lower bound" if plan.torque_floor_kind == "proven" else "lower bound (estimate)"
+
+
+def floor_meaning(plan: Plan) -> str:
+    """Return what a plan's torque floor says, and what it rests on; empty without one."""
+    bound = plan.lower_bound
+    if bound is None:
+        return ""
+    has = "has" if bound.kind == "proven" else "was found to have"
+    return f"at one via-point no admissible posture at rest {has} a smaller torque ({bound.basis})"
+
+
 def _torque(plan: Plan) -> Chart:
     curves = _curves(plan, lambda samples: np.linalg.norm(samples.guardrail_torque, axis=1))
     bound = plan.torque_floor
@@ -140,8 +162,8 @@ def _torque(plan: Plan) -> Chart:
         digits=1,
         curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
-        marks=() if bound is None else ((bound, f"lower bound {bound:.1f} Nm"),),
-        note="" if bound is None else _LOWER_BOUND,
+        marks=() if bound is None else ((bound, f"{floor_name(plan)} {bound:.1f} Nm"),),
+        note="" if bound is None else f"{floor_name(plan).capitalize()} of the peak: {floor_meaning(plan)}.",
     )
 
 

@@ -15,6 +15,7 @@ from cmbot.common.validation import require_type
 from cmbot.planning import MotionMetrics, Plan, Samples, figures, measure
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
+from cmbot.views.charts import floor_name
 from cmbot.views.meshcat_scene import reach, scene_commands
 from cmbot.views.page import pack
 
@@ -48,6 +49,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "base": plan.scene.base_name,
         "legTimes": plan.task.path.leg_times.tolist(),
         "floor": plan.torque_floor,
+        "floorName": floor_name(plan),
         "margin": plan.options.safety_margin_m,
         "links": _link_names(plan.robot),
         "approach": _approach(plan, frames, step),

@@ -15,7 +15,7 @@ from cmbot.common.validation import given_path
 from cmbot.planning import Certificate, Check, Plan, remarks, require_plan
 from cmbot.simulation import Tracking, off_path, tracking_remarks, tracking_rows, tracking_verdict
 from cmbot.version import __version__, versions
-from cmbot.views.charts import MOST_SMALL_POINTS, charts, joint_charts
+from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_meaning, joint_charts
 from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
@@ -150,8 +150,7 @@ def _lower_bound_card(plan: Plan) -> Headline:
     return Headline(
         title="Above the lower bound",
         value=f"{100 * gap:+.3f} %",
-        detail=f"lower bound {bound:.1f} Nm: at one via-point no admissible posture at rest has a smaller "
-        "torque",
+        detail=f"lower bound {bound:.1f} Nm: {floor_meaning(plan)}",
     )
 
 

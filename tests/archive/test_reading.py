@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import shutil
 from dataclasses import fields, replace
 from pathlib import Path
 
@@ -83,6 +84,22 @@ def test_round_trip_with_fixed_knots(short_plan, tmp_path):
     same_arrays(read.trajectory, short_plan.trajectory)
     assert read.baseline_figures == short_plan.baseline_figures
     assert read.start.moved == 0
+
+
+def test_a_floor_without_a_kind_is_an_estimate(saved_triangle, tmp_path):
+    """Plans of earlier versions."""
+    folder = Path(shutil.copytree(saved_triangle, tmp_path / "plan"))
+
+    def without(data):
+        for key in ("torque_floor_kind", "torque_floor_error"):
+            data.pop(key)
+        for key in ("kind", "missed"):
+            data["floor"].pop(key)
+
+    edit(folder, without)
+    read = load_plan(folder)
+    assert (read.torque_floor_kind, read.lower_bound.missed) == ("estimated", None)
+    assert read.torque_floor_error == read.lower_bound.error > 0
 
 
 def test_a_start_elsewhere_is_kept(short_plan, tmp_path):

@@ -100,7 +100,7 @@ def test_your_own_objective(tmp_path: Path) -> None:
     assert stress[0] < torque[0]
     assert torque[1] < stress[1]
     assert stress[0] < number(r"in the baseline +stress +(\S+)", text)
-    assert stress[0] == pytest.approx(number(r"rests below (\S+) MPa", text), rel=0.01)
+    assert stress[0] == pytest.approx(number(r"rest below (\S+) MPa", text), rel=0.01)
 
 
 def test_report(tmp_path: Path) -> None:

@@ -112,10 +112,24 @@ def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan:
 
 
 def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> None:
-    floor = replace(triangle_plan.lower_bound, error=0.3 * triangle_plan.lower_bound.value)
+    value = triangle_plan.lower_bound.value
+    floor = replace(triangle_plan.lower_bound, error=0.3 * value, kind="estimated", missed=0.01)
     said = line(replace(triangle_plan, lower_bound=floor), "Lower bound, not closed: ")
     assert f"the search ended with {floor.error:.3f} Nm open" in said
     assert "no admissible plan" not in said
+
+
+def test_a_floor_is_called_what_it_is(triangle_plan: Plan) -> None:
+    proven, error = triangle_plan.lower_bound, f"{triangle_plan.lower_bound.error:.3f} Nm"
+    said = line(triangle_plan, "Lower bound: no admissible plan rests below ")
+    assert f" Nm (proven; error {error}): at via-point" in said
+    estimate = replace(proven, kind="estimated", missed=0.0123)
+    said = line(replace(triangle_plan, lower_bound=estimate), "Lower bound: ")
+    assert "no admissible plan was found to rest below 383.79 Nm (estimate; at most 1.2 % of the" in said
+    assert f"postures are missed, with 95 % confidence; error {error}): at via-point" in said
+    assert "no posture was found that asks less" in said
+    unknown = line(replace(triangle_plan, lower_bound=replace(estimate, missed=None)), "Lower bound: ")
+    assert f"383.79 Nm (estimate; error {error}): at" in unknown
 
 
 def test_a_plan_that_gravity_has_no_part_in_says_so(triangle_plan: Plan) -> None:

@@ -2,7 +2,7 @@
 
 Charts of self-motion at every via-point, and dynamic programming over them. The result is optimal up to the
 charts' spacing, and comes with a lower bound: at the via-point that sets it, no admissible posture has a
-smaller objective at rest, as far as the sampled self-motion is complete.
+smaller objective at rest. That is proven where `proof` can, and otherwise an estimate.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
     refine,
 )
 from cmbot.planning.selfmotion.lower_bound import find_lower_bound
+from cmbot.planning.selfmotion.proof import with_proof
 
 __all__ = ["GlobalSearch", "GlobalSolution", "sequences_beside"]
 
@@ -118,6 +119,7 @@ class GlobalSearch:
                 break
         if empty is not None:
             raise blocked(context, self._layers, empty, sampler.coverage)
+        self.lower_bound, lowest = with_proof(context, self.lower_bound, lowest, sampler.coverage)
         self._spacing = sampler.spacing
         return each, lowest
 

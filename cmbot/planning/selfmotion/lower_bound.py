@@ -2,13 +2,17 @@
 
 Branch and bound over the self-motion: cells around the postures of a chart are halved wherever values below
 the incumbent may lie. Values in a cell are bounded by differences of samples in it, so the bound is an
-estimate, which gets sharp as the cells get small; it needs only values of the objective.
+estimate, which gets sharp as the cells get small; it needs only values of the objective. It is one in two
+ways: charts may miss postures (`Coverage`), and cells may hold smaller values than their samples tell.
+
+For many arms `proof` then proves the bound, or a better one, without charts and samples.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
@@ -43,18 +47,35 @@ class LowerBound:
     value : float
         The largest, over the via-points, of the smallest value at rest of any admissible posture there.
     error : float
-        How far the true value may lie below it, by an estimate from samples, as far as the charts are
-        complete.
+        How far the true value may lie below it. Of a proven bound: no admissible plan rests below ``value -
+        error``. Of an estimated one: by an estimate from samples, among the postures that were charted.
     via_point : int
         Index of the via-point that sets it.
     each : (n,)
         The smallest value found at every via-point; exact only where it may set the bound.
+    kind : str
+        ``proven`` or ``estimated``.
+    missed : float or None
+        Of an estimated bound: the share of the postures within the joint ranges that the charts may have
+        missed at most, at 95 % confidence, among those that random restarts find (`Coverage.share`). None
+        where it is proven or not known.
     """
 
     value: float
     error: float
     via_point: int
     each: FloatArray
+    kind: Literal["proven", "estimated"] = "estimated"
+    missed: float | None = None
+
+    @property
+    def basis(self) -> str:
+        """What it rests on, in words."""
+        if self.kind == "proven":
+            return "proven"
+        if self.missed is None:
+            return "estimate"
+        return f"estimate; at most {100 * self.missed:.2g} % of the postures are missed, with 95 % confidence"
 
 
 def find_lower_bound(

@@ -62,13 +62,13 @@ class TorquePlot {
 
   // Lower bound of the peak torque during the work.
   drawLowerBound() {
-    const { floor, duration } = this.data;
+    const { floor, floorName, duration } = this.data;
     if (floor === null) return;
     this.pen.setLineDash([5, 4]);
     this.line([[this.x(0), this.y(floor)], [this.x(duration), this.y(floor)]], this.colour("ink"), 1);
     this.pen.setLineDash([]);
     if (this.height < 50) return;  // no room for its label
-    const label = `lower bound ${newtonMetres(floor)}`, right = this.x(duration) - 4;
+    const label = `${floorName} ${newtonMetres(floor)}`, right = this.x(duration) - 4;
     this.text(label, right - this.pen.measureText(label).width, this.y(floor) + 12);
   }
 

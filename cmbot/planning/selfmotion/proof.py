@@ -1,0 +1,481 @@
+"""Proofs about all postures that hold the tool at a via-point, without samples of them.
+
+Branch and bound over boxes of joint angles that cover every posture within the joint ranges (Hansen and
+Walster, Global Optimization Using Interval Analysis). A box is dropped when nothing in it can hold the tool,
+or when all in it is inadmissible or has no smaller objective than the bound to be proven; it is narrowed to
+the part that can hold the tool, and halved. The angles of a spherical joint follow from the others in closed
+form, so only the others are halved. What a box may contain is bounded by first derivatives at its middle and
+bounds of the second derivatives within it; all of it in floating-point numbers, for whose rounding
+`_ROUNDING` is allowed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.objectives import WeightedMoment, WrenchObjective
+from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.selfmotion.charts import Coverage
+from cmbot.planning.selfmotion.joint_boxes import (
+    JointBoxes,
+    azimuth_between,
+    common_moves,
+    cross,
+    frame_about,
+    inverses,
+    joined,
+    narrowed,
+    without_pivot,
+)
+from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.selfmotion.spherical_joint import WristChain, turns, wrist_chain
+from cmbot.robot import PostureBatch
+
+__all__ = ["Proof", "TorqueFloorProof", "with_proof"]
+
+# Boxes are dropped when they miss a condition by more than this, m, rad, or a share of Nm.
+_ROUNDING = 1e-9
+# Of clearances, m: distances are computed to 1e-6 m.
+_DISTANCE_ROUNDING = 2e-6
+# Boxes are first halved until no joint's half is wider than this, rad, by the centre of the spherical joint
+# alone.
+_COARSE = 0.12
+# Boxes at most at a time, and of a whole proof; an unfinished proof has a larger error.
+_MOST_BOXES, _MOST_WORK = 40_000, 400_000
+# Halvings at most.
+_MOST_ROUNDS = 120
+# Angles that follow from others are halved only where their boxes are this many times as wide.
+_FOLLOWING = 4.0
+# In boxes in which the arm moves further than this, m, clearances are not computed.
+_WIDE = 0.25
+# Accuracy of a proof, as a share of the bound.
+_ACCURACY = 1e-5
+# A bound counts as proven when the proof's error is at most this share of it.
+_PROVEN = 1e-3
+# Boxes whose middles are tried as postures, in each round.
+_TRIES = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class Proof:
+    """What is true of every admissible posture at a via-point.
+
+    Attributes
+    ----------
+    lowest : float
+        No admissible posture has a smaller objective at rest; infinite where there is none at all.
+    posture : (n,) or None
+        An admissible one with a smaller objective than the value that was to be proven, where one was met.
+    value : float
+        Its objective, or that value.
+    boxes : int
+        How many were examined.
+    """
+
+    lowest: float
+    posture: FloatArray | None
+    value: float
+    boxes: int
+
+
+def with_proof(
+    context: PlanningContext, bound: LowerBound, posture: FloatArray, coverage: Coverage
+) -> tuple[LowerBound, FloatArray]:
+    """Return a lower bound proven where that is possible, otherwise called an estimate.
+
+    Parameters
+    ----------
+    context : PlanningContext
+    bound : LowerBound
+    posture : (n,), rad
+        Has its value at its via-point.
+    coverage : Coverage
+        Of the charts that it comes from.
+
+    Returns
+    -------
+    bound : LowerBound
+    posture : (n,), rad
+        As before, or better: a proof may meet one that the charts missed.
+    """
+    estimate = replace(bound, kind="estimated", missed=coverage.share)
+    prover = TorqueFloorProof.of(context)
+    if prover is None:
+        return estimate, posture
+    context.reporter.step("proving the lower bound")
+    proof = prover.prove(bound.via_point, bound.value)
+    value = bound.value
+    if proof.posture is not None and proof.value < value * (1 - _ACCURACY):
+        # The charts missed this one.
+        value, posture = proof.value, proof.posture
+    each = bound.each.copy()
+    each[bound.via_point] = value
+    error = value - proof.lowest
+    if error > _PROVEN * value:
+        return replace(estimate, value=value, each=each), posture
+    return replace(bound, value=value, error=error, each=each, kind="proven"), posture
+
+
+class TorqueFloorProof:
+    """Proves bounds of the objective at rest over all admissible postures at via-points.
+
+    Use `of`, which returns None where there is no proof: the objective is not a moment, or the arm and its
+    task do not decouple (`wrist_chain`).
+
+    Parameters
+    ----------
+    context : PlanningContext
+    chain : WristChain
+    function : WeightedMoment
+        The context's objective.
+    """
+
+    def __init__(self, context: PlanningContext, chain: WristChain, function: WeightedMoment) -> None:
+        self._context, self._chain = context, chain
+        limits = context.robot.limits
+        half = np.minimum(limits.range_half, np.pi)
+        self._range = limits.range_middle - half, limits.range_middle + half
+        self._lever = chain.lever_bounds()
+        self._goal_frame = frame_about(chain.axis[0])
+        model = context.robot.model
+        self._gravity = float(np.linalg.norm(model.gravity.linear))
+        self._moment = _moment_bounds(context)
+        self._inner = chain.joints[: chain.inner]
+        self._wrist = chain.joints[chain.inner :]
+        self._function = function
+        self._heaviest = float(function.weights.max())
+        self._weight = _weights(context)
+
+    @staticmethod
+    def of(context: PlanningContext) -> TorqueFloorProof | None:
+        """Return what proves bounds for a context; None where nothing does."""
+        objective = context.objective
+        function = objective.function if isinstance(objective, WrenchObjective) else None
+        chain = wrist_chain(context) if isinstance(function, WeightedMoment) else None
+        if chain is None or not isinstance(function, WeightedMoment):
+            return None
+        return TorqueFloorProof(context, chain, function)
+
+    def prove(self, via_point: int, value: float) -> Proof:
+        """Prove that no admissible posture at a via-point has a smaller objective than `value`.
+
+        Where one has, the proof is of the smallest.
+        """
+        goal = self._chain.goal_centre[via_point]
+        boxes = self._coarse(goal)
+        boxes = joined(boxes, replace(boxes, side=-boxes.side))
+        examined, left_out, posture = len(boxes), np.inf, None
+        for _ in range(_MOST_ROUNDS):
+            boxes = self._by_centre(boxes, goal)
+            boxes = self._by_wrist(boxes)
+            boxes, lowest = self._admissible(boxes, goal, value * (1 - _ACCURACY))
+            if len(boxes) == 0:
+                break
+            found = self._tried(boxes, lowest, via_point, value)
+            if found is not None:
+                posture, value = found
+                keep = lowest < value * (1 - _ACCURACY)
+                boxes, lowest = boxes[keep], lowest[keep]
+            examined += 2 * len(boxes)
+            if examined > _MOST_WORK or len(boxes) > _MOST_BOXES or self._context.reporter.expired():
+                left_out = float(lowest.min(initial=np.inf))
+                break
+            boxes = self._halved(boxes)
+        else:
+            left_out = float(lowest.min(initial=np.inf))
+        lowest_value = min(left_out, value * (1 - _ACCURACY)) if np.isfinite(value) else left_out
+        return Proof(lowest=max(lowest_value, 0.0), posture=posture, value=value, boxes=examined)
+
+    def _coarse(self, goal: FloatArray) -> JointBoxes:
+        """Boxes that cover all postures with the centre of the spherical joint at `goal` (3,)."""
+        lower, upper = self._range
+        boxes = JointBoxes(lower[None], upper[None], np.ones(1, dtype=np.intp))
+        split = self._inner[1:]
+        while True:
+            boxes = self._by_centre(boxes, goal)
+            half = boxes.half[:, split]
+            if len(boxes) == 0 or half.max() <= _COARSE:
+                return boxes
+            wide = half.max(axis=1) > _COARSE
+            joint = split[half[wide].argmax(axis=1)]
+            boxes = joined(boxes[~wide], boxes[wide].halved(joint))
+
+    def _by_centre(self, boxes: JointBoxes, goal: FloatArray) -> JointBoxes:
+        """Drop and narrow boxes by where the inner joints may place the centre of the spherical joint.
+
+        Its height along the first axis and distance from it do not depend on the first joint, whose angle
+        follows.
+        """
+        chain, inner = self._chain, self._inner
+        middle, half = boxes.middle[:, inner], boxes.half[:, inner]
+        middle[:, 0] = 0.0
+        axes, p, _ = self._placed(middle)
+        frame = self._goal_frame
+        J = np.stack([cross(a, p - o) for a, o in axes[1:]], axis=2)
+        off = self._second_order(half[:, 1:], self._lever[1:]) + chain.slack + _ROUNDING
+        goal = frame.T @ (goal - chain.origin[0])
+        at = (p - chain.origin[0]) @ frame
+        J = np.einsum("ij,kin->kjn", frame, J)
+        radius, wanted = np.hypot(at[:, 0], at[:, 1]), float(np.hypot(goal[0], goal[1]))
+        unit = np.divide(at[:, :2], radius[:, None], out=np.zeros((len(at), 2)), where=radius[:, None] > 0)
+        along = np.abs(np.einsum("ki,kin->kn", unit, J[:, :2])) * half[:, 1:]
+        across = np.stack([-unit[:, 1], unit[:, 0]], axis=1)
+        aside = (np.abs(np.einsum("ki,kin->kn", across, J[:, :2])) * half[:, 1:]).sum(axis=1) + off
+        height = (np.abs(J[:, 2]) * half[:, 1:]).sum(axis=1) + off
+        spread = along.sum(axis=1) + off
+        # On the first axis there is no radial direction.
+        flat = radius < _ROUNDING
+        spread[flat] = (np.linalg.norm(J[flat, :2], axis=1) * half[flat, 1:]).sum(axis=1) + off[flat]
+        keep = np.abs(goal[2] - at[:, 2]) <= height
+        keep &= wanted >= radius - spread
+        keep &= wanted <= np.hypot(radius + spread, aside)
+        width = np.where(radius > spread, np.arctan2(aside, np.maximum(radius - spread, 0.0)), np.pi)
+        if wanted > chain.slack:
+            width += np.arcsin(min(1.0, (chain.slack + _ROUNDING) / wanted))
+        else:
+            width[:] = np.pi
+        angle = np.arctan2(goal[1], goal[0]) - np.arctan2(at[:, 1], at[:, 0])
+        return narrowed(boxes, inner[0], angle, width, keep)[0]
+
+    def _by_wrist(self, boxes: JointBoxes) -> JointBoxes:
+        """Narrow the angles of the spherical joint, which follow from those of the inner joints."""
+        chain = self._chain
+        u, v, w = chain.axis[-3:]
+        *_, R = self._placed(boxes.middle[:, self._inner])
+        turned = boxes.half[:, self._inner].sum(axis=1) + _ROUNDING
+        across = R.transpose(0, 2, 1) @ chain.goal_rotation
+        z, z_back = across @ w, across.transpose(0, 2, 1) @ u
+        # Middle angle: u and w stay at theirs, up to the turn of the inner joints.
+        sine, cosine = u @ cross(v, w), u @ w - (u @ v) * (v @ w)
+        size, phase = np.hypot(sine, cosine), np.arctan2(sine, cosine)
+        between = np.arccos(np.clip(z @ u, -1.0, 1.0))
+        high = np.cos(np.maximum(between - turned, 0.0)) - (u @ v) * (v @ w)
+        low = np.cos(np.minimum(between + turned, np.pi)) - (u @ v) * (v @ w)
+        keep = (low <= size + _ROUNDING) & (high >= -size - _ROUNDING)
+        first, last = (np.arccos(np.clip(x / size, -1.0, 1.0)) for x in (high, low))
+        angle = phase + boxes.side * 0.5 * (first + last)
+        boxes, kept = narrowed(boxes, self._wrist[1], angle, 0.5 * (last - first) + _ROUNDING, keep)
+        z, z_back, turned = z[kept], z_back[kept], turned[kept]
+        b, spread = boxes.middle[:, self._wrist[1]], boxes.half[:, self._wrist[1]]
+        # Outer angles: azimuths about u and w.
+        y = turns(v, b) @ w
+        angle, width = azimuth_between(u, z, turned, y, spread)
+        boxes, kept = narrowed(boxes, self._wrist[0], angle, width, np.ones(len(boxes), dtype=np.bool_))
+        if chain.free_axis is not None:
+            return boxes
+        y = turns(v, -b[kept]) @ u
+        angle, width = azimuth_between(w, y, spread[kept], z_back[kept], turned[kept])
+        return narrowed(boxes, self._wrist[2], angle, width, np.ones(len(boxes), dtype=np.bool_))[0]
+
+    def _placed(self, q: FloatArray) -> tuple[list[tuple[FloatArray, FloatArray]], FloatArray, FloatArray]:
+        """Axes and origins of the inner joints at `q` (N, k), the centre (N, 3), the rotation after them."""
+        steps = list(self._chain.walk(q))
+        _, origin, R = steps[-1]
+        p = origin + R @ (self._chain.centre - self._chain.origin[self._chain.inner - 1])
+        return [(axis, o) for axis, o, _ in steps], p, R
+
+    @staticmethod
+    def _second_order(half: FloatArray, lever: FloatArray) -> FloatArray:
+        """Bounds (N,) of half the second-order term over boxes with `half` (N, k) edges.
+
+        The second derivative by joints i and j is at most the lever of the later one.
+        """
+        before = np.cumsum(half, axis=1) - half
+        return 0.5 * (half * (half + 2 * before)) @ lever
+
+    def _admissible(
+        self, boxes: JointBoxes, goal: FloatArray, enough: float
+    ) -> tuple[JointBoxes, FloatArray]:
+        """Drop boxes without admissible postures below `enough`; the others, narrowed, and lower bounds."""
+        if len(boxes) == 0:
+            return boxes, np.empty(0)
+        middle = boxes.middle
+        at = self._context.postures.at(middle)
+        value, slope = self._objective(at)
+        boxes, along, keep = self._on_task(boxes, goal, slope)
+        low, high = boxes.lower - middle, boxes.upper - middle
+        reach = np.maximum(np.abs(low), np.abs(high))
+        linear = np.minimum(slope * low, slope * high).sum(axis=1)
+        off = self._gravity * self._second_order(reach, self._moment)
+        lowest = value + np.maximum(linear, along) - self._heaviest * off
+        keep &= lowest < enough
+        limits = self._context.robot.limits
+        spread = np.einsum("kij,kj->ki", np.abs(self._torque_slopes(at)), reach) + off[:, None]
+        keep &= (np.abs(at.joint_torque) - spread <= limits.torque * (1 + _ROUNDING)).all(axis=1)
+        boxes, lowest = boxes[keep], lowest[keep]
+        clear = self._clear(boxes)
+        return boxes[clear], lowest[clear]
+
+    def _on_task(
+        self, boxes: JointBoxes, goal: FloatArray, slope: FloatArray
+    ) -> tuple[JointBoxes, FloatArray, BoolArray]:
+        """Narrow boxes to the part that may hold the tool.
+
+        To first order, postures on the task are ``base - tilt t``, with one inner joint's move t, and each
+        angle within `width` of that. Also returns lower bounds (N,) of `slope` (N, n) times the moves from
+        the middles, and which boxes may hold the tool.
+        """
+        chain, k, joints = self._chain, self._chain.inner, self._chain.joints
+        half, slope = boxes.half[:, joints], slope[:, joints]
+        steps = list(chain.walk(boxes.middle[:, joints]))
+        axes = np.stack([axis for axis, _, _ in steps], axis=2)
+        _, origin, R = steps[k - 1]
+        p = origin + R @ (chain.centre - chain.origin[k - 1])
+        J = np.stack([cross(axis, p - o) for axis, o, _ in steps[:k]], axis=2)
+        off = self._second_order(half[:, :k], self._lever) + chain.slack + _ROUNDING
+        error, turn, turn_off = self._turns_left(steps[-1][2], axes, half)
+        keep = (np.abs(error) <= (np.abs(turn) * half[:, None]).sum(axis=2) + turn_off).all(axis=1)
+        rows = np.arange(len(boxes))
+        E, tilt, t = np.zeros((len(boxes), k, 3)), np.zeros((len(boxes), k)), np.zeros(len(boxes))
+        if k == 3:
+            E, sound = inverses(J)
+        else:
+            pivot, others, inverse, sound = without_pivot(J)
+            E[rows[:, None], others] = inverse
+            tilt = np.einsum("kij,kj->ki", E, J[rows, :, pivot])
+            tilt[rows, pivot] = -1.0
+            t = half[rows, pivot]
+        base = np.einsum("kij,kj->ki", E, goal - p)
+        F, wrist_sound = inverses(turn[:, :, k:])
+        FT = F @ turn[:, :, :k]
+        base = np.hstack([base, np.einsum("kij,kj->ki", F, error) - np.einsum("kij,kj->ki", FT, base)])
+        tilt = np.hstack([tilt, -np.einsum("kij,kj->ki", FT, tilt)])
+        E = np.concatenate([E, -FT @ E], axis=1)
+        width = np.linalg.norm(E, axis=2) * off[:, None]
+        width[:, k:] += np.einsum("kij,kj->ki", np.abs(F), turn_off)
+        width[~sound] = np.inf
+        width[~wrist_sound, k:] = np.inf
+        if k > 3:
+            width[rows, pivot] = 0.0
+        first, last = common_moves(base, width + half, tilt, t)
+        keep &= first <= last
+        ends = np.stack([tilt * first[:, None], tilt * last[:, None]])
+        low = np.maximum(base - width - ends.max(axis=0), -half)
+        high = np.minimum(base + width - ends.min(axis=0), half)
+        keep &= (low <= high).all(axis=1)
+        rate = -(slope * tilt).sum(axis=1)
+        along = (slope * base).sum(axis=1) + np.minimum(rate * first, rate * last)
+        along -= np.linalg.norm(np.einsum("ki,kij->kj", slope, E), axis=1) * off
+        along -= (np.abs(np.einsum("ki,kij->kj", slope[:, k:], F)) * turn_off).sum(axis=1)
+        along[~(sound & wrist_sound & keep)] = -np.inf
+        lower, upper, middle = boxes.lower.copy(), boxes.upper.copy(), boxes.middle
+        lower[:, joints] = np.where(keep[:, None], middle[:, joints] + low, lower[:, joints])
+        upper[:, joints] = np.where(keep[:, None], middle[:, joints] + high, upper[:, joints])
+        return JointBoxes(lower, upper, boxes.side), along, keep
+
+    def _turns_left(
+        self, R: FloatArray, axes: FloatArray, half: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What is left to turn the last link, (N, 3), from rotations `R` (N, 3, 3), to first order.
+
+        Also its derivatives (N, 3, n) by the joints, and bounds (N, 3) of what is of second order in boxes.
+        """
+        chain = self._chain
+        off = np.repeat(0.5 * half.sum(axis=1, keepdims=True) ** 2 + _ROUNDING, 3, axis=1)
+        if chain.free_axis is None:
+            M = chain.goal_rotation @ R.transpose(0, 2, 1)
+            error = 0.5 * np.stack(
+                [M[:, 2, 1] - M[:, 1, 2], M[:, 0, 2] - M[:, 2, 0], M[:, 1, 0] - M[:, 0, 1]], axis=1
+            )
+            return error, axes, off
+        # Two components across the free axis; the last joint takes what its own box allows.
+        z, z_goal = R @ chain.free_axis, chain.goal_rotation @ chain.free_axis
+        frame = R @ frame_about(chain.free_axis)[:, :2]
+        error, turn = np.zeros((len(R), 3)), np.zeros((len(R), 3, axes.shape[2]))
+        error[:, :2] = np.einsum("kji,kj->ki", frame, z_goal - z)
+        turn[:, :2] = np.einsum(
+            "kji,kjn->kin", frame, cross(axes.transpose(0, 2, 1), z[:, None]).transpose(0, 2, 1)
+        )
+        turn[:, :2, -1] = 0.0
+        turn[:, 2, -1] = 1.0
+        off[:, 2] = half[:, -1]
+        return error, turn, off
+
+    def _objective(self, at: PostureBatch) -> tuple[FloatArray, FloatArray]:
+        """The objective (N,) at rest and its derivatives (N, n)."""
+        value, gradient = self._function(np.hstack([at.guardrail_force, at.guardrail_torque]))
+        # The torque's derivative is the moved first moment crossed with gravity.
+        return value, np.einsum("kij,kj->ki", cross(self._moved(at), at.gravity), gradient[:, 3:])
+
+    @staticmethod
+    def _moved(at: PostureBatch) -> FloatArray:
+        """Derivatives (N, n, 3), kg m/rad, of the first moment of the masses by the joints."""
+        return cross(at.axis, at.carried_moment.transpose(2, 0, 1))
+
+    def _torque_slopes(self, at: PostureBatch) -> FloatArray:
+        """Derivatives (N, n, n) of the static joint torques."""
+        # By joints i <= j: gravity times axis i crossed with the moved moment of joint j.
+        about = cross(self._moved(at), -at.gravity)
+        H = np.einsum("kia,kja->kij", at.axis, about)
+        upper = np.triu(H)
+        return np.asarray(upper + np.triu(H, 1).transpose(0, 2, 1))
+
+    def _clear(self, boxes: JointBoxes) -> BoolArray:
+        """Which boxes may hold a posture that keeps the safety margin."""
+        clearances, margin = self._context.clearances, self._context.options.safety_margin_m
+        reach = boxes.half @ clearances.reach
+        clear = np.ones(len(boxes), dtype=np.bool_)
+        # Wider ones are nearly always clear somewhere.
+        check = np.flatnonzero(reach < _WIDE)
+        q = boxes.middle[check]
+        near = clearances.check_collision(q, margin)
+        distance = clearances.smallest(q[near]).distance
+        clear[check[near]] = distance + reach[check[near]] >= margin - _DISTANCE_ROUNDING
+        return clear
+
+    def _tried(
+        self, boxes: JointBoxes, lowest: FloatArray, via_point: int, value: float
+    ) -> tuple[FloatArray, float] | None:
+        """An admissible posture below `value` near the middles of the boxes that allow most; None without."""
+        context = self._context
+        limits = context.robot.limits
+        chosen = np.argsort(lowest, kind="stable")[:_TRIES]
+        q = boxes.middle[chosen]
+        q, reached = project_onto_task(context.postures, context.task, q, context.points[via_point])
+        q = q[reached]
+        at = context.postures.at(q)
+        found = context.objective.at_rest(at)
+        good = limits.contain(q) & (found < value) & (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
+        for k in np.flatnonzero(good)[np.argsort(found[good], kind="stable")]:
+            if not context.clearances.check_collision(q[k : k + 1], context.options.safety_margin_m)[0]:
+                return q[k], float(found[k])
+        return None
+
+    def _halved(self, boxes: JointBoxes) -> JointBoxes:
+        """Halve each box across the joint whose move would move most."""
+        half = boxes.half
+        following = _FOLLOWING * half[:, self._inner[1:]].sum(axis=1)
+        wide = half.copy()
+        follow = [self._inner[0], *self._wrist]
+        if self._chain.free_axis is not None:
+            follow = follow[:-1]
+        for joint in follow:
+            wide[:, joint] = np.maximum(half[:, joint] - following, 0.0)
+        return boxes.halved((wide * self._weight).argmax(axis=1))
+
+
+def _weights(context: PlanningContext) -> FloatArray:
+    """How much the arm moves with each joint (n,), from 0 to 1."""
+    reach, moment = context.clearances.reach, _moment_bounds(context)
+    shares = [part / part.max() for part in (reach, moment) if part.max() > 0]
+    return np.asarray(np.max(shares, axis=0))
+
+
+def _moment_bounds(context: PlanningContext) -> FloatArray:
+    """Bounds (n,), kg m, of the first moments about each axis of all beyond it; they fall along the arm."""
+    at = context.postures.at(np.zeros((1, context.robot.dof)))
+    axis, origin, centre = at.axis[0], at.origin[0], at.centre[0]
+    n = len(axis)
+    bounds = np.zeros(n)
+    for j in range(n):
+        for body in range(j, n):
+            points = np.vstack([origin[j : body + 1], centre[body]])
+            steps = np.diff(points, axis=0)
+            length = np.linalg.norm(cross(steps[0], axis[j]))
+            length += np.linalg.norm(steps[1:], axis=1).sum()
+            bounds[j] += at.mass[body] * length
+    return np.asarray(np.maximum.accumulate(bounds[::-1])[::-1])

@@ -1,0 +1,150 @@
+"""Proofs of the lower bound: below it nothing is found, by a closed form and by random restarts."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles.inverse_kinematics import postures as closed_form
+from small_scenes import context_of, short_scene
+from urdf_arms import arm_scene, endless_scene, panda_scene, path_of, six_joint_scene
+
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.selfmotion.charts import Coverage
+from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.selfmotion.proof import TorqueFloorProof, with_proof
+from cmbot.planning.selfmotion.spherical_joint import wrist_chain
+from cmbot.scene import Scene
+
+ABOVE_ALL = 1e6
+RESTARTS = 600
+ACCURACY = 2e-5
+
+
+def kinova_scene(folder: Path) -> Scene:
+    return arm_scene(folder, "kinova")
+
+
+def ur3_scene(folder: Path) -> Scene:
+    path = path_of("pose", 5, ([0, 0, 0.05], 2.0))
+    return six_joint_scene(folder, "ur3", [0, -70, 60, -80, -90, 0], path)
+
+
+def prover(context: PlanningContext) -> TorqueFloorProof:
+    found = TorqueFloorProof.of(context)
+    assert found is not None
+    return found
+
+
+def values(context: PlanningContext, q: FloatArray) -> FloatArray:
+    return context.objective.at_rest(context.postures.at(q))
+
+
+def admissible(context: PlanningContext, q: FloatArray) -> BoolArray:
+    limits, at = context.robot.limits, context.postures.at(q)
+    holds = ((q >= limits.lower) & (q <= limits.upper)).all(axis=1)
+    holds &= (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
+    holds[holds] = ~context.clearances.check_collision(q[holds], context.options.safety_margin_m)
+    return holds
+
+
+def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator) -> FloatArray:
+    limits = context.robot.limits
+    low, high = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
+    q = rng.uniform(low, high, (RESTARTS, len(low)))
+    point = context.points[via_point]
+    placed, reached = project_onto_task(context.postures, context.task, q, point, steps=40)
+    placed = placed[reached]
+    return placed[admissible(context, placed)]
+
+
+def test_a_proof_finds_what_the_closed_form_finds() -> None:
+    context = context_of(short_scene())
+    for via_point in (0, 7):
+        proof = prover(context).prove(via_point, ABOVE_ALL)
+        pitches = np.linspace(-np.pi, np.pi, 20001)
+        q = closed_form(context.points[via_point], context.task.path.orientation, pitches)
+        limits = context.robot.limits
+        q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]
+        q = q[values(context, q) < 1.01 * proof.value]
+        least = values(context, q[admissible(context, q)]).min()
+        assert proof.lowest <= least
+        assert proof.value == pytest.approx(least, rel=1e-4)
+        assert proof.value - proof.lowest <= ACCURACY * proof.value
+        assert admissible(context, proof.posture[None])[0]
+        assert values(context, proof.posture[None])[0] == pytest.approx(proof.value)
+
+
+@pytest.mark.parametrize("make", [panda_scene, kinova_scene, endless_scene])
+def test_nothing_is_found_below_on_other_arms(
+    make: Callable[[Path], Scene], tmp_path: Path, rng: np.random.Generator
+) -> None:
+    context = context_of(make(tmp_path))
+    proof = prover(context).prove(3, ABOVE_ALL)
+    found = values(context, restarts(context, 3, rng))
+    assert len(found) > 20
+    assert proof.lowest <= found.min()
+    assert proof.value - proof.lowest <= ACCURACY * proof.value
+
+
+def test_a_tool_on_the_last_axis_may_turn() -> None:
+    pose, axis = (
+        context_of(short_scene(tool_path={"keep": keep}, planner={"safety_margin_m": 0.0}))
+        for keep in ("pose", "axis")
+    )
+    held, turned = (prover(context).prove(2, ABOVE_ALL) for context in (pose, axis))
+    assert turned.lowest <= held.value
+    found = values(axis, restarts(axis, 2, np.random.default_rng(3)))
+    assert turned.lowest <= found.min()
+
+
+def test_where_nothing_holds_the_tool_all_is_proven() -> None:
+    context = context_of(short_scene())
+    limits = context.robot.limits
+    no_torque = replace(limits, torque=np.full(len(limits.torque), 1e-3))
+    weak = replace(context, robot=replace(context.robot, limits=no_torque))
+    proof = prover(weak).prove(0, np.inf)
+    assert proof.lowest == np.inf
+    assert proof.posture is None
+
+
+def test_arms_that_do_not_decouple_and_other_objectives_have_no_proof(tmp_path: Path) -> None:
+    assert wrist_chain(context_of(ur3_scene(tmp_path))) is None
+    assert wrist_chain(context_of(panda_scene(tmp_path, keep="axis"))) is None
+    assert wrist_chain(context_of(short_scene(tool_path={"keep": "position"}))) is None
+    sag = short_scene(planner={"objective": "sag"})
+    assert TorqueFloorProof.of(context_of(sag)) is None
+
+
+def test_the_chain_of_a_shoulder_runs_from_tool_to_base(tmp_path: Path) -> None:
+    panda, cmbot = wrist_chain(context_of(panda_scene(tmp_path))), wrist_chain(context_of(short_scene()))
+    assert panda.joints.tolist() == [6, 5, 4, 3, 2, 1, 0]
+    assert cmbot.joints.tolist() == list(range(7))
+    assert max(panda.slack, cmbot.slack) < 1e-4
+
+
+def test_a_bound_is_proven_lowered_or_called_an_estimate(tmp_path: Path) -> None:
+    context = context_of(short_scene())
+    coverage, posture = Coverage(1000, 500, 0), context.posture
+    least = prover(context).prove(1, ABOVE_ALL).value
+
+    def bound(value: float) -> LowerBound:
+        each = np.full(8, 0.5 * value)
+        each[1] = value
+        return LowerBound(value=value, error=1e-6 * value, via_point=1, each=each)
+
+    proven, same = with_proof(context, bound(least), posture, coverage)
+    assert (proven.kind, proven.missed, proven.value) == ("proven", None, least)
+    assert 0 < proven.error <= ACCURACY * least
+    assert same is posture
+    lowered, better = with_proof(context, bound(1.2 * least), posture, coverage)
+    assert lowered.kind == "proven"
+    assert lowered.value == lowered.each[1] == pytest.approx(least, rel=ACCURACY)
+    assert values(context, better[None])[0] == pytest.approx(lowered.value)
+    other = context_of(ur3_scene(tmp_path))
+    estimate, _ = with_proof(other, bound(5.0), other.posture, coverage)
+    assert (estimate.kind, estimate.value) == ("estimated", 5.0)
+    assert estimate.missed == coverage.share == pytest.approx(1 - 0.05 ** (1 / 500))
