@@ -104,9 +104,20 @@ class Robot:
     @property
     def reach(self) -> float:
         """Upper bound of the tool point's distance from `base_point`, m: the sum of the links' lengths."""
+        return float(self._link_lengths.sum())
+
+    @property
+    def inner_reach(self) -> float:
+        """Lower bound of that distance, m: the longest link less all others, or zero."""
+        lengths = self._link_lengths
+        return max(0.0, float(2 * lengths.max() - lengths.sum()))
+
+    @property
+    def _link_lengths(self) -> FloatArray:
+        """Distances (n,), m, from each joint to the next, and from the last to the tool."""
         steps = [placement.translation for placement in list(self.model.jointPlacements)[2:]]
         steps.append(self.model.frames[self.tool_frame_id].placement.translation)
-        return float(np.linalg.norm(steps, axis=1).sum())
+        return np.asarray(np.linalg.norm(steps, axis=1))
 
     @property
     def arm_mass(self) -> float:

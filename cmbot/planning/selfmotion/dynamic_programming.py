@@ -15,6 +15,7 @@ from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.selfmotion.charts import Coverage, GraphLayer, charts_of
+from cmbot.planning.selfmotion.reachability import out_of_reach
 
 __all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_along", "nearest_turn", "refine"]
 
@@ -234,9 +235,11 @@ def blocked(
     layer, pair = layers[k], None
     tried = "" if coverage is None else f" in {coverage.drawn} attempts"
     if not layer.chart.within.any():
+        fact = out_of_reach(context, k)
+        found = f"no posture within the joint ranges that holds the tool there was found{tried}"
         why = (
-            f"no posture within the joint ranges that holds the tool there was found{tried}; take another "
-            "posture_deg, move the tool path, or keep less of the pose (tool_path.keep)"
+            f"{fact or found}; take another posture_deg, move the tool path, or keep less of the pose "
+            "(tool_path.keep)"
         )
     elif not layer.admissible.any():
         weak = int((layer.chart.within & (layer.chart.joint_use > 1.0)).sum())

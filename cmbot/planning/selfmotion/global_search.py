@@ -30,8 +30,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
     nearest_turn,
     refine,
 )
-from cmbot.planning.selfmotion.lower_bound import find_lower_bound
-from cmbot.planning.selfmotion.proof import with_proof
+from cmbot.planning.selfmotion.lower_bound import find_lower_bound, with_proof
 
 __all__ = ["GlobalSearch", "GlobalSolution", "sequences_beside"]
 

@@ -11,7 +11,7 @@ For many arms `proof` then proves the bound, or a better one, without charts and
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,9 +19,10 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.planning.selfmotion.charts import GraphLayer
+from cmbot.planning.selfmotion.charts import Coverage, GraphLayer
+from cmbot.planning.selfmotion.proof import TorqueFloorProof
 
-__all__ = ["LowerBound", "find_lower_bound"]
+__all__ = ["LowerBound", "find_lower_bound", "with_proof"]
 
 # Accuracy of the bound, as a share of it, and halvings of a cell at most along each edge.
 _ACCURACY, _MOST_HALVINGS = 2e-6, 24
@@ -36,6 +37,9 @@ _WIDER = 1.1
 _WIDE = 0.3
 # Safety factor of the estimated change of joint torques within a cell.
 _DOUBT = 1.5
+# A bound counts as proven when the proof's error is at most this share of it; where a proof meets a posture
+# that is lower by more than the other share, the bound is lowered to that.
+_PROVEN, _LOWERED = 1e-3, 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +113,44 @@ def find_lower_bound(
     # No objective is negative, whatever samples of a wide self-motion leave open.
     error = float(each[where] - max(bound.max(), 0.0))
     return LowerBound(value=float(each[where]), error=error, via_point=where, each=each), postures[where]
+
+
+def with_proof(
+    context: PlanningContext, bound: LowerBound, posture: FloatArray, coverage: Coverage
+) -> tuple[LowerBound, FloatArray]:
+    """Return a lower bound proven where that is possible, otherwise called an estimate.
+
+    Parameters
+    ----------
+    context : PlanningContext
+    bound : LowerBound
+    posture : (n,), rad
+        Has its value at its via-point.
+    coverage : Coverage
+        Of the charts that it comes from.
+
+    Returns
+    -------
+    bound : LowerBound
+    posture : (n,), rad
+        As before, or better: a proof may meet one that the charts missed.
+    """
+    estimate = replace(bound, kind="estimated", missed=coverage.share)
+    prover = TorqueFloorProof.of(context)
+    if prover is None:
+        return estimate, posture
+    context.reporter.step("proving the lower bound")
+    proof = prover.prove(bound.via_point, bound.value)
+    value = bound.value
+    if proof.posture is not None and proof.value < value * (1 - _LOWERED):
+        # The charts missed this one.
+        value, posture = proof.value, proof.posture
+    each = bound.each.copy()
+    each[bound.via_point] = value
+    error = value - proof.lowest
+    if error > _PROVEN * value:
+        return replace(estimate, value=value, each=each), posture
+    return replace(bound, value=value, error=error, each=each, kind="proven"), posture
 
 
 @dataclass(frozen=True)

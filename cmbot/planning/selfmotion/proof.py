@@ -19,7 +19,6 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import WeightedMoment, WrenchObjective
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.selfmotion.charts import Coverage
 from cmbot.planning.selfmotion.joint_boxes import (
     JointBoxes,
     azimuth_between,
@@ -31,11 +30,10 @@ from cmbot.planning.selfmotion.joint_boxes import (
     narrowed,
     without_pivot,
 )
-from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.selfmotion.spherical_joint import WristChain, turns, wrist_chain
 from cmbot.robot import PostureBatch
 
-__all__ = ["Proof", "TorqueFloorProof", "with_proof"]
+__all__ = ["Proof", "TorqueFloorProof"]
 
 # Boxes are dropped when they miss a condition by more than this, m, rad, or a share of Nm.
 _ROUNDING = 1e-9
@@ -45,19 +43,21 @@ _DISTANCE_ROUNDING = 2e-6
 # alone.
 _COARSE = 0.12
 # Boxes at most at a time, and of a whole proof; an unfinished proof has a larger error.
-_MOST_BOXES, _MOST_WORK = 40_000, 400_000
+_MOST_BOXES, _MOST_WORK = 40_000, 100_000
 # Halvings at most.
 _MOST_ROUNDS = 120
+# Rounds and boxes of a proof that nothing holds the tool: where something does, boxes only become more.
+_REACH_ROUNDS, _REACH_BOXES = 24, 5000
 # Angles that follow from others are halved only where their boxes are this many times as wide.
 _FOLLOWING = 4.0
 # In boxes in which the arm moves further than this, m, clearances are not computed.
 _WIDE = 0.25
 # Accuracy of a proof, as a share of the bound.
 _ACCURACY = 1e-5
-# A bound counts as proven when the proof's error is at most this share of it.
-_PROVEN = 1e-3
 # Boxes whose middles are tried as postures, in each round.
-_TRIES = 5
+_TRIES, _EVERY = 5, 3
+# Fewer boxes than this are halved twice in a round: what a round costs is then not theirs.
+_FEW = 200
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,44 +80,6 @@ class Proof:
     posture: FloatArray | None
     value: float
     boxes: int
-
-
-def with_proof(
-    context: PlanningContext, bound: LowerBound, posture: FloatArray, coverage: Coverage
-) -> tuple[LowerBound, FloatArray]:
-    """Return a lower bound proven where that is possible, otherwise called an estimate.
-
-    Parameters
-    ----------
-    context : PlanningContext
-    bound : LowerBound
-    posture : (n,), rad
-        Has its value at its via-point.
-    coverage : Coverage
-        Of the charts that it comes from.
-
-    Returns
-    -------
-    bound : LowerBound
-    posture : (n,), rad
-        As before, or better: a proof may meet one that the charts missed.
-    """
-    estimate = replace(bound, kind="estimated", missed=coverage.share)
-    prover = TorqueFloorProof.of(context)
-    if prover is None:
-        return estimate, posture
-    context.reporter.step("proving the lower bound")
-    proof = prover.prove(bound.via_point, bound.value)
-    value = bound.value
-    if proof.posture is not None and proof.value < value * (1 - _ACCURACY):
-        # The charts missed this one.
-        value, posture = proof.value, proof.posture
-    each = bound.each.copy()
-    each[bound.via_point] = value
-    error = value - proof.lowest
-    if error > _PROVEN * value:
-        return replace(estimate, value=value, each=each), posture
-    return replace(bound, value=value, error=error, each=each, kind="proven"), posture
 
 
 class TorqueFloorProof:
@@ -169,13 +131,15 @@ class TorqueFloorProof:
         boxes = self._coarse(goal)
         boxes = joined(boxes, replace(boxes, side=-boxes.side))
         examined, left_out, posture = len(boxes), np.inf, None
-        for _ in range(_MOST_ROUNDS):
+        for number in range(_MOST_ROUNDS):
             boxes = self._by_centre(boxes, goal)
             boxes = self._by_wrist(boxes)
             boxes, lowest = self._admissible(boxes, goal, value * (1 - _ACCURACY))
             if len(boxes) == 0:
                 break
-            found = self._tried(boxes, lowest, via_point, value)
+            found = None
+            if number % _EVERY == 0:
+                found = self._tried(boxes, lowest, via_point, value)
             if found is not None:
                 posture, value = found
                 keep = lowest < value * (1 - _ACCURACY)
@@ -185,10 +149,26 @@ class TorqueFloorProof:
                 left_out = float(lowest.min(initial=np.inf))
                 break
             boxes = self._halved(boxes)
+            if len(boxes) < _FEW:
+                boxes = self._halved(boxes)
         else:
             left_out = float(lowest.min(initial=np.inf))
         lowest_value = min(left_out, value * (1 - _ACCURACY)) if np.isfinite(value) else left_out
         return Proof(lowest=max(lowest_value, 0.0), posture=posture, value=value, boxes=examined)
+
+    def holds_nothing(self, via_point: int) -> bool:
+        """Whether it is proven that no posture within the joint ranges holds the tool at a via-point."""
+        goal = self._chain.goal_centre[via_point]
+        boxes = self._coarse(goal)
+        boxes = joined(boxes, replace(boxes, side=-boxes.side))
+        for _ in range(_REACH_ROUNDS):
+            boxes = self._by_wrist(self._by_centre(boxes, goal))
+            boxes, _, keep = self._on_task(boxes, goal, np.zeros_like(boxes.lower))
+            boxes = boxes[keep]
+            if len(boxes) == 0 or len(boxes) > _REACH_BOXES:
+                break
+            boxes = self._halved(boxes)
+        return len(boxes) == 0
 
     def _coarse(self, goal: FloatArray) -> JointBoxes:
         """Boxes that cover all postures with the centre of the spherical joint at `goal` (3,)."""

@@ -92,7 +92,7 @@ FAR = {"legs": [{"by": [0, 2.5, 0], "seconds": 60}]}
             r"via-point \d of 8 is blocked: \d+ postures come within.*lower planner\.safety_margin_m",
             False,
         ),
-        ({"tool_path": FAR}, r"blocked: no posture .* was found in \d+ attempts", False),
+        ({"tool_path": FAR}, r"blocked: out of reach: no posture .* there \(proven\); take another", False),
         ({"robot": {"payload_kg": 60.0}}, r"ask too much of a joint's torque.* lighter payload", True),
     ],
 )

@@ -14,9 +14,11 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.charts import Coverage
-from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.selfmotion.proof import TorqueFloorProof, with_proof
+from cmbot.planning.selfmotion.lower_bound import LowerBound, with_proof
+from cmbot.planning.selfmotion.proof import TorqueFloorProof
+from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
+from cmbot.robot import Postures
 from cmbot.scene import Scene
 
 ABOVE_ALL = 1e6
@@ -109,6 +111,39 @@ def test_where_nothing_holds_the_tool_all_is_proven() -> None:
     proof = prover(weak).prove(0, np.inf)
     assert proof.lowest == np.inf
     assert proof.posture is None
+
+
+def test_out_of_reach_is_said_where_it_is_proven(tmp_path: Path) -> None:
+    context = context_of(short_scene(tool_path={"legs": [{"by": [0.0, -0.3, 0], "seconds": 4}]}))
+    assert all(out_of_reach(context, k) == "" for k in (0, 7))
+    path = context.task.path
+
+    def moved(by: list[float]) -> PlanningContext:
+        return replace(context, task=replace(context.task, path=replace(path, corners=path.corners + by)))
+
+    # The stretched arm reaches further than one that holds the tool's pose.
+    far = moved([1.3, 0.0, 0.0])
+    assert out_of_reach(far, 0) == (
+        "out of reach: no posture within the joint ranges holds the tool's pose there (proven)"
+    )
+    assert len(restarts(far, 0, np.random.default_rng(1))) == 0
+    assert "the arm with its tool stretched out, 3.780 m, does not reach" in out_of_reach(moved([4, 0, 0]), 0)
+
+
+def test_a_long_link_keeps_the_tool_away(tmp_path: Path) -> None:
+    context = context_of(ur3_scene(tmp_path))
+    robot, start = context.robot, context.task.path.corners[0]
+    assert 0 <= robot.inner_reach < robot.reach
+    model = robot.model.copy()
+    model.jointPlacements[2].translation = np.array([0.0, 0.0, 3.0])
+    long = replace(robot, model=model)
+    q = np.random.default_rng(2).uniform(-np.pi, np.pi, (200, 6))
+    points = Postures(long).tool_at(q).tool_point
+    near = np.linalg.norm(points - long.base_point, axis=1).min()
+    assert 0 < long.inner_reach <= near
+    assert near <= long.inner_reach + 0.5
+    assert f"nearer than {long.inner_reach:.3f} m" in out_of_reach(replace(context, robot=long), 0)
+    assert np.linalg.norm(start - long.base_point) < long.inner_reach
 
 
 def test_arms_that_do_not_decouple_and_other_objectives_have_no_proof(tmp_path: Path) -> None:
