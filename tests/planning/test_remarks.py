@@ -125,7 +125,7 @@ def test_a_floor_is_called_what_it_is(triangle_plan: Plan) -> None:
     assert f" Nm (proven; error {error}): at via-point" in said
     estimate = replace(proven, kind="estimated", missed=0.0123)
     said = line(replace(triangle_plan, lower_bound=estimate), "Lower bound: ")
-    assert "no admissible plan was found to rest below 383.79 Nm (estimate; at most 1.2 % of the" in said
+    assert "no admissible plan was found to rest below 383.79 Nm (estimate; at most 1.23 % of the" in said
     assert f"postures are missed, with 95 % confidence; error {error}): at via-point" in said
     assert "no posture was found that asks less" in said
     unknown = line(replace(triangle_plan, lower_bound=replace(estimate, missed=None)), "Lower bound: ")

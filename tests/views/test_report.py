@@ -120,7 +120,7 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert floor.detail.endswith("no admissible posture at rest has a smaller torque (proven)")
     bound = replace(triangle_plan.lower_bound, kind="estimated", missed=0.5)
     _, floor, *_ = headlines(replace(triangle_plan, lower_bound=bound), None)
-    assert "was found to have a smaller torque (estimate; at most 50 % of the postures" in floor.detail
+    assert "was found to have a smaller torque (estimate; at most 50.00 % of the postures" in floor.detail
     work, approach = (len(of.certificate.checks) for of in (triangle_plan, triangle_plan.approach))
     assert certified.value == f"{work} of {work} hold"
     assert certified.detail.endswith(f"; approach: {approach} of {approach}")

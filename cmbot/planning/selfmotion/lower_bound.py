@@ -79,7 +79,7 @@ class LowerBound:
             return "proven"
         if self.missed is None:
             return "estimate"
-        return f"estimate; at most {100 * self.missed:.2g} % of the postures are missed, with 95 % confidence"
+        return f"estimate; at most {100 * self.missed:.2f} % of the postures are missed, with 95 % confidence"
 
 
 def find_lower_bound(

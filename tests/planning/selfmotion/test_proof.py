@@ -65,19 +65,17 @@ def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator)
 
 def test_a_proof_finds_what_the_closed_form_finds() -> None:
     context = context_of(short_scene())
-    for via_point in (0, 7):
-        proof = prover(context).prove(via_point, ABOVE_ALL)
-        pitches = np.linspace(-np.pi, np.pi, 20001)
-        q = closed_form(context.points[via_point], context.task.path.orientation, pitches)
-        limits = context.robot.limits
-        q = q[((q >= limits.lower) & (q <= limits.upper)).all(axis=1)]
-        q = q[values(context, q) < 1.01 * proof.value]
-        least = values(context, q[admissible(context, q)]).min()
-        assert proof.lowest <= least
-        assert proof.value == pytest.approx(least, rel=1e-4)
-        assert proof.value - proof.lowest <= ACCURACY * proof.value
-        assert admissible(context, proof.posture[None])[0]
-        assert values(context, proof.posture[None])[0] == pytest.approx(proof.value)
+    proof = prover(context).prove(7, ABOVE_ALL)
+    pitches = np.linspace(-np.pi, np.pi, 8001)
+    q = closed_form(context.points[7], context.task.path.orientation, pitches)
+    q = q[context.robot.limits.contain(q)]
+    q = q[values(context, q) < 1.01 * proof.value]
+    least = values(context, q[admissible(context, q)]).min()
+    assert proof.lowest <= least
+    assert proof.value == pytest.approx(least, rel=1e-4)
+    assert proof.value - proof.lowest <= ACCURACY * proof.value
+    assert admissible(context, proof.posture[None])[0]
+    assert values(context, proof.posture[None])[0] == pytest.approx(proof.value)
 
 
 @pytest.mark.parametrize("make", [panda_scene, kinova_scene, endless_scene])
@@ -85,22 +83,19 @@ def test_nothing_is_found_below_on_other_arms(
     make: Callable[[Path], Scene], tmp_path: Path, rng: np.random.Generator
 ) -> None:
     context = context_of(make(tmp_path))
-    proof = prover(context).prove(3, ABOVE_ALL)
     found = values(context, restarts(context, 3, rng))
     assert len(found) > 20
-    assert proof.lowest <= found.min()
+    proof = prover(context).prove(3, float(found.min()))
+    assert proof.lowest <= proof.value <= found.min()
     assert proof.value - proof.lowest <= ACCURACY * proof.value
 
 
-def test_a_tool_on_the_last_axis_may_turn() -> None:
-    pose, axis = (
-        context_of(short_scene(tool_path={"keep": keep}, planner={"safety_margin_m": 0.0}))
-        for keep in ("pose", "axis")
-    )
-    held, turned = (prover(context).prove(2, ABOVE_ALL) for context in (pose, axis))
-    assert turned.lowest <= held.value
-    found = values(axis, restarts(axis, 2, np.random.default_rng(3)))
-    assert turned.lowest <= found.min()
+def test_a_tool_on_the_last_axis_may_turn(rng: np.random.Generator) -> None:
+    context = context_of(short_scene(tool_path={"keep": "axis"}))
+    found = values(context, restarts(context, 2, rng))
+    proof = prover(context).prove(2, float(found.min()))
+    assert proof.lowest <= proof.value <= found.min()
+    assert proof.value - proof.lowest <= ACCURACY * proof.value
 
 
 def test_where_nothing_holds_the_tool_all_is_proven() -> None:
@@ -148,7 +143,6 @@ def test_a_long_link_keeps_the_tool_away(tmp_path: Path) -> None:
 
 def test_arms_that_do_not_decouple_and_other_objectives_have_no_proof(tmp_path: Path) -> None:
     assert wrist_chain(context_of(ur3_scene(tmp_path))) is None
-    assert wrist_chain(context_of(panda_scene(tmp_path, keep="axis"))) is None
     assert wrist_chain(context_of(short_scene(tool_path={"keep": "position"}))) is None
     sag = short_scene(planner={"objective": "sag"})
     assert TorqueFloorProof.of(context_of(sag)) is None
