@@ -49,7 +49,11 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
     assert data["baseline"]["min_clearance"] == triangle_plan.baseline_figures.min_clearance
     assert data["torque_floor"] == triangle_plan.lower_bound.value
     assert data["gap_to_floor"] == triangle_plan.gap_to_floor
-    assert set(data["floor"]) == {"value", "error", "via_point", "each"}
+    assert (data["torque_floor_kind"], data["torque_floor_error"]) == (
+        "proven",
+        triangle_plan.lower_bound.error,
+    )
+    assert set(data["floor"]) == {"value", "error", "via_point", "each", "kind", "missed"}
     assert data["floor"]["each"] == triangle_plan.lower_bound.each.tolist()
     assert data["objective"] == {
         "name": "torque",
