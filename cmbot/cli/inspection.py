@@ -54,6 +54,7 @@ _OPTIONAL = (
     ("selenium", "video"),
     ("example-robot-data", "robots"),
     ("xacrodoc", "xacro"),
+    ("distributed", "campaign"),
     ("mujoco", "test"),
     ("hypothesis", "test"),
 )
@@ -221,8 +222,9 @@ def examine() -> list[Symptom]:
         *(_package(name, module) for name, module in _REQUIRED.items()),
     ]
     for name, extra in _OPTIONAL:
+        version = _version(name)
         missing = f"not installed (optional: {install_command(extra)})"
-        symptoms.append(Symptom(name, _version(name) or missing))
+        symptoms.append(Symptom(name, missing if version is None else f"{version}, of the extra {extra}"))
     for name, path in (
         ("model", model_folder() / "urdf" / "cmbot.urdf"),
         ("meshes", model_folder() / "meshes"),
