@@ -58,8 +58,8 @@ class ExchangeOptions:
         Of SLSQP in an exchange iteration: it need not end before the next one knows more constraints.
     sqp : SqpOptions
     stop : callable
-        Asked between iterations whether the time is over: then the last trajectory that met all constraints
-        is the result, if there was one.
+        Asked between iterations whether the time is over: then the trajectory of least peak that met all
+        constraints is the result, if there was one.
     """
 
     solver: str = "sqp"
@@ -193,7 +193,7 @@ class _Exchange:
         self._program, self._options, self._progress = program, options, progress
         self._families = len(families_of(program))
         self.reports: list[ExchangeReport] = []
-        # The last trajectory that met all constraints, with its peak.
+        # The best trajectory that met all constraints, with its peak.
         self.feasible: tuple[Parametrization, float] | None = None
         self.restart()
 
@@ -253,7 +253,7 @@ class _Exchange:
             if len(self.reports) >= o.max_passes:
                 passes = counted(o.max_passes, "pass", "passes")
                 reason = f"no solution in {passes}, and planner.max_passes allows no more"
-                raise _failure(reason, found.worst)
+                raise self._failure(reason, found.worst)
             start = NlpEvaluation.around(self._program, stage, self.form, self._constraints)
             end, iterations, done = self._solved(start)
             self.form, self._constraints = end.parametrization, end.constraints
@@ -263,22 +263,28 @@ class _Exchange:
             self._report(stage, iterations, found)
             worst, nothing_new = found.worst_beside(limit), self._constraints is known
             met = worst.value <= o.feasibility_tolerance
-            if met:
-                self.feasible = self.form, found.peak
+            self._keep(found)
             if met and nothing_new and done:
                 return found.peak
             if o.stop():
-                raise _failure("the time was over before the optimum was found", worst)
+                raise self._failure("the time was over before every constraint was met", worst)
             if met and nothing_new:
                 continue
             if attempt and end.values.violation > o.nearly_met:
-                raise _failure("the known constraints were not met", worst)
+                raise self._failure("the known constraints were not met", worst)
             if done and nothing_new:
                 if left == 0:
-                    raise _failure("the solver stopped before the constraints were met", worst)
+                    raise self._failure("the solver stopped before the constraints were met", worst)
                 left -= 1
                 # What is violated can lie so near to what is known that it counted as known.
                 self._constraints = found.added_to(known.sharpened())
+
+    def _keep(self, found: Separation) -> None:
+        """Keep the present trajectory where it meets all constraints, its peak whatever it was to be."""
+        if found.worst.value > self._options.feasibility_tolerance:
+            return
+        if self.feasible is None or found.peak <= self.feasible[1] * (1 + self._options.peak_tolerance):
+            self.feasible = self.form, found.peak
 
     def _solved(self, start: NlpEvaluation) -> tuple[NlpEvaluation, int, bool]:
         """Solve with the constraints of `start`; return the end, the iterations, and whether it converged."""
@@ -300,7 +306,7 @@ class _Exchange:
             limit = result.iterate.peak if start.stage.bound is None else start.stage.bound
             worst = self._separated(limit).worst_beside(limit)
             reason = "near the trajectory that was found the constraints cannot all be met"
-            raise OptimisationFailed(reason, constraint=worst.name, violation=worst.value)
+            raise self._failure(reason, worst, undecided=False)
         return result.iterate, result.iterations, result.status is not SqpStatus.ITERATION_LIMIT
 
     def _separated(self, bound: float) -> Separation:
@@ -322,6 +328,11 @@ class _Exchange:
         if self._progress is not None:
             self._progress(report)
 
-
-def _failure(reason: str, worst: Violation) -> OptimisationFailed:
-    return OptimisationFailed(reason, constraint=worst.name, violation=worst.value, undecided=True)
+    def _failure(self, reason: str, worst: Violation, *, undecided: bool = True) -> OptimisationFailed:
+        return OptimisationFailed(
+            reason,
+            constraint=worst.name,
+            violation=worst.value,
+            undecided=undecided,
+            trajectory=self.form.trajectory,
+        )

@@ -93,7 +93,7 @@ class ProgressReporter:
         clock: Callable[[], float] = time.perf_counter,
         limit: float = math.inf,
     ) -> None:
-        self._end = clock() + limit
+        self._began, self._limit = clock(), limit
         self._progress = progress or (lambda _: None)
         self._clock = clock
         self._now = Progress(stage="path")
@@ -104,9 +104,14 @@ class ProgressReporter:
         # When the optimisation began, and when the passes before compensation and each round of it ended.
         self._ends = [clock()]
 
-    def expired(self) -> bool:
-        """Whether the time is over."""
-        return self._clock() >= self._end
+    def expired(self, more: float = 0.0) -> bool:
+        """Whether the time is over, and so is a share `more` of it."""
+        return self._clock() >= self._began + (1.0 + more) * self._limit
+
+    @property
+    def time_left(self) -> float:
+        """What is left of the time, s."""
+        return max(self._began + self._limit - self._clock(), 0.0)
 
     def stage(self, stage: str, *, failed_starts: int = 0) -> None:
         """Begin a stage."""

@@ -121,7 +121,7 @@ def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solve
 
 
 @both_solvers
-def test_when_the_time_is_over_the_last_feasible_trajectory_is_the_result(solver: str) -> None:
+def test_when_the_time_is_over_the_best_feasible_trajectory_is_the_result(solver: str) -> None:
     problem = unattainable(solver=solver)
     options = exchange_options(problem)
     whole = minimize_peak(problem, options)
@@ -134,6 +134,7 @@ def test_when_the_time_is_over_the_last_feasible_trajectory_is_the_result(solver
             found = minimize_peak(problem, timed, reports.append)
         except OptimisationFailed as failure:
             assert "the time was over" in failure.reason
+            assert min(report.worst.value for report in reports) > options.feasibility_tolerance
             ends.add("failure")
         else:
             trajectory = found.parametrization.trajectory

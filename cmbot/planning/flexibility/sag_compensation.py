@@ -85,6 +85,13 @@ def compensate(
             return optimised, done, problem
         if rounds == MOST_ROUNDS:
             break
+        if context.reporter.expired():
+            tried = f"{rounds} of at most {MOST_ROUNDS} rounds"
+            raise OptimisationFailed(
+                f"the time was over after {tried} of the compensation of the sag",
+                constraint="change of the shift",
+                violation=change / allowed,
+            )
         shift = wanted
         task = replace(context.task, path=_shifted(context, times, shift))
         around = replace(context, task=task, options=options)

@@ -82,10 +82,11 @@ class VibrationSuppression:
 
 def suppress_vibration(
     arm: ElasticArm, problem: TorqueProblem, optimised: Optimised
-) -> tuple[Optimised, VibrationSuppression]:
+) -> tuple[Optimised, VibrationSuppression | None]:
     """Bring the first elastic modes to rest at the ends of the legs.
 
     The trajectory goes on keeping the bounds of `problem`; where no change keeps them, it stays what it was.
+    So it does, and nothing is said of its vibration, where the time is over before that is predicted.
     """
     context, trajectory, t = problem.context, optimised.trajectory, problem.space.t
     modes = context.options.quiet_modes
@@ -93,6 +94,8 @@ def suppress_vibration(
     windows = [Window(problem, group) for group in groups]
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
     for window, (first, last) in context.reporter.each("predicting the vibration of every leg", ends):
+        if context.reporter.expired():
+            return optimised, None
         leg = LegVibration(arm, trajectory, t[first], t[last], modes)
         window.bring_to_rest(leg, trajectory)
     context.reporter.step("bringing the slowest vibrations to rest")
@@ -142,6 +145,8 @@ class _Search:
         """Return the changed trajectory, and the share of each window's change that it took."""
         unfit = ~self._hopeless
         for _ in range(_ROUNDS):
+            if self._problem.context.reporter.expired():
+                break
             self._step(unfit)
             unfit = self._unfit()
             if not unfit.any():

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from finite_differences import check_derivative
 from scipy.interpolate import CubicSpline
-from small_scenes import context_of, short_scene, tool_points
+from small_scenes import context_of, problem_of, short_scene, tool_points
 
 from cmbot.archive import load_plan, save
-from cmbot.common.errors import SceneError
+from cmbot.common.errors import OptimisationFailed, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.sag import Sag
@@ -26,6 +26,10 @@ from cmbot.planning import (
     task_of,
 )
 from cmbot.planning.context import PlanningContext
+from cmbot.planning.flexibility.sag_compensation import compensate
+from cmbot.planning.initial_guess import InitialGuess
+from cmbot.planning.progress import ProgressReporter
+from cmbot.planning.torque import Optimised
 from cmbot.scene import Scene, ShiftedToolPath, load_scene
 
 ALLOWED = 0.001
@@ -157,6 +161,24 @@ def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> N
     beyond = shifted.position([-1.0, path.duration + 1.0])
     ends = shifted.position([0.0, path.duration])
     np.testing.assert_array_equal(beyond, ends)
+
+
+def test_where_the_time_is_over_the_compensation_says_how_far_it_came() -> None:
+    context = context_of(short_scene(), compensate=True)
+    over = ProgressReporter(clock=lambda: 2.0, limit=-1.0)
+    problem = problem_of(short_scene())
+    optimised = Optimised(
+        trajectory=problem.parametrization.trajectory,
+        via_points=problem.parametrization.via_points,
+        passes=(),
+    )
+    late = replace(context, reporter=over)
+    guess = InitialGuess(problem=problem, pinned=True, lower_bound=None)  # type: ignore[arg-type]
+    with pytest.raises(
+        OptimisationFailed, match="over after 0 of at most 8 rounds of the compensation"
+    ) as caught:
+        compensate(late, guess, optimised, context.sag)
+    assert "time_limit_s" in str(caught.value)
 
 
 def test_a_better_start_that_no_approach_leads_to_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:

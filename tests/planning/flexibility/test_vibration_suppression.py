@@ -17,8 +17,9 @@ from cmbot.archive import load_plan, save
 from cmbot.archive.schema import SuppressionFile
 from cmbot.common.arrays import FloatArray
 from cmbot.optimization.least_distance import LeastChange
-from cmbot.planning import Plan, plan, remarks
+from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.flexibility.vibration_suppression import Window, legs_by_window
+from cmbot.planning.progress import ProgressReporter
 from cmbot.simulation import PrescribedMotion, SimulationOptions, track
 from cmbot.simulation.tracking import elastic_arm_of
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -117,6 +118,22 @@ def test_a_window_that_cannot_be_quieted_leaves_the_others_theirs(
     # Files of before do not tell the legs apart.
     file = SuppressionFile(modes=2, share=0.5, before=1e-3, after=5e-4)
     assert file.made().shares == (0.5,)
+
+
+def test_where_the_time_is_over_the_plan_is_left_as_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    real = planner.optimise
+
+    def takes_long(problem: Any, *rest: Any) -> Any:
+        done = real(problem, *rest)
+        monkeypatch.setattr(ProgressReporter, "expired", lambda *_: True)
+        return done
+
+    monkeypatch.setattr(planner, "optimise", takes_long)
+    late = planned(2, 10)
+    assert late.certificate.holds
+    assert late.quieting is None
+    (sentence,) = late.fallbacks
+    assert "vibration at the ends of the legs is not suppressed: the time, 60 s" in sentence
 
 
 def test_a_wrong_stiffness_is_no_worse_than_no_quieting(loud: Plan, quiet: Plan) -> None:
