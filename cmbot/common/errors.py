@@ -36,6 +36,7 @@ __all__ = [
     "SceneError",
     "SimulationDiverged",
     "one_line",
+    "remedy_for",
 ]
 
 LONGEST_MESSAGE = 390
@@ -164,8 +165,9 @@ class ArchiveError(InputError):
 
 
 _TIME = "more seconds for the legs"
-# What most often helps, by a word in the name of the worst constraint.
+# What most often helps, by a word in the name of a constraint.
 _REMEDIES = (
+    ("change of the shift", "a larger planner.max_tool_deviation_m, or planner.compensate: false"),
     ("velocity", _TIME),
     ("acceleration", _TIME),
     (
@@ -173,13 +175,20 @@ _REMEDIES = (
         f"{_TIME}, tool_path.speed_profile.kind jerk_limited or, where they are close, "
         "fewer tool_path.via_points",
     ),
+    ("torque of", "a lighter payload, another posture_deg or another place for the tool path"),
     ("joint torque", "a lighter payload, another posture_deg or another place for the tool path"),
+    ("middle of its range", "another posture_deg or another place for the tool path"),
     ("position", "another posture_deg or another place for the tool path"),
     ("tool deviation", "more tool_path.via_points or a larger planner.max_tool_deviation_m"),
     ("tool rotation", "more tool_path.via_points or a larger planner.max_tool_rotation_deg"),
     ("tool lag", "more tool_path.via_points or a larger planner.max_tool_lag_m"),
     ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),
 )
+
+
+def remedy_for(constraint: str) -> str:
+    """Return what most often helps where a constraint cannot be kept; empty where nothing is known to."""
+    return next((what for name, what in _REMEDIES if name in constraint), "")
 
 
 class PlanningError(CmbotError, RuntimeError):
@@ -201,6 +210,8 @@ class PathNotFound(PlanningError):
         Of the task Jacobian there, Chang 2021, Eqs. (18)-(19).
     pair : tuple of str, optional
         The link and the obstacle (or second link) that came too close.
+    pace : float
+        Where the joints' velocities do not suffice to lead on from there: that factor on them would do.
     """
 
     def __init__(
@@ -211,8 +222,10 @@ class PathNotFound(PlanningError):
         progress: float,
         smallest_singular_value: float,
         pair: tuple[str, str] | None = None,
+        pace: float = 1.0,
     ) -> None:
         self.reason = reason
+        self.pace = pace
         self.time = time
         self.progress = progress
         self.smallest_singular_value = smallest_singular_value
@@ -236,10 +249,21 @@ class OptimisationFailed(PlanningError):
         By how much, as a share of its bound.
     undecided : bool
         The solver failed without a proof of infeasibility; another one may succeed.
+    trajectory : object, optional
+        The `QuinticTrajectory` that violates it.
     """
 
-    def __init__(self, reason: str, *, constraint: str, violation: float, undecided: bool = False) -> None:
+    def __init__(
+        self,
+        reason: str,
+        *,
+        constraint: str,
+        violation: float,
+        undecided: bool = False,
+        trajectory: object = None,
+    ) -> None:
         self.reason = reason
+        self.trajectory = trajectory
         self.constraint = constraint
         self.violation = violation
         self.undecided = undecided
@@ -247,7 +271,7 @@ class OptimisationFailed(PlanningError):
             super().__init__(f"{reason}; every constraint is met, {constraint} with the least room")
             return
         text = f"{reason}; worst constraint: {constraint}, {violation:.2%} beyond its bound"
-        remedy = next((what for name, what in _REMEDIES if name in constraint), "")
+        remedy = "a larger planner.time_limit_s" if "time was over" in reason else remedy_for(constraint)
         known = not remedy or ("seconds" in remedy and "seconds" in reason)
         super().__init__(text if known else f"{text}: {remedy} may help")
 

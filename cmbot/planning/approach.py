@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.errors import LimitViolation
+from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate, certify
@@ -24,6 +25,8 @@ __all__ = ["Approach", "FreeSpace", "certify_approach", "connect", "plan_approac
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
 _KNOT_SPACING, _HALVINGS = 0.4, 4
+# Share of the time limit by which the search for an approach may exceed it: no plan is complete without one.
+_MORE_TIME = 0.2
 # Share of the limits that the approach may use.
 _LIMIT_SHARE = 0.95
 # Postures of a chart are neighbours within this many spacings.
@@ -31,6 +34,8 @@ _NEIGHBOURS = 1.6
 # Longest step of a tree, rad, and how often the trees are grown before the search is given up.
 _STEP = 0.3
 _MOST_GROWTHS = 4000
+# Postures of the straight line to the start of the work that are looked at where nothing leads there.
+_ON_THE_LINE = 50
 # Pairs of points of a path between which a shortcut is tried.
 _SHORTCUTS = 150
 # Between two postures of a line that are checked no point of the arm moves further than this, m.
@@ -78,24 +83,20 @@ def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) 
     for place, q in (("the scene's posture", start), ("the start of the work", end)):
         if whole.around(q[None]) is None:
             nearest = clearances.smallest(q[None])
-            near, pair = "", None
+            why, pair = f"{context.out_of_range(q[None])} is out of its range", None
             if nearest.distance[0] < options.safety_margin_m:
                 shapes = clearances.pairs[nearest.pair[0]]
-                near, pair = f" ({shapes.link} and {shapes.other})", (shapes.link, shapes.other)
-            raise context.path_not_found(
-                f"no collision-free approach: {place} is out of range or within the safety margin{near}",
-                start,
-                pair=pair,
-            )
+                pair = (shapes.link, shapes.other)
+                why = f"{shapes.link} and {shapes.other} come within the safety margin"
+            reason = f"no collision-free approach: in {place} {why}; start: pinned needs none"
+            raise context.path_not_found(reason, start, pair=pair)
     space = whole.around(np.stack([start, end])) or whole
     path = _along_chart(space, start, end, chart, options.chart_spacing)
     along_self_motion = path is not None
     if path is None:
-        path = connect(space, start, end, context.reporter.expired)
+        path = connect(space, start, end, partial(context.reporter.expired, _MORE_TIME))
         if path is None:
-            raise context.path_not_found(
-                "no collision-free approach to the start of the work was found", start
-            )
+            raise _unconnected(context, space, end)
         path = shorten(space, path)
     held = context.task.held_at_start()
     for halving in range(_HALVINGS):
@@ -111,6 +112,21 @@ def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) 
     return Approach(
         trajectory=trajectory, certificate=certificate, task=held, along_self_motion=along_self_motion
     )
+
+
+def _unconnected(context: PlanningContext, space: FreeSpace, end: FloatArray) -> PathNotFound:
+    """The error of an approach that was not found: what is in the way on the straight line."""
+    start = context.posture
+    line = start + np.linspace(0.0, 1.0, _ON_THE_LINE)[:, None] * (end - start)
+    blocked = line[~space.holds(line)]
+    pair = context.most_often_near(blocked) if len(blocked) else None
+    way = "" if pair is None else f" (straight there {pair[0]} and {pair[1]} come too near)"
+    over = ", the time was over" if context.reporter.expired() else ""
+    reason = (
+        f"no collision-free approach to the start of the work was found{way}{over}; take start: pinned, or a "
+        "posture_deg from which one leads there"
+    )
+    return context.path_not_found(reason, start, pair=pair)
 
 
 def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:

@@ -58,7 +58,12 @@ class PlanningContext:
         return self.task.path.position(self.times)
 
     def path_not_found(
-        self, reason: str, q: FloatArray, time: float = 0.0, pair: tuple[str, str] | None = None
+        self,
+        reason: str,
+        q: FloatArray,
+        time: float = 0.0,
+        pair: tuple[str, str] | None = None,
+        pace: float = 1.0,
     ) -> PathNotFound:
         """Return the error of a path that ends at posture `q` (n,), `time` s after its start."""
         return PathNotFound(
@@ -67,7 +72,33 @@ class PlanningContext:
             progress=self.task.path.progress(float(time)),
             smallest_singular_value=self.task.smallest_singular_value(self.robot, q),
             pair=pair,
+            pace=pace,
         )
+
+    def most_often_near(self, q: FloatArray) -> tuple[str, str] | None:
+        """Return the link and the obstacle, or second link, that are nearest in most of postures (N, n)."""
+        nearest = self.clearances.smallest(q).pair
+        nearest = nearest[nearest >= 0]
+        if not len(nearest):
+            return None
+        pair = self.clearances.pairs[int(np.bincount(nearest).argmax())]
+        return pair.link, pair.other
+
+    def weakest_joint(self, q: FloatArray) -> str:
+        """Return the joint that at rest uses most of its torque in most of postures (N, n)."""
+        use = np.abs(self.postures.at(q).joint_torque) / self.robot.limits.torque
+        return self.robot.joints[int(np.bincount(use.argmax(axis=1)).argmax())]
+
+    def out_of_range(self, q: FloatArray) -> str:
+        """Return the joint that is out of its range in most of postures (N, n); empty where none is."""
+        limits = self.robot.limits
+        number = ((q < limits.lower) | (q > limits.upper)).sum(axis=0)
+        return self.robot.joints[int(number.argmax())] if number.any() else ""
+
+    def nearest_to_end(self, q: FloatArray) -> str:
+        """Return the joint that in a posture (n,) is nearest to an end of its range."""
+        limits = self.robot.limits
+        return self.robot.joints[int(np.minimum(q - limits.lower, limits.upper - q).argmin())]
 
 
 def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNotFound:
@@ -89,6 +120,7 @@ def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNot
         progress=first.progress,
         smallest_singular_value=first.smallest_singular_value,
         pair=first.pair,
+        pace=first.pace,
     )
 
 

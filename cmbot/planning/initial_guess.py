@@ -15,7 +15,15 @@ from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque import TorqueProblem, parametrization_through
 
-__all__ = ["Choice", "InitialGuess", "fixed_guess", "initial_guess", "shifted_problem", "sliding_guess"]
+__all__ = [
+    "Choice",
+    "InitialGuess",
+    "fixed_guess",
+    "initial_guess",
+    "shifted_problem",
+    "sliding_guess",
+    "solved",
+]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,6 +79,7 @@ def sliding_guess(
     search: GlobalSearch | None = None,
     starts: BoolArray | None = None,
     unfollowed: PathNotFound | None = None,
+    pinned: GlobalSolution | PathNotFound | None = None,
 ) -> InitialGuess:
     """Take via-points from the global search, to slide along the self-motion.
 
@@ -78,7 +87,8 @@ def sliding_guess(
     ``pinned``, or where no approach leads there (`unreached`), it starts in the scene's posture, or in the
     nearest one from which a path leads on. A `search` of the same context saves making the charts again;
     `starts` says in which postures of its first chart the arm may start. Where no trajectory leads on from
-    the scene's posture (`unfollowed`), it starts elsewhere.
+    the scene's posture (`unfollowed`), it starts elsewhere. `pinned` is what the search finds from there,
+    where that is known.
 
     Raises
     ------
@@ -90,7 +100,9 @@ def sliding_guess(
     if search is None:
         _require_clear_start(context)
         search = GlobalSearch(context)
-    free, pinned = (_solved(search, pinned=choice, starts=starts) for choice in (False, True))
+    free = solved(search, pinned=False, starts=starts)
+    if pinned is None:
+        pinned = solved(search, pinned=True)
     failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
     if isinstance(free, PathNotFound):
         raise free
@@ -153,9 +165,12 @@ def _require_clear_start(context: PlanningContext) -> None:
     )
 
 
-def _solved(search: GlobalSearch, *, pinned: bool, starts: BoolArray | None) -> GlobalSolution | PathNotFound:
+def solved(
+    search: GlobalSearch, *, pinned: bool, starts: BoolArray | None = None
+) -> GlobalSolution | PathNotFound:
+    """Return what `GlobalSearch.solve` does, or its failure."""
     try:
-        return search.solve(pinned=pinned, starts=None if pinned else starts)
+        return search.solve(pinned=pinned, starts=starts)
     except PathNotFound as failure:
         return failure
 
@@ -166,8 +181,10 @@ def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
         context.postures, context.task, rough, context.points, steps=50, tolerance=1e-12
     )
     for k in np.flatnonzero(~reached)[:1]:
+        joint = context.out_of_range(rough[k : k + 1]) or context.nearest_to_end(rough[k])
         raise context.path_not_found(
-            f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular",
+            f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular (nearest "
+            f"to an end of its range is {joint}); take another posture_deg, or move the tool path",
             rough[k],
             context.times[k],
         )

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cmbot.common.errors import InputError
+from cmbot.common.errors import InputError, LimitViolation, PlanningError, remedy_for
 from cmbot.common.validation import checked_options, require_type
 from cmbot.optimization import ExchangeReport
 from cmbot.planning.approach import Approach, plan_approach
-from cmbot.planning.context import build_context
+from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.failures import constraints_named, in_seconds, slower, slower_legs
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.initial_guess import initial_guess
@@ -35,6 +36,8 @@ from cmbot.scene import PlannerOptions, Scene
 
 __all__ = ["plan"]
 
+# Slower legs are tried so often where velocities, accelerations or jerks are what fails.
+_TRIALS = 3
 # The arm starts in the scene's posture when no joint is further from it than this, rad.
 _SAME_POSTURE = 1e-9
 
@@ -91,23 +94,58 @@ def plan(
     # The matrices are small: more threads of linear algebra than one only wait for each other.
     with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
         reporter = ProgressReporter(progress, limit=options.time_limit_s)
-        return _plan(scene, options, objective, reporter, automatic=automatic)
+        reporter.stage("path")
+        context = build_context(scene, options, objective, reporter)
+        require_reasonable_size(scene, context.robot.dof, options)
+        require_within_reach(context)
+        try:
+            attempt, motion = _search(context, automatic=automatic)
+        except PlanningError as failure:
+            if hints := [*_hints(context, failure, automatic=automatic)]:
+                failure.add_hint("; ".join(hints))
+            raise
+        return _plan(scene, attempt, motion, custom=objective is not None)
 
 
-def _plan(
-    scene: Scene,
-    options: PlannerOptions,
-    custom: WrenchFunction | None,
-    reporter: ProgressReporter,
-    *,
-    automatic: bool,
-) -> Plan:
-    reporter.stage("path")
-    context = build_context(scene, options, custom, reporter)
-    require_reasonable_size(scene, context.robot.dof, options)
-    require_within_reach(context)
+def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
     first = Attempt(context=context, guess=initial_guess(context), automatic=automatic)
-    attempt, motion = with_retries(first, _certified_motion)
+    return with_retries(first, _certified_motion)
+
+
+def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool) -> Iterator[str]:
+    """What would help, and what was not tried."""
+    if isinstance(failure, LimitViolation) and (remedy := remedy_for(failure.quantity)):
+        yield f"{remedy} may help"
+    late = context.reporter.expired()
+    if late and "the time" not in str(failure):
+        limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
+        yield f"then the time, {limit}, was over"
+    tried = context
+    for _ in range(_TRIALS):
+        factors = slower_legs(tried, failure)
+        if factors is None:
+            return
+        tried = slower(tried, factors)
+        legs = in_seconds(context, tried)
+        if not late:
+            context.reporter.step(f"trying {legs}")
+            try:
+                _search(tried, automatic=automatic)
+            except PlanningError as again:
+                failure, late = again, context.reporter.expired()
+            else:
+                yield f"{legs} would do"
+                return
+        if late:
+            yield f"{legs} may do"
+            return
+
+
+def _plan(scene: Scene, attempt: Attempt, motion: _Motion, *, custom: bool) -> Plan:
+    """Return the plan of a motion, beside the baseline."""
+    reporter = attempt.context.reporter
+    if len(attempt.context.times) != scene.via_points:
+        scene = replace(scene, via_points=len(attempt.context.times))
     context, guess, options = attempt.context, attempt.guess, attempt.context.options
     # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
     path = follow_path(
@@ -123,18 +161,11 @@ def _plan(
     objective = objective_metrics(
         context.objective,
         options,
-        own=custom is not None,
+        own=custom,
         baseline=(baseline_figures, baseline),
         planned=(motion.certificate.figures, motion.optimised.trajectory),
         floor=guess.lower_bound.value if sliding else None,
     )
-    fallbacks = attempt.fallbacks
-    if not motion.optimised.complete:
-        fallback = f"Stopped after {options.time_limit_s:g} s (planner.time_limit_s): the best motion so far."
-        fallbacks = (*fallbacks, fallback)
-    if why := motion.optimised.whole_because:
-        fallback = f"The path was optimised as a whole, as a segment failed ({why}): that took longer."
-        fallbacks = (*fallbacks, fallback)
     return Plan(
         scene=scene,
         options=options if guess.search is None else replace(options, step_share=guess.search.step_share),
@@ -155,9 +186,26 @@ def _plan(
         compensation=motion.compensation,
         quieting=motion.quieting,
         sag=context.sag,
-        fallbacks=fallbacks,
+        fallbacks=tuple(_fallbacks(attempt, motion)),
         seconds=Seconds(**reporter.seconds()),
     )
+
+
+def _quiets(options: PlannerOptions) -> bool:
+    return options.knots == "sliding" and options.quiet_modes > 0
+
+
+def _fallbacks(attempt: Attempt, motion: _Motion) -> Iterator[str]:
+    """What failed, or was left out, on the way to a motion."""
+    yield from attempt.fallbacks
+    context, optimised = attempt.context, motion.optimised
+    limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
+    if not optimised.complete:
+        yield f"Stopped after {limit}: the best motion so far."
+    if context.arm is not None and _quiets(context.options) and motion.quieting is None:
+        yield f"The vibration at the ends of the legs is not suppressed: the time, {limit}, was over."
+    if why := optimised.whole_because:
+        yield f"The path was optimised as a whole, as a segment failed ({why}): that took longer."
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,12 +231,12 @@ def _certified_motion(attempt: Attempt) -> _Motion:
     def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
         reporter.passed(report, context.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
 
-    problem, optimised = guess.problem, optimise(guess.problem, each_pass)
     compensation = quieting = None
-    if context.sag is not None:
-        optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
-    quiet = options.knots == "sliding" and options.quiet_modes > 0 and not reporter.expired()
-    if context.arm is not None and quiet:
+    with constraints_named(context):
+        problem, optimised = guess.problem, optimise(guess.problem, each_pass)
+        if context.sag is not None:
+            optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
+    if context.arm is not None and _quiets(options):
         optimised, quieting = suppress_vibration(context.arm, problem, optimised)
 
     reporter.stage("certify")

@@ -2,12 +2,17 @@
 
 1. `finer_samples`: where the certificate misses a bound by a hair, twice the samples per segment.
 2. `shorter_steps`: a guess with shorter steps between via-points, and 1.
-3. `another_start`: a guess that leaves the scene's posture where no trajectory leads on from there, and 1, 2.
-4. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 to 3.
-5. `scene_start`: a guess that starts in the scene's posture, and 1 to 3.
-6. `dense_solver`: SLSQP, and 1 to 5.
+3. `more_via_points`: where the tool strays between via-points, 2 to 4 times as many, and 1, 2.
+4. `another_start`: a guess that leaves the scene's posture where no trajectory leads on from it, and 1 to 3.
+5. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 to 4.
+6. `scene_start`: a guess that starts in the scene's posture, and 1 to 4.
+7. `dense_solver`: SLSQP, and 1 to 6.
 
 Each remedy runs while there is time (`PlannerOptions.time_limit_s`).
+
+Blends at corners are no remedy: the tool rests at every corner (`ToolPath.leg_times`), so a corner asks no
+more of the joints than any other end of a leg. What asks much jerk are the jumps of acceleration at the ends
+of trapezoidal ramps; ``tool_path.speed_profile.kind: jerk_limited`` has none.
 """
 
 from __future__ import annotations
@@ -22,8 +27,9 @@ import numpy as np
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.approach import reachable
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, sliding_guess
+from cmbot.planning.initial_guess import InitialGuess, initial_guess, sliding_guess, solved
 from cmbot.planning.torque import TorqueProblem
+from cmbot.scene import MOST_SAMPLES
 
 __all__ = [
     "RETRIES",
@@ -32,6 +38,7 @@ __all__ = [
     "dense_solver",
     "finer_samples",
     "guesses_in_shorter_steps",
+    "more_via_points",
     "reachable_start",
     "roughness",
     "scene_start",
@@ -46,8 +53,11 @@ _HALVINGS, _TRIES, _SMOOTHER = 4, 2, 0.9
 _BY_A_HAIR = 0.01
 # Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
 _FEW_VIA_POINTS = 100
-# Samples per segment at most, as the options have it.
-_MOST_SAMPLES = 400
+# Least and largest factor by which there are more via-points, and how many at most: all takes longer in
+# proportion.
+_FINER, _MOST_VIA_POINTS = (2, 4), 300
+# Constraints that splines break between via-points, by words in their names.
+_BETWEEN_VIA_POINTS = ("tool deviation", "tool rotation", "tool lag")
 
 Work = TypeVar("Work")
 
@@ -77,7 +87,7 @@ def finer_samples(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
     context = failed.context
     options = context.options
     missed = isinstance(failure, LimitViolation) and _excess(failure) <= _BY_A_HAIR
-    if not missed or 2 * options.samples_per_segment > _MOST_SAMPLES:
+    if not missed or 2 * options.samples_per_segment > MOST_SAMPLES:
         raise failure
     context.reporter.stage("path")
     options = replace(options, samples_per_segment=2 * options.samples_per_segment)
@@ -106,6 +116,34 @@ def shorter_steps(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
     raise failure
 
 
+def more_via_points(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where the tool strays from its path between via-points: more of them, which hold it more often.
+
+    Splines miss a smooth path by the square of their segments' length or less, so a deviation of r times its
+    bound asks for sqrt(r) times the segments; twice as many are tried first.
+    """
+    context, count = failed.context, len(failed.context.times)
+    ratio = _excess_between_via_points(failure)
+    most = int(np.clip(np.ceil(np.sqrt(ratio)), *_FINER))
+    for factor in sorted({_FINER[0], most}) if ratio > 1.0 else ():
+        number = factor * (count - 1) + 1
+        if number > _MOST_VIA_POINTS or context.reporter.expired():
+            break
+        context.reporter.stage("path")
+        context.reporter.step(f"the tool strays between via-points; trying {number} of them")
+        finer = replace(context, times=context.task.path.via_times(number))
+        fallback = (
+            f"With {count} via-points the tool strays from its path between them ({_told(failure)}): planned "
+            f"with tool_path.via_points {number} instead."
+        )
+        try:
+            guess = initial_guess(finer)
+            return run(replace(failed, context=finer, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
+        except PlanningError:
+            continue
+    raise failure
+
+
 def another_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
     """Where no trajectory leads on from the scene's posture: a part of the self-motion where one may.
 
@@ -116,15 +154,18 @@ def another_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
     if not isinstance(failure, OptimisationFailed) or search is None or guess.unreached or not guess.pinned:
         raise failure
     context.reporter.stage("path")
-    reason = f"no trajectory follows the tool path ({failure.reason}; {failure.constraint})"
+    reason = f"no trajectory follows the tool path ({_told(failure)})"
     unfollowed = context.path_not_found(reason, context.posture)
     rough, tries, parts = roughness(guess.problem), 0, search.parts_of_first_chart()
     for _ in range(1 + _HALVINGS):
+        pinned = solved(search, pinned=True)
         for starts in parts:
             if tries == _TRIES or context.reporter.expired():
                 raise failure
             try:
-                left = sliding_guess(context, search=search, starts=starts, unfollowed=unfollowed)
+                left = sliding_guess(
+                    context, search=search, starts=starts, unfollowed=unfollowed, pinned=pinned
+                )
                 if roughness(left.problem) <= _SMOOTHER * rough:
                     tries += 1
                     return run(replace(failed, guess=left))
@@ -178,9 +219,27 @@ def _excess(violation: LimitViolation) -> float:
     return abs(violation.value - violation.bound) / max(abs(violation.bound), 1e-12)
 
 
+def _excess_between_via_points(failure: PlanningError) -> float:
+    """How often a bound that splines break between via-points goes into what they do there; else 1."""
+    if isinstance(failure, LimitViolation):
+        name, ratio = failure.quantity, failure.value / failure.bound
+    elif isinstance(failure, OptimisationFailed):
+        name, ratio = failure.constraint, 1.0 + failure.violation
+    else:
+        return 1.0
+    return ratio if any(word in name for word in _BETWEEN_VIA_POINTS) else 1.0
+
+
+def _told(failure: PlanningError) -> str:
+    if isinstance(failure, OptimisationFailed):
+        return f"{failure.reason}; {failure.constraint}"
+    return str(failure)
+
+
 RETRIES: tuple[Retry, ...] = (
     finer_samples,
     shorter_steps,
+    more_via_points,
     another_start,
     reachable_start,
     scene_start,
@@ -239,7 +298,7 @@ def guesses_in_shorter_steps(failed: Attempt, failure: OptimisationFailed) -> It
             rough, tries = found, tries + 1
             fallback = (
                 f"With planner.step_share {context.options.step_share:g} no trajectory was found "
-                f"({failure.reason}; {failure.constraint}): planned with {search.step_share:.3g} instead, "
+                f"({_told(failure)}): planned with {search.step_share:.3g} instead, "
                 "a smoother sequence of postures."
             )
             yield replace(failed, guess=guess, fallbacks=(*failed.fallbacks, fallback))

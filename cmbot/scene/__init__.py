@@ -2,13 +2,14 @@
 
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
-from cmbot.scene.options import PlannerOptions
+from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.scene import RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool_path import Leg, ShiftedToolPath, SpeedProfile, ToolPath, share_out_segments
 
 __all__ = [
+    "MOST_SAMPLES",
     "Box",
     "Capsule",
     "Cylinder",

@@ -9,7 +9,10 @@ from pydantic import AfterValidator, ConfigDict, Field
 
 from cmbot.common.validation import FileModel, refusal
 
-__all__ = ["PlannerOptions"]
+__all__ = ["MOST_SAMPLES", "PlannerOptions"]
+
+MOST_SAMPLES = 400
+"""Samples per segment at most."""
 
 
 def _not_all_zero(weights: tuple[float, ...]) -> tuple[float, ...]:
@@ -138,7 +141,7 @@ class PlannerOptions:
     max_tool_rotation_deg: Annotated[float, Field(ge=1e-5, le=180)] = 1.0
     max_tool_lag_m: Annotated[float, Field(ge=1e-7, le=1)] = 0.02
     solver: Literal["auto", "sqp", "slsqp"] = "auto"
-    samples_per_segment: Annotated[int, Field(ge=4, le=400)] = 40
+    samples_per_segment: Annotated[int, Field(ge=4, le=MOST_SAMPLES)] = 40
     smoothing_weight: Annotated[float, Field(ge=1e-9, le=100)] = 0.1
     peak_tolerance: Annotated[float, Field(ge=1e-9, le=0.1)] = 1e-4
     gap_target: Annotated[float, Field(ge=0, le=100)] = 2e-3

@@ -276,6 +276,18 @@ def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) 
         line = refusal("plan", "hasty.yaml", "--quiet", status=3)
         assert re.search(r"(velocity|acceleration|jerk) of joint_\d, \d+\.\d\d% beyond its bound", line)
         assert line.count("more seconds") == 1
+        # So slow a leg was planned.
+        assert re.search(r"; leg 1 in \d(\.\d)? s instead of 0\.9 s would do$", line)
+
+
+def test_the_doctor_names_the_extra_of_what_is_optional() -> None:
+    declared = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    extras = set(declared["optional-dependencies"]) - {"bench", "docs"}
+    found = {symptom.name: symptom.found for symptom in cmbot.cli.inspection.examine()}
+    named = dict(cmbot.cli.inspection._OPTIONAL)
+    assert set(named.values()) == extras
+    for package, extra in named.items():
+        assert f"of the extra {extra}" in found[package] or install_command(extra) in found[package]
 
 
 @pytest.mark.parametrize(

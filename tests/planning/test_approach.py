@@ -12,6 +12,7 @@ from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, certify_approach, plan
 from cmbot.planning.approach import FreeSpace, connect, plan_approach, shorten
 from cmbot.planning.path.gradient_projection import self_motion_postures
+from cmbot.planning.progress import ProgressReporter
 from cmbot.robot import Dynamics, Kinematics
 
 
@@ -44,11 +45,33 @@ def test_a_blocked_approach_is_refused() -> None:
     context = context_of(short_scene())
     goal = context.posture.copy()
     goal[0] = np.radians(90)  # link_1 across the guardrail
-    with pytest.raises(PathNotFound, match="no collision-free approach") as caught:
+    expected = (
+        r"no collision-free approach: in the start of the work \S+ and \S+ come within the safety margin"
+    )
+    with pytest.raises(PathNotFound, match=expected) as caught:
+        plan_approach(context, goal, context.posture[None])
+    assert all(name in str(caught.value) for name in caught.value.pair)
+    goal = context.posture.copy()
+    goal[6] = np.radians(175)
+    with pytest.raises(PathNotFound, match="in the start of the work joint_7 is out of its range"):
         plan_approach(context, goal, context.posture[None])
     _, J = Kinematics(context.robot).tool_jacobian(context.posture)
     smallest = np.linalg.svd(J, compute_uv=False)[-1]
     assert caught.value.smallest_singular_value == pytest.approx(smallest)
+
+
+def test_what_is_in_the_way_of_an_approach_is_named(triangle_plan: Plan) -> None:
+    """The time is over, and so is the share that an approach may take beyond it."""
+    over = ProgressReporter(clock=iter([0.0, *999 * [2.0]]).__next__, limit=1.0)
+    context = replace(context_of(triangle_plan.scene), reporter=over)
+    assert over.expired(0.9)
+    assert not over.expired(1.5)
+    expected = (
+        r"was found \(straight there \S+ and \S+ come too near\), the time was over; take start: pinned"
+    )
+    with pytest.raises(PathNotFound, match=expected) as caught:
+        plan_approach(context, triangle_plan.start.posture, context.posture[None])
+    assert caught.value.pair is not None
 
 
 def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: np.random.Generator) -> None:

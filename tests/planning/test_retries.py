@@ -1,4 +1,4 @@
-"""Retries: shorter steps between via-points, the scene's start, the other solver, in that order.
+"""Retries: more samples, shorter steps, more via-points, other starts, the other solver, in that order.
 
 And which solver makes a plan at first.
 """
@@ -17,14 +17,16 @@ from cmbot.archive import load_plan, save
 from cmbot.cli.inspection import examine
 from cmbot.common.errors import LimitViolation, MissingExtra, OptimisationFailed, PathNotFound
 from cmbot.optimization import exchange
-from cmbot.planning import Plan, plan, remarks
+from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.approach import reachable
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.precheck import solver_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.retries import (
     Attempt,
+    finer_samples,
     guesses_in_shorter_steps,
+    more_via_points,
     roughness,
     shorter_steps,
     with_retries,
@@ -211,7 +213,7 @@ def test_where_a_bound_is_missed_by_a_hair_there_are_more_samples(
     work = Failing(missed)
     if not helps:
         with pytest.raises(LimitViolation):
-            with_retries(rough, work)
+            with_retries(rough, work, [finer_samples])
         return
     found, _ = with_retries(rough, work)
     samples = rough.context.options.samples_per_segment
@@ -219,6 +221,51 @@ def test_where_a_bound_is_missed_by_a_hair_there_are_more_samples(
     assert found.guess.problem.samples_per_segment == 2 * samples
     (sentence,) = found.fallbacks
     assert "missed by a hair" in sentence
+
+
+def strays(constraint: str, violation: float) -> OptimisationFailed:
+    return OptimisationFailed("no", constraint=constraint, violation=violation)
+
+
+@pytest.mark.parametrize(
+    ("constraint", "violation", "numbers"),
+    [
+        ("tool deviation", 0.1, [15]),
+        ("tool rotation", 5.0, [15, 22]),
+        ("tool lag", 1e3, [15, 29]),
+        ("jerk of joint_3", 5.0, []),
+        ("clearance", 5.0, []),
+    ],
+)
+def test_where_the_tool_strays_there_are_more_via_points(
+    constraint: str, violation: float, numbers: list[int]
+) -> None:
+    attempt, failure = attempt_at(short_scene()), strays(constraint, violation)
+    work = Failing(*9 * [failure])
+    assert raised_by(attempt, work, [more_via_points]) is failure
+    assert [len(each.context.times) for each in work.attempts] == [8, *numbers]
+    for each in work.attempts[1:]:
+        assert len(each.guess.problem.space.t) == len(each.context.times)
+        (sentence,) = each.fallbacks
+        assert f"With 8 via-points the tool strays from its path between them (no; {constraint})" in sentence
+        assert sentence.endswith(f"planned with tool_path.via_points {len(each.context.times)} instead.")
+
+
+def test_a_plan_has_the_via_points_that_it_was_made_with(monkeypatch: pytest.MonkeyPatch) -> None:
+    real, asked = planner.optimise, list[int]()
+
+    def optimise_once_more(problem: Any, *rest: Any) -> Any:
+        asked.append(len(problem.space.t))
+        if len(asked) == 1:
+            raise strays("tool deviation", 1.0)
+        return real(problem, *rest)
+
+    monkeypatch.setattr(planner, "optimise", optimise_once_more)
+    made = plan(short_scene())
+    assert asked == [8, 15]
+    assert made.scene.via_points == 15 == len(made.trajectory.t)
+    assert made.certificate.holds
+    assert "planned with tool_path.via_points 15 instead" in made.fallbacks[0]
 
 
 @pytest.mark.parametrize("automatic", [True, False])

@@ -145,13 +145,14 @@ class BottleneckDynamicProgram:
 
     def _smallest_peak(self) -> float:
         """Smallest peak of any sequence of nodes that are not known to be inadmissible."""
-        reached = np.empty(0)
+        reached, origins = np.empty(0), self.starts
         for k, layer in enumerate(self.layers):
             before = self.edges[k - 1].least(reached[self.edges[k - 1].before]) if k else -np.inf
             allowed = layer.admissible if k else layer.admissible & self.starts
             reached = np.where(allowed, np.maximum(before, layer.chart.value), np.inf)
             if not np.isfinite(reached).any():
-                raise blocked(self.context, self.layers, k)
+                raise blocked(self.context, self.layers, k, origins=origins)
+            origins = np.isfinite(reached)
         return float(reached.min())
 
     def _smallest_squares(self, peak: float) -> list[int]:
@@ -229,48 +230,91 @@ def _candidates(
 
 
 def blocked(
-    context: PlanningContext, layers: Sequence[GraphLayer], k: int, coverage: Coverage | None = None
+    context: PlanningContext,
+    layers: Sequence[GraphLayer],
+    k: int,
+    coverage: Coverage | None = None,
+    origins: BoolArray | None = None,
 ) -> PathNotFound:
-    """Return the error that says why no sequence leads to via-point `k`, or through it."""
-    layer, pair = layers[k], None
+    """Return the error that says why no sequence leads to via-point `k`, or through it.
+
+    `origins` (M,) are the postures from which one would lead there: of the via-point before, at the first
+    those in which it may start.
+    """
+    layer, pair, pace = layers[k], None, 1.0
     tried = "" if coverage is None else f" in {coverage.drawn} attempts"
     if not layer.chart.within.any():
-        fact = out_of_reach(context, k)
-        found = f"no posture within the joint ranges that holds the tool there was found{tried}"
+        joint = context.out_of_range(layer.chart.q)
+        beyond = f" (beyond its range is most often {joint})" if joint else ""
+        found = f"no posture within the joint ranges that holds the tool there was found{tried}{beyond}"
         why = (
-            f"{fact or found}; take another posture_deg, move the tool path, or keep less of the pose "
-            "(tool_path.keep)"
+            f"{out_of_reach(context, k) or found}; take another posture_deg, move the tool path, or keep "
+            "less of the pose (tool_path.keep)"
         )
     elif not layer.admissible.any():
-        weak = int((layer.chart.within & (layer.chart.joint_use > 1.0)).sum())
-        near = int(layer.too_near.sum())
-        if near >= weak:
-            pair = most_often_near(context, layer.chart.q[layer.too_near])
-        why = (
-            f"{near} postures come within the safety margin, most often {pair[0]} and {pair[1]}, {weak} ask "
-            "too much of a joint's torque; move obstacles or tool path, or lower planner.safety_margin_m"
-            if pair is not None
-            else f"{weak} postures ask too much of a joint's torque, {near} come within the safety margin; "
-            "move the tool path, or take a lighter payload"
-        )
+        why, pair = _inadmissible(context, layer)
     elif k == 0:
-        why = "the posture to start in asks too much of a joint's torque or comes within the safety margin"
+        why, pair = _no_start(context, layer, origins)
     else:
+        joint, pace = _slowest(context, layers, k, origins)
         why = (
-            "its admissible postures are too far from those before for the joints' velocities; "
+            f"its admissible postures are too far from those before for the velocity of {joint}; "
             "give the leg more seconds"
         )
     q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
-    return context.path_not_found(
-        f"via-point {k + 1} of {len(layers)} is blocked: {why}", q[0], context.times[k], pair
+    reason = f"via-point {k + 1} of {len(layers)} is blocked: {why}"
+    return context.path_not_found(reason, q[0], context.times[k], pair, pace)
+
+
+def _inadmissible(context: PlanningContext, layer: GraphLayer) -> tuple[str, tuple[str, str] | None]:
+    """Why no posture of a chart is admissible, and the pair that most often comes too near."""
+    weak = layer.chart.within & (layer.chart.joint_use > 1.0)
+    near, feeble = int(layer.too_near.sum()), int(weak.sum())
+    if near >= feeble and (pair := context.most_often_near(layer.chart.q[layer.too_near])) is not None:
+        why = (
+            f"{near} postures come within the safety margin, most often {pair[0]} and {pair[1]}, {feeble} "
+            "ask too much of a joint's torque; move obstacles or tool path, or lower planner.safety_margin_m"
+        )
+        return why, pair
+    why = (
+        f"{feeble} postures ask too much of a joint's torque, most often of "
+        f"{context.weakest_joint(layer.chart.q[weak])}, {near} come within the safety margin; "
+        "move the tool path, or take a lighter payload"
     )
+    return why, None
 
 
-def most_often_near(context: PlanningContext, q: FloatArray) -> tuple[str, str] | None:
-    """Return the link and the obstacle, or second link, that are nearest in most of some postures (N, n)."""
-    nearest = context.clearances.smallest(q).pair
-    nearest = nearest[nearest >= 0]
-    if not len(nearest):
-        return None
-    pair = context.clearances.pairs[int(np.bincount(nearest).argmax())]
-    return pair.link, pair.other
+def _no_start(
+    context: PlanningContext, layer: GraphLayer, starts: BoolArray | None
+) -> tuple[str, tuple[str, str] | None]:
+    """Why a path may start in none of the postures `starts` (M,), and the pair that is too near."""
+    chosen = layer.chart.within if starts is None else starts
+    near, weak = chosen & layer.too_near, chosen & (layer.chart.joint_use > 1.0)
+    what = "the posture to start in"
+    if weak.any():
+        joint = context.weakest_joint(layer.chart.q[weak])
+        return f"{what} asks too much of the torque of {joint}; take another one, or a lighter payload", None
+    if near.any() and (pair := context.most_often_near(layer.chart.q[near])) is not None:
+        why = f"in {what} {pair[0]} and {pair[1]} come within the safety margin; take another posture_deg"
+        return why, pair
+    return f"{what} is none of those that hold the tool there; take another posture_deg", None
+
+
+def _slowest(
+    context: PlanningContext, layers: Sequence[GraphLayer], k: int, origins: BoolArray | None
+) -> tuple[str, float]:
+    """The joint that would have to be faster to reach via-point `k`, and by which factor, at least."""
+    limits, before = context.robot.limits, layers[k - 1]
+    spare = 0.5 * context.options.chart_spacing
+    seconds = float(context.times[k] - context.times[k - 1])
+    by_velocity = context.options.step_share * limits.velocity * seconds
+    step = by_velocity + spare
+    turn = np.where(limits.upper - limits.lower > 2 * np.pi, 2 * np.pi / step, 0.0)
+    some = before.chart.q[before.admissible if origins is None else origins]
+    ahead = layers[k].chart.q[layers[k].admissible]
+    tree = cKDTree(_in_steps(some, step, turn), boxsize=turn if turn.any() else None)
+    distance, nearest = tree.query(_in_steps(ahead, step, turn), p=np.inf)
+    best = int(distance.argmin())
+    move = ahead[best] - some[nearest[best]]
+    ratio = (np.abs(np.where(turn > 0, nearest_turn(move), move)) - spare) / by_velocity
+    return context.robot.joints[int(ratio.argmax())], float(max(ratio.max(), 1.0))

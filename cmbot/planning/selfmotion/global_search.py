@@ -110,6 +110,8 @@ class GlobalSearch:
             empty = next((k for k, layer in enumerate(self._layers) if layer.best() is None), None)
             if empty is None:
                 self.lower_bound, lowest = find_lower_bound(context, self._layers, sampler.spacing)
+                if context.reporter.expired():
+                    break
             before = sum(len(q) for q in each)
             number = _SEEDS_OF_A_CHECK * context.options.chart_seeds
             at = self.lower_bound.via_point if empty is None else empty
@@ -297,7 +299,10 @@ def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[Float
         context.reporter.part(step, done, total)
         if context.reporter.expired():
             limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
-            reason = f"the time, {limit}, was over when {done} of {total} via-points had been charted"
+            reason = (
+                f"the time, {limit}, was over when {done} of {total} via-points had been charted; take a "
+                "longer one, fewer tool_path.via_points or a larger planner.chart_spacing"
+            )
             raise context.path_not_found(reason, context.posture)
 
     return sampler.along(context.points, context.posture[None], report)

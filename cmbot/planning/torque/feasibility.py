@@ -48,6 +48,7 @@ def check_feasible(problem: TorqueProblem) -> None:
                     "a speed_profile of kind jerk_limited, or fewer via-points where these are close",
                     constraint=f"velocity, acceleration or jerk of {problem.joints[joint]}",
                     violation=share - 1.0,
+                    trajectory=least_jerk,
                 )
 
 
@@ -111,4 +112,5 @@ def _check_via_points(problem: TorqueProblem) -> None:
                 "a via-point of the path breaks a bound, so every trajectory through it does",
                 constraint=function.name,
                 violation=float(fixed.max()),
+                trajectory=problem.parametrization.trajectory,
             )

@@ -1,0 +1,133 @@
+"""Failures: what is in the way by its name, and how many seconds the legs would need."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
+from cmbot.planning.context import PlanningContext
+from cmbot.robot import Dynamics
+from cmbot.trajectory import QuinticTrajectory
+
+__all__ = ["constraints_named", "in_seconds", "slower", "slower_legs"]
+
+# Samples per segment at which the nearest pair and the weakest joint are sought.
+_SAMPLES = 10
+# Slowing a leg down by r divides the derivative of this order by r^order.
+_ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
+# A little more than the ratio, for what the optimiser needs beside.
+_ROOM = 1.05
+# More legs than these are not listed one by one.
+_MOST_LISTED = 3
+
+
+@contextmanager
+def constraints_named(context: PlanningContext) -> Iterator[None]:
+    """Name in an `OptimisationFailed` the link and obstacle, or the joint, of its worst constraint."""
+    try:
+        yield
+    except OptimisationFailed as failure:
+        name = _named(context, failure)
+        if name == failure.constraint:
+            raise
+        raise OptimisationFailed(
+            failure.reason,
+            constraint=name,
+            violation=failure.violation,
+            undecided=failure.undecided,
+            trajectory=failure.trajectory,
+        ) from failure
+
+
+def _named(context: PlanningContext, failure: OptimisationFailed) -> str:
+    trajectory, name = failure.trajectory, failure.constraint
+    if not isinstance(trajectory, QuinticTrajectory):
+        return name
+    q, v, a = trajectory.sampled(_SAMPLES)
+    if name == "clearance":
+        smallest = context.clearances.smallest(q)
+        pair = context.clearances.pairs[int(smallest.pair[smallest.distance.argmin()])]
+        return f"clearance of {pair.link} from {pair.other}"
+    if name == "joint torque":
+        use = np.abs(Dynamics(context.robot).efforts(q, v, a).joint_torque) / context.robot.limits.torque
+        return f"torque of {context.robot.joints[int(use.max(axis=0).argmax())]}"
+    return name
+
+
+def slower_legs(context: PlanningContext, failure: PlanningError) -> FloatArray | None:
+    """Return by which factors (L,) the legs would have to take longer; None where time is not the matter.
+
+    A velocity of r times its bound asks for r times the seconds, an acceleration for r^(1/2), a jerk for
+    r^(1/3).
+    """
+    factors = np.ones(len(context.task.path.seconds))
+    if isinstance(failure, PathNotFound):
+        factors[_leg(context, failure.time)] = failure.pace
+    elif isinstance(failure, LimitViolation):
+        if order := _order(failure.quantity):
+            factors[_leg(context, failure.time)] = (failure.value / failure.bound) ** (1 / order)
+    elif isinstance(failure, OptimisationFailed) and _order(failure.constraint):
+        factors = _factors(context, failure.trajectory)
+    factors = np.where(factors > 1.0, _ROOM * factors, 1.0)
+    return factors if factors.max() > 1.0 else None
+
+
+def slower(context: PlanningContext, factors: FloatArray) -> PlanningContext:
+    """Return the context of legs that take longer by `factors` (L,), to round numbers of seconds.
+
+    More than a few are slowed down as one.
+    """
+    path = context.task.path
+    if (factors > 1.0).sum() > _MOST_LISTED:
+        factors = np.full(len(factors), factors.max())
+    seconds = np.array(
+        [_rounded_up(s) if f > 1 else s for s, f in zip(path.seconds * factors, factors, strict=True)]
+    )
+    path = replace(path, seconds=seconds)
+    times = path.via_times(len(context.times))
+    return replace(context, task=replace(context.task, path=path), times=times)
+
+
+def in_seconds(before: PlanningContext, after: PlanningContext) -> str:
+    """Say which legs take how many seconds after, and how many before."""
+    old, new = before.task.path.seconds, after.task.path.seconds
+    changed = np.flatnonzero(new > old)
+    if len(changed) > _MOST_LISTED:
+        return f"every leg in {float((new / old).max()):.2g} times its seconds"
+    legs = (f"leg {k + 1} in {new[k]:g} s instead of {old[k]:g} s" for k in changed)
+    return " and ".join(legs)
+
+
+def _factors(context: PlanningContext, trajectory: object) -> FloatArray:
+    """By which factors (L,) legs would have to take longer for a trajectory to keep its joints' limits."""
+    if not isinstance(trajectory, QuinticTrajectory):
+        return np.ones(len(context.task.path.seconds))
+    limits, edges = context.robot.limits, context.task.path.leg_times
+    middles = 0.5 * (trajectory.t[1:] + trajectory.t[:-1])
+    needed = np.ones(len(middles))
+    for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
+        share = np.abs(trajectory.extrema(order).value).max(axis=2) / bound
+        needed = np.maximum(needed, share.max(axis=1) ** (1 / order))
+    return np.array([needed[(middles >= a) & (middles < b)].max(initial=1.0) for a, b in pairwise(edges)])
+
+
+def _order(constraint: str) -> int:
+    return next((order for name, order in _ORDERS.items() if name in constraint), 0)
+
+
+def _leg(context: PlanningContext, time: float) -> int:
+    """The leg that leads to a time."""
+    edges = context.task.path.leg_times
+    return int(np.clip(np.searchsorted(edges, time) - 1, 0, len(edges) - 2))
+
+
+def _rounded_up(seconds: float) -> float:
+    """To two digits."""
+    digit = 10.0 ** (np.floor(np.log10(seconds)) - 1)
+    return float(round(np.ceil(seconds / digit - 1e-9) * digit, 9))

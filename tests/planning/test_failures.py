@@ -1,0 +1,101 @@
+"""Failures: what is in the way is named, and how slow legs would have to be."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_scenes import context_of, problem_of, short_scene
+
+from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.failures import constraints_named, in_seconds, slower, slower_legs
+from cmbot.trajectory import QuinticTrajectory
+
+LEGS = [{"by": [0, -0.1, 0], "seconds": seconds} for seconds in (4, 2, 4)]
+
+
+@pytest.fixture(scope="module")
+def context() -> PlanningContext:
+    return context_of(short_scene(tool_path={"legs": LEGS, "via_points": 16}))
+
+
+@pytest.fixture(scope="module")
+def trajectory() -> QuinticTrajectory:
+    return problem_of(short_scene(tool_path={"legs": LEGS, "via_points": 16})).parametrization.trajectory
+
+
+def failed(constraint: str, trajectory: QuinticTrajectory | None) -> OptimisationFailed:
+    return OptimisationFailed("no", constraint=constraint, violation=1.0, trajectory=trajectory)
+
+
+def violation(quantity: str, value: float) -> LimitViolation:
+    return LimitViolation(quantity, time=5.0, value=value, bound=1.0, unit="")
+
+
+@pytest.mark.parametrize(
+    ("failure", "factor"),
+    [
+        (violation("velocity of joint_1", 8.0), 8.0),
+        (violation("acceleration of joint_1", 4.0), 2.0),
+        (violation("jerk of joint_1", 8.0), 2.0),
+        (violation("tool deviation", 8.0), None),
+        (PathNotFound("slow", time=5.0, progress=0.5, smallest_singular_value=1.0, pace=1.5), 1.5),
+        (PathNotFound("blocked", time=5.0, progress=0.5, smallest_singular_value=1.0), None),
+        (failed("clearance", None), None),
+        (failed("jerk of joint_1", None), None),
+    ],
+)
+def test_the_leg_of_a_failure_is_slowed_down_by_the_root_of_the_ratio(
+    context: PlanningContext, failure: PlanningError, factor: float | None
+) -> None:
+    factors = slower_legs(context, failure)
+    if factor is None:
+        assert factors is None
+        return
+    np.testing.assert_allclose(factors, [1, 1.05 * factor, 1], rtol=1e-12)
+
+
+def test_a_trajectory_slowed_down_so_keeps_the_limits(
+    context: PlanningContext, trajectory: QuinticTrajectory
+) -> None:
+    fast = QuinticTrajectory(t=0.2 * trajectory.t, q=trajectory.q, v=5 * trajectory.v, a=25 * trajectory.a)
+    path = replace(context.task.path, seconds=0.2 * context.task.path.seconds)
+    hasty = replace(context, task=replace(context.task, path=path), times=path.via_times(16))
+    factors = slower_legs(hasty, failed("jerk of joint_1", fast))
+    # All legs by the largest factor: derivative k falls by its power k.
+    slow, limits = factors.max() / 1.05, context.robot.limits
+    for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
+        assert (fast.extrema(order).largest()[0] <= bound * slow**order * (1 + 1e-9)).all()
+    after = slower(hasty, factors)
+    assert (after.task.path.seconds >= factors * path.seconds * (1 - 1e-12)).all()
+    assert after.task.path.leg_times[-1] == pytest.approx(after.times[-1])
+    assert in_seconds(hasty, after).startswith(f"leg 1 in {after.task.path.seconds[0]:g} s instead of 0.8 s")
+
+
+def test_seconds_are_round_and_many_legs_are_one(context: PlanningContext) -> None:
+    after = slower(context, np.array([1.0, 1.611, 1.0]))
+    assert in_seconds(context, after) == "leg 2 in 3.3 s instead of 2 s"
+    many = context_of(short_scene(tool_path={"legs": 2 * LEGS, "via_points": 16}))
+    after = slower(many, np.array([1.0, 1.1, 1.2, 1.3, 1.5, 1.0]))
+    np.testing.assert_allclose(after.task.path.seconds, 1.5 * many.task.path.seconds)
+    assert in_seconds(many, after) == "every leg in 1.5 times its seconds"
+
+
+def test_pairs_and_joints_of_constraints_are_named(
+    context: PlanningContext, trajectory: QuinticTrajectory
+) -> None:
+    smallest = context.clearances.smallest(trajectory.evaluate(np.linspace(0, 10, 2001)))
+    pair = context.clearances.pairs[int(smallest.pair[smallest.distance.argmin()])]
+    for constraint, expected in (
+        ("clearance", f"clearance of {pair.link} from {pair.other}"),
+        ("joint torque", r"torque of joint_\d"),
+        ("tool lag", "tool lag"),
+    ):
+        with (
+            pytest.raises(
+                OptimisationFailed, match=f"worst constraint: {expected}, 100.00% beyond"
+            ) as caught,
+            constraints_named(context),
+        ):
+            raise failed(constraint, trajectory)
+        assert caught.value.trajectory is trajectory
