@@ -80,7 +80,9 @@ def null_space(postures: Postures, task: ToolTask, q: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class TangentPredictor:
-    """Postures `q` (N, n) that hold the tool at `point` (3,), and their derivatives of least norm by it.
+    """Postures `q` (N, n) that hold the tool at `point`, and their derivatives of least norm by it.
+
+    Points are those of each posture, (N, 3), or of all, (3,).
 
     `slope` is (n, 3, N), rad/m.
     """
@@ -91,15 +93,16 @@ class TangentPredictor:
 
     @staticmethod
     def of(postures: Postures, task: ToolTask, q: FloatArray, point: FloatArray) -> TangentPredictor:
-        """Return the predictor of postures `q` (N, n), which hold the tool at `point` (3,)."""
+        """Return the predictor of postures `q` (N, n), which hold the tool at `point`."""
         J = _leading(task, postures.tool_at(q))
         along = np.broadcast_to(np.eye(len(J))[:, :3, None], (len(J), 3, len(q)))
         slope = np.einsum("ikn,ijn->kjn", J, solve_batch(gram(J, _REGULAR), along))
         return TangentPredictor(q, point, slope)
 
     def towards(self, point: FloatArray) -> FloatArray:
-        """Postures (N, n) that hold the tool at `point` (3,) to first order: Newton's first step."""
-        step = np.einsum("kjn,j->kn", self.slope, point - self.point)
+        """Postures (N, n) that hold the tool at `point` to first order: Newton's first step."""
+        way = np.broadcast_to(point - self.point, (len(self.q), 3))
+        step = np.einsum("kjn,nj->kn", self.slope, way)
         return np.asarray(self.q + _shortened(step).T)
 
 

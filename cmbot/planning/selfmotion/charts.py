@@ -2,8 +2,9 @@
 
 A chart is grown by numerical continuation along the null space of the task, all postures at a time, from the
 postures it is given and from random ones, so that it reaches every branch (shoulder, elbow and wrist flips).
-It grows through postures beyond the joint ranges too, which connect the parts within them. Any two of its
-postures keep a distance, and every posture of the self-motion has one within its spacing.
+It grows through postures beyond the joint ranges too, which connect the parts within them, in steps that get
+longer with the distance from the ranges. Any two of its postures keep a distance, and every posture of the
+self-motion within the ranges has one within its spacing.
 
 Charts are carried along the path. Branches that open later are found by random postures at every point,
 which are drawn until many in a row lie on the charts: `Coverage` says how many did.
@@ -41,9 +42,12 @@ _RANDOM_STEPS = 40
 # Accepted postures keep this share of the spacing from each other. One that is further than so many spacings
 # from all of a chart is on a part of the self-motion that the chart misses.
 _APART, _BESIDE = 0.7, 1.5
-# Postures at most of the first chart, and of those along the path; where the self-motion has two dimensions
-# or more, there are more at first, and the spacing grows by this factor.
-_MOST_POSTURES, _TOO_MANY, _COARSER = 600, 1500, 1.6
+# Beyond the joint ranges the spacing is this share of how far a posture leaves them, up to the length, rad.
+_FURTHER, _LONGEST_STEP = 0.7, 1.0
+# Postures at most of the first chart, and of those along the path. Where there would be more, the spacing
+# grows by this factor; where the self-motion has more than two dimensions, by one that thins charts as much.
+# The search for the spacing of a wide self-motion begins with the last one, rad.
+_MOST_POSTURES, _TOO_MANY, _COARSER, _COARSEST = 600, 1500, 1.6, np.pi
 # Charts are carried to every point of this stride first, and between this many pairs of these at once: more
 # only need memory.
 _STRIDE, _PAIRS = 6, 4
@@ -164,8 +168,6 @@ class SelfMotionSampler:
 
     Attributes
     ----------
-    spacing : float, rad
-        Length of the steps of continuation; it grows where charts have too many postures.
     coverage : Coverage
         Of the charts, by the random postures that were drawn last.
     """
@@ -174,20 +176,43 @@ class SelfMotionSampler:
         self._postures, self._task = context.postures, context.task
         # Every joint is charted on the circle, about the middle of its range.
         self._limits = context.robot.limits
-        self.spacing = context.options.chart_spacing
+        self._finest = context.options.chart_spacing
+        # How often the spacing within and that beyond the joint ranges have grown.
+        self._coarser = self._beyond = 0
         self._seeds = context.options.chart_seeds
-        self._wide = max(context.robot.dof - context.task.dimension, 2)
+        self._freedom = max(context.robot.dof - context.task.dimension, 0)
         self.coverage = Coverage(0, 0, 0)
         # The random numbers are the same in every run.
         self._rng = np.random.default_rng(0)
 
+    @property
+    def spacing(self) -> float:
+        """Spacing that charts keep everywhere, rad; it grows where they would have too many postures."""
+        return self._spacing_of(self._beyond)
+
     def first(self, point: FloatArray, known: FloatArray) -> FloatArray:
         """Chart the self-motion at `point` (3,) from the postures `known` (k, n) and from random ones."""
         seeds = np.vstack([known, self._random(point[None], self._seeds).q])
+        least = self._coarser
+        if self._freedom > 1:
+            # From the coarsest chart on, as the finer ones cost more and more.
+            while self._spacing_of(self._coarser) < _COARSEST:
+                self._coarser += 1
+        self._beyond = self._coarser
         q = self._grown_from(seeds, point)
         while len(q) > _MOST_POSTURES:
-            self._coarsen()
+            self._coarser = self._beyond = self._coarser + 1
             q = self._grown_from(seeds, point)
+        for finer_beyond in (True, False):
+            while self._coarser > least:
+                before = self._coarser, self._beyond
+                self._coarser -= 1
+                self._beyond -= finer_beyond
+                finer = self._grown_from(seeds, point)
+                if len(finer) > _MOST_POSTURES:
+                    self._coarser, self._beyond = before
+                    break
+                q = finer
         return q
 
     def along(
@@ -198,10 +223,8 @@ class SelfMotionSampler:
         `report` is called with the number of points that are charted, and of all.
         """
         report = report or (lambda *_: None)
-        each = self._each(points, known, report)
-        while max(len(q) for q in each) > _TOO_MANY:
-            self._coarsen()
-            each = self._each(points, known, report)
+        while (each := self._each(points, known, report)) is None:
+            self._coarser += 1
         return self.complete(each, points, range(len(points)), int(np.ceil(self._seeds / len(points))))
 
     def complete(
@@ -219,16 +242,16 @@ class SelfMotionSampler:
         """
         sets, chosen = self._sets(charts), np.asarray(at)
         for _ in range(_ROUNDS):
-            carried = sets.sizes
+            before = sets.sizes
             some = self._random(points[chosen], number)
             some = _Postures(some.q, chosen[some.of])
-            missing = some[sets.far(some.q, some.of, _BESIDE * self.spacing)]
+            missing = self._far(some, sets, _BESIDE)
             held, missed = self._limits.contain(some.q).sum(), self._limits.contain(missing.q).sum()
             self.coverage = Coverage(len(chosen) * number, int(held), int(missed))
             if len(missing.q) == 0 or sets.sizes.max() > _TOO_MANY:
                 break
             self._grow(self._take(missing, sets), points, sets)
-            self._spread(sets, carried, points)
+            self._spread(sets, before, points)
             number *= _MORE
         return sets.postures
 
@@ -240,31 +263,27 @@ class SelfMotionSampler:
         q, reached = project_onto_task(self._postures, self._task, q, points[of], steps=_RANDOM_STEPS)
         return self._on_circle(_Postures(q, of)[reached])
 
-    def _spread(self, sets: PoissonDiskSets, carried: IntArray, points: FloatArray) -> None:
-        """Carry the postures of charts, but the first `carried` (k,) of each, along the path both ways."""
-        last = len(points) - 1
-        ways = [(1, carried.copy()), (-1, carried.copy())]
+    def _spread(self, sets: PoissonDiskSets, before: IntArray, points: FloatArray) -> None:
+        """Carry the postures of charts, but the first `before` (k,) of each, along the path both ways."""
         while sets.sizes.max() <= _TOO_MANY:
-            found = sets.sizes.sum()
-            for way, done in ways:
-                for k in range(last) if way == 1 else range(last, 0, -1):
-                    new = sets.postures[k][done[k] :]
-                    done[k] += len(new)
-                    if len(new):
-                        ahead = self._predictor(new, points[k]).towards(points[k + way])
-                        some = _Postures(ahead, np.full(len(ahead), k + way))
-                        some = some[sets.far(some.q, some.of)]
-                        self._grow(self._place(some, points, sets), points, sets)
-            if sets.sizes.sum() == found:
+            new = _Postures.of_each([q[n:] for q, n in zip(sets.postures, before, strict=True)])
+            if len(new.q) == 0:
                 return
-
-    def _coarsen(self) -> None:
-        self.spacing *= _COARSER ** (2 / self._wide)
+            before = sets.sizes
+            predictor = self._predictor(new.q, points[new.of])
+            both = []
+            for way in (-1, 1):
+                beside = new.of + way
+                there = (beside >= 0) & (beside < len(points))
+                ahead = predictor.towards(points[np.where(there, beside, new.of)])
+                both.append(_Postures(ahead[there], beside[there]))
+            some = _Postures.joined(both)
+            self._grow(self._place(self._far(some, sets), points, sets), points, sets)
 
     def _each(
         self, points: FloatArray, known: FloatArray, report: Callable[[int, int], None]
-    ) -> list[FloatArray]:
-        """Postures of the charts at `points` (k, 3)."""
+    ) -> list[FloatArray] | None:
+        """Postures of the charts at `points` (k, 3); None where one has too many."""
         last = len(points) - 1
         stations = list(pairwise([*range(0, last, _STRIDE), last]))
         charts: dict[int, FloatArray] = {0: self.first(points[0], known)}
@@ -286,6 +305,8 @@ class SelfMotionSampler:
             if sides:
                 beside = [[predictors[side] for side in each] for each in sides.values()]
                 charts.update(zip(sides, self._carried(beside, points[list(sides)]), strict=True))
+            if max(len(q) for q in charts.values()) > _TOO_MANY:
+                return None
             predictors = {some[-1][1]: predictors[some[-1][1]]}
             report(len(charts), len(points))
         return [charts[k] for k in range(len(points))]
@@ -299,33 +320,37 @@ class SelfMotionSampler:
         for charts in zip(*known, strict=True):
             some = _Postures.of_each([chart.towards(p) for chart, p in zip(charts, points, strict=True)])
             # Predictions beside a known posture need no projection.
-            self._place(some[sets.far(some.q, some.of)], points, sets)
-        return self._grown(sets, points)
+            self._place(self._far(some, sets), points, sets)
+        self._grow(_Postures.of_each(sets.postures), points, sets)
+        return sets.postures
 
     def _grown_from(self, seeds: FloatArray, point: FloatArray) -> FloatArray:
-        """Grow the chart at `point` (3,) from postures (N, n) on the task."""
+        """Grow the chart at `point` (3,) from postures (N, n) on the task, unless it gets too large."""
         sets = self._empty_sets(1)
-        self._take(_Postures(seeds, np.zeros(len(seeds), dtype=np.intp)), sets)
-        return self._grown(sets, point[None])[0]
+        some = self._take(_Postures(seeds, np.zeros(len(seeds), dtype=np.intp)), sets)
+        self._grow(some, point[None], sets, most=_MOST_POSTURES)
+        return sets.postures[0]
 
     def _sets(self, charts: Sequence[FloatArray]) -> PoissonDiskSets:
-        return PoissonDiskSets(charts, _APART * self.spacing)
+        return PoissonDiskSets(charts)
 
     def _empty_sets(self, number: int) -> PoissonDiskSets:
         return self._sets([np.empty((0, len(self._limits.lower)))] * number)
 
-    def _grown(self, sets: PoissonDiskSets, points: FloatArray) -> list[FloatArray]:
-        self._grow(_Postures.of_each(sets.postures), points, sets)
-        return sets.postures
+    def _grow(
+        self, frontier: _Postures, points: FloatArray, sets: PoissonDiskSets, most: int = _TOO_MANY
+    ) -> None:
+        """Grow charts at `points` (k, 3) from postures of theirs until no new posture is far enough.
 
-    def _grow(self, frontier: _Postures, points: FloatArray, sets: PoissonDiskSets) -> None:
-        """Grow charts at `points` (k, 3) from postures of theirs until no new posture is far enough."""
+        Those of more than `most` postures grow no further.
+        """
         while len(frontier.q):
-            frontier = frontier[(sets.sizes <= _TOO_MANY)[frontier.of]]
-            steps = self.spacing * null_space(self._postures, self._task, frontier.q)
+            frontier = frontier[(sets.sizes <= most)[frontier.of]]
+            steps = null_space(self._postures, self._task, frontier.q)
+            steps *= self._steps(frontier.q)[:, None, None]
             ahead = np.concatenate([frontier.q[:, None] + steps, frontier.q[:, None] - steps], axis=1)
             some = _Postures(ahead.reshape(-1, frontier.q.shape[1]), np.repeat(frontier.of, ahead.shape[1]))
-            frontier = self._place(some[sets.far(some.q, some.of)], points, sets)
+            frontier = self._place(self._far(some, sets), points, sets)
 
     def _place(self, some: _Postures, points: FloatArray, sets: PoissonDiskSets) -> _Postures:
         """Project postures onto the task at their points; take those far from others, and return them."""
@@ -335,7 +360,23 @@ class SelfMotionSampler:
     def _take(self, some: _Postures, sets: PoissonDiskSets) -> _Postures:
         """Take postures that are far from others, and return them."""
         some = self._on_circle(some)
-        return some[sets.take(some.q, some.of)]
+        return some[sets.take(some.q, some.of, _APART * self._steps(some.q))]
+
+    def _steps(self, q: FloatArray) -> FloatArray:
+        """Spacing (N,) of charts at postures `q` (N, n): the longer, the further these leave the ranges."""
+        q = self._limits.turned_to_middle(q)
+        beyond = np.maximum(np.maximum(self._limits.lower - q, q - self._limits.upper), 0.0)
+        further = _FURTHER * np.sqrt((beyond * beyond).sum(axis=1))
+        steps = np.maximum(np.minimum(further, _LONGEST_STEP), self.spacing)
+        return np.where(further > 0, steps, self._spacing_of(self._coarser))
+
+    def _spacing_of(self, coarser: int) -> float:
+        """Spacing that has grown so often, rad."""
+        return float(self._finest * _COARSER ** (2 * coarser / max(self._freedom, 2)))
+
+    def _far(self, some: _Postures, sets: PoissonDiskSets, share: float = _APART) -> _Postures:
+        """Those of some postures that are apart from their charts by that share of the spacing."""
+        return some[sets.far(some.q, some.of, share * self._steps(some.q))]
 
     def _on_circle(self, some: _Postures) -> _Postures:
         return _Postures(self._limits.turned_to_middle(some.q), some.of)
@@ -353,19 +394,26 @@ class _Postures:
         """Stack the postures of charts."""
         return _Postures(np.vstack(charts), np.repeat(np.arange(len(charts)), [len(q) for q in charts]))
 
+    @staticmethod
+    def joined(some: Sequence[_Postures]) -> _Postures:
+        """Postures of several such, sorted by their charts."""
+        of = np.concatenate([each.of for each in some])
+        order = np.argsort(of, kind="stable")
+        return _Postures(np.concatenate([each.q for each in some])[order], of[order])
+
     def __getitem__(self, index: BoolArray) -> _Postures:
         return _Postures(self.q[index], self.of[index])
 
 
 class PoissonDiskSets:
-    """Sets of postures, which keep the distance `apart`, rad, from each other in their set.
+    """Sets of postures, which keep distances from those that were there before, in their set.
 
     Each has its own k-d tree, which is quicker than one of all. All angles lie on a circle. `first` are the
-    postures at first, (M, n) of each.
+    postures at first, (M, n) of each. Distances are in rad, of each posture (N,) or of all; indices of sets
+    `of` (N,) ascend.
     """
 
-    def __init__(self, first: Sequence[FloatArray], apart: float) -> None:
-        self._apart = apart
+    def __init__(self, first: Sequence[FloatArray]) -> None:
         self.postures = list(first)
         self._turned = [_on_one_turn(q) for q in first]
         self._trees: list[cKDTree | None] = [None] * len(first)
@@ -375,22 +423,22 @@ class PoissonDiskSets:
         """Number of postures in each."""
         return np.array([len(q) for q in self.postures])
 
-    def far(self, q: FloatArray, of: IntArray, distance: float | None = None) -> BoolArray:
-        """Which of postures `q` (N, n) are apart from those in their sets, whose indices `of` (N,) ascend.
+    def far(self, q: FloatArray, of: IntArray, apart: FloatArray | float) -> BoolArray:
+        """Which of postures `q` (N, n) are at least `apart` from those in their sets."""
+        return self._far(_on_one_turn(q), of, np.broadcast_to(apart, of.shape))
 
-        Or, if given, at least so far, rad.
-        """
-        return self._far(_on_one_turn(q), of, distance or self._apart)
-
-    def take(self, q: FloatArray, of: IntArray) -> BoolArray:
-        """Add those of `q` (N, n) that are apart from all others, in order, and return which."""
-        turned = _on_one_turn(q)
-        taken = self._far(turned, of, self._apart)
+    def take(self, q: FloatArray, of: IntArray, apart: FloatArray | float) -> BoolArray:
+        """Add those of `q` (N, n) that are at least `apart` from all others, in order, and return which."""
+        turned, apart = _on_one_turn(q), np.broadcast_to(apart, of.shape)
+        taken = self._far(turned, of, apart)
         candidates = np.flatnonzero(taken)
         for k, some in _groups(of[candidates]):
             mine = candidates[some]
             tree = cKDTree(turned[mine], boxsize=_ONE_TURN)
-            pairs = tree.query_pairs(self._apart, output_type="ndarray")
+            near = tree.query_pairs(apart[mine].max(), output_type="ndarray")
+            away = np.abs(turned[mine[near[:, 0]]] - turned[mine[near[:, 1]]])
+            away = np.minimum(away, _ONE_TURN - away)
+            pairs = near[(away * away).sum(axis=1) < apart[mine[near[:, 1]]] ** 2]
             if len(pairs):
                 keep = without_neighbours(len(mine), pairs)
                 taken[mine] = keep
@@ -401,12 +449,13 @@ class PoissonDiskSets:
             self._turned[k] = np.concatenate([self._turned[k], turned[mine]])
         return taken
 
-    def _far(self, turned: FloatArray, of: IntArray, least: float) -> BoolArray:
+    def _far(self, turned: FloatArray, of: IntArray, apart: FloatArray) -> BoolArray:
         far = np.ones(len(turned), dtype=np.bool_)
         for k, some in _groups(of):
             if len(self.postures[k]):
-                distance, _ = self._tree(k).query(turned[some], distance_upper_bound=least)
-                far[some] = distance >= least
+                most = apart[some].max()
+                distance, _ = self._tree(k).query(turned[some], distance_upper_bound=most)
+                far[some] = distance >= apart[some]
         return far
 
     def _tree(self, k: int) -> cKDTree:

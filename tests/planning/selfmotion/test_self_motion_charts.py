@@ -191,27 +191,29 @@ def test_thinning_goes_from_the_first_to_the_last(case: tuple[int, list[tuple[in
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 4))
 def test_poisson_disk_sets_take_postures_that_are_apart(seed: int, number: int, rounds: int) -> None:
     rng = np.random.default_rng(seed)
-    apart = 0.8
-    sets = PoissonDiskSets([np.empty((0, 2))] * number, apart)
+    sets = PoissonDiskSets([np.empty((0, 2))] * number)
     taken: list[list[np.ndarray]] = [[] for _ in range(number)]
 
     def distance(a: np.ndarray, b: np.ndarray) -> float:
         return float(np.linalg.norm(nearest_turn(a - b)))
 
-    def is_far(q: np.ndarray, of: int) -> bool:
+    def is_far(q: np.ndarray, of: int, apart: float) -> bool:
         return all(distance(q, other) >= apart for other in taken[of])
 
     for _ in range(rounds):
         of = np.sort(rng.integers(0, number, 12))
-        q = rng.uniform(-4, 4, (12, 2))
-        far = [is_far(each, k) for each, k in zip(q, of, strict=True)]
-        np.testing.assert_array_equal(sets.far(q, of), far)
+        q, apart = rng.uniform(-4, 4, (12, 2)), rng.uniform(0.4, 1.2, 12)
+        far = [is_far(*each) for each in zip(q, of, apart, strict=True)]
+        np.testing.assert_array_equal(sets.far(q, of, apart), far)
+        np.testing.assert_array_equal(
+            sets.far(q, of, 0.8), [is_far(*each, 0.8) for each in zip(q, of, strict=True)]
+        )
         expected = []
-        for each, k in zip(q, of, strict=True):
-            expected.append(is_far(each, k))
+        for each, k, least in zip(q, of, apart, strict=True):
+            expected.append(is_far(each, k, least))
             if expected[-1]:
                 taken[k].append(each)
-        np.testing.assert_array_equal(sets.take(q, of), expected)
+        np.testing.assert_array_equal(sets.take(q, of, apart), expected)
     assert sets.sizes.tolist() == [len(each) for each in taken]
     for postures, each in zip(sets.postures, taken, strict=True):
         np.testing.assert_array_equal(postures, np.reshape(each, (-1, 2)))
