@@ -19,7 +19,7 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import TangentPredictor, project_onto_task
 from cmbot.planning.precheck import MOST_UNKNOWNS, oversized, precheck_scene
 from cmbot.planning.selfmotion import charts as self_motion
-from cmbot.planning.selfmotion.charts import GraphLayer
+from cmbot.planning.selfmotion.charts import GraphLayer, check_clearances
 from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgram, edges
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.torque.decomposition import optimise
@@ -109,8 +109,7 @@ def test_the_best_sequence_is_the_same_when_all_clearances_are_computed(every: i
 
     lazily = best(stage._layers)
     eagerly = [GraphLayer(context, node.chart) for node in stage._layers]
-    for node in eagerly:
-        node.check_clearance(node.admissible)
+    check_clearances(eagerly, [node.admissible for node in eagerly])
     assert any(node.too_near.any() for node in eagerly)
     assert lazily == best(eagerly)
 

@@ -32,7 +32,9 @@ __all__ = [
     "GraphLayer",
     "PoissonDiskSets",
     "SelfMotionSampler",
+    "best_nodes",
     "charts_of",
+    "check_clearances",
     "connected_parts",
     "without_neighbours",
 ]
@@ -138,29 +140,61 @@ class GraphLayer:
         self.admissible = chart.within & (chart.joint_use <= 1.0)
         self.too_near = np.zeros(len(chart.q), dtype=np.bool_)
         self._checked = ~self.admissible
-        self._context = context
+        self.context = context
 
-    def check_clearance(self, which: BoolArray | int) -> bool:
-        """Compute the clearance of the nodes `which`; return whether any turned out inadmissible."""
+    def unchecked(self, which: BoolArray | IntArray | int) -> IntArray:
+        """Return the nodes of `which` whose clearances are not known."""
         chosen = np.zeros_like(self._checked)
         chosen[which] = True
-        new = np.flatnonzero(chosen & ~self._checked)
-        if len(new) == 0:
-            return False
-        context = self._context
-        near = context.clearances.check_collision(self.chart.q[new], context.options.safety_margin_m)
-        self._checked[new] = True
-        self.too_near[new] = near
-        self.admissible[new] = ~near
-        return bool(near.any())
+        return np.flatnonzero(chosen & ~self._checked)
+
+    def note(self, nodes: IntArray, near: BoolArray) -> None:
+        """Note which of `nodes` (k,) come within the safety margin."""
+        self._checked[nodes] = True
+        self.too_near[nodes] = near
+        self.admissible[nodes] = ~near
+
+    def most_promising(self, number: int) -> IntArray:
+        """Return that many nodes of the smallest values, as far as these may be admissible."""
+        nodes = np.flatnonzero(self.admissible)
+        return nodes[np.argsort(self.chart.value[nodes], kind="stable")[:number]]
 
     def best(self) -> int | None:
         """Return the index of the admissible node with the smallest value; None when there is none."""
-        while self.admissible.any():
-            best = int(np.where(self.admissible, self.chart.value, np.inf).argmin())
-            if not self.check_clearance(best):
-                return best
-        return None
+        return best_nodes([self])[0]
+
+
+def check_clearances(layers: Sequence[GraphLayer], which: Sequence[BoolArray | IntArray | int]) -> BoolArray:
+    """Compute clearances of the nodes `which` of each layer at once, which is quicker than one by one.
+
+    Returns in which layers any turned out inadmissible.
+    """
+    new = [layer.unchecked(nodes) for layer, nodes in zip(layers, which, strict=True)]
+    ends = np.cumsum([0, *(len(nodes) for nodes in new)])
+    if ends[-1] == 0:
+        return np.zeros(len(layers), dtype=np.bool_)
+    context = layers[0].context
+    q = np.vstack([layer.chart.q[nodes] for layer, nodes in zip(layers, new, strict=True)])
+    near = context.clearances.check_collision(q, context.options.safety_margin_m)
+    each = [near[a:b] for a, b in pairwise(ends)]
+    for layer, nodes, of_layer in zip(layers, new, each, strict=True):
+        layer.note(nodes, of_layer)
+    return np.array([of_layer.any() for of_layer in each])
+
+
+def best_nodes(layers: Sequence[GraphLayer]) -> list[int | None]:
+    """Return the admissible node with the smallest value of each layer; None where there is none."""
+    number = 1
+    while True:
+        first = [layer.most_promising(1) for layer in layers]
+        unknown = [len(layer.unchecked(nodes)) > 0 for layer, nodes in zip(layers, first, strict=True)]
+        if not any(unknown):
+            return [int(nodes[0]) if len(nodes) else None for nodes in first]
+        # Where the first one comes too near, those beside it are likely to, as well.
+        number_of = [number if each else 0 for each in unknown]
+        some = [layer.most_promising(n) for layer, n in zip(layers, number_of, strict=True)]
+        check_clearances(layers, some)
+        number *= 2
 
 
 class SelfMotionSampler:

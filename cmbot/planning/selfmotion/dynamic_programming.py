@@ -14,7 +14,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.planning.selfmotion.charts import Coverage, GraphLayer, charts_of
+from cmbot.planning.selfmotion.charts import Coverage, GraphLayer, best_nodes, charts_of, check_clearances
 from cmbot.planning.selfmotion.reachability import out_of_reach
 
 __all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_along", "nearest_turn", "refine"]
@@ -126,22 +126,29 @@ class BottleneckDynamicProgram:
 
     def best(self) -> list[int]:
         """Indices of the nodes with the smallest peak; among those, with the smallest sum of squares."""
-        around = 0
+        around, least = 0, self._least_peak()
         while True:
-            peak = self._smallest_peak()
+            peak = max(self._smallest_peak(), least)
             chosen = self._smallest_squares(peak)
             # Clearances cost most, so only those of the best path are computed at first. If they hold, no
             # path is better, whatever the clearances beside it.
-            refused = [k for k, layer in enumerate(self.layers) if layer.check_clearance(chosen[k])]
-            if not refused:
+            refused = np.flatnonzero(check_clearances(self.layers, chosen))
+            if len(refused) == 0:
                 return chosen
             # Neighbours of a refused node are likely to be refused, too. The neighbourhood grows from round
             # to round, so that there are few rounds.
             distance = np.abs(np.arange(len(self.layers))[:, None] - refused).min(axis=1)
-            for layer, away in zip(self.layers, distance, strict=True):
-                if away <= around:
-                    layer.check_clearance(layer.admissible & (layer.chart.value <= peak))
+            near = [layer for layer, away in zip(self.layers, distance, strict=True) if away <= around]
+            check_clearances(near, [layer.admissible & (layer.chart.value <= peak) for layer in near])
             around = 2 * around + 1
+
+    def _least_peak(self) -> float:
+        """Largest of the smallest values of each via-point: no sequence has a smaller peak."""
+        start = self.layers[0].admissible & self.starts
+        least = self.layers[0].chart.value[start].min(initial=np.inf)
+        for layer, best in zip(self.layers, best_nodes(self.layers), strict=True):
+            least = max(least, np.inf if best is None else layer.chart.value[best])
+        return float(least)
 
     def _smallest_peak(self) -> float:
         """Smallest peak of any sequence of nodes that are not known to be inadmissible."""

@@ -20,6 +20,7 @@ from cmbot.planning.selfmotion.charts import (
     Chart,
     GraphLayer,
     SelfMotionSampler,
+    best_nodes,
     charts_of,
     connected_parts,
 )
@@ -107,7 +108,7 @@ class GlobalSearch:
         each = _sampled(sampler, context)
         for _ in range(_CHECKS):
             self._layers = [GraphLayer(context, chart) for chart in charts_of(context, each)]
-            empty = next((k for k, layer in enumerate(self._layers) if layer.best() is None), None)
+            empty = next((k for k, best in enumerate(best_nodes(self._layers)) if best is None), None)
             if empty is None:
                 self.lower_bound, lowest = find_lower_bound(context, self._layers, sampler.spacing)
                 if context.reporter.expired():
