@@ -176,6 +176,8 @@ class GlobalSearch:
         nearest = others[np.argsort(away[others], kind="stable")]
         failures = [failed]
         for k in nearest[: self._context.options.other_starts]:
+            if self._context.reporter.expired():
+                break
             try:
                 return self._solve(posture + moves[k]), tuple(failures)
             except PathNotFound as failure:

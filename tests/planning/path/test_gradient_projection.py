@@ -314,6 +314,15 @@ def test_the_scenes_posture_is_kept_where_it_works() -> None:
     np.testing.assert_array_equal(path.q[0], context.posture)
 
 
+def test_no_other_start_is_tried_when_the_time_is_over() -> None:
+    ball = {"name": "ball", "sphere": 0.0666, "xyz": [0.95, 0.52, -1.0]}
+    over = ProgressReporter(clock=lambda: 2.0, limit=-1.0)
+    context = replace(context_of(short_scene(obstacles=[ball])), reporter=over)
+    with pytest.raises(PathNotFound, match=r"link_3 comes within .* of ball") as caught:
+        find_path(context)
+    assert "other starting" not in str(caught.value)
+
+
 def test_the_line_starts_elsewhere(fixed_line_plan: Plan) -> None:
     """From the paper's posture link 5 meets link 2 before the end."""
     start = fixed_line_plan.start
