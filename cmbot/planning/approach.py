@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,14 +14,19 @@ from scipy.spatial import cKDTree
 from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import LimitViolation, PathNotFound
+from cmbot.optimization import StateSamples
 from cmbot.planning.context import PlanningContext
+from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.planning.free_motion.roadmap import lower_peak
+from cmbot.planning.free_motion.rrt_connect import rrt_connect
+from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate, certify
-from cmbot.robot import Robot
+from cmbot.robot import Dynamics, Robot
 from cmbot.scene import PlannerOptions, SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
-__all__ = ["Approach", "FreeSpace", "certify_approach", "connect", "plan_approach", "reachable", "shorten"]
+__all__ = ["Approach", "certify_approach", "plan_approach", "reachable"]
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
 _KNOT_SPACING, _HALVINGS = 0.4, 4
@@ -31,17 +36,14 @@ _MORE_TIME = 0.2
 _LIMIT_SHARE = 0.95
 # Postures of a chart are neighbours within this many spacings.
 _NEIGHBOURS = 1.6
-# Longest step of a tree, rad, and how often the trees are grown before the search is given up.
-_STEP = 0.3
-_MOST_GROWTHS = 4000
 # Postures of the straight line to the start of the work that are looked at where nothing leads there.
 _ON_THE_LINE = 50
-# Pairs of points of a path between which a shortcut is tried.
-_SHORTCUTS = 150
-# Between two postures of a line that are checked no point of the arm moves further than this, m.
-_CHECK_EVERY = 0.04
-# Where the ends of a path spare less, this share of what they spare is required in between.
-_SHARE_TO_SPARE = 0.5
+# Values of the objective that differ by less are the same, relative.
+_SAME = 1e-3
+# Factors on the shortest duration, while the moving arm asks more than it may, and samples a segment to see.
+_SLOWER, _SAMPLES = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0), 8
+# An objective below this is nothing.
+_NO_TORQUE = 1e-9
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,20 +68,31 @@ class Approach:
     along_self_motion: bool
 
 
-def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) -> Approach:
+def plan_approach(
+    context: PlanningContext, end: FloatArray, chart: FloatArray, *, allowed: float = 0.0
+) -> Approach:
     """Plan a motion from the scene's posture to another one, `end` (n,), with the same tool pose.
 
     Along the self-motion, whose postures are `chart` (M, n), where that connects them free of collisions;
-    otherwise through joint space.
+    else straight in joint space; else on any free path. Where the objective at rest would exceed both its
+    value at the ends and `allowed`, a path is sought on which its largest value is least.
+
+    Parameters
+    ----------
+    context : PlanningContext
+    end : (n,), rad
+    chart : (M, n), rad
+    allowed : float
+        Value of the objective that the work reaches anyway.
 
     Raises
     ------
     PathNotFound
-        When neither leads there.
+        When nothing leads there.
     """
     robot, clearances, options = context.robot, context.clearances, context.options
     start = context.posture
-    whole = FreeSpace(robot, clearances, options.safety_margin_m)
+    whole = _free_space(context)
     for place, q in (("the scene's posture", start), ("the start of the work", end)):
         if whole.around(q[None]) is None:
             nearest = clearances.smallest(q[None])
@@ -91,16 +104,14 @@ def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) 
             reason = f"no collision-free approach: in {place} {why}; start: pinned needs none"
             raise context.path_not_found(reason, start, pair=pair)
     space = whole.around(np.stack([start, end])) or whole
-    path = _along_chart(space, start, end, chart, options.chart_spacing)
-    along_self_motion = path is not None
+    allowed = (1 + _SAME) * max(allowed, *space.cost(np.stack([start, end])))
+    along = _along_chart(space, start, end, chart, options.chart_spacing)
+    path = _path(space, start, end, along, allowed, partial(context.reporter.expired, _MORE_TIME))
     if path is None:
-        path = connect(space, start, end, partial(context.reporter.expired, _MORE_TIME))
-        if path is None:
-            raise _unconnected(context, space, end)
-        path = shorten(space, path)
+        raise _unconnected(context, space, end)
     held = context.task.held_at_start()
     for halving in range(_HALVINGS):
-        trajectory = _timed(robot, path, _KNOT_SPACING / 2**halving)
+        trajectory = _timed(context, path, _KNOT_SPACING / 2**halving, allowed)
         certificate = certify_approach(robot, held, trajectory, clearances, options, start, end)
         if certificate.holds:
             break
@@ -110,7 +121,7 @@ def plan_approach(context: PlanningContext, end: FloatArray, chart: FloatArray) 
         reason = f"no approach to the start of the work is certified: {violation}"
         raise context.path_not_found(reason, start) from violation
     return Approach(
-        trajectory=trajectory, certificate=certificate, task=held, along_self_motion=along_self_motion
+        trajectory=trajectory, certificate=certificate, task=held, along_self_motion=path is along
     )
 
 
@@ -119,8 +130,12 @@ def _unconnected(context: PlanningContext, space: FreeSpace, end: FloatArray) ->
     start = context.posture
     line = start + np.linspace(0.0, 1.0, _ON_THE_LINE)[:, None] * (end - start)
     blocked = line[~space.holds(line)]
-    pair = context.most_often_near(blocked) if len(blocked) else None
-    way = "" if pair is None else f" (straight there {pair[0]} and {pair[1]} come too near)"
+    heavy = blocked[np.isinf(space.cost(blocked))]
+    way, pair = "", None
+    if 2 * len(heavy) > len(blocked):
+        way = f" (straight there {context.weakest_joint(heavy)} cannot hold the arm)"
+    elif len(blocked) and (pair := context.most_often_near(blocked)):
+        way = f" (straight there {pair[0]} and {pair[1]} come too near)"
     over = ", the time was over" if context.reporter.expired() else ""
     reason = (
         f"no collision-free approach to the start of the work was found{way}{over}; take start: pinned, or a "
@@ -129,9 +144,46 @@ def _unconnected(context: PlanningContext, space: FreeSpace, end: FloatArray) ->
     return context.path_not_found(reason, start, pair=pair)
 
 
+def _free_space(context: PlanningContext) -> FreeSpace:
+    limit = context.robot.limits.torque
+
+    def cost(q: FloatArray) -> FloatArray:
+        at = context.postures.at(q)
+        holds = (np.abs(at.joint_torque) <= limit).all(axis=1)
+        return np.where(holds, context.objective.at_rest(at), np.inf)
+
+    return FreeSpace(context.robot, context.clearances, context.options.safety_margin_m, cost)
+
+
+def _path(
+    space: FreeSpace,
+    start: FloatArray,
+    end: FloatArray,
+    along: FloatArray | None,
+    allowed: float,
+    stop: Callable[[], bool],
+) -> FloatArray | None:
+    """A free path (k, n): the first whose peak is allowed, else one whose peak is as low as was found."""
+    found = []
+    if along is not None:
+        found.append(along)
+    straight = np.stack([start, end])
+    if space.straight(start, end):
+        found.append(straight)
+    if not found and (path := rrt_connect(space, start, end, stop)) is not None:
+        found.append(space.shorten(path))
+    for path in found:
+        if space.peak(path) <= allowed:
+            return path
+    if not found:
+        return None
+    path = lower_peak(space, min(found, key=space.peak), allowed, stop)
+    return space.below(max(allowed, space.peak(path))).shorten(path)
+
+
 def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:
     """Which postures of the start's chart (M, n) self-motion leads to from the scene's posture."""
-    space = FreeSpace(context.robot, context.clearances, context.options.safety_margin_m)
+    space = _free_space(context)
     space = space.around(context.posture[None]) or space
     graph = _neighbours(space, context.posture[None], chart, context.options.chart_spacing)[1]
     _, component = connected_components(graph, directed=False)
@@ -197,8 +249,8 @@ def _neighbours(
     return nodes, sparse.csr_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=shape)
 
 
-def _timed(robot: Robot, path: FloatArray, spacing: float) -> QuinticTrajectory:
-    """Put a C3 spline from rest to rest through a broken line, as fast as the limits allow."""
+def _timed(context: PlanningContext, path: FloatArray, spacing: float, allowed: float) -> QuinticTrajectory:
+    """Put a C3 spline from rest to rest through a broken line, as fast as limits and objective allow."""
     lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
@@ -207,120 +259,23 @@ def _timed(robot: Robot, path: FloatArray, spacing: float) -> QuinticTrajectory:
     q = np.stack([np.interp(share * along[-1], along, joint) for joint in path.T], axis=1)
     space = SplineSpace(u)
     trial = space.trajectory(space.least_jerk(q))
-    limits = robot.limits
+    limits = context.robot.limits
     # Slowing down by T divides derivative k by T^k.
     seconds = max(
         float((trial.extrema(order).largest()[0] / (_LIMIT_SHARE * bound)).max()) ** (1.0 / order)
         for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1)
     )
-    return QuinticTrajectory(t=u * seconds, q=q, v=trial.v / seconds, a=trial.a / seconds**2)
-
-
-@dataclass(frozen=True)
-class FreeSpace:
-    """Postures within the joint ranges whose shapes keep a margin, m, from each other.
-
-    Beyond the margin, `spare`, m, is kept for the neighbours of a posture that is checked. With the default a
-    line is free all along; with less only where it is checked, and a certificate has to cover the rest.
-    """
-
-    robot: Robot
-    clearances: Clearances
-    margin: float
-    spare: float = _CHECK_EVERY / 2
-
-    def around(self, q: FloatArray) -> FreeSpace | None:
-        """Return the space that spares at most what postures `q` (N, n) spare; None when one is not free.
-
-        Neighbouring links of some arms are always near each other and never spare much.
-        """
-        limits = self.robot.limits
-        if ((q < limits.lower) | (q > limits.upper)).any():
-            return None
-        left = float(self.clearances.smallest(q).distance.min()) - self.margin
-        return None if left < 0 else replace(self, spare=min(self.spare, _SHARE_TO_SPARE * left))
-
-    def holds(self, q: FloatArray) -> BoolArray:
-        """Which of the postures `q` (N, n) are free, and spare enough for their neighbours."""
-        within = self.robot.limits.contain(q)
-        free = within.copy()
-        free[within] = ~self.clearances.check_collision(q[within], self.margin + self.spare)
-        return free
-
-    def straight(self, start: FloatArray, end: FloatArray) -> bool:
-        """Whether the postures checked on the line between two postures (n,) are free."""
-        moved = float(np.abs(end - start) @ self.clearances.reach)
-        shares = np.linspace(0.0, 1.0, int(np.ceil(moved / _CHECK_EVERY)) + 1)[1:, None]
-        return bool(self.holds(start + shares * (end - start)).all())
-
-
-def connect(
-    space: FreeSpace, start: FloatArray, end: FloatArray, stop: Callable[[], bool] = lambda: False
-) -> FloatArray | None:
-    """Connect two free postures (n,) by a broken line of free ones, (k, n); None when none was found.
-
-    Two trees grow from both ends towards random postures and towards each other (RRT-Connect; Kuffner and
-    LaValle, 2000). The random numbers are the same in every run. The search is given up when `stop` says so.
-    """
-    if space.straight(start, end):
-        return np.stack([start, end])
-    rng = np.random.default_rng(0)
-    limits = space.robot.limits
-    lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
-    trees = (_Tree(start), _Tree(end))
-    for growth in range(_MOST_GROWTHS):
-        if stop():
+    at_rest = _asked(context, StateSamples.at_rest(u, trial.q), allowed)
+    for slower in _SLOWER:
+        T = slower * seconds
+        timed = QuinticTrajectory(t=u * T, q=q, v=trial.v / T, a=trial.a / T**2)
+        if _asked(context, StateSamples.even(timed, _SAMPLES), allowed) <= (1 + _SAME) * max(at_rest, 1.0):
             break
-        tree, other = trees[growth % 2], trees[1 - growth % 2]
-        new = tree.grow(space, rng.uniform(lower, upper))
-        if new is None:
-            continue
-        while True:
-            met = other.grow(space, tree.q[new])
-            if met is None:
-                break
-            if np.array_equal(other.q[met], tree.q[new]):
-                first, second = (new, met) if tree is trees[0] else (met, new)
-                return np.vstack([trees[0].to_root(first)[::-1], trees[1].to_root(second)[1:]])
-    return None
+    return timed
 
 
-def shorten(space: FreeSpace, path: FloatArray) -> FloatArray:
-    """Cut corners of a broken line (k, n) where the straight line is free."""
-    rng = np.random.default_rng(0)
-    for _ in range(_SHORTCUTS):
-        if len(path) < 3:
-            break
-        first, second = np.sort(rng.choice(len(path), 2, replace=False))
-        if second - first > 1 and space.straight(path[first], path[second]):
-            path = np.vstack([path[: first + 1], path[second:]])
-    return path
-
-
-class _Tree:
-    """A tree of free postures."""
-
-    def __init__(self, root: FloatArray) -> None:
-        self.q = root[None]
-        self._parent = [-1]
-
-    def grow(self, space: FreeSpace, target: FloatArray) -> int | None:
-        """Take one step from the nearest posture towards `target`; return the new posture's index."""
-        nearest = int(np.linalg.norm(self.q - target, axis=1).argmin())
-        move = target - self.q[nearest]
-        length = float(np.linalg.norm(move))
-        if length == 0.0:
-            return nearest
-        new = target if length <= _STEP else self.q[nearest] + move * (_STEP / length)
-        if not space.straight(self.q[nearest], new):
-            return None
-        self.q = np.vstack([self.q, new])
-        self._parent.append(nearest)
-        return len(self._parent) - 1
-
-    def to_root(self, index: int) -> FloatArray:
-        """Postures from number `index` to the root."""
-        indices = [index]
-        while self._parent[indices[-1]] >= 0:
-            indices.append(self._parent[indices[-1]])
-        return self.q[indices]
+def _asked(context: PlanningContext, states: StateSamples, allowed: float) -> float:
+    """The largest share of what is allowed that states ask of the objective and of the joints."""
+    torque = efforts_of(Dynamics(context.robot), states).joint_torque
+    use = float((np.abs(torque) / (_LIMIT_SHARE * context.robot.limits.torque)).max())
+    return max(use, float(context.objective.values(states).max()) / max(allowed, _NO_TORQUE))

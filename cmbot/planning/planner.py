@@ -258,7 +258,8 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         posture, moved = context.posture, 0.0
     elif guess.search is not None:
         reporter.step("planning the approach to the start")
-        approach = plan_approach(context, posture, guess.search.first_chart.q)
+        at_rest = context.objective.at_rest(context.postures.at(optimised.trajectory.q))
+        approach = plan_approach(context, posture, guess.search.first_chart.q, allowed=float(at_rest.max()))
     return _Motion(
         optimised=optimised,
         compensation=compensation,

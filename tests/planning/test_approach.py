@@ -10,7 +10,9 @@ from small_scenes import context_of, parts, short_scene
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, certify_approach, plan
-from cmbot.planning.approach import FreeSpace, connect, plan_approach, shorten
+from cmbot.planning.approach import plan_approach
+from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.path.gradient_projection import self_motion_postures
 from cmbot.planning.progress import ProgressReporter
 from cmbot.robot import Dynamics, Kinematics
@@ -77,10 +79,10 @@ def test_what_is_in_the_way_of_an_approach_is_named(triangle_plan: Plan) -> None
 def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: np.random.Generator) -> None:
     scene = triangle_plan.scene
     robot, _, posture, clearances = parts(scene)
-    space = FreeSpace(robot, clearances, 0.02)
+    space = FreeSpace(robot, clearances, 0.02, lambda q: np.zeros(len(q)))
     goal = triangle_plan.start.posture
-    path = connect(space, posture, goal)
-    short = shorten(space, path)
+    path = rrt_connect(space, posture, goal)
+    short = space.shorten(path)
     for line in (path, short):
         np.testing.assert_array_equal(line[[0, -1]], [posture, goal])
         for start, end in pairwise(line):

@@ -184,7 +184,7 @@ def test_where_the_time_is_over_the_compensation_says_how_far_it_came() -> None:
 def test_a_better_start_that_no_approach_leads_to_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
     """The work begins where the arm is, and says why."""
 
-    def fails(context: PlanningContext, *_: object) -> None:
+    def fails(context: PlanningContext, *_: object, **__: object) -> None:
         raise context.path_not_found("no collision-free approach was found", context.posture)
 
     monkeypatch.setattr(planner, "plan_approach", fails)

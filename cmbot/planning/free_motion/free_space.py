@@ -1,0 +1,131 @@
+"""Free space: postures within the joint ranges, clear of everything, and below a bound on their cost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+
+from cmbot.collision import Clearances
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.robot import Robot
+
+__all__ = ["FreeSpace"]
+
+# Between two postures of a line that are checked no point of the arm moves further than this, m.
+_CHECK_EVERY = 0.04
+# Where the ends of a path spare less, this share of what they spare is required in between.
+_SHARE_TO_SPARE = 0.5
+# The cost changes slowly: no point moves further than this between two postures where it is computed, m.
+_COST_EVERY = 0.2
+_ANY = float(np.finfo(np.float64).max)
+# Postures of a line that are checked at once; each block is as many times larger than the one before.
+_FIRST_BLOCK, _GROWTH = 8, 4
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """Postures within the joint ranges whose shapes keep a margin, and whose cost is bounded.
+
+    Attributes
+    ----------
+    robot : Robot
+    clearances : Clearances
+    margin : float
+        Smallest distance between shapes, m.
+    cost : callable
+        From postures (N, n), rad, to values (N,), such as the torque at rest; infinite where the arm cannot
+        rest.
+    bound : float
+        No posture's cost is above it.
+    spare : float
+        Kept beyond the margin, for the neighbours of a posture that is checked, m. With the default a line is
+        free all along; with less only where it is checked, and a certificate has to cover the rest.
+    """
+
+    robot: Robot
+    clearances: Clearances
+    margin: float
+    cost: Callable[[FloatArray], FloatArray]
+    bound: float = _ANY
+    spare: float = _CHECK_EVERY / 2
+
+    def around(self, q: FloatArray) -> FreeSpace | None:
+        """Return the space that spares at most what postures `q` (N, n) spare; None when one is not free.
+
+        Neighbouring links of some arms are always near each other and never spare much.
+        """
+        if not self.robot.limits.contain(q).all():
+            return None
+        left = float(self.clearances.smallest(q).distance.min()) - self.margin
+        return None if left < 0 else replace(self, spare=min(self.spare, _SHARE_TO_SPARE * left))
+
+    def below(self, bound: float) -> FreeSpace:
+        """Return the postures whose cost is at most `bound`."""
+        return replace(self, bound=bound)
+
+    def holds(self, q: FloatArray) -> BoolArray:
+        """Which of the postures `q` (N, n) are free, and spare enough for their neighbours."""
+        free = self.robot.limits.contain(q)
+        free[free] = self.cost(q[free]) <= self.bound
+        free[free] = ~self.clearances.check_collision(q[free], self.margin + self.spare)
+        return free
+
+    def straight(self, start: FloatArray, end: FloatArray) -> bool:
+        """Whether the postures checked on the line between two postures (n,) are free."""
+        postures = self._along(start[None], end[None], _CHECK_EVERY)[0]
+        # Scattered over the line first: what is in the way is found by few of them.
+        scattered = _scattered(len(postures))
+        first, number = 0, _FIRST_BLOCK
+        while first < len(postures):
+            if not self.holds(postures[scattered[first : first + number]]).all():
+                return False
+            first, number = first + number, number * _GROWTH
+        return True
+
+    def _along(self, starts: FloatArray, ends: FloatArray, every: float) -> tuple[FloatArray, IntArray]:
+        """Postures (M, n) on lines between postures (k, n), without the starts, and their lines (M,)."""
+        moved = np.abs(ends - starts) @ self.clearances.reach
+        number = np.maximum(np.ceil(moved / every).astype(np.intp), 1)
+        line = np.repeat(np.arange(len(starts)), number)
+        step = np.arange(1, len(line) + 1) - np.repeat(np.cumsum(number) - number, number)
+        share = (step / number[line])[:, None]
+        return starts[line] + share * (ends - starts)[line], line
+
+    def highest(self, starts: FloatArray, ends: FloatArray) -> FloatArray:
+        """Return the largest cost (k,) on each of the lines between postures (k, n)."""
+        postures, line = self._along(starts, ends, _COST_EVERY)
+        highest = self.cost(starts)
+        np.maximum.at(highest, line, self.cost(postures))
+        return highest
+
+    def peak(self, path: FloatArray) -> float:
+        """Return the largest cost on a broken line (k, n)."""
+        return float(self.highest(path[:-1], path[1:]).max())
+
+    def shorten(self, path: FloatArray, tries: int = 150) -> FloatArray:
+        """Cut corners of a broken line (k, n) where the straight line is free."""
+        rng = np.random.default_rng(0)
+        for _ in range(tries):
+            if len(path) < 3:
+                break
+            first, second = np.sort(rng.choice(len(path), 2, replace=False))
+            if second - first > 1 and self.straight(path[first], path[second]):
+                path = np.vstack([path[: first + 1], path[second:]])
+        return path
+
+    def is_free(self, path: FloatArray) -> bool:
+        """Whether a broken line (k, n) is free."""
+        return all(self.straight(start, end) for start, end in pairwise(path))
+
+
+def _scattered(number: int) -> IntArray:
+    """Indices 0 to `number` - 1, in an order in which the first ones are spread evenly: bits reversed."""
+    bits = max((number - 1).bit_length(), 1)
+    indices = np.arange(1 << bits)
+    reversed_bits = np.zeros_like(indices)
+    for bit in range(bits):
+        reversed_bits |= ((indices >> bit) & 1) << (bits - 1 - bit)
+    return np.asarray(reversed_bits[reversed_bits < number])

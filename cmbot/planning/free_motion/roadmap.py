@@ -1,0 +1,158 @@
+"""A roadmap of free postures, for the path on which the largest cost is least (a bottleneck path)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
+from scipy.spatial import cKDTree
+
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.free_motion.free_space import FreeSpace
+
+__all__ = ["lower_peak"]
+
+# Random postures that are drawn in each round: half anywhere, half about the best path so far, at these
+# standard deviations of a joint, rad.
+_DRAWN, _SPREAD = 4000, (0.1, 0.3, 0.6)
+_MOST_ROUNDS = 6
+# Nearest postures with which a new one is joined.
+_NEIGHBOURS = 12
+# Edges that are checked in a round before the rest is left: where nearly all are blocked, more postures help
+# more than more checks.
+_MOST_CHECKS = 400
+# Bounds are compared with this tolerance, relative.
+_ROUNDING = 1e-9
+# Weight of an edge that has none, which a sparse graph would take for no edge.
+_NO_WEIGHT = 1e-12
+
+
+def lower_peak(
+    space: FreeSpace, path: FloatArray, enough: float, stop: Callable[[], bool] = lambda: False
+) -> FloatArray:
+    """Return a path between the same postures as `path` on which the largest cost is lower, if one is found.
+
+    A probabilistic roadmap (Kavraki et al., 1996) grows by postures whose cost is below the best path's peak,
+    anywhere and about that path. On it the path whose largest cost is least is the one in the minimum
+    spanning tree; edges are checked for collisions when a path leads over them (lazy PRM; Bohlin and Kavraki,
+    2000). The random numbers are the same in every run.
+
+    Parameters
+    ----------
+    space : FreeSpace
+    path : (k, n), rad
+        A free broken line.
+    enough : float
+        Peak from which on nothing is sought.
+    stop : callable
+        The search is given up when it says so.
+
+    Returns
+    -------
+    (m, n) array, rad
+        Free; `path` itself where nothing better was found.
+    """
+    roadmap, rng, rounds = _Roadmap(space, path[[0, -1]]), np.random.default_rng(0), 0
+    peak = space.peak(path)
+    while peak > enough and rounds < _MOST_ROUNDS and not stop():
+        rounds += 1
+        drawn = np.vstack([_anywhere(space, rng), _about(path, rng)])
+        roadmap.add(drawn, peak)
+        found = roadmap.bottleneck_path(peak, stop)
+        if found is not None:
+            path, peak = found, space.peak(found)
+    return path
+
+
+def _anywhere(space: FreeSpace, rng: np.random.Generator) -> FloatArray:
+    limits = space.robot.limits
+    lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
+    return rng.uniform(lower, upper, (_DRAWN // 2, len(lower)))
+
+
+def _about(path: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Random postures about a broken line (k, n)."""
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    at = rng.uniform(0.0, along[-1], _DRAWN // 2)
+    middle = np.stack([np.interp(at, along, joint) for joint in path.T], axis=1)
+    return np.asarray(middle + rng.normal(0.0, rng.choice(_SPREAD, (len(at), 1)), middle.shape))
+
+
+class _Roadmap:
+    """Free postures, the first two of which are to be joined, and the edges between neighbours."""
+
+    def __init__(self, space: FreeSpace, ends: FloatArray) -> None:
+        self._space = space
+        self._q = ends
+        self._pairs = np.empty((0, 2), dtype=np.intp)
+        self._cost = np.empty(0)
+        self._length = np.empty(0)
+        self._checked = np.empty(0, dtype=np.bool_)
+
+    def add(self, q: FloatArray, bound: float) -> None:
+        """Add those of the postures `q` (N, n) that are free and cost less than a bound, and their edges."""
+        known = len(self._q)
+        below = self._space.below(bound * (1 - _ROUNDING))
+        self._q = np.vstack([self._q, q[below.holds(q)]])
+        new = np.arange(known if len(self._pairs) else 0, len(self._q))
+        number = min(_NEIGHBOURS + 1, len(self._q))
+        nearest = cKDTree(self._q).query(self._q[new], number)[1].reshape(len(new), -1)
+        pairs = np.stack([np.repeat(new, number), nearest.ravel()], axis=1)
+        pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
+        starts, ends = self._q[pairs[:, 0]], self._q[pairs[:, 1]]
+        cost = self._space.highest(starts, ends)
+        kept = cost < bound * (1 - _ROUNDING)
+        self._pairs = np.vstack([self._pairs, pairs[kept]])
+        self._cost = np.concatenate([self._cost, cost[kept]])
+        length = np.linalg.norm(starts - ends, axis=1)
+        self._length = np.concatenate([self._length, length[kept]])
+        self._checked = np.concatenate([self._checked, np.zeros(kept.sum(), dtype=np.bool_)])
+
+    def bottleneck_path(self, bound: float, stop: Callable[[], bool]) -> FloatArray | None:
+        """Return the shortest of the free paths (k, n) whose largest cost is least, if below a bound."""
+        checks = 0
+        while checks < _MOST_CHECKS and not stop():
+            usable = self._cost < bound * (1 - _ROUNDING)
+            tree = minimum_spanning_tree(self._graph(self._cost, usable))
+            nodes = _between_ends(tree)
+            if nodes is None:
+                return None
+            usable = self._cost <= self._cost[self._edges(nodes)].max()
+            shortest = _between_ends(self._graph(self._length, usable))
+            nodes = nodes if shortest is None else shortest
+            edges = self._edges(nodes)
+            unknown = edges[~self._checked[edges]]
+            checks += len(unknown)
+            free = [self._space.straight(*self._q[self._pairs[edge]]) for edge in unknown]
+            self._checked[unknown] = True
+            if all(free):
+                return np.asarray(self._q[nodes])
+            # No path leads over them any more.
+            self._cost[unknown[~np.array(free)]] = np.inf
+        return None
+
+    def _graph(self, weight: FloatArray, usable: BoolArray) -> sparse.csr_array:
+        row, column = self._pairs[usable].T
+        # A weight of zero would be no edge.
+        weight = np.maximum(weight[usable], _NO_WEIGHT)
+        return sparse.csr_array((weight, (row, column)), shape=(len(self._q), len(self._q)))
+
+    def _edges(self, nodes: IntArray) -> IntArray:
+        """Indices of the edges between the postures of a path."""
+        ends = np.sort(np.stack([nodes[:-1], nodes[1:]], axis=1), axis=1)
+        order = np.lexsort(self._pairs.T[::-1])
+        keys, sought = (pairs @ [len(self._q), 1] for pairs in (self._pairs[order], ends))
+        return np.asarray(order[np.searchsorted(keys, sought)])
+
+
+def _between_ends(graph: sparse.csr_array) -> IntArray | None:
+    """The shortest path from the first posture of a graph to the second, as their indices."""
+    distance, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
+    if not np.isfinite(distance[1]):
+        return None
+    nodes = [1]
+    while nodes[-1] != 0:
+        nodes.append(int(before[nodes[-1]]))
+    return np.array(nodes[::-1])

@@ -1,0 +1,76 @@
+"""Two trees of free postures that grow towards each other (RRT-Connect)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.planning.free_motion.free_space import FreeSpace
+
+__all__ = ["rrt_connect"]
+
+# Longest step of a tree, rad, and how often the trees are grown before the search is given up.
+_STEP = 0.3
+_MOST_GROWTHS = 4000
+
+
+def rrt_connect(
+    space: FreeSpace, start: FloatArray, end: FloatArray, stop: Callable[[], bool] = lambda: False
+) -> FloatArray | None:
+    """Connect two free postures (n,) by a broken line of free ones, (k, n); None when none was found.
+
+    Two trees grow from both ends towards random postures and towards each other (RRT-Connect; Kuffner and
+    LaValle, 2000). The random numbers are the same in every run. The search is given up when `stop` says so.
+    """
+    if space.straight(start, end):
+        return np.stack([start, end])
+    rng = np.random.default_rng(0)
+    limits = space.robot.limits
+    lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
+    trees = (_Tree(start), _Tree(end))
+    for growth in range(_MOST_GROWTHS):
+        if stop():
+            break
+        tree, other = trees[growth % 2], trees[1 - growth % 2]
+        new = tree.grow(space, rng.uniform(lower, upper))
+        if new is None:
+            continue
+        while True:
+            met = other.grow(space, tree.q[new])
+            if met is None:
+                break
+            if np.array_equal(other.q[met], tree.q[new]):
+                first, second = (new, met) if tree is trees[0] else (met, new)
+                return np.vstack([trees[0].to_root(first)[::-1], trees[1].to_root(second)[1:]])
+    return None
+
+
+class _Tree:
+    """A tree of free postures."""
+
+    def __init__(self, root: FloatArray) -> None:
+        self.q = root[None]
+        self._parent = [-1]
+
+    def grow(self, space: FreeSpace, target: FloatArray) -> int | None:
+        """Take one step from the nearest posture towards `target`; return the new posture's index."""
+        nearest = int(np.linalg.norm(self.q - target, axis=1).argmin())
+        move = target - self.q[nearest]
+        length = float(np.linalg.norm(move))
+        if length == 0.0:
+            return nearest
+        new = target if length <= _STEP else self.q[nearest] + move * (_STEP / length)
+        if not space.straight(self.q[nearest], new):
+            return None
+        self.q = np.vstack([self.q, new])
+        self._parent.append(nearest)
+        return len(self._parent) - 1
+
+    def to_root(self, index: int) -> FloatArray:
+        """Postures from number `index` to the root."""
+        indices = [index]
+        while self._parent[indices[-1]] >= 0:
+            indices.append(self._parent[indices[-1]])
+        return self.q[indices]

@@ -1,0 +1,65 @@
+"""Free paths on which the largest cost is least."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
+from cmbot.planning.context import robot_of
+from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.planning.free_motion.roadmap import lower_peak
+from cmbot.planning.free_motion.rrt_connect import rrt_connect
+
+START, END = np.radians([[-10, -90, 90, -60, 10, 50, 0], [-10, -90, 90, 60, 10, 50, 40]])
+
+
+def hill(q: FloatArray) -> FloatArray:
+    """A ridge between start and end, with a pass beside it."""
+    return np.exp(-((q[:, 3] / 0.3) ** 2)) * np.minimum(1.0, (q[:, 6] - 1.2) ** 2) + 0.1
+
+
+def wall(q: FloatArray) -> FloatArray:
+    """No posture but beside it can be held."""
+    return np.where((np.abs(q[:, 3]) < 0.3) & (q[:, 6] < 1.0), np.inf, 1.0)
+
+
+@pytest.fixture(scope="module")
+def space() -> FreeSpace:
+    robot = robot_of(short_scene())
+    return FreeSpace(robot, Clearances(robot, ()), 0.0, hill)
+
+
+def test_the_path_leads_over_the_pass(space: FreeSpace) -> None:
+    straight = np.stack([START, END])
+    assert space.peak(straight) > 0.8
+    lowered = lower_peak(space, straight, 0.2)
+    assert space.peak(lowered) <= 0.2
+    np.testing.assert_array_equal(lowered[[0, -1]], straight)
+    assert all(space.straight(a, b) for a, b in pairwise(lowered))
+    np.testing.assert_array_equal(lower_peak(space, straight, 0.2), lowered)
+
+
+def test_what_is_low_enough_or_out_of_time_stays(space: FreeSpace) -> None:
+    straight = np.stack([START, END])
+    assert lower_peak(space, straight, 0.9) is straight
+    assert lower_peak(space, straight, 0.2, lambda: True) is straight
+
+
+def test_trees_lead_around_postures_that_cannot_be_held(space: FreeSpace) -> None:
+    walled = FreeSpace(space.robot, space.clearances, 0.0, wall)
+    assert not walled.straight(START, END)
+    path = rrt_connect(walled, START, END)
+    for line in (path, walled.shorten(path), lower_peak(walled, path, 0.5)):
+        assert walled.peak(line) == 1.0
+        assert all(walled.straight(a, b) for a, b in pairwise(line))
+
+
+def test_a_line_is_checked_wherever_it_may_be_blocked(space: FreeSpace) -> None:
+    """However thin the part that costs too much is, to the distance between checks."""
+    thin = FreeSpace(space.robot, space.clearances, 0.0, lambda q: np.abs(q[:, 3] - 0.5) < 0.02)
+    assert thin.straight(START, END)
+    assert not thin.below(0.0).straight(START, END)
+    assert thin.below(0.0).straight(START, START + 0.4 * (END - START))
