@@ -17,7 +17,7 @@ fuzz: .venv/tested
 
 # Kills at every step on the file system, the second time by strace in whole processes: that takes an hour.
 kills: .venv/tested
-	CMBOT_KILLS_APART=1 $(BIN)/pytest -n auto tests/cli/test_cli_kills.py
+	CMBOT_KILLS_APART=1 $(BIN)/pytest -n auto tests/cli -k a_kill_leaves
 	$(BIN)/python tools/kill_calls.py
 
 lint: .venv/tested
