@@ -36,6 +36,8 @@ __all__ = [
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE = "clearance"
+# No number of a motion is larger: what is made of those that are overflows.
+_LARGEST = 1e12
 _ROS_POINT = (
     '{{"positions": [{}], "velocities": [{}], "accelerations": [{}], "effort": [{}], '
     '"time_from_start": {{"sec": {}, "nanosec": {}}}}}'
@@ -147,7 +149,7 @@ def read_motion(
 def read_table(content: bytes, source: str, names: tuple[str, ...]) -> FloatArray:
     """Return the table (N, k) with the columns `names`, of which the first is the time.
 
-    Columns may not be missing or unknown, cells have to be finite numbers, times have to increase.
+    Columns may not be missing or unknown, cells have to be numbers of reasonable size, times to increase.
     """
     try:
         header, *lines = content.decode("ascii").splitlines() or [""]
@@ -179,14 +181,14 @@ def _read_row(line: str, number: int, source: str, names: tuple[str, ...]) -> li
 
 
 def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> None:
-    wrong = ~np.isfinite(table)
+    wrong = ~(np.abs(table) <= _LARGEST)
     if _CLEARANCE in names:
         clearance = names.index(_CLEARANCE)
         wrong[:, clearance] &= table[:, clearance] != math.inf
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
         key = f"line {row + 2}, {names[column]}"
-        raise ArchiveError(source, key, table[row, column], "a finite number")
+        raise ArchiveError(source, key, table[row, column], f"a finite number of at most {_LARGEST:g}")
 
 
 # ROS 2

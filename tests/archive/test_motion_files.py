@@ -117,6 +117,7 @@ def cell(row, column, value):
         (cell(3, 2, "fast"), "line 4, q2"),
         (cell(3, 2, ""), "line 4, q2"),
         (cell(3, 2, "nan"), "line 4, q2"),
+        (cell(3, 2, "1e300"), "line 4, q2"),
         (cell(3, -1, "nan"), "line 4, clearance"),
         (cell(3, -1, "-inf"), "line 4, clearance"),
         (cell(3, -2, "inf"), "line 4, tool_z"),
