@@ -42,6 +42,20 @@ def test_a_near_start_is_reached_along_the_self_motion() -> None:
     assert approach.certificate.figures.max_tool_deviation < 0.02
 
 
+def test_from_a_folded_posture_the_base_bears_no_more_than_at_work(triangle_plan: Plan) -> None:
+    """Not even while the arm moves: it goes no faster than that allows."""
+    folded = np.radians([26.0, -146, 43, 161, -84, -112, -55])
+    context = replace(context_of(triangle_plan.scene), posture=folded)
+    end = triangle_plan.start.posture
+    approach = plan_approach(context, end, end[None])
+    torque = np.linalg.norm(
+        Dynamics(context.robot).static_efforts(np.stack([folded, end])).guardrail_torque, axis=1
+    )
+    assert torque[0] < 170
+    assert approach.certificate.holds
+    assert approach.certificate.figures.peak_guardrail_torque < 1.002 * torque[1]
+
+
 def test_a_blocked_approach_is_refused() -> None:
     """The goal lies inside an obstacle: nothing leads there."""
     context = context_of(short_scene())
