@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
+from rail_arms import rail_scene
 from small_scenes import short_scene
 from urdf_arms import arm_scene, endless_scene
 
@@ -98,19 +99,27 @@ def fixed_triangle_plan() -> Plan:
 
 
 @pytest.fixture(scope="session")
+def rail_plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
+    """Of an arm of seven joints, two of which slide."""
+    return plan(rail_scene(tmp_path_factory.mktemp("rail"), start="pinned"))
+
+
+@pytest.fixture(scope="session")
 def fixed_line_plan() -> Plan:
     return _with_fixed_knots("line")
 
 
-@pytest.fixture(scope="session", params=["cmbot", "panda", "kinova", "endless"])
+@pytest.fixture(scope="session", params=["cmbot", "panda", "kinova", "endless", "rail"])
 def any_arm(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Robot:
-    """The shipped arm with a load; on a mount a Panda, a Kinova and an arm with endless joints."""
+    """The shipped arm with a load; on a mount a Panda, a Kinova, arms with endless joints and on a rail."""
     folder = tmp_path_factory.mktemp(request.param)
     match request.param:
         case "cmbot":
             return load_robot(payload=3.0)
         case "endless":
             return robot_of(endless_scene(folder))
+        case "rail":
+            return robot_of(rail_scene(folder))
         case name:
             return robot_of(arm_scene(folder, name))
 

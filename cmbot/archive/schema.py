@@ -9,10 +9,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import fields
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, Self, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BeforeValidator, Field, PlainSerializer, ValidationInfo, WrapValidator
+from pydantic import (
+    AfterValidator,
+    BeforeValidator,
+    Field,
+    PlainSerializer,
+    ValidationInfo,
+    WrapValidator,
+    model_serializer,
+    model_validator,
+)
 
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import FileModel, refusal
@@ -160,16 +169,29 @@ class FailureFile(FileModel):
 
 
 class StartFile(FileModel):
-    """`Start`, in degrees."""
+    """`Start`, in degrees; the posture of an arm with joints that slide in rad and m."""
 
-    posture_deg: Annotated[tuple[float, ...], Field(min_length=1)]
+    posture_deg: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
+    posture: Annotated[tuple[float, ...], Field(min_length=1)] | None = None
     moved_deg: NonNegative
     failures: tuple[FailureFile, ...]
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.posture_deg is None) == (self.posture is None):
+            both = "none" if self.posture is None else "posture_deg and posture"
+            raise refusal("exactly one of these keys", got=both, choices=("posture_deg", "posture"))
+        return self
+
+    @model_serializer(mode="wrap")
+    def _without_other(self, handler: Callable[[StartFile], dict[str, Any]]) -> dict[str, Any]:
+        other = "posture_deg" if self.posture_deg is None else "posture"
+        return {key: value for key, value in handler(self).items() if key != other}
 
     def made(self) -> Start:
         """Return it as the planner has it."""
         return Start(
-            posture=np.radians(self.posture_deg),
+            posture=np.radians(self.posture_deg) if self.posture_deg else np.array(self.posture, dtype=float),
             moved=math.radians(self.moved_deg),
             failures=tuple(PathNotFound(**dict(failure)) for failure in self.failures),
         )

@@ -93,7 +93,7 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
         "seconds": plan.seconds,
         "certificate": plan.certificate,
         "start": {
-            "posture_deg": tuple(np.degrees(start.posture).tolist()),
+            **_posture(plan),
             "moved_deg": float(np.degrees(start.moved)),
             "failures": start.failures,
         },
@@ -118,6 +118,14 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
     # What could not be read back is not written.
     validated(PlanFile, data, PLAN_FILE, ArchiveError)
     return json_bytes(data, indent=2)
+
+
+def _posture(plan: Plan) -> dict[str, tuple[float, ...]]:
+    """Where the work starts: in degrees, or in rad and m where joints slide."""
+    q = plan.start.posture
+    if plan.robot.limits.prismatic.any():
+        return {"posture": tuple(q.tolist())}
+    return {"posture_deg": tuple(np.degrees(q).tolist())}
 
 
 def _approach(approach: Approach) -> dict[str, object]:

@@ -44,6 +44,10 @@ def new(
     tool: Annotated[
         str | None, typer.Option("--tool", metavar="FRAME", help="Tool frame; left out: the only choice.")
     ] = None,
+    package_dir: Annotated[
+        list[Path] | None,
+        typer.Option("--package-dir", metavar="DIR", help="Where package:// is sought first; repeatable."),
+    ] = None,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Scene file to write; NAME.yaml if left out.")
     ] = None,
@@ -63,7 +67,14 @@ def new(
     _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
     if source == _SHIPPED and (base, tool) != (None, None):
         raise InputError("--base, --tool", "", "frames", "none with --from cmbot: its frames are known")
-    robot, text, limits_content = _composed(source, base, tool, tool_at, rpy_deg, path, limits)
+    packages = tuple(package_dir or ())
+    if packages and source == _SHIPPED:
+        raise InputError("--package-dir", "", "a folder", "none with --from cmbot: its files are known")
+    for place in packages:
+        if not place.is_dir():
+            raise InputError("--package-dir", "", str(place), "a folder that exists")
+    composed = _composed(source, base, tool, tool_at, rpy_deg, path, limits, packages)
+    robot, text, limits_content = composed
     from cmbot.archive import write_file
 
     written = [path]
@@ -90,6 +101,7 @@ def _composed(
     rpy_deg: tuple[float, float, float] | None,
     path: Path,
     limits: Path,
+    packages: tuple[Path, ...],
 ) -> tuple[Robot, str, str | None]:
     """The robot, the scene's text and that of its joint limits; None where it has a file of them."""
     import numpy as np
@@ -98,7 +110,7 @@ def _composed(
     from cmbot.robot import Kinematics, robot_files
     from cmbot.scene import PlannerOptions, limits_text, pose, scene_text
 
-    robot = cmbot.load_robot(source, base_frame=base, tool_frame=tool)
+    robot = cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages)
     orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
     start = find_start(robot, _obstacles(source), np.array(tool_at), orientation)
     shipped, own_limits = source == _SHIPPED, robot_files(source).limits is not None
@@ -108,6 +120,9 @@ def _composed(
         block["tool_frame"] = (robot.tool_frame, "the frame that follows the tool path")
         if not own_limits:
             block["limits"] = (limits.name, "accelerations and jerks, assumed: put your robot's there")
+    if packages:
+        folder = path.resolve().parent
+        block["package_dirs"] = ([os.path.relpath(place.resolve(), folder) for place in packages], "")
     block["payload_kg"] = (0.0, "point mass at the tool")
     default = start.safety_margin == PlannerOptions().safety_margin_m
     text = scene_text(
@@ -115,7 +130,8 @@ def _composed(
         schema=str(scene_folder() / "scene.schema.json"),
         robot=block,
         on_guardrail=shipped,
-        posture_deg=np.rad2deg(start.posture).tolist(),
+        posture=start.posture,
+        prismatic=robot.limits.prismatic,
         tool_point=np.array(Kinematics(robot).tool_pose(start.posture).translation),
         keep=start.keep,
         by=start.by,
@@ -124,8 +140,8 @@ def _composed(
     )
     if shipped or own_limits:
         return robot, text, None
-    rates = np.rad2deg([robot.limits.acceleration, robot.limits.jerk])
-    return robot, text, limits_text(robot.joints, *rates)
+    known = robot.limits
+    return robot, text, limits_text(robot.joints, known.acceleration, known.jerk, known.prismatic)
 
 
 def _obstacles(source: str) -> tuple[Obstacle, ...]:

@@ -1,4 +1,7 @@
-"""Bounds on changes of distances: no joint moves a point faster than its rate times the point's reach."""
+"""Bounds on changes of distances: no joint moves a point faster than its rate times the point's reach.
+
+Of a joint that slides the reach is 1, and the joints before it reach as far as it goes within its range.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.robot import prismatic_joints, slide_axes
 
 __all__ = ["DistanceCache", "pair_reach", "raise_bounds", "shape_reach", "travel"]
 
@@ -20,8 +24,15 @@ _SEGMENT, _FEWEST = 64, 12
 
 
 def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
-    """Largest distance (S, n), m, of any point of a shape from each joint of a serial chain that moves it."""
-    offset = [float(np.linalg.norm(placement.translation)) for placement in model.jointPlacements]
+    """Largest distance (S, n), m, of any point of a shape from each joint of a serial chain that moves it.
+
+    It is 1 of the joints that slide.
+    """
+    slides, axes = prismatic_joints(model), slide_axes(model)
+    start = np.array([placement.translation for placement in model.jointPlacements])
+    ends = [np.where(slides, end, 0.0) for end in (model.lowerPositionLimit, model.upperPositionLimit)]
+    steps = [start + np.vstack([np.zeros((1, 3)), end[:, None] * axes]) for end in ends]
+    offset = np.linalg.norm(steps, axis=2).max(axis=0)
     reach = np.zeros((len(shapes), model.nv))
     for k, shape in enumerate(shapes):
         joint = int(shape.parentJoint)
@@ -30,8 +41,8 @@ def shape_reach(model: Any, shapes: Sequence[Any]) -> FloatArray:
             centre = shape.placement.act(shape.geometry.aabb_center)
             furthest = float(np.linalg.norm(centre)) + float(shape.geometry.aabb_radius)
             while joint > 0:
-                reach[k, joint - 1] = furthest
-                furthest += offset[joint]
+                reach[k, joint - 1] = 1.0 if slides[joint - 1] else furthest
+                furthest += float(offset[joint])
                 joint = int(model.parents[joint])
     return reach
 
@@ -87,11 +98,14 @@ class DistanceCache:
         # The list of references is read much faster than the results' own container.
         self._results = list(data.distanceResults)
         self._q, self._distance = np.full(model.nv, np.nan), np.empty(len(reach))
+        slides = prismatic_joints(model)
+        self._lower = np.where(slides, model.lowerPositionLimit, -np.inf)
+        self._upper = np.where(slides, model.upperPositionLimit, np.inf)
 
     def lower_bounds(self, q: FloatArray) -> FloatArray:
         """Return lower bounds of all distances, (P,), m, in posture `q` (n,), rad."""
         move = np.abs(q - self._q)
-        if not move @ self._furthest <= _LARGEST_MOVE:
+        if self._drawn_out(np.stack([q, self._q])) or not move @ self._furthest <= _LARGEST_MOVE:
             pin.computeDistances(*self._arguments, q)
             self._q = q.copy()
             self._distance = np.array([result.min_distance for result in self._results])
@@ -101,7 +115,11 @@ class DistanceCache:
     def suits(self, q: FloatArray) -> bool:
         """Whether postures `q` (N, n) follow each other so closely that measuring a few bounds all."""
         moved = float((np.abs(np.diff(q, axis=0)) @ self._furthest).sum())
-        return moved * _FEWEST <= _LARGEST_MOVE * len(q)
+        return not self._drawn_out(q) and moved * _FEWEST <= _LARGEST_MOVE * len(q)
+
+    def _drawn_out(self, q: FloatArray) -> bool:
+        """Whether a joint slides further than its range in any of postures (N, n): reaches hold no more."""
+        return bool(((q < self._lower) | (q > self._upper)).any())
 
     def segments(self, q: FloatArray) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         """Yield segments of postures `q` (N, n), with lower and upper bounds (N', P) of distances."""

@@ -139,7 +139,7 @@ def _unconnected(context: PlanningContext, space: FreeSpace, end: FloatArray) ->
     over = ", the time was over" if context.reporter.expired() else ""
     reason = (
         f"no collision-free approach to the start of the work was found{way}{over}; take start: pinned, or a "
-        "posture_deg from which one leads there"
+        "start posture from which one leads there"
     )
     return context.path_not_found(reason, start, pair=pair)
 
@@ -209,7 +209,7 @@ def certify_approach(
     trajectory : QuinticTrajectory
     clearances : Clearances
     options : PlannerOptions
-    start, end : (n,), rad
+    start, end : (n,)
         The scene's posture, and that in which the work starts.
 
     Returns
@@ -238,11 +238,11 @@ def _neighbours(
     space: FreeSpace, ends: FloatArray, chart: FloatArray, spacing: float
 ) -> tuple[FloatArray, sparse.csr_array]:
     """Postures, those of `ends` (k, n) first, and the graph of distances between free neighbours."""
-    nodes = np.vstack([ends, chart])
-    pairs = cKDTree(nodes).query_pairs(_NEIGHBOURS * spacing, output_type="ndarray")
+    nodes, metric = np.vstack([ends, chart]), space.robot.metric
+    pairs = cKDTree(metric.coordinates(nodes)).query_pairs(_NEIGHBOURS * spacing, output_type="ndarray")
     free = space.holds(nodes)
     pairs = pairs[free[pairs].all(axis=1)]
-    lengths = np.linalg.norm(nodes[pairs[:, 0]] - nodes[pairs[:, 1]], axis=1)
+    lengths = metric.lengths(nodes[pairs[:, 0]] - nodes[pairs[:, 1]])
     # A duplicate of an end in the chart is at distance zero, which a sparse graph takes for no edge.
     lengths = np.maximum(lengths, 1e-12)
     shape = (len(nodes), len(nodes))
@@ -251,7 +251,7 @@ def _neighbours(
 
 def _timed(context: PlanningContext, path: FloatArray, spacing: float, allowed: float) -> QuinticTrajectory:
     """Put a C3 spline from rest to rest through a broken line, as fast as limits and objective allow."""
-    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    lengths = context.robot.metric.lengths(np.diff(path, axis=0))
     along = np.concatenate([[0.0], np.cumsum(lengths)])
     knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
     u = np.linspace(0.0, 1.0, knots)

@@ -37,7 +37,7 @@ class PlanningContext:
     """What every stage of planning needs."""
 
     robot: Robot
-    posture: FloatArray  # (n,), rad: the scene's
+    posture: FloatArray  # (n,), rad and m: the scene's
     task: ToolTask
     clearances: Clearances
     times: FloatArray  # (k,), s, of the via-points
@@ -98,7 +98,8 @@ class PlanningContext:
     def nearest_to_end(self, q: FloatArray) -> str:
         """Return the joint that in a posture (n,) is nearest to an end of its range."""
         limits = self.robot.limits
-        return self.robot.joints[int(np.minimum(q - limits.lower, limits.upper - q).argmin())]
+        room = self.robot.metric.coordinates(np.minimum(q - limits.lower, limits.upper - q))
+        return self.robot.joints[int(room.argmin())]
 
 
 def no_start_left(failures: Sequence[PathNotFound], remedy: str = "") -> PathNotFound:
@@ -234,7 +235,12 @@ def task_of(scene: Scene, robot: Robot) -> ToolTask:
     SceneError
         When the posture does not fit the robot.
     """
-    posture = robot.posture(scene.posture, source=scene.source, key="posture_deg", error_type=SceneError)
+    key, slides = scene.file.posture_key, np.flatnonzero(robot.limits.prismatic)
+    if len(slides) and key.endswith("posture_deg"):
+        got = f"degrees, but {robot.joints[slides[0]]} slides"
+        expected = "start: {posture: [...]} in place of it, in rad and, of joints that slide, m"
+        raise SceneError(scene.source, key, got, expected)
+    posture = robot.posture(scene.posture, source=scene.source, key=key, error_type=SceneError)
     X_WT = Kinematics(robot).tool_pose(posture)
     steps = np.array([leg.by for leg in scene.legs])
     path = ToolPath(

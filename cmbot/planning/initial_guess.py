@@ -158,7 +158,7 @@ def _require_clear_start(context: PlanningContext) -> None:
         else "move the obstacle"
     )
     raise context.path_not_found(
-        f"in the scene's posture {shapes.describe(distance, margin)}; take another posture_deg, lower "
+        f"in the scene's posture {shapes.describe(distance, margin)}; take another start posture, lower "
         f"planner.safety_margin_m, or {other}",
         q,
         pair=(shapes.link, shapes.other),
@@ -184,7 +184,7 @@ def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
         joint = context.out_of_range(rough[k : k + 1]) or context.nearest_to_end(rough[k])
         raise context.path_not_found(
             f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular (nearest "
-            f"to an end of its range is {joint}); take another posture_deg, or move the tool path",
+            f"to an end of its range is {joint}); take another start posture, or move the tool path",
             rough[k],
             context.times[k],
         )

@@ -52,9 +52,10 @@ class Start:
 
     Attributes
     ----------
-    posture : (n,), rad
+    posture : (n,), rad, of joints that slide m
     moved : float, rad
-        Largest difference of a joint from the scene's posture; 0 when that is kept.
+        Largest difference of a joint from the scene's posture, of joints that slide in the units of
+        `PostureMetric`; 0 when that is kept.
     failures : tuple of PathNotFound
         Of the scene's posture, then of the others that were tried.
     """

@@ -241,7 +241,7 @@ def _certified_motion(attempt: Attempt) -> _Motion:
 
     reporter.stage("certify")
     posture = optimised.trajectory.q[0]
-    moved = float(np.abs(posture - context.posture).max())
+    moved = float(np.abs(context.robot.metric.coordinates(posture - context.posture)).max())
     certificate = certify(
         context.robot,
         context.task,

@@ -104,7 +104,7 @@ def precheck_scene(scene: Scene) -> Precheck:
             clear = (
                 "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
             )
-            warnings.append(_warning("posture_deg", pair.describe(distance, margin), clear))
+            warnings.append(_warning(scene.file.posture_key, pair.describe(distance, margin), clear))
     efforts = Dynamics(robot).static_efforts(scene.posture[None])
     use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
     joint = robot.joints[use.argmax()]
@@ -114,8 +114,9 @@ def precheck_scene(scene: Scene) -> Precheck:
         ("largest joint torque there", f"{use.max():.2f} of the bound of {joint}"),
     ]
     if use.max() > 1.0:
-        got = f"{use.max():.2f} of the torque that {joint} can bear, at rest"
-        warnings.append(_warning("posture_deg", got, "at most 1: another posture or less payload"))
+        effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
+        got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
+        warnings.append(_warning(scene.file.posture_key, got, "at most 1: another posture or less payload"))
     within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
     for key, away in beyond_reach(robot, path):
         warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
@@ -124,7 +125,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     warnings += precheck_options(scene.planner)
     if warnings and looks_like_radians(scene):
         got = "values that all lie within 2 pi, which look like radians"
-        warnings.append(_warning("posture_deg", got, "degrees"))
+        warnings.append(_warning(scene.file.posture_key, got, "degrees"))
     return Precheck(found=tuple(found), warnings=tuple(warnings))
 
 
@@ -147,6 +148,8 @@ def precheck_options(options: PlannerOptions) -> Iterator[Finding]:
 
 def looks_like_radians(scene: Scene) -> bool:
     """Whether a scene's posture may have been given in radians: a hint where something else is wrong, too."""
+    if not scene.file.posture_key.endswith("posture_deg"):
+        return False
     angles = np.abs(np.degrees(scene.posture))
     fractions = np.abs(angles - np.round(angles)) > _WHOLE
     return bool(0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2)
@@ -159,7 +162,7 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         with lines_named(scene.source):
             yield
     except (PlanningError, SceneError) as error:
-        about_posture = isinstance(error, PlanningError) or error.key == "posture_deg"
+        about_posture = isinstance(error, PlanningError) or error.key == scene.file.posture_key
         if about_posture and looks_like_radians(scene):
             error.add_hint("posture_deg looks like radians, it is in degrees")
         raise
@@ -184,7 +187,7 @@ def require_within_reach(context: PlanningContext) -> None:
         raise PathNotFound(
             f"{key} ends {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out of "
             f"reach (the arm with its tool stretched out is {robot.reach:.3f} m long); shorten the leg "
-            "(lengths are in metres), or take another posture_deg",
+            "(lengths are in metres), or take another start posture",
             time=time,
             progress=path.progress(time),
             # The stretched arm cannot move further out.

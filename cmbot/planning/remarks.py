@@ -9,6 +9,7 @@ import numpy as np
 from cmbot.common.validation import counted
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.plan import ObjectiveMetrics, Plan
+from cmbot.robot import postures_in_words
 
 __all__ = ["remarks"]
 
@@ -103,8 +104,8 @@ def _start(plan: Plan) -> Iterator[str]:
         if plan.start.failures:
             yield f"A better start was found, but is not used: {plan.start.failures[0].reason}."
         return
-    posture = ", ".join(f"{angle:.1f}" for angle in np.rad2deg(plan.start.posture))
-    where = f"({posture}) deg, up to {np.rad2deg(plan.start.moved):.1f} deg a joint away"
+    posture = postures_in_words(plan.robot.limits.prismatic, plan.start.posture)
+    where = f"{posture}, up to {_furthest(plan)} a joint away"
     if plan.start.failures:
         # The others that failed, and the one that led to the end.
         tried = len(plan.start.failures)
@@ -131,8 +132,16 @@ def _start(plan: Plan) -> Iterator[str]:
         if figures.peak_guardrail_torque > worst * (1 + _GAIN):
             yield (
                 f"The approach asks more of the {plan.scene.base_name} than baseline and work do; "
-                "start: pinned, or a posture_deg nearer to this one, spares it."
+                "start: pinned, or a start posture nearer to this one, spares it."
             )
+
+
+def _furthest(plan: Plan) -> str:
+    """How far joints of each kind are moved at most before the work."""
+    slides, moves = plan.robot.limits.prismatic, np.abs(plan.start.posture - plan.scene.posture)
+    turned, slid = (float(moves[kind].max(initial=0.0)) for kind in (~slides, slides))
+    each = [f"{np.rad2deg(turned):.1f} deg"] if turned or not slid else []
+    return " and ".join([*each, *([f"{slid:.3f} m"] if slid else [])])
 
 
 def _gain(plan: Plan) -> str:

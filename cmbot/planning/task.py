@@ -55,6 +55,8 @@ class ToolTask:
     def smallest_singular_value(self, robot: Robot, q: FloatArray) -> float:
         """Return that of the task Jacobian in posture `q` (n,): Chang 2021, Eq. (19)."""
         X_WT, J = Kinematics(robot).tool_jacobian(q)
+        # By coordinates that have one unit.
+        J = robot.metric.positions(J)
         return float(np.linalg.svd(self.jacobian(X_WT.rotation, J), compute_uv=False)[-1])
 
     def error(self, X_WT: Any, point: FloatArray) -> FloatArray:

@@ -6,6 +6,14 @@ from cmbot.robot.elasticity import LinkTube
 from cmbot.robot.files import RobotFiles, robot_files
 from cmbot.robot.frames import arm_frames
 from cmbot.robot.inspection import Finding, inspect_robot, inspect_urdf, overview
+from cmbot.robot.joint_kinds import (
+    JointUnits,
+    PostureMetric,
+    joint_units,
+    postures_in_words,
+    prismatic_joints,
+    slide_axes,
+)
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch
 from cmbot.robot.limits import JointLimits
 from cmbot.robot.loading import load_robot, srdf_text
@@ -22,9 +30,11 @@ __all__ = [
     "Efforts",
     "Finding",
     "JointLimits",
+    "JointUnits",
     "Kinematics",
     "LinkTube",
     "PostureBatch",
+    "PostureMetric",
     "Postures",
     "Robot",
     "RobotFiles",
@@ -34,12 +44,16 @@ __all__ = [
     "encloses_volume",
     "inspect_robot",
     "inspect_urdf",
+    "joint_units",
     "load_robot",
     "locate_meshes",
     "overview",
     "parse_urdf",
+    "postures_in_words",
+    "prismatic_joints",
     "robot_files",
     "sampled_postures",
+    "slide_axes",
     "srdf_text",
     "urdf_content",
 ]

@@ -16,7 +16,7 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import hint, shown
-from cmbot.robot.frames import require_turning
+from cmbot.robot.frames import require_independent
 from cmbot.robot.mesh_file import FARTHEST, load_near_meshes, locate_meshes
 from cmbot.robot.self_collision import NEAR, near_pairs
 
@@ -71,7 +71,7 @@ def arm_model(
     do not collide. Where it disables none, those of neighbouring joints do not, nor those that `near_pairs`
     finds always near.
     """
-    require_turning(root, base_frame, tool_frame, str(urdf))
+    require_independent(root, base_frame, tool_frame, str(urdf))
     full, collision = build_model(urdf, root, package_dirs)
     moving = _chain(full, str(urdf), base_frame, tool_frame)
     locked = [i for i in range(1, full.njoints) if i not in moving]

@@ -19,7 +19,7 @@ class Efforts:
 
     Attributes
     ----------
-    joint_torque : (N, n), Nm
+    joint_torque : (N, n), Nm, of joints that slide N
         Chang 2021, Eq. (13).
     guardrail_force, guardrail_torque : (N, 3), N and Nm
         Wrench that the moving arm exerts on the guardrail, at O0, in W: at rest the force is the arm's
@@ -45,7 +45,7 @@ class EffortDerivatives:
 class Dynamics:
     """Inverse dynamics of a robot whose base is held still, at N states.
 
-    A state is `q`, `v`, `a`: (N, n), rad, rad/s, rad/s2.
+    A state is `q`, `v`, `a`: (N, n), rad, rad/s, rad/s2, of joints that slide m, m/s, m/s2.
     Values come from one call for all states, `pinocchio.rneaInParallel`; derivatives from one call a state.
     ``benchmarks/kernels.py`` times the alternatives.
 

@@ -8,9 +8,10 @@ from xml.etree import ElementTree
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import shown
 
-__all__ = ["arm_frames", "moving_links", "require_turning"]
+__all__ = ["arm_frames", "moving_links", "require_independent"]
 
 _TURNING = ("revolute", "continuous")
+_MOVING = (*_TURNING, "prismatic")
 # The name of a tool frame in ROS-Industrial's convention.
 _TOOL = "tool0"
 
@@ -25,8 +26,9 @@ def arm_frames(
     """Return base and tool frame of an arm, with what is not given chosen where there is one choice.
 
     The tool frame is the link of the SRDF's only end effector, or the tip of its only chain; without these
-    the last link of the longest row of joints that turn, ``tool0`` before other links fixed to it. The base
-    frame is the base of that chain, else the root link.
+    the last link of the row with most joints that turn, ``tool0`` before other links fixed to it. The base
+    frame is the base of that chain, else the root link. A chain in which joints slide counts where none is
+    there without; what slides at the end of a row is a gripper.
 
     Parameters
     ----------
@@ -52,7 +54,7 @@ def arm_frames(
         return base, tool_frame
     ends = list(dict.fromkeys(_end_effectors(tree, semantics)))
     ends = [link for link in ends if base in tree.row(link)]
-    if len(ends) == 1 and tree.turning(base, ends[0]):
+    if len(ends) == 1 and tree.moving(base, ends[0]):
         return base, ends[0]
     tips = [tip for start, tip in chains if start == base]
     return base, tips[0] if len(tips) == 1 else _last_link(tree, base, source)
@@ -64,8 +66,8 @@ def moving_links(root: ElementTree.Element, base_frame: str) -> set[str]:
     return {link for link in tree.links if tree.joints(base_frame, link)}
 
 
-def require_turning(root: ElementTree.Element, base_frame: str, tool_frame: str, source: str) -> None:
-    """Refuse an arm with a joint that does not turn by itself, or has the name of a link.
+def require_independent(root: ElementTree.Element, base_frame: str, tool_frame: str, source: str) -> None:
+    """Refuse an arm with a joint that does not turn or slide by itself, or has the name of a link.
 
     Raises
     ------
@@ -78,8 +80,10 @@ def require_turning(root: ElementTree.Element, base_frame: str, tool_frame: str,
         if joint.get("name") in tree.links:
             # Pinocchio finds no frame then; elsewhere such a joint is renamed.
             raise ModelError(source, key, "the name of a link", "a name that no link has")
-        if kind not in _TURNING:
-            raise ModelError(source, f"{key}.type", kind, "an arm of revolute or continuous joints")
+        if kind not in _MOVING:
+            raise ModelError(
+                source, f"{key}.type", kind, "an arm of revolute, continuous or prismatic joints"
+            )
         if joint.find("mimic") is not None:
             raise ModelError(
                 source, f"{key}.mimic", "a joint that follows another", "an arm of independent joints"
@@ -113,22 +117,31 @@ class _Tree:
         below = row[row.index(base) + 1 :] if base in row else []
         return [self.above[name] for name in below if self.above[name].get("type") != "fixed"]
 
-    def turning(self, base: str, link: str) -> bool:
-        """Whether there are joints from `base` to `link`, and all turn by themselves."""
+    def moving(self, base: str, link: str) -> bool:
+        """Whether there are joints from `base` to `link`, and all turn or slide by themselves."""
         joints = self.joints(base, link)
-        return bool(joints) and all(map(_turns, joints))
+        return bool(joints) and all(map(_moves, joints))
 
-    def with_joints(self, base: str, links: Sequence[str], number: int) -> list[str]:
-        """Those of the links to which so many joints lead that all turn, each once."""
+    def turns(self, base: str, link: str) -> int:
+        """Number of joints from `base` to `link` that turn by themselves."""
+        return sum(map(_turns, self.joints(base, link)))
+
+    def with_turns(self, base: str, links: Sequence[str], number: int) -> list[str]:
+        """Those of the links to which so many joints turn, the last among them, and no joint follows another.
+
+        Each once.
+        """
         return [
             link
             for link in dict.fromkeys(links)
-            if self.turning(base, link) and len(self.joints(base, link)) == number
+            if self.moving(base, link)
+            and _turns(self.joints(base, link)[-1])
+            and self.turns(base, link) == number
         ]
 
     def before_gripper(self, base: str, link: str) -> str:
-        """The last link towards `link` that only joints move which turn by themselves."""
-        while not all(map(_turns, self.joints(base, link))):
+        """The last link towards `link` that a turning joint moves, and none that follows another."""
+        while (joints := self.joints(base, link)) and not (all(map(_moves, joints)) and _turns(joints[-1])):
             link = self.parents[link]
         return link
 
@@ -143,12 +156,19 @@ def _turns(joint: ElementTree.Element) -> bool:
     return joint.get("type") in _TURNING and joint.find("mimic") is None
 
 
-def _chains(tree: _Tree, semantics: ElementTree.Element | None) -> Iterator[tuple[str, str]]:
-    """Base and tip of the SRDF's chains between links that are there."""
+def _moves(joint: ElementTree.Element) -> bool:
+    return joint.get("type") in _MOVING and joint.find("mimic") is None
+
+
+def _chains(tree: _Tree, semantics: ElementTree.Element | None) -> list[tuple[str, str]]:
+    """Base and tip of the SRDF's chains between links that are there; those that only turn, if any do."""
+    found: list[tuple[str, str]] = []
     for chain in () if semantics is None else semantics.iter("chain"):
         base, tip = chain.get("base_link", ""), chain.get("tip_link", "")
-        if {base, tip} <= set(tree.links) and tree.turning(base, tip):
-            yield base, tip
+        if {base, tip} <= set(tree.links) and tree.moving(base, tip):
+            found.append((base, tip))
+    turning = [(base, tip) for base, tip in found if all(map(_turns, tree.joints(base, tip)))]
+    return turning or found
 
 
 def _end_effectors(tree: _Tree, semantics: ElementTree.Element | None) -> Iterator[str]:
@@ -161,7 +181,7 @@ def _end_effectors(tree: _Tree, semantics: ElementTree.Element | None) -> Iterat
     for effector in semantics.findall("end_effector"):
         group = groups.get(effector.get("group", ""))
         listed = set[str]()
-        if group is not None and not any(_chains(tree, group)):
+        if group is not None and not _chains(tree, group):
             listed = {joint.get("name", "") for joint in group.findall("joint")}
         link = effector.get("parent_link", "")
         if link not in tree.links:
@@ -173,13 +193,13 @@ def _end_effectors(tree: _Tree, semantics: ElementTree.Element | None) -> Iterat
 
 
 def _last_link(tree: _Tree, base: str, source: str) -> str:
-    """The end of the longest row of turning joints below `base`."""
+    """The end of the row with most turning joints below `base`."""
     ends = [link for link in tree.ends if tree.joints(base, link)]
-    longest = max((sum(map(_turns, tree.joints(base, link))) for link in ends), default=0)
-    tips = tree.with_joints(base, ends, longest)
+    longest = max((tree.turns(base, link) for link in ends), default=0)
+    tips = tree.with_turns(base, ends, longest)
     if not tips:
         # Of a gripper whose fingers slide or follow each other, the arm's end is the link that carries them.
-        tips = tree.with_joints(base, [tree.before_gripper(base, link) for link in ends], longest)
+        tips = tree.with_turns(base, [tree.before_gripper(base, link) for link in ends], longest)
     last = {tree.joints(base, link)[-1].get("name") for link in tips}
     if len(last) == 1:
         if _TOOL in tips:

@@ -105,7 +105,7 @@ def inspect_urdf(root: ElementTree.Element, moving: Collection[str] | None = Non
     findings = [*_sizes(root)]
     if findings:
         return findings
-    findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root), *_joint_types(root)]
+    findings = [*_header(root), *_attributes(root), *_materials(root), *_tree(root)]
     for link in root.findall("link"):
         findings += _inertial(link, moving is None or link.get("name", "") in moving)
         findings += _shapes(link)
@@ -300,16 +300,6 @@ def _sizes(root: ElementTree.Element) -> Iterator[Finding]:
             yield _error("robot", counted(number, part), f"at most {_MOST[part]}")
 
 
-def _joint_types(root: ElementTree.Element) -> Iterator[Finding]:
-    """Some joint is revolute or continuous: only an arm of such joints can be planned."""
-    kinds = [joint.get("type") for joint in root.findall("joint")]
-    prismatic = kinds.count("prismatic")
-    if prismatic and not {"revolute", "continuous"} & set(kinds):
-        got = f"{counted(prismatic, 'prismatic joint')} and none that turns"
-        expected = "an arm of revolute or continuous joints between base and tool frame"
-        yield _warning("joint", got, expected)
-
-
 def _inertial(link: ElementTree.Element, moves: bool) -> Iterator[Finding]:
     """Masses and inertias are physically possible; only those of links that move have to be."""
     inertial = link.find("inertial")
@@ -358,7 +348,8 @@ def _joint(joint: ElementTree.Element) -> Iterator[Finding]:
     """Types are known, axes have a direction, limits are in order."""
     kind = joint.get("type", "")
     if kind in _LOCKED_TYPES:
-        yield _warning(f"{_name(joint)}.type", kind, "a joint that turns; this one is locked where it is")
+        expected = "a joint that turns or slides; this one is locked where it is"
+        yield _warning(f"{_name(joint)}.type", kind, expected)
         return
     if kind not in _JOINT_TYPES:
         yield _error(f"{_name(joint)}.type", shown(kind), "one of " + ", ".join(_JOINT_TYPES))
@@ -410,10 +401,7 @@ def overview(files: RobotFiles, root: ElementTree.Element) -> Iterator[tuple[str
     listed = ", ".join(f"{number} {kind}" for kind, number in kinds.items())
     yield "movable joints", f"{len(joints)} ({listed})" if listed else "none"
     if kinds["prismatic"]:
-        where = (
-            "not between base and tool frame: an arm that is planned has revolute or continuous joints only"
-        )
-        yield "prismatic joints", f"{kinds['prismatic']}, {where}"
+        yield "prismatic joints", f"{kinds['prismatic']}, in m and N; the others in rad and Nm"
     yield "limits in the URDF", _limits(joints)
     yield "joint_limits.yaml beside it", _joint_limits(files.limits, joints)
     none = "none: links that are neighbours or nearly always near may touch (--write-srdf writes one)"
@@ -456,6 +444,6 @@ def _joint_limits(path: Path | None, joints: Sequence[ElementTree.Element]) -> s
     if path is None:
         return "none: acceleration and jerk limits are assumed where the scene names none"
     known = read_joint_limits(path)
-    entries = [known.entry(joint.get("name", "")) for joint in joints]
-    number = sum(None not in (entry.acceleration_deg, entry.jerk_deg) for entry in entries)
+    entries = [(known.entry(joint.get("name", "")), joint.get("type") == "prismatic") for joint in joints]
+    number = sum(None not in (entry.acceleration(slides), entry.jerk(slides)) for entry, slides in entries)
     return f"acceleration and jerk of {number} of {counted(len(joints), 'movable joint')}"

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.robot.joint_kinds import prismatic_joints
 from cmbot.robot.robot import Robot
 
 __all__ = ["Chain", "Kinematics", "PostureBatch", "Postures", "ToolBatch"]
@@ -33,7 +34,7 @@ class Chain:
     Parameters
     ----------
     model : pinocchio.Model
-        A serial chain of revolute joints, as `load_robot` guarantees.
+        A serial chain of joints that turn or slide, as `load_robot` guarantees.
     vectors : n arrays (k, 3)
         In the frame of each joint; k may differ between joints.
     """
@@ -43,8 +44,10 @@ class Chain:
         pin.computeJointJacobians(model, data, pin.neutral(model))
         # In a frame whose z axis is the joint's, a rotation mixes the two other axes only.
         self._steps, before = [], np.eye(3)
+        self._slides = prismatic_joints(model).tolist()
         for i, fixed in enumerate(vectors, start=1):
-            own = _frame_about(pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[3:, i - 1])
+            column = pin.getJointJacobian(model, data, i, pin.ReferenceFrame.LOCAL)[:, i - 1]
+            own = _frame_about(column[:3] if self._slides[i - 1] else column[3:])
             X = model.jointPlacements[i]
             step = np.column_stack([X.translation, X.rotation @ own])
             self._steps.append((step.T @ before, fixed @ own))
@@ -55,13 +58,13 @@ class Chain:
 
         Parameters
         ----------
-        q : (n, N), rad
+        q : (n, N), rad, m
             Components lead and postures trail, here and below, so that every operation runs along postures.
 
         Yields
         ------
         origin : (3, N), m
-            Of the joint.
+            Of what the joint moves.
         axis : (3, N)
             Of the joint.
         turned : (k, 3, N)
@@ -74,13 +77,16 @@ class Chain:
         # The axes of the rotated frame, one after the other.
         axes = np.repeat(np.eye(3)[:, :, None], N, axis=2)
         origin = np.zeros((3, N))
-        for (step, fixed), sine, cosine in zip(self._steps, sines, cosines, strict=True):
+        for i, (step, fixed) in enumerate(self._steps):
             moved = (step @ axes.reshape(3, -1)).reshape(4, 3, N)
             origin = origin + moved[0]
             axes = moved[1:]
-            crossed = sine[:, None] * axes[1::-1]
-            axes[:2] *= cosine
-            axes[:2] += crossed
+            if self._slides[i]:
+                origin += q[i] * axes[2]
+            else:
+                crossed = sines[i][:, None] * axes[1::-1]
+                axes[:2] *= cosines[i]
+                axes[:2] += crossed
             turned = (fixed @ axes.reshape(3, -1)).reshape(-1, 3, N) if len(fixed) else axes[:0]
             yield origin, axes[2], turned
 
@@ -104,6 +110,8 @@ class ToolBatch:
     tool_rotation : (N, 3, 3)
     axis, origin : (N, n, 3)
         Direction of each joint's axis and a point on it, m.
+    prismatic : (n,)
+        Which joints slide.
     """
 
     q: FloatArray
@@ -111,10 +119,11 @@ class ToolBatch:
     tool_rotation: FloatArray
     axis: FloatArray
     origin: FloatArray
+    prismatic: BoolArray
 
     @cached_property
     def jacobian(self) -> FloatArray:
-        """Tool Jacobians (N, 6, n): velocity of the tool point, m/rad, then angular velocity."""
+        """Tool Jacobians (N, 6, n): velocity of the tool point, m/rad or m/m, then angular velocity."""
         return np.ascontiguousarray(self.leading_jacobian.transpose(2, 0, 1))
 
     @cached_property
@@ -127,6 +136,8 @@ class ToolBatch:
             np.multiply(a[j], arm[k], out=J[i])
             J[i] -= a[k] * arm[j]
         J[3:] = a
+        if self.prismatic.any():
+            J[:3, self.prismatic], J[3:, self.prismatic] = a[:, self.prismatic], 0.0
         return J
 
 
@@ -159,8 +170,11 @@ class PostureBatch(ToolBatch):
 
     @cached_property
     def joint_torque(self) -> FloatArray:
-        """Static joint torques (N, n), Nm (Chang 2021, Eq. (13))."""
+        """Static joint torques (N, n), Nm (Chang 2021, Eq. (13)); forces, N, of joints that slide."""
         about = pin.skew(self.gravity) @ self.carried_moment
+        carried = np.cumsum(self.mass[::-1])[::-1]
+        for i in np.flatnonzero(self.prismatic):
+            about[i] = -carried[i] * self.gravity[:, None]
         return np.asarray((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
 
     @cached_property
@@ -180,13 +194,15 @@ class Postures:
     Parameters
     ----------
     robot : Robot
-        Its arm is a serial chain of revolute joints, as `load_robot` guarantees.
+        Its arm is a serial chain of joints that turn or slide, as `load_robot` guarantees.
 
     Attributes
     ----------
     bend : float, m or rad
-        Bound of the error of a linear prediction: when the joints move by x rad in total, the tool is at most
-        this times the square of x from where its Jacobian predicts it.
+        Bound of the error of a linear prediction: when the joints move by x rad in total, by the coordinates
+        of `metric`, the tool is at most this times the square of x from where its Jacobian predicts it.
+    metric : PostureMetric
+        How far postures are apart.
     """
 
     def __init__(self, robot: Robot) -> None:
@@ -198,6 +214,7 @@ class Postures:
         self._mass = np.array([body.mass for body in bodies])
         self._gravity = np.array(robot.model.gravity.linear)
         self.bend = 0.5 * max(robot.reach, _ROTATION_BEND)
+        self.metric = robot.metric
 
     @cached_property
     def _chain(self) -> Chain:
@@ -208,19 +225,25 @@ class Postures:
         return Chain(self._model, [*(np.empty((0, 3)) for _ in self._levers[1:]), self._tool])
 
     def at(self, q: FloatArray) -> PostureBatch:
-        """Evaluate postures `q` (N, n), rad."""
+        """Evaluate postures `q` (N, n)."""
         centre = np.empty((q.shape[1], 3, len(q)))
         tool = self._evaluate(self._chain, q, centre)
         centre = centre.transpose(2, 0, 1)
-        return PostureBatch(**tool, centre=centre, mass=self._mass, gravity=self._gravity)
+        return PostureBatch(
+            **tool,
+            prismatic=self.metric.prismatic,
+            centre=centre,
+            mass=self._mass,
+            gravity=self._gravity,
+        )
 
     def tool_at(self, q: FloatArray) -> ToolBatch:
-        """Evaluate the tool alone in postures `q` (N, n), rad, which is quicker."""
-        return ToolBatch(**self._evaluate(self._tool_only, q))
+        """Evaluate the tool alone in postures `q` (N, n), which is quicker."""
+        return ToolBatch(**self._evaluate(self._tool_only, q), prismatic=self.metric.prismatic)
 
     @staticmethod
     def _evaluate(chain: Chain, q: FloatArray, centre: FloatArray | None = None) -> dict[str, FloatArray]:
-        """The fields of a `ToolBatch`; the centres of mass (n, 3, N) are written to `centre`."""
+        """The fields of a `ToolBatch` but one; the centres of mass (n, 3, N) are written to `centre`."""
         N, n = q.shape
         tool, axis, origin = np.empty((4, 3, N)), np.empty((n, 3, N)), np.empty((n, 3, N))
         for start in range(0, N, _BLOCK):

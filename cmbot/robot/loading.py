@@ -82,8 +82,9 @@ def load_robot(
     Raises
     ------
     ModelError
-        When a file is missing or unusable, a frame does not exist or has to be chosen, a joint of the arm is
-        not revolute, the arm has no mass or more than 100 joints, or a number is beyond any robot's.
+        When a file is missing or unusable, a frame does not exist or has to be chosen, a joint of the arm
+        neither turns nor slides by itself, the arm has no mass or more than 100 joints, or a number is beyond
+        any robot's.
     MissingExtra
         When `model` is xacro or could be a robot's name, and the extra for it is not installed.
     """

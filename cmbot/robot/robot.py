@@ -15,9 +15,13 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import counted
 from cmbot.robot.elasticity import LinkTube
+from cmbot.robot.joint_kinds import PostureMetric, slide_axes
 from cmbot.robot.limits import JointLimits
 
 __all__ = ["Robot"]
+
+# Least length, m, by which moves of joints that slide are measured.
+_SHORTEST = 0.1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -103,21 +107,42 @@ class Robot:
 
     @property
     def reach(self) -> float:
-        """Upper bound of the tool point's distance from `base_point`, m: the sum of the links' lengths."""
-        return float(self._link_lengths.sum())
+        """Upper bound of the tool point's distance from `base_point`, m.
+
+        The sum of the links' lengths, where joints slide with these drawn out as far as they go.
+        """
+        return float(self._link_lengths[1].sum())
 
     @property
     def inner_reach(self) -> float:
         """Lower bound of that distance, m: the longest link less all others, or zero."""
-        lengths = self._link_lengths
-        return max(0.0, float(2 * lengths.max() - lengths.sum()))
+        least, most = self._link_lengths
+        return max(0.0, float((least + most).max() - most.sum()))
 
     @property
-    def _link_lengths(self) -> FloatArray:
-        """Distances (n,), m, from each joint to the next, and from the last to the tool."""
+    def _link_lengths(self) -> tuple[FloatArray, FloatArray]:
+        """Least and largest distances (n + 1,), m, from each joint to the next; see `_steps`."""
+        slides, steps = slide_axes(self.model), self._steps()
+        lower, upper = (
+            np.where(self.limits.prismatic, end, 0.0) for end in (self.limits.lower, self.limits.upper)
+        )
+        nearest = np.clip(-np.einsum("ij,ij->i", steps[:-1], slides), lower, upper)
+        each = [
+            np.linalg.norm(steps + np.vstack([way[:, None] * slides, np.zeros(3)]), axis=1)
+            for way in (lower, upper, nearest)
+        ]
+        return each[2], np.maximum(each[0], each[1])
+
+    @cached_property
+    def metric(self) -> PostureMetric:
+        """How far postures are apart, where joints slide in units of the links' lengths."""
+        length = float(np.linalg.norm(self._steps(), axis=1).sum())
+        return PostureMetric(prismatic=self.limits.prismatic, length=max(length, _SHORTEST))
+
+    def _steps(self) -> FloatArray:
+        """From each joint of the arm, at zero, to the next (n + 1, 3), m: first nothing, last to the tool."""
         steps = [placement.translation for placement in list(self.model.jointPlacements)[2:]]
-        steps.append(self.model.frames[self.tool_frame_id].placement.translation)
-        return np.asarray(np.linalg.norm(steps, axis=1))
+        return np.array([np.zeros(3), *steps, self.model.frames[self.tool_frame_id].placement.translation])
 
     @property
     def arm_mass(self) -> float:
@@ -152,7 +177,7 @@ class Robot:
 
         Parameters
         ----------
-        q : (n,), rad
+        q : (n,), rad, of joints that slide m
         source, key, error_type
             Named in the error, and its type.
 
@@ -163,15 +188,18 @@ class Robot:
         """
         q = np.asarray(q, dtype=float)
         if q.shape != (self.dof,) or not np.isfinite(q).all():
-            raise error_type(source, key, np.rad2deg(q).tolist(), counted(self.dof, "finite joint angle"))
+            slides = bool(self.limits.prismatic.any())
+            got = q.tolist() if slides else np.rad2deg(q).tolist()
+            what = "finite joint position" if slides else "finite joint angle"
+            raise error_type(source, key, got, counted(self.dof, what))
         outside = np.flatnonzero((q < self.limits.lower) | (q > self.limits.upper))
         if len(outside):
-            i = outside[0]
-            low, high = np.rad2deg([self.limits.lower[i], self.limits.upper[i]])
+            i = int(outside[0])
+            unit = self.limits.units(i, shown=True)
             raise error_type(
                 source,
                 f"{key}[{i}]",
-                f"{np.rad2deg(q[i]):g} deg",
-                f"{self.joints[i]} within its range {low:g} to {high:g} deg",
+                f"{unit.factor * q[i]:g} {unit.position}",
+                f"{self.joints[i]} within its range {self.limits.range_in_words(i)}",
             )
         return q

@@ -29,7 +29,7 @@ MOST_FAR = 10
 # Random postures in none of which links are near that count as never near.
 _NEVER_SAMPLES = 10_000
 _SEED = 2014
-# Ranges that end beyond it are none, as in `JointLimits`; such a joint is sampled over one turn.
+# Ranges that end beyond it are none, as in `JointLimits`; such a joint turns, and is sampled over one turn.
 _ENDLESS = 1e9
 
 _LinkPair = tuple[str, str]

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import Field, GetPydanticSchema, model_validator
+from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import (
@@ -19,7 +19,17 @@ from cmbot.common.validation import (
     shown,
 )
 from cmbot.elastic import Guardrail
-from cmbot.scene.fields import Angles, Length, Mass, Posture, Slug, Text, Vector
+from cmbot.scene.fields import (
+    Angles,
+    Length,
+    Mass,
+    Posture,
+    Slug,
+    Text,
+    Vector,
+    exactly_one,
+    one_of_schema,
+)
 from cmbot.scene.guardrail import GuardrailFile
 from cmbot.scene.obstacles import Obstacle, ObstacleFile
 from cmbot.scene.options import PlannerOptions
@@ -29,6 +39,7 @@ __all__ = [
     "FORMAT",
     "BaseFile",
     "MountFile",
+    "PostureFile",
     "RobotFile",
     "RobotSource",
     "Scene",
@@ -59,6 +70,22 @@ class BaseFile(FileModel):
 
     name: Slug
     """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
+
+
+class PostureFile(FileModel):
+    """Where the arm is at the start: one posture, from the base to the tool, in either unit."""
+
+    model_config = ConfigDict(json_schema_extra=one_of_schema(("posture_deg", "posture")))
+
+    posture_deg: Posture | None = None
+    """Joint angles, for arms whose joints all turn."""
+    posture: Posture | None = None
+    """Joint positions in rad and, of joints that slide, m."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        exactly_one(self, ("posture_deg", "posture"))
+        return self
 
 
 class RobotFile(FileModel):
@@ -121,14 +148,16 @@ class SceneFile(FileModel):
     """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
 
     format: Literal["cmbot-scene/1", "cmbot-scene/2"]
-    """The second knows `base`, too."""
+    """The second knows `base` and `start`, too."""
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
     base: BaseFile | None = None
     """What the robot stands on; of ``cmbot-scene/2``."""
-    posture_deg: Posture
+    posture_deg: Posture | None = None
     """Joint angles at the start, from the base to the tool."""
+    start: PostureFile | None = None
+    """In place of `posture_deg`, and needed where joints slide; of ``cmbot-scene/2``."""
     tool_path: ToolPathFile
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
@@ -136,10 +165,14 @@ class SceneFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if self.base is not None and self.format == "cmbot-scene/1":
-            raise refusal(
-                "no such key in cmbot-scene/1: it goes with cmbot-scene/2", got="base", key=("base",)
-            )
+        for key in ("base", "start"):
+            if getattr(self, key) is not None and self.format == "cmbot-scene/1":
+                expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"
+                raise refusal(expected, got=key, key=(key,))
+        if self.posture_deg is None and self.start is None:
+            raise refusal("a value, this key is required", got="nothing", key=("posture_deg",))
+        if self.posture_deg is not None and self.start is not None:
+            raise refusal("no such key beside posture_deg", got="start", key=("start",))
         taken = set(self.guardrail.member_names)
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:
@@ -151,6 +184,32 @@ class SceneFile(FileModel):
     def as_data(self) -> dict[str, Any]:
         """Return the file's content, every default filled in, as `cmbot.load_scene` takes it back."""
         return self.model_dump(mode="json", exclude_none=True)
+
+    @property
+    def posture_key(self) -> str:
+        """The key that has the posture, such as ``posture_deg`` or ``start.posture``."""
+        if self.start is None:
+            return "posture_deg"
+        return f"start.{'posture' if self.start.posture_deg is None else 'posture_deg'}"
+
+    @property
+    def posture(self) -> FloatArray:
+        """The posture (n,) in SI, as if every joint turned where it is in degrees."""
+        in_degrees = self.posture_deg if self.start is None else self.start.posture_deg
+        if in_degrees is not None:
+            return np.radians(in_degrees)
+        return np.array(None if self.start is None else self.start.posture, dtype=float)
+
+    def with_posture(self, q: FloatArray) -> dict[str, Any]:
+        """Return the entries with another posture `q` (n,), SI, in the units of this one; itself if same."""
+        if np.array_equal(self.posture, q):
+            return self.model_dump(mode="json", include={"posture_deg", "start"}, exclude_none=True)
+        degrees = np.degrees(q).tolist()
+        if self.start is None:
+            return {"posture_deg": degrees}
+        return {
+            "start": {"posture": q.tolist()} if self.start.posture_deg is None else {"posture_deg": degrees}
+        }
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -201,7 +260,7 @@ _TYPES: dict[str, tuple[type, str]] = {
     "name": (str, "text"),
     "source": (str, "text"),
     "robot": (RobotSource, "a RobotSource"),
-    "posture": (np.ndarray, "an array (n,), rad"),
+    "posture": (np.ndarray, "an array (n,), rad and m"),
     "speed_profile": (SpeedProfile, "a SpeedProfile"),
     "guardrail": (Guardrail, "a Guardrail"),
     "planner": (PlannerOptions, "PlannerOptions"),
@@ -223,7 +282,7 @@ class Scene:
         Where it came from, for messages.
     robot : RobotSource
     posture : array
-        (n,), joint angles at the start, rad; read-only.
+        (n,), joint positions at the start, rad, of joints that slide m; read-only.
     keep : str
         What the tool path prescribes of the tool: its ``pose``, ``axis`` or ``position``.
     legs : tuple of Leg

@@ -103,7 +103,7 @@ def scene_from_file(
         name=file.name,
         source=source,
         robot=_robot(file.robot, find),
-        posture=read_only(np.radians(file.posture_deg)),
+        posture=read_only(file.posture),
         obstacles=(*own, *guardrail_obstacles(guardrail)),
         guardrail=guardrail,
         planner=file.planner,
@@ -127,7 +127,7 @@ def update_file(scene: Scene) -> Scene:
     data = scene.file.as_data() | {
         "name": scene.name,
         "robot": _robot_data(scene.robot, scene.file.robot),
-        "posture_deg": _degrees(scene.posture, scene.file.posture_deg),
+        **scene.file.with_posture(scene.posture),
         "tool_path": {
             name: plain(getattr(scene, name), "Scene") for name in type(scene.file.tool_path).model_fields
         },

@@ -6,7 +6,9 @@ import json
 import re
 from collections.abc import Mapping, Sequence
 
-from cmbot.common.arrays import FloatArray
+import numpy as np
+
+from cmbot.common.arrays import BoolArray, FloatArray
 
 __all__ = ["limits_text", "scene_text"]
 
@@ -19,7 +21,7 @@ name: {name}
 robot:
 {robot}
 # Found by inverse kinematics; puts the tool point at {point}.
-posture_deg: {posture}
+{posture}
 
 tool_path:
   keep: {keep}  # of the tool: pose, axis or position
@@ -37,7 +39,8 @@ guardrail: {guardrail}
 planner: {planner}
 """
 _LIMITS = """\
-# Joint limits that a URDF does not have, deg/s2 and deg/s3. These are assumed: an acceleration of 2 /s times
+# Joint limits that a URDF does not have, {units}.
+# These are assumed: an acceleration of 2 /s times
 # the velocity limit, a jerk of 10 /s times the acceleration. Put those of your robot's data sheet here.
 format: cmbot-joint-limits/1
 joints:
@@ -50,7 +53,8 @@ def scene_text(
     schema: str,
     robot: Mapping[str, tuple[object, str]],
     on_guardrail: bool,
-    posture_deg: Sequence[float],
+    posture: FloatArray,
+    prismatic: BoolArray,
     tool_point: FloatArray,
     keep: str,
     by: Sequence[float],
@@ -68,7 +72,9 @@ def scene_text(
         Keys of the robot's block, each with its value and a comment, which may be empty.
     on_guardrail : bool
         Whether the robot holds the default guardrail; else there is none.
-    posture_deg : sequence of float
+    posture : (n,), rad and m
+    prismatic : (n,)
+        Which joints slide: with any the posture is written in rad and m, else in degrees.
     tool_point : (3,), m
         Where that posture holds the tool.
     keep, by, seconds
@@ -91,7 +97,7 @@ def scene_text(
         world="" if on_guardrail else ": that of the robot's root link",
         name=name,
         robot="".join(lines),
-        posture=_flow([round(angle, 4) for angle in posture_deg]),
+        posture=_posture(posture, prismatic),
         point="({:.4f}, {:.4f}, {:.4f})".format(*tool_point),
         keep=keep,
         by=_flow(list(by)),
@@ -101,13 +107,27 @@ def scene_text(
     )
 
 
-def limits_text(joints: Sequence[str], acceleration_deg: FloatArray, jerk_deg: FloatArray) -> str:
-    """Return the text of a joint-limits file; limits (n,), deg/s2 and deg/s3."""
-    entries = (
-        f"  {_flow(name)}: {{acceleration_deg: {acceleration:.6g}, jerk_deg: {jerk:.6g}}}\n"
-        for name, acceleration, jerk in zip(joints, acceleration_deg, jerk_deg, strict=True)
-    )
-    return _LIMITS.format(joints="".join(entries))
+def _posture(q: FloatArray, prismatic: BoolArray) -> str:
+    """The entry of a posture (n,)."""
+    if not prismatic.any():
+        return f"posture_deg: {_flow([round(angle, 4) for angle in np.rad2deg(q).tolist()])}"
+    numbers = _flow([round(value, 5) for value in q.tolist()])
+    return f"start:\n  posture: {numbers}  # rad and, of joints that slide, m"
+
+
+def limits_text(
+    joints: Sequence[str], acceleration: FloatArray, jerk: FloatArray, prismatic: BoolArray
+) -> str:
+    """Return the text of a joint-limits file from limits (n,), SI; joints turn or are `prismatic` (n,)."""
+    entries = []
+    for name, slides, rates in zip(joints, prismatic, zip(acceleration, jerk, strict=True), strict=True):
+        keys = ("acceleration_m_s2", "jerk_m_s3") if slides else ("acceleration_deg", "jerk_deg")
+        values = rates if slides else np.rad2deg(rates)
+        limits = ", ".join(f"{key}: {value:.6g}" for key, value in zip(keys, values, strict=True))
+        entries.append(f"  {_flow(name)}: {{{limits}}}\n")
+    units = ["deg/s2 and deg/s3"] if not prismatic.all() else []
+    units += ["m/s2 and m/s3"] if prismatic.any() else []
+    return _LIMITS.format(units=", or ".join(units), joints="".join(entries))
 
 
 def _flow(value: object) -> str:

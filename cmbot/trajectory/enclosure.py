@@ -88,11 +88,14 @@ class Ellipses:
     ----------
     turn : (K, R, n), rad
         Bounds on the imaginary part of the position.
+    q : (K, R, n), rad
+        Bounds on the absolute value of the position.
     v, a : (K, R, n), rad/s, rad/s2
         Bounds on the absolute values of velocity and acceleration.
     """
 
     turn: FloatArray
+    q: FloatArray
     v: FloatArray
     a: FloatArray
 
@@ -145,7 +148,7 @@ class Pieces:
         eta, k = np.log(_RHO), np.arange(_QUINTIC + 1)
         q, v, a = (self._amplitudes(x) for x in self.states)
         growth = np.cosh(np.outer(eta, k))
-        return Ellipses(turn=np.sinh(np.outer(eta, k)) @ q, v=growth @ v, a=growth @ a)
+        return Ellipses(turn=np.sinh(np.outer(eta, k)) @ q, q=growth @ q, v=growth @ v, a=growth @ a)
 
     def _amplitudes(self, values: FloatArray) -> FloatArray:
         """Upper bounds (K, 6, n) of the magnitudes of the Chebyshev coefficients of polynomials."""

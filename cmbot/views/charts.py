@@ -35,6 +35,8 @@ _COMPENSATED = (
     "planned motion, its predicted sag. Dashed: static part; zero where the sag is as predicted."
 )
 _NOT_SIMULATED = "not simulated"
+# What the quantities of joints that slide are called.
+_OF_SLIDING = {"angle": "position", "torque": "force"}
 
 Motion = Literal["planned", "baseline"]
 
@@ -87,11 +89,12 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
 
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:
-    """Yield the small plots, quantity by quantity, each with one chart a joint; angles in deg."""
-    units = ("deg", "deg/s", "deg/s²", "deg/s³", "Nm")
-    for (title, name, lower, upper), unit in zip(joint_quantities(plan), units, strict=True):
-        factor = 1.0 if unit == "Nm" else float(np.rad2deg(1.0))
+    """Yield the small plots, quantity by quantity, each with one chart a joint; in deg or m."""
+    kinds = ("position", "velocity", "acceleration", "jerk", "torque")
+    for (title, name, lower, upper), kind in zip(joint_quantities(plan), kinds, strict=True):
         for joint in range(plan.robot.dof):
+            units = plan.robot.limits.units(joint, shown=True)
+            factor = 1.0 if kind == "torque" else units.factor
             curves = _curves(plan, _of_joint(name, joint, factor))
             low, high = factor * float(lower[joint]), factor * float(upper[joint])
             finite = bool(np.isfinite([low, high]).all())
@@ -102,9 +105,9 @@ def joint_charts(plan: Plan) -> Iterator[Chart]:
                 axis = (min(float(c.y.min()) for c in curves), max(float(c.y.max()) for c in curves))
             yield Chart(
                 key="joint",
-                title=title,
-                unit=unit,
-                digits=1,
+                title=_OF_SLIDING.get(title, title) if plan.robot.limits.prismatic[joint] else title,
+                unit=getattr(units, kind),
+                digits=1 if units.position == "deg" else 3,
                 curves=curves,
                 axis=axis,
                 bounds=(low, high) if finite else (None, None),

@@ -13,6 +13,7 @@ import numpy as np
 
 from cmbot.common.validation import given_path
 from cmbot.planning import Certificate, Check, Plan, remarks, require_plan
+from cmbot.robot import postures_in_words
 from cmbot.simulation import Tracking, off_path, tracking_remarks, tracking_rows, tracking_verdict
 from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_meaning, joint_charts
@@ -24,6 +25,8 @@ __all__ = ["REPLAY", "REPORT", "bound_use", "headlines", "pages", "report", "rep
 
 REPLAY, REPORT = "replay.html", "report.html"
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
+# Where joints slide each row has its own units.
+_MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
 
 Row = Sequence[str]
 
@@ -230,7 +233,8 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
         sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
         yield _section("Simulation", table + sentences, kind="long")
     yield _section("Scene", _table(_scene(plan), text_columns=2))
-    yield _section("Joints", _table(_joints(plan), _JOINT_HEADINGS))
+    headings = _MIXED_HEADINGS if plan.robot.limits.prismatic.any() else _JOINT_HEADINGS
+    yield _section("Joints", _table(_joints(plan), headings))
     yield _section("Options", _table(_options(plan.options), text_columns=2))
     yield _section("Versions", _table(_versions(plan), text_columns=2))
     if tracking is not None:
@@ -310,7 +314,10 @@ def _scene(plan: Plan) -> Iterator[Row]:
     scene, path, robot = plan.scene, plan.task.path, plan.robot
     yield "name", scene.name
     yield "robot", f"{robot.name}, {robot.dof} joints, {robot.mass:.1f} kg, payload {robot.payload:g} kg"
-    yield "posture, deg", _numbers(np.rad2deg(scene.posture), 1)
+    if robot.limits.prismatic.any():
+        yield "posture", postures_in_words(robot.limits.prismatic, scene.posture)
+    else:
+        yield "posture, deg", _numbers(np.rad2deg(scene.posture), 1)
     yield "tool constraint", scene.keep
     legs = zip(np.diff(path.corners, axis=0), path.seconds, strict=True)
     for number, (by, seconds) in enumerate(legs, start=1):
@@ -321,12 +328,15 @@ def _scene(plan: Plan) -> Iterator[Row]:
 
 
 def _joints(plan: Plan) -> Iterator[Row]:
-    limits = plan.robot.limits
+    limits, mixed = plan.robot.limits, plan.robot.limits.prismatic.any()
     for i, name in enumerate(plan.robot.joints):
-        low, high = np.rad2deg([limits.lower[i], limits.upper[i]])
-        rates = (np.rad2deg(bound[i]) for bound in (limits.velocity, limits.acceleration, limits.jerk))
+        units = limits.units(i, shown=True)
+        low, high = units.factor * limits.lower[i], units.factor * limits.upper[i]
         reach = f"{low:g} to {high:g}" if np.isfinite([low, high]).all() else "unbounded"
-        yield name, reach, *(f"{rate:.4g}" for rate in rates), f"{limits.torque[i]:.4g}"
+        rates = (units.factor * bound[i] for bound in (limits.velocity, limits.acceleration, limits.jerk))
+        row = (reach, *(f"{value:.4g}" for value in (*rates, limits.torque[i])))
+        names = (units.position, units.velocity, units.acceleration, units.jerk, units.torque)
+        yield name, *(f"{text} {unit}" if mixed else text for text, unit in zip(row, names, strict=True))
 
 
 def _options(options: Any) -> Iterator[Row]:

@@ -7,6 +7,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from command_line import output, refusal, run
+from rail_arms import rail_urdf
 from urdf_arms import ROBOTS, only_collision
 
 import cmbot
@@ -72,6 +73,32 @@ def test_a_scene_of_a_urdf_with_limits_and_an_orientation(here: Path, urdf_folde
     X = Kinematics(robot_of(scene)).tool_pose(scene.posture)
     np.testing.assert_allclose(X.translation, [1.5, 0.8, -1.5], rtol=0, atol=1e-4)
     np.testing.assert_allclose(X.rotation, [[0, 1, 0], [1, 0, 0], [0, 0, -1]], rtol=0, atol=1e-4)
+
+
+def test_a_scene_of_an_arm_on_a_rail(here: Path) -> None:
+    """Postures in rad and m, limits of joints that slide in m; packages as they are given."""
+    (here / "packages").mkdir()
+    (here / "rail.urdf").write_text(rail_urdf(), encoding="utf-8")
+    words = ("new", "--from", "rail.urdf", "--tool-at", "0.9", "0.2", "0.6", "-o", "a/rail.yaml")
+    assert "--package-dir: got none, expected a folder" in refusal(*words, "--package-dir", "none")
+    out = output(*words, "--package-dir", "packages")
+    assert out.splitlines()[0] == "rail: 7 joints from base to tool"
+    text = (here / "a" / "rail.yaml").read_text(encoding="utf-8")
+    assert '\n  package_dirs: ["../packages"]\n' in text
+    scene = cmbot.load_scene("a/rail.yaml")
+    assert scene.robot.package_dirs == (here / "packages",)
+    assert scene.file.posture_key == "start.posture"
+    robot = robot_of(scene)
+    robot.posture(scene.posture)
+    point = Kinematics(robot).tool_pose(scene.posture).translation
+    np.testing.assert_allclose(point, [0.9, 0.2, 0.6], rtol=0, atol=1e-4)
+    np.testing.assert_allclose(robot.limits.jerk, 20 * robot.limits.velocity, rtol=1e-5)
+    limits = (here / "a" / "rail.limits.yaml").read_text(encoding="utf-8")
+    assert limits.startswith(
+        "# Joint limits that a URDF does not have, deg/s2 and deg/s3, or m/s2 and m/s3.\n"
+    )
+    assert "\n  rail: {acceleration_m_s2: 0.8, jerk_m_s3: 8}\n" in limits
+    assert "degrees" not in output("check", "a/rail.yaml")
 
 
 def test_a_scene_of_the_shipped_robot(here: Path) -> None:

@@ -297,7 +297,7 @@ def test_the_doctor_names_the_extra_of_what_is_optional() -> None:
         ("acceleration of joint_3", "more seconds for the legs"),
         ("jerk of joint_3", "more seconds for the legs"),
         ("jerk of joint_3", "tool_path.speed_profile.kind jerk_limited"),
-        ("position of joint_4", "another posture_deg"),
+        ("position of joint_4", "another start posture"),
         ("joint torque", "a lighter payload"),
         ("tool deviation", "planner.max_tool_deviation_m"),
         ("clearance", "planner.safety_margin_m"),

@@ -151,8 +151,7 @@ def test_a_urdf_that_lacks_limits_and_is_doubtful_is_usable(tmp_path: Path) -> N
         "robot": "bare",
         "links": "4, 2.50 kg in all",
         "movable joints": "2 (1 prismatic, 1 continuous)",
-        "prismatic joints": "1, not between base and tool frame: an arm that is planned has revolute or "
-        "continuous joints only",
+        "prismatic joints": "1, in m and N; the others in rad and Nm",
         "limits in the URDF": "of 2 movable joints: position 1, velocity 0, effort 1",
         "joint_limits.yaml beside it": "none: acceleration and jerk limits are assumed where the scene names "
         "none",
@@ -160,7 +159,7 @@ def test_a_urdf_that_lacks_limits_and_is_doubtful_is_usable(tmp_path: Path) -> N
         "elasticity file": "none: no link bends",
         "base frame": "any link; the root is floor",
         "tool frame": "any link that joints move below it; at the ends: wheel, plate",
-        "arm where no frames are given": "none: there are several choices",
+        "arm where no frames are given": "from floor to wheel",
     }
     path.write_text(BARE.replace('izz="1"', 'izz="5"'), encoding="utf-8")
     outcome = run("check", path)

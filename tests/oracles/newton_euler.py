@@ -65,13 +65,17 @@ def tool_pose(q: FloatArray) -> tuple[FloatArray, FloatArray]:
     return p + R @ TOOL, R
 
 
-def efforts(q: FloatArray, v: FloatArray, a: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+def efforts(
+    q: FloatArray, v: FloatArray, a: FloatArray, base_acceleration: ArrayLike = (0.0, 0.0, 0.0)
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Joint torques tau (N, 7), Nm; torque n_0 (N, 3), Nm, and force f_0 (N, 3), N.
 
-    n_0 and f_0 are what the guardrail exerts on the arm, about and in O0.
+    n_0 and f_0 are what the guardrail exerts on the arm, about and in O0. Where the arm's base is accelerated
+    in W, by (N, 3) or (3,), m/s2, it does not turn, and O0 moves with it.
     """
     R, p = frames(q)
-    w, g, acc = np.zeros((len(q), 3)), np.zeros((len(q), 3)), np.tile(-GRAVITY, (len(q), 1))
+    w, g = np.zeros((len(q), 3)), np.zeros((len(q), 3))
+    acc = np.tile(-GRAVITY, (len(q), 1)) + np.asarray(base_acceleration)
     F, N = [], []
     for i in range(7):
         spin = v[:, i, None] * Z0

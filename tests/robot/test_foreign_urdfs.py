@@ -104,7 +104,7 @@ def test_grippers_and_what_else_is_not_the_arms_are_locked(tmp_path: Path) -> No
     assert robot.arm_mass == pytest.approx(7.0)
     with pytest.raises(ModelError, match=r"joint\[cup_joint\].type: got floating, expected an arm of"):
         load_robot(file, base_frame="base", tool_frame="cup")
-    with pytest.raises(ModelError, match=r"joint\[finger_joint_2\].type: got prismatic"):
+    with pytest.raises(ModelError, match=r"joint\[finger_joint_2\].mimic: got a joint that follows"):
         load_robot(file, base_frame="base", tool_frame="finger_2")
     with pytest.raises(ModelError, match=r"joint\[wheel\]: got the name of a link"):
         load_robot(file, base_frame="base", tool_frame="wheel")
@@ -316,5 +316,8 @@ def test_several_ends_have_to_be_chosen_from(tmp_path: Path) -> None:
         load_robot(write(tmp_path, *ARM, *fork))
     assert caught.value.choices == ("link_3", "left")
     sliding = joint("joint_2", "prismatic", "link_1", "link_2")
-    with pytest.raises(ModelError, match="got nothing"):
-        load_robot(write(tmp_path, *ARM[:5], sliding, ARM[6]))
+    robot = load_robot(write(tmp_path, *ARM[:5], sliding, ARM[6]))
+    assert (robot.tool_frame, robot.limits.prismatic.tolist()) == ("link_3", [False, True, False])
+    # What slides at the end of a row is a gripper.
+    at_the_end = joint("joint_3", "prismatic", "link_2", "link_3")
+    assert load_robot(write(tmp_path, *ARM[:6], at_the_end)).tool_frame == "link_2"

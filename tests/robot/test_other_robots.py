@@ -38,8 +38,9 @@ def test_arm_of_the_panda(panda: Robot, tmp_path: Path) -> None:
     assert panda.arm_mass == pytest.approx(sum(inertia.mass for inertia in reference.inertias[1:]))
     assert panda.carrier_mass == pytest.approx(reference.inertias[0].mass)
     limits = limits_file(tmp_path, PANDA_JOINTS)
-    with pytest.raises(ModelError, match=r"joint\[panda_finger_joint1\].type: got prismatic"):
-        load_robot(PANDA, base_frame="panda_link0", tool_frame="panda_leftfinger", limits=limits)
+    finger = load_robot(PANDA, base_frame="panda_link0", tool_frame="panda_leftfinger", limits=limits)
+    assert finger.joints == (*PANDA_JOINTS, "panda_finger_joint1")
+    assert finger.limits.prismatic.tolist() == [False] * 7 + [True]
 
 
 def test_continuous_joints_have_one_coordinate_and_no_range(kinova: Robot) -> None:

@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.robot import PostureMetric
 
 __all__ = ["lower_peak"]
 
@@ -58,7 +59,7 @@ def lower_peak(
     peak = space.peak(path)
     while peak > enough and rounds < _MOST_ROUNDS and not stop():
         rounds += 1
-        drawn = np.vstack([_anywhere(space, rng), _about(path, rng)])
+        drawn = np.vstack([_anywhere(space, rng), _about(path, rng, space.robot.metric)])
         roadmap.add(drawn, peak)
         found = roadmap.bottleneck_path(peak, stop)
         if found is not None:
@@ -67,17 +68,17 @@ def lower_peak(
 
 
 def _anywhere(space: FreeSpace, rng: np.random.Generator) -> FloatArray:
-    limits = space.robot.limits
-    lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
+    lower, upper = space.robot.limits.within_a_turn
     return rng.uniform(lower, upper, (_DRAWN // 2, len(lower)))
 
 
-def _about(path: FloatArray, rng: np.random.Generator) -> FloatArray:
+def _about(path: FloatArray, rng: np.random.Generator, metric: PostureMetric) -> FloatArray:
     """Random postures about a broken line (k, n)."""
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
+    along = np.concatenate([[0.0], np.cumsum(metric.lengths(np.diff(path, axis=0)))])
     at = rng.uniform(0.0, along[-1], _DRAWN // 2)
     middle = np.stack([np.interp(at, along, joint) for joint in path.T], axis=1)
-    return np.asarray(middle + rng.normal(0.0, rng.choice(_SPREAD, (len(at), 1)), middle.shape))
+    offsets = rng.normal(0.0, rng.choice(_SPREAD, (len(at), 1)), middle.shape)
+    return middle + metric.positions(offsets)
 
 
 class _Roadmap:
@@ -98,7 +99,8 @@ class _Roadmap:
         self._q = np.vstack([self._q, q[below.holds(q)]])
         new = np.arange(known if len(self._pairs) else 0, len(self._q))
         number = min(_NEIGHBOURS + 1, len(self._q))
-        nearest = cKDTree(self._q).query(self._q[new], number)[1].reshape(len(new), -1)
+        x = self._space.robot.metric.coordinates(self._q)
+        nearest = cKDTree(x).query(x[new], number)[1].reshape(len(new), -1)
         pairs = np.stack([np.repeat(new, number), nearest.ravel()], axis=1)
         pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
         starts, ends = self._q[pairs[:, 0]], self._q[pairs[:, 1]]
@@ -106,7 +108,7 @@ class _Roadmap:
         kept = cost < bound * (1 - _ROUNDING)
         self._pairs = np.vstack([self._pairs, pairs[kept]])
         self._cost = np.concatenate([self._cost, cost[kept]])
-        length = np.linalg.norm(starts - ends, axis=1)
+        length = self._space.robot.metric.lengths(starts - ends)
         self._length = np.concatenate([self._length, length[kept]])
         self._checked = np.concatenate([self._checked, np.zeros(kept.sum(), dtype=np.bool_)])
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.robot import PostureMetric
 
 __all__ = ["rrt_connect"]
 
@@ -27,9 +28,8 @@ def rrt_connect(
     if space.straight(start, end):
         return np.stack([start, end])
     rng = np.random.default_rng(0)
-    limits = space.robot.limits
-    lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
-    trees = (_Tree(start), _Tree(end))
+    lower, upper = space.robot.limits.within_a_turn
+    trees = (_Tree(start, space.robot.metric), _Tree(end, space.robot.metric))
     for growth in range(_MOST_GROWTHS):
         if stop():
             break
@@ -50,15 +50,15 @@ def rrt_connect(
 class _Tree:
     """A tree of free postures."""
 
-    def __init__(self, root: FloatArray) -> None:
+    def __init__(self, root: FloatArray, metric: PostureMetric) -> None:
         self.q = root[None]
-        self._parent = [-1]
+        self._parent, self._metric = [-1], metric
 
     def grow(self, space: FreeSpace, target: FloatArray) -> int | None:
         """Take one step from the nearest posture towards `target`; return the new posture's index."""
-        nearest = int(np.linalg.norm(self.q - target, axis=1).argmin())
+        nearest = int(self._metric.lengths(self.q - target).argmin())
         move = target - self.q[nearest]
-        length = float(np.linalg.norm(move))
+        length = float(self._metric.lengths(move))
         if length == 0.0:
             return nearest
         new = target if length <= _STEP else self.q[nearest] + move * (_STEP / length)

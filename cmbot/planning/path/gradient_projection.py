@@ -17,7 +17,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.robot import Kinematics
+from cmbot.robot import Kinematics, PostureMetric, postures_in_words
 from cmbot.scene import PlannerOptions
 
 __all__ = ["JointPath", "find_path", "follow_path", "robust_inverse", "self_motion_postures"]
@@ -45,7 +45,7 @@ class JointPath:
     ----------
     t : (N,), s
         Equal steps.
-    q, v : (N, n), rad and rad/s
+    q, v : (N, n), rad and rad/s, of joints that slide m and m/s
         Postures, and the rates of Eq. (22) by which each was left.
     clearance : (N,), m
         Smallest distance to obstacles and of the arm to itself.
@@ -85,6 +85,7 @@ def follow_path(
 
     Integrates Eq. (22). The commanded velocity leads from where the tool should be now to where it should be
     one step later, plus feedback of the pose error, so that neither the step nor the damping lets it drift.
+    Norms are those of `PostureMetric`: joints that slide have coordinates in rad, too.
     Without `stop_at_obstacles` it goes on whatever happens. `report` is called with the number of steps that
     are done, and of all.
 
@@ -98,12 +99,13 @@ def follow_path(
     steps = max(round(task.path.duration / options.path_step_s), 1)
     t = np.linspace(0.0, task.path.duration, steps + 1)
     points = task.path.position(t)
-    dt = t[1]
+    dt, metric = t[1], robot.metric
     q, v = np.empty((steps + 1, robot.dof)), np.empty((steps + 1, robot.dof))
     clearance, singular_value, drift = (np.empty(steps + 1) for _ in range(3))
     q[0] = context.posture if posture is None else posture
     for k in range(steps + 1):
         X_WT, J = kinematics.tool_jacobian(q[k])
+        J = metric.positions(J)
         U, s, Vt = np.linalg.svd(task.jacobian(X_WT.rotation, J), full_matrices=False)
         error = task.error(X_WT, points[k])
         singular_value[k] = s[-1]
@@ -117,7 +119,8 @@ def follow_path(
         gradient = _gradient(kinematics, clearances, q[k], options)
         # (I - J+ J) gradient of Eq. (16): the part in the null space of the task.
         aside = gradient - Vt.T @ (Vt @ gradient)
-        v[k] = _damped_inverse(U, s, Vt, options) @ command + options.avoidance_gain * aside
+        rates = _damped_inverse(U, s, Vt, options) @ command + options.avoidance_gain * aside
+        v[k] = metric.positions(rates)
         if k < steps:
             q[k + 1] = q[k] + dt * v[k]
         if report is not None:
@@ -142,25 +145,29 @@ def _damped_inverse(U: FloatArray, s: FloatArray, Vt: FloatArray, options: Plann
 def _gradient(
     kinematics: Kinematics, clearances: Clearances, q: FloatArray, options: PlannerOptions
 ) -> FloatArray:
-    """Gradient of H, (n,): away from near pairs, and the arm's centre of mass towards the foot."""
+    """Gradient of H, (n,): away from near pairs, and the arm's centre of mass towards the foot.
+
+    It is by the coordinates of the robot's metric.
+    """
+    metric = kinematics.robot.metric
     away = _away_switched if options.avoidance == "switch" else _away_smoothly
-    gradient = away(clearances, q, options.avoidance_distance_m)
+    gradient = away(clearances, q, options.avoidance_distance_m, metric)
     if options.centre_of_gravity_weight > 0:
         centre, J_c = kinematics.centre_of_mass(q)
         # Only the horizontal lever makes a torque about the foot.
-        gradient -= options.centre_of_gravity_weight * (J_c[:2].T @ centre[:2])
+        gradient -= options.centre_of_gravity_weight * (metric.positions(J_c)[:2].T @ centre[:2])
     return gradient
 
 
-def _away_switched(clearances: Clearances, q: FloatArray, d_s: float) -> FloatArray:
+def _away_switched(clearances: Clearances, q: FloatArray, d_s: float, metric: PostureMetric) -> FloatArray:
     """J_C+ u of the nearest pair where it is nearer than `d_s`: Chang 2021, Eq. (17) to the letter."""
     smallest = clearances.smallest(q[None], avoidable_only=True)
     if not smallest.distance[0] <= d_s:
         return np.zeros(len(q))
-    return _away_from(clearances.nearest(q, int(smallest.pair[0])))
+    return _away_from(clearances.nearest(q, int(smallest.pair[0])), metric)
 
 
-def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float) -> FloatArray:
+def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float, metric: PostureMetric) -> FloatArray:
     """Eq. (17) for every near pair: ``sum w^(k+1) J_C+ u / sum w^k`` with ``w = 1 - d/d_s``.
 
     With one near pair that is its direction, fading in. With several the nearest prevails, without the jump
@@ -169,14 +176,14 @@ def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float) -> FloatAr
     total, weights = np.zeros(len(q)), 0.0
     for near in clearances.within(q, d_s):
         w = 1.0 - max(near.distance, 0.0) / d_s
-        total += w ** (_SHARPNESS + 1) * _away_from(near)
+        total += w ** (_SHARPNESS + 1) * _away_from(near, metric)
         weights += w**_SHARPNESS
     return total / weights if weights > 0 else total
 
 
-def _away_from(near: Nearest) -> FloatArray:
+def _away_from(near: Nearest, metric: PostureMetric) -> FloatArray:
     """J_C+ u: the joint rates that move the arm's nearest point straight away from the other one."""
-    return np.asarray(np.linalg.lstsq(near.jacobian, near.direction, rcond=1e-6)[0])
+    return np.asarray(np.linalg.lstsq(metric.positions(near.jacobian), near.direction, rcond=1e-6)[0])
 
 
 def _require_free(context: PlanningContext, q: FloatArray, time: float, error: FloatArray) -> float:
@@ -190,9 +197,9 @@ def _require_free(context: PlanningContext, q: FloatArray, time: float, error: F
         shapes = context.clearances.pairs[smallest.pair[0]]
         reason, pair = shapes.describe(clearance, margin), (shapes.link, shapes.other)
     elif len(outside):
-        i = outside[0]
-        low, high, angle = np.rad2deg([robot.limits.lower[i], robot.limits.upper[i], q[i]])
-        reason = f"{robot.joints[i]} leaves its range {low:g} to {high:g} deg ({angle:.1f} deg)"
+        i = int(outside[0])
+        here = postures_in_words(robot.limits.prismatic[[i]], q[[i]])
+        reason = f"{robot.joints[i]} leaves its range {robot.limits.range_in_words(i)} {here}"
     elif lag > _LOST:
         reason = f"the tool is {lag:.3f} m behind its path: out of reach"
     else:
@@ -228,7 +235,7 @@ def find_path(context: PlanningContext) -> tuple[JointPath, tuple[PathNotFound, 
         except PathNotFound as error:
             failures.append(error)
     moved = "the obstacle or the tool path" if failures[0].pair else "the tool path"
-    raise no_start_left(failures, f"take another posture_deg, or move {moved}") from failures[0]
+    raise no_start_left(failures, f"take another start posture, or move {moved}") from failures[0]
 
 
 def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
@@ -239,14 +246,15 @@ def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
     a joint's range, or where it comes back.
     """
     posture, limits, task = context.posture, context.robot.limits, context.task
+    metric = context.robot.metric
     directions = null_space(context.postures, task, posture[None])[0]
     along = np.concatenate([directions, -directions])
     q = np.tile(posture, (len(along), 1))
     found: list[FloatArray] = []
     for step in range(1, _MOST_STEPS + 1):
         N = null_space(context.postures, task, q)
-        along = np.einsum("kai,kaj,kj->ki", N, N, along)
-        length = np.linalg.norm(along, axis=1, keepdims=True)
+        along = np.einsum("kai,kaj,kj->ki", N, *map(metric.coordinates, (N, along)))
+        length = metric.lengths(along)[:, None]
         along /= np.maximum(length, 1e-6)
         q, follows = project_onto_task(
             context.postures, task, q + _STEP * along, task.path.corners[0], steps=50, tolerance=1e-12
@@ -254,10 +262,10 @@ def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
         follows &= length[:, 0] >= 1e-6
         follows &= limits.contain(q)
         if step > 2:
-            follows &= np.linalg.norm(q - posture, axis=1) >= _STEP
+            follows &= metric.lengths(q - posture) >= _STEP
         q, along = q[follows], along[follows]
         if len(q) == 0:
             break
         if step % _TRIED_EVERY == 0:
             found += list(q)
-    return sorted(found, key=lambda q: float(np.linalg.norm(q - posture)))
+    return sorted(found, key=lambda q: float(metric.lengths(q - posture)))

@@ -1,7 +1,8 @@
 """Projection onto the tool task and null spaces of its Jacobian, for thousands of postures at once.
 
 Inside, components lead and postures trail, so that every operation runs along postures. For systems of a few
-unknowns that is several times as quick as LAPACK, called for one posture after the other.
+unknowns that is several times as quick as LAPACK, called for one posture after the other. Lengths and norms
+are those of `PostureMetric`: joints that slide have coordinates in rad, too.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Postures, ToolBatch
+from cmbot.robot import PostureMetric, Postures, ToolBatch
 
 __all__ = ["TangentPredictor", "gram", "null_directions", "null_space", "project_onto_task", "solve_batch"]
 
@@ -34,7 +35,7 @@ def project_onto_task(
     tolerance: float = 1e-10,
     held: FloatArray | None = None,
 ) -> tuple[FloatArray, BoolArray]:
-    """Project postures `q` (N, n), rad, onto the tool task by Newton steps of least norm.
+    """Project postures `q` (N, n) onto the tool task by Newton steps of least norm.
 
     `point` is where the tool has to be, m, of each posture (N, 3) or of all (3,). The default of `steps`,
     which it takes at most, suffices for postures near the task. `tolerance`, m or rad, is the largest error
@@ -43,17 +44,18 @@ def project_onto_task(
 
     Returns the postures and which of them lie on the task now, (N,).
     """
-    start = q.T
+    metric = postures.metric
+    start = metric.coordinates(q).T
     x, points = start.copy(), np.broadcast_to(point, (len(q), 3))
-    fixed = None if held is None else held.transpose(1, 2, 0)
+    fixed = None if held is None else metric.coordinates(held).transpose(1, 2, 0)
     reached = np.zeros(len(q), dtype=np.bool_)
     active, sure = np.arange(len(q)), reached
     for _ in range(steps):
         reached[active[sure]] = True
         active = active[~sure]
-        at = postures.tool_at(x[:, active].T)
+        at = postures.tool_at(metric.positions(x[:, active].T))
         error = task.errors(at.tool_point, at.tool_rotation, points[active]).T
-        J = _leading(task, at)
+        J = _leading(task, at, metric)
         if fixed is not None:
             rows, left = fixed[..., active], start[:, active] - x[:, active]
             error = np.concatenate([error, np.einsum("akn,kn->an", rows, left)])
@@ -70,12 +72,17 @@ def project_onto_task(
         # The error after a short step is at most curvature times its square: it needs no evaluation.
         left = _REGULAR * np.abs(y).max(axis=0) + postures.bend * np.abs(step).sum(axis=0) ** 2
         sure = left < tolerance
-    return np.ascontiguousarray(x.T), reached
+    return np.ascontiguousarray(metric.positions(x.T)), reached
 
 
 def null_space(postures: Postures, task: ToolTask, q: FloatArray) -> FloatArray:
-    """Return orthonormal bases (N, n - m, n) of the null spaces of the task at postures `q` (N, n)."""
-    return null_directions(_leading(task, postures.tool_at(q))).transpose(2, 0, 1)
+    """Return bases (N, n - m, n) of the null spaces of the task at postures `q` (N, n).
+
+    They are moves, orthonormal by the metric of the postures.
+    """
+    metric = postures.metric
+    null = null_directions(_leading(task, postures.tool_at(q), metric)).transpose(2, 0, 1)
+    return metric.positions(null)
 
 
 @dataclass(frozen=True)
@@ -84,26 +91,27 @@ class TangentPredictor:
 
     Points are those of each posture, (N, 3), or of all, (3,).
 
-    `slope` is (n, 3, N), rad/m.
+    `slope` is (n, 3, N), rad/m, of their coordinates in `metric`.
     """
 
     q: FloatArray
     point: FloatArray
     slope: FloatArray
+    metric: PostureMetric
 
     @staticmethod
     def of(postures: Postures, task: ToolTask, q: FloatArray, point: FloatArray) -> TangentPredictor:
         """Return the predictor of postures `q` (N, n), which hold the tool at `point`."""
-        J = _leading(task, postures.tool_at(q))
+        J = _leading(task, postures.tool_at(q), postures.metric)
         along = np.broadcast_to(np.eye(len(J))[:, :3, None], (len(J), 3, len(q)))
         slope = np.einsum("ikn,ijn->kjn", J, solve_batch(gram(J, _REGULAR), along))
-        return TangentPredictor(q, point, slope)
+        return TangentPredictor(q, point, slope, postures.metric)
 
     def towards(self, point: FloatArray) -> FloatArray:
         """Postures (N, n) that hold the tool at `point` to first order: Newton's first step."""
         way = np.broadcast_to(point - self.point, (len(self.q), 3))
         step = np.einsum("kjn,nj->kn", self.slope, way)
-        return np.asarray(self.q + _shortened(step).T)
+        return np.asarray(self.q + self.metric.positions(_shortened(step).T))
 
 
 def gram(A: FloatArray, more: float = 0.0) -> FloatArray:
@@ -151,9 +159,9 @@ def null_directions(A: FloatArray) -> FloatArray:
     return N
 
 
-def _leading(task: ToolTask, at: ToolBatch) -> FloatArray:
-    """Task Jacobians (m, n, N)."""
-    J = task.jacobian(at.tool_rotation, at.leading_jacobian.transpose(2, 0, 1))
+def _leading(task: ToolTask, at: ToolBatch, metric: PostureMetric) -> FloatArray:
+    """Task Jacobians (m, n, N) by the coordinates of a metric."""
+    J = metric.positions(task.jacobian(at.tool_rotation, at.leading_jacobian.transpose(2, 0, 1)))
     return np.ascontiguousarray(J.transpose(1, 2, 0))
 
 

@@ -39,8 +39,8 @@ class StartPosture:
 
     Attributes
     ----------
-    posture : (n,), rad
-        Rounded to 0.0001 deg.
+    posture : (n,), rad, of joints that slide m
+        Rounded to 0.0001 deg, and where joints slide to 1e-5 rad and m.
     keep : str
         What the arm can keep of the tool along the leg.
     by : tuple of float
@@ -138,7 +138,8 @@ class _Search:
         )
         for k in np.argsort(-score)[:_TRIED]:
             if values[k] > _SINGULAR:
-                yield np.deg2rad(np.round(np.rad2deg(q[k]), 4))
+                slides = self._limits.prismatic.any()
+                yield np.round(q[k], 5) if slides else np.deg2rad(np.round(np.rad2deg(q[k]), 4))
 
     def first_leg(self, posture: FloatArray, margin: float) -> StartPosture | None:
         """The posture with the longest leg along an axis of W that the arm follows from it; None without."""
@@ -205,7 +206,7 @@ class _Search:
         return followed if self._strong(followed).all() else None
 
     def _room(self, q: FloatArray) -> FloatArray:
-        """How far (N, n) joints are from the nearer end of their ranges, rad."""
+        """How far (N, n) joints are from the nearer end of their ranges, rad or m."""
         return np.minimum(q - self._limits.lower, self._limits.upper - q)
 
     def _within(self, q: FloatArray) -> BoolArray:

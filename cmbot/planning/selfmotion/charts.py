@@ -25,6 +25,7 @@ from scipy.special import betaincinv
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
+from cmbot.robot import PostureMetric
 
 __all__ = [
     "Chart",
@@ -93,7 +94,7 @@ class Chart:
     Angles of joints that can turn by more than a whole turn are given on one turn.
     """
 
-    q: FloatArray  # (M, n), rad
+    q: FloatArray  # (M, n), rad and m
     value: FloatArray  # (M,), the objective at rest
     joint_use: FloatArray  # (M,), largest static joint torque as a share of its bound
     within: BoolArray  # (M,), which lie within the joint ranges; the others only connect them
@@ -117,10 +118,10 @@ def charts_of(context: PlanningContext, each: Sequence[FloatArray]) -> list[Char
     return charts
 
 
-def connected_parts(q: FloatArray, within: BoolArray, spacing: float) -> IntArray:
+def connected_parts(q: FloatArray, within: BoolArray, spacing: float, metric: PostureMetric) -> IntArray:
     """Number the connected parts of a chart's postures `q` (M, n); -1 for those not `within` the ranges."""
     chosen = np.flatnonzero(within)
-    tree = cKDTree(_on_one_turn(q[chosen]), boxsize=_ONE_TURN)
+    tree = cKDTree(metric.on_one_turn(q[chosen]), boxsize=metric.period)
     pairs = tree.query_pairs(_BESIDE * spacing, output_type="ndarray")
     graph = sparse.csr_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=2 * (len(chosen),))
     label = np.full(len(q), -1, dtype=np.intp)
@@ -210,6 +211,10 @@ class SelfMotionSampler:
         self._postures, self._task = context.postures, context.task
         # Every joint is charted on the circle, about the middle of its range.
         self._limits = context.robot.limits
+        # Joints that slide do so within their ranges: beyond them some could go on for ever.
+        slides, limits = self._limits.prismatic, self._limits
+        self._lower = np.where(slides, limits.lower, -np.inf)
+        self._upper = np.where(slides, limits.upper, np.inf)
         self._finest = context.options.chart_spacing
         # How often the spacing within and that beyond the joint ranges have grown.
         self._coarser = self._beyond = 0
@@ -292,10 +297,15 @@ class SelfMotionSampler:
     def _random(self, points: FloatArray, number: int) -> _Postures:
         """Random postures that hold the tool at `points` (k, 3), from `number` at each."""
         of = np.repeat(np.arange(len(points)), number)
-        middle, half = self._limits.range_middle, np.minimum(self._limits.range_half, np.pi)
+        middle, half = self._limits.range_middle, self._limits.sampled_half
         q = self._rng.uniform(middle - half, middle + half, (len(of), len(half)))
         q, reached = project_onto_task(self._postures, self._task, q, points[of], steps=_RANDOM_STEPS)
-        return self._on_circle(_Postures(q, of)[reached])
+        return self._on_circle(_Postures(q, of)[reached & self._slid_within(q)])
+
+    def _slid_within(self, q: FloatArray) -> BoolArray:
+        """Which of postures (N, n) have the joints that slide within their ranges."""
+        within: BoolArray = np.all((q >= self._lower) & (q <= self._upper), axis=1)
+        return within
 
     def _spread(self, sets: PoissonDiskSets, before: IntArray, points: FloatArray) -> None:
         """Carry the postures of charts, but the first `before` (k,) of each, along the path both ways."""
@@ -366,7 +376,7 @@ class SelfMotionSampler:
         return sets.postures[0]
 
     def _sets(self, charts: Sequence[FloatArray]) -> PoissonDiskSets:
-        return PoissonDiskSets(charts)
+        return PoissonDiskSets(charts, self._postures.metric)
 
     def _empty_sets(self, number: int) -> PoissonDiskSets:
         return self._sets([np.empty((0, len(self._limits.lower)))] * number)
@@ -389,6 +399,7 @@ class SelfMotionSampler:
     def _place(self, some: _Postures, points: FloatArray, sets: PoissonDiskSets) -> _Postures:
         """Project postures onto the task at their points; take those far from others, and return them."""
         placed, reached = project_onto_task(self._postures, self._task, some.q, points[some.of])
+        reached &= self._slid_within(placed)
         return self._take(_Postures(placed[reached], some.of[reached]), sets)
 
     def _take(self, some: _Postures, sets: PoissonDiskSets) -> _Postures:
@@ -400,7 +411,7 @@ class SelfMotionSampler:
         """Spacing (N,) of charts at postures `q` (N, n): the longer, the further these leave the ranges."""
         q = self._limits.turned_to_middle(q)
         beyond = np.maximum(np.maximum(self._limits.lower - q, q - self._limits.upper), 0.0)
-        further = _FURTHER * np.sqrt((beyond * beyond).sum(axis=1))
+        further = _FURTHER * self._postures.metric.lengths(beyond)
         steps = np.maximum(np.minimum(further, _LONGEST_STEP), self.spacing)
         return np.where(further > 0, steps, self._spacing_of(self._coarser))
 
@@ -443,13 +454,14 @@ class PoissonDiskSets:
     """Sets of postures, which keep distances from those that were there before, in their set.
 
     Each has its own k-d tree, which is quicker than one of all. All angles lie on a circle. `first` are the
-    postures at first, (M, n) of each. Distances are in rad, of each posture (N,) or of all; indices of sets
-    `of` (N,) ascend.
+    postures at first, (M, n) of each. Distances are in rad, by `metric`, of each posture (N,) or of all;
+    indices of sets `of` (N,) ascend.
     """
 
-    def __init__(self, first: Sequence[FloatArray]) -> None:
+    def __init__(self, first: Sequence[FloatArray], metric: PostureMetric) -> None:
+        self._metric = metric
         self.postures = list(first)
-        self._turned = [_on_one_turn(q) for q in first]
+        self._turned = [metric.on_one_turn(q) for q in first]
         self._trees: list[cKDTree | None] = [None] * len(first)
 
     @property
@@ -459,19 +471,19 @@ class PoissonDiskSets:
 
     def far(self, q: FloatArray, of: IntArray, apart: FloatArray | float) -> BoolArray:
         """Which of postures `q` (N, n) are at least `apart` from those in their sets."""
-        return self._far(_on_one_turn(q), of, np.broadcast_to(apart, of.shape))
+        return self._far(self._metric.on_one_turn(q), of, np.broadcast_to(apart, of.shape))
 
     def take(self, q: FloatArray, of: IntArray, apart: FloatArray | float) -> BoolArray:
         """Add those of `q` (N, n) that are at least `apart` from all others, in order, and return which."""
-        turned, apart = _on_one_turn(q), np.broadcast_to(apart, of.shape)
+        turned, apart = self._metric.on_one_turn(q), np.broadcast_to(apart, of.shape)
         taken = self._far(turned, of, apart)
         candidates = np.flatnonzero(taken)
         for k, some in _groups(of[candidates]):
             mine = candidates[some]
-            tree = cKDTree(turned[mine], boxsize=_ONE_TURN)
+            tree = cKDTree(turned[mine], boxsize=self._metric.period)
             near = tree.query_pairs(apart[mine].max(), output_type="ndarray")
             away = np.abs(turned[mine[near[:, 0]]] - turned[mine[near[:, 1]]])
-            away = np.minimum(away, _ONE_TURN - away)
+            away = np.where(self._metric.prismatic, away, np.minimum(away, _ONE_TURN - away))
             pairs = near[(away * away).sum(axis=1) < apart[mine[near[:, 1]]] ** 2]
             if len(pairs):
                 keep = without_neighbours(len(mine), pairs)
@@ -495,15 +507,8 @@ class PoissonDiskSets:
     def _tree(self, k: int) -> cKDTree:
         tree = self._trees[k]
         if tree is None:
-            tree = self._trees[k] = cKDTree(self._turned[k], boxsize=_ONE_TURN)
+            tree = self._trees[k] = cKDTree(self._turned[k], boxsize=self._metric.period)
         return tree
-
-
-def _on_one_turn(q: FloatArray) -> FloatArray:
-    """Angles from 0 to below a whole turn, as the trees need them; a tiny negative one rounds up to it."""
-    turned: FloatArray = q % _ONE_TURN
-    turned[turned >= _ONE_TURN] = 0.0
-    return turned
 
 
 def _groups(of: IntArray) -> Iterator[tuple[int, slice]]:

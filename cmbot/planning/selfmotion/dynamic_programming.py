@@ -255,7 +255,7 @@ def blocked(
         beyond = f" (beyond its range is most often {joint})" if joint else ""
         found = f"no posture within the joint ranges that holds the tool there was found{tried}{beyond}"
         why = (
-            f"{out_of_reach(context, k) or found}; take another posture_deg, move the tool path, or keep "
+            f"{out_of_reach(context, k) or found}; take another start posture, move the tool path, or keep "
             "less of the pose (tool_path.keep)"
         )
     elif not layer.admissible.any():
@@ -302,9 +302,9 @@ def _no_start(
         joint = context.weakest_joint(layer.chart.q[weak])
         return f"{what} asks too much of the torque of {joint}; take another one, or a lighter payload", None
     if near.any() and (pair := context.most_often_near(layer.chart.q[near])) is not None:
-        why = f"in {what} {pair[0]} and {pair[1]} come within the safety margin; take another posture_deg"
+        why = f"in {what} {pair[0]} and {pair[1]} come within the safety margin; take another start posture"
         return why, pair
-    return f"{what} is none of those that hold the tool there; take another posture_deg", None
+    return f"{what} is none of those that hold the tool there; take another start posture", None
 
 
 def _slowest(
@@ -312,11 +312,11 @@ def _slowest(
 ) -> tuple[str, float]:
     """The joint that would have to be faster to reach via-point `k`, and by which factor, at least."""
     limits, before = context.robot.limits, layers[k - 1]
-    spare = 0.5 * context.options.chart_spacing
+    spare = 0.5 * context.options.chart_spacing / context.robot.metric.weight
     seconds = float(context.times[k] - context.times[k - 1])
     by_velocity = context.options.step_share * limits.velocity * seconds
     step = by_velocity + spare
-    turn = np.where(limits.upper - limits.lower > 2 * np.pi, 2 * np.pi / step, 0.0)
+    turn = np.where(limits.winding, 2 * np.pi / step, 0.0)
     some = before.chart.q[before.admissible if origins is None else origins]
     ahead = layers[k].chart.q[layers[k].admissible]
     tree = cKDTree(_in_steps(some, step, turn), boxsize=turn if turn.any() else None)

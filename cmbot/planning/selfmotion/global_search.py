@@ -88,9 +88,8 @@ class GlobalSearch:
 
     def __init__(self, context: PlanningContext) -> None:
         self._context = context
-        limits = context.robot.limits
         # The charts have one turn of these joints; the edges between charts count their angles modulo a turn.
-        self._winding = limits.upper - limits.lower > 2 * np.pi
+        self._winding = context.robot.limits.winding
         each, lowest = self._bounded()
         self._wide = context.robot.dof - context.task.dimension > 1
         if self._wide:
@@ -171,7 +170,7 @@ class GlobalSearch:
         """
         chart, posture = self._layers[0].chart, self._context.posture
         moves = self._moves(posture, chart.q)
-        away = np.abs(moves).max(axis=1)
+        away = self._largest(moves)
         others = np.flatnonzero(chart.within & (away >= _SAME_POSTURE))
         nearest = others[np.argsort(away[others], kind="stable")]
         failures = [failed]
@@ -187,8 +186,9 @@ class GlobalSearch:
     def parts_of_first_chart(self) -> list[BoolArray]:
         """Return which postures (M,) of the first chart each connected part of it has, nearest first."""
         chart = self.first_chart
-        label = connected_parts(chart.q, chart.within, self._spacing)
-        away = np.abs(self._moves(self._context.posture, chart.q)).max(axis=1)
+        metric = self._context.robot.metric
+        label = connected_parts(chart.q, chart.within, self._spacing, metric)
+        away = self._largest(self._moves(self._context.posture, chart.q))
         parts = [label == number for number in np.unique(label[label >= 0])]
         return sorted(parts, key=lambda part: float(away[part].min()))
 
@@ -198,7 +198,7 @@ class GlobalSearch:
         self.step_share = step_share
         self._steps = (
             step_share * context.robot.limits.velocity * np.diff(context.times)[:, None]
-            + 0.5 * context.options.chart_spacing
+            + 0.5 * context.options.chart_spacing / context.robot.metric.weight
         )
         self._edges = edges_along(self._layers, self._steps, self._winding)
 
@@ -210,13 +210,17 @@ class GlobalSearch:
         end = start + moves
         return np.where((end >= limits.lower) & (end <= limits.upper), moves, q - start)
 
+    def _largest(self, moves: FloatArray) -> FloatArray:
+        """The largest move (M,), rad, of a joint in moves (M, d)."""
+        return np.asarray(np.abs(self._context.robot.metric.coordinates(moves)).max(axis=1))
+
     def _solve(self, start: FloatArray | None, starts: BoolArray | None = None) -> GlobalSolution:
         """Find the best sequence from a posture (d,), or from any of those that `starts` (M,) allows."""
         context, layers = self._context, self._layers
         if starts is None:
             starts = np.ones(len(layers[0].chart.q), dtype=np.bool_)
         if start is not None:
-            starts = np.abs(self._moves(start, layers[0].chart.q)).max(axis=1) < _SAME_POSTURE
+            starts = self._largest(self._moves(start, layers[0].chart.q)) < _SAME_POSTURE
         context.reporter.step("choosing the postures of least torque")
         chosen = BottleneckDynamicProgram(context, layers, self._edges, starts).best()
         q = np.stack([layer.chart.q[k] for layer, k in zip(layers, chosen, strict=True)])
@@ -319,6 +323,7 @@ def sequences_beside(
     # The same offsets everywhere give sequences that run side by side.
     offsets = rng.normal(size=(_BESIDE, len(posture)))
     offsets *= spacing * rng.uniform(size=(_BESIDE, 1)) / np.linalg.norm(offsets, axis=1, keepdims=True)
+    offsets = context.robot.metric.positions(offsets)
     points = context.points
     each = [np.empty((0, len(posture))) for _ in points]
     for direction in (range(via_point, len(points)), range(via_point - 1, -1, -1)):

@@ -305,8 +305,9 @@ class _BranchAndBound:
         of = np.tile(cells.of, 2)
         q, reached = self._placed(np.concatenate([cells.q + shift, cells.q - shift]), of)
         # The parent's edges, turned the least way into the self-motion here.
-        null = self._null_space(q)
-        U, _, V = np.linalg.svd(np.tile(cells.edges, (2, 1, 1)) @ null.transpose(0, 2, 1))
+        null, metric = self._null_space(q), self._context.robot.metric
+        both = metric.coordinates(np.tile(cells.edges, (2, 1, 1)))
+        U, _, V = np.linalg.svd(both @ metric.coordinates(null).transpose(0, 2, 1))
         return _Cells(q, U @ V @ null, np.tile(half, (2, 1)), of)[reached]
 
 

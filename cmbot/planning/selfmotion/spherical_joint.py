@@ -95,7 +95,7 @@ def wrist_chain(context: PlanningContext) -> WristChain | None:
     """
     robot, task = context.robot, context.task
     n = robot.dof
-    if n - 3 not in _INNER or task.keep == "position" or robot.model.nq != n:
+    if n - 3 not in _INNER or task.keep == "position" or robot.limits.prismatic.any():
         return None
     at = context.postures.tool_at(np.zeros((1, n)))
     axis, origin = at.axis[0], at.origin[0]

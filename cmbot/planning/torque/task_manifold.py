@@ -28,13 +28,15 @@ class TaskManifold:
     points: FloatArray  # (n, 3), m: tool points
 
     def tangents(self, q: FloatArray) -> FloatArray:
-        """Orthonormal directions (n, a, d) of the self-motion at postures `q` (n, d)."""
+        """Directions (n, a, d) of the self-motion at postures `q` (n, d), orthonormal by their metric."""
         return null_space(self.postures, self.task, q)
 
     def retract(
         self, q: FloatArray, tangents: FloatArray, u: FloatArray, which: IntArray
     ) -> tuple[FloatArray, FloatArray]:
         """Move via-points by `u` (k, a), rad: ``task(q) = 0, N^T (q - q_start) = u``, with N the tangents.
+
+        The product is that of the metric of the postures.
 
         Returns and errors are those of `cmbot.trajectory.Retraction`.
         """
@@ -55,7 +57,9 @@ class TaskManifold:
                 constraint="tool task at a via-point",
                 violation=float(np.abs(error).max()),
             )
-        A = np.concatenate([self.task.jacobian(at.tool_rotation, at.jacobian), tangents], axis=1)
+        metric = self.postures.metric
+        rows = metric.coordinates(metric.coordinates(tangents))
+        A = np.concatenate([self.task.jacobian(at.tool_rotation, at.jacobian), rows], axis=1)
         rhs = np.zeros((len(q), A.shape[1], u.shape[1]))
         rhs[:, A.shape[1] - u.shape[1] :] = np.eye(u.shape[1])
         return q, np.linalg.solve(A, rhs).transpose(0, 2, 1)

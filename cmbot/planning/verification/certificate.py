@@ -41,7 +41,9 @@ _AMPLIFIED = (1.0, 15.0, 60.0, 60.0)
 _LARGEST_ALLOWANCE = 1e-6
 # What "at its timed pose" means, m and rad; the same posture, rad; the same duration, as a share of it.
 _AT_VIA_POINT, _SAME_POSTURE, _SAME_DURATION = 1e-6, 1e-9, 1e-9
-_DERIVATIVES = (("velocity", "rad/s"), ("acceleration", "rad/s2"), ("jerk", "rad/s3"))
+_DERIVATIVES = ("velocity", "acceleration", "jerk")
+# A jump of a position is judged as a share of half a turn or of a metre.
+_HALF_TURN, _METRE = np.pi, 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -165,13 +167,14 @@ def certify(
     checks = [_range_check(robot, trajectory), *rates, torque, _continuity_check(robot, trajectory)]
     for name, posture, k in (("start", start, 0), ("end", end, -1)):
         if posture is not None:
+            away = np.abs(trajectory.q[k] - posture)
             checks.append(
                 Check(
                     quantity=f"distance of the {name} from the posture required there",
                     time=float(trajectory.t[k]),
-                    value=float(np.abs(trajectory.q[k] - posture).max()),
+                    value=float(away.max()),
                     bound=_SAME_POSTURE,
-                    unit="rad",
+                    unit=robot.limits.units(int(away.argmax())).position,
                 )
             )
     pair = clearances.pairs[nearest.pair] if nearest.pair >= 0 else None
@@ -243,7 +246,8 @@ class _Work:
     def _share(self, pieces: Pieces) -> FloatArray:
         """Remainders (K,) as shares of what they may be."""
         of: NormBounds = norm_bounds(self._robot, pieces.ellipses)
-        torque, scale = self._robot.limits.torque, float(self._robot.limits.torque.max())
+        torque, turns = self._robot.limits.torque, ~self._robot.limits.prismatic
+        scale = float((torque[turns] if turns.any() else torque).max())
         shares = [
             pieces.remainder(of.guardrail_torque) / (_TORQUE_RESOLUTION * scale),
             pieces.remainder(of.tool_point) / _TOOL_RESOLUTION,
@@ -283,7 +287,7 @@ class _Work:
             time=peak.time,
             value=peak.bound * float(bound[joint]),
             bound=float(bound[joint]),
-            unit="Nm",
+            unit=robot.limits.units(joint).torque,
         )
 
     def guardrail_torque(self) -> tuple[Peak, float, float]:
@@ -360,30 +364,33 @@ def _range_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     # Extrema are (segments, n, k).
     value, time = (np.moveaxis(x, 1, 2).reshape(-1, robot.dof) for x in (position.value, position.time))
     quantity = "distance of {} from the middle of its range"
-    return _joint_check(robot, quantity, "rad", time, np.abs(value - middle), half)
+    return _joint_check(robot, quantity, "position", time, np.abs(value - middle), half)
 
 
 def _rate_checks(robot: Robot, trajectory: QuinticTrajectory) -> list[Check]:
     """Velocity, acceleration and jerk of the joint that uses most of its bound, at the exact extrema."""
     checks = []
-    for order, (name, unit) in enumerate(_DERIVATIVES, start=1):
+    for order, name in enumerate(_DERIVATIVES, start=1):
         largest, time = trajectory.extrema(order).largest()
         bound = getattr(robot.limits, name)
-        checks.append(_joint_check(robot, f"{name} of {{}}", unit, time[None], largest[None], bound))
+        checks.append(_joint_check(robot, f"{name} of {{}}", name, time[None], largest[None], bound))
     return checks
 
 
 def _joint_check(
-    robot: Robot, quantity: str, unit: str, times: FloatArray, value: FloatArray, bound: FloatArray
+    robot: Robot, quantity: str, kind: str, times: FloatArray, value: FloatArray, bound: FloatArray
 ) -> Check:
-    """The joint, of absolute values (N, n) at `times` (N, n), that uses most of its bound (n,)."""
+    """The joint, of absolute values (N, n) at `times` (N, n), that uses most of its bound (n,).
+
+    `kind` is what of `JointUnits` has its unit.
+    """
     k, joint = np.unravel_index((value / bound).argmax(), value.shape)
     return Check(
         quantity=quantity.format(robot.joints[joint]),
         time=float(times[k, joint]),
         value=float(value[k, joint]),
         bound=float(bound[joint]),
-        unit=unit,
+        unit=getattr(robot.limits.units(int(joint)), kind),
     )
 
 
@@ -398,7 +405,8 @@ def _continuity_check(robot: Robot, trajectory: QuinticTrajectory) -> Check:
     digit = _DIGITS * np.spacing(np.abs(trajectory.q).max(axis=0))
     shorter = np.concatenate([h[:1], np.minimum(h[:-1], h[1:]), h[-1:]])[:, None]
     worst, where = 0.0, float(t[0])
-    bounds: tuple[FloatArray | float, ...] = (np.pi, limits.velocity, limits.acceleration, limits.jerk)
+    position = np.where(limits.prismatic, _METRE, _HALF_TURN)
+    bounds = (position, limits.velocity, limits.acceleration, limits.jerk)
     for order, bound in enumerate(bounds):
         jump = np.zeros_like(trajectory.q)
         jump[1:-1] = trajectory.jumps(order)

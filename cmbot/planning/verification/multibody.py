@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.verification.convex_distance import ConvexShape
 
 __all__ = ["Body", "JointBounds", "Multibody", "PlacedShape", "turn"]
@@ -62,7 +62,7 @@ class PlacedShape:
 
 @dataclass(frozen=True, kw_only=True)
 class JointBounds:
-    """Bounds of n joints, as `cmbot.robot.JointLimits` has them: each (n,), rad, s and Nm."""
+    """Bounds of n joints, as `cmbot.robot.JointLimits` has them: each (n,), rad, s and Nm, or m, s and N."""
 
     lower: FloatArray
     upper: FloatArray
@@ -74,15 +74,17 @@ class JointBounds:
 
 @dataclass(frozen=True, kw_only=True)
 class Multibody:
-    """An arm of n revolute joints, base to tool, and everything that is fixed to W.
+    """An arm of n joints that turn or slide, base to tool, and everything that is fixed to W.
 
     Attributes
     ----------
     joints : tuple of str
     step : (n, 4, 4)
-        Pose of each joint's frame, at angle zero, in that of the one before; of the first one in W.
+        Pose of each joint's frame, at zero, in that of the one before; of the first one in W.
     axis : (n, 3)
         Unit vectors in the joints' frames.
+    slides : (n,)
+        Which joints move along their axes; the others turn about them.
     bodies : tuple of Body
     shapes : tuple of PlacedShape
     pairs : tuple of (int, int)
@@ -95,6 +97,7 @@ class Multibody:
     joints: tuple[str, ...]
     step: FloatArray
     axis: FloatArray
+    slides: BoolArray
     bodies: tuple[Body, ...]
     shapes: tuple[PlacedShape, ...]
     pairs: tuple[tuple[int, int], ...]
@@ -107,26 +110,31 @@ class Multibody:
         R, p = np.empty((n + 1, N, 3, 3)), np.empty((n + 1, N, 3))
         R[0], p[0] = np.eye(3), 0.0
         for i, (X, axis) in enumerate(zip(self.step, self.axis, strict=True)):
-            R[i + 1] = R[i] @ X[:3, :3] @ turn(axis, q[:, i])
+            R[i + 1] = R[i] @ X[:3, :3]
             p[i + 1] = p[i] + R[i] @ X[:3, 3]
+            if self.slides[i]:
+                p[i + 1] += q[:, i, None] * (R[i + 1] @ axis)
+            else:
+                R[i + 1] = R[i + 1] @ turn(axis, q[:, i])
         return R, p
 
     def tool_poses(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Tool points (N, 3), m, and orientations (N, 3, 3) in W at postures `q` (N, n), rad."""
+        """Tool points (N, 3), m, and orientations (N, 3, 3) in W at postures `q` (N, n)."""
         R, p = self.frames(q)
         return p[-1] + R[-1] @ self.X_JT[:3, 3], R[-1] @ self.X_JT[:3, :3]
 
     def efforts(
         self, q: FloatArray, v: FloatArray, a: FloatArray
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Joint torques (N, n), Nm, and the moving arm's force and torque (N, 3) on the guardrail.
+        """Joint torques (N, n), Nm (of joints that slide forces, N), and the arm's wrench on the guardrail.
 
-        Both at O0 in W, N and Nm. Newton's and Euler's equations give each body's force and moment about O0;
-        a joint bears the sum over all bodies from it on, the guardrail the sum over all that move.
+        That is the force and the torque (N, 3) of what moves, at O0 in W, N and Nm. Newton's and Euler's
+        equations give each body's force and moment about O0; a joint bears the sum over all bodies from it
+        on, the guardrail the sum over all that move.
 
         Parameters
         ----------
-        q, v, a : (N, n), rad, rad/s, rad/s2
+        q, v, a : (N, n), rad, rad/s, rad/s2, or m, m/s, m/s2
         """
         R, p = self.frames(q)
         z = np.stack([R_i @ u for R_i, u in zip(R[1:], self.axis, strict=True)])
@@ -136,8 +144,13 @@ class Multibody:
         # Gravity as an acceleration of the base.
         acc[0] = -_GRAVITY
         for i in range(n):
-            spin = v[:, i, None] * z[i]
             acc[i + 1] = acc[i] + _relative_acceleration(w[i], w_dot[i], p[i + 1] - p[i])
+            if self.slides[i]:
+                # Coriolis's acceleration and that along the axis.
+                acc[i + 1] += 2 * np.cross(w[i], v[:, i, None] * z[i]) + a[:, i, None] * z[i]
+                w[i + 1], w_dot[i + 1] = w[i], w_dot[i]
+                continue
+            spin = v[:, i, None] * z[i]
             w_dot[i + 1] = w_dot[i] + a[:, i, None] * z[i] + np.cross(w[i], spin)
             w[i + 1] = w[i] + spin
         force, moment = np.zeros((n + 1, N, 3)), np.zeros((n + 1, N, 3))
@@ -151,7 +164,8 @@ class Multibody:
             moment[i] += np.cross(w[i], _times(inertia, w[i]))
         # Of all bodies from a joint on.
         force, moment = (np.cumsum(x[:0:-1], axis=0)[::-1] for x in (force, moment))
-        tau = np.einsum("ikd,ikd->ki", z, moment - np.cross(p[1:], force))
+        borne = np.where(self.slides[:, None, None], force, moment - np.cross(p[1:], force))
+        tau = np.einsum("ikd,ikd->ki", z, borne)
         return tau, -force[0], -moment[0]
 
 

@@ -1,7 +1,8 @@
-"""How large torques and tool poses become at complex joint angles: what bounds the error of interpolation.
+"""How large torques and tool poses become at complex joint positions: what bounds the error of interpolation.
 
 The recursion of inverse dynamics, written for norms. A rotation by an angle with imaginary part y has the
-norm exp |y|, and no cross product is longer than the product of both lengths: both hold for complex vectors.
+norm exp |y|, a joint that slides by d lengthens its link by |d|, and no cross product is longer than the
+product of both lengths: all hold for complex vectors.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ class NormBounds:
 
     Attributes
     ----------
-    joint_torque : (K, R, n), Nm
+    joint_torque : (K, R, n), Nm, of joints that slide N
     guardrail_torque : (K, R), Nm
     tool_point : (K, R), m
     tool_rotation : (K, R)
@@ -42,7 +43,7 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
     Parameters
     ----------
     robot : Robot
-        Its arm is a serial chain of revolute joints, as `load_robot` guarantees.
+        Its arm is a serial chain of joints that turn or slide, as `load_robot` guarantees.
     on : Ellipses
     """
     model, n = robot.model, robot.dof
@@ -50,21 +51,25 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
     mass = [float(body.mass) for body in bodies]
     lever = [float(np.linalg.norm(body.lever)) for body in bodies]
     inertia = [float(np.linalg.norm(body.inertia, 2)) for body in bodies]
-    offset = [float(np.linalg.norm(X.translation)) for X in model.jointPlacements][1:]
-    armature = np.broadcast_to(model.armature, n)
+    fixed = [float(np.linalg.norm(X.translation)) for X in model.jointPlacements][1:]
+    armature, slides = np.broadcast_to(model.armature, n), robot.limits.prismatic
     with np.errstate(over="ignore", invalid="ignore"):
-        turn = np.exp(on.turn)
+        turn = np.exp(np.where(slides, 0.0, on.turn))
+        offset = fixed + np.where(slides, on.q, 0.0)
         point, rotation = np.zeros(turn.shape[:2]), np.ones(turn.shape[:2])
         spin, spin_rate = np.zeros_like(point), np.zeros_like(point)
         acceleration = np.full_like(point, float(np.linalg.norm(model.gravity.linear)))
         force, moment = [], []
         for i in range(n):
             e, v, a = turn[..., i], on.v[..., i], on.a[..., i]
-            point = point + rotation * offset[i]
+            point = point + rotation * offset[..., i]
             rotation = rotation * e
-            acceleration = e * (acceleration + (spin_rate + spin**2) * offset[i])
-            spin_rate = e * spin_rate + a + e * spin * v
-            spin = e * spin + v
+            acceleration = e * (acceleration + (spin_rate + spin**2) * offset[..., i])
+            if slides[i]:
+                acceleration = acceleration + 2 * spin * v + a
+            else:
+                spin_rate = e * spin_rate + a + e * spin * v
+                spin = e * spin + v
             force.append(mass[i] * (acceleration + (spin_rate + spin**2) * lever[i]))
             moment.append(inertia[i] * (spin_rate + spin**2))
         joint_torque = np.empty_like(turn)
@@ -72,10 +77,10 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
         for i in reversed(range(n)):
             about = moment[i] + lever[i] * force[i] + about
             carried = force[i] + carried
-            joint_torque[..., i] = about + armature[i] * on.a[..., i]
+            joint_torque[..., i] = (carried if slides[i] else about) + armature[i] * on.a[..., i]
             # From here on in the frame of the joint before, about its origin.
             carried = turn[..., i] * carried
-            about = turn[..., i] * about + offset[i] * carried
+            about = turn[..., i] * about + offset[..., i] * carried
         tool = float(np.linalg.norm(model.frames[robot.tool_frame_id].placement.translation))
         return NormBounds(
             joint_torque=joint_torque,

@@ -106,6 +106,7 @@ def _read(source: RobotSource, files: RobotFiles) -> Multibody:
         joints=tuple(tree.chain),
         step=np.array(tree.step),
         axis=np.array([_axis(tree.joints[name]) for name in tree.chain]),
+        slides=np.array([tree.joints[name].get("type") == "prismatic" for name in tree.chain]),
         bodies=(*tree.bodies(), load),
         shapes=shapes,
         pairs=tuple(_own_pairs(shapes, semantics)),
@@ -239,12 +240,16 @@ def _bounds(tree: _Tree, file: Path | None) -> JointBounds:
         np.array([float("nan" if limit is None else limit.get(key, "0")) for limit in limits])
         for key in ("lower", "upper", "velocity", "effort")
     )
-    # As in the package, a range that ends beyond a billion rad is none.
+    # As in the package, a range that ends beyond a billion is none.
     endless = endless | (np.abs(upper) >= 1e9)
-    # In degrees; what is not given is twice the velocity limit and ten times the acceleration limit, per s.
-    given = np.array(
-        [[float(entry.get(key) or "nan") for entry in entries] for key in ("acceleration_deg", "jerk_deg")]
-    ) * (np.pi / 180)
+    # In degrees, or metres; what is not given is twice the velocity limit and ten times the acceleration
+    # limit, per s.
+    slides = np.array([tree.joints[name].get("type") == "prismatic" for name in tree.chain])
+    in_degrees, in_metres = (
+        np.array([[float(entry.get(key) or "nan") for entry in entries] for key in keys])
+        for keys in (("acceleration_deg", "jerk_deg"), ("acceleration_m_s2", "jerk_m_s3"))
+    )
+    given = np.where(slides, in_metres, in_degrees * (np.pi / 180))
     acceleration = np.where(np.isnan(given[0]), 2.0 * velocity, given[0])
     jerk = np.where(np.isnan(given[1]), 10.0 * acceleration, given[1])
     return JointBounds(

@@ -158,7 +158,7 @@ def _effort_checks(
     theirs = Dynamics(robot).efforts(q, v, a)
     tau, force, torque = body.efforts(q, v, a)
     for name, own, other, unit in (
-        ("joint torque", tau, theirs.joint_torque, "Nm"),
+        ("joint torque", tau, theirs.joint_torque, "N" if body.slides.all() else "Nm"),
         ("guardrail force", force, theirs.guardrail_force, "N"),
         ("guardrail torque", torque, theirs.guardrail_torque, "Nm"),
     ):
@@ -166,7 +166,7 @@ def _effort_checks(
         bound = max(_EFFORTS * float(np.abs(own).max()), _LEAST_EFFORT)
         yield _worst(quantity, times, np.abs(own - other).max(axis=1), bound, unit)
     quantity = f"torque of {{}} {_BY}"
-    yield _joint_check(body, quantity, times, np.abs(tau), body.bounds.torque, "Nm")
+    yield _joint_check(body, quantity, times, np.abs(tau), body.bounds.torque, ("Nm", "N"))
 
 
 def _pose_checks(body: Multibody, robot: Robot, times: FloatArray, q: FloatArray) -> Iterator[Check]:
@@ -200,17 +200,18 @@ def _bound_checks(
     half = np.where(endless, np.inf, 0.5 * (bounds.upper - bounds.lower))
     middle = np.where(endless, 0.0, bounds.lower) + np.where(endless, 0.0, half)
     away = np.abs(motion[0] - middle)
-    yield _joint_check(body, f"distance of {{}} from the middle of its range {_BY}", times, away, half, "rad")
+    quantity = f"distance of {{}} from the middle of its range {_BY}"
+    yield _joint_check(body, quantity, times, away, half, ("rad", "m"))
     h = np.diff(trajectory.t)[_segments(trajectory, times), None]
     digits = _QUINTIC * _DIGITS * np.spacing(np.abs(motion[0]).max())
     rates = (
-        ("velocity", bounds.velocity, "rad/s"),
-        ("acceleration", bounds.acceleration, "rad/s2"),
-        ("jerk", bounds.jerk, "rad/s3"),
+        ("velocity", bounds.velocity, ("rad/s", "m/s")),
+        ("acceleration", bounds.acceleration, ("rad/s2", "m/s2")),
+        ("jerk", bounds.jerk, ("rad/s3", "m/s3")),
     )
-    for order, (name, bound, unit) in enumerate(rates, start=1):
+    for order, (name, bound, units) in enumerate(rates, start=1):
         rate = np.maximum(np.abs(motion[order]) - digits / h**order, 0.0)
-        yield _joint_check(body, f"{name} of {{}} {_BY}", times, rate, bound, unit)
+        yield _joint_check(body, f"{name} of {{}} {_BY}", times, rate, bound, units)
 
 
 def _clearance_checks(
@@ -390,14 +391,19 @@ def _worst(quantity: str, times: FloatArray, value: FloatArray, bound: float, un
 
 
 def _joint_check(
-    body: Multibody, quantity: str, times: FloatArray, value: FloatArray, bound: FloatArray, unit: str
+    body: Multibody,
+    quantity: str,
+    times: FloatArray,
+    value: FloatArray,
+    bound: FloatArray,
+    units: tuple[str, str],
 ) -> Check:
-    """The joint, of absolute values (N, n), that uses most of its bound (n,)."""
+    """The joint, of absolute values (N, n), that uses most of its bound (n,); units if it turns or slides."""
     k, joint = np.unravel_index((value / bound).argmax(), value.shape)
     return Check(
         quantity=quantity.format(body.joints[joint]),
         time=float(times[k]),
         value=float(value[k, joint]),
         bound=float(bound[joint] * (1 + _LIMIT)),
-        unit=unit,
+        unit=units[bool(body.slides[joint])],
     )

@@ -26,7 +26,7 @@ from cmbot.planning.selfmotion.charts import (
 )
 from cmbot.planning.selfmotion.dynamic_programming import nearest_turn
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Kinematics, Postures, Robot
+from cmbot.robot import Kinematics, PostureMetric, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene
 
 SPACING = 0.1
@@ -188,10 +188,13 @@ def test_thinning_goes_from_the_first_to_the_last(case: tuple[int, list[tuple[in
     np.testing.assert_array_equal(got, keep)
 
 
+METRIC = PostureMetric(prismatic=np.zeros(2, dtype=np.bool_), length=1.0)
+
+
 @given(st.integers(0, 2**32 - 1), st.integers(1, 4), st.integers(1, 4))
 def test_poisson_disk_sets_take_postures_that_are_apart(seed: int, number: int, rounds: int) -> None:
     rng = np.random.default_rng(seed)
-    sets = PoissonDiskSets([np.empty((0, 2))] * number)
+    sets = PoissonDiskSets([np.empty((0, 2))] * number, METRIC)
     taken: list[list[np.ndarray]] = [[] for _ in range(number)]
 
     def distance(a: np.ndarray, b: np.ndarray) -> float:

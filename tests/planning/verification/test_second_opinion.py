@@ -13,6 +13,7 @@ import pytest
 from conftest import StateSamples
 from numpy.typing import NDArray
 from oracles import newton_euler
+from rail_arms import rail_scene
 from random_arms import random_arm
 from small_scenes import short_scene
 from urdf_arms import arm_scene, endless_scene, six_joint_scene
@@ -64,6 +65,7 @@ SCENES: dict[str, Callable[[Path], Scene]] = {
     "kinova": partial(arm_scene, arm="kinova"),
     "panda": partial(arm_scene, arm="panda"),
     "endless": endless_scene,
+    "rail": rail_scene,
     "ur5": partial(six_joint_scene, arm="ur5", posture=SIX_JOINT_POSTURE, tool_path=LEGS),
     "random": partial(random_arm, seed=1),
     "random_without_srdf": partial(random_arm, seed=2, srdf=False),

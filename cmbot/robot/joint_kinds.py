@@ -1,0 +1,145 @@
+"""Kinds of joints: they turn, in rad and Nm, or slide, in m and N; and how far postures of both are apart.
+
+All that depends on the kind of a joint asks this module.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from cmbot.common.arrays import BoolArray, FloatArray
+
+__all__ = [
+    "JointUnits",
+    "PostureMetric",
+    "joint_units",
+    "postures_in_words",
+    "prismatic_joints",
+    "slide_axes",
+]
+
+_TURN = 2 * np.pi
+
+
+def prismatic_joints(model: Any) -> BoolArray:
+    """Return which joints (n,) of a pinocchio model, each of one coordinate, slide; the others turn."""
+    return np.array(["JointModelP" in joint.shortname() for joint in list(model.joints)[1:]], dtype=np.bool_)
+
+
+def slide_axes(model: Any) -> FloatArray:
+    """Return the directions (n, 3) of the joints that slide, in the frame before each; zero for others."""
+    axes = np.zeros((model.njoints - 1, 3))
+    for i in np.flatnonzero(prismatic_joints(model)):
+        joint = model.joints[int(i) + 1]
+        moved = joint.createData()
+        joint.calc(moved, np.eye(1, model.nq, joint.idx_q)[0])
+        axes[i] = model.jointPlacements[int(i) + 1].rotation @ moved.M.translation
+    return axes
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointUnits:
+    """Names of the units of one joint's position, its rates and its torque, which is a force where it slides.
+
+    `factor` takes SI to those of position and rates.
+    """
+
+    position: str
+    velocity: str
+    acceleration: str
+    jerk: str
+    torque: str
+    factor: float = 1.0
+
+
+_SLIDING = JointUnits(position="m", velocity="m/s", acceleration="m/s2", jerk="m/s3", torque="N")
+_TURNING = JointUnits(position="rad", velocity="rad/s", acceleration="rad/s2", jerk="rad/s3", torque="Nm")
+_SLIDING_SHOWN = JointUnits(position="m", velocity="m/s", acceleration="m/s²", jerk="m/s³", torque="N")
+_TURNING_SHOWN = JointUnits(
+    position="deg",
+    velocity="deg/s",
+    acceleration="deg/s²",
+    jerk="deg/s³",
+    torque="Nm",
+    factor=float(np.rad2deg(1.0)),
+)
+
+
+def joint_units(prismatic: bool, *, shown: bool = False) -> JointUnits:
+    """Return the units of a joint: SI, or with `shown` those of tables, plots and messages."""
+    if prismatic:
+        return _SLIDING_SHOWN if shown else _SLIDING
+    return _TURNING_SHOWN if shown else _TURNING
+
+
+def postures_in_words(prismatic: Sequence[bool] | BoolArray, q: FloatArray, digits: int = 1) -> str:
+    """Return a posture (n,) as in ``(10.0, 90.0) deg``; where joints slide each has its unit, m to 1 mm."""
+    if not any(prismatic):
+        return f"({', '.join(f'{angle:.{digits}f}' for angle in np.rad2deg(q))}) deg"
+    each = (
+        f"{value:.{digits + 2}f} m" if slides else f"{np.rad2deg(value):.{digits}f} deg"
+        for slides, value in zip(prismatic, q, strict=True)
+    )
+    return f"({', '.join(each)})"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PostureMetric:
+    """How far postures are apart, rad.
+
+    A joint that slides counts in units of a length that the arm has: 1 m is as far as the angle by which the
+    stretched arm moves its tool by 1 m. So steps, spacings and least norms, which options give in rad, move
+    the tool about as far by joints of either kind.
+
+    Attributes
+    ----------
+    prismatic : (n,)
+        Which joints slide.
+    length : float, m
+        That length: of the arm's links in a row.
+    """
+
+    prismatic: BoolArray
+    length: float
+
+    @cached_property
+    def mixed(self) -> bool:
+        """Whether any joint slides: otherwise coordinates are angles."""
+        return bool(self.prismatic.any())
+
+    @cached_property
+    def weight(self) -> FloatArray:
+        """What takes joint positions to coordinates of this metric, (n,), rad/rad and rad/m."""
+        return np.where(self.prismatic, 1.0 / self.length, 1.0)
+
+    @cached_property
+    def period(self) -> FloatArray:
+        """After what coordinates (n,) are the same again, rad: a turn, zero for joints that slide."""
+        return np.where(self.prismatic, 0.0, _TURN)
+
+    def coordinates(self, q: FloatArray) -> FloatArray:
+        """Return the coordinates of postures or moves (..., n) in which distances are Euclidean, rad."""
+        return q * self.weight if self.mixed else q
+
+    def positions(self, x: FloatArray) -> FloatArray:
+        """Return the postures or moves (..., n) of coordinates, rad and m."""
+        return x / self.weight if self.mixed else x
+
+    def on_one_turn(self, q: FloatArray) -> FloatArray:
+        """Return the coordinates of postures (N, n), those of joints that turn from 0 to below a whole turn.
+
+        So a k-d tree with the box `period` takes them.
+        """
+        turned = np.where(self.prismatic, self.coordinates(q), q % _TURN) if self.mixed else q % _TURN
+        # A tiny negative angle rounds up to a whole turn.
+        turned[(turned >= _TURN) & ~self.prismatic] = 0.0
+        return np.asarray(turned)
+
+    def lengths(self, moves: FloatArray) -> FloatArray:
+        """Return how long moves (..., n) are, (...), rad."""
+        return np.asarray(np.linalg.norm(self.coordinates(moves), axis=-1))
