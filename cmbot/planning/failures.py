@@ -23,6 +23,8 @@ _SAMPLES = 10
 _ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
 # A little more than the ratio, for what the optimiser needs beside.
 _ROOM = 1.05
+# Where legs would have to take longer by a larger factor, something else is the matter.
+_SLOWEST = 30.0
 # More legs than these are not listed one by one.
 _MOST_LISTED = 3
 
@@ -75,7 +77,7 @@ def slower_legs(context: PlanningContext, failure: PlanningError) -> FloatArray 
     elif isinstance(failure, OptimisationFailed) and _order(failure.constraint):
         factors = _factors(context, failure.trajectory)
     factors = np.where(factors > 1.0, _ROOM * factors, 1.0)
-    return factors if factors.max() > 1.0 else None
+    return factors if 1.0 < factors.max() <= _SLOWEST else None
 
 
 def slower(context: PlanningContext, factors: FloatArray) -> PlanningContext:
@@ -118,7 +120,7 @@ def _factors(context: PlanningContext, trajectory: object) -> FloatArray:
 
 
 def _order(constraint: str) -> int:
-    return next((order for name, order in _ORDERS.items() if name in constraint), 0)
+    return next((order for name, order in _ORDERS.items() if constraint.startswith(name)), 0)
 
 
 def _leg(context: PlanningContext, time: float) -> int:

@@ -38,6 +38,8 @@ def violation(quantity: str, value: float) -> LimitViolation:
         (violation("velocity of joint_1", 8.0), 8.0),
         (violation("acceleration of joint_1", 4.0), 2.0),
         (violation("jerk of joint_1", 8.0), 2.0),
+        (violation("velocity of joint_1", 80.0), None),
+        (violation("jump of a joint's position, velocity, acceleration or jerk", 8.0), None),
         (violation("tool deviation", 8.0), None),
         (PathNotFound("slow", time=5.0, progress=0.5, smallest_singular_value=1.0, pace=1.5), 1.5),
         (PathNotFound("blocked", time=5.0, progress=0.5, smallest_singular_value=1.0), None),
