@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -43,14 +44,16 @@ class ExchangeOptions:
         Exchange iterations of all stages, and iterations of the solver in each.
     continuation : tuple of float
         Factors of the smoothing while the peak is minimised, one after the other as long as each lowers the
-        peak by more than its tolerance: a light smoothing alone lets splines swing between the few times that
-        are known.
+        peak by more than its tolerance, and promises to: what smoothing adds to the peak is in proportion to
+        it. A light smoothing alone lets splines swing between the few times that are known.
     peak_accuracy : float
         Optimality tolerance while the peak is minimised, which need not be known better than its tolerance.
     most_violations : int
         Constraints of a family that are added in an exchange iteration, at most.
     nearly_met : float
         An attempt at the lower bound goes on where the solver stops with violations up to this.
+    attempt_steps : int
+        It is given up after so many steps that do not halve violations beyond that.
     stalls : int
         So often nothing new is violated by too much before the solver is given up.
     slsqp_accuracy : float
@@ -72,6 +75,7 @@ class ExchangeOptions:
     peak_accuracy: float = 1e-6
     most_violations: int = 400
     nearly_met: float = 1e-3
+    attempt_steps: int = 6
     stalls: int = 3
     slsqp_accuracy: float = 1e-8
     slsqp_iterations: int = 10
@@ -119,7 +123,8 @@ class Result:
     peak_bound : float
         What the peak was held below, in units of the program's scale.
     complete : bool
-        It was not stopped before its end.
+        It was not stopped before its end, and no stage failed; otherwise it is what the last one that met the
+        constraints had found.
     """
 
     parametrization: Parametrization
@@ -165,7 +170,7 @@ def minimize_peak(
         bound = max(bound, peak * (1 + options.peak_tolerance))
         exchange.run(options.smoothing, bound=bound)
     except OptimisationFailed:
-        if exchange.feasible is None or not options.stop():
+        if exchange.feasible is None:
             raise
         form, peak = exchange.feasible
         return Result(parametrization=form, passes=tuple(exchange.reports), peak_bound=peak, complete=False)
@@ -221,8 +226,11 @@ class _Exchange:
 
         A lighter smoothing that fails, or gains next to nothing, is given up for what the heavier one found.
         """
-        lowest, worthwhile = np.inf, 1 - self._options.peak_tolerance
-        for factor in self._options.continuation:
+        worthwhile, factors = 1 - self._options.peak_tolerance, self._options.continuation
+        lowest = promise = np.inf
+        for before, factor in pairwise([factors[0], *factors]):
+            if promise * before < (1 - worthwhile) * lowest:
+                break
             kept = self.form, self._constraints, self._warm
             try:
                 peak = self.run(factor * self._options.smoothing, target=target)
@@ -233,6 +241,8 @@ class _Exchange:
             if peak > worthwhile * lowest:
                 self.form, self._constraints, self._warm = kept
                 break
+            if np.isfinite(lowest):
+                promise = (lowest - peak) / (before - factor)
             lowest = peak
             if peak <= target:
                 break
@@ -255,7 +265,7 @@ class _Exchange:
                 reason = f"no solution in {passes}, and planner.max_passes allows no more"
                 raise self._failure(reason, found.worst)
             start = NlpEvaluation.around(self._program, stage, self.form, self._constraints)
-            end, iterations, done = self._solved(start)
+            end, iterations, done = self._solved(start, attempt=attempt)
             self.form, self._constraints = end.parametrization, end.constraints
             limit = max(end.peak, target) if bound is None else bound
             found = self._separated(limit)
@@ -286,7 +296,7 @@ class _Exchange:
         if self.feasible is None or found.peak <= self.feasible[1] * (1 + self._options.peak_tolerance):
             self.feasible = self.form, found.peak
 
-    def _solved(self, start: NlpEvaluation) -> tuple[NlpEvaluation, int, bool]:
+    def _solved(self, start: NlpEvaluation, *, attempt: bool) -> tuple[NlpEvaluation, int, bool]:
         """Solve with the constraints of `start`; return the end, the iterations, and whether it converged."""
         o, accuracy = self._options, self._options.peak_accuracy if start.stage.bound is None else None
         if o.solver == "slsqp":
@@ -299,6 +309,8 @@ class _Exchange:
             met = max(before.violation, after.violation) <= o.feasibility_tolerance
             return end, iterations, iterations < most or (met and gained <= accuracy)
         sqp = replace(o.sqp, optimality_tolerance=accuracy) if accuracy else o.sqp
+        if attempt:
+            sqp = replace(sqp, stuck_steps=o.attempt_steps, stuck_share=0.5, stuck_violation=o.nearly_met)
         result = solve_sqp(start, self._families, sqp, self._warm, o.stop)
         self._warm = result
         if result.status is SqpStatus.INFEASIBLE:

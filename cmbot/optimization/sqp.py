@@ -46,7 +46,8 @@ class SqpOptions:
     max_iterations : int
         Quadratic programs, but for corrections.
     initial_penalty, min_penalty, max_penalty : float
-        Weights of the largest violation of each family.
+        Weights of the largest violation of each family. The objective is about 1: with a first weight far
+        below, steps would pay for it with violations from which no way leads back, as through an obstacle.
     penalty_growth : float
         Factor by which a penalty grows where violations stay.
     penalty_margin : float
@@ -69,12 +70,14 @@ class SqpOptions:
         The box that steps stay in: it doubles where steps reach its sides and keep their prediction.
     stays : float
         A step that leaves this share of the violations does little about them.
-    helps : float
-        A larger penalty is worthwhile if it brings what is left down to this share.
+    steering : float
+        Share that a step removes, at least, of the violations that can be removed where nothing else counts.
     hopeless : float
         Where no penalty brings violations down to this share they cannot be met.
-    stall_steps : int
-        So many accepted steps that together gain less than the tolerance end it.
+    stall_steps, stall_tolerance : int, float
+        So many iterations that together gain less than that, a share as `optimality_tolerance`, end it where
+        the constraints are met: near a solution it takes fewer, elsewhere it creeps. Where they do not bring
+        the violation down to the share `hopeless`, it ends if no step can.
     stuck_steps, stuck_share, stuck_violation : int, float, float
         So many steps that leave this share of what is violated by more than that end it.
     """
@@ -84,8 +87,8 @@ class SqpOptions:
     optimality_radius: float = 1.0
     small: float = 1e-2
     max_iterations: int = 60
-    initial_penalty: float = 1e-2
-    min_penalty: float = 1e-3
+    initial_penalty: float = 1.0
+    min_penalty: float = 0.1
     max_penalty: float = 1e4
     penalty_growth: float = 10.0
     penalty_margin: float = 2.0
@@ -104,9 +107,10 @@ class SqpOptions:
     initial_radius: float = 4.0
     max_radius: float = 1e3
     stays: float = 0.5
-    helps: float = 0.5
+    steering: float = 0.5
     hopeless: float = 0.9
-    stall_steps: int = 5
+    stall_steps: int = 8
+    stall_tolerance: float = 1e-5
     stuck_steps: int = 30
     stuck_share: float = 0.8
     stuck_violation: float = 2e-2
@@ -220,43 +224,56 @@ class _SqpState(Generic[AnyIterate]):
         self.merits: list[tuple[FloatArray, float, float]] = []
         self._status = SqpStatus.ITERATION_LIMIT
         self._excused, self._radius = False, options.initial_radius
+        # Of each iteration: the decrease of the merit, and the largest violation at its end.
+        self._gained: list[float] = []
         self._violations = [start.values.violation]
 
     @property
     def optimality_tolerance(self) -> float:
         """Decrease that nothing is worth doing for, at the iterate."""
+        return self._options.optimality_tolerance * self._size
+
+    @property
+    def _size(self) -> float:
+        """Of objective and peak, where it is below 1."""
         here = self.iterate.values
-        share = min(1.0, max(abs(here.objective + here.peak), self._options.small))
-        return self._options.optimality_tolerance * share
+        return min(1.0, max(abs(here.objective + here.peak), self._options.small))
 
     @property
     def status(self) -> SqpStatus:
         """How it has ended; the iteration limit while it has not."""
-        if self._status is SqpStatus.ITERATION_LIMIT:
-            last = self.merits[-self._options.stall_steps :]
-            gained = sum(before - after for _, before, after in last)
-            met = self.iterate.values.violation <= self._options.feasibility_tolerance
-            if met and len(last) == self._options.stall_steps and gained <= self.optimality_tolerance:
+        o, last = self._options, self._gained[-self._options.stall_steps :]
+        if self._status is SqpStatus.ITERATION_LIMIT and len(last) == o.stall_steps:
+            met = self.iterate.values.violation <= o.feasibility_tolerance
+            if met and sum(last) <= o.stall_tolerance * self._size:
                 return SqpStatus.STALLED
         return self._status
 
     def steered(self, model: NlpModel) -> QpStep:
-        """Solve the quadratic program; where violations stay that need not, with larger penalties."""
+        """Solve the quadratic program; where violations stay that need not, with larger penalties.
+
+        What need not stay is what a step takes away for which nothing else counts (there, Algorithm 18.5).
+        """
         o, families = self._options, len(self.penalty)
         step = solve_qp(model, self.penalty, self._radius, self.damping)
         here, left = model.violations(families=families), model.violations(step.p, families=families)
+        enough = np.maximum(o.feasibility_tolerance, o.stays * here)
+        firmest = float(self.penalty.max())
+        if firmest >= o.max_penalty or not (left > enough).any():
+            return step
+        # Damping grows with the penalties, or it would count for less than before.
+        most = o.max_penalty / firmest
+        alone = solve_qp(model, most * self.penalty, self._radius, most * self.damping)
+        least = model.violations(alone.p, families=families)
+        enough = np.maximum(enough, least + (1 - o.steering) * np.maximum(here - least, 0.0))
         while True:
-            stays = left > np.maximum(o.feasibility_tolerance, o.stays * here)
-            stays &= self.penalty < o.max_penalty
-            if not stays.any():
+            lacking = (left > enough) & (self.penalty < o.max_penalty)
+            if not lacking.any():
                 return step
-            penalty = np.where(stays, o.penalty_growth, 1.0) * self.penalty
-            firmer = solve_qp(model, penalty, self._radius, self.damping)
-            better = model.violations(firmer.p, families=families)
-            helps = stays & (better < o.helps * left)
-            if not helps.any():
-                return step
-            step, left, self.penalty = firmer, better, np.where(helps, penalty, self.penalty)
+            grown = np.where(lacking, o.penalty_growth * self.penalty, self.penalty)
+            self.penalty = np.minimum(grown, o.max_penalty)
+            step = solve_qp(model, self.penalty, self._radius, self.damping)
+            left = model.violations(step.p, families=families)
 
     def predicted(self, model: NlpModel, p: FloatArray) -> float:
         """Decrease of the merit by the step `p` (n,) if the model is right."""
@@ -278,9 +295,7 @@ class _SqpState(Generic[AnyIterate]):
             return converged
         if model.violations(step.p, families=families).max() <= o.stays * model.violation:
             return False
-        firmest = solve_qp(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
-        least = model.violations(firmest, families=families).max()
-        if self.penalty.min() >= o.max_penalty or least > o.hopeless * model.violation:
+        if self.penalty.min() >= o.max_penalty or self._hopeless(model):
             self._status = SqpStatus.INFEASIBLE
         else:
             self.penalty = np.minimum(o.penalty_growth * self.penalty, o.max_penalty)
@@ -304,15 +319,32 @@ class _SqpState(Generic[AnyIterate]):
         if trial is not None and gained > o.accept * predicted:
             before, after = (at.values.merit(self.penalty) for at in (self.iterate, trial))
             self.merits.append((self.penalty, before, after))
+            self._gained.append(before - after)
             self.iterate, self.multipliers = trial.drop_constraints(_extended(step.multipliers, trial))
             self.hessian = self.iterate.hessian(self.multipliers)
-        elif self.damping > o.max_damping:
-            met = model.violation <= o.feasibility_tolerance
-            self._status = SqpStatus.CONVERGED if met else SqpStatus.INFEASIBLE
+        else:
+            self._gained.append(0.0)
+            if self.damping > o.max_damping:
+                met = model.violation <= o.feasibility_tolerance
+                self._status = SqpStatus.CONVERGED if met else SqpStatus.INFEASIBLE
         self._violations.append(self.iterate.values.violation)
-        last = self._violations[-1 - o.stuck_steps :]
-        if len(last) > o.stuck_steps and min(last) > max(o.stuck_violation, o.stuck_share * last[0]):
+        if self._stuck(model):
             self._status = SqpStatus.INFEASIBLE
+
+    def _stuck(self, model: NlpModel) -> bool:
+        """Whether many steps have left the violations, or some have and no step can lower them."""
+        o, tolerance = self._options, self._options.feasibility_tolerance
+        last, few = (self._violations[-1 - steps :] for steps in (o.stuck_steps, o.stall_steps))
+        if len(last) > o.stuck_steps and min(last) > max(o.stuck_violation, o.stuck_share * last[0]):
+            return True
+        stays = len(few) > o.stall_steps and min(few) > max(tolerance, o.hopeless * few[0])
+        return stays and self._hopeless(model)
+
+    def _hopeless(self, model: NlpModel) -> bool:
+        """Whether not even a step for which only the violations count lowers them."""
+        o, families = self._options, len(self.penalty)
+        firmest = solve_qp(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
+        return bool(model.violations(firmest, families=families).max() > o.hopeless * model.violation)
 
     def _tried(self, model: NlpModel, p: FloatArray, predicted: float) -> tuple[AnyIterate | None, float]:
         """Take the step `p` (n,) and evaluate what it gains; where that is little, correct it.

@@ -201,7 +201,9 @@ def _fallbacks(attempt: Attempt, motion: _Motion) -> Iterator[str]:
     context, optimised = attempt.context, motion.optimised
     limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
     if not optimised.complete:
-        yield f"Stopped after {limit}: the best motion so far."
+        expired = context.reporter.expired()
+        why = f"Stopped after {limit}" if expired else "The last stage of the optimisation failed"
+        yield f"{why}: the best motion so far."
     if context.arm is not None and _quiets(context.options) and motion.quieting is None:
         yield f"The vibration at the ends of the legs is not suppressed: the time, {limit}, was over."
     if why := optimised.whole_because:

@@ -21,6 +21,8 @@ _FLAT = 1e-12
 _DIRECTIONS = 8
 # Samples from one measured clearance to the next, from coarse to fine.
 _STRIDES = (16, 4, 1)
+# Pairs that are measured sooner than bounded in a posture.
+_FEW = 8
 
 
 @dataclass(frozen=True)
@@ -157,18 +159,31 @@ def _tool(postures: Postures, states: StateSamples) -> ToolBatch:
 
 @dataclass
 class _Memory:
-    """Postures (N, n), and what the smallest distance is not below in them (N,)."""
+    """Postures (N, n), and what the distances of all pairs are not below in them (N, P)."""
 
     q: FloatArray
     at_least: FloatArray
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Bounds:
+    """Lower bounds (N, P) of the distances of all pairs in N postures, and which are these distances."""
+
+    near: float
+    lower: FloatArray
+    known: BoolArray
+
+    def of(self, which: BoolArray) -> _Bounds:
+        """Copy those of some postures."""
+        return _Bounds(near=self.near, lower=self.lower[which], known=self.known[which])
 
 
 @dataclass(frozen=True)
 class ClearanceMargin:
     """Distances stay above the margin, in units of `scale`; the component is the pair that is nearest.
 
-    No distance changes faster than the joints move times their reach. So what was measured bounds what is
-    near it in time, and what was measured along one trajectory bounds what is there along the next.
+    No pair's distance changes faster than the joints move times its reach. So what was measured bounds what
+    is near it in time, and what was measured along one trajectory bounds what is there along the next.
     """
 
     clearances: Clearances
@@ -187,34 +202,57 @@ class ClearanceMargin:
         if np.isneginf(threshold):
             smallest = self.clearances.smallest(states.q)
             return ((self.margin - smallest.distance) / self.scale)[:, None], smallest.pair[:, None]
-        reach = self.clearances.reach
-        distance = self._remembered(states.q)
-        pair = np.full(len(distance), -1, dtype=np.intp)
-        measured = np.zeros(len(distance), dtype=np.bool_)
-
-        def measure(which: BoolArray) -> None:
-            here = np.flatnonzero(which & ~measured)
-            smallest = self.clearances.smallest(states.q[here])
-            distance[here], pair[here], measured[here] = smallest.distance, smallest.pair, True
-
-        near = self.margin - self.scale * threshold
-        covered = travel(states.q, reach)
-        for every in _STRIDES:
-            # Not "<=": what is no number is measured, too.
-            measure(~(distance > near) & (np.arange(len(distance)) % every == 0))
-            raise_bounds(distance, measured, covered)
-        wanted = ~(distance > near)
-        measure(wanted | np.append(wanted[1:], False) | np.append(False, wanted[:-1]))
-        self._memory[:] = [_Memory(states.q, distance)]
-        value = np.where(measured, (self.margin - distance) / self.scale, -np.inf)
+        finite: BoolArray = np.all(np.isfinite(states.q), axis=1)
+        value, pair = np.where(finite, -np.inf, np.nan), np.full(len(finite), -1, dtype=np.intp)
+        bounds = self._bounds(states.q, self.margin - self.scale * threshold)
+        near = (bounds.known & (bounds.lower <= bounds.near)).any(axis=1) | ~finite
+        wanted = (near | np.append(near[1:], False) | np.append(False, near[:-1])) & finite
+        if len(self.clearances.pairs):
+            distance, pair[wanted] = self._smallest(states.q[wanted], bounds.of(wanted))
+            value[wanted] = (self.margin - distance) / self.scale
         return value[:, None], pair[:, None]
 
+    def _bounds(self, q: FloatArray, near: float) -> _Bounds:
+        """Bounds in postures `q` (N, n) of a motion; in each some pair is known that is `near`, if any is."""
+        lower = self._remembered(q)
+        # Not "<=": what is no number is doubtful, too.
+        rows = np.flatnonzero((~(lower > near)).sum(axis=1) > _FEW)
+        if len(rows):
+            lower[rows] = np.maximum(lower[rows], self.clearances.lower_bounds(q[rows]))
+        known, found = np.zeros(lower.shape, dtype=np.bool_), np.zeros(len(q), dtype=np.bool_)
+        pairs = np.flatnonzero(~(lower > near).all(axis=0))
+        covered = {pair: travel(q, self.clearances.pair_reach[pair]) for pair in pairs.tolist()}
+        for every in _STRIDES:
+            here = ~found & (np.arange(len(q)) % every == 0)
+            row, column = np.nonzero((~(lower[:, pairs] > near) & ~known[:, pairs])[here])
+            row, pair = np.flatnonzero(here)[row], pairs[column]
+            lower[row, pair], known[row, pair] = self.clearances.distances(q, row, pair), True
+            found[row[lower[row, pair] <= near]] = True
+            for each in np.unique(pair).tolist():
+                raise_bounds(lower[:, each], known[:, each], covered[each])
+        self._memory[:] = [_Memory(q, lower)]
+        return _Bounds(near=near, lower=lower, known=known)
+
+    def _smallest(self, q: FloatArray, bounds: _Bounds) -> tuple[FloatArray, IntArray]:
+        """Smallest distances (N,) and their pairs in postures `q` (N, n), by bounds on all of them."""
+        lower, known, every = bounds.lower, bounds.known, np.arange(len(q))
+
+        def measure(wanted: BoolArray) -> None:
+            row, pair = np.nonzero(wanted & ~known)
+            lower[row, pair], known[row, pair] = self.clearances.distances(q, row, pair), True
+
+        measure(lower == lower.min(axis=1, keepdims=True))
+        measure(lower <= np.where(known, lower, np.inf).min(axis=1, keepdims=True))
+        pair = np.where(known, lower, np.inf).argmin(axis=1)
+        return lower[every, pair], pair
+
     def _remembered(self, q: FloatArray) -> FloatArray:
-        """What distances (N,) are not below in postures `q` (N, n), by those measured last."""
+        """What distances (N, P) are not below in postures `q` (N, n), by those measured last."""
+        reach = self.clearances.pair_reach
         if not self._memory or self._memory[0].q.shape != q.shape:
-            return np.full(len(q), -np.inf)
+            return np.full((len(q), len(reach)), -np.inf)
         last = self._memory[0]
-        return np.asarray(last.at_least - np.abs(q - last.q) @ self.clearances.reach)
+        return np.asarray(last.at_least - np.abs(q - last.q) @ reach.T)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the distance of the given pair at each state."""

@@ -43,7 +43,7 @@ class Optimised:
     whole_because : str
         Of a long path that had to be solved whole: why its segments could not be; else empty.
     complete : bool
-        The time was not over before the optimum was found.
+        The time was not over before the optimum was found, and no stage failed.
     """
 
     trajectory: QuinticTrajectory

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from small_scenes import parts, short_context, short_scene
 
-from cmbot.collision import Clearances, Smallest
+from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.optimization.program import Linearization, StateFunction, StateSamples
 from cmbot.planning.objectives import efforts_of
@@ -221,16 +221,20 @@ def test_neighbours_of_what_matters_are_measured() -> None:
     class Wall(SimpleNamespace):
         """A distance that changes as fast as it can, and is zero at 5."""
 
-        reach = np.ones(1)
+        pairs, pair_reach = ("wall",), np.ones((1, 1))
 
-        def smallest(self, q: FloatArray) -> Smallest:
-            return Smallest(distance=np.abs(q[:, 0] - 5.0), pair=np.zeros(len(q), dtype=np.intp))
+        def lower_bounds(self, q: FloatArray) -> FloatArray:
+            return np.full((len(q), 1), -np.inf)
+
+        def distances(self, q: FloatArray, posture: IntArray, pair: IntArray) -> FloatArray:
+            assert (pair == 0).all()
+            return np.abs(q[posture, 0] - 5.0)
 
     t = np.arange(33.0)
     clearance: Any = ClearanceMargin(Wall(), 0.0)
     value, pair = clearance.sample(StateSamples.at_rest(t, t[:, None]), -0.02)
     known = np.flatnonzero(np.isfinite(value[:, 0]))
-    np.testing.assert_array_equal(known, [0, 4, 5, 6, 16, 32])
+    np.testing.assert_array_equal(known, [4, 5, 6])
     np.testing.assert_allclose(value[known, 0], -np.abs(known - 5) / 0.1, atol=1e-12)
     np.testing.assert_array_equal(pair[known, 0], 0)
     # What is remembered holds as far as postures have moved since.
@@ -245,18 +249,21 @@ def test_clearances_that_hardly_change_are_not_measured_again() -> None:
     measured: list[int] = []
 
     class Counted(Clearances):
-        def smallest(self, q, *, avoidable_only=False):  # type: ignore[no-untyped-def]
-            measured.append(len(q))
-            return super().smallest(q, avoidable_only=avoidable_only)
+        def distances(self, q, posture, pair):  # type: ignore[no-untyped-def]
+            measured.append(len(pair))
+            return super().distances(q, posture, pair)
+
+        def lower_bounds(self, q: FloatArray) -> FloatArray:
+            return np.full((len(q), len(self.pairs)), -np.inf)
 
     context, _ = short_context()
-    clearance = ClearanceMargin(Counted(context.robot, ()), 0.0)
-    t = np.linspace(0, 9, 4000)
+    clearances = Counted(context.robot, ())
+    clearance, t = ClearanceMargin(clearances, 0.0), np.linspace(0, 9, 4000)
     q = context.posture + 0.05 * np.sin(t)[:, None]
     for shift in (0.0, 1e-4, 2e-4):
         clearance.sample(StateSamples.at_rest(t, q + shift), -0.02)
         if shift == 0.0:
-            assert 0 < sum(measured) <= 4000 / 16 + 1
+            assert 0 < sum(measured) <= len(clearances.pairs) * (4000 / 16 + 1)
             measured.clear()
     assert sum(measured) == 0
 
