@@ -18,6 +18,7 @@ from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import counted, shown
 from cmbot.planning import QuinticTrajectory, Samples
 from cmbot.robot import Robot
+from cmbot.trajectory import LARGEST
 
 __all__ = [
     "columns",
@@ -36,8 +37,6 @@ __all__ = [
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
 _CLEARANCE = "clearance"
-# No number of a motion is larger: what is made of those that are overflows.
-_LARGEST = 1e12
 _ROS_POINT = (
     '{{"positions": [{}], "velocities": [{}], "accelerations": [{}], "effort": [{}], '
     '"time_from_start": {{"sec": {}, "nanosec": {}}}}}'
@@ -57,7 +56,7 @@ _NPY_HEADER = re.compile(
 )
 # The longest number is -2.2250738585072014e-308, and a comma after it.
 _LONGEST_CELL = 25
-_LARGEST_TABLE = 2_000_000_000
+LARGEST_TABLE = 2_000_000_000
 # What zipfile raises for a file that is damaged or no .zip at all.
 _DAMAGED = (
     EOFError,
@@ -131,7 +130,7 @@ def number_rows(table: FloatArray) -> list[list[str]]:
 
 def largest_table(rows: float, columns: int) -> int:
     """Bytes of the largest table with so many rows: ten more, and 16 kB for the columns' names."""
-    return round(min((rows + 10) * columns * _LONGEST_CELL, _LARGEST_TABLE)) + 16_000
+    return round(min((rows + 10) * columns * _LONGEST_CELL, LARGEST_TABLE)) + 16_000
 
 
 def read_motion(
@@ -181,14 +180,14 @@ def _read_row(line: str, number: int, source: str, names: tuple[str, ...]) -> li
 
 
 def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> None:
-    wrong = ~(np.abs(table) <= _LARGEST)
+    wrong = ~(np.abs(table) <= LARGEST)
     if _CLEARANCE in names:
         clearance = names.index(_CLEARANCE)
         wrong[:, clearance] &= table[:, clearance] != math.inf
     if wrong.any():
         row, column = np.argwhere(wrong)[0]
         key = f"line {row + 2}, {names[column]}"
-        raise ArchiveError(source, key, table[row, column], f"a finite number of at most {_LARGEST:g}")
+        raise ArchiveError(source, key, table[row, column], f"a finite number of at most {LARGEST:g}")
 
 
 # ROS 2

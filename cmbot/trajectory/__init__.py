@@ -7,10 +7,11 @@ from cmbot.trajectory.enclosure import Ellipses, Peak, Pieces, clenshaw_curtis, 
 from cmbot.trajectory.local_basis import LocalRows, SparseSplines
 from cmbot.trajectory.parametrization import Parametrization, Retraction
 from cmbot.trajectory.polynomials import bernstein_coefficients, halves
-from cmbot.trajectory.quintic import Extrema, QuinticTrajectory
+from cmbot.trajectory.quintic import LARGEST, Extrema, QuinticTrajectory
 from cmbot.trajectory.spline_space import SUPPORT, SplineSpace
 
 __all__ = [
+    "LARGEST",
     "SUPPORT",
     "Ellipses",
     "Extrema",

@@ -12,12 +12,17 @@ from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.errors import InputError
 from cmbot.trajectory.polynomials import derivative, hull, roots_in_unit_interval, values
 
-__all__ = ["Extrema", "QuinticTrajectory", "hermite_coefficients"]
+__all__ = ["LARGEST", "Extrema", "QuinticTrajectory", "hermite_coefficients"]
 
 # By how much times may miss the ends, as a share of the duration: they come from sums of steps.
 _TIME_ROUNDING = 1e-9
 # So many times are evaluated at once: more only ask for memory, and lose its nearness.
 _BLOCK = 2048
+
+LARGEST = 1e12
+"""No time, position, velocity or acceleration is larger in magnitude: nothing made of them overflows."""
+# Knots are no nearer to each other, s, for the same reason.
+_SHORTEST = 1e-9
 
 POSITION, VELOCITY, ACCELERATION, JERK = range(4)
 
@@ -88,7 +93,7 @@ class QuinticTrajectory:
     Raises
     ------
     InputError
-        When shapes differ, a number is not finite, or times do not increase.
+        When shapes differ, a number is not finite or beyond `LARGEST`, or times do not increase.
     """
 
     t: FloatArray
@@ -99,18 +104,18 @@ class QuinticTrajectory:
     def __post_init__(self) -> None:
         for name in ("t", "q", "v", "a"):
             object.__setattr__(self, name, read_only(np.array(getattr(self, name), dtype=float)))
-        increases = self.t.ndim == 1 and len(self.t) >= 2 and np.all(np.diff(self.t) > 0)
-        if not increases or not np.isfinite(self.t).all():
-            raise InputError(
-                "QuinticTrajectory", "t", self.t.tolist(), "two or more finite, increasing times"
-            )
+        increases = self.t.ndim == 1 and len(self.t) >= 2 and np.all(np.diff(self.t) >= _SHORTEST)
+        if not increases or not (np.abs(self.t) <= LARGEST).all():
+            expected = f"two or more finite, increasing times, {_SHORTEST:g} s or more apart"
+            raise InputError("QuinticTrajectory", "t", self.t.tolist(), expected)
         for name in ("q", "v", "a"):
             array = getattr(self, name)
             if array.ndim != 2 or array.shape != (len(self.t), self.q.shape[-1]):
                 expected = f"one row per knot, ({len(self.t)}, n), the same for q, v and a"
                 raise InputError("QuinticTrajectory", name, f"shape {array.shape}", expected)
-            if not np.isfinite(array).all():
-                raise InputError("QuinticTrajectory", name, "a number that is not finite", "finite numbers")
+            if not (np.abs(array) <= LARGEST).all():
+                got = "a number that is too large or none"
+                raise InputError("QuinticTrajectory", name, got, f"finite numbers of at most {LARGEST:g}")
 
     @property
     def duration(self) -> float:

@@ -193,12 +193,13 @@ WRONG_SHAPES: list[tuple[int, ...]] = [(), (3,), (4, 2), (3, 3), (3, 2, 1)]
         ("t", [], "finite, increasing times"),
         ("t", [0.0, 1.0, 1.0], "finite, increasing times"),
         ("t", [0.0, 2.0, 1.0], "finite, increasing times"),
+        ("t", [0.0, 1e-12, 1.0], "1e-09 s or more apart"),
         ("t", [0.0, np.nan, 1.0], "finite, increasing times"),
         ("t", [0.0, 1.0, np.inf], "finite, increasing times"),
         ("t", [-np.inf, 1.0, 2.0], "finite, increasing times"),
         ("t", [0.0, 1.0], "one row per knot"),
         *((key, np.zeros(shape), "one row per knot") for key in "qva" for shape in WRONG_SHAPES),
-        *((key, [[0, 0], [0, bad], [0, 0]], "finite") for key in "qva" for bad in (np.nan, np.inf, -np.inf)),
+        *((key, [[0, 0], [0, bad], [0, 0]], "finite") for key in "qva" for bad in (np.nan, np.inf, 1e300)),
     ],
 )
 def test_wrong_knots_are_refused(key: str, value: Any, message: str) -> None:
