@@ -14,8 +14,9 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.planning.selfmotion.charts import Coverage, GraphLayer, best_nodes, charts_of, check_clearances
+from cmbot.planning.selfmotion.charts import GraphLayer, best_nodes, charts_of, check_clearances
 from cmbot.planning.selfmotion.reachability import out_of_reach
+from cmbot.planning.selfmotion.sampler import Coverage
 
 __all__ = ["BottleneckDynamicProgram", "Edges", "blocked", "edges", "edges_along", "nearest_turn", "refine"]
 

@@ -16,14 +16,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
 from cmbot.planning.context import PlanningContext, no_start_left
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.selfmotion.charts import (
-    Chart,
-    GraphLayer,
-    SelfMotionSampler,
-    best_nodes,
-    charts_of,
-    connected_parts,
-)
+from cmbot.planning.selfmotion.charts import Chart, GraphLayer, best_nodes, charts_of, connected_parts
 from cmbot.planning.selfmotion.dynamic_programming import (
     BottleneckDynamicProgram,
     blocked,
@@ -32,6 +25,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
     refine,
 )
 from cmbot.planning.selfmotion.lower_bound import find_lower_bound, with_proof
+from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 
 __all__ = ["GlobalSearch", "GlobalSolution", "sequences_beside"]
 

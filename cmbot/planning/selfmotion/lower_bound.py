@@ -19,8 +19,9 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import null_space, project_onto_task
-from cmbot.planning.selfmotion.charts import Coverage, GraphLayer
+from cmbot.planning.selfmotion.charts import GraphLayer
 from cmbot.planning.selfmotion.proof import TorqueFloorProof
+from cmbot.planning.selfmotion.sampler import Coverage
 
 __all__ = ["LowerBound", "find_lower_bound", "with_proof"]
 

@@ -13,10 +13,10 @@ from urdf_arms import arm_scene, endless_scene, panda_scene, path_of, six_joint_
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.selfmotion.charts import Coverage
 from cmbot.planning.selfmotion.lower_bound import LowerBound, with_proof
 from cmbot.planning.selfmotion.proof import TorqueFloorProof
 from cmbot.planning.selfmotion.reachability import out_of_reach
+from cmbot.planning.selfmotion.sampler import Coverage
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
 from cmbot.robot import Postures
 from cmbot.scene import Scene

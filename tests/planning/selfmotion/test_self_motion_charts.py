@@ -17,14 +17,10 @@ from cmbot.planning import robot_of, task_of
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import objective_of
 from cmbot.planning.path.projection import project_onto_task
-from cmbot.planning.selfmotion.charts import (
-    Chart,
-    PoissonDiskSets,
-    SelfMotionSampler,
-    charts_of,
-    without_neighbours,
-)
+from cmbot.planning.selfmotion.charts import Chart, charts_of
 from cmbot.planning.selfmotion.dynamic_programming import nearest_turn
+from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neighbours
+from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, PostureMetric, Postures, Robot
 from cmbot.scene import PlannerOptions, Scene, load_scene

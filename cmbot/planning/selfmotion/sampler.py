@@ -1,0 +1,322 @@
+"""Sampling of the self-motion: postures that hold the tool task, at one point of the path and along it.
+
+A chart is grown by numerical continuation along the null space of the task, all postures at a time, from the
+postures it is given and from random ones, so that it reaches every branch (shoulder, elbow and wrist flips).
+It grows through postures beyond the joint ranges too, which connect the parts within them, in steps that get
+longer with the distance from the ranges. Any two of its postures keep a distance, and every posture of the
+self-motion within the ranges has one within its spacing.
+
+Charts are carried along the path. Branches that open later are found by random postures at every point,
+which are drawn until many in a row lie on the charts: `Coverage` says how many did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.special import betaincinv
+
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
+from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
+
+__all__ = ["Coverage", "SelfMotionSampler"]
+
+# Newton steps that put random postures onto the task.
+_RANDOM_STEPS = 40
+# Accepted postures keep this share of the spacing from each other. One that is further than so many spacings
+# from all of a chart is on a part of the self-motion that the chart misses.
+_APART, _BESIDE = 0.7, 1.5
+# Beyond the joint ranges the spacing is this share of how far a posture leaves them, up to the length, rad.
+_FURTHER, _LONGEST_STEP = 0.7, 1.0
+# Postures at most of the first chart, and of those along the path. Where there would be more, the spacing
+# grows by this factor; where the self-motion has more than two dimensions, by one that thins charts as much.
+# The search for the spacing of a wide self-motion begins with the last one, rad.
+_MOST_POSTURES, _TOO_MANY, _COARSER, _COARSEST = 600, 1500, 1.6, np.pi
+# Charts are carried to every point of this stride first, and between this many pairs of these at once: more
+# only need memory.
+_STRIDE, _PAIRS = 6, 4
+# Rounds of random postures along the path at most, and the factor of their number from one to the next.
+_ROUNDS, _MORE = 6, 2
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How many of the random postures that hold the task within the joint ranges lay on the charts.
+
+    Attributes
+    ----------
+    drawn : int
+        Random postures of the last rounds, from which Newton's method started.
+    held : int
+        How many of them came to hold the task within the joint ranges.
+    missed : int
+        How many of these lay beside the charts; the charts hold them now.
+    """
+
+    drawn: int
+    held: int
+    missed: int
+
+    @property
+    def share(self) -> float:
+        """Share of such postures that the charts miss at most, by 95 % confidence (Clopper and Pearson)."""
+        if self.held == self.missed:
+            return 1.0
+        return float(betaincinv(self.missed + 1, self.held - self.missed, 0.95))
+
+
+class SelfMotionSampler:
+    """Samples the postures (M, n) of charts along the tool path of a context.
+
+    Attributes
+    ----------
+    coverage : Coverage
+        Of the charts, by the random postures that were drawn last.
+    """
+
+    def __init__(self, context: PlanningContext) -> None:
+        self._postures, self._task = context.postures, context.task
+        # Every joint is charted on the circle, about the middle of its range.
+        self._limits = context.robot.limits
+        # Joints that slide do so within their ranges: beyond them some could go on for ever.
+        slides, limits = self._limits.prismatic, self._limits
+        self._lower = np.where(slides, limits.lower, -np.inf)
+        self._upper = np.where(slides, limits.upper, np.inf)
+        self._finest = context.options.chart_spacing
+        # How often the spacing within and that beyond the joint ranges have grown.
+        self._coarser = self._beyond = 0
+        self._seeds = context.options.chart_seeds
+        self._freedom = max(context.robot.dof - context.task.dimension, 0)
+        self.coverage = Coverage(0, 0, 0)
+        # The random numbers are the same in every run.
+        self._rng = np.random.default_rng(0)
+
+    @property
+    def spacing(self) -> float:
+        """Spacing that charts keep everywhere, rad; it grows where they would have too many postures."""
+        return self._spacing_of(self._beyond)
+
+    def first(self, point: FloatArray, known: FloatArray) -> FloatArray:
+        """Chart the self-motion at `point` (3,) from the postures `known` (k, n) and from random ones."""
+        seeds = np.vstack([known, self._random(point[None], self._seeds).q])
+        least = self._coarser
+        if self._freedom > 1:
+            # From the coarsest chart on, as the finer ones cost more and more.
+            while self._spacing_of(self._coarser) < _COARSEST:
+                self._coarser += 1
+        self._beyond = self._coarser
+        q = self._grown_from(seeds, point)
+        while len(q) > _MOST_POSTURES:
+            self._coarser = self._beyond = self._coarser + 1
+            q = self._grown_from(seeds, point)
+        for finer_beyond in (True, False):
+            while self._coarser > least:
+                before = self._coarser, self._beyond
+                self._coarser -= 1
+                self._beyond -= finer_beyond
+                finer = self._grown_from(seeds, point)
+                if len(finer) > _MOST_POSTURES:
+                    self._coarser, self._beyond = before
+                    break
+                q = finer
+        return q
+
+    def along(
+        self, points: FloatArray, known: FloatArray, report: Callable[[int, int], None] | None = None
+    ) -> list[FloatArray]:
+        """Chart the self-motion at `points` (k, 3), each near the one before; `known` (s, n) is at the first.
+
+        `report` is called with the number of points that are charted, and of all.
+        """
+        report = report or (lambda *_: None)
+        while (each := self._each(points, known, report)) is None:
+            self._coarser += 1
+        return self.complete(each, points, range(len(points)), int(np.ceil(self._seeds / len(points))))
+
+    def complete(
+        self, charts: list[FloatArray], points: FloatArray, at: Sequence[int], number: int
+    ) -> list[FloatArray]:
+        """Add to charts at `points` (k, 3) what random postures at some of them show to be missing.
+
+        Parameters
+        ----------
+        charts : list of (M, n)
+        points : (k, 3)
+        at : sequence of int
+            Where random postures are drawn: `number` at each, and more and more, until none of a round lies
+            beside its chart. `coverage` tells of the last round.
+        """
+        sets, chosen = self._sets(charts), np.asarray(at)
+        for _ in range(_ROUNDS):
+            before = sets.sizes
+            some = self._random(points[chosen], number)
+            some = _Postures(some.q, chosen[some.of])
+            missing = self._far(some, sets, _BESIDE)
+            held, missed = self._limits.contain(some.q).sum(), self._limits.contain(missing.q).sum()
+            self.coverage = Coverage(len(chosen) * number, int(held), int(missed))
+            if len(missing.q) == 0 or sets.sizes.max() > _TOO_MANY:
+                break
+            self._grow(self._take(missing, sets), points, sets)
+            self._spread(sets, before, points)
+            number *= _MORE
+        return sets.postures
+
+    def _random(self, points: FloatArray, number: int) -> _Postures:
+        """Random postures that hold the tool at `points` (k, 3), from `number` at each."""
+        of = np.repeat(np.arange(len(points)), number)
+        middle, half = self._limits.range_middle, self._limits.sampled_half
+        q = self._rng.uniform(middle - half, middle + half, (len(of), len(half)))
+        q, reached = project_onto_task(self._postures, self._task, q, points[of], steps=_RANDOM_STEPS)
+        return self._on_circle(_Postures(q, of)[reached & self._slid_within(q)])
+
+    def _slid_within(self, q: FloatArray) -> BoolArray:
+        """Which of postures (N, n) have the joints that slide within their ranges."""
+        within: BoolArray = np.all((q >= self._lower) & (q <= self._upper), axis=1)
+        return within
+
+    def _spread(self, sets: PoissonDiskSets, before: IntArray, points: FloatArray) -> None:
+        """Carry the postures of charts, but the first `before` (k,) of each, along the path both ways."""
+        while sets.sizes.max() <= _TOO_MANY:
+            new = _Postures.of_each([q[n:] for q, n in zip(sets.postures, before, strict=True)])
+            if len(new.q) == 0:
+                return
+            before = sets.sizes
+            predictor = self._predictor(new.q, points[new.of])
+            both = []
+            for way in (-1, 1):
+                beside = new.of + way
+                there = (beside >= 0) & (beside < len(points))
+                ahead = predictor.towards(points[np.where(there, beside, new.of)])
+                both.append(_Postures(ahead[there], beside[there]))
+            some = _Postures.joined(both)
+            self._grow(self._place(self._far(some, sets), points, sets), points, sets)
+
+    def _each(
+        self, points: FloatArray, known: FloatArray, report: Callable[[int, int], None]
+    ) -> list[FloatArray] | None:
+        """Postures of the charts at `points` (k, 3); None where one has too many."""
+        last = len(points) - 1
+        stations = list(pairwise([*range(0, last, _STRIDE), last]))
+        charts: dict[int, FloatArray] = {0: self.first(points[0], known)}
+        # To the stations one after the other, then to the points between from both sides at once.
+        predictors = {0: self._predictor(charts[0], points[0])}
+        report(1, len(points))
+        for first in range(0, len(stations), _PAIRS):
+            some = stations[first : first + _PAIRS]
+            for before, here in some:
+                charts[here] = self._carried([[predictors[before]]], points[[here]])[0]
+                predictors[here] = self._predictor(charts[here], points[here])
+                report(len(charts), len(points))
+            # The stations on both sides of each point, the nearer one first.
+            sides = {
+                k: (before, after) if k - before <= after - k else (after, before)
+                for before, after in some
+                for k in range(before + 1, after)
+            }
+            if sides:
+                beside = [[predictors[side] for side in each] for each in sides.values()]
+                charts.update(zip(sides, self._carried(beside, points[list(sides)]), strict=True))
+            if max(len(q) for q in charts.values()) > _TOO_MANY:
+                return None
+            predictors = {some[-1][1]: predictors[some[-1][1]]}
+            report(len(charts), len(points))
+        return [charts[k] for k in range(len(points))]
+
+    def _predictor(self, q: FloatArray, point: FloatArray) -> TangentPredictor:
+        return TangentPredictor.of(self._postures, self._task, q, point)
+
+    def _carried(self, known: Sequence[Sequence[TangentPredictor]], points: FloatArray) -> list[FloatArray]:
+        """Grow charts at `points` (k, 3), each from the `known` ones beside it, the nearer first."""
+        sets = self._empty_sets(len(points))
+        for charts in zip(*known, strict=True):
+            some = _Postures.of_each([chart.towards(p) for chart, p in zip(charts, points, strict=True)])
+            # Predictions beside a known posture need no projection.
+            self._place(self._far(some, sets), points, sets)
+        self._grow(_Postures.of_each(sets.postures), points, sets)
+        return sets.postures
+
+    def _grown_from(self, seeds: FloatArray, point: FloatArray) -> FloatArray:
+        """Grow the chart at `point` (3,) from postures (N, n) on the task, unless it gets too large."""
+        sets = self._empty_sets(1)
+        some = self._take(_Postures(seeds, np.zeros(len(seeds), dtype=np.intp)), sets)
+        self._grow(some, point[None], sets, most=_MOST_POSTURES)
+        return sets.postures[0]
+
+    def _sets(self, charts: Sequence[FloatArray]) -> PoissonDiskSets:
+        return PoissonDiskSets(charts, self._postures.metric)
+
+    def _empty_sets(self, number: int) -> PoissonDiskSets:
+        return self._sets([np.empty((0, len(self._limits.lower)))] * number)
+
+    def _grow(
+        self, frontier: _Postures, points: FloatArray, sets: PoissonDiskSets, most: int = _TOO_MANY
+    ) -> None:
+        """Grow charts at `points` (k, 3) from postures of theirs until no new posture is far enough.
+
+        Those of more than `most` postures grow no further.
+        """
+        while len(frontier.q):
+            frontier = frontier[(sets.sizes <= most)[frontier.of]]
+            steps = null_space(self._postures, self._task, frontier.q)
+            steps *= self._steps(frontier.q)[:, None, None]
+            ahead = np.concatenate([frontier.q[:, None] + steps, frontier.q[:, None] - steps], axis=1)
+            some = _Postures(ahead.reshape(-1, frontier.q.shape[1]), np.repeat(frontier.of, ahead.shape[1]))
+            frontier = self._place(self._far(some, sets), points, sets)
+
+    def _place(self, some: _Postures, points: FloatArray, sets: PoissonDiskSets) -> _Postures:
+        """Project postures onto the task at their points; take those far from others, and return them."""
+        placed, reached = project_onto_task(self._postures, self._task, some.q, points[some.of])
+        reached &= self._slid_within(placed)
+        return self._take(_Postures(placed[reached], some.of[reached]), sets)
+
+    def _take(self, some: _Postures, sets: PoissonDiskSets) -> _Postures:
+        """Take postures that are far from others, and return them."""
+        some = self._on_circle(some)
+        return some[sets.take(some.q, some.of, _APART * self._steps(some.q))]
+
+    def _steps(self, q: FloatArray) -> FloatArray:
+        """Spacing (N,) of charts at postures `q` (N, n): the longer, the further these leave the ranges."""
+        q = self._limits.turned_to_middle(q)
+        beyond = np.maximum(np.maximum(self._limits.lower - q, q - self._limits.upper), 0.0)
+        further = _FURTHER * self._postures.metric.lengths(beyond)
+        steps = np.maximum(np.minimum(further, _LONGEST_STEP), self.spacing)
+        return np.where(further > 0, steps, self._spacing_of(self._coarser))
+
+    def _spacing_of(self, coarser: int) -> float:
+        """Spacing that has grown so often, rad."""
+        return float(self._finest * _COARSER ** (2 * coarser / max(self._freedom, 2)))
+
+    def _far(self, some: _Postures, sets: PoissonDiskSets, share: float = _APART) -> _Postures:
+        """Those of some postures that are apart from their charts by that share of the spacing."""
+        return some[sets.far(some.q, some.of, share * self._steps(some.q))]
+
+    def _on_circle(self, some: _Postures) -> _Postures:
+        return _Postures(self._limits.turned_to_middle(some.q), some.of)
+
+
+@dataclass(frozen=True)
+class _Postures:
+    """Postures (N, n) and the ascending indices (N,) of their charts."""
+
+    q: FloatArray
+    of: IntArray
+
+    @staticmethod
+    def of_each(charts: Sequence[FloatArray]) -> _Postures:
+        """Stack the postures of charts."""
+        return _Postures(np.vstack(charts), np.repeat(np.arange(len(charts)), [len(q) for q in charts]))
+
+    @staticmethod
+    def joined(some: Sequence[_Postures]) -> _Postures:
+        """Postures of several such, sorted by their charts."""
+        of = np.concatenate([each.of for each in some])
+        order = np.argsort(of, kind="stable")
+        return _Postures(np.concatenate([each.q for each in some])[order], of[order])
+
+    def __getitem__(self, index: BoolArray) -> _Postures:
+        return _Postures(self.q[index], self.of[index])
