@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -30,8 +29,9 @@ __all__ = ["Approach", "certify_approach", "plan_approach", "reachable"]
 
 # Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
 _KNOT_SPACING, _HALVINGS = 0.4, 4
-# Share of the time limit by which the search for an approach may exceed it: no plan is complete without one.
-_MORE_TIME = 0.2
+# Share of the time left that the search for an approach may take, as without one there are other starts, and
+# share of the time limit that it has in any case: no plan is complete without one.
+_TIME_SHARE, _MORE_TIME = 0.4, 0.2
 # Share of the limits that the approach may use.
 _LIMIT_SHARE = 0.95
 # Postures of a chart are neighbours within this many spacings.
@@ -106,7 +106,8 @@ def plan_approach(
     space = whole.around(np.stack([start, end])) or whole
     allowed = (1 + _SAME) * max(allowed, *space.cost(np.stack([start, end])))
     along = _along_chart(space, start, end, chart, options.chart_spacing)
-    path = _path(space, start, end, along, allowed, partial(context.reporter.expired, _MORE_TIME))
+    stop = context.reporter.part_expired(_TIME_SHARE, _MORE_TIME)
+    path = _path(space, start, end, along, allowed, stop)
     if path is None:
         raise _unconnected(context, space, end)
     held = context.task.held_at_start()

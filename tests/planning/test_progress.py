@@ -180,3 +180,19 @@ def test_a_round_of_compensation_costs_about_what_the_last_took(listener: Listen
 
 def test_nobody_has_to_listen() -> None:
     ProgressReporter().part("doing it", 1, 2)
+
+
+@pytest.mark.parametrize(
+    ("begun", "ends"),
+    # 40 % of what is left; 20 % of the limit where that is more, as long as less than that is over.
+    [(0.0, 24.0), (30.0, 42.0), (50.0, 62.0), (59.0, 71.0), (65.0, 72.0), (80.0, 80.0)],
+)
+def test_part_of_the_time_left(begun: float, ends: float) -> None:
+    clock = Listener()
+    reporter = ProgressReporter(clock=lambda: clock.now, limit=60.0)
+    clock.now += begun
+    over = reporter.part_expired(0.4, 0.2)
+    clock.now = 100.0 + ends - 1e-6
+    assert not over()
+    clock.now = 100.0 + ends
+    assert over()

@@ -1,5 +1,6 @@
 """Joints that slide: units, limits, distances between postures, and the equations of motion."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,9 @@ from small_motions import wild
 
 from cmbot.collision import Clearances
 from cmbot.common.errors import InputError, ModelError
+from cmbot.common.installation import model_folder
+from cmbot.elastic.arm import elastic_arm
+from cmbot.elastic.sag import Sag
 from cmbot.planning import robot_of
 from cmbot.planning.verification.norm_bounds import norm_bounds
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot, joint_units, load_robot, postures_in_words
@@ -131,6 +135,16 @@ def test_the_shipped_arm_on_a_rail_moves_as_in_the_paper(
     expected, R_expected = newton_euler.tool_pose(q[:, 1:])
     np.testing.assert_allclose(p, expected + slid, rtol=0, atol=1e-12)
     np.testing.assert_allclose(R, R_expected, rtol=0, atol=1e-12)
+
+
+def test_an_arm_on_a_rail_bends_as_where_it_is_fixed(urdf_folder: Path, cmbot_robot: Robot) -> None:
+    shutil.copy(model_folder() / "urdf" / "cmbot.elasticity.yaml", urdf_folder)
+    sag = Sag(elastic_arm(shipped_arm_on_rail(urdf_folder), None))
+    q = np.concatenate([[0.3], np.radians([-10, -90, 90, 0, 10, 50, 0])])
+    at, fixed = sag.at(q[None]), Sag(elastic_arm(cmbot_robot, None)).at(q[None, 1:])
+    np.testing.assert_allclose(at.tool, fixed.tool, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(at.d_tool[0, :, 0], 0.0, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(at.d_tool[0, :, 1:], fixed.d_tool[0], rtol=0, atol=1e-10)
 
 
 def test_statics_in_batches(rail: Robot, random_states: StateSamples) -> None:
