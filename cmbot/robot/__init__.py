@@ -1,10 +1,12 @@
 """The robot: its model from a URDF, its kinematics and its dynamics."""
 
 from cmbot.robot.arm_model import convex_hull, encloses_volume
+from cmbot.robot.description.files import RobotFiles, robot_files
+from cmbot.robot.description.frames import arm_frames
+from cmbot.robot.description.mesh_file import locate_meshes
+from cmbot.robot.description.xml_file import parse_urdf, urdf_content
 from cmbot.robot.dynamics import Dynamics, Efforts
 from cmbot.robot.elasticity import LinkTube
-from cmbot.robot.files import RobotFiles, robot_files
-from cmbot.robot.frames import arm_frames
 from cmbot.robot.inspection import Finding, inspect_robot, inspect_urdf, overview
 from cmbot.robot.joint_kinds import (
     JointUnits,
@@ -17,10 +19,8 @@ from cmbot.robot.joint_kinds import (
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch
 from cmbot.robot.limits import JointLimits
 from cmbot.robot.loading import load_robot, srdf_text
-from cmbot.robot.mesh_file import locate_meshes
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import MOST_FAR, NEAR, sampled_postures
-from cmbot.robot.xml_file import parse_urdf, urdf_content
 
 __all__ = [
     "MOST_FAR",

@@ -16,8 +16,8 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import hint, shown
-from cmbot.robot.frames import require_independent
-from cmbot.robot.mesh_file import FARTHEST, load_near_meshes, locate_meshes
+from cmbot.robot.description.frames import require_independent
+from cmbot.robot.description.mesh_file import FARTHEST, load_near_meshes, locate_meshes
 from cmbot.robot.self_collision import NEAR, near_pairs
 
 __all__ = [

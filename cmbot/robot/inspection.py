@@ -19,10 +19,10 @@ import numpy as np
 
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import counted, shown
-from cmbot.robot.files import RobotFiles
-from cmbot.robot.frames import arm_frames, moving_links
+from cmbot.robot.description.files import RobotFiles
+from cmbot.robot.description.frames import arm_frames, moving_links
+from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.limits import read_joint_limits
-from cmbot.robot.xml_file import parse_urdf
 
 __all__ = ["Finding", "inspect_inertias", "inspect_robot", "inspect_urdf", "overview"]
 

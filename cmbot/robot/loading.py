@@ -16,14 +16,14 @@ from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
 from cmbot.common.validation import hint
 from cmbot.robot.arm_model import arm_model, attach_payload, build_model, set_tool_length
+from cmbot.robot.description.files import RobotFiles, robot_files
+from cmbot.robot.description.frames import arm_frames, moving_links
+from cmbot.robot.description.xml_file import parse_urdf, read_urdf
 from cmbot.robot.elasticity import read_elasticity
-from cmbot.robot.files import RobotFiles, robot_files
-from cmbot.robot.frames import arm_frames, moving_links
 from cmbot.robot.inspection import Finding, inspect_inertias, inspect_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import srdf_of
-from cmbot.robot.xml_file import parse_urdf, read_urdf
 
 __all__ = ["load_robot", "srdf_text"]
 

@@ -9,7 +9,7 @@ from xml.parsers.expat import ExpatError
 
 from cmbot.common.errors import MissingExtra, ModelError, one_line
 from cmbot.common.validation import shown
-from cmbot.robot.packages import find_package
+from cmbot.robot.description.packages import find_package
 
 __all__ = ["expand_xacro", "is_xacro"]
 

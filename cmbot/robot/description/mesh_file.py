@@ -15,7 +15,7 @@ import numpy as np
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import LARGEST_MESH, read_input, require_input
 from cmbot.common.validation import shown
-from cmbot.robot.packages import find_resource
+from cmbot.robot.description.packages import find_resource
 
 __all__ = ["FARTHEST", "load_near_meshes", "locate_meshes"]
 

@@ -11,7 +11,7 @@ from xml.etree import ElementTree
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
 from cmbot.common.validation import shown
-from cmbot.robot.xacro import expand_xacro, is_xacro
+from cmbot.robot.description.xacro import expand_xacro, is_xacro
 
 __all__ = ["parse_urdf", "read_urdf", "urdf_content"]
 
