@@ -183,7 +183,7 @@ def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
     for k in np.flatnonzero(~reached)[:1]:
         joint = context.out_of_range(rough[k : k + 1]) or context.nearest_to_end(rough[k])
         raise context.path_not_found(
-            f"via-point {k + 1} cannot be put onto the tool path exactly: out of reach or singular (nearest "
+            f"via-point {k + 1} cannot be put onto the tool path exactly by Newton steps (nearest "
             f"to an end of its range is {joint}); take another start posture, or move the tool path",
             rough[k],
             context.times[k],

@@ -23,7 +23,7 @@ from cmbot.scene import PlannerOptions
 __all__ = ["JointPath", "find_path", "follow_path", "robust_inverse", "self_motion_postures"]
 
 
-# Lag of the tool behind its path, m, beyond which it is out of reach, not drifting.
+# Lag of the tool behind its path, m, beyond which it no longer follows, not only drifts.
 _LOST = 0.01
 # Power k of the weights of near pairs: with a small one they cancel out, with a large one the blend comes
 # near to Eq. (17)'s jumps.
@@ -201,7 +201,7 @@ def _require_free(context: PlanningContext, q: FloatArray, time: float, error: F
         here = postures_in_words(robot.limits.prismatic[[i]], q[[i]])
         reason = f"{robot.joints[i]} leaves its range {robot.limits.range_in_words(i)} {here}"
     elif lag > _LOST:
-        reason = f"the tool is {lag:.3f} m behind its path: out of reach"
+        reason = f"the tool is {lag:.3f} m behind its path, which gradient projection cannot follow there"
     else:
         return clearance
     raise context.path_not_found(reason, q, time, pair)

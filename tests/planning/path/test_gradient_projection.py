@@ -141,7 +141,9 @@ def test_path_ends_at_a_joint_range() -> None:
 
 def test_path_ends_out_of_reach() -> None:
     scene = short_scene(tool_path={"legs": [{"by": [2.5, 0, -2.5], "seconds": 30}]})
-    with pytest.raises(PathNotFound, match=r"the tool is 0.0\d\d m behind its path: out of reach") as caught:
+    with pytest.raises(
+        PathNotFound, match=r"the tool is 0.0\d\d m behind its path, which gradient projection"
+    ) as caught:
         path_of(scene)
     error = caught.value
     assert error.pair is None
