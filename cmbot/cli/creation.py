@@ -11,7 +11,7 @@ import typer
 
 import cmbot
 from cmbot.cli.console import JsonOption, QuietOption, flat, out, print_json
-from cmbot.common.errors import InputError
+from cmbot.common.errors import InputError, ModelError
 from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
@@ -32,7 +32,11 @@ def new(
     ],
     tool_at: Annotated[
         tuple[float, float, float],
-        typer.Option("--tool-at", metavar="X Y Z", help="Tool point at the start, m."),
+        typer.Option(
+            "--tool-at",
+            metavar="X Y Z",
+            help="Tool point at the start, m, in the frame of the URDF's root link.",
+        ),
     ],
     rpy_deg: Annotated[
         tuple[float, float, float] | None,
@@ -110,7 +114,14 @@ def _composed(
     from cmbot.robot import Kinematics, robot_files
     from cmbot.scene import PlannerOptions, limits_text, pose, scene_text
 
-    robot = cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages)
+    try:
+        robot = cmbot.load_robot(source, base_frame=base, tool_frame=tool, package_dirs=packages)
+    except ModelError as error:
+        option = {"base_frame": "--base", "tool_frame": "--tool"}.get(error.key)
+        if option is None:
+            raise
+        # The option is what has to be changed.
+        raise InputError(option, "", error.got, error.expected, error.choices) from error
     orientation = None if rpy_deg is None else np.array(pose((0, 0, 0), np.radians(rpy_deg)))[:3, :3]
     start = find_start(robot, _obstacles(source), np.array(tool_at), orientation)
     shipped, own_limits = source == _SHIPPED, robot_files(source).limits is not None

@@ -120,6 +120,8 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
     if late and "the time" not in str(failure):
         limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
         yield f"then the time, {limit}, was over"
+    if "the time was over" in str(failure):
+        return  # what is not met yet says nothing of the legs
     tried = context
     for _ in range(_TRIALS):
         factors = slower_legs(tried, failure)
@@ -130,7 +132,7 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
         if not late:
             context.reporter.step(f"trying {legs}")
             try:
-                _search(tried, automatic=automatic)
+                _search(replace(tried, reporter=context.reporter.quiet()), automatic=automatic)
             except PlanningError as again:
                 failure, late = again, context.reporter.expired()
             else:

@@ -104,6 +104,10 @@ class ProgressReporter:
         # When the optimisation began, and when the passes before compensation and each round of it ended.
         self._ends = [clock()]
 
+    def quiet(self) -> ProgressReporter:
+        """Return a reporter that reports nothing and knows the time left."""
+        return ProgressReporter(clock=self._clock, limit=self.time_left)
+
     def expired(self, more: float = 0.0) -> bool:
         """Whether the time is over, and so is a share `more` of it."""
         return self._clock() >= self._began + (1.0 + more) * self._limit

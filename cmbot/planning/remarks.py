@@ -211,9 +211,9 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
         else ("in the scene's posture (start: pinned)", plan.choice.pinned)
     )
     if peak is None:
-        yield f"Started {other}, no sequence of postures through the charts was found."
+        yield f"Had it started {other}: no sequence of postures through the charts was found."
     else:
-        yield f"Started {other}, the posture sequence has a peak at rest of {_value(objective, peak)}."
+        yield f"Had it started {other}, the peak at rest would be {_value(objective, peak)}."
 
 
 def _value(objective: ObjectiveMetrics, value: float, more_digits: int = 0) -> str:

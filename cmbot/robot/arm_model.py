@@ -293,7 +293,7 @@ def _near_remark(pairs: Sequence[tuple[str, str]]) -> str:
     also = f", and links that are nearly always nearer than {1e3 * NEAR:g} mm: {near}" if pairs else ""
     return (
         f"No SRDF says which links may touch; not checked are those of neighbouring joints{also}. "
-        "cmbot check --write-srdf writes an SRDF."
+        "cmbot check URDF --write-srdf FILE writes an SRDF; robot.srdf in the scene names it."
     )
 
 

@@ -182,7 +182,9 @@ def _scene_path(source: str | Path) -> Path:
     if not os.path.exists(path):  # noqa: PTH110  Path.exists raises for names that no file can have
         text = str(path)
         where = text if text.isprintable() and len(text) <= _LONGEST_SOURCE else shown(text)
-        raise SceneError(where, "", "no such file", f"{expected}{hint(path.stem, names)}", names)
+        beside = f"{text}.yaml"
+        tip = f"; did you mean {beside}?" if os.path.isfile(beside) else hint(path.stem, names)  # noqa: PTH113
+        raise SceneError(where, "", "no such file", f"{expected}{tip}", names)
     return path
 
 

@@ -98,7 +98,7 @@ def scene_text(
         name=name,
         robot="".join(lines),
         posture=_posture(posture, prismatic),
-        point="({:.4f}, {:.4f}, {:.4f})".format(*tool_point),
+        point="({:z.4f}, {:z.4f}, {:z.4f})".format(*tool_point),
         keep=keep,
         by=_flow(list(by)),
         seconds=f"{seconds:g}",

@@ -157,7 +157,9 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
     elastic = ElasticOptions(**{name: getattr(options, name) for name in shared})
     arm = elastic_arm(robot, elastic_base(plan.scene.guardrail), elastic)
     if not len(arm.elastic):
-        expected = "a guardrail with posts or a stiffness, or an elasticity file of the robot"
+        expected = (
+            "guardrail.bays, guardrail.stiffness (6 x 6) or robot.elasticity in the scene that is planned"
+        )
         raise InputError(plan.scene.source, "guardrail", "nothing that bends", expected)
     return arm
 

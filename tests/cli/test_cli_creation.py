@@ -134,7 +134,7 @@ def test_a_scene_of_the_shipped_robot(here: Path) -> None:
         ),
         (
             ("talos", "--tool-at", "1", "0", "0"),
-            "tool_frame: got nothing, expected the last link of the arm",
+            "--tool: got nothing, expected the last link of the arm",
             2,
         ),
         (("TwoDofs", "--tool-at", "1", "0", "0"), "joints: got 2, expected an arm of at least 3 joints", 2),

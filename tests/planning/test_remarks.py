@@ -90,8 +90,8 @@ def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Pla
     assert approach.startswith("Approach: before the work the arm goes there from the scene's posture, in ")
     assert approach.endswith("All other figures are of the work alone.")
     assert line(triangle_plan, "Against the baseline, the paper's motion without optimisation: ")
-    pinned = "Started in the scene's posture (start: pinned), "
-    assert "the posture sequence has a peak at rest of " in line(triangle_plan, pinned)
+    pinned = "Had it started in the scene's posture (start: pinned)"
+    assert "the peak at rest would be " in line(triangle_plan, pinned)
     none = replace(triangle_plan, choice=Choice(free=400.0, pinned=None))
     assert "no sequence of postures through the charts was found" in line(none, pinned)
 

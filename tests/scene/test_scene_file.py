@@ -117,6 +117,13 @@ def test_unknown_scene_lists_the_shipped_ones(source):
         load_scene("")  # and not the current folder
 
 
+def test_a_name_without_its_ending_finds_the_file_beside(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "mine.yaml").touch()
+    with pytest.raises(SceneError, match=r"mine: no such file.*; did you mean mine\.yaml\?"):
+        load_scene("mine")
+
+
 def test_shapes_and_poses():
     shapes = [{"box": [1, 2, 3]}, {"cylinder": [1, 2]}, {"capsule": [1, 2]}, {"sphere": 1}]
     obstacles = [
