@@ -56,7 +56,7 @@ _NPY_HEADER = re.compile(
 )
 # The longest number is -2.2250738585072014e-308, and a comma after it.
 _LONGEST_CELL = 25
-LARGEST_TABLE = 2_000_000_000
+_LARGEST_TABLE = 2_000_000_000
 # What zipfile raises for a file that is damaged or no .zip at all.
 _DAMAGED = (
     EOFError,
@@ -130,7 +130,7 @@ def number_rows(table: FloatArray) -> list[list[str]]:
 
 def largest_table(rows: float, columns: int) -> int:
     """Bytes of the largest table with so many rows: ten more, and 16 kB for the columns' names."""
-    return round(min((rows + 10) * columns * _LONGEST_CELL, LARGEST_TABLE)) + 16_000
+    return round(min((rows + 10) * columns * _LONGEST_CELL, _LARGEST_TABLE)) + 16_000
 
 
 def read_motion(

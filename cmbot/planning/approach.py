@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import connected_components, dijkstra
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from cmbot.collision import Clearances
@@ -16,6 +16,7 @@ from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.optimization import StateSamples
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.objectives import efforts_of
@@ -226,13 +227,8 @@ def _along_chart(
 ) -> FloatArray | None:
     """Shortest path (k, n) between neighbouring postures of a chart; None where none connects the ends."""
     nodes, graph = _neighbours(space, np.stack([start, end]), chart, spacing)
-    distance, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
-    if not np.isfinite(distance[1]):
-        return None
-    indices = [1]
-    while indices[-1] != 0:
-        indices.append(int(before[indices[-1]]))
-    return nodes[indices[::-1]]
+    path = path_between_ends(graph)
+    return None if path is None else nodes[path]
 
 
 def _neighbours(
@@ -244,10 +240,7 @@ def _neighbours(
     free = space.holds(nodes)
     pairs = pairs[free[pairs].all(axis=1)]
     lengths = metric.lengths(nodes[pairs[:, 0]] - nodes[pairs[:, 1]])
-    # A duplicate of an end in the chart is at distance zero, which a sparse graph takes for no edge.
-    lengths = np.maximum(lengths, 1e-12)
-    shape = (len(nodes), len(nodes))
-    return nodes, sparse.csr_array((lengths, (pairs[:, 0], pairs[:, 1])), shape=shape)
+    return nodes, graph_of(len(nodes), pairs, lengths)
 
 
 def _timed(context: PlanningContext, path: FloatArray, spacing: float, allowed: float) -> QuinticTrajectory:

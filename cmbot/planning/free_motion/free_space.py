@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -115,10 +114,6 @@ class FreeSpace:
             if second - first > 1 and self.straight(path[first], path[second]):
                 path = np.vstack([path[: first + 1], path[second:]])
         return path
-
-    def is_free(self, path: FloatArray) -> bool:
-        """Whether a broken line (k, n) is free."""
-        return all(self.straight(start, end) for start, end in pairwise(path))
 
 
 def _scattered(number: int) -> IntArray:

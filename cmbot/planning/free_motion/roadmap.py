@@ -6,11 +6,12 @@ from collections.abc import Callable
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.csgraph import dijkstra, minimum_spanning_tree
+from scipy.sparse.csgraph import minimum_spanning_tree
 from scipy.spatial import cKDTree
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.planning.free_motion.graph import graph_of, path_between_ends
 from cmbot.robot import PostureMetric
 
 __all__ = ["lower_peak"]
@@ -26,8 +27,6 @@ _NEIGHBOURS = 12
 _MOST_CHECKS = 400
 # Bounds are compared with this tolerance, relative.
 _ROUNDING = 1e-9
-# Weight of an edge that has none, which a sparse graph would take for no edge.
-_NO_WEIGHT = 1e-12
 
 
 def lower_peak(
@@ -118,11 +117,11 @@ class _Roadmap:
         while checks < _MOST_CHECKS and not stop():
             usable = self._cost < bound * (1 - _ROUNDING)
             tree = minimum_spanning_tree(self._graph(self._cost, usable))
-            nodes = _between_ends(tree)
+            nodes = path_between_ends(tree)
             if nodes is None:
                 return None
             usable = self._cost <= self._cost[self._edges(nodes)].max()
-            shortest = _between_ends(self._graph(self._length, usable))
+            shortest = path_between_ends(self._graph(self._length, usable))
             nodes = nodes if shortest is None else shortest
             edges = self._edges(nodes)
             unknown = edges[~self._checked[edges]]
@@ -136,10 +135,7 @@ class _Roadmap:
         return None
 
     def _graph(self, weight: FloatArray, usable: BoolArray) -> sparse.csr_array:
-        row, column = self._pairs[usable].T
-        # A weight of zero would be no edge.
-        weight = np.maximum(weight[usable], _NO_WEIGHT)
-        return sparse.csr_array((weight, (row, column)), shape=(len(self._q), len(self._q)))
+        return graph_of(len(self._q), self._pairs[usable], weight[usable])
 
     def _edges(self, nodes: IntArray) -> IntArray:
         """Indices of the edges between the postures of a path."""
@@ -147,14 +143,3 @@ class _Roadmap:
         order = np.lexsort(self._pairs.T[::-1])
         keys, sought = (pairs @ [len(self._q), 1] for pairs in (self._pairs[order], ends))
         return np.asarray(order[np.searchsorted(keys, sought)])
-
-
-def _between_ends(graph: sparse.csr_array) -> IntArray | None:
-    """The shortest path from the first posture of a graph to the second, as their indices."""
-    distance, before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)
-    if not np.isfinite(distance[1]):
-        return None
-    nodes = [1]
-    while nodes[-1] != 0:
-        nodes.append(int(before[nodes[-1]]))
-    return np.array(nodes[::-1])

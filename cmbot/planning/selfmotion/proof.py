@@ -99,7 +99,7 @@ class TorqueFloorProof:
     def __init__(self, context: PlanningContext, chain: WristChain, function: WeightedMoment) -> None:
         self._context, self._chain = context, chain
         limits = context.robot.limits
-        half = np.minimum(limits.range_half, np.pi)
+        half = limits.sampled_half
         self._range = limits.range_middle - half, limits.range_middle + half
         self._lever = chain.lever_bounds()
         self._goal_frame = frame_about(chain.axis[0])
