@@ -30,6 +30,8 @@ from fuzzing.workers import run_all
 from threadpoolctl import threadpool_limits
 
 _OUTCOMES = ("refused", "accepted")
+# A line of progress after so many mutants.
+_REPORT_EVERY = 5000
 # Causes that are reduced and saved: more are only counted.
 _MOST_SAVED = 40
 
@@ -52,12 +54,14 @@ def main() -> int:
         findings: dict[tuple[str, str], list[tuple[Case, Verdict]]] = {}
         for case, verdict in run_all(make, indices, options.workers, folder, until):
             counts[case.kind, verdict.outcome] += 1
+            if counts.total() % _REPORT_EVERY == 0:
+                print(f"{counts.total()} mutants tried, {len(findings)} causes of findings", flush=True)
             if verdict.is_finding:
                 alike = findings.setdefault(verdict.cause, [])
                 alike.append((case, verdict))
                 if len(alike) == 1:
-                    print(f"{case.kind} {case.index}: {verdict.outcome}: {verdict.text} ({verdict.place})")
-                    sys.stdout.flush()
+                    line = f"{case.kind} {case.index}: {verdict.outcome}: {verdict.text} ({verdict.place})"
+                    print(line, flush=True)
         seconds = time.monotonic() - started
         for number, alike in enumerate([*findings.values()][:_MOST_SAVED], start=1):
             _save(alike, options, folder, number)
