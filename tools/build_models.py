@@ -156,7 +156,7 @@ def disabled_pairs() -> list[tuple[str, str, str]]:
 
 
 def srdf() -> str:
-    """Return the SRDF: groups, the working stance, and the pairs that need no collision check."""
+    """Return the SRDF: groups, the working stance, the stow posture, and the pairs that need no check."""
     robot = ET.Element("robot", name="cmbot")
     robot.append(ET.Comment(GENERATED))
     arm = ET.SubElement(robot, "group", name="arm")
@@ -166,6 +166,9 @@ def srdf() -> str:
     for name, angle in tables.STANCE_DEG.items():
         ET.SubElement(climber, "joint", name=name)
         ET.SubElement(stance, "joint", name=name, value=radians([angle]))
+    stow = ET.SubElement(robot, "group_state", name="stow", group="arm")
+    for name, angle in tables.STOW_DEG.items():
+        ET.SubElement(stow, "joint", name=name, value=radians([angle]))
     for one, other, reason in disabled_pairs():
         ET.SubElement(robot, "disable_collisions", link1=one, link2=other, reason=reason)
     return document(robot)

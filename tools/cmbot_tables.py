@@ -57,6 +57,11 @@ LEG, LEG_OFFSET = 0.43, 0.19  # the legs lie side by side, so that the knee fold
 # The legs lie beside the planes of their feet: arm_base hangs between them.
 ANKLE_SIDE, FOOT_SIDE = 0.075, 0.045
 STANCE_DEG = {"climb_1": -90, "climb_2": 0, "climb_3": 180, "climb_4": -45, "climb_5": 0}
+# Folded under the base, clear of the guardrail and of both shipped scenes' obstacles.
+STOW_DEG = {
+    **{"joint_1": 25, "joint_2": -147, "joint_3": 42, "joint_4": 160},
+    **{"joint_5": -90, "joint_6": -90, "joint_7": -30},
+}
 CLIMB_VELOCITY, CLIMB_EFFORT = 0.2, 200
 
 

@@ -13,7 +13,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import hint, shown
 from cmbot.robot.description.frames import require_independent
@@ -45,12 +45,14 @@ _MOST_NAMED = 6
 class ArmModel:
     """Pinocchio's model of an arm, only whose joints move, its shapes, and remarks on what was assumed.
 
-    `read_visual` returns another such model with the visual shapes, whose meshes it reads.
+    `read_visual` returns another such model with the visual shapes, whose meshes it reads. `group_states` are
+    the SRDF's that set every joint of the arm, by their names.
     """
 
     model: Any
     collision: Any
     read_visual: Callable[[], tuple[Any, Any]]
+    group_states: dict[str, FloatArray]
     remarks: tuple[str, ...]
 
 
@@ -88,6 +90,7 @@ def arm_model(
         model=model,
         collision=collision,
         read_visual=lambda: reduced(_visual_shapes(urdf, root, full)),
+        group_states=_group_states(tuple(model.names)[1:], semantics),
         remarks=(*absent, *assumed),
     )
 
@@ -250,6 +253,18 @@ def _stance(
         return q, ()
     names = f"{', '.join(map(shown, list(absent)[:_MOST_NAMED]))}{', …' if len(absent) > _MOST_NAMED else ''}"
     return q, (f"The SRDF's group states name {names}: no movable joint of the URDF, not used.",)
+
+
+def _group_states(joints: Sequence[str], semantics: ElementTree.Element | None) -> dict[str, FloatArray]:
+    """The group states, checked by `_stance`, that set all of `joints`; the first of each name."""
+    states: dict[str, FloatArray] = {}
+    for state in () if semantics is None else semantics.findall("group_state"):
+        given = {entry.get("name", ""): entry.get("value", "") for entry in state.findall("joint")}
+        if given.keys() >= set(joints):
+            states.setdefault(
+                state.get("name", ""), read_only(np.array([float(given[name]) for name in joints]))
+            )
+    return states
 
 
 def _enable_pairs(

@@ -406,6 +406,8 @@ def overview(files: RobotFiles, root: ElementTree.Element) -> Iterator[tuple[str
     yield "joint_limits.yaml beside it", _joint_limits(files.limits, joints)
     none = "none: links that are neighbours or nearly always near may touch (--write-srdf writes one)"
     yield "SRDF", none if files.srdf is None else files.srdf.name
+    if files.srdf is not None:
+        yield "group states in it", _group_states(files.srdf)
     yield "elasticity file", "none: no link bends" if files.elasticity is None else files.elasticity.name
     yield "base frame", f"any link; the root is {next(link for link in links if link not in children)}"
     ends = [link for link in links if link not in parents]
@@ -413,6 +415,13 @@ def overview(files: RobotFiles, root: ElementTree.Element) -> Iterator[tuple[str
     arm = _default_arm(files, root)
     chosen = "none: there are several choices" if arm is None else f"from {arm[0]} to {arm[1]}"
     yield "arm where no frames are given", chosen
+
+
+def _group_states(srdf: Path) -> str:
+    """The names of an SRDF's group states, each with its group's."""
+    states = parse_urdf(srdf, "an SRDF").findall("group_state")
+    named = (f"{_plain(state.get('name', ''))} ({_plain(state.get('group', ''))})" for state in states)
+    return ", ".join(named) or "none"
 
 
 def _limits(joints: Sequence[ElementTree.Element]) -> str:

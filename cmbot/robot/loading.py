@@ -23,7 +23,7 @@ from cmbot.robot.elasticity import read_elasticity
 from cmbot.robot.inspection import Finding, inspect_inertias, inspect_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
-from cmbot.robot.self_collision import srdf_of
+from cmbot.robot.self_collision import PAIR, srdf_of
 
 __all__ = ["load_robot", "srdf_text"]
 
@@ -63,7 +63,8 @@ def load_robot(
         one, acceleration limits of 2 /s times the velocity limits and jerk limits of 10 /s times these are
         assumed.
     srdf : path, optional
-        Disabled collision pairs and stances; default: the file beside the URDF with its name, if there.
+        Disabled collision pairs and group states, such as ``stow``; default: the file beside the URDF with
+        its name, if there.
         Without disabled pairs, neighbouring links and those that are nearly always near are not checked
         against each other.
     elasticity : path, optional
@@ -131,6 +132,7 @@ def load_robot(
         collision_model=collision,
         read_visual_model=lambda: placed(*made.read_visual()),
         limits=limited,
+        group_states=made.group_states,
         elasticity={} if files.elasticity is None else read_elasticity(files.elasticity, arm),
         base_frame=base_frame,
         tool_frame=tool_frame,
@@ -144,7 +146,8 @@ def srdf_text(files: RobotFiles) -> str:
     """Return an SRDF that says which links of a robot need not be checked against each other, and why.
 
     All movable joints are sampled: Adjacent are links that a joint joins, Always those that are nearly always
-    near, Never those that are near in none of 10,000 random postures.
+    near, Never those that are near in none of 10,000 random postures. What else is in the SRDF of the robot,
+    such as its group states, is kept.
 
     Parameters
     ----------
@@ -159,7 +162,8 @@ def srdf_text(files: RobotFiles) -> str:
     _refuse_errors(files.urdf, inspect_urdf(root, moving=()))
     name = root.get("name", files.urdf.stem)
     model, collision = build_model(files.urdf, root, files.package_dirs)
-    return srdf_of(model, collision, name)
+    semantics = () if files.srdf is None else parse_urdf(files.srdf, "an SRDF", files.package_dirs)
+    return srdf_of(model, collision, name, [each for each in semantics if each.tag != PAIR])
 
 
 def _refuse_errors(urdf: Path, findings: Sequence[Finding]) -> None:

@@ -47,6 +47,8 @@ class Robot:
         Reads what `visual_model` is; no plan needs it.
     limits : JointLimits
         Of the n joints of the arm.
+    group_states : mapping of str to (n,) array
+        Postures by the names that the SRDF gives them, such as ``stow``: where the arm is put away.
     elasticity : mapping of str to LinkTube
         By link, base to tool: those of the arm that bend; in `model` they are rigid. Empty: all are.
     base_frame, tool_frame : str
@@ -67,6 +69,7 @@ class Robot:
     collision_model: Any
     read_visual_model: Callable[[], Any]
     limits: JointLimits
+    group_states: Mapping[str, FloatArray]
     elasticity: Mapping[str, LinkTube]
     base_frame: str
     tool_frame: str

@@ -17,7 +17,7 @@ import pinocchio as pin
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 
-__all__ = ["MOST_FAR", "NEAR", "SAMPLES", "near_pairs", "sampled_postures", "srdf_of"]
+__all__ = ["MOST_FAR", "NEAR", "PAIR", "SAMPLES", "near_pairs", "sampled_postures", "srdf_of"]
 
 NEAR = 0.02
 """Distance below which links count as near, m: the default safety margin."""
@@ -25,6 +25,9 @@ SAMPLES = 200
 """Random postures in which links are looked at before they count as always near."""
 MOST_FAR = 10
 """In so many of these they may be further away: 5 %."""
+
+PAIR = "disable_collisions"
+"""The SRDF's tag of a pair of links that is not checked."""
 
 # Random postures in none of which links are near that count as never near.
 _NEVER_SAMPLES = 10_000
@@ -67,7 +70,7 @@ def near_pairs(model: Any, collision: Any, enabled: BoolArray) -> dict[_LinkPair
     return {keys[k]: pairs[keys[k]] for k in active}
 
 
-def srdf_of(model: Any, collision: Any, name: str) -> str:
+def srdf_of(model: Any, collision: Any, name: str, kept: Sequence[ElementTree.Element] = ()) -> str:
     """Return the SRDF of a robot: the pairs of links that need not be checked, each with its reason.
 
     Parameters
@@ -76,6 +79,8 @@ def srdf_of(model: Any, collision: Any, name: str) -> str:
         Pinocchio's, of all joints; the pairs of `collision` are replaced.
     name : str
         Of the robot.
+    kept : sequence of xml.etree.ElementTree.Element
+        What comes before the pairs, such as group states.
     """
     joints = np.array([shape.parentJoint for shape in collision.geometryObjects], dtype=int)
     parents = np.array(model.parents, dtype=int)[joints]
@@ -87,8 +92,9 @@ def srdf_of(model: Any, collision: Any, name: str) -> str:
     never = _never_near(model, collision, [others[pair] for pair in left])
     reasons |= {pair: "Never" for pair, apart in zip(left, never, strict=True) if apart}
     root = ElementTree.Element("robot", name=name)
+    root.extend(kept)
     for (one, other), reason in sorted(reasons.items()):
-        ElementTree.SubElement(root, "disable_collisions", link1=one, link2=other, reason=reason)
+        ElementTree.SubElement(root, PAIR, link1=one, link2=other, reason=reason)
     ElementTree.indent(root)
     return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
 

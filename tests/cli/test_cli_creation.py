@@ -178,6 +178,14 @@ def test_an_srdf_is_written_once(here: Path) -> None:
     assert "arm.srdf: 3 pairs of links (2 Adjacent, 0 Always, 1 Never)" in out
     pairs = [dict(pair.attrib) for pair in ElementTree.parse(here / "arm.srdf").getroot()]
     assert pairs[1] == {"link1": "a", "link2": "base", "reason": "Adjacent"}
+    state = '<group_state name="stow" group="arm"><joint name="j" value="1" /></group_state>'
+    text = (here / "arm.srdf").read_text(encoding="utf-8").replace("</robot>", f"{state}</robot>")
+    (here / "arm.srdf").write_text(text, encoding="utf-8")
+    assert "group states in it stow (arm)" in " ".join(output("check", "arm.urdf").split())
+    output("check", "arm.urdf", "--write-srdf", "again.srdf")
+    again = ElementTree.parse(here / "again.srdf").getroot()
+    assert [each.tag for each in again] == ["group_state", *3 * ["disable_collisions"]]
+    assert again[0][0].attrib == {"name": "j", "value": "1"}
     assert "got arm.srdf, which is there, expected the path of a new file" in refusal(
         "check", "arm.urdf", "--write-srdf", "arm.srdf"
     )

@@ -122,6 +122,7 @@ def test_a_urdf() -> None:
     found = values(out)
     joints = cmbot.load_robot("cmbot").limits.velocity.size
     assert (found["robot"], found["SRDF"]) == ("cmbot", "cmbot.srdf")
+    assert found["group states in it"] == "working_stance (climber), stow (arm)"
     assert found["links"] == f"16, {cmbot.load_robot('cmbot').mass:.2f} kg in all"
     assert found["movable joints"] == "12 (12 revolute)"
     assert found["limits in the URDF"] == "of 12 movable joints: position 12, velocity 12, effort 12"

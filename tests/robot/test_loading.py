@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 from robot_files import load_copy, pose, replace
 
+from cmbot.collision import Clearances
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.installation import model_folder
-from cmbot.robot import JointLimits, Robot, load_robot
+from cmbot.robot import Dynamics, JointLimits, Robot, load_robot
+from cmbot.scene import load_scene
 
 VELOCITY_DEG = (20, 20, 20, 30, 30, 30, 30)  # Chang 2021, Table 3
 RANGE_DEG = (170, 170, 150, 170, 170, 130, 170)
@@ -44,6 +46,24 @@ def test_joints_and_frames(cmbot_robot: Robot) -> None:
     X_WB = cmbot_robot.model.frames[cmbot_robot.model.getFrameId("arm_base")].placement
     expected = pose((np.pi, 0, 0), (0, 0.5, 0))
     np.testing.assert_allclose(X_WB.homogeneous, expected.homogeneous, rtol=0, atol=1e-12)
+
+
+def test_the_stow_posture_is_clear_and_asks_little(cmbot_robot: Robot) -> None:
+    stow = cmbot_robot.group_states["stow"]
+    assert list(cmbot_robot.group_states) == ["stow"]  # the working stance is the climber's
+    ends = cmbot_robot.limits.upper - np.abs(stow)
+    assert np.rad2deg(ends).min() >= 10 - 1e-9
+    for scene in ("triangle", "line"):
+        clearances = Clearances(cmbot_robot, load_scene(scene).obstacles)
+        assert clearances.smallest(stow[None]).distance[0] > 0.045
+    efforts = Dynamics(cmbot_robot).static_efforts(stow[None])
+    assert np.linalg.norm(efforts.guardrail_torque) < 170
+    assert (np.abs(efforts.joint_torque[0]) < 0.85 * cmbot_robot.limits.torque).all()
+
+
+def test_group_states_of_a_part_of_the_arm_are_no_postures(urdf_folder: Path) -> None:
+    replace(urdf_folder / "cmbot.srdf", '<joint name="joint_7" value="-0.5235987755982988" />', "")
+    assert load_copy(urdf_folder).group_states == {}
 
 
 def test_without_srdf_neighbours_and_near_links_are_disabled_and_joints_locked_at_zero(

@@ -216,7 +216,7 @@ def test_srdf_names_exist(model, root):
     assert len(set(pairs)) == len(pairs)
     assert all(len(pair) == 2 and pair <= links for pair in pairs)
     assert all(pair.get("reason") for pair in srdf.iter("disable_collisions"))
-    assert {joint.get("name") for joint in srdf.iter("joint")} == set(CLIMBING) <= joints
+    assert {joint.get("name") for joint in srdf.iter("joint")} == {*CLIMBING, *ARM} <= joints
     chain = srdf.find("group[@name='arm']/chain")
     assert (chain.get("base_link"), chain.get("tip_link")) == ("arm_base", "tool0")
     assert {"arm_base", "tool0"} <= links
