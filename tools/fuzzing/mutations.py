@@ -25,6 +25,7 @@ __all__ = ["KINDS", "Case", "make_case"]
 KINDS = {"scene": 0.40, "robot": 0.26, "plan directory": 0.20, "command line": 0.138, "planning": 0.002}
 """Share of the mutants of each kind."""
 
+_LARGEST_SCALED = 1e300
 ODD_NUMBERS: tuple[float, ...] = (
     *(0, -0.0, 1, -1, 2, 3, 7, 0.5, -0.5, 360, 1e-9, 1e-3, 1e3, 1e4, 1e6, 1e9, -1e4, -1e9),
     *(5e-324, 2.3e-308, 1e-300, 1e-154, 1e-16, 1e16, 1e100, 1e154, 1e155, 1e300, 1.7976931348623157e308),
@@ -239,7 +240,8 @@ def _places(data: Any) -> Iterator[tuple[Any, Any]]:
 
 def _odd_value(rng: Random, value: Any) -> Any:
     number = isinstance(value, int | float) and not isinstance(value, bool)
-    if number and rng.random() < 0.75:
+    # What is larger could not be scaled.
+    if number and abs(value) < _LARGEST_SCALED and rng.random() < 0.75:
         scaled = value * rng.choice((-1, 0.1, 0.999, 1.001, 2, 10, 57.3, 1000, 1e6, 1e-6))
         return rng.choice((*ODD_NUMBERS, scaled, scaled, scaled, int(scaled), float(value)))
     return rng.choice(
