@@ -29,6 +29,7 @@ from cmbot.common.errors import PlanningError
 from cmbot.planning import GlobalSearch, LowerBound
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.scene import ToolPoses
 
 # Newton steps of restarts; descents: from so many of the best restarts, steps of so many tries.
 _STEPS, _DESCENTS, _DESCENT_STEPS, _AROUND = 40, 6, 60, 20
@@ -48,9 +49,9 @@ def brute_force(context: PlanningContext, bound: LowerBound, tries: int, seed: i
     rng, limits = np.random.default_rng(seed), context.robot.limits
     half = np.minimum(limits.range_half, np.pi)
     low, high = limits.range_middle - half, limits.range_middle + half
-    point = context.points[bound.via_point]
+    goal = context.goals[bound.via_point]
     q = rng.uniform(low, high, (tries, len(low)))
-    q, reached = project_onto_task(context.postures, context.task, q, point, steps=_STEPS)
+    q, reached = project_onto_task(context.postures, context.task, q, goal, steps=_STEPS)
     q = limits.turned_to_middle(q[reached])
     q, value = _allowed(context, q)
     order = np.argsort(value, kind="stable")
@@ -63,7 +64,7 @@ def brute_force(context: PlanningContext, bound: LowerBound, tries: int, seed: i
             clear.append(k)
             best = min(best, float(value[k]))
     for k in clear:
-        least, tried = _descended(context, q[k], point, rng)
+        least, tried = _descended(context, q[k], goal, rng)
         best, number = min(best, least), number + tried
     return Found(postures=number, least=best)
 
@@ -82,14 +83,14 @@ def _clear(context: PlanningContext, q: FloatArray) -> BoolArray:
 
 
 def _descended(
-    context: PlanningContext, q: FloatArray, point: FloatArray, rng: np.random.Generator
+    context: PlanningContext, q: FloatArray, goal: ToolPoses, rng: np.random.Generator
 ) -> tuple[float, int]:
     """The least value that random steps along the self-motion lead to, and how many postures were tried."""
     value, length, number = _allowed(context, q[None])[1][0], 0.2, 0
     for _ in range(_DESCENT_STEPS):
         null = null_space(context.postures, context.task, q[None])[0]
         moves = length * rng.normal(size=(_AROUND, len(null))) @ null
-        near, reached = project_onto_task(context.postures, context.task, q + moves, point)
+        near, reached = project_onto_task(context.postures, context.task, q + moves, goal)
         near, values = _allowed(context, near[reached])
         number += len(near)
         length *= 0.85

@@ -19,7 +19,7 @@ from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
-from cmbot.scene import PlannerOptions, Scene, ToolPath, pose
+from cmbot.scene import PlannerOptions, Scene, ToolPath, ToolPoses, pose
 
 __all__ = [
     "PlanningContext",
@@ -53,9 +53,9 @@ class PlanningContext:
         return Postures(self.robot)
 
     @cached_property
-    def points(self) -> FloatArray:
-        """Tool points (k, 3), m, at the via-points."""
-        return self.task.path.position(self.times)
+    def goals(self) -> ToolPoses:
+        """Timed poses of the tool at the via-points."""
+        return self.task.path.poses(self.times)
 
     def path_not_found(
         self,

@@ -178,7 +178,7 @@ def solved(
 def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
     """Project postures (n, d) near the via-points onto the tool task."""
     q, reached = project_onto_task(
-        context.postures, context.task, rough, context.points, steps=50, tolerance=1e-12
+        context.postures, context.task, rough, context.goals, steps=50, tolerance=1e-12
     )
     for k in np.flatnonzero(~reached)[:1]:
         joint = context.out_of_range(rough[k : k + 1]) or context.nearest_to_end(rough[k])

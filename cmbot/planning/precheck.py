@@ -182,7 +182,7 @@ def require_within_reach(context: PlanningContext) -> None:
     """Refuse a tool path that leaves the reach of the stretched arm; the error names the first such leg."""
     path, robot = context.task.path, context.robot
     for key, distance in beyond_reach(robot, path):
-        away = np.linalg.norm(context.points - robot.base_point, axis=1)
+        away = np.linalg.norm(context.goals.point - robot.base_point, axis=1)
         time = float(context.times[np.argmax(away > robot.reach * (1 + _ROUNDING))])
         raise PathNotFound(
             f"{key} ends {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out of "

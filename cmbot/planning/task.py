@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -13,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import ToolPath
+from cmbot.scene import ToolPath, ToolPoses
 
 __all__ = ["ToolTask", "task_dimension"]
 
@@ -59,19 +58,18 @@ class ToolTask:
         J = robot.metric.positions(J)
         return float(np.linalg.svd(self.jacobian(X_WT.rotation, J), compute_uv=False)[-1])
 
-    def error(self, X_WT: Any, point: FloatArray) -> FloatArray:
-        """Task coordinates (m,) from `X_WT` to the path's orientation at `point` (3,)."""
-        return np.asarray(self.errors(X_WT.translation[None], X_WT.rotation[None], point)[0])
+    def error(self, X_WT: Any, goal: ToolPoses) -> FloatArray:
+        """Task coordinates (m,) from `X_WT` to a goal, one pose."""
+        return np.asarray(self.errors(X_WT.translation[None], X_WT.rotation[None], goal)[0])
 
-    def errors(self, p_WT: FloatArray, R_WT: FloatArray, points: FloatArray) -> FloatArray:
-        """Task coordinates (N, m) from N tool poses to the path's orientation at `points`, (N, 3) or (3,)."""
-        translation = points - p_WT
-        R_goal = self.path.orientation
+    def errors(self, p_WT: FloatArray, R_WT: FloatArray, goals: ToolPoses) -> FloatArray:
+        """Task coordinates (N, m) from N tool poses to the goals, one each or one for all."""
+        translation = goals.point - p_WT
         if self.keep == "position":
             return translation
         if self.keep == "pose":
-            return np.concatenate([translation.T, self._rotation_vectors(R_WT)]).T
-        turns = _between(R_WT[:, :, 2], R_goal[:, 2])
+            return np.concatenate([translation.T, _rotation_vectors(R_WT, goals.rotation)]).T
+        turns = _between(R_WT[:, :, 2], goals.rotation[:, :, 2])
         return np.concatenate([translation, np.einsum("kij,ki->kj", R_WT[:, :, :2], turns)], axis=1)
 
     def held_at_start(self) -> ToolTask:
@@ -84,42 +82,18 @@ class ToolTask:
         """Number m of task coordinates."""
         return task_dimension(self.keep)
 
-    def rotation(self, R_WT: FloatArray) -> FloatArray:
+    def rotation(self, R_WT: FloatArray, goals: ToolPoses) -> FloatArray:
         """Angles (N,), rad, by which orientations `R_WT` (N, 3, 3) miss what is prescribed."""
-        R_goal = self.path.orientation
+        R_goal = goals.rotation
         if self.keep == "position":
             return np.zeros(len(R_WT))
         if self.keep == "axis":
-            z, z_goal = R_WT[:, :, 2], R_goal[:, 2]
-            return np.asarray(np.arctan2(np.linalg.norm(np.cross(z, z_goal), axis=1), z @ z_goal))
+            z, z_goal = R_WT[:, :, 2], R_goal[:, :, 2]
+            sine = np.linalg.norm(np.cross(z, z_goal), axis=1)
+            return np.asarray(np.arctan2(sine, (z * z_goal).sum(axis=1)))
         # |R_goal - R| = 2 sqrt(2) sin(angle/2), exact for small angles where the trace is not.
         chord = np.linalg.norm(R_WT - R_goal, axis=(1, 2)) / (2 * np.sqrt(2))
         return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
-
-    def _rotation_vectors(self, R_WT: FloatArray) -> FloatArray:
-        """Rotation vectors (3, N) of the turns from orientations `R_WT` (N, 3, 3) to the path's."""
-        # So the operations run along the orientations.
-        parts = self._to_sine_and_cosine @ R_WT.transpose(2, 1, 0).reshape(9, -1)
-        sine, cosine = parts[:3], parts[3] - 0.5
-        size = np.sqrt((sine * sine).sum(axis=0))
-        # What follows is exact but for half turns, whose axis it does not see; SciPy's own costs ten times
-        # more.
-        vectors = sine * (np.arctan2(size, cosine) / np.maximum(size, _NO_TURN))
-        vectors[:, size <= _NO_TURN] = 0.0
-        far = np.flatnonzero(cosine < _NEARLY_HALF_A_TURN)
-        if len(far):
-            turns = self.path.orientation @ R_WT[far].transpose(0, 2, 1)
-            vectors[:, far] = Rotation.from_matrix(turns).as_rotvec().T
-        return np.asarray(vectors)
-
-    @cached_property
-    def _to_sine_and_cosine(self) -> FloatArray:
-        """What makes of an orientation's three axes the turn's axis times its sine, and its cosine + 1/2.
-
-        Half the sum of the cross products, or of the scalar products, of both orientations' axes: (4, 9).
-        """
-        goal = self.path.orientation.T
-        return 0.5 * np.vstack([np.hstack([-pin.skew(axis) for axis in goal]), goal.reshape(1, 9)])
 
 
 def task_dimension(keep: Literal["pose", "axis", "position"]) -> int:
@@ -127,9 +101,42 @@ def task_dimension(keep: Literal["pose", "axis", "position"]) -> int:
     return {"pose": 6, "axis": 5, "position": 3}[keep]
 
 
+def _rotation_vectors(R_WT: FloatArray, R_goal: FloatArray) -> FloatArray:
+    """Rotation vectors (3, N) of the turns from orientations (N, 3, 3) to others, (N, 3, 3) or (1, 3, 3)."""
+    sine, cosine = _sine_and_cosine(R_WT, R_goal)
+    size = np.sqrt((sine * sine).sum(axis=0))
+    # What follows is exact but for half turns, whose axis it does not see; SciPy's own costs ten times
+    # more.
+    vectors = sine * (np.arctan2(size, cosine) / np.maximum(size, _NO_TURN))
+    vectors[:, size <= _NO_TURN] = 0.0
+    far = np.flatnonzero(cosine < _NEARLY_HALF_A_TURN)
+    if len(far):
+        goal = R_goal if len(R_goal) == 1 else R_goal[far]
+        vectors[:, far] = Rotation.from_matrix(goal @ R_WT[far].transpose(0, 2, 1)).as_rotvec().T
+    return np.asarray(vectors)
+
+
+def _sine_and_cosine(R_WT: FloatArray, R_goal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Of the turns from orientations to others: their axes times their sines, (3, N), and cosines (N,).
+
+    Half the sum of the cross products, and of the scalar products less one, of both orientations' axes.
+    """
+    if len(R_goal) > 1:
+        turned = np.einsum("kij,klj->ilk", R_goal, R_WT)
+        sine = 0.5 * np.stack(
+            [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]
+        )
+        return sine, 0.5 * (turned[0, 0] + turned[1, 1] + turned[2, 2] - 1.0)
+    goal = R_goal[0].T
+    # One product with a matrix is quickest.
+    products = 0.5 * np.vstack([np.hstack([-pin.skew(axis) for axis in goal]), goal.reshape(1, 9)])
+    parts = products @ R_WT.transpose(2, 1, 0).reshape(9, -1)
+    return parts[:3], parts[3] - 0.5
+
+
 def _between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
-    """Shortest rotation vectors (N, 3) that turn unit vectors `z` (N, 3) to `z_goal` (3,)."""
-    cross, cosine = np.cross(z, z_goal), z @ z_goal
+    """Shortest rotation vectors (N, 3) that turn unit vectors `z` (N, 3) to `z_goal`, (N, 3) or (1, 3)."""
+    cross, cosine = np.cross(z, z_goal), (z * z_goal).sum(axis=1)
     sine = np.linalg.norm(cross, axis=1)
     vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
     for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):

@@ -6,7 +6,14 @@ from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.scene import RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
 from cmbot.scene.template import limits_text, scene_text
-from cmbot.scene.tool_path import Leg, ShiftedToolPath, SpeedProfile, ToolPath, share_out_segments
+from cmbot.scene.tool_path import (
+    Leg,
+    ShiftedToolPath,
+    SpeedProfile,
+    ToolPath,
+    ToolPoses,
+    share_out_segments,
+)
 
 __all__ = [
     "MOST_SAMPLES",
@@ -26,6 +33,7 @@ __all__ = [
     "SpeedProfile",
     "Sphere",
     "ToolPath",
+    "ToolPoses",
     "guardrail_from_file",
     "guardrail_obstacles",
     "limits_text",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from heapq import heapify, heapreplace
@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, refusal
 from cmbot.scene.fields import Vector
 
-__all__ = ["Leg", "ShiftedToolPath", "SpeedProfile", "ToolPath", "share_out_segments"]
+__all__ = ["Leg", "ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_out_segments"]
 
 _SHORTEST_LEG = 1e-6  # m
 _NO_LENGTH = 1e-300
@@ -100,6 +100,34 @@ class Leg(CheckedFields):
     seconds: Annotated[float, Field(ge=1e-3, le=36_000)]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ToolPoses:
+    """Poses of the tool in W.
+
+    Attributes
+    ----------
+    point : (N, 3), m
+    rotation : (N, 3, 3), or (1, 3, 3) where all have the same
+        R_WT.
+    """
+
+    point: FloatArray
+    rotation: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.point)
+
+    def __getitem__(self, which: IntArray | BoolArray | slice | int) -> ToolPoses:
+        """Return some of the poses; of one index, that one."""
+        chosen = slice(which, which + 1 or None) if isinstance(which, int | np.integer) else which
+        rotation = self.rotation if len(self.rotation) == 1 else self.rotation[chosen]
+        return ToolPoses(point=self.point[chosen], rotation=rotation)
+
+    def __iter__(self) -> Iterator[ToolPoses]:
+        """Yield the poses one by one."""
+        return (self[k] for k in range(len(self)))
+
+
 @dataclass(frozen=True, kw_only=True)
 class ToolPath:
     """Straight legs, each from rest to rest, with one speed profile.
@@ -143,6 +171,15 @@ class ToolPath:
         """Return the tool point p_WT (N, 3), m, at `times` (N,)."""
         leg, u = self._locate(times)
         return self.corners[leg] + self.profile.share(u)[:, None] * self._edges[leg]
+
+    def poses(self, times: ArrayLike) -> ToolPoses:
+        """Return the timed poses of the tool at `times` (N,)."""
+        return ToolPoses(point=self.position(times), rotation=self.orientation[None])
+
+    @property
+    def turns(self) -> bool:
+        """Whether the tool's orientation changes along the path."""
+        return False
 
     def velocity(self, times: ArrayLike) -> FloatArray:
         """Return the tool point's velocity (N, 3), m/s, at `times` (N,)."""

@@ -15,7 +15,7 @@ from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
-from cmbot.scene import Scene, SpeedProfile, ToolPath, load_scene
+from cmbot.scene import Scene, SpeedProfile, ToolPath, ToolPoses, load_scene
 from cmbot.trajectory.quintic import QuinticTrajectory
 
 SHORT: dict[str, Any] = {
@@ -58,10 +58,15 @@ def task_at(robot: Robot, q: FloatArray, keep: Any = "pose") -> ToolTask:
     return ToolTask(path_through(corners, X_WT.rotation), keep)
 
 
-def off_task(robot: Robot, task: ToolTask, q: FloatArray, points: FloatArray) -> float:
+def goals_at(task: ToolTask, points: FloatArray) -> ToolPoses:
+    """The path's orientation at other points, (N, 3) or (3,)."""
+    return ToolPoses(point=np.atleast_2d(points), rotation=task.path.orientation[None])
+
+
+def off_task(robot: Robot, task: ToolTask, q: FloatArray, goals: ToolPoses) -> float:
     """Largest error of the task in postures `q` (N, n), m or rad."""
     at = Postures(robot).tool_at(q)
-    return float(np.abs(task.errors(at.tool_point, at.tool_rotation, points)).max())
+    return float(np.abs(task.errors(at.tool_point, at.tool_rotation, goals)).max())
 
 
 def tool_points(robot: Robot, q: FloatArray) -> FloatArray:

@@ -129,11 +129,11 @@ def test_the_predictor_is_the_first_step_of_a_projection(
     stage: GlobalSearch, context: PlanningContext
 ) -> None:
     postures, task = Postures(context.robot), context.task
-    points = task.path.position(context.times)
+    goals = task.path.poses(context.times)
     q = stage._layers[0].chart.q
-    predictor = TangentPredictor.of(postures, task, q, points[0])
-    first, _ = project_onto_task(postures, task, q, points[1], steps=1)
-    np.testing.assert_allclose(predictor.towards(points[1]), first, atol=1e-8)
+    predictor = TangentPredictor.of(postures, task, q, goals[0])
+    first, _ = project_onto_task(postures, task, q, goals[1], steps=1)
+    np.testing.assert_allclose(predictor.towards(goals[1]), first, atol=1e-8)
 
 
 def test_longer_paths_do_not_take_many_more_steps() -> None:

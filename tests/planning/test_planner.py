@@ -26,8 +26,8 @@ def check_promises(planned: Plan) -> None:
     trajectory, task, kinematics = planned.trajectory, planned.task, Kinematics(planned.robot)
     assert len(trajectory.t) == planned.scene.via_points
     assert trajectory.duration == pytest.approx(sum(leg.seconds for leg in planned.scene.legs))
-    for q, point in zip(trajectory.q, task.path.position(trajectory.t), strict=True):
-        assert np.abs(task.error(kinematics.tool_pose(q), point)).max() < 1e-9
+    for q, goal in zip(trajectory.q, task.path.poses(trajectory.t), strict=True):
+        assert np.abs(task.error(kinematics.tool_pose(q), goal)).max() < 1e-9
     # Sampled again at other times, apart from the certificate.
     samples = planned.samples
     assert samples.t[-1] == pytest.approx(trajectory.duration)

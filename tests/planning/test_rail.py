@@ -131,12 +131,12 @@ def test_postures_in_degrees_are_refused(tmp_path: Path) -> None:
 def test_via_points_slide_with_exact_derivatives(tmp_path: Path, rng: np.random.Generator) -> None:
     problem = problem_of(rail_scene(tmp_path))
     context, q = problem.context, problem.parametrization.via_points
-    manifold, metric = TaskManifold(context.postures, context.task, context.points), context.robot.metric
+    manifold, metric = TaskManifold(context.postures, context.task, context.goals), context.robot.metric
     tangents = metric.coordinates(manifold.tangents(q))
     np.testing.assert_allclose(np.linalg.norm(tangents, axis=2), 1.0, rtol=0, atol=1e-12)
     u = 0.1 * rng.normal(size=tangents.shape[:2])
     moved, slope = manifold.retract(q, manifold.tangents(q), u, np.arange(len(q)))
-    assert off_task(context.robot, context.task, moved, context.points) < 1e-10
+    assert off_task(context.robot, context.task, moved, context.goals) < 1e-10
     along = np.einsum("kai,ki->ka", tangents, metric.coordinates(moved - q))
     np.testing.assert_allclose(along, u, rtol=0, atol=1e-10)
     check_derivative(
@@ -151,11 +151,11 @@ def test_via_points_slide_with_exact_derivatives(tmp_path: Path, rng: np.random.
 def test_charts_hold_all_postures_in_range(context: PlanningContext, rng: np.random.Generator) -> None:
     """Random restarts of Newton's method find none that is further than a spacing from the chart."""
     sampler, limits, metric = SelfMotionSampler(context), context.robot.limits, context.robot.metric
-    chart = sampler.first(context.points[0], context.posture[None])
+    chart = sampler.first(context.goals[0], context.posture[None])
     assert ((chart >= limits.lower) & (chart <= limits.upper))[:, SLIDES].all()
-    assert off_task(context.robot, context.task, chart, context.points[0]) < 1e-9
+    assert off_task(context.robot, context.task, chart, context.goals[0]) < 1e-9
     start = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (300, 7))
-    q, reached = project_onto_task(context.postures, context.task, start, context.points[0], steps=50)
+    q, reached = project_onto_task(context.postures, context.task, start, context.goals[0], steps=50)
     q = limits.turned_to_middle(q[reached])
     q = q[limits.contain(q)]
     assert len(q) > 20

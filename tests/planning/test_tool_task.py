@@ -9,11 +9,12 @@ from finite_differences import check_derivative, finite_difference
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
-from small_scenes import path_through
+from small_scenes import goals_at, path_through
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning.task import ToolTask
+from cmbot.scene import ToolPoses
 
 SIZES = {"pose": 6, "axis": 5, "position": 3}
 every_kind = pytest.mark.parametrize("keep", SIZES)
@@ -22,6 +23,10 @@ seeds = st.integers(0, 2**32 - 1)
 
 def task_of(keep: Any, R_goal: FloatArray) -> ToolTask:
     return ToolTask(path_through(np.eye(3)[:2], R_goal), keep)
+
+
+def missed(task: ToolTask, R_WT: FloatArray) -> FloatArray:
+    return task.rotation(R_WT, task.path.poses([0.0]))
 
 
 def random_rotation(rng: np.random.Generator) -> FloatArray:
@@ -49,13 +54,13 @@ def test_error_is_zero_at_the_goal_and_only_there(keep: str, seed: int) -> None:
     rng = np.random.default_rng(seed)
     R, point = random_rotation(rng), rng.normal(size=3)
     task = task_of(keep, R)
-    at_goal = task.error(pin.SE3(R, point), point)
+    at_goal = task.error(pin.SE3(R, point), goals_at(task, point))
     assert at_goal.shape == (SIZES[keep],)
     np.testing.assert_allclose(at_goal, 0.0, rtol=0, atol=1e-14)
-    away = task.error(pin.SE3(R, point + np.array([0.0, 1e-9, 0.0])), point)
+    away = task.error(pin.SE3(R, point + np.array([0.0, 1e-9, 0.0])), goals_at(task, point))
     np.testing.assert_allclose(away[:3], [0.0, -1e-9, 0.0], rtol=0, atol=1e-15)
     if keep != "position":
-        tilted = task.error(pin.SE3(turn(R[:, 0], 1e-9) @ R, point), point)
+        tilted = task.error(pin.SE3(turn(R[:, 0], 1e-9) @ R, point), goals_at(task, point))
         assert np.linalg.norm(tilted) == pytest.approx(1e-9, rel=1e-5)
 
 
@@ -69,7 +74,9 @@ def test_jacobian_is_minus_the_derivative_of_the_error_at_the_goal(keep: str, se
     X_WT = pin.SE3(task.path.orientation, point)
     got = task.jacobian(X_WT.rotation, J)
     assert got.shape == (SIZES[keep], 7)
-    check_derivative(lambda x: -task.error(moved(X_WT, J @ x), point), np.zeros(7), got, rtol=0, atol=1e-8)
+    check_derivative(
+        lambda x: -task.error(moved(X_WT, J @ x), goals_at(task, point)), np.zeros(7), got, rtol=0, atol=1e-8
+    )
 
 
 @every_kind
@@ -82,7 +89,9 @@ def test_near_the_goal_the_jacobian_is_wrong_by_no_more_than_the_tilt(keep: str,
     point, J = rng.normal(size=3), rng.normal(size=(6, 7))
     X_WT = pin.SE3(turn(unit_vector(rng), tilt) @ task.path.orientation, rng.normal(size=3))
     dq = rng.normal(size=7)
-    slope = finite_difference(lambda s: task.error(moved(X_WT, s * (J @ dq)), point), np.zeros(1))[:, 0]
+    slope = finite_difference(
+        lambda s: task.error(moved(X_WT, s * (J @ dq)), goals_at(task, point)), np.zeros(1)
+    )[:, 0]
     wrong = slope + task.jacobian(X_WT.rotation, J) @ dq
     np.testing.assert_allclose(wrong[:3], 0.0, rtol=0, atol=1e-8)
     assert np.linalg.norm(wrong) <= 2 * tilt * np.linalg.norm(J[3:] @ dq) + 1e-8
@@ -93,11 +102,13 @@ def test_turning_by_the_error_reaches_the_goal_from_anywhere(seed: int) -> None:
     rng = np.random.default_rng(seed)
     R, R_goal, point = random_rotation(rng), random_rotation(rng), rng.normal(size=3)
     X_WT = pin.SE3(R, rng.normal(size=3))
-    pose = task_of("pose", R_goal).error(X_WT, point)
+    pose_task, axis_task = task_of("pose", R_goal), task_of("axis", R_goal)
+    goal = goals_at(pose_task, point)
+    pose = pose_task.error(X_WT, goal)
     reached = moved(X_WT, pose)
     np.testing.assert_allclose(reached.translation, point, rtol=0, atol=1e-14)
     np.testing.assert_allclose(reached.rotation, R_goal, rtol=0, atol=1e-7)
-    axis = task_of("axis", R_goal).error(X_WT, point)
+    axis = axis_task.error(X_WT, goal)
     reached = moved(X_WT, np.concatenate([axis[:3], R[:, :2] @ axis[3:]]))
     np.testing.assert_allclose(reached.rotation[:, 2], R_goal[:, 2], rtol=0, atol=1e-12)
     # And on the shortest way.
@@ -111,13 +122,14 @@ def test_axis_does_not_care_for_a_turn_about_the_tools_own_z(seed: int, angle: f
     R = random_rotation(rng)
     task = task_of("axis", R)
     turned = R @ turn(np.array([0.0, 0.0, 1.0]), angle)
-    np.testing.assert_allclose(task.error(pin.SE3(turned, np.zeros(3)), np.zeros(3)), 0.0, rtol=0, atol=1e-14)
-    np.testing.assert_allclose(task.rotation(turned[None]), 0.0, rtol=0, atol=1e-14)
+    at_goal = task.error(pin.SE3(turned, np.zeros(3)), goals_at(task, np.zeros(3)))
+    np.testing.assert_allclose(at_goal, 0.0, rtol=0, atol=1e-14)
+    np.testing.assert_allclose(missed(task, turned[None]), 0.0, rtol=0, atol=1e-14)
     # The pose does care.
-    np.testing.assert_allclose(task_of("pose", R).rotation(turned[None]), abs(angle), rtol=0, atol=1e-7)
+    np.testing.assert_allclose(missed(task_of("pose", R), turned[None]), abs(angle), rtol=0, atol=1e-7)
     # Away from the goal the missing angle does not depend on that turn either.
     tilted = turn(R[:, 0], 0.3) @ np.array([R, turned])
-    np.testing.assert_allclose(task.rotation(tilted), 0.3, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(missed(task, tilted), 0.3, rtol=0, atol=1e-13)
     spin = np.array([0.0, 0.0, 0.0, *turned[:, 2]])[:, None]
     np.testing.assert_allclose(task.jacobian(turned, spin), 0.0, rtol=0, atol=1e-14)
 
@@ -132,11 +144,11 @@ def test_rotation_angles(angle: float) -> None:
     turned = np.array([turn(unit_vector(rng), angle) @ R_goal for _ in range(20)])
     # A small angle keeps its figures; next to half a turn the chord flattens out, and half of them are left.
     tolerance = 1e-15 + 1e-14 * angle if angle < 3 else 1e-7
-    np.testing.assert_allclose(pose.rotation(turned), angle, rtol=0, atol=2 * tolerance)
+    np.testing.assert_allclose(missed(pose, turned), angle, rtol=0, atol=2 * tolerance)
     across = [R_goal[:, :2] @ unit_vector(rng)[:2] for _ in range(20)]
     tilted = np.array([turn(x / np.linalg.norm(x), angle) @ R_goal for x in across])
-    np.testing.assert_allclose(axis.rotation(tilted), angle, rtol=0, atol=2e-15 + 1e-14 * angle)
-    assert not task_of("position", R_goal).rotation(turned).any()
+    np.testing.assert_allclose(missed(axis, tilted), angle, rtol=0, atol=2e-15 + 1e-14 * angle)
+    assert not missed(task_of("position", R_goal), turned).any()
 
 
 @given(seeds)
@@ -145,9 +157,10 @@ def test_rotation_is_the_length_of_the_rotational_error(seed: int) -> None:
     R_goal, R = random_rotation(rng), np.array([random_rotation(rng) for _ in range(5)])
     for keep in ("pose", "axis"):
         task = task_of(keep, R_goal)
-        lengths = [np.linalg.norm(task.error(pin.SE3(x, np.zeros(3)), np.zeros(3))[3:]) for x in R]
-        np.testing.assert_allclose(task.rotation(R), lengths, rtol=0, atol=1e-7)
-    assert task_of("position", R_goal).rotation(R).shape == (5,)
+        goal = goals_at(task, np.zeros(3))
+        lengths = [np.linalg.norm(task.error(pin.SE3(x, np.zeros(3)), goal)[3:]) for x in R]
+        np.testing.assert_allclose(missed(task, R), lengths, rtol=0, atol=1e-7)
+    assert missed(task_of("position", R_goal), R).shape == (5,)
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
@@ -157,11 +170,11 @@ def test_an_opposite_axis_is_half_a_turn_away(axis: int, slip: float) -> None:
     R_goal = np.roll(np.eye(3), axis, axis=1)
     task = task_of("axis", R_goal)
     R = turn(R_goal[:, 0], np.pi - slip) @ R_goal
-    error = task.error(pin.SE3(R, np.zeros(3)), np.zeros(3))
+    error = task.error(pin.SE3(R, np.zeros(3)), goals_at(task, np.zeros(3)))
     assert np.linalg.norm(error[3:]) == pytest.approx(np.pi, abs=1e-9)
     reached = moved(pin.SE3(R, np.zeros(3)), np.concatenate([np.zeros(3), R[:, :2] @ error[3:]]))
     np.testing.assert_allclose(reached.rotation[:, 2], R_goal[:, 2], rtol=0, atol=1e-9)
-    np.testing.assert_allclose(task.rotation(R[None]), np.pi, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(missed(task, R[None]), np.pi, rtol=0, atol=1e-9)
 
 
 @given(seeds)
@@ -169,7 +182,8 @@ def test_a_pose_half_a_turn_away_has_an_error_of_that_length(seed: int) -> None:
     rng = np.random.default_rng(seed)
     R_goal = random_rotation(rng)
     R = turn(unit_vector(rng), np.pi) @ R_goal
-    error = task_of("pose", R_goal).error(pin.SE3(R, np.zeros(3)), np.zeros(3))
+    task = task_of("pose", R_goal)
+    error = task.error(pin.SE3(R, np.zeros(3)), goals_at(task, np.zeros(3)))
     assert np.linalg.norm(error[3:]) == pytest.approx(np.pi, abs=1e-7)
 
 
@@ -182,3 +196,23 @@ def test_an_unknown_kind_is_refused_and_the_known_ones_named(keep: Any) -> None:
 
 def test_the_whole_pose_is_kept_unless_told_otherwise() -> None:
     assert ToolTask(task_of("axis", np.eye(3)).path).keep == "pose"
+
+
+@every_kind
+@given(seeds)
+def test_goals_of_each_are_those_of_one_at_a_time(keep: str, seed: int) -> None:
+    """Also where a turn is nearly half a one."""
+    rng = np.random.default_rng(seed)
+    task, R = task_of(keep, np.eye(3)), Rotation.random(6, rng=rng).as_matrix()
+    turns = rng.choice([1e-9, 0.3, 2.9, np.pi - 1e-6], 6)[:, None] * np.array([unit_vector(rng) for _ in R])
+    goals = ToolPoses(point=rng.normal(size=(6, 3)), rotation=Rotation.from_rotvec(turns).as_matrix() @ R)
+    p = rng.normal(size=(6, 3))
+    together = task.errors(p, R, goals)
+    for k, goal in enumerate(goals):
+        alone = task.errors(p[k : k + 1], R[k : k + 1], goal)[0]
+        np.testing.assert_allclose(together[k], alone, rtol=0, atol=1e-8)
+        np.testing.assert_allclose(
+            task.rotation(R, goals)[k], task.rotation(R[k : k + 1], goal)[0], rtol=0, atol=1e-12
+        )
+    if keep == "pose":
+        np.testing.assert_allclose(task.rotation(R, goals), np.linalg.norm(turns, axis=1), rtol=0, atol=1e-7)

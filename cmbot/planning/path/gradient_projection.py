@@ -98,7 +98,8 @@ def follow_path(
     kinematics = Kinematics(robot)
     steps = max(round(task.path.duration / options.path_step_s), 1)
     t = np.linspace(0.0, task.path.duration, steps + 1)
-    points = task.path.position(t)
+    goals = task.path.poses(t)
+    points = goals.point
     dt, metric = t[1], robot.metric
     q, v = np.empty((steps + 1, robot.dof)), np.empty((steps + 1, robot.dof))
     clearance, singular_value, drift = (np.empty(steps + 1) for _ in range(3))
@@ -107,7 +108,7 @@ def follow_path(
         X_WT, J = kinematics.tool_jacobian(q[k])
         J = metric.positions(J)
         U, s, Vt = np.linalg.svd(task.jacobian(X_WT.rotation, J), full_matrices=False)
-        error = task.error(X_WT, points[k])
+        error = task.error(X_WT, goals[k])
         singular_value[k] = s[-1]
         drift[k] = np.linalg.norm(X_WT.translation - points[k])
         if stop_at_obstacles:
@@ -257,7 +258,7 @@ def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
         length = metric.lengths(along)[:, None]
         along /= np.maximum(length, 1e-6)
         q, follows = project_onto_task(
-            context.postures, task, q + _STEP * along, task.path.corners[0], steps=50, tolerance=1e-12
+            context.postures, task, q + _STEP * along, task.path.poses([0.0]), steps=50, tolerance=1e-12
         )
         follows &= length[:, 0] >= 1e-6
         follows &= limits.contain(q)

@@ -14,6 +14,7 @@ import numpy as np
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.task import ToolTask
 from cmbot.robot import PostureMetric, Postures, ToolBatch
+from cmbot.scene import ToolPoses
 
 __all__ = ["TangentPredictor", "gram", "null_directions", "null_space", "project_onto_task", "solve_batch"]
 
@@ -29,7 +30,7 @@ def project_onto_task(
     postures: Postures,
     task: ToolTask,
     q: FloatArray,
-    point: FloatArray,
+    goals: ToolPoses,
     *,
     steps: int = 6,
     tolerance: float = 1e-10,
@@ -37,8 +38,8 @@ def project_onto_task(
 ) -> tuple[FloatArray, BoolArray]:
     """Project postures `q` (N, n) onto the tool task by Newton steps of least norm.
 
-    `point` is where the tool has to be, m, of each posture (N, 3) or of all (3,). The default of `steps`,
-    which it takes at most, suffices for postures near the task. `tolerance`, m or rad, is the largest error
+    `goals` are poses of the tool, one for each posture or one for all. The default of `steps`, which it takes
+    at most, suffices for postures near the task. `tolerance`, m or rad, is the largest error
     of a task coordinate of a posture on the task. Along the directions `held` (N, a, n), such as its null
     space, each posture keeps its place.
 
@@ -46,7 +47,7 @@ def project_onto_task(
     """
     metric = postures.metric
     start = metric.coordinates(q).T
-    x, points = start.copy(), np.broadcast_to(point, (len(q), 3))
+    x = start.copy()
     fixed = None if held is None else metric.coordinates(held).transpose(1, 2, 0)
     reached = np.zeros(len(q), dtype=np.bool_)
     active, sure = np.arange(len(q)), reached
@@ -54,7 +55,7 @@ def project_onto_task(
         reached[active[sure]] = True
         active = active[~sure]
         at = postures.tool_at(metric.positions(x[:, active].T))
-        error = task.errors(at.tool_point, at.tool_rotation, points[active]).T
+        error = task.errors(at.tool_point, at.tool_rotation, goals if len(goals) == 1 else goals[active]).T
         J = _leading(task, at, metric)
         if fixed is not None:
             rows, left = fixed[..., active], start[:, active] - x[:, active]
@@ -87,31 +88,38 @@ def null_space(postures: Postures, task: ToolTask, q: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class TangentPredictor:
-    """Postures `q` (N, n) that hold the tool at `point`, and their derivatives of least norm by it.
+    """Postures `q` (N, n) that hold the tool at `goals`, and their derivatives of least norm by the task.
 
-    Points are those of each posture, (N, 3), or of all, (3,).
-
-    `slope` is (n, 3, N), rad/m, of their coordinates in `metric`.
+    Goals are those of each posture, or one of all. `slope` is (n, c, N), rad/m, of their coordinates in the
+    metric of `postures`: by the tool point alone (c = 3), or where the tool turns by all task coordinates.
     """
 
+    postures: Postures
+    task: ToolTask
     q: FloatArray
-    point: FloatArray
+    at: ToolBatch
+    goals: ToolPoses
     slope: FloatArray
-    metric: PostureMetric
 
     @staticmethod
-    def of(postures: Postures, task: ToolTask, q: FloatArray, point: FloatArray) -> TangentPredictor:
-        """Return the predictor of postures `q` (N, n), which hold the tool at `point`."""
-        J = _leading(task, postures.tool_at(q), postures.metric)
-        along = np.broadcast_to(np.eye(len(J))[:, :3, None], (len(J), 3, len(q)))
+    def of(postures: Postures, task: ToolTask, q: FloatArray, goals: ToolPoses) -> TangentPredictor:
+        """Return the predictor of postures `q` (N, n), which hold the tool at `goals`."""
+        at = postures.tool_at(q)
+        J = _leading(task, at, postures.metric)
+        turns = task.path.turns and task.keep != "position"
+        columns = len(J) if turns else 3
+        along = np.broadcast_to(np.eye(len(J))[:, :columns, None], (len(J), columns, len(q)))
         slope = np.einsum("ikn,ijn->kjn", J, solve_batch(gram(J, _REGULAR), along))
-        return TangentPredictor(q, point, slope, postures.metric)
+        return TangentPredictor(postures, task, q, at, goals, slope)
 
-    def towards(self, point: FloatArray) -> FloatArray:
-        """Postures (N, n) that hold the tool at `point` to first order: Newton's first step."""
-        way = np.broadcast_to(point - self.point, (len(self.q), 3))
+    def towards(self, goals: ToolPoses) -> FloatArray:
+        """Postures (N, n) that hold the tool at other goals to first order: Newton's first step."""
+        if self.slope.shape[1] == 3:
+            way = np.broadcast_to(goals.point - self.goals.point, (len(self.q), 3))
+        else:
+            way = self.task.errors(self.at.tool_point, self.at.tool_rotation, goals)
         step = np.einsum("kjn,nj->kn", self.slope, way)
-        return np.asarray(self.q + self.metric.positions(_shortened(step).T))
+        return np.asarray(self.q + self.postures.metric.positions(_shortened(step).T))
 
 
 def gram(A: FloatArray, more: float = 0.0) -> FloatArray:

@@ -121,7 +121,7 @@ class _Search:
     def postures(self, task: ToolTask, point: FloatArray) -> FloatArray:
         """Postures (N, n) on the task within the ranges of the joints."""
         start = sampled_postures(self._limits.lower, self._limits.upper, _RESTARTS)
-        q, reached = project_onto_task(self._batch, task, start, point, steps=_STEPS)
+        q, reached = project_onto_task(self._batch, task, start, task.path.poses([0.0]), steps=_STEPS)
         q = self._limits.turned_to_middle(q[reached])
         return q[self._within(q)]
 

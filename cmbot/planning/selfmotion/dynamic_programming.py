@@ -233,7 +233,7 @@ def _candidates(
     neighbours = np.stack([np.vstack([q[:1], q[:-1]]), np.vstack([q[1:], q[-1:]])], axis=1)
     some = np.concatenate([neighbours, around], axis=1).reshape(-1, d)
     of = np.repeat(np.arange(n), _AROUND + 2)
-    placed, reached = project_onto_task(context.postures, context.task, some, context.points[of])
+    placed, reached = project_onto_task(context.postures, context.task, some, context.goals[of])
     return [np.vstack([q[k : k + 1], placed[reached & (of == k)]]) for k in range(n)]
 
 

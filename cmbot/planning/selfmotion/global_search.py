@@ -109,7 +109,7 @@ class GlobalSearch:
             before = sum(len(q) for q in each)
             number = _SEEDS_OF_A_CHECK * context.options.chart_seeds
             at = self.lower_bound.via_point if empty is None else empty
-            each = sampler.complete(each, context.points, [at], number)
+            each = sampler.complete(each, context.goals, [at], number)
             if sum(len(q) for q in each) == before:
                 break
         if empty is not None:
@@ -306,7 +306,7 @@ def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[Float
             )
             raise context.path_not_found(reason, context.posture)
 
-    return sampler.along(context.points, context.posture[None], report)
+    return sampler.along(context.goals, context.posture[None], report)
 
 
 def sequences_beside(
@@ -318,13 +318,13 @@ def sequences_beside(
     offsets = rng.normal(size=(_BESIDE, len(posture)))
     offsets *= spacing * rng.uniform(size=(_BESIDE, 1)) / np.linalg.norm(offsets, axis=1, keepdims=True)
     offsets = context.robot.metric.positions(offsets)
-    points = context.points
-    each = [np.empty((0, len(posture))) for _ in points]
-    for direction in (range(via_point, len(points)), range(via_point - 1, -1, -1)):
+    goals = context.goals
+    each = [np.empty((0, len(posture))) for _ in range(len(goals))]
+    for direction in (range(via_point, len(goals)), range(via_point - 1, -1, -1)):
         q = posture
         for k in direction:
             near = np.vstack([q, q + offsets])
-            placed, reached = project_onto_task(context.postures, context.task, near, points[k])
+            placed, reached = project_onto_task(context.postures, context.task, near, goals[k])
             if not reached[0]:
                 break
             each[k], q = placed[reached], placed[0]

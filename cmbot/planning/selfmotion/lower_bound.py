@@ -185,7 +185,7 @@ class _BranchAndBound:
         set the lower bound: its search ends, and its bound is minus infinity.
         """
         best, left_out = best.copy(), np.full(len(some), np.inf)
-        self._some, self._points = some, self._context.points[some]
+        self._some, self._goals = some, self._context.goals[some]
         charts = [self._layers[k].chart.q for k in some]
         q, of = np.concatenate(charts), np.repeat(np.arange(len(some)), [len(chart) for chart in charts])
         edges = self._null_space(q)
@@ -244,7 +244,7 @@ class _BranchAndBound:
 
     def _placed(self, q: FloatArray, of: IntArray) -> tuple[FloatArray, BoolArray]:
         """Postures projected onto the task at their via-points, and which of them lie on it."""
-        return project_onto_task(self._context.postures, self._context.task, q, self._points[of])
+        return project_onto_task(self._context.postures, self._context.task, q, self._goals[of])
 
     def _bounded(self, cells: _Cells) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Values at the centres, how far they may fall along each edge, and which cells may be admissible."""

@@ -415,7 +415,7 @@ class TorqueFloorProof:
         limits = context.robot.limits
         chosen = np.argsort(lowest, kind="stable")[:_TRIES]
         q = boxes.middle[chosen]
-        q, reached = project_onto_task(context.postures, context.task, q, context.points[via_point])
+        q, reached = project_onto_task(context.postures, context.task, q, context.goals[via_point])
         q = q[reached]
         at = context.postures.at(q)
         found = context.objective.at_rest(at)

@@ -23,7 +23,7 @@ _ROUNDING = 1e-9
 def out_of_reach(context: PlanningContext, via_point: int) -> str:
     """Return why no posture within the joint ranges holds the tool at a via-point; empty without a proof."""
     robot = context.robot
-    distance = float(np.linalg.norm(context.points[via_point] - robot.base_point))
+    distance = float(np.linalg.norm(context.goals.point[via_point] - robot.base_point))
     where = f"out of reach: the tool point is {distance:.3f} m from the arm's first joint"
     if distance > robot.reach * (1 + _ROUNDING):
         return f"{where}, which the arm with its tool stretched out, {robot.reach:.3f} m, does not reach"

@@ -23,6 +23,7 @@ from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import TangentPredictor, null_space, project_onto_task
 from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets
+from cmbot.scene import ToolPoses
 
 __all__ = ["Coverage", "SelfMotionSampler"]
 
@@ -101,25 +102,25 @@ class SelfMotionSampler:
         """Spacing that charts keep everywhere, rad; it grows where they would have too many postures."""
         return self._spacing_of(self._beyond)
 
-    def first(self, point: FloatArray, known: FloatArray) -> FloatArray:
-        """Chart the self-motion at `point` (3,) from the postures `known` (k, n) and from random ones."""
-        seeds = np.vstack([known, self._random(point[None], self._seeds).q])
+    def first(self, goal: ToolPoses, known: FloatArray) -> FloatArray:
+        """Chart the self-motion at `goal` from the postures `known` (k, n) and from random ones."""
+        seeds = np.vstack([known, self._random(goal, self._seeds).q])
         least = self._coarser
         if self._freedom > 1:
             # From the coarsest chart on, as the finer ones cost more and more.
             while self._spacing_of(self._coarser) < _COARSEST:
                 self._coarser += 1
         self._beyond = self._coarser
-        q = self._grown_from(seeds, point)
+        q = self._grown_from(seeds, goal)
         while len(q) > _MOST_POSTURES:
             self._coarser = self._beyond = self._coarser + 1
-            q = self._grown_from(seeds, point)
+            q = self._grown_from(seeds, goal)
         for finer_beyond in (True, False):
             while self._coarser > least:
                 before = self._coarser, self._beyond
                 self._coarser -= 1
                 self._beyond -= finer_beyond
-                finer = self._grown_from(seeds, point)
+                finer = self._grown_from(seeds, goal)
                 if len(finer) > _MOST_POSTURES:
                     self._coarser, self._beyond = before
                     break
@@ -127,26 +128,26 @@ class SelfMotionSampler:
         return q
 
     def along(
-        self, points: FloatArray, known: FloatArray, report: Callable[[int, int], None] | None = None
+        self, goals: ToolPoses, known: FloatArray, report: Callable[[int, int], None] | None = None
     ) -> list[FloatArray]:
-        """Chart the self-motion at `points` (k, 3), each near the one before; `known` (s, n) is at the first.
+        """Chart the self-motion at `goals`, each near the one before; `known` (s, n) is at the first.
 
-        `report` is called with the number of points that are charted, and of all.
+        `report` is called with the number of goals that are charted, and of all.
         """
         report = report or (lambda *_: None)
-        while (each := self._each(points, known, report)) is None:
+        while (each := self._each(goals, known, report)) is None:
             self._coarser += 1
-        return self.complete(each, points, range(len(points)), int(np.ceil(self._seeds / len(points))))
+        return self.complete(each, goals, range(len(goals)), int(np.ceil(self._seeds / len(goals))))
 
     def complete(
-        self, charts: list[FloatArray], points: FloatArray, at: Sequence[int], number: int
+        self, charts: list[FloatArray], goals: ToolPoses, at: Sequence[int], number: int
     ) -> list[FloatArray]:
-        """Add to charts at `points` (k, 3) what random postures at some of them show to be missing.
+        """Add to charts at `goals` what random postures at some of them show to be missing.
 
         Parameters
         ----------
         charts : list of (M, n)
-        points : (k, 3)
+        goals : ToolPoses, (k,)
         at : sequence of int
             Where random postures are drawn: `number` at each, and more and more, until none of a round lies
             beside its chart. `coverage` tells of the last round.
@@ -154,24 +155,24 @@ class SelfMotionSampler:
         sets, chosen = self._sets(charts), np.asarray(at)
         for _ in range(_ROUNDS):
             before = sets.sizes
-            some = self._random(points[chosen], number)
+            some = self._random(goals[chosen], number)
             some = _Postures(some.q, chosen[some.of])
             missing = self._far(some, sets, _BESIDE)
             held, missed = self._limits.contain(some.q).sum(), self._limits.contain(missing.q).sum()
             self.coverage = Coverage(len(chosen) * number, int(held), int(missed))
             if len(missing.q) == 0 or sets.sizes.max() > _TOO_MANY:
                 break
-            self._grow(self._take(missing, sets), points, sets)
-            self._spread(sets, before, points)
+            self._grow(self._take(missing, sets), goals, sets)
+            self._spread(sets, before, goals)
             number *= _MORE
         return sets.postures
 
-    def _random(self, points: FloatArray, number: int) -> _Postures:
-        """Random postures that hold the tool at `points` (k, 3), from `number` at each."""
-        of = np.repeat(np.arange(len(points)), number)
+    def _random(self, goals: ToolPoses, number: int) -> _Postures:
+        """Random postures that hold the tool at `goals`, from `number` at each."""
+        of = np.repeat(np.arange(len(goals)), number)
         middle, half = self._limits.range_middle, self._limits.sampled_half
         q = self._rng.uniform(middle - half, middle + half, (len(of), len(half)))
-        q, reached = project_onto_task(self._postures, self._task, q, points[of], steps=_RANDOM_STEPS)
+        q, reached = project_onto_task(self._postures, self._task, q, goals[of], steps=_RANDOM_STEPS)
         return self._on_circle(_Postures(q, of)[reached & self._slid_within(q)])
 
     def _slid_within(self, q: FloatArray) -> BoolArray:
@@ -179,39 +180,39 @@ class SelfMotionSampler:
         within: BoolArray = np.all((q >= self._lower) & (q <= self._upper), axis=1)
         return within
 
-    def _spread(self, sets: PoissonDiskSets, before: IntArray, points: FloatArray) -> None:
+    def _spread(self, sets: PoissonDiskSets, before: IntArray, goals: ToolPoses) -> None:
         """Carry the postures of charts, but the first `before` (k,) of each, along the path both ways."""
         while sets.sizes.max() <= _TOO_MANY:
             new = _Postures.of_each([q[n:] for q, n in zip(sets.postures, before, strict=True)])
             if len(new.q) == 0:
                 return
             before = sets.sizes
-            predictor = self._predictor(new.q, points[new.of])
+            predictor = self._predictor(new.q, goals[new.of])
             both = []
             for way in (-1, 1):
                 beside = new.of + way
-                there = (beside >= 0) & (beside < len(points))
-                ahead = predictor.towards(points[np.where(there, beside, new.of)])
+                there = (beside >= 0) & (beside < len(goals))
+                ahead = predictor.towards(goals[np.where(there, beside, new.of)])
                 both.append(_Postures(ahead[there], beside[there]))
             some = _Postures.joined(both)
-            self._grow(self._place(self._far(some, sets), points, sets), points, sets)
+            self._grow(self._place(self._far(some, sets), goals, sets), goals, sets)
 
     def _each(
-        self, points: FloatArray, known: FloatArray, report: Callable[[int, int], None]
+        self, goals: ToolPoses, known: FloatArray, report: Callable[[int, int], None]
     ) -> list[FloatArray] | None:
-        """Postures of the charts at `points` (k, 3); None where one has too many."""
-        last = len(points) - 1
+        """Postures of the charts at `goals`; None where one has too many."""
+        last = len(goals) - 1
         stations = list(pairwise([*range(0, last, _STRIDE), last]))
-        charts: dict[int, FloatArray] = {0: self.first(points[0], known)}
+        charts: dict[int, FloatArray] = {0: self.first(goals[0], known)}
         # To the stations one after the other, then to the points between from both sides at once.
-        predictors = {0: self._predictor(charts[0], points[0])}
-        report(1, len(points))
+        predictors = {0: self._predictor(charts[0], goals[0])}
+        report(1, len(goals))
         for first in range(0, len(stations), _PAIRS):
             some = stations[first : first + _PAIRS]
             for before, here in some:
-                charts[here] = self._carried([[predictors[before]]], points[[here]])[0]
-                predictors[here] = self._predictor(charts[here], points[here])
-                report(len(charts), len(points))
+                charts[here] = self._carried([[predictors[before]]], goals[here])[0]
+                predictors[here] = self._predictor(charts[here], goals[here])
+                report(len(charts), len(goals))
             # The stations on both sides of each point, the nearer one first.
             sides = {
                 k: (before, after) if k - before <= after - k else (after, before)
@@ -220,31 +221,31 @@ class SelfMotionSampler:
             }
             if sides:
                 beside = [[predictors[side] for side in each] for each in sides.values()]
-                charts.update(zip(sides, self._carried(beside, points[list(sides)]), strict=True))
+                charts.update(zip(sides, self._carried(beside, goals[np.array(list(sides))]), strict=True))
             if max(len(q) for q in charts.values()) > _TOO_MANY:
                 return None
             predictors = {some[-1][1]: predictors[some[-1][1]]}
-            report(len(charts), len(points))
-        return [charts[k] for k in range(len(points))]
+            report(len(charts), len(goals))
+        return [charts[k] for k in range(len(goals))]
 
-    def _predictor(self, q: FloatArray, point: FloatArray) -> TangentPredictor:
-        return TangentPredictor.of(self._postures, self._task, q, point)
+    def _predictor(self, q: FloatArray, goal: ToolPoses) -> TangentPredictor:
+        return TangentPredictor.of(self._postures, self._task, q, goal)
 
-    def _carried(self, known: Sequence[Sequence[TangentPredictor]], points: FloatArray) -> list[FloatArray]:
-        """Grow charts at `points` (k, 3), each from the `known` ones beside it, the nearer first."""
-        sets = self._empty_sets(len(points))
+    def _carried(self, known: Sequence[Sequence[TangentPredictor]], goals: ToolPoses) -> list[FloatArray]:
+        """Grow charts at `goals`, each from the `known` ones beside it, the nearer first."""
+        sets = self._empty_sets(len(goals))
         for charts in zip(*known, strict=True):
-            some = _Postures.of_each([chart.towards(p) for chart, p in zip(charts, points, strict=True)])
+            some = _Postures.of_each([chart.towards(goal) for chart, goal in zip(charts, goals, strict=True)])
             # Predictions beside a known posture need no projection.
-            self._place(self._far(some, sets), points, sets)
-        self._grow(_Postures.of_each(sets.postures), points, sets)
+            self._place(self._far(some, sets), goals, sets)
+        self._grow(_Postures.of_each(sets.postures), goals, sets)
         return sets.postures
 
-    def _grown_from(self, seeds: FloatArray, point: FloatArray) -> FloatArray:
-        """Grow the chart at `point` (3,) from postures (N, n) on the task, unless it gets too large."""
+    def _grown_from(self, seeds: FloatArray, goal: ToolPoses) -> FloatArray:
+        """Grow the chart at `goal` from postures (N, n) on the task, unless it gets too large."""
         sets = self._empty_sets(1)
         some = self._take(_Postures(seeds, np.zeros(len(seeds), dtype=np.intp)), sets)
-        self._grow(some, point[None], sets, most=_MOST_POSTURES)
+        self._grow(some, goal, sets, most=_MOST_POSTURES)
         return sets.postures[0]
 
     def _sets(self, charts: Sequence[FloatArray]) -> PoissonDiskSets:
@@ -254,9 +255,9 @@ class SelfMotionSampler:
         return self._sets([np.empty((0, len(self._limits.lower)))] * number)
 
     def _grow(
-        self, frontier: _Postures, points: FloatArray, sets: PoissonDiskSets, most: int = _TOO_MANY
+        self, frontier: _Postures, goals: ToolPoses, sets: PoissonDiskSets, most: int = _TOO_MANY
     ) -> None:
-        """Grow charts at `points` (k, 3) from postures of theirs until no new posture is far enough.
+        """Grow charts at `goals` from postures of theirs until no new posture is far enough.
 
         Those of more than `most` postures grow no further.
         """
@@ -266,11 +267,11 @@ class SelfMotionSampler:
             steps *= self._steps(frontier.q)[:, None, None]
             ahead = np.concatenate([frontier.q[:, None] + steps, frontier.q[:, None] - steps], axis=1)
             some = _Postures(ahead.reshape(-1, frontier.q.shape[1]), np.repeat(frontier.of, ahead.shape[1]))
-            frontier = self._place(self._far(some, sets), points, sets)
+            frontier = self._place(self._far(some, sets), goals, sets)
 
-    def _place(self, some: _Postures, points: FloatArray, sets: PoissonDiskSets) -> _Postures:
-        """Project postures onto the task at their points; take those far from others, and return them."""
-        placed, reached = project_onto_task(self._postures, self._task, some.q, points[some.of])
+    def _place(self, some: _Postures, goals: ToolPoses, sets: PoissonDiskSets) -> _Postures:
+        """Project postures onto the task at their goals; take those far from others, and return them."""
+        placed, reached = project_onto_task(self._postures, self._task, some.q, goals[some.of])
         reached &= self._slid_within(placed)
         return self._take(_Postures(placed[reached], some.of[reached]), sets)
 

@@ -95,7 +95,7 @@ def wrist_chain(context: PlanningContext) -> WristChain | None:
     """
     robot, task = context.robot, context.task
     n = robot.dof
-    if n - 3 not in _INNER or task.keep == "position" or robot.limits.prismatic.any():
+    if n - 3 not in _INNER or task.keep == "position" or task.path.turns or robot.limits.prismatic.any():
         return None
     at = context.postures.tool_at(np.zeros((1, n)))
     axis, origin = at.axis[0], at.origin[0]
@@ -116,9 +116,9 @@ def wrist_chain(context: PlanningContext) -> WristChain | None:
                 continue
             free_axis = axis[-1]
         if reverse:
-            rotation, goal = turned.T, point + (centre - context.points) @ turned
+            rotation, goal = turned.T, point + (centre - context.goals.point) @ turned
         else:
-            rotation, goal = turned, context.points + turned @ (centre - point)
+            rotation, goal = turned, context.goals.point + turned @ (centre - point)
         return WristChain(
             joints=joints,
             axis=axis,

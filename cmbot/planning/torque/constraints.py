@@ -137,13 +137,18 @@ class ToolRotation:
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return angle/bound - 1, (N, 1)."""
-        value = self.task.rotation(_tool(self.postures, states).tool_rotation)[:, None] / self.bound - 1
+        value = self._angle(states)[:, None] / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
+
+    def _angle(self, states: StateSamples) -> FloatArray:
+        goals = self.task.path.poses(states.t)
+        return self.task.rotation(_tool(self.postures, states).tool_rotation, goals)
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the angle."""
         tool, task = _tool(self.postures, states), self.task
-        turn = task.errors(tool.tool_point, tool.tool_rotation, tool.tool_point)[:, 3:] / self.bound
+        goals = task.path.poses(states.t)
+        turn = task.errors(tool.tool_point, tool.tool_rotation, goals)[:, 3:] / self.bound
         # The errors lead to the goal: they fall as the tool turns towards it.
         J = -task.jacobian(tool.tool_rotation, tool.jacobian)[:, 3:] / self.bound
         angle = np.linalg.norm(turn, axis=1)

@@ -123,7 +123,7 @@ def parametrization_through(
     limits = context.robot.limits
     bounds = np.stack([limits.velocity, limits.acceleration, limits.jerk])
     splines = SparseSplines(SplineSpace(context.times), bounds)
-    manifold = TaskManifold(context.postures, context.task, context.points)
+    manifold = TaskManifold(context.postures, context.task, context.goals)
     return Parametrization(
         splines,
         via_points,

@@ -11,6 +11,7 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.planning.path.projection import null_space, project_onto_task
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Postures
+from cmbot.scene import ToolPoses
 
 __all__ = ["TaskManifold"]
 
@@ -25,7 +26,7 @@ class TaskManifold:
 
     postures: Postures
     task: ToolTask
-    points: FloatArray  # (n, 3), m: tool points
+    goals: ToolPoses  # of each
 
     def tangents(self, q: FloatArray) -> FloatArray:
         """Directions (n, a, d) of the self-motion at postures `q` (n, d), orthonormal by their metric."""
@@ -44,14 +45,14 @@ class TaskManifold:
             self.postures,
             self.task,
             q[which] + np.einsum("ka,kai->ki", u, tangents),
-            self.points[which],
+            self.goals[which],
             steps=_NEWTON_STEPS,
             tolerance=_ON_TASK,
             held=tangents,
         )
         at = self.postures.tool_at(q)
         if not reached.all():
-            error = self.task.errors(at.tool_point, at.tool_rotation, self.points[which])
+            error = self.task.errors(at.tool_point, at.tool_rotation, self.goals[which])
             raise OptimisationFailed(
                 "a via-point moved to where the tool task cannot be held",
                 constraint="tool task at a via-point",
@@ -66,4 +67,4 @@ class TaskManifold:
 
     def part(self, first: int, last: int) -> TaskManifold:
         """Return the task at the via-points `first` to `last`."""
-        return TaskManifold(self.postures, self.task, self.points[first : last + 1])
+        return TaskManifold(self.postures, self.task, self.goals[first : last + 1])

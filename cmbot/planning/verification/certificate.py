@@ -325,12 +325,12 @@ class _Work:
 
     def tool_rotation(self) -> Peak:
         """Angle by which the tool misses what is prescribed of its orientation, rad."""
-        goal, keep = self._task.path.orientation, self._task.keep
+        goal, keep = self._task.path.poses(self._pieces.times.ravel()), self._task.keep
         if keep == "position":
             return Peak(time=float(self._trajectory.t[0]), value=0.0, bound=0.0)
         # Both chords are 2 k sin(angle/2): of the axis as a vector, of the orientation as a matrix.
         columns, k = (slice(2, 3), 1.0) if keep == "axis" else (slice(None), np.sqrt(2.0))
-        away = (self._R_WT - goal)[:, :, columns].reshape(len(self._R_WT), -1)
+        away = (self._R_WT - goal.rotation)[:, :, columns].reshape(len(self._R_WT), -1)
         remainder = self._pieces.remainder(self._bounds.tool_rotation) * np.sqrt(away.shape[1] / 3)
         chord = self._highest(away, _norm, remainder, _TOOL_RESOLUTION)
         value, bound = (2 * np.arcsin(np.minimum(x / (2 * k), 1.0)) for x in (chord.value, chord.bound))
@@ -345,8 +345,9 @@ class _Work:
         p_WT, R_WT = Kinematics(self._robot).tool_poses(q)
         if self._sag is not None:
             p_WT = p_WT + self._sag.at(q).tool
-        away = np.linalg.norm(p_WT - task.path.position(times), axis=1)
-        return (times, np.asarray(away)), (times, task.rotation(R_WT))
+        goals = task.path.poses(times)
+        away = np.linalg.norm(p_WT - goals.point, axis=1)
+        return (times, np.asarray(away)), (times, task.rotation(R_WT, goals))
 
     @property
     def _point_remainder(self) -> FloatArray:

@@ -139,7 +139,7 @@ def measure(
         expected_tool_point=expected,
         tool_deviation=np.asarray(np.linalg.norm(task.path.leg_offset(t, point), axis=1)),
         tool_lag=tool_lag(task, t, point),
-        tool_rotation=task.rotation(R_WT),
+        tool_rotation=task.rotation(R_WT, task.path.poses(t)),
         clearance=clearances.smallest(q).distance if clearance is None else clearance,
     )
 

@@ -88,7 +88,7 @@ def test_the_tool_follows_the_triangle(triangle_path: Followed) -> None:
     )
     # 0.05 mm and 0.01 degrees at a step of 20 ms, well within the promised millimetre.
     assert path.drift.max() < 5e-5
-    assert task.rotation(R_WT).max() < np.deg2rad(0.01)
+    assert task.rotation(R_WT, task.path.poses([0.0])).max() < np.deg2rad(0.01)
     np.testing.assert_allclose(path.t, np.linspace(0, 20, 1001), atol=1e-12)
     np.testing.assert_allclose(path.q[1:], path.q[:-1] + path.t[1] * path.v[:-1], rtol=0, atol=1e-12)
     np.testing.assert_allclose(path.clearance, context.clearances.smallest(path.q).distance, atol=1e-8)
@@ -279,7 +279,7 @@ def test_self_motion_holds_what_is_kept(keep: str) -> None:
     assert len(found) > 20
     kinematics = Kinematics(robot)
     for q in found:
-        assert np.abs(task.error(kinematics.tool_pose(q), task.path.corners[0])).max() < 1e-9
+        assert np.abs(task.error(kinematics.tool_pose(q), task.path.poses([0.0]))).max() < 1e-9
         assert ((q >= robot.limits.lower) & (q <= robot.limits.upper)).all()
     distance = [np.linalg.norm(q - posture) for q in found]
     assert distance == sorted(distance)

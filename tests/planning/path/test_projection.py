@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from small_scenes import off_task, task_at
+from small_scenes import goals_at, off_task, task_at
 
 from cmbot.planning.path.projection import gram, null_directions, null_space, project_onto_task, solve_batch
 from cmbot.robot import Kinematics, Postures, Robot
@@ -77,11 +77,11 @@ def test_what_is_put_onto_the_task_lies_on_it(any_arm: Robot, keep: str, rng: np
     postures = Postures(any_arm)
     q = rng.uniform(-2.0, 2.0, (400, any_arm.dof))
     task = task_at(any_arm, q[0], keep)
-    point = task.path.corners[0]
+    goal = task.path.poses([0.0])
     placed = q[0] + rng.normal(size=q.shape) * 10.0 ** rng.uniform(-9, -1, (400, 1))
-    placed, reached = project_onto_task(postures, task, placed, point)
+    placed, reached = project_onto_task(postures, task, placed, goal)
     assert reached.sum() > 350
-    assert off_task(any_arm, task, placed[reached], point) < 1e-10
+    assert off_task(any_arm, task, placed[reached], goal) < 1e-10
 
 
 @every_kind
@@ -94,7 +94,7 @@ def test_steps_bend_no_more_than_postures_say(any_arm: Robot, keep: str, rng: np
     for q_k, move in zip(q, moves, strict=True):
         task = task_at(any_arm, q_k, keep)
         at = postures.at(np.stack([q_k, q_k - move]))
-        error = task.errors(at.tool_point, at.tool_rotation, task.path.corners[0])
+        error = task.errors(at.tool_point, at.tool_rotation, task.path.poses([0.0]))
         J = task.jacobian(at.tool_rotation, at.jacobian)[1]
         left = np.abs(error[1] - J @ move).max()
         assert left <= postures.bend * np.abs(move).sum() ** 2
@@ -108,11 +108,10 @@ def test_placing_on_the_task(cmbot_robot: Robot, seed: int, keep: Any) -> None:
     task, kinematics = task_at(cmbot_robot, q, keep), Kinematics(cmbot_robot)
     off = rng.uniform(-0.01, 0.01, 7)
     X_WT, J = kinematics.tool_jacobian(q)
-    placed, reached = project_onto_task(
-        Postures(cmbot_robot), task, (q + off)[None], X_WT.translation, tolerance=1e-12
-    )
+    goal = task.path.poses([0.0])
+    placed, reached = project_onto_task(Postures(cmbot_robot), task, (q + off)[None], goal, tolerance=1e-12)
     assert reached.all()
-    assert np.abs(task.error(kinematics.tool_pose(placed[0]), X_WT.translation)).max() < 1e-9
+    assert np.abs(task.error(kinematics.tool_pose(placed[0]), goal)).max() < 1e-9
     # To first order the part of `off` in the task's null space stays.
     J = task.jacobian(X_WT.rotation, J)
     null = np.eye(7) - np.linalg.pinv(J) @ J
@@ -126,7 +125,7 @@ def test_held_directions_keep_their_place(cmbot_robot: Robot, keep: str, rng: np
     null = null_space(postures, task, q[None])
     u = rng.uniform(-0.05, 0.05, (20, 7 - task.dimension))
     placed, reached = project_onto_task(
-        postures, task, q + u @ null[0], task.path.corners[0], steps=12, held=np.repeat(null, 20, axis=0)
+        postures, task, q + u @ null[0], task.path.poses([0.0]), steps=12, held=np.repeat(null, 20, axis=0)
     )
     assert reached.all()
     np.testing.assert_allclose((placed - q) @ null[0].T, u, rtol=0, atol=1e-9)
@@ -134,6 +133,7 @@ def test_held_directions_keep_their_place(cmbot_robot: Robot, keep: str, rng: np
 
 def test_what_is_out_of_reach_cannot_be_placed(cmbot_robot: Robot) -> None:
     q = np.deg2rad([-10, -90, 90, 0, 10, 50, 0])
-    far = np.array([9.0, 0, 0])
-    _, reached = project_onto_task(Postures(cmbot_robot), task_at(cmbot_robot, q), q[None], far, steps=50)
+    task = task_at(cmbot_robot, q)
+    far = goals_at(task, np.array([9.0, 0, 0]))
+    _, reached = project_onto_task(Postures(cmbot_robot), task, q[None], far, steps=50)
     assert not reached.any()

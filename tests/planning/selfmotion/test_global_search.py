@@ -37,7 +37,7 @@ def test_a_solution_is_admissible(context: PlanningContext, search: GlobalSearch
     solution = search.solve(pinned=pinned)
     robot, task, options = context.robot, context.task, context.options
     at = context.postures.at(solution.q)
-    assert off_task(robot, task, solution.q, context.points) < 1e-9
+    assert off_task(robot, task, solution.q, context.goals) < 1e-9
     assert ((solution.q >= robot.limits.lower) & (solution.q <= robot.limits.upper)).all()
     assert context.clearances.smallest(solution.q).distance.min() >= options.safety_margin_m
     assert (np.abs(at.joint_torque) <= robot.limits.torque).all()
@@ -148,14 +148,14 @@ def test_refining_never_raises_the_peak() -> None:
     sequences = sequences_beside(context, context.posture, 0, 0.3)
     q = np.stack([each[0] for each in sequences])
     np.testing.assert_array_equal(q[0], context.posture)
-    for each, point in zip(sequences, context.points, strict=True):
+    for each, goal in zip(sequences, context.goals, strict=True):
         assert len(each) > 20
-        assert off_task(robot, task, each, point) < 1e-9
+        assert off_task(robot, task, each, goal) < 1e-9
     steps = np.full((len(q) - 1, 7), 0.3)
     before = context.objective.at_rest(postures.at(q)).max()
     for stays in (True, False):
         better = refine(context, q, steps, 0.3, 0.0, np.zeros(7, dtype=bool), start_stays=stays)
-        assert off_task(robot, task, better, context.points) < 1e-9
+        assert off_task(robot, task, better, context.goals) < 1e-9
         assert (np.abs(np.diff(better, axis=0)) <= steps).all()
         assert not context.clearances.check_collision(better, context.options.safety_margin_m).any()
         peak = context.objective.at_rest(postures.at(better)).max()
@@ -179,7 +179,7 @@ def test_joints_that_can_turn_twice(turned: PlanningContext) -> None:
     np.testing.assert_allclose(pinned.q[0], turned.posture, atol=1e-9)
     for solution in (pinned, free):
         assert ((solution.q >= limits.lower) & (solution.q <= limits.upper)).all()
-        assert off_task(turned.robot, turned.task, solution.q, turned.points) < 1e-9
+        assert off_task(turned.robot, turned.task, solution.q, turned.goals) < 1e-9
         assert np.abs(np.diff(solution.q, axis=0)).max() < 1.0
     everywhere, same = search._on_all_turns(3)
     assert len(same) > len(search.first_chart.q)

@@ -59,8 +59,8 @@ def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator)
     """Random admissible postures with the tool where it is at a via-point."""
     limits = context.robot.limits
     q = rng.uniform(np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi), (RESTARTS, 7))
-    point = context.points[via_point]
-    placed, reached = project_onto_task(context.postures, context.task, q, point, steps=40)
+    goal = context.goals[via_point]
+    placed, reached = project_onto_task(context.postures, context.task, q, goal, steps=40)
     placed = placed[reached]
     return placed[admissible(context, placed)]
 
@@ -72,11 +72,11 @@ def values(context: PlanningContext, q: FloatArray) -> FloatArray:
 def descended(context: PlanningContext, via_point: int, start: FloatArray) -> FloatArray:
     """Where SLSQP gets to from a posture: the task, joint ranges and torques kept, clearances not."""
     postures, task, limits = context.postures, context.task, context.robot.limits
-    point = context.points[via_point]
+    goal = context.goals[via_point]
 
     def off(q: FloatArray) -> FloatArray:
         at = postures.at(q[None])
-        return np.asarray(task.errors(at.tool_point, at.tool_rotation, point)[0])
+        return np.asarray(task.errors(at.tool_point, at.tool_rotation, goal)[0])
 
     def room(q: FloatArray) -> FloatArray:
         share = postures.at(q[None]).joint_torque[0] / limits.torque
@@ -90,7 +90,7 @@ def descended(context: PlanningContext, via_point: int, start: FloatArray) -> Fl
         constraints=[{"type": "eq", "fun": off}, {"type": "ineq", "fun": room}],
         options={"maxiter": 60, "ftol": 1e-9},
     )
-    placed, reached = project_onto_task(postures, task, result.x[None], point)
+    placed, reached = project_onto_task(postures, task, result.x[None], goal)
     return placed[reached]
 
 

@@ -57,8 +57,8 @@ def restarts(context: PlanningContext, via_point: int, rng: np.random.Generator)
     limits = context.robot.limits
     low, high = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
     q = rng.uniform(low, high, (RESTARTS, len(low)))
-    point = context.points[via_point]
-    placed, reached = project_onto_task(context.postures, context.task, q, point, steps=40)
+    goal = context.goals[via_point]
+    placed, reached = project_onto_task(context.postures, context.task, q, goal, steps=40)
     placed = placed[reached]
     return placed[admissible(context, placed)]
 
@@ -67,7 +67,7 @@ def test_a_proof_finds_what_the_closed_form_finds() -> None:
     context = context_of(short_scene())
     proof = prover(context).prove(7, ABOVE_ALL)
     pitches = np.linspace(-np.pi, np.pi, 8001)
-    q = closed_form(context.points[7], context.task.path.orientation, pitches)
+    q = closed_form(context.goals[7].point[0], context.task.path.orientation, pitches)
     q = q[context.robot.limits.contain(q)]
     q = q[values(context, q) < 1.01 * proof.value]
     least = values(context, q[admissible(context, q)]).min()

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from oracles.inverse_kinematics import postures as closed_form
 from scipy.spatial import cKDTree
-from small_scenes import off_task, task_at
+from small_scenes import goals_at, off_task, task_at
 from urdf_arms import endless_scene, panda_scene
 
 from cmbot.collision import Clearances
@@ -23,7 +23,7 @@ from cmbot.planning.selfmotion.poisson_disk import PoissonDiskSets, without_neig
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, PostureMetric, Postures, Robot
-from cmbot.scene import PlannerOptions, Scene, load_scene
+from cmbot.scene import PlannerOptions, Scene, ToolPoses, load_scene
 
 SPACING = 0.1
 PITCHES = np.linspace(-np.pi, np.pi, 181)
@@ -45,30 +45,30 @@ def context_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: i
 
 
 def first_chart(context: PlanningContext, q: np.ndarray) -> Chart:
-    return charts_of(context, [SelfMotionSampler(context).first(context.task.path.corners[0], q)])[0]
+    return charts_of(context, [SelfMotionSampler(context).first(context.task.path.poses([0.0]), q)])[0]
 
 
-def charts_along(context: PlanningContext, points: np.ndarray, q: np.ndarray) -> list[Chart]:
-    return charts_of(context, SelfMotionSampler(context).along(points, q))
+def charts_along(context: PlanningContext, goals: ToolPoses, q: np.ndarray) -> list[Chart]:
+    return charts_of(context, SelfMotionSampler(context).along(goals, q))
 
 
 def within(robot: Robot, q: np.ndarray) -> np.ndarray:
     return ((q >= robot.limits.lower) & (q <= robot.limits.upper)).all(axis=1)
 
 
-def check_chart(robot: Robot, task: ToolTask, chart: Chart, point: np.ndarray, spacing: float) -> None:
+def check_chart(robot: Robot, task: ToolTask, chart: Chart, goal: ToolPoses, spacing: float) -> None:
     """Its postures hold the task apart from each other, and what is known of them is right."""
     at = Postures(robot).at(chart.q)
-    assert off_task(robot, task, chart.q, point) < 1e-9
+    assert off_task(robot, task, chart.q, goal) < 1e-9
     assert cKDTree(chart.q).query(chart.q, k=2)[0][:, 1].min() > 0.69 * spacing
     np.testing.assert_array_equal(chart.within, within(robot, chart.q))
     np.testing.assert_allclose(chart.value, np.linalg.norm(at.guardrail_torque, axis=1))
     np.testing.assert_allclose(chart.joint_use, (np.abs(at.joint_torque) / robot.limits.torque).max(axis=1))
 
 
-def all_postures(robot: Robot, task: ToolTask, point: np.ndarray) -> np.ndarray:
+def all_postures(robot: Robot, task: ToolTask, goal: ToolPoses) -> np.ndarray:
     """The closed form's, within the joint ranges."""
-    q = closed_form(point, task.path.orientation, PITCHES)
+    q = closed_form(goal.point[0], task.path.orientation, PITCHES)
     return q[within(robot, q)]
 
 
@@ -100,7 +100,7 @@ def test_charts_are_complete_against_the_closed_form(cmbot_robot: Robot, rng: np
     total = 0
     for q in rng.uniform(limits.lower, limits.upper, (200, 7)):
         task = task_at(cmbot_robot, q)
-        start = task.path.corners[0]
+        start = task.path.poses([0.0])
         chart = first_chart(context_for(cmbot_robot, task, spacing, seeds=200), q[None])
         oracle = all_postures(cmbot_robot, task, start)
         if len(oracle):
@@ -117,18 +117,18 @@ def test_a_charts_postures_hold_the_task_apart_from_each_other(
     task = task_at(cmbot_robot, q, keep)
     chart = first_chart(context_for(cmbot_robot, task, spacing), q[None])
     np.testing.assert_allclose(chart.q[0], q, atol=1e-15)
-    check_chart(cmbot_robot, task, chart, task.path.corners[0], spacing)
+    check_chart(cmbot_robot, task, chart, task.path.poses([0.0]), spacing)
 
 
 def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
     scene = load_scene("triangle")
     task = task_of(scene, cmbot_robot)
-    points = task.path.position(task.path.via_times(50))
-    charts = charts_along(context_for(cmbot_robot, task, 0.2), points, scene.posture[None])
-    assert len(charts) == len(points)
-    for point, chart in zip(points, charts, strict=True):
-        check_chart(cmbot_robot, task, chart, point, 0.2)
-        oracle = all_postures(cmbot_robot, task, point)
+    goals = task.path.poses(task.path.via_times(50))
+    charts = charts_along(context_for(cmbot_robot, task, 0.2), goals, scene.posture[None])
+    assert len(charts) == len(goals)
+    for goal, chart in zip(goals, charts, strict=True):
+        check_chart(cmbot_robot, task, chart, goal, 0.2)
+        oracle = all_postures(cmbot_robot, task, goal)
         assert len(oracle) > 100
         assert distance_on_circle(chart.q, oracle).max() < 1.5 * 0.2
 
@@ -143,10 +143,10 @@ def test_other_arms_charts_are_complete(
     robot = robot_of(scene)
     task, limits = task_of(scene, robot), robot.limits
     sampler = SelfMotionSampler(context_for(robot, task, 0.15, seeds=200))
-    chart = sampler.first(task.path.corners[0], scene.posture[None])
+    chart = sampler.first(task.path.poses([0.0]), scene.posture[None])
     lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)
     q, reached = project_onto_task(
-        Postures(robot), task, rng.uniform(lower, upper, (3000, 7)), task.path.corners[0], steps=40
+        Postures(robot), task, rng.uniform(lower, upper, (3000, 7)), task.path.poses([0.0]), steps=40
     )
     endless = np.isinf(limits.lower)
     q[:, endless] = (q[:, endless] + np.pi) % (2 * np.pi) - np.pi
@@ -159,12 +159,12 @@ def test_other_arms_charts_are_complete(
 def test_charts_along_any_number_of_points(cmbot_robot: Robot, count: int) -> None:
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q)
-    points = task.path.corners[0] + np.linspace(0, 0.1, count)[:, None] * [0, 0, 1]
-    charts = charts_along(context_for(cmbot_robot, task), points, q[None])
+    goals = goals_at(task, task.path.corners[0] + np.linspace(0, 0.1, count)[:, None] * [0, 0, 1])
+    charts = charts_along(context_for(cmbot_robot, task), goals, q[None])
     assert len(charts) == count
-    for point, chart in zip(points, charts, strict=True):
-        assert off_task(cmbot_robot, task, chart.q, point) < 1e-9
-    anew = SelfMotionSampler(context_for(cmbot_robot, task)).first(points[-1], charts[-1].q[:1])
+    for goal, chart in zip(goals, charts, strict=True):
+        assert off_task(cmbot_robot, task, chart.q, goal) < 1e-9
+    anew = SelfMotionSampler(context_for(cmbot_robot, task)).first(goals[-1], charts[-1].q[:1])
     assert distance_on_circle(charts[-1].q, anew).max() < 1.5 * SPACING
 
 
@@ -222,13 +222,13 @@ def test_a_branch_that_the_charts_miss_is_found_by_random_postures(cmbot_robot: 
     """As where one opens later on the path: here most of each chart but the first has been taken out."""
     q = np.radians([-10, -90, 90, 0, 10, 50, 0])
     task = task_at(cmbot_robot, q)
-    points = task.path.corners[0] + np.linspace(0, 0.1, 4)[:, None] * [0, 0, 1]
+    goals = goals_at(task, task.path.corners[0] + np.linspace(0, 0.1, 4)[:, None] * [0, 0, 1])
     sampler = SelfMotionSampler(context_for(cmbot_robot, task, 0.2))
-    whole = sampler.along(points, q[None])
+    whole = sampler.along(goals, q[None])
     assert sampler.coverage.missed == 0
     assert sampler.coverage.share == pytest.approx(1 - 0.05 ** (1 / sampler.coverage.held))
     near = [each[np.abs(each - q).max(axis=1) < 1.0] for each in whole]
     assert all(0 < len(few) < 0.3 * len(each) for few, each in zip(near, whole, strict=True))
-    again = sampler.complete(near, points, [2], 300)
+    again = sampler.complete(near, goals, [2], 300)
     for few, each in zip(again, whole, strict=True):
         assert distance_on_circle(few, each).max() < 1.5 * 0.2

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 from finite_differences import check_derivative
-from small_scenes import off_task, problem_of, short_scene
+from small_scenes import goals_at, off_task, problem_of, short_scene
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
@@ -16,7 +16,7 @@ from cmbot.planning.torque.task_manifold import TaskManifold
 def given(request: pytest.FixtureRequest) -> tuple[PlanningContext, TaskManifold, FloatArray]:
     problem = problem_of(short_scene(tool_path={"keep": request.param}))
     context = problem.context
-    manifold = TaskManifold(context.postures, context.task, context.points)
+    manifold = TaskManifold(context.postures, context.task, context.goals)
     return context, manifold, problem.parametrization.via_points
 
 
@@ -30,7 +30,7 @@ def test_tangents_are_orthonormal_and_keep_the_task(given: Given) -> None:
     np.testing.assert_allclose(tangents @ tangents.transpose(0, 2, 1), identity, rtol=0, atol=1e-12)
     for tangent in tangents.transpose(1, 0, 2):
         # Errors grow with the square of the step.
-        assert off_task(context.robot, context.task, q + 1e-4 * tangent, context.points) < 1e-7
+        assert off_task(context.robot, context.task, q + 1e-4 * tangent, context.goals) < 1e-7
 
 
 def test_retracted_via_points(given: Given, rng: np.random.Generator) -> None:
@@ -38,7 +38,7 @@ def test_retracted_via_points(given: Given, rng: np.random.Generator) -> None:
     tangents = manifold.tangents(q)
     u = 0.2 * rng.normal(size=tangents.shape[:2])
     moved, slope = manifold.retract(q, tangents, u, np.arange(len(q)))
-    assert off_task(context.robot, context.task, moved, context.points) < 1e-10
+    assert off_task(context.robot, context.task, moved, context.goals) < 1e-10
     np.testing.assert_allclose(np.einsum("kai,ki->ka", tangents, moved - q), u, rtol=0, atol=1e-10)
     some = np.array([1, 4, 6])
     apart, slopes = manifold.retract(q, tangents[some], u[some], some)
@@ -58,7 +58,7 @@ def test_retracted_via_points(given: Given, rng: np.random.Generator) -> None:
 
 def test_where_the_task_cannot_be_held(given: Given) -> None:
     _, manifold, q = given
-    away = TaskManifold(manifold.postures, manifold.task, 9.0 + manifold.points)
+    away = TaskManifold(manifold.postures, manifold.task, goals_at(manifold.task, 9.0 + manifold.goals.point))
     with pytest.raises(OptimisationFailed, match="where the tool task cannot be held") as caught:
         away.retract(q, manifold.tangents(q), np.zeros((len(q), 1)), np.arange(len(q)))
     assert caught.value.constraint == "tool task at a via-point"
@@ -81,7 +81,7 @@ def test_steps_of_the_parametrization(
     a = manifold.tangents(q).shape[1]
     assert form.dimension == 7 * (len(q) - 4) + (a * (len(q) - pinned) if sliding else 0)
     moved = form.step(0.3 * rng.normal(size=form.dimension))
-    assert off_task(context.robot, context.task, moved.via_points, context.points) < 1e-10
+    assert off_task(context.robot, context.task, moved.via_points, context.goals) < 1e-10
     change = np.abs(moved.via_points - q).max(axis=1)
     assert (change[1:] > 1e-3).all() == sliding
     assert (change[0] == 0.0) == (pinned or not sliding)
