@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from cmbot.common.validation import FileModel
-from cmbot.scene import Leg, PlannerOptions, SceneFile, SpeedProfile
+from cmbot.scene import Leg, PlannerOptions, SceneFile, SpeedProfile, Tool
 from cmbot.scene.scene import FORMAT
 
 TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
@@ -24,7 +24,7 @@ TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
 def schema_text() -> str:
     """Return the schema as the text of its file."""
     schema = SceneFile.model_json_schema()
-    kinds = [*FileModel.__subclasses__(), Leg, SpeedProfile, PlannerOptions]
+    kinds = [*FileModel.__subclasses__(), Leg, SpeedProfile, Tool, PlannerOptions]
     for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:
         (kind,) = (kind for kind in kinds if kind.__name__ == name)
         definition["description"] = inspect.getdoc(kind).partition("\n\nAttributes")[0]

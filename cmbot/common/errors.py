@@ -182,6 +182,7 @@ _REMEDIES = (
     ("tool deviation", "more tool_path.via_points or a larger planner.max_tool_deviation_m"),
     ("tool rotation", "more tool_path.via_points or a larger planner.max_tool_rotation_deg"),
     ("tool lag", "more tool_path.via_points or a larger planner.max_tool_lag_m"),
+    ("tool speed", "more tool_path.via_points, a speed_profile of kind jerk_limited or more seconds"),
     ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),
 )
 

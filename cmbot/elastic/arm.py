@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from scipy.linalg import block_diag
 from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.validation import CheckedFields
 from cmbot.elastic.base import ElasticBase
-from cmbot.robot import Robot
+from cmbot.robot import Robot, external_forces
 
 __all__ = ["ElasticArm", "ElasticOptions", "cut_inertia", "elastic_arm"]
 
@@ -56,6 +57,11 @@ class ElasticArm:
     stiffness: FloatArray  # (f, f), of the elastic coordinates, N/m, N/rad, Nm/rad
     added_mass: FloatArray  # (f, f), kg, kg m, kg m2: the guardrail's, at the foot; not in `model`
     tool_frame_id: int  # index of the tool frame in `model`
+
+    @cached_property
+    def external_forces(self) -> Any:
+        """The force on the tool, `Robot.tool_force`, for the joints of `model`: it turns with the tool."""
+        return external_forces(self.model, self.tool_frame_id, self.robot.tool_force)
 
     def configuration(self, q: FloatArray, u: FloatArray) -> FloatArray:
         """Join joint angles (..., n) and elastic coordinates (..., f) to configurations (..., n + f)."""

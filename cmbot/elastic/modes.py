@@ -26,13 +26,17 @@ class Linearised:
 
     u: FloatArray  # (N, f), m and rad: the equilibria
     mass: FloatArray  # (N, f, f), of the elastic coordinates, with the guardrail's; symmetric
-    stiffness: FloatArray  # (N, f, f), with the geometric stiffness of the weights; symmetric
+    stiffness: FloatArray  # (N, f, f), with the geometric stiffness of the loads: its symmetric part
     coupling: FloatArray  # (N, f, n): forces on the elastic coordinates by the joints' accelerations
-    weight: FloatArray  # (N, f, n), derivative of the weights' forces there with respect to the joint angles
+    weight: FloatArray  # (N, f, n), derivative of the loads there with respect to the joint angles
 
 
 def linearised(arm: ElasticArm, q: FloatArray) -> Linearised:
-    """Linearise an arm about its equilibria in postures `q` (N, n), rad; errors as `Sag.equilibria`."""
+    """Linearise an arm about its equilibria in postures `q` (N, n), rad; errors as `Sag.equilibria`.
+
+    A force that turns with the tool has no potential: what it adds to the stiffness is not symmetric. Its
+    skew part, which moves no frequency to first order, is left out.
+    """
     u, tangent, weight = Sag(arm).equilibria(q)
     data = arm.model.createData()
     M, coupling = np.empty_like(tangent), np.empty_like(weight)

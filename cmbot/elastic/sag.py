@@ -1,4 +1,7 @@
-"""Sag of the arm at rest: static equilibrium of springs and weights, with exact derivatives."""
+"""Sag of the arm at rest: static equilibrium of springs, weights and the force on the tool.
+
+Its derivatives are exact.
+"""
 
 from __future__ import annotations
 
@@ -35,10 +38,11 @@ class SagStates:
 
 
 class Sag:
-    """Static equilibrium of an elastic arm under its own weight.
+    """Static equilibrium of an elastic arm under its own weight and the force on its tool.
 
     All weight counts, that of the climbing mechanism and the payload included, from the undeformed state. The
-    weights move with the deflections, which need not be small: equilibrium is a minimum of potential energy.
+    weights move with the deflections, which need not be small, and the force turns with the bent tool.
+    Without a force equilibrium is a minimum of potential energy.
 
     It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
     """
@@ -55,7 +59,7 @@ class Sag:
         arm, (N, n) = self.arm, q.shape
         u, tangent, by_joints = self.equilibria(q)
         d_tool, tool, rotation = np.empty((N, 3, n)), np.empty((N, 3)), np.empty((N, 3))
-        # Implicit function theorem on stiffness u + gravity(q, u) = 0.
+        # Implicit function theorem on stiffness u + loads(q, u) = 0.
         du_dq = -np.linalg.solve(tangent, by_joints)
         for k in range(N):
             X_WT, J = self._tool(arm.configuration(q[k], u[k]))
@@ -100,14 +104,14 @@ class Sag:
         return u, tangent, by_joints
 
     def balance_derivatives(self, q: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return the derivatives of springs and weights at `q` (n,) and `u` (f,), N/m, N/rad, Nm/rad.
+        """Return the derivatives of springs and loads at `q` (n,) and `u` (f,), N/m, N/rad, Nm/rad.
 
-        With respect to the elastic coordinates (f, f): the tangent stiffness, of springs and weights. With
-        respect to the joint angles (f, n): of the weights alone.
+        With respect to the elastic coordinates (f, f): the tangent stiffness, of springs and loads, symmetric
+        where no force acts on the tool. With respect to the joint angles (f, n): of the loads alone.
         """
-        configuration = self.arm.configuration(q, u)
-        gravity = pin.computeGeneralizedGravityDerivatives(self.arm.model, self._data, configuration)
-        return self.arm.stiffness + gravity[self._to_elastic], gravity[self._to_driven]
+        arm, configuration = self.arm, self.arm.configuration(q, u)
+        loads = pin.computeStaticTorqueDerivatives(arm.model, self._data, configuration, arm.external_forces)
+        return arm.stiffness + loads[self._to_elastic], loads[self._to_driven]
 
     def _solve(self, q: FloatArray, u: FloatArray, key: str) -> tuple[FloatArray, FloatArray]:
         """Move `u` to the equilibrium by Newton's method; the balance's derivatives there."""
@@ -115,7 +119,7 @@ class Sag:
         expected = "an arm and a guardrail that are stiff enough to carry the weight"
         for _ in range(_ITERATIONS):
             tangent, _by_joints = self.balance_derivatives(q, u)
-            balance = arm.stiffness @ u + self._data.g[arm.elastic]
+            balance = arm.stiffness @ u + self._data.tau[arm.elastic]
             try:
                 step = np.linalg.solve(tangent, balance)
             except np.linalg.LinAlgError as error:
@@ -126,8 +130,10 @@ class Sag:
         else:
             raise InputError("Sag.at", key, "a posture whose equilibrium was not found", expected)
         derivatives = self.balance_derivatives(q, u)
+        tangent = derivatives[0]
         try:
-            np.linalg.cholesky(derivatives[0])
+            # Then no small displacement gains more from the loads than it costs the springs.
+            np.linalg.cholesky(0.5 * (tangent + tangent.T))
         except np.linalg.LinAlgError as error:
             raise InputError("Sag.at", key, "a posture from which the arm topples", expected) from error
         return derivatives

@@ -91,6 +91,7 @@ def plan_approach(
     PathNotFound
         When nothing leads there.
     """
+    context = context.tool_off
     robot, clearances, options = context.robot, context.clearances, context.options
     start = context.posture
     whole = _free_space(context)
@@ -185,7 +186,7 @@ def _path(
 
 def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:
     """Which postures of the start's chart (M, n) self-motion leads to from the scene's posture."""
-    space = _free_space(context)
+    space = _free_space(context.tool_off)
     space = space.around(context.posture[None]) or space
     graph = _neighbours(space, context.posture[None], chart, context.options.chart_spacing)[1]
     _, component = connected_components(graph, directed=False)
@@ -201,7 +202,7 @@ def certify_approach(
     start: FloatArray,
     end: FloatArray,
 ) -> Certificate:
-    """Certify an approach: the tool is off, so its place is measured, not bounded.
+    """Certify an approach: the tool is off, so no force acts on it, and its place is measured, not bounded.
 
     Parameters
     ----------
@@ -219,7 +220,8 @@ def certify_approach(
     Certificate
         It may not hold, as with `certify`.
     """
-    return certify(robot, task, trajectory, clearances, options, via_points=None, start=start, end=end)
+    off = robot.tool_off
+    return certify(off, task, trajectory, clearances, options, via_points=None, start=start, end=end)
 
 
 def _along_chart(

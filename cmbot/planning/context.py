@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -19,7 +19,7 @@ from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
-from cmbot.scene import PlannerOptions, Scene, ToolPath, ToolPoses, pose
+from cmbot.scene import SPEED_TOLERANCE, PlannerOptions, Scene, ToolPath, ToolPoses, pose
 
 __all__ = [
     "PlanningContext",
@@ -43,9 +43,17 @@ class PlanningContext:
     times: FloatArray  # (k,), s, of the via-points
     options: PlannerOptions
     objective: Objective  # what is minimised
+    idle_objective: Objective  # the same with the tool off
     arm: ElasticArm | None  # on its guardrail; None where both are rigid
     sag: Sag | None  # where it is to be compensated
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
+
+    @cached_property
+    def tool_off(self) -> PlanningContext:
+        """The context of motions with the tool off: no process force acts on it."""
+        if not self.robot.pushed:
+            return self
+        return replace(self, robot=self.robot.tool_off, objective=self.idle_objective)
 
     @cached_property
     def postures(self) -> Postures:
@@ -145,6 +153,10 @@ def build_context(
     posture = np.array(scene.posture)
     arm = bending_arm(scene, robot)
     sag = sag_of(scene, arm, options)
+    objective = idle = objective_of(robot, options, own, posture, sag)
+    if robot.pushed:
+        off = robot.tool_off
+        idle = objective_of(off, options, own, posture, sag_of(scene, bending_arm(scene, off), options))
     return PlanningContext(
         robot=robot,
         posture=posture,
@@ -152,7 +164,8 @@ def build_context(
         clearances=Clearances(robot, scene.obstacles),
         times=task.path.via_times(scene.via_points),
         options=options,
-        objective=objective_of(robot, options, own, posture, sag),
+        objective=objective,
+        idle_objective=idle,
         arm=arm,
         sag=sag if options.compensate else None,
         reporter=reporter or ProgressReporter(),
@@ -193,7 +206,7 @@ def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag
 
 
 def robot_of(scene: Scene) -> Robot:
-    """Load the robot that a scene names.
+    """Load the robot that a scene names, its tool on: the process force acts on it.
 
     Raises
     ------
@@ -207,7 +220,7 @@ def robot_of(scene: Scene) -> Robot:
     if source.mount_xyz is not None and source.mount_rpy is not None:
         mount = pose(source.mount_xyz, source.mount_rpy)
     try:
-        return load_robot(
+        robot = load_robot(
             source.model,
             base_frame=source.base_frame,
             tool_frame=source.tool_frame,
@@ -225,6 +238,7 @@ def robot_of(scene: Scene) -> Robot:
         # The scene holds the key that has to be changed.
         key = f"robot.{error.key}"
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
+    return replace(robot, tool_force=scene.tool.process_force_n)
 
 
 def task_of(scene: Scene, robot: Robot) -> ToolTask:
@@ -249,4 +263,5 @@ def task_of(scene: Scene, robot: Robot) -> ToolTask:
         seconds=np.array([leg.seconds for leg in scene.legs]),
         profile=scene.speed_profile,
     )
-    return ToolTask(path, scene.keep)
+    speed = scene.tool.max_speed_m_s
+    return ToolTask(path, scene.keep, None if speed is None else speed * (1 + SPEED_TOLERANCE))

@@ -188,17 +188,24 @@ class Plan:
     @cached_property
     def samples(self) -> Samples:
         """The planned motion every 0.01 s."""
-        return self._sampled(self.trajectory, self.task, self.sag)
+        return self._sampled(self.robot, self.trajectory, self.task, self.sag)
 
     @cached_property
     def approach_samples(self) -> Samples | None:
         """The approach every 0.01 s, from time 0; its tool deviation is that from where the work starts."""
-        return None if self.approach is None else self._sampled(self.approach.trajectory, self.approach.task)
+        approach = self.approach
+        return (
+            None
+            if approach is None
+            else self._sampled(self.robot.tool_off, approach.trajectory, approach.task)
+        )
 
-    def _sampled(self, trajectory: QuinticTrajectory, task: ToolTask, sag: Sag | None = None) -> Samples:
+    def _sampled(
+        self, robot: Robot, trajectory: QuinticTrajectory, task: ToolTask, sag: Sag | None = None
+    ) -> Samples:
         t = _sample_times(trajectory.duration)
         motion = [trajectory.evaluate(t, order) for order in range(4)]
-        return measure(self.robot, task, Clearances(self.robot, self.scene.obstacles), t, motion, sag)
+        return measure(robot, task, Clearances(robot, self.scene.obstacles), t, motion, sag)
 
     @property
     def largest_torque_difference(self) -> tuple[float, float]:
@@ -250,7 +257,8 @@ class Plan:
         """Yield the figures, each as its name and unit, the baseline's value and the planned one."""
         pair = (self.baseline_figures, self.figures)
         for words, attribute, unit, factor, digits in _ROWS:
-            name = words.format(base=self.scene.base_name)
+            part = "static" if self.robot.pushed else "gravity"
+            name = words.format(base=self.scene.base_name, part=part)
             left, right = (f"{factor * getattr(figures, attribute):.{digits}f}" for figures in pair)
             yield f"{name}, {unit}", left, right
             if attribute == "peak_guardrail_torque":
@@ -323,7 +331,7 @@ def require_plan(value: object, source: str) -> None:
 _ROWS = (
     ("peak torque on the {base}", "peak_guardrail_torque", "Nm", 1.0, 2),
     ("mean torque on the {base}", "mean_guardrail_torque", "Nm", 1.0, 2),
-    ("peak of its gravity part", "peak_static_guardrail_torque", "Nm", 1.0, 2),
+    ("peak of its {part} part", "peak_static_guardrail_torque", "Nm", 1.0, 2),
     ("smallest clearance", "min_clearance", "mm", 1e3, 1),
     ("largest tool deviation", "max_tool_deviation", "mm", 1e3, 3),
     ("largest tool rotation", "max_tool_rotation", "deg", float(np.rad2deg(1.0)), 3),

@@ -24,6 +24,7 @@ from cmbot.planning.plan import Plan, Seconds, Start, objective_metrics
 from cmbot.planning.precheck import (
     failures_explained,
     require_reasonable_size,
+    require_tool_speed,
     require_within_reach,
     solver_of,
 )
@@ -97,6 +98,7 @@ def plan(
         reporter.stage("path")
         context = build_context(scene, options, objective, reporter)
         require_reasonable_size(scene, context.robot.dof, options)
+        require_tool_speed(scene, context.task.path)
         require_within_reach(context)
         try:
             attempt, motion = _search(context, automatic=automatic)

@@ -32,6 +32,7 @@ __all__ = [
     "precheck_options",
     "precheck_scene",
     "require_reasonable_size",
+    "require_tool_speed",
     "require_within_reach",
     "solver_of",
 ]
@@ -120,6 +121,7 @@ def precheck_scene(scene: Scene) -> Precheck:
     within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
     for key, away in beyond_reach(robot, path):
         warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
+    warnings += _too_fast(scene, path)
     if too_large := oversized(scene, robot.dof, scene.planner):
         warnings.append(too_large)
     warnings += precheck_options(scene.planner)
@@ -193,6 +195,33 @@ def require_within_reach(context: PlanningContext) -> None:
             # The stretched arm cannot move further out.
             smallest_singular_value=0.0,
         )
+
+
+def require_tool_speed(scene: Scene, path: ToolPath) -> None:
+    """Refuse a tool path on which the tool has to be faster than the scene allows: a `SceneError`."""
+    for found in _too_fast(scene, path):
+        raise SceneError(scene.source, found.key, found.got, found.expected)
+
+
+def _too_fast(scene: Scene, path: ToolPath) -> Iterator[Finding]:
+    """Yield the legs that are too fast for the tool."""
+    most = scene.tool.max_speed_m_s
+    if most is None:
+        return
+    # The speed is largest in the middle of a leg.
+    speeds = path.lengths / path.seconds * float(path.profile.rate(np.array(0.5)))
+    for k in np.flatnonzero(speeds > most * (1 + _ROUNDING)):
+        yield _warning(
+            f"tool_path.legs[{k}].seconds",
+            f"{path.seconds[k]:g} s, in which the tool reaches {speeds[k]:.4g} m/s",
+            f"at least {_rounded_up(path.seconds[k] * speeds[k] / most)} s, for tool.max_speed_m_s {most:g}",
+        )
+
+
+def _rounded_up(seconds: float) -> str:
+    """To three digits."""
+    digit = 10.0 ** (np.floor(np.log10(seconds)) - 2)
+    return f"{np.ceil(seconds / digit - _ROUNDING) * digit:g}"
 
 
 def solver_of(options: PlannerOptions) -> Literal["sqp", "slsqp"]:

@@ -151,8 +151,9 @@ def _gain(plan: Plan) -> str:
     fixed = plan.options.knots == "fixed" and plan.start.moved == 0
     why = " (fixed via-points cannot lower it)" if fixed else ""
     whose = "the paper's" if plan.scene.on_guardrail else "the"
+    peak = "the peak at rest" if plan.robot.pushed else "gravity's peak"
     return (
-        f"Against the baseline, {whose} motion without optimisation: gravity's peak "
+        f"Against the baseline, {whose} motion without optimisation: {peak} "
         f"{change:+z.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
         f"at t = {time:.1f} s."
     )

@@ -33,10 +33,13 @@ class ToolTask:
     path : ToolPath
     keep : str
         ``pose`` (m = 6), ``axis`` (m = 5) or ``position`` (m = 3).
+    max_speed : float or None
+        Of the tool point, m/s: `SPEED_TOLERANCE` above the scene's. None: any.
     """
 
     path: ToolPath
     keep: Literal["pose", "axis", "position"] = "pose"
+    max_speed: float | None = None
 
     def __post_init__(self) -> None:
         if self.keep not in ("pose", "axis", "position"):
@@ -75,7 +78,8 @@ class ToolTask:
     def held_at_start(self) -> ToolTask:
         """Return the task of holding the tool where this one starts."""
         corners = np.repeat(self.path.corners[:1], 2, axis=0)
-        return replace(self, path=replace(self.path, corners=corners, seconds=np.ones(1)))
+        path = replace(self.path, corners=corners, seconds=np.ones(1))
+        return replace(self, path=path, max_speed=None)
 
     @property
     def dimension(self) -> int:

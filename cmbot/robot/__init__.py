@@ -5,7 +5,7 @@ from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames
 from cmbot.robot.description.mesh_file import locate_meshes
 from cmbot.robot.description.xml_file import parse_urdf, urdf_content
-from cmbot.robot.dynamics import Dynamics, Efforts
+from cmbot.robot.dynamics import Dynamics, Efforts, external_forces
 from cmbot.robot.elasticity import LinkTube
 from cmbot.robot.inspection import Finding, inspect_robot, inspect_urdf, overview
 from cmbot.robot.joint_kinds import (
@@ -42,6 +42,7 @@ __all__ = [
     "arm_frames",
     "convex_hull",
     "encloses_volume",
+    "external_forces",
     "inspect_robot",
     "inspect_urdf",
     "joint_units",

@@ -1,16 +1,42 @@
-"""Joint torques and the wrench on the guardrail (Chang 2021, Eqs. (4)-(14)), with exact derivatives."""
+"""Joint torques and the wrench on the guardrail (Chang 2021, Eqs. (4)-(14)), with exact derivatives.
+
+The force on the tool, `Robot.tool_force`, is part of both: the joints bear ``-J' F``, the guardrail F and its
+moment about O0. In the frame of the last joint it is constant, so pinocchio takes it as an external force.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
+from cmbot.robot.kinematics import Postures
 from cmbot.robot.robot import Robot
 
-__all__ = ["Dynamics", "EffortDerivatives", "Efforts"]
+__all__ = ["Dynamics", "EffortDerivatives", "Efforts", "external_forces"]
+
+
+def external_forces(model: Any, tool_frame_id: int, tool_force: Sequence[float]) -> Any:
+    """Return a force on the tool as pinocchio takes it: one a joint, in the joints' frames.
+
+    Parameters
+    ----------
+    model : pinocchio.Model
+    tool_frame_id : int
+        The tool's frame in it.
+    tool_force : (3,), N
+        Along the tool's axes.
+    """
+    forces = pin.StdVec_Force()
+    forces.extend([pin.Force.Zero()] * model.njoints)
+    tool = model.frames[tool_frame_id]
+    forces[tool.parentJoint] = tool.placement.act(pin.Force(np.array(tool_force), np.zeros(3)))
+    return forces
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -23,7 +49,7 @@ class Efforts:
         Chang 2021, Eq. (13).
     guardrail_force, guardrail_torque : (N, 3), N and Nm
         Wrench that the moving arm exerts on the guardrail, at O0, in W: at rest the force is the arm's
-        weight. The torque is minus n_0 of Eq. (12), without the constant part
+        weight and the force on the tool. The torque is minus n_0 of Eq. (12), without the constant part
         `Robot.carrier_torque`.
     """
 
@@ -60,6 +86,11 @@ class Dynamics:
         self.robot = robot
         self._pool = pin.ModelPool(robot.floating_model, 1)
         self._data = robot.model.createData()
+        self._external = external_forces(robot.model, robot.tool_frame_id, robot.tool_force)
+
+    @cached_property
+    def _postures(self) -> Postures:
+        return Postures(self.robot)
 
     def efforts(self, q: FloatArray, v: FloatArray, a: FloatArray) -> Efforts:
         """Evaluate joint torques and guardrail wrench."""
@@ -72,9 +103,12 @@ class Dynamics:
         tau = pin.rneaInParallel(1, self._pool, q_f.T, v_f.T, a_f.T)
         # It returns a single state as a vector. The first six rows are the wrench of the base on the arm.
         tau = tau.reshape(6 + n, N).T
-        return Efforts(
-            joint_torque=tau[:, 6:].copy(), guardrail_force=-tau[:, :3], guardrail_torque=-tau[:, 3:6]
-        )
+        joint_torque, force, torque = tau[:, 6:].copy(), -tau[:, :3], -tau[:, 3:6]
+        if self.robot.pushed:
+            tool = self._postures.tool_at(q)
+            joint_torque += tool.torque_against_push
+            force, torque = force + tool.push, torque + tool.push_torque
+        return Efforts(joint_torque=joint_torque, guardrail_force=force, guardrail_torque=torque)
 
     def static_efforts(self, q: FloatArray) -> Efforts:
         """Evaluate joint torques and guardrail wrench at rest in postures `q` (N, n), rad."""
@@ -89,7 +123,8 @@ class Dynamics:
         value = np.empty((N, 3 + n))
         d_q, d_v, d_a = (np.empty((N, 3 + n, n)) for _ in range(3))
         for k in range(N):
-            d_q[k, 3:], d_v[k, 3:], d_a[k, 3:] = pin.computeRNEADerivatives(model, data, q[k], v[k], a[k])
+            rows = pin.computeRNEADerivatives(model, data, q[k], v[k], a[k], self._external)
+            d_q[k, 3:], d_v[k, 3:], d_a[k, 3:] = rows
             d_q[k, :3], d_v[k, :3], d_a[k, :3] = dF_dq, dF_dv, dF_da
             value[k, :3], value[k, 3:] = data.of[1].angular, data.tau
         for array in (value, d_q, d_v, d_a):
@@ -107,7 +142,7 @@ class Dynamics:
         value = np.empty((N, 6))
         d_q, d_v, d_a = (np.empty((N, n, 6)) for _ in range(3))
         for k in range(N):
-            pin.computeRNEADerivatives(model, data, q[k], v[k], a[k])
+            pin.computeRNEADerivatives(model, data, q[k], v[k], a[k], self._external)
             value[k] = data.of[1].vector
             d_q[k], d_v[k], d_a[k] = dF_dq, dF_dv, dF_da
         for array in (value, d_q, d_v, d_a):

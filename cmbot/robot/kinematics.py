@@ -112,6 +112,8 @@ class ToolBatch:
         Direction of each joint's axis and a point on it, m.
     prismatic : (n,)
         Which joints slide.
+    tool_force : (3,), N
+        That acts on the tool, along its axes; zero with the tool off.
     """
 
     q: FloatArray
@@ -120,6 +122,35 @@ class ToolBatch:
     axis: FloatArray
     origin: FloatArray
     prismatic: BoolArray
+    tool_force: FloatArray
+
+    def point_velocity(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Velocity of the tool point (N, 3), m/s, at joint rates `v` (N, n), and its derivatives by position.
+
+        These are (N, 3, n), m/s/rad or 1/s; those by the rates are the first rows of the Jacobian.
+        """
+        moved, turned = (part * v for part in np.split(self.leading_jacobian.transpose(0, 2, 1), 2))
+        linear, angular = (part.transpose(0, 2, 1) for part in np.split(self.leading_jacobian, 2))
+        # A joint turns what the joints from it on add, and is turned by the joints before it.
+        beyond = np.cumsum(moved[..., ::-1], axis=2)[..., ::-1]
+        before = np.cumsum(turned, axis=2) - turned
+        d_q = np.cross(angular, beyond, axis=0) + np.cross(before, linear, axis=0)
+        return moved.sum(axis=2).T, np.asarray(d_q.transpose(1, 0, 2))
+
+    @cached_property
+    def push(self) -> FloatArray:
+        """The force on the tool (N, 3), N."""
+        return np.asarray(self.tool_rotation @ self.tool_force)
+
+    @property
+    def push_torque(self) -> FloatArray:
+        """Its torque (N, 3) about O0, Nm."""
+        return np.asarray(np.cross(self.tool_point, self.push))
+
+    @property
+    def torque_against_push(self) -> FloatArray:
+        """What the joints bear of it (N, n), Nm; forces, N, of joints that slide."""
+        return np.asarray(-np.einsum("kij,ki->kj", self.jacobian[:, :3], self.push))
 
     @cached_property
     def jacobian(self) -> FloatArray:
@@ -159,14 +190,16 @@ class PostureBatch(ToolBatch):
 
     @property
     def guardrail_force(self) -> FloatArray:
-        """Static force (N, 3) on the guardrail, N: the arm's weight in every posture."""
-        return np.tile(self.mass.sum() * self.gravity, (len(self.q), 1))
+        """Static force (N, 3) on the guardrail, N: the arm's weight, and the force on the tool."""
+        weight = np.tile(self.mass.sum() * self.gravity, (len(self.q), 1))
+        return weight + self.push if self.tool_force.any() else weight
 
     @cached_property
     def guardrail_torque(self) -> FloatArray:
         """Static torque (N, 3) on the guardrail about O0, Nm."""
         moment = np.tensordot(self.mass, self.centre.transpose(1, 2, 0), axes=1)
-        return np.asarray((pin.skew(self.gravity).T @ moment).T)
+        torque = np.asarray((pin.skew(self.gravity).T @ moment).T)
+        return torque + self.push_torque if self.tool_force.any() else torque
 
     @cached_property
     def joint_torque(self) -> FloatArray:
@@ -175,7 +208,8 @@ class PostureBatch(ToolBatch):
         carried = np.cumsum(self.mass[::-1])[::-1]
         for i in np.flatnonzero(self.prismatic):
             about[i] = -carried[i] * self.gravity[:, None]
-        return np.asarray((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
+        torque = np.asarray((self.axis.transpose(1, 2, 0) * about).sum(axis=1).T)
+        return torque + self.torque_against_push if self.tool_force.any() else torque
 
     @cached_property
     def carried_moment(self) -> FloatArray:
@@ -213,6 +247,7 @@ class Postures:
         self._levers = np.array([body.lever for body in bodies])
         self._mass = np.array([body.mass for body in bodies])
         self._gravity = np.array(robot.model.gravity.linear)
+        self._tool_force = np.array(robot.tool_force)
         self.bend = 0.5 * max(robot.reach, _ROTATION_BEND)
         self.metric = robot.metric
 
@@ -231,7 +266,6 @@ class Postures:
         centre = centre.transpose(2, 0, 1)
         return PostureBatch(
             **tool,
-            prismatic=self.metric.prismatic,
             centre=centre,
             mass=self._mass,
             gravity=self._gravity,
@@ -239,11 +273,10 @@ class Postures:
 
     def tool_at(self, q: FloatArray) -> ToolBatch:
         """Evaluate the tool alone in postures `q` (N, n), which is quicker."""
-        return ToolBatch(**self._evaluate(self._tool_only, q), prismatic=self.metric.prismatic)
+        return ToolBatch(**self._evaluate(self._tool_only, q))
 
-    @staticmethod
-    def _evaluate(chain: Chain, q: FloatArray, centre: FloatArray | None = None) -> dict[str, FloatArray]:
-        """The fields of a `ToolBatch` but one; the centres of mass (n, 3, N) are written to `centre`."""
+    def _evaluate(self, chain: Chain, q: FloatArray, centre: FloatArray | None = None) -> dict[str, Any]:
+        """The fields of a `ToolBatch`; the centres of mass (n, 3, N) are written to `centre`."""
         N, n = q.shape
         tool, axis, origin = np.empty((4, 3, N)), np.empty((n, 3, N)), np.empty((n, 3, N))
         for start in range(0, N, _BLOCK):
@@ -260,6 +293,8 @@ class Postures:
             "tool_rotation": tool[:3].transpose(2, 1, 0),
             "axis": axis.transpose(2, 0, 1),
             "origin": origin.transpose(2, 0, 1),
+            "prismatic": self.metric.prismatic,
+            "tool_force": self._tool_force,
         }
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -22,6 +22,7 @@ __all__ = ["Robot"]
 
 # Least length, m, by which moves of joints that slide are measured.
 _SHORTEST = 0.1
+_NO_FORCE = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,6 +57,9 @@ class Robot:
         axis its z axis.
     payload : float
         Point mass at the tool, kg.
+    tool_force : three floats
+        Force that acts on the tool while it is on, at the tool point, along the tool's axes, N. It is part of
+        every torque of this robot; see `tool_off`.
     content_hash : str
         SHA-256 of URDF, SRDF, joint-limits and elasticity file.
     remarks : tuple of str
@@ -75,6 +79,7 @@ class Robot:
     tool_frame: str
     payload: float
     content_hash: str
+    tool_force: tuple[float, float, float] = _NO_FORCE
     remarks: tuple[str, ...] = ()
 
     @cached_property
@@ -87,6 +92,16 @@ class Robot:
             When a mesh cannot be read.
         """
         return self.read_visual_model()
+
+    @cached_property
+    def tool_off(self) -> Robot:
+        """The same robot with its tool off: no force acts on it."""
+        return replace(self, tool_force=_NO_FORCE) if self.pushed else self
+
+    @property
+    def pushed(self) -> bool:
+        """Whether a force acts on its tool."""
+        return any(self.tool_force)
 
     @property
     def joints(self) -> tuple[str, ...]:

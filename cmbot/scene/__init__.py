@@ -6,6 +6,7 @@ from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.scene import RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
 from cmbot.scene.template import limits_text, scene_text
+from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 from cmbot.scene.tool_path import (
     Leg,
     ShiftedToolPath,
@@ -17,6 +18,7 @@ from cmbot.scene.tool_path import (
 
 __all__ = [
     "MOST_SAMPLES",
+    "SPEED_TOLERANCE",
     "Box",
     "Capsule",
     "Cylinder",
@@ -32,6 +34,7 @@ __all__ = [
     "ShiftedToolPath",
     "SpeedProfile",
     "Sphere",
+    "Tool",
     "ToolPath",
     "ToolPoses",
     "guardrail_from_file",

@@ -33,6 +33,7 @@ from cmbot.scene.fields import (
 from cmbot.scene.guardrail import GuardrailFile
 from cmbot.scene.obstacles import Obstacle, ObstacleFile
 from cmbot.scene.options import PlannerOptions
+from cmbot.scene.tool import Tool
 from cmbot.scene.tool_path import Leg, SpeedProfile
 
 __all__ = [
@@ -148,7 +149,7 @@ class SceneFile(FileModel):
     """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
 
     format: Literal["cmbot-scene/1", "cmbot-scene/2"]
-    """The second knows `base` and `start`, too."""
+    """The second knows `base`, `start` and `tool`, too."""
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
@@ -158,6 +159,8 @@ class SceneFile(FileModel):
     """Joint angles at the start, from the base to the tool."""
     start: PostureFile | None = None
     """In place of `posture_deg`, and needed where joints slide; of ``cmbot-scene/2``."""
+    tool: Tool | None = None
+    """What the process asks while the tool is on; of ``cmbot-scene/2``."""
     tool_path: ToolPathFile
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
@@ -165,7 +168,7 @@ class SceneFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for key in ("base", "start"):
+        for key in ("base", "start", "tool"):
             if getattr(self, key) is not None and self.format == "cmbot-scene/1":
                 expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"
                 raise refusal(expected, got=key, key=(key,))
@@ -261,6 +264,7 @@ _TYPES: dict[str, tuple[type, str]] = {
     "source": (str, "text"),
     "robot": (RobotSource, "a RobotSource"),
     "posture": (np.ndarray, "an array (n,), rad and m"),
+    "tool": (Tool, "a Tool"),
     "speed_profile": (SpeedProfile, "a SpeedProfile"),
     "guardrail": (Guardrail, "a Guardrail"),
     "planner": (PlannerOptions, "PlannerOptions"),
@@ -283,6 +287,8 @@ class Scene:
     robot : RobotSource
     posture : array
         (n,), joint positions at the start, rad, of joints that slide m; read-only.
+    tool : Tool
+        What the process asks while the tool is on.
     keep : str
         What the tool path prescribes of the tool: its ``pose``, ``axis`` or ``position``.
     legs : tuple of Leg
@@ -311,6 +317,7 @@ class Scene:
     source: str
     robot: RobotSource
     posture: FloatArray
+    tool: Tool
     keep: Literal["pose", "axis", "position"]
     legs: tuple[Leg, ...]
     speed_profile: SpeedProfile

@@ -23,7 +23,8 @@ from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.scene.fields import si_fields
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
-from cmbot.scene.scene import RobotFile, RobotSource, Scene, SceneFile
+from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
+from cmbot.scene.tool import Tool
 
 __all__ = ["load_scene", "scene_from_file", "shipped_scenes", "update_file"]
 
@@ -104,6 +105,7 @@ def scene_from_file(
         source=source,
         robot=_robot(file.robot, find),
         posture=read_only(file.posture),
+        tool=file.tool or Tool(),
         obstacles=(*own, *guardrail_obstacles(guardrail)),
         guardrail=guardrail,
         planner=file.planner,
@@ -134,6 +136,9 @@ def update_file(scene: Scene) -> Scene:
         "obstacles": [obstacle_data(obstacle, entries.get(obstacle.name)) for obstacle in own],
         "planner": plain(scene.planner, "Scene"),
     }
+    if scene.tool != (scene.file.tool or Tool()):
+        # The first format does not have it, and all else means the same in both.
+        data |= {"tool": plain(scene.tool, "Scene"), "format": FORMAT}
     file = validated(SceneFile, data, "Scene", SceneError)
     if file == scene.file:
         return replace(scene, obstacles=obstacles)

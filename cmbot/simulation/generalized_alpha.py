@@ -41,6 +41,8 @@ class ElasticSystem:
     Its equation of motion, with q_a prescribed, is that of the elastic coordinates alone::
 
         (M_ff + added_mass) qdd_f = - stiffness q_f - damping qd_f - h_f(q, qd) - M_fa qdd_a
+
+    The force on the tool is part of h_f.
     """
 
     model: Any  # pinocchio.Model
@@ -49,11 +51,12 @@ class ElasticSystem:
     stiffness: FloatArray  # (f, f), symmetric
     damping: FloatArray  # (f, f), symmetric
     added_mass: FloatArray  # (f, f), symmetric: mass outside the model, such as the guardrail's own
+    external_forces: Any = None  # by joint, in their frames; None without
 
     @classmethod
     def of(cls, arm: ElasticArm, damping: FloatArray) -> ElasticSystem:
         """Return the system of an arm with a damping matrix (f, f)."""
-        shared = ("model", "driven", "elastic", "stiffness", "added_mass")
+        shared = ("model", "driven", "elastic", "stiffness", "added_mass", "external_forces")
         return cls(damping=damping, **{name: getattr(arm, name) for name in shared})
 
 
@@ -82,6 +85,8 @@ class GeneralizedAlpha:
         self._gamma = 0.5 + self._alpha_f - self._alpha_m
         self._beta = 0.25 * (self._gamma + 0.5) ** 2
         f, n = len(system.elastic), system.model.nv
+        none = system.external_forces is None
+        self._external = [pin.Force.Zero()] * system.model.njoints if none else system.external_forces
         self._data = system.model.createData()
         # Rows act on accelerations, displacements and rates, stacked in this order in `_state`.
         self._linear = np.hstack([system.added_mass, system.stiffness, system.damping])
@@ -186,9 +191,8 @@ class GeneralizedAlpha:
             self._factor, failed = dpotrf(self._mass.T, overwrite_a=True, clean=False)
             if failed:  # not positive definite: the check of the next state raises, with its time
                 return np.full(f, np.nan)
-        pin.rnea(system.model, self._data, self._q, self._v, self._a).take(
-            elastic, out=self._force, mode="clip"
-        )
+        force = pin.rnea(system.model, self._data, self._q, self._v, self._a, self._external)
+        force.take(elastic, out=self._force, mode="clip")
         self._force += self._linear @ state
         change, _ = dpotrs(self._factor, self._force)
         return np.asarray(-change)

@@ -106,8 +106,8 @@ def simulate(
 ) -> Tracking:
     """Simulate the elastic arm of a plan's scene under its baseline and under its planned motion.
 
-    The joints follow their motion exactly; guardrail and links bend. The baseline's motion is the cubic
-    spline through its postures.
+    The joints follow their motion exactly; guardrail and links bend. The process force acts on the bent tool
+    all along, and on after the joints stop. The baseline's motion is the cubic spline through its postures.
 
     Parameters
     ----------

@@ -319,6 +319,10 @@ def _scene(plan: Plan) -> Iterator[Row]:
     else:
         yield "posture, deg", _numbers(np.rad2deg(scene.posture), 1)
     yield "tool constraint", scene.keep
+    if robot.pushed:
+        yield "process force on the tool, along its axes", f"({_numbers(robot.tool_force, 1)}) N"
+    if scene.tool.max_speed_m_s is not None:
+        yield "largest tool speed", f"{scene.tool.max_speed_m_s:g} m/s"
     legs = zip(np.diff(path.corners, axis=0), path.seconds, strict=True)
     for number, (by, seconds) in enumerate(legs, start=1):
         yield f"leg {number}", f"by ({_numbers(by, 3)}) m in {seconds:g} s"

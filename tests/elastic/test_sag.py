@@ -127,6 +127,49 @@ def test_forces_and_their_equilibrium(random_arm: ElasticArm, rng: np.random.Gen
     check_derivative(lambda x: sag.at(x[None]).tool[0], q, held.d_tool[0], rtol=1e-7)
 
 
+def test_a_force_on_the_tool_bends_as_a_weight_there_does(
+    cmbot_robot: Robot, rng: np.random.Generator
+) -> None:
+    """A force that points straight down where the loaded arm comes to rest: there it is the load's weight."""
+    base, q, mass = random_base(rng), rng.uniform(-2, 2, 7), 12.0
+    model = cmbot_robot.model.copy()
+    tool = model.frames[cmbot_robot.tool_frame_id]
+    point = pin.Inertia(mass, tool.placement.translation, np.zeros((3, 3)))
+    model.appendBodyToJoint(tool.parentJoint, point, pin.SE3.Identity())
+    rigid = {"elasticity": {}}  # so that no load is cut with a link
+    loaded = Sag(make_arm(replace(cmbot_robot, model=model, **rigid), base)).at(q[None])
+    R_WT = pin.exp3(loaded.rotation[0]) @ Kinematics(cmbot_robot).tool_pose(q).rotation
+    x, y, z = R_WT.T @ [0, 0, -9.81 * mass]
+    pushed = Sag(make_arm(replace(cmbot_robot, tool_force=(x, y, z), **rigid), base)).at(q[None])
+    np.testing.assert_allclose(pushed.u, loaded.u, rtol=0, atol=1e-9 * np.abs(loaded.u).max())
+    alone = Sag(make_arm(replace(cmbot_robot, **rigid), base)).at(q[None])
+    assert np.linalg.norm(loaded.u - alone.u) > 1e-4
+
+
+def test_derivatives_with_a_force_that_turns_with_the_tool(
+    random_arm: ElasticArm, rng: np.random.Generator
+) -> None:
+    robot = replace(random_arm.robot, tool_force=(20.0, -30.0, 40.0))
+    arm = make_arm(robot, random_arm.base, segments=2, link_factor=0.05)
+    sag, f, data = Sag(arm), arm.elastic, arm.model.createData()
+    q, u = rng.uniform(-2, 2, len(arm.driven)), rng.normal(scale=0.02, size=len(f))
+
+    def balance(angles: FloatArray, x: FloatArray) -> FloatArray:
+        """By virtual work: the force pushes along the way of the tool point."""
+        configuration = arm.configuration(angles, x)
+        weight = pin.computeGeneralizedGravity(arm.model, data, configuration).copy()
+        frame = pin.ReferenceFrame.LOCAL
+        J = pin.computeFrameJacobian(arm.model, data, configuration, arm.tool_frame_id, frame)
+        return np.asarray((weight - J[:3].T @ robot.tool_force)[f] + arm.stiffness @ x)
+
+    tangent, by_joints = sag.balance_derivatives(q, u)
+    check_derivative(lambda x: balance(q, x), u, tangent, rtol=1e-9)
+    check_derivative(lambda x: balance(x, u), q, by_joints, rtol=1e-7)
+    held = sag.at(q[None])
+    assert np.abs(balance(q, held.u[0])).max() < 1e-6 * np.abs(arm.stiffness @ held.u[0]).max()
+    check_derivative(lambda x: sag.at(x[None]).tool[0], q, held.d_tool[0], rtol=1e-7)
+
+
 def test_derivatives_of_the_shipped_robot(shipped_arm: ElasticArm, rng: np.random.Generator) -> None:
     sag = Sag(shipped_arm)
     for q in rng.uniform(-2, 2, (3, 7)):

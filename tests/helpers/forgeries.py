@@ -129,6 +129,11 @@ TURN = "rotation of the tool from its orientation at a via-point"
 JUMP = "jump of a joint's position, velocity, acceleration or jerk"
 TIMES = "difference of the trajectory's times from the tool path's"
 
+
+def _tool(**entries: object) -> Callable[[dict[str, Any]], object]:
+    return lambda data: data.update(format="cmbot-scene/2", tool=entries)
+
+
 FORGERIES = (
     Forgery(name="standing still", caught_by=PLACE, motion=standing_still),
     Forgery(name="half-way and back", caught_by=PLACE, motion=half_way_and_back),
@@ -166,6 +171,10 @@ FORGERIES = (
         caught_by="torque of",
         scene=lambda data: data["robot"].update(payload_kg=30.0),
     ),
+    Forgery(
+        name="a force on the tool", caught_by="torque of", scene=_tool(process_force_n=[0.0, 200.0, -400.0])
+    ),
+    Forgery(name="a slower tool", caught_by="tool speed", scene=_tool(max_speed_m_s=0.08)),
 )
 
 

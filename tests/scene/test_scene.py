@@ -212,6 +212,10 @@ WRONG = [
     # key, value, part of got, part of expected; then the key in the error, where it is another one
     ("format", "cmbot-scene/3", "'cmbot-scene/3'", "a known value; did you mean cmbot-scene/2?"),
     ("base", {"name": "rail"}, "base", "no such key in cmbot-scene/1: it goes with cmbot-scene/2"),
+    ("tool", {}, "tool", "no such key in cmbot-scene/1: it goes with cmbot-scene/2"),
+    ("tool", {"process_force_n": [0, 0]}, "[0, 0]", "a list of 3 items", "tool.process_force_n"),
+    ("tool", {"process_force_n": [0, 0, 2e4]}, "20000.0", "at most 10000", "tool.process_force_n[2]"),
+    ("tool", {"max_speed_m_s": 0}, "0", "at least 0.0001", "tool.max_speed_m_s"),
     ("name", "a/b", "'a/b'", "letters, digits, - and _"),
     ("name", "..", "'..'", "letters, digits, - and _"),
     ("name", "a\n", r"'a\n'", "letters, digits, - and _"),

@@ -13,7 +13,7 @@ from minimal_scenes import MINIMAL, OTHER_ROBOT
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
-from cmbot.common.errors import SceneError
+from cmbot.common.errors import InputError, SceneError
 from cmbot.elastic import BarSection
 from cmbot.planning import plan
 from cmbot.scene import (
@@ -26,6 +26,7 @@ from cmbot.scene import (
     Scene,
     SceneFile,
     Sphere,
+    Tool,
     load_scene,
     pose,
     shipped_scenes,
@@ -54,6 +55,28 @@ def test_what_the_robot_stands_on_has_a_name():
     assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
     with pytest.raises(SceneError, match=r"base.name: got 'a b', expected 1 to 100 letters"):
         load_scene({**second, "base": {"name": "a b"}})
+
+
+def test_the_tool_block_and_scenes_without_it():
+    assert load_scene(MINIMAL).tool == Tool(process_force_n=(0, 0, 0), max_speed_m_s=None)
+    # So that the hashes of scenes without it stay.
+    assert "tool" not in load_scene(MINIMAL).file.as_data()
+    tool = {"process_force_n": [0, 0, -20], "max_speed_m_s": 0.15}
+    scene = load_scene({**MINIMAL, "format": "cmbot-scene/2", "tool": tool})
+    assert scene.tool == Tool(process_force_n=(0, 0, -20), max_speed_m_s=0.15)
+    assert update_file(scene).content_hash == scene.content_hash
+    assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
+
+
+def test_a_tool_from_python_is_in_the_file():
+    first = load_scene(MINIMAL)
+    file = update_file(replace(first, tool=Tool(process_force_n=(0, 5, 0)))).file
+    assert (file.format, file.tool.process_force_n) == ("cmbot-scene/2", (0, 5, 0))
+    assert update_file(replace(load_scene(file.as_data()), tool=Tool())).file.tool == Tool()
+    with pytest.raises(InputError, match=r"Tool: max_speed_m_s: got -1, expected at least 0.0001"):
+        Tool(max_speed_m_s=-1)
+    with pytest.raises(InputError, match="Scene: tool: got dict, expected a Tool"):
+        replace(first, tool={})
 
 
 @pytest.fixture

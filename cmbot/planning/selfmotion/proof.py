@@ -31,7 +31,7 @@ from cmbot.planning.selfmotion.joint_boxes import (
     without_pivot,
 )
 from cmbot.planning.selfmotion.spherical_joint import WristChain, turns, wrist_chain
-from cmbot.robot import PostureBatch
+from cmbot.robot import PostureBatch, Postures, ToolBatch
 
 __all__ = ["Proof", "TorqueFloorProof"]
 
@@ -85,8 +85,8 @@ class Proof:
 class TorqueFloorProof:
     """Proves bounds of the objective at rest over all admissible postures at via-points.
 
-    Use `of`, which returns None where there is no proof: the objective is not a moment, or the arm and its
-    task do not decouple (`wrist_chain`).
+    Use `of`, which returns None where there is no proof: the objective is not a moment, the arm and its task
+    do not decouple (`wrist_chain`), or the task leaves open where the force on the tool points.
 
     Parameters
     ----------
@@ -106,6 +106,9 @@ class TorqueFloorProof:
         model = context.robot.model
         self._gravity = float(np.linalg.norm(model.gravity.linear))
         self._moment = _moment_bounds(context)
+        # The weights are looked at by themselves: what the force adds on the task does not change there.
+        self._unloaded = Postures(context.robot.tool_off)
+        self._push = float(np.linalg.norm(context.robot.tool_force))
         self._inner = chain.joints[: chain.inner]
         self._wrist = chain.joints[chain.inner :]
         self._function = function
@@ -119,6 +122,9 @@ class TorqueFloorProof:
         function = objective.function if isinstance(objective, WrenchObjective) else None
         chain = wrist_chain(context) if isinstance(function, WeightedMoment) else None
         if chain is None or not isinstance(function, WeightedMoment):
+            return None
+        if context.task.keep != "pose" and any(context.robot.tool_force[:2]):
+            # Only along the axis that the task keeps is it the same in all postures on it.
             return None
         return TorqueFloorProof(context, chain, function)
 
@@ -134,7 +140,7 @@ class TorqueFloorProof:
         for number in range(_MOST_ROUNDS):
             boxes = self._by_centre(boxes, goal)
             boxes = self._by_wrist(boxes)
-            boxes, lowest = self._admissible(boxes, goal, value * (1 - _ACCURACY))
+            boxes, lowest = self._admissible(boxes, via_point, value * (1 - _ACCURACY))
             if len(boxes) == 0:
                 break
             found = None
@@ -267,25 +273,29 @@ class TorqueFloorProof:
         before = np.cumsum(half, axis=1) - half
         return 0.5 * (half * (half + 2 * before)) @ lever
 
-    def _admissible(
-        self, boxes: JointBoxes, goal: FloatArray, enough: float
-    ) -> tuple[JointBoxes, FloatArray]:
+    def _admissible(self, boxes: JointBoxes, via_point: int, enough: float) -> tuple[JointBoxes, FloatArray]:
         """Drop boxes without admissible postures below `enough`; the others, narrowed, and lower bounds."""
         if len(boxes) == 0:
             return boxes, np.empty(0)
         middle = boxes.middle
-        at = self._context.postures.at(middle)
-        value, slope = self._objective(at)
-        boxes, along, keep = self._on_task(boxes, goal, slope)
+        at = self._unloaded.at(middle)
+        value, slope = self._objective(at, via_point)
+        boxes, along, keep = self._on_task(boxes, self._chain.goal_centre[via_point], slope)
         low, high = boxes.lower - middle, boxes.upper - middle
         reach = np.maximum(np.abs(low), np.abs(high))
         linear = np.minimum(slope * low, slope * high).sum(axis=1)
         off = self._gravity * self._second_order(reach, self._moment)
         lowest = value + np.maximum(linear, along) - self._heaviest * off
         keep &= lowest < enough
-        limits = self._context.robot.limits
-        spread = np.einsum("kij,kj->ki", np.abs(self._torque_slopes(at)), reach) + off[:, None]
-        keep &= (np.abs(at.joint_torque) - spread <= limits.torque * (1 + _ROUNDING)).all(axis=1)
+        robot = self._context.robot
+        torque, slopes = at.joint_torque, self._torque_slopes(at)
+        if robot.pushed:
+            pushed = self._context.postures.tool_at(middle)
+            torque, slopes = torque + pushed.torque_against_push, slopes + _push_slopes(pushed)
+            # A second derivative of the force's lever, of its direction, and twice the product of the first.
+            off = off + self._second_order(reach, np.full(robot.dof, 4 * self._push * robot.reach))
+        spread = np.einsum("kij,kj->ki", np.abs(slopes), reach) + off[:, None]
+        keep &= (np.abs(torque) - spread <= robot.limits.torque * (1 + _ROUNDING)).all(axis=1)
         boxes, lowest = boxes[keep], lowest[keep]
         clear = self._clear(boxes)
         return boxes[clear], lowest[clear]
@@ -375,9 +385,12 @@ class TorqueFloorProof:
         off[:, 2] = half[:, -1]
         return error, turn, off
 
-    def _objective(self, at: PostureBatch) -> tuple[FloatArray, FloatArray]:
-        """The objective (N,) at rest and its derivatives (N, n)."""
-        value, gradient = self._function(np.hstack([at.guardrail_force, at.guardrail_torque]))
+    def _objective(self, at: PostureBatch, via_point: int) -> tuple[FloatArray, FloatArray]:
+        """The objective (N,) at rest and its derivatives (N, n), the force on the tool as on the task."""
+        goal = self._context.goals[via_point]
+        push = goal.rotation[0] @ self._context.robot.tool_force
+        constant = np.concatenate([push, np.cross(goal.point[0], push)])
+        value, gradient = self._function(np.hstack([at.guardrail_force, at.guardrail_torque]) + constant)
         # The torque's derivative is the moved first moment crossed with gravity.
         return value, np.einsum("kij,kj->ki", cross(self._moved(at), at.gravity), gradient[:, 3:])
 
@@ -436,6 +449,16 @@ class TorqueFloorProof:
         for joint in follow:
             wide[:, joint] = np.maximum(half[:, joint] - following, 0.0)
         return boxes.halved((wide * self._weight).argmax(axis=1))
+
+
+def _push_slopes(at: ToolBatch) -> FloatArray:
+    """Derivatives (N, n, n) of what turning joints bear of the force on the tool."""
+    push, arm = at.push[:, None], at.tool_point[:, None] - at.origin
+    # Joints up to a joint's own turn its axis, the lever and the force together: its share stays.
+    lever = np.triu(np.einsum("kia,kja->kij", at.axis, cross(cross(at.axis, arm), push)), 1)
+    turned = cross(at.axis, push)
+    direction = np.einsum("kia,kja->kij", cross(at.axis, arm), turned)
+    return np.asarray(-lever - np.triu(direction, 1))
 
 
 def _weights(context: PlanningContext) -> FloatArray:

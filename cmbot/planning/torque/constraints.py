@@ -13,7 +13,7 @@ from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Postures, ToolBatch
 
-__all__ = ["ClearanceMargin", "JointTorque", "ToolDeviation", "ToolLag", "ToolRotation"]
+__all__ = ["ClearanceMargin", "JointTorque", "ToolDeviation", "ToolLag", "ToolRotation", "ToolSpeed"]
 
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
 _FLAT = 1e-12
@@ -155,6 +155,31 @@ class ToolRotation:
         d_q = np.einsum("ki,kij->kj", turn / np.maximum(angle, _FLAT)[:, None], J)
         still = np.zeros_like(d_q)
         return Linearization(angle - 1, d_q, still, still)
+
+
+@dataclass(frozen=True)
+class ToolSpeed:
+    """Speed of the tool point within its bound."""
+
+    postures: Postures
+    bound: float
+    name: str = "tool speed"
+    components: int = 1
+
+    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
+        """Return speed/bound - 1, (N, 1)."""
+        velocity = np.einsum("ijk,kj->ki", _tool(self.postures, states).leading_jacobian[:3], states.v)
+        value = np.linalg.norm(velocity, axis=1, keepdims=True) / self.bound - 1
+        return value, np.zeros(value.shape, dtype=np.intp)
+
+    def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
+        """Linearize the speed."""
+        tool = _tool(self.postures, states)
+        velocity, by_q = tool.point_velocity(states.v)
+        speed = np.linalg.norm(velocity, axis=1) / self.bound
+        along = velocity / np.maximum(speed, _FLAT)[:, None] / self.bound**2
+        d_q, d_v = (np.einsum("ki,kij->kj", along, by) for by in (by_q, tool.jacobian[:, :3]))
+        return Linearization(speed - 1, d_q, d_v, np.zeros_like(d_q))
 
 
 def _tool(postures: Postures, states: StateSamples) -> ToolBatch:

@@ -28,7 +28,7 @@ from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, clenshaw_curtis, h
 __all__ = ["Certificate", "Check", "certify"]
 
 # How far bounds may lie beyond what was found: of torques, as a share of the bound or of the largest value;
-# of the tool, m and rad.
+# of the tool, m and rad, or m/s.
 _TORQUE_RESOLUTION, _TOOL_RESOLUTION = 1e-6, 1e-8
 # Pieces of a trajectory at most, a segment, before the remainder of interpolation stays what it is.
 _MOST_PIECES = 64
@@ -205,6 +205,8 @@ def certify(
             _enclosed("tool rotation", rotation, np.deg2rad(options.max_tool_rotation_deg), "rad"),
             _enclosed(f"{expected}tool lag", lag, options.max_tool_lag_m, "m"),
         ]
+        if task.max_speed is not None:
+            checks.append(_enclosed(f"{expected}tool speed", work.tool_speed(), task.max_speed, "m/s"))
     guardrail, mean, static = work.guardrail_torque()
     shares = [check.value / check.bound for check in (*rates, torque)]
     figures = MotionMetrics(
@@ -248,10 +250,12 @@ class _Work:
         of: NormBounds = norm_bounds(self._robot, pieces.ellipses)
         torque, turns = self._robot.limits.torque, ~self._robot.limits.prismatic
         scale = float((torque[turns] if turns.any() else torque).max())
+        speed = np.inf if self._task.max_speed is None else _TOOL_RESOLUTION
         shares = [
             pieces.remainder(of.guardrail_torque) / (_TORQUE_RESOLUTION * scale),
             pieces.remainder(of.tool_point) / _TOOL_RESOLUTION,
             pieces.remainder(of.tool_rotation) / _TOOL_RESOLUTION,
+            pieces.remainder(of.tool_velocity) / speed,
             *(
                 pieces.remainder(of.joint_torque[..., j]) / (_TORQUE_RESOLUTION * torque[j])
                 for j in range(self._robot.dof)
@@ -322,6 +326,17 @@ class _Work:
         return self._highest(
             along.reshape(-1, 1), lambda x, piece: np.abs(x[:, 0]), self._point_remainder, _TOOL_RESOLUTION
         )
+
+    def tool_speed(self) -> Peak:
+        """Speed of the tool point, m/s."""
+        q, v, _ = self._pieces.states
+        J = Kinematics(self._robot).tool_point_jacobians(q)[1]
+        remainder = self._pieces.remainder(self._bounds.tool_velocity)
+        if self._sag is not None:
+            bending = self._sag.at(q).d_tool
+            J = J + bending
+            remainder = remainder + self._pieces.estimated_remainder(np.einsum("kij,kj->ki", bending, v))
+        return self._highest(np.einsum("kij,kj->ki", J, v), _norm, remainder, _TOOL_RESOLUTION)
 
     def tool_rotation(self) -> Peak:
         """Angle by which the tool misses what is prescribed of its orientation, rad."""

@@ -6,6 +6,7 @@ joined. Here Newton's and Euler's equations are written out in W for every body 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -123,18 +124,29 @@ class Multibody:
         R, p = self.frames(q)
         return p[-1] + R[-1] @ self.X_JT[:3, 3], R[-1] @ self.X_JT[:3, :3]
 
+    def tool_velocities(self, q: FloatArray, v: FloatArray) -> FloatArray:
+        """Velocities (N, 3) of the tool point in W, m/s, at postures `q` and rates `v` (N, n)."""
+        R, p = self.frames(q)
+        tool, velocity = p[-1] + R[-1] @ self.X_JT[:3, 3], np.zeros((len(q), 3))
+        for i, axis in enumerate(self.axis):
+            z = R[i + 1] @ axis
+            velocity += v[:, i, None] * (z if self.slides[i] else np.cross(z, tool - p[i + 1]))
+        return velocity
+
     def efforts(
-        self, q: FloatArray, v: FloatArray, a: FloatArray
+        self, q: FloatArray, v: FloatArray, a: FloatArray, tool_force: Sequence[float] = (0.0, 0.0, 0.0)
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Joint torques (N, n), Nm (of joints that slide forces, N), and the arm's wrench on the guardrail.
 
         That is the force and the torque (N, 3) of what moves, at O0 in W, N and Nm. Newton's and Euler's
         equations give each body's force and moment about O0; a joint bears the sum over all bodies from it
-        on, the guardrail the sum over all that move.
+        on, the guardrail the sum over all that move. What acts on the tool takes its share off.
 
         Parameters
         ----------
         q, v, a : (N, n), rad, rad/s, rad/s2, or m, m/s, m/s2
+        tool_force : (3,), N
+            That acts on the tool, along its axes.
         """
         R, p = self.frames(q)
         z = np.stack([R_i @ u for R_i, u in zip(R[1:], self.axis, strict=True)])
@@ -162,6 +174,9 @@ class Multibody:
             force[i] += F
             moment[i] += np.cross(p[i] + lever, F) + _times(inertia, w_dot[i])
             moment[i] += np.cross(w[i], _times(inertia, w[i]))
+        push = R[-1] @ (self.X_JT[:3, :3] @ np.array(tool_force))
+        force[-1] -= push
+        moment[-1] -= np.cross(p[-1] + R[-1] @ self.X_JT[:3, 3], push)
         # Of all bodies from a joint on.
         force, moment = (np.cumsum(x[:0:-1], axis=0)[::-1] for x in (force, moment))
         borne = np.where(self.slides[:, None, None], force, moment - np.cross(p[1:], force))

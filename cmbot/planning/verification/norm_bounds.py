@@ -27,6 +27,8 @@ class NormBounds:
     joint_torque : (K, R, n), Nm, of joints that slide N
     guardrail_torque : (K, R), Nm
     tool_point : (K, R), m
+    tool_velocity : (K, R), m/s
+        Of the tool point.
     tool_rotation : (K, R)
         Spectral norm of the rotation matrix.
     """
@@ -34,6 +36,7 @@ class NormBounds:
     joint_torque: FloatArray
     guardrail_torque: FloatArray
     tool_point: FloatArray
+    tool_velocity: FloatArray
     tool_rotation: FloatArray
 
 
@@ -59,11 +62,12 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
         point, rotation = np.zeros(turn.shape[:2]), np.ones(turn.shape[:2])
         spin, spin_rate = np.zeros_like(point), np.zeros_like(point)
         acceleration = np.full_like(point, float(np.linalg.norm(model.gravity.linear)))
-        force, moment = [], []
+        force, moment, turned = [], [], []
         for i in range(n):
             e, v, a = turn[..., i], on.v[..., i], on.a[..., i]
             point = point + rotation * offset[..., i]
             rotation = rotation * e
+            turned.append(rotation)
             acceleration = e * (acceleration + (spin_rate + spin**2) * offset[..., i])
             if slides[i]:
                 acceleration = acceleration + 2 * spin * v + a
@@ -73,18 +77,24 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
             force.append(mass[i] * (acceleration + (spin_rate + spin**2) * lever[i]))
             moment.append(inertia[i] * (spin_rate + spin**2))
         joint_torque = np.empty_like(turn)
-        carried, about = np.zeros_like(point), np.zeros_like(point)
+        tool = float(np.linalg.norm(model.frames[robot.tool_frame_id].placement.translation))
+        # In the last joint's frame the force on the tool does not change.
+        carried = np.full_like(point, float(np.linalg.norm(robot.tool_force)))
+        about = tool * carried
+        velocity, beyond = np.zeros_like(point), np.full_like(point, tool)
         for i in reversed(range(n)):
             about = moment[i] + lever[i] * force[i] + about
             carried = force[i] + carried
             joint_torque[..., i] = (carried if slides[i] else about) + armature[i] * on.a[..., i]
+            velocity = velocity + turned[i] * on.v[..., i] * (1.0 if slides[i] else beyond)
             # From here on in the frame of the joint before, about its origin.
+            beyond = offset[..., i] + turn[..., i] * beyond
             carried = turn[..., i] * carried
             about = turn[..., i] * about + offset[..., i] * carried
-        tool = float(np.linalg.norm(model.frames[robot.tool_frame_id].placement.translation))
         return NormBounds(
             joint_torque=joint_torque,
             guardrail_torque=about,
             tool_point=point + rotation * tool,
+            tool_velocity=velocity,
             tool_rotation=rotation,
         )

@@ -22,6 +22,7 @@ from cmbot.planning.verification.multibody import Multibody, PlacedShape
 from cmbot.planning.verification.robot_files import mesh_parts, read_multibody
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import (
+    SPEED_TOLERANCE,
     Box,
     Capsule,
     Cylinder,
@@ -76,7 +77,7 @@ def second_opinion(
     robot : Robot
         What the package made of the scene's robot.
     at_work : bool
-        False with the tool off: it may be anywhere.
+        False with the tool off: it may be anywhere, and no process force acts on it.
     sag : Sag, optional
         Where it is compensated. Then the commanded tool is not on the path, and its place is not judged.
 
@@ -86,6 +87,8 @@ def second_opinion(
         When the robot's files cannot be read as they were for `robot`.
     """
     body = read_multibody(scene.robot)
+    robot = robot if at_work else robot.tool_off
+    tool_force = scene.tool.process_force_n if at_work else (0.0, 0.0, 0.0)
     known = _joints_check(body, robot, trajectory)
     if not known.holds:
         return (known,)
@@ -93,7 +96,7 @@ def second_opinion(
     motion = _motion(trajectory, times)
     checks = [
         known,
-        *_effort_checks(body, robot, times, motion),
+        *_effort_checks(body, robot, times, motion, tool_force),
         *_pose_checks(body, robot, times, motion[0]),
         _limits_check(body, robot, times),
         *_bound_checks(body, trajectory, times, motion),
@@ -103,6 +106,7 @@ def second_opinion(
         checks += _path_checks(scene, body, times)
         if sag is None:
             checks += _via_point_checks(scene, body, trajectory)
+            checks += _speed_checks(scene, body, times, motion)
     return tuple(checks)
 
 
@@ -151,12 +155,16 @@ def _joints_check(body: Multibody, robot: Robot, trajectory: QuinticTrajectory) 
 
 
 def _effort_checks(
-    body: Multibody, robot: Robot, times: FloatArray, motion: list[FloatArray]
+    body: Multibody,
+    robot: Robot,
+    times: FloatArray,
+    motion: list[FloatArray],
+    tool_force: tuple[float, float, float],
 ) -> Iterator[Check]:
     """What the package's dynamics differ by, and the joint torques against their bounds."""
     q, v, a, _ = motion
     theirs = Dynamics(robot).efforts(q, v, a)
-    tau, force, torque = body.efforts(q, v, a)
+    tau, force, torque = body.efforts(q, v, a, tool_force)
     for name, own, other, unit in (
         ("joint torque", tau, theirs.joint_torque, "N" if body.slides.all() else "Nm"),
         ("guardrail force", force, theirs.guardrail_force, "N"),
@@ -319,6 +327,16 @@ def _via_point_checks(scene: Scene, body: Multibody, trajectory: QuinticTrajecto
         return
     turned = _angles(R, R_start) if scene.keep == "pose" else _between(R[:, :, 2], R_start[:, 2])
     yield _worst("turn of the tool at its via-point", times, turned, _VIA_POINT, "rad")
+
+
+def _speed_checks(
+    scene: Scene, body: Multibody, times: FloatArray, motion: list[FloatArray]
+) -> Iterator[Check]:
+    """The speed of the tool point against the scene's, with the tolerance that it has."""
+    if scene.tool.max_speed_m_s is not None:
+        speed = np.linalg.norm(body.tool_velocities(motion[0], motion[1]), axis=1)
+        bound = scene.tool.max_speed_m_s * (1 + SPEED_TOLERANCE) * (1 + _LIMIT)
+        yield _worst(f"tool speed {_BY}", times, speed, bound, "m/s")
 
 
 def _timed_points(scene: Scene, start: FloatArray, times: FloatArray) -> FloatArray:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from finite_differences import check_derivative
 from oracles.inverse_kinematics import postures as closed_form
 from small_scenes import context_of, short_scene
 from urdf_arms import arm_scene, endless_scene, panda_scene, path_of, six_joint_scene
@@ -14,11 +15,11 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.selfmotion.lower_bound import LowerBound, with_proof
-from cmbot.planning.selfmotion.proof import TorqueFloorProof
+from cmbot.planning.selfmotion.proof import TorqueFloorProof, _push_slopes
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.planning.selfmotion.sampler import Coverage
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
-from cmbot.robot import Postures
+from cmbot.robot import Postures, Robot
 from cmbot.scene import Scene
 
 ABOVE_ALL = 1e6
@@ -96,6 +97,53 @@ def test_a_tool_on_the_last_axis_may_turn(rng: np.random.Generator) -> None:
     proof = prover(context).prove(2, float(found.min()))
     assert proof.lowest <= proof.value <= found.min()
     assert proof.value - proof.lowest <= ACCURACY * proof.value
+
+
+def pushed_scene(force: list[float], keep: str = "pose") -> Scene:
+    tool = {"process_force_n": force}
+    return short_scene(format="cmbot-scene/2", tool=tool, tool_path={"keep": keep})
+
+
+@pytest.mark.parametrize(
+    ("force", "keep"), [([90.0, -60.0, -150.0], "pose"), ([0.0, 0.0, -150.0], "axis")], ids=str
+)
+def test_nothing_is_found_below_under_a_force(
+    force: list[float], keep: str, rng: np.random.Generator
+) -> None:
+    context = context_of(pushed_scene(force, keep))
+    found = values(context, restarts(context, 3, rng))
+    assert len(found) > 20
+    proof = prover(context).prove(3, float(found.min()))
+    assert proof.lowest <= proof.value <= found.min()
+    assert proof.value - proof.lowest <= ACCURACY * proof.value
+    # The force matters: the weights alone leave another bound.
+    unloaded = prover(context.tool_off).prove(3, ABOVE_ALL)
+    assert abs(unloaded.value - proof.value) > 0.05 * proof.value
+
+
+def test_a_force_whose_direction_the_task_leaves_open_has_no_proof() -> None:
+    assert TorqueFloorProof.of(context_of(pushed_scene([1.0, 0.0, -20.0], "axis"))) is None
+    assert TorqueFloorProof.of(context_of(pushed_scene([1.0, 0.0, -20.0]))) is not None
+
+
+def test_what_joints_bear_of_a_force_within_a_box(any_arm: Robot, rng: np.random.Generator) -> None:
+    """To first order with the slopes, and in all by no more than the proof allows for the second order."""
+    if any_arm.limits.prismatic.any():
+        pytest.skip("no proof for joints that slide")
+    force = (90.0, -60.0, -150.0)
+    robot = replace(any_arm, tool_force=force)
+    q, postures = rng.uniform(-2, 2, (40, robot.dof)), Postures(robot)
+    at, half = postures.tool_at(q), 0.3
+    slopes = _push_slopes(at)
+    for k in range(3):
+        check_derivative(
+            lambda x: postures.tool_at(x[None]).torque_against_push[0], q[k], slopes[k], rtol=1e-7
+        )
+    moves = rng.uniform(-half, half, q.shape)
+    moved = postures.tool_at(q + moves).torque_against_push
+    off = np.abs(moved - at.torque_against_push - np.einsum("kij,kj->ki", slopes, moves)).max(axis=1)
+    lever = np.full(robot.dof, 4 * np.linalg.norm(force) * robot.reach)
+    assert (off <= TorqueFloorProof._second_order(np.abs(moves), lever)).all()
 
 
 def test_where_nothing_holds_the_tool_all_is_proven() -> None:

@@ -31,6 +31,7 @@ PITCHES = np.linspace(-np.pi, np.pi, 181)
 
 def context_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: int = 300) -> PlanningContext:
     options = PlannerOptions(chart_spacing=spacing, chart_seeds=seeds)
+    objective = objective_of(robot, options)
     return PlanningContext(
         robot=robot,
         posture=np.zeros(robot.dof),
@@ -38,7 +39,8 @@ def context_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: i
         clearances=Clearances(robot, ()),
         times=np.zeros(1),
         options=options,
-        objective=objective_of(robot, options),
+        objective=objective,
+        idle_objective=objective,
         arm=None,
         sag=None,
     )

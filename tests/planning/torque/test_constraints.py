@@ -24,6 +24,7 @@ from cmbot.planning.torque.constraints import (
     ToolDeviation,
     ToolLag,
     ToolRotation,
+    ToolSpeed,
 )
 from cmbot.robot import Dynamics, Efforts, Kinematics, Postures, Robot
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -296,3 +297,18 @@ def test_what_a_motion_asks_is_worked_out_once_for_every_robot(
         expected = efforts(Dynamics(robot), states.q, states.v, states.a).joint_torque
         np.testing.assert_array_equal(got, expected)
     assert asked == [cmbot_robot, loaded]
+
+
+def test_tool_speed(any_arm: Robot, random_states: RandomStates, rng: np.random.Generator) -> None:
+    states = StateSamples(rng.uniform(0, 4, N), *random_states(any_arm, N))
+    function = ToolSpeed(Postures(any_arm), bound=0.7)
+    value, component = function.sample(states)
+    assert value.shape == component.shape == (N, 1)
+    for k in range(N):
+        J = Kinematics(any_arm).tool_jacobian(states.q[k])[1]
+        assert value[k, 0] == pytest.approx(np.linalg.norm(J[:3] @ states.v[k]) / 0.7 - 1)
+    check_linearization(function, states, component[:, 0], step=1e-3, tolerance=1e-7)
+    still = StateSamples(states.t, states.q, 0 * states.v, states.a)
+    at_rest = function.linearize(still, component[:, 0])
+    np.testing.assert_array_equal(at_rest.value, -1.0)
+    assert np.isfinite(at_rest.derivatives).all()

@@ -1,11 +1,14 @@
 """Bounds at complex joint angles, against the paper's recursion evaluated there."""
 
+from dataclasses import replace
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracles import newton_euler
 from small_motions import wild
 
+from cmbot.common.arrays import FloatArray
 from cmbot.planning.verification.norm_bounds import norm_bounds
 from cmbot.robot import Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
@@ -15,6 +18,18 @@ from cmbot.trajectory.enclosure import _RHO
 LARGEST_TURN = 12.0
 
 
+_EVERY = 8
+FORCE = (40.0, -300.0, -2000.0)
+
+
+def _slopes(q: FloatArray, along: list[FloatArray]) -> list[FloatArray]:
+    """Derivatives (N, 3) of the tool point at complex angles `q` (N, 7), by what moves them."""
+    step = 1e-5
+    ends = np.concatenate([q + sign * step * each for each in along for sign in (1, -1)])
+    points = newton_euler.tool_pose(ends)[0].reshape(len(along), 2, -1, 3)
+    return list((points[:, 0] - points[:, 1]) / (2 * step))
+
+
 @settings(max_examples=5)
 @given(seed=st.integers(min_value=0, max_value=2**32 - 1))
 def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> None:
@@ -22,7 +37,9 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
     pieces = Pieces.between(x, np.empty(0))
     for _ in range(3):
         pieces = pieces.halved(np.ones(len(pieces.start), dtype=np.bool_))
-    of = norm_bounds(cmbot_robot, pieces.ellipses)
+    of, pushed = (
+        norm_bounds(replace(cmbot_robot, tool_force=force), pieces.ellipses) for force in ((0, 0, 0), FORCE)
+    )
     usual = pieces.ellipses.turn.max(axis=2) < LARGEST_TURN
     assert usual[:, 2].all()
     angle = np.exp(1j * np.linspace(0, 2 * np.pi, 24, endpoint=False))
@@ -43,6 +60,14 @@ def test_nothing_is_larger_on_the_ellipses(cmbot_robot: Robot, seed: int) -> Non
         assert (np.linalg.norm(n_0, axis=1) <= of.guardrail_torque[k, r] * slack).all()
         assert (np.linalg.norm(p, axis=1) <= of.tool_point[k, r] * slack).all()
         assert (np.linalg.norm(R, 2, axis=(1, 2)) <= of.tool_rotation[k, r] * slack).all()
+        # With a force, at some of them.
+        q, v, p, R, tau, n_0 = (x[::_EVERY] for x in (q, v, p, R, tau, n_0))
+        F = R @ np.array(FORCE)
+        *J, velocity = _slopes(q, [*np.eye(7), v])
+        tau, n_0 = tau - np.einsum("jki,ki->kj", J, F), n_0 - np.cross(p, F)
+        assert (np.abs(tau) <= pushed.joint_torque[k, r] * slack).all()
+        assert (np.linalg.norm(n_0, axis=1) <= pushed.guardrail_torque[k, r] * slack).all()
+        assert (np.linalg.norm(velocity, axis=1) <= of.tool_velocity[k, r] * (1 + 1e-6)).all()
 
 
 def test_at_rest_only_gravity_and_the_stretched_arm_are_left(cmbot_robot: Robot) -> None:

@@ -1,0 +1,41 @@
+"""The tool while it is on: the force of the process, and how fast the tool may move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated
+
+from pydantic import Field
+
+from cmbot.common.validation import CheckedFields
+
+__all__ = ["SPEED_TOLERANCE", "Tool"]
+
+SPEED_TOLERANCE = 0.05
+"""By what share the arm's tool may exceed the largest speed of the tool path between via-points."""
+
+# The bound, 10 kN, catches millinewtons given for newtons.
+Force = Annotated[float, Field(ge=-1e4, le=1e4)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Tool(CheckedFields):
+    """What the process asks while the tool is on: along the whole tool path, not on the approach.
+
+    Attributes
+    ----------
+    process_force_n : three floats
+        Force that acts on the tool, at the tool point, along the tool's axes, N. The recoil of a nozzle and
+        the steel against which a tool is pressed act along the negative z axis: ``[0, 0, -20]``.
+    max_speed_m_s : float or None
+        Largest speed of the tool point, m/s. The tool path keeps it exactly, the arm's tool with 5 % to spare
+        for what is between via-points; left out: any speed.
+
+    Raises
+    ------
+    InputError
+        When a field is out of its bounds.
+    """
+
+    process_force_n: tuple[Force, Force, Force] = (0.0, 0.0, 0.0)
+    max_speed_m_s: Annotated[float, Field(ge=1e-4, le=100)] | None = None

@@ -1,0 +1,168 @@
+"""The process: a force on the tool while it is on, and a bound of its speed."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from forgeries import certified, changed_scene
+from plan_folders import edit
+from small_scenes import context_of, short_scene
+
+from cmbot.archive import load_plan, save
+from cmbot.common.errors import ArchiveError, PlanningError, SceneError
+from cmbot.elastic.arm import elastic_arm
+from cmbot.elastic.sag import Sag
+from cmbot.planning import Plan, plan, precheck_scene
+from cmbot.robot import Dynamics, Kinematics
+from cmbot.scene import Scene, Tool
+from cmbot.simulation import PrescribedMotion
+from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
+
+FORCE = (20.0, 0.0, -60.0)
+GRAVITY = 9.81
+
+
+def scene_with(tool: dict[str, Any], **changes: Any) -> Scene:
+    return short_scene(format="cmbot-scene/2", tool=tool, **changes)
+
+
+@pytest.fixture(scope="module")
+def pushed_plan() -> Plan:
+    """With an approach, in which the tool is off."""
+    return plan(scene_with({"process_force_n": list(FORCE)}, planner={"knots": "sliding"}))
+
+
+def test_the_force_acts_at_work_and_not_on_the_approach(pushed_plan: Plan) -> None:
+    approach, work, robot = pushed_plan.approach_samples, pushed_plan.samples, pushed_plan.robot
+    assert approach is not None
+    weight = np.array([0, 0, -GRAVITY * robot.arm_mass])
+    X_WT = Kinematics(robot).tool_pose(work.q[0])
+    push = X_WT.rotation @ FORCE
+    # Both rest in the same posture, one before and one after the tool is on.
+    before, after = (x.guardrail_force[k] for x, k in ((approach, -1), (work, 0)))
+    np.testing.assert_allclose(before, weight, atol=1e-6)
+    np.testing.assert_allclose(after, weight + push, atol=1e-6)
+    more = work.guardrail_torque[0] - approach.guardrail_torque[-1]
+    np.testing.assert_allclose(more, np.cross(X_WT.translation, push), atol=1e-5)
+    way = pushed_plan.approach.trajectory
+    t = np.linspace(0, way.duration, 2001)
+    peak = np.linalg.norm(Dynamics(robot.tool_off).efforts(*way.states(t)).guardrail_torque, axis=1).max()
+    certificate = pushed_plan.approach.certificate
+    assert peak == pytest.approx(certificate.figures.peak_guardrail_torque, rel=1e-4)
+    assert peak <= certificate.guardrail_torque_bound
+
+
+def test_the_peak_under_a_force_is_enclosed(pushed_plan: Plan) -> None:
+    x, certificate = pushed_plan.trajectory, pushed_plan.certificate
+    states = x.states(np.linspace(0, x.duration, 20_001))
+    robot = replace(pushed_plan.robot.tool_off, tool_force=FORCE)
+    torque = np.linalg.norm(Dynamics(robot).efforts(*states).guardrail_torque, axis=1)
+    assert torque.max() <= certificate.guardrail_torque_bound
+    assert torque.max() == pytest.approx(certificate.guardrail_torque_bound, rel=1e-5)
+    assert pushed_plan.baseline_figures.peak_guardrail_torque > torque.max()
+    assert pushed_plan.torque_floor_kind == "proven"
+    assert pushed_plan.gap_to_floor == pytest.approx(0, abs=0.01)
+    assert "peak of its static part, Nm" in pushed_plan.summary()
+
+
+def test_a_plan_under_a_force_is_read_back(pushed_plan: Plan, tmp_path: Path) -> None:
+    folder = save(pushed_plan, tmp_path / "plan")
+    again = load_plan(folder, verify=True)
+    assert again.robot.tool_force == FORCE
+    assert again.scene.tool == Tool(process_force_n=FORCE)
+    for name in ("samples", "approach_samples", "baseline"):
+        got, expected = (getattr(one, name).guardrail_torque for one in (again, pushed_plan))
+        np.testing.assert_allclose(got, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("force", [[0.0, 0.0, 0.0], [20.0, 0.0, -61.0], [20.0, 0.0, 60.0]], ids=str)
+def test_a_plan_that_claims_another_force(pushed_plan: Plan, tmp_path: Path, force: list[float]) -> None:
+    folder = save(pushed_plan, tmp_path / "plan")
+    edit(
+        folder,
+        lambda data: changed_scene(data, lambda scene: scene["tool"].update(process_force_n=force), folder),
+    )
+    with pytest.raises(ArchiveError, match=r"guardrail_torque.*as measured again"):
+        load_plan(folder, verify=True)
+
+
+def test_a_motion_made_without_the_force_does_not_certify_with_it(short_plan: Plan) -> None:
+    heavy = scene_with({"process_force_n": [0.0, 200.0, -400.0]})
+    (check, *_) = (
+        check for check in certified(heavy, short_plan, short_plan.trajectory).checks if not check.holds
+    )
+    assert check.quantity.startswith("torque of")
+    with pytest.raises(PlanningError):
+        plan(heavy)
+
+
+def test_the_idle_objective_knows_no_force() -> None:
+    for planner in ({}, {"objective": "sag"}):
+        context = context_of(scene_with({"process_force_n": list(FORCE)}, planner=planner))
+        alone = context_of(short_scene(planner=planner))
+        idle, q = context.tool_off, context.posture[None]
+        off, without, on = (c.objective.at_rest(c.postures.at(q))[0] for c in (idle, alone, context))
+        assert off == without != on
+        assert idle.tool_off is idle
+        assert not idle.robot.pushed
+
+
+def test_the_bent_arm_is_pushed_in_the_simulation() -> None:
+    """At rest under the force it stays; let go it does not."""
+    context = context_of(scene_with({"process_force_n": list(FORCE)}))
+    assert context.arm is not None
+    free = elastic_arm(context.robot.tool_off, context.arm.base)
+    q = context.posture
+    bent = Sag(context.arm).at(q[None]).u[0]
+    still = PrescribedMotion.held(q, 0.1)
+
+    def moved(system: ElasticSystem) -> float:
+        run = GeneralizedAlpha(system, step=1e-3, rho_inf=0.9, corrections=2)
+        return float(np.abs(run.run([still], bent, np.zeros_like(bent)).u - bent).max())
+
+    none = np.zeros((len(bent), len(bent)))
+    assert moved(ElasticSystem.of(context.arm, none)) < 1e-9
+    assert moved(ElasticSystem.of(free, none)) > 1e-5
+
+
+def test_sag_under_a_force_is_compensated() -> None:
+    soft = {"stiffness": np.diag([1e6, 1e6, 1e6, 2e4, 2e4, 2e4]).tolist()}
+    made = plan(scene_with({"process_force_n": list(FORCE)}, guardrail=soft, planner={"compensate": True}))
+    assert made.sag is not None
+    q = made.trajectory.evaluate(made.task.path.via_times(8))
+    p = Kinematics(made.robot).tool_poses(q)[0]
+    away = p + made.sag.at(q).tool - made.task.path.position(made.task.path.via_times(8))
+    assert np.linalg.norm(away, axis=1).max() < made.options.max_tool_deviation_m
+    unpushed = Sag(elastic_arm(made.robot.tool_off, made.sag.arm.base)).at(q).tool
+    assert np.linalg.norm(unpushed - made.sag.at(q).tool, axis=1).min() > 1e-4
+
+
+def test_a_tool_path_that_is_too_fast_is_refused_before_planning() -> None:
+    # 0.3 m in 4 s, ramps of a fifth: 0.09375 m/s in between.
+    scene = scene_with({"max_speed_m_s": 0.09})
+    wanted = (
+        r"tool_path.legs\[0\].seconds: got 4 s, in which the tool reaches 0.09375 m/s, "
+        "expected at least 4.17 s, for tool.max_speed_m_s 0.09"
+    )
+    with pytest.raises(SceneError, match=wanted):
+        plan(scene)
+    (warning,) = precheck_scene(scene).warnings
+    assert warning.key == "tool_path.legs[0].seconds"
+    assert not precheck_scene(scene_with({"max_speed_m_s": 0.09375})).warnings
+
+
+def test_the_speed_of_the_tool_is_bounded_and_certified(short_plan: Plan) -> None:
+    """The path just keeps the bound; between via-points the tool has five per cent."""
+    bound = 0.09375
+    made = plan(scene_with({"max_speed_m_s": bound}))
+    x = made.trajectory
+    q, v, _ = x.states(np.linspace(0, x.duration, 20_001))
+    J = Kinematics(made.robot).tool_point_jacobians(q)[1]
+    speed = np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1).max()
+    (check,) = (check for check in made.certificate.checks if check.quantity == "tool speed")
+    assert check.bound == pytest.approx(1.05 * bound)
+    assert speed <= check.value <= check.bound
+    assert speed == pytest.approx(check.value, rel=1e-5)
+    assert "tool speed" not in [check.quantity for check in short_plan.certificate.checks]
