@@ -8,14 +8,21 @@ from pathlib import Path
 
 import numpy as np
 
-from cmbot.archive.names import PLAN_FILE
-from cmbot.archive.schema import PlanFile, made
+from cmbot.archive.names import EARLIER_FORMAT, PLAN_FILE
+from cmbot.archive.schema import MetricsFile, PlanFile, made
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import counted, shown
-from cmbot.planning import Approach, ObjectiveMetrics, QuinticTrajectory
+from cmbot.planning import (
+    APPROACH,
+    WORK,
+    Job,
+    MotionMetrics,
+    ObjectiveMetrics,
+    QuinticTrajectory,
+)
 
-__all__ = ["require_fit", "require_times", "require_unchanged"]
+__all__ = ["require_fit", "require_segments", "require_times", "require_unchanged"]
 
 # Relative tolerance of times and shares; tolerance of angles, rad, because degrees round.
 _SAME, _SAME_ANGLE = 1e-9, 1e-9
@@ -38,29 +45,68 @@ def require_unchanged(folder: Path, file: PlanFile, contents: Mapping[str, bytes
         raise ArchiveError(str(folder / PLAN_FILE), "files", got, "none but the files of this plan")
 
 
-def require_fit(
-    file: PlanFile,
-    posture: FloatArray,
-    work: QuinticTrajectory,
-    approach: Approach | None,
-    folder: Path,
-) -> None:
+def require_segments(file: PlanFile, folder: Path) -> None:
+    """Refuse other segments than the scene and the start ask for, and gaps between them."""
+    source = str(folder / PLAN_FILE)
+    sliding = file.options.knots == "sliding"
+    expected = [(WORK, "stroke")]
+    if sliding and file.start.moved_deg > 0:
+        expected.insert(0, (APPROACH, "free"))
+    got = [(segment.name, segment.kind) for segment in file.segments]
+    if got != expected:
+        shown_got, names = (", ".join(name for name, _ in each) for each in (got, expected))
+        raise ArchiveError(source, "segments", shown(shown_got), f"{names}, by the scene and the start")
+    begin = 0.0
+    for k, segment in enumerate(file.segments):
+        if abs(segment.begin - begin) > _SAME * max(begin, 1.0):
+            raise ArchiveError(source, f"segments[{k}].begin", segment.begin, f"{begin:g}, where one ended")
+        begin = segment.begin + segment.seconds
+
+
+def require_fit(file: PlanFile, posture: FloatArray, job: Job, folder: Path) -> None:
     """Refuse a plan whose motions do not join, or whose entries contradict each other.
 
     `posture` (n,), rad, is the scene's; `folder`, the plan directory, is for messages.
     """
-    source = str(folder / PLAN_FILE)
+    source, work = str(folder / PLAN_FILE), job.strokes[0].trajectory
     _require_start(file, work, source)
     sliding = file.options.knots == "sliding"
-    _require_there(file.approach, sliding and file.start.moved_deg > 0, source, "approach")
     _require_there(file.floor, sliding, source, "floor")
     _require_there(file.choice, sliding, source, "choice")
     _require_objective(file, source)
     _require_floor(file, len(work.t), source)
+    approach = job.segment(APPROACH)
     if approach is not None:
-        q, knots = approach.trajectory.q, str(folder / "approach.npz")
+        earlier = file.format == EARLIER_FORMAT
+        q, knots = approach.trajectory.q, str(folder / ("approach.npz" if earlier else "job.npz"))
         _require_posture(q[0], posture, knots, "q", "the scene's posture at first")
         _require_posture(q[-1], work.q[0], knots, "q", "where the work starts at last")
+    _require_work(file, source)
+    if file.format != EARLIER_FORMAT:
+        _require_figures(file.planned.job, job.figures, source, "planned.job")
+
+
+def _require_work(file: PlanFile, source: str) -> None:
+    """Refuse figures or a certificate of the stroke that are not those of the work."""
+    key, stroke = next(
+        (f"segments[{k}]", each) for k, each in enumerate(file.segments) if each.kind == "stroke"
+    )
+    for name in MetricsFile.model_fields:
+        if getattr(stroke, name) != getattr(file.planned, name):
+            raise ArchiveError(source, f"{key}.{name}", "another value", f"that of planned.{name}")
+    if stroke.certificate != file.certificate:
+        raise ArchiveError(source, f"{key}.certificate", "another certificate", "that of the plan")
+
+
+def _require_figures(got: MetricsFile | None, expected: MotionMetrics, source: str, key: str) -> None:
+    """Refuse figures of the job that are not those of its segments."""
+    if got is None:
+        raise ArchiveError(source, key, "null", "the figures of the whole job")
+    for name, value in vars(expected).items():
+        if isinstance(value, float):
+            _require_number(getattr(got, name), value, source, f"{key}.{name}")
+    for name, value in vars(expected.limit_use).items():
+        _require_number(getattr(got.limit_use, name), value, source, f"{key}.limit_use.{name}")
 
 
 def _require_start(file: PlanFile, work: QuinticTrajectory, source: str) -> None:
@@ -133,8 +179,9 @@ def _require_objective(file: PlanFile, source: str) -> None:
 
 
 def _require_number(got: float | None, expected: float | None, source: str, key: str) -> None:
-    if got is None or expected is None:
-        same = got is expected
+    if got is None or expected is None or got == expected:
+        # Infinite clearances are the same, too.
+        same = got == expected
     else:
         same = abs(got - expected) <= _SAME * max(1.0, abs(expected))
     if not same:

@@ -10,7 +10,15 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from cmbot.archive.atomic import exclusive, put_file, recover, refusals, replace_folder
-from cmbot.archive.names import APPROACH_FILES, OWN_FILES, PLAN_FILE, SAVED_FILES, SHOWN_FILES, is_own
+from cmbot.archive.names import (
+    EARLIER_FILES,
+    JOB_FILES,
+    OWN_FILES,
+    PLAN_FILE,
+    SAVED_FILES,
+    SHOWN_FILES,
+    is_own,
+)
 from cmbot.archive.strict_json import read_json
 from cmbot.common.errors import ArchiveError
 from cmbot.common.input_files import LARGEST_TEXT, read_input
@@ -127,7 +135,7 @@ def add_file(directory: str | Path, name: str, content: bytes | str) -> Path:
     if not _FILE_NAME.fullmatch(name):
         expected = "letters, digits, ., - and _, beginning with a letter or digit"
         raise ArchiveError("add_file", "name", shown(name), expected)
-    if name in (PLAN_FILE, *SAVED_FILES, *APPROACH_FILES):
+    if name in (PLAN_FILE, *SAVED_FILES, *JOB_FILES, *EARLIER_FILES):
         raise ArchiveError("add_file", "name", name, "a name that is not one of the plan's own files")
     target, data = require_plan_directory(directory), _in_bytes(content)
     with exclusive(target) as work, refusals(directory):

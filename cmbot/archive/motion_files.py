@@ -7,6 +7,7 @@ import math
 import re
 import zipfile
 import zlib
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ from cmbot.trajectory import LARGEST
 
 __all__ = [
     "columns",
+    "job_columns",
     "knots_npz",
     "largest_knots",
     "largest_table",
@@ -36,7 +38,7 @@ __all__ = [
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
-_CLEARANCE = "clearance"
+_CLEARANCE, _SEGMENT = "clearance", "segment"
 _ROS_POINT = (
     '{{"positions": [{}], "velocities": [{}], "accelerations": [{}], "effort": [{}], '
     '"time_from_start": {{"sec": {}, "nanosec": {}}}}}'
@@ -71,11 +73,18 @@ _DAMAGED = (
 
 
 def motion_files(
-    name: str, robot: Robot, trajectory: QuinticTrajectory, samples: Samples
+    name: str,
+    robot: Robot,
+    trajectory: QuinticTrajectory,
+    samples: Samples,
+    labels: Sequence[str] | None = None,
 ) -> dict[str, bytes]:
-    """Return the files of a planned motion: from each file's name, which begins with `name`, to its bytes."""
+    """Return the files of a planned motion: from each file's name, which begins with `name`, to its bytes.
+
+    `labels` (N,) are the names of the segments that the samples belong to.
+    """
     return {
-        f"{name}.csv": samples_csv(samples, f"{name}.csv"),
+        f"{name}.csv": samples_csv(samples, f"{name}.csv", labels),
         f"{name}.npz": knots_npz(trajectory),
         f"{name}.ros.json": _ros_json(robot, samples),
     }
@@ -95,23 +104,37 @@ def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
     return ("t", *joints, *vectors, _CLEARANCE, *expected)
 
 
-def samples_csv(samples: Samples, source: str) -> bytes:
+def job_columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
+    """Return the columns' names of ``job.csv``: those of `columns`, and the segment's name."""
+    return (*columns(dof, compensated=compensated), _SEGMENT)
+
+
+def samples_csv(samples: Samples, source: str, labels: Sequence[str] | None = None) -> bytes:
     """Return samples as CSV: one row a sample, SI units, radians, world frame; `source` is for messages.
 
-    Numbers have to be finite, but for a clearance that is infinite without obstacles.
+    Numbers have to be finite, but for a clearance that is infinite without obstacles. With `labels` (N,), the
+    names of segments, they are the last column.
     """
     vectors = (samples.guardrail_torque, samples.guardrail_force, samples.tool_point)
     joints = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
     expected = samples.expected_tool_point
     more = () if expected is None else (expected,)
     table = np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
-    return table_csv(columns(samples.q.shape[1], compensated=expected is not None), table, source)
+    return table_csv(columns(samples.q.shape[1], compensated=expected is not None), table, source, labels)
 
 
-def table_csv(names: tuple[str, ...], table: FloatArray, source: str) -> bytes:
-    """Return a table (N, k) of finite numbers with its columns' names as CSV, written by `number_rows`."""
+def table_csv(
+    names: tuple[str, ...], table: FloatArray, source: str, labels: Sequence[str] | None = None
+) -> bytes:
+    """Return a table (N, k) of finite numbers with its columns' names as CSV, written by `number_rows`.
+
+    `labels` (N,) are a last column.
+    """
     _require_numbers(table, names, source)
-    lines = [",".join(names), *map(",".join, number_rows(table)), ""]
+    rows = number_rows(table)
+    if labels is not None:
+        names, rows = (*names, _SEGMENT), [[*row, label] for row, label in zip(rows, labels, strict=True)]
+    lines = [",".join(names), *map(",".join, rows), ""]
     return "\n".join(lines).encode()
 
 

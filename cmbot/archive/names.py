@@ -5,8 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 __all__ = [
-    "APPROACH_FILES",
+    "EARLIER_FILES",
+    "EARLIER_FORMAT",
     "FORMAT",
+    "JOB_FILES",
     "OWN_FILES",
     "PLAN_FILE",
     "SAVED_FILES",
@@ -15,12 +17,14 @@ __all__ = [
     "is_own",
 ]
 
-FORMAT = "cmbot-plan/1"
+FORMAT, EARLIER_FORMAT = "cmbot-plan/2", "cmbot-plan/1"
 PLAN_FILE = "plan.json"
 SAVED_FILES = ("trajectory.csv", "baseline.csv", "trajectory.npz", "trajectory.ros.json")
-"""The files beside `PLAN_FILE` of every plan."""
-APPROACH_FILES = ("approach.csv", "approach.npz", "approach.ros.json")
-"""Those of a plan with an approach."""
+"""The files beside `PLAN_FILE` of every plan, with `JOB_FILES`."""
+JOB_FILES = ("job.csv", "job.npz", "job.ros.json")
+"""The whole job on one clock."""
+EARLIER_FILES = ("approach.csv", "approach.npz", "approach.ros.json")
+"""Those that plans of `EARLIER_FORMAT` have in place of `JOB_FILES`, where they have an approach."""
 TRACKING_FILES = ("tracking.csv", "tracking_baseline.csv", "tracking.json")
 """Those of a plan that has been simulated: the tables of both motions, and the metrics."""
 
@@ -34,7 +38,7 @@ SHOWN_FILES = (
     *(f"{plot}.{kind}" for plot in _PLOTS for kind in ("png", "svg")),
 )
 """Pages and plots."""
-OWN_FILES = frozenset({PLAN_FILE, *SAVED_FILES, *APPROACH_FILES, *TRACKING_FILES, *SHOWN_FILES})
+OWN_FILES = frozenset({PLAN_FILE, *SAVED_FILES, *JOB_FILES, *EARLIER_FILES, *TRACKING_FILES, *SHOWN_FILES})
 """All files that belong to a plan: only these are ever replaced or deleted."""
 
 

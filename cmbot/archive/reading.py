@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -11,11 +11,25 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.atomic import recover
-from cmbot.archive.consistency import require_fit, require_times, require_unchanged
+from cmbot.archive.consistency import require_fit, require_segments, require_times, require_unchanged
 from cmbot.archive.folder import plans_nearby, read_file
-from cmbot.archive.motion_files import columns, largest_knots, largest_table, read_knots, read_motion
-from cmbot.archive.names import APPROACH_FILES, FORMAT, PLAN_FILE, SAVED_FILES
-from cmbot.archive.schema import ApproachFile, CertificateFile, MetricsFile, PlanFile, made
+from cmbot.archive.job_files import job_trajectories
+from cmbot.archive.motion_files import columns, largest_knots, largest_table, read_motion
+from cmbot.archive.names import (
+    EARLIER_FILES,
+    EARLIER_FORMAT,
+    FORMAT,
+    JOB_FILES,
+    PLAN_FILE,
+    SAVED_FILES,
+)
+from cmbot.archive.schema import (
+    CertificateFile,
+    EarlierPlanFile,
+    MetricsFile,
+    PlanFile,
+    made,
+)
 from cmbot.archive.strict_json import read_json
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
@@ -23,17 +37,18 @@ from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
-    Approach,
     Certificate,
     Check,
+    Job,
     MotionMetrics,
     ObjectiveMetrics,
     Plan,
     QuinticTrajectory,
+    Segment,
     ToolTask,
     bending_arm,
     certify,
-    certify_approach,
+    certify_move,
     figures,
     measure,
     objective_metrics,
@@ -53,6 +68,8 @@ __all__ = ["load_plan", "plan_data"]
 _SAME, _SAME_ZERO = 1e-6, 1e-9
 # Of the tables of planned motions.
 _ROWS_A_SECOND = 100.0
+# Cells of a table that a segment's name is as long as, at most.
+_LABEL = 5
 
 
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
@@ -83,25 +100,28 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     folder = given_path(directory, "cmbot.load_plan", "directory", "the path of a plan directory")
     source = folder / PLAN_FILE
     data = plan_data(folder)
-    file = validated(PlanFile, data, str(source), ArchiveError)
+    earlier = data["format"] == EARLIER_FORMAT
+    read: PlanFile | EarlierPlanFile = (
+        validated(EarlierPlanFile, data, str(source), ArchiveError)
+        if earlier
+        else validated(PlanFile, data, str(source), ArchiveError)
+    )
     with _as_archive_error(str(source)):
-        scene = _scene(file, data, source)
-        robot = _robot(scene, file, source)
+        scene = _scene(read, data, source)
+        robot = _robot(scene, read, source)
         task = task_of(scene, robot)
         clearances = Clearances(robot, scene.obstacles)
     duration = task.path.duration
+    file = read.upgraded(duration) if isinstance(read, EarlierPlanFile) else read
+    require_segments(file, folder)
     contents = _contents(folder, file, robot.dof, duration)
     # What is in them is looked at only when they are the ones that were saved.
     require_unchanged(folder, file, contents)
-    trajectory = _trajectory(contents, folder, "trajectory.npz", robot, duration, "the scene")
-    planned = _metrics(file.planned, robot, task, *_knots(trajectory))
-    certificate = _certificate(file.certificate, planned, source, "certificate")
-    approach = None
-    if file.approach is not None:
-        approach = _approach(file.approach, contents, folder, robot, task)
+    trajectories = job_trajectories(file, contents, folder, robot.dof, duration)
+    job = _job(file, trajectories, robot, task, source)
     t, motion = read_motion(contents["baseline.csv"], str(folder / "baseline.csv"), robot.dof)
     require_times(t, duration, str(folder / "baseline.csv"), "the scene")
-    require_fit(file, np.array(scene.posture), trajectory, approach, folder)
+    require_fit(file, np.array(scene.posture), job, folder)
     plan = Plan(
         scene=scene,
         options=file.options,
@@ -112,13 +132,11 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         baseline_figures=_metrics(file.baseline, robot, task, t, motion[0]),
         drift=file.drift,
         smallest_singular_value=file.smallest_singular_value,
-        trajectory=trajectory,
-        certificate=certificate,
+        job=job,
         passes=file.passes,
         objective=made(ObjectiveMetrics, file.objective),
         lower_bound=None if file.floor is None else file.floor.made(),
         choice=file.choice,
-        approach=approach,
         compensation=file.compensation,
         quieting=None if file.quieting is None else file.quieting.made(),
         sag=_sag(scene, robot, file.options) if file.options.compensate else None,
@@ -150,27 +168,30 @@ def plan_data(directory: Path) -> dict[str, Any]:
         raise ArchiveError(str(path), "", "no such file", f"{expected}{plans_nearby(directory)}")
     data = read_json(read_file(path), str(path))
     # Checked first: in another version anything else may differ.
-    if data.get("format") != FORMAT:
-        raise ArchiveError(str(path), "format", shown(data.get("format")), repr(FORMAT))
+    if data.get("format") not in (FORMAT, EARLIER_FORMAT):
+        expected = f"{FORMAT!r} or {EARLIER_FORMAT!r}"
+        raise ArchiveError(str(path), "format", shown(data.get("format")), expected)
     return data
 
 
 def _contents(folder: Path, file: PlanFile, dof: int, duration: float) -> dict[str, bytes]:
     """Read the files beside plan.json, each at most as large as a plan of that duration, s, has them."""
-    names = SAVED_FILES if file.approach is None else (*SAVED_FILES, *APPROACH_FILES)
-    steps = {"baseline": duration / file.options.path_step_s, "trajectory": _ROWS_A_SECOND * duration}
-    if file.approach is not None:
-        steps["approach"] = _ROWS_A_SECOND * file.approach.seconds
+    names: tuple[str, ...] = (*SAVED_FILES, *JOB_FILES)
+    if file.format == EARLIER_FORMAT:
+        names = SAVED_FILES if len(file.segments) == 1 else (*SAVED_FILES, *EARLIER_FILES)
+    seconds = dict.fromkeys(("job", "approach"), sum(segment.seconds for segment in file.segments))
+    steps = {name: _ROWS_A_SECOND * value for name, value in ({"trajectory": duration} | seconds).items()}
+    steps["baseline"] = duration / file.options.path_step_s
     contents = {}
     for name in names:
         motion, _, kind = name.partition(".")
-        rows, width = steps[motion], len(columns(dof, compensated=True))
+        rows, width = steps[motion], len(columns(dof, compensated=True)) + _LABEL
         largest = largest_knots(dof) if kind == "npz" else largest_table(rows, width)
         contents[name] = read_file(folder / name, largest)
     return contents
 
 
-def _scene(file: PlanFile, data: dict[str, Any], source: Path) -> Scene:
+def _scene(file: PlanFile | EarlierPlanFile, data: dict[str, Any], source: Path) -> Scene:
     scene = scene_from_file(file.scene, source.parent, str(source), data["scene"])
     what = "the scene in this file or the meshes that it names have changed since"
     _require_hash(scene.content_hash, file.hashes.resolved_scene, source, "hashes.resolved_scene", what)
@@ -178,7 +199,7 @@ def _scene(file: PlanFile, data: dict[str, Any], source: Path) -> Scene:
     return replace(scene, content_hash=file.hashes.scene)
 
 
-def _robot(scene: Scene, file: PlanFile, source: Path) -> Robot:
+def _robot(scene: Scene, file: PlanFile | EarlierPlanFile, source: Path) -> Robot:
     robot = robot_of(scene)
     what = f"the robot's files have changed since ({robot.urdf}, SRDF, joint limits or elasticity)"
     _require_hash(robot.content_hash, file.hashes.robot, source, "hashes.robot", what)
@@ -217,66 +238,63 @@ def _certificate(entry: CertificateFile, metrics: MotionMetrics, source: Path, k
     return made(Certificate, entry, checks=checks, figures=metrics)
 
 
-def _trajectory(
-    contents: Mapping[str, bytes], folder: Path, name: str, robot: Robot, duration: float, whose: str
-) -> QuinticTrajectory:
-    trajectory = read_knots(contents[name], str(folder / name), robot.dof)
-    require_times(trajectory.t, duration, str(folder / name), whose)
-    return trajectory
-
-
-def _approach(
-    file: ApproachFile, contents: Mapping[str, bytes], folder: Path, robot: Robot, task: ToolTask
-) -> Approach:
-    trajectory = _trajectory(contents, folder, "approach.npz", robot, file.seconds, PLAN_FILE)
-    held = task.held_at_start()
-    metrics = _metrics(file, robot, held, *_knots(trajectory))
-    return Approach(
-        trajectory=trajectory,
-        certificate=_certificate(file.certificate, metrics, folder / PLAN_FILE, "approach.certificate"),
-        task=held,
-        along_self_motion=file.along_self_motion,
-    )
+def _job(
+    file: PlanFile,
+    trajectories: Sequence[QuinticTrajectory],
+    robot: Robot,
+    task: ToolTask,
+    source: Path,
+) -> Job:
+    segments = []
+    for k, (entry, trajectory) in enumerate(zip(file.segments, trajectories, strict=True)):
+        own = task if entry.kind == "stroke" else task.held_at_start()
+        metrics = _metrics(entry, robot, own, *_knots(trajectory))
+        stored, key = entry.certificate, f"segments[{k}].certificate"
+        if entry.kind == "stroke":
+            stored, key = file.certificate, "certificate"
+        elif file.format == EARLIER_FORMAT:
+            key = "approach.certificate"
+        certificate = _certificate(stored, metrics, source, key)
+        segments.append(made(Segment, entry, trajectory=trajectory, certificate=certificate, task=own))
+    return Job(segments=tuple(segments))
 
 
 def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
     """Return the plan with new certificates; their metrics must be those in the file."""
-    robot, options, trajectory = plan.robot, plan.options, plan.trajectory
-    posture = np.array(plan.scene.posture)
-    rests_there = plan.approach is None and options.knots == "sliding"
-    certificate = certify(
-        robot,
-        plan.task,
-        trajectory,
-        clearances,
-        options,
-        via_points=plan.scene.via_points,
-        start=posture if rests_there else None,
-        sag=plan.sag,
-    )
-    certificate = _seconded(plan, certificate, trajectory, plan.sag)
-    certificate.require()
-    _require_same(plan.figures, certificate.figures, source, "planned")
-    _require_same(plan.baseline_figures, figures(robot, plan.baseline), source, "baseline")
+    job = plan.job
+    for k, segment in enumerate(plan.job.segments):
+        certificate = _certified(plan, segment, clearances)
+        certificate.require()
+        key = "planned" if segment.kind == "stroke" else f"segments[{k}]"
+        _require_same(segment.figures, certificate.figures, source, key)
+        job = job.changed(segment.name, certificate=certificate)
+    _require_same(plan.baseline_figures, figures(plan.robot, plan.baseline), source, "baseline")
     if not plan.objective.own:
         _verify_objective(plan, source)
-    approach = plan.approach
-    if approach is not None:
-        held, way = plan.task.held_at_start(), approach.trajectory
-        fresh = certify_approach(robot, held, way, clearances, options, posture, trajectory.q[0])
-        fresh = _seconded(plan, fresh, way)
-        fresh.require()
-        _require_same(approach.certificate.figures, fresh.figures, source, "approach")
-        approach = replace(approach, certificate=fresh)
-    return replace(plan, certificate=certificate, approach=approach)
+    return replace(plan, job=job)
 
 
-def _seconded(
-    plan: Plan, certificate: Certificate, trajectory: QuinticTrajectory, sag: Sag | None = None
-) -> Certificate:
-    """Return a certificate with the checks of a second opinion."""
-    at_work = trajectory is plan.trajectory
-    checks = second_opinion(plan.scene, plan.options, trajectory, robot=plan.robot, at_work=at_work, sag=sag)
+def _certified(plan: Plan, segment: Segment, clearances: Clearances) -> Certificate:
+    """Return a new certificate of a segment, by the scene and its neighbours, and by a second opinion."""
+    robot, options, trajectory = plan.robot, plan.options, segment.trajectory
+    posture, at_work = np.array(plan.scene.posture), segment.kind == "stroke"
+    sag = plan.sag if at_work else None
+    if at_work:
+        rests_there = plan.approach is None and options.knots == "sliding"
+        certificate = certify(
+            robot,
+            plan.task,
+            trajectory,
+            clearances,
+            options,
+            via_points=plan.scene.via_points,
+            start=posture if rests_there else None,
+            sag=sag,
+        )
+    else:
+        held, end = plan.task.held_at_start(), plan.trajectory.q[0]
+        certificate = certify_move(robot, held, trajectory, clearances, options, posture, end)
+    checks = second_opinion(plan.scene, options, trajectory, robot=robot, at_work=at_work, sag=sag)
     return replace(certificate, checks=(*certificate.checks, *checks))
 
 

@@ -26,6 +26,8 @@ from pydantic import (
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import FileModel, refusal
 from cmbot.planning import (
+    APPROACH,
+    WORK,
     Choice,
     Compensation,
     ExchangeReport,
@@ -37,7 +39,7 @@ from cmbot.planning import (
 )
 from cmbot.scene import PlannerOptions, SceneFile
 
-__all__ = ["ApproachFile", "CertificateFile", "MetricsFile", "PlanFile", "made"]
+__all__ = ["CertificateFile", "EarlierPlanFile", "MetricsFile", "PlanFile", "SegmentFile", "made"]
 
 T = TypeVar("T")
 
@@ -104,9 +106,26 @@ class CertificateFile(FileModel):
     checks: Annotated[tuple[CheckFile, ...], Field(min_length=1)]
 
 
-class ApproachFile(MetricsFile):
-    """Metrics, duration in s and certificate of an `Approach`."""
+class MotionFile(MetricsFile):
+    """Metrics of the work, and of the whole job."""
 
+    job: MetricsFile | None = None
+    """None in older files."""
+
+
+class SegmentFile(MetricsFile):
+    """Metrics, times in s and certificate of a `Segment`."""
+
+    name: Annotated[str, Field(min_length=1, max_length=100)]
+    kind: Literal["stroke", "free"]
+    begin: NonNegative
+    """On the job's clock."""
+    seconds: Annotated[float, Field(gt=0)]
+    along_self_motion: bool
+    certificate: CertificateFile
+
+
+class _ApproachFile(MetricsFile):
     seconds: Annotated[float, Field(gt=0)]
     along_self_motion: bool
     certificate: CertificateFile
@@ -208,15 +227,13 @@ class HashesFile(FileModel):
     """The same of the scene in this file, whose paths are absolute."""
 
 
-class PlanFile(FileModel):
-    """All of a plan but its arrays."""
+class _PlanEntries(FileModel):
+    """What every version has of a plan but its arrays."""
 
-    format: Literal["cmbot-plan/1"]
+    format: str
     status: Literal["certified"]
     baseline: MetricsFile
     planned: MetricsFile
-    approach: ApproachFile | None
-    """null: the work starts in the scene's posture, or the knots are fixed."""
     quieting: SuppressionFile | None = None
     """null: the vibration was not suppressed."""
     compensation: Annotated[Compensation, _at_least_zero()] | None = None
@@ -247,6 +264,45 @@ class PlanFile(FileModel):
     files: dict[str, Sha256]
     """SHA-256 of the files beside this one."""
     passes: tuple[Annotated[ExchangeReport, _at_least_zero("number", "iterations", "constraints")], ...]
+
+
+class PlanFile(_PlanEntries):
+    """All of a plan but its arrays."""
+
+    format: Literal["cmbot-plan/1", "cmbot-plan/2"]
+    """The first where it is an `EarlierPlanFile`, upgraded."""
+    baseline: MotionFile
+    planned: MotionFile
+    segments: Annotated[tuple[SegmentFile, ...], Field(min_length=1, max_length=10_000)]
+    """Of the job, in the order of time."""
+
+
+class EarlierPlanFile(_PlanEntries):
+    """A plan of the version before: work and approach, each with files of its own."""
+
+    format: Literal["cmbot-plan/1"]
+    approach: _ApproachFile | None
+    """null: the work starts in the scene's posture, or the knots are fixed."""
+
+    def upgraded(self, seconds: float) -> PlanFile:
+        """Return the plan as this version has it; `seconds` is the duration of the work."""
+        before, segments = self.approach, list[SegmentFile]()
+        if before is not None:
+            segments.append(SegmentFile(name=APPROACH, kind="free", begin=0.0, **dict(before)))
+        segments.append(
+            SegmentFile(
+                name=WORK,
+                kind="stroke",
+                begin=0.0 if before is None else before.seconds,
+                seconds=seconds,
+                along_self_motion=False,
+                certificate=self.certificate,
+                **dict(self.planned),
+            )
+        )
+        motions = {name: MotionFile(**dict(getattr(self, name))) for name in ("baseline", "planned")}
+        same = {name: value for name, value in self if name != "approach"}
+        return PlanFile(**{**same, **motions, "segments": tuple(segments)})
 
 
 def made(kind: type[T], entry: FileModel, **changes: object) -> T:

@@ -16,7 +16,7 @@ from cmbot.archive.schema import PlanFile
 from cmbot.archive.strict_json import json_bytes
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, input_error, validated
-from cmbot.planning import Approach, Plan, require_plan
+from cmbot.planning import Plan, Segment, require_plan
 from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file, update_file
 from cmbot.version import versions
 
@@ -63,23 +63,21 @@ def save(
     shown = shown_files(added)
     contents = motion_files("trajectory", plan.robot, plan.trajectory, plan.samples)
     contents["baseline.csv"] = samples_csv(plan.baseline, "baseline.csv")
-    if plan.approach is not None and plan.approach_samples is not None:
-        contents |= motion_files("approach", plan.robot, plan.approach.trajectory, plan.approach_samples)
+    contents |= motion_files("job", plan.robot, plan.job.trajectory, *plan.job_samples)
     contents[PLAN_FILE] = _plan_json(plan, contents)
     write_folder(contents | shown, directory, force=force)
     return directory
 
 
 def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
-    given, start, approach, bound = update_file(plan.scene), plan.start, plan.approach, plan.lower_bound
+    given, start, bound = update_file(plan.scene), plan.start, plan.lower_bound
     scene = _resolved(given)
-    holds = plan.certificate.holds and (approach is None or approach.certificate.holds)
     entries = {
         "format": FORMAT,
-        "status": "certified" if holds else "a promise is broken",
-        "baseline": plan.baseline_figures,
-        "planned": plan.figures,
-        "approach": None if approach is None else _approach(approach),
+        "status": "certified" if plan.job.certificate.holds else "a promise is broken",
+        "baseline": {**vars(plan.baseline_figures), "job": plan.baseline_job_figures},
+        "planned": {**vars(plan.figures), "job": plan.job.figures},
+        "segments": tuple(map(_segment, plan.job.segments)),
         "quieting": plan.quieting,
         "compensation": plan.compensation,
         "torque_floor": plan.torque_floor,
@@ -128,13 +126,10 @@ def _posture(plan: Plan) -> dict[str, tuple[float, ...]]:
     return {"posture_deg": tuple(np.degrees(q).tolist())}
 
 
-def _approach(approach: Approach) -> dict[str, object]:
-    return {
-        **vars(approach.certificate.figures),
-        "seconds": approach.trajectory.duration,
-        "along_self_motion": approach.along_self_motion,
-        "certificate": approach.certificate,
-    }
+def _segment(segment: Segment) -> dict[str, object]:
+    names = ("name", "kind", "begin", "along_self_motion", "certificate")
+    entries = {name: getattr(segment, name) for name in names}
+    return {**vars(segment.figures), **entries, "seconds": segment.duration}
 
 
 def _resolved(scene: Scene) -> SceneFile:

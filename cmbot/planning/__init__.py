@@ -4,11 +4,12 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.approach import Approach, certify_approach
 from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
+from cmbot.planning.free_motion.free_move import certify_move
 from cmbot.planning.initial_guess import Choice
+from cmbot.planning.job import APPROACH, WORK, Job, Segment, SegmentMetrics, job_metrics
 from cmbot.planning.objectives import (
     Objective,
     PostureFunction,
@@ -34,7 +35,8 @@ from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
-    "Approach",
+    "APPROACH",
+    "WORK",
     "Certificate",
     "Check",
     "Choice",
@@ -42,6 +44,7 @@ __all__ = [
     "ExchangeReport",
     "GlobalSearch",
     "GlobalSolution",
+    "Job",
     "JointPath",
     "LimitUse",
     "LowerBound",
@@ -56,6 +59,8 @@ __all__ = [
     "QuinticTrajectory",
     "Samples",
     "Seconds",
+    "Segment",
+    "SegmentMetrics",
     "SplineSpace",
     "Start",
     "StartPosture",
@@ -66,9 +71,10 @@ __all__ = [
     "WrenchObjective",
     "bending_arm",
     "certify",
-    "certify_approach",
+    "certify_move",
     "figures",
     "find_start",
+    "job_metrics",
     "measure",
     "objective_metrics",
     "objective_of",

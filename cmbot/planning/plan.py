@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Literal
 
@@ -15,10 +15,11 @@ from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
 from cmbot.optimization import ExchangeReport, StateSamples
-from cmbot.planning.approach import Approach
+from cmbot.planning.context import bending_arm, sag_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.initial_guess import Choice
+from cmbot.planning.job import APPROACH, Job, Segment
 from cmbot.planning.objectives import Objective
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
@@ -135,9 +136,8 @@ class Plan:
         Largest distance of the baseline's tool point from where it should be at that time.
     smallest_singular_value : float
         Of the task Jacobian along the baseline.
-    trajectory : QuinticTrajectory
-        The planned motion.
-    certificate : Certificate
+    job : Job
+        The planned motion: the work and, where the work starts elsewhere than the arm does, the approach.
     passes : tuple of ExchangeReport
         Exchange iterations of the optimisation.
     objective : ObjectiveMetrics
@@ -145,8 +145,6 @@ class Plan:
         None with fixed knots.
     choice : Choice or None
         Peaks of the global search for both choices of the start; None with fixed knots.
-    approach : Approach or None
-        From the scene's posture to the start; None where it starts there, or where the knots are fixed.
     compensation : Compensation or None
         Of the predicted sag.
     quieting : VibrationSuppression or None
@@ -167,13 +165,11 @@ class Plan:
     baseline_figures: MotionMetrics
     drift: float
     smallest_singular_value: float
-    trajectory: QuinticTrajectory
-    certificate: Certificate
+    job: Job
     passes: tuple[ExchangeReport, ...]
     objective: ObjectiveMetrics
     lower_bound: LowerBound | None
     choice: Choice | None
-    approach: Approach | None
     compensation: Compensation | None
     quieting: VibrationSuppression | None
     sag: Sag | None
@@ -181,31 +177,89 @@ class Plan:
     seconds: Seconds
 
     @property
+    def baseline_job_figures(self) -> MotionMetrics:
+        """Figures of the baseline over the whole job: it begins where the arm is."""
+        return self.baseline_figures
+
+    @property
+    def work(self) -> Segment:
+        """The stroke of the job."""
+        return self.job.strokes[0]
+
+    @property
+    def trajectory(self) -> QuinticTrajectory:
+        """The motion of the work."""
+        return self.work.trajectory
+
+    @property
+    def certificate(self) -> Certificate:
+        """The certificate of the work."""
+        return self.work.certificate
+
+    @property
     def figures(self) -> MotionMetrics:
-        """Figures of the planned motion, as certified."""
+        """Figures of the work, as certified."""
         return self.certificate.figures
 
-    @cached_property
-    def samples(self) -> Samples:
-        """The planned motion every 0.01 s."""
-        return self._sampled(self.robot, self.trajectory, self.task, self.sag)
+    @property
+    def approach(self) -> Segment | None:
+        """The free move from the scene's posture to the start of the work.
 
-    @cached_property
+        None where the work starts there, or where the knots are fixed.
+        """
+        return self.job.segment(APPROACH)
+
+    @property
+    def samples(self) -> Samples:
+        """The work every 0.01 s, from time 0."""
+        return self.segment_samples[self.work.name]
+
+    @property
     def approach_samples(self) -> Samples | None:
         """The approach every 0.01 s, from time 0; its tool deviation is that from where the work starts."""
-        approach = self.approach
-        return (
-            None
-            if approach is None
-            else self._sampled(self.robot.tool_off, approach.trajectory, approach.task)
-        )
+        return self.segment_samples.get(APPROACH)
 
-    def _sampled(
-        self, robot: Robot, trajectory: QuinticTrajectory, task: ToolTask, sag: Sag | None = None
-    ) -> Samples:
-        t = _sample_times(trajectory.duration)
-        motion = [trajectory.evaluate(t, order) for order in range(4)]
-        return measure(robot, task, Clearances(robot, self.scene.obstacles), t, motion, sag)
+    @cached_property
+    def job_samples(self) -> tuple[Samples, tuple[str, ...]]:
+        """The whole job every 0.01 s on one clock, and the name of each sample's segment.
+
+        A join belongs to the segment that ends there. Where sag is compensated the tool is expected with its
+        predicted sag in the free moves, too.
+        """
+        each = [self._on_the_clock(segment) for segment in self.job.segments]
+        joined: dict[str, FloatArray | None] = {}
+        for field in fields(Samples):
+            arrays = [getattr(samples, field.name) for samples in each]
+            first, *others = arrays
+            joined[field.name] = (
+                None if first is None else np.concatenate([first, *(array[1:] for array in others)])
+            )
+        # The first row of a later segment is the join.
+        counts = [len(samples.t) - (k > 0) for k, samples in enumerate(each)]
+        names = np.repeat([segment.name for segment in self.job.segments], counts)
+        return Samples(**joined), tuple(names.tolist())  # type: ignore[arg-type]
+
+    def _on_the_clock(self, segment: Segment) -> Samples:
+        samples = self.segment_samples[segment.name]
+        expected = samples.expected_tool_point
+        if self.sag is not None and expected is None:
+            # The tool is off: no process force bends the arm.
+            sag = sag_of(self.scene, bending_arm(self.scene, self.robot.tool_off), self.options) or self.sag
+            expected = samples.tool_point + sag.along(samples.t, samples.q)
+        return replace(samples, t=segment.begin + samples.t, expected_tool_point=expected)
+
+    @cached_property
+    def segment_samples(self) -> dict[str, Samples]:
+        """Each segment of the job by its name, every 0.01 s, from time 0."""
+        clearances = Clearances(self.robot, self.scene.obstacles)
+        return {segment.name: self._sampled(segment, clearances) for segment in self.job.segments}
+
+    def _sampled(self, segment: Segment, clearances: Clearances) -> Samples:
+        t = _sample_times(segment.duration)
+        motion = [segment.trajectory.evaluate(t, order) for order in range(4)]
+        at_work = segment.kind == "stroke"
+        robot, sag = (self.robot, self.sag) if at_work else (self.robot.tool_off, None)
+        return measure(robot, segment.task, clearances, t, motion, sag)
 
     @property
     def largest_torque_difference(self) -> tuple[float, float]:

@@ -12,12 +12,13 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.errors import InputError, LimitViolation, PlanningError, remedy_for
 from cmbot.common.validation import checked_options, require_type
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.approach import Approach, plan_approach
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.failures import constraints_named, in_seconds, slower, slower_legs
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
+from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.initial_guess import initial_guess
+from cmbot.planning.job import WORK, Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.plan import Plan, Seconds, Start, objective_metrics
@@ -31,7 +32,7 @@ from cmbot.planning.precheck import (
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.torque import Optimised, optimise, segments
-from cmbot.planning.verification.certificate import Certificate, certify
+from cmbot.planning.verification.certificate import certify
 from cmbot.planning.verification.metrics import figures, measure
 from cmbot.scene import PlannerOptions, Scene
 
@@ -167,7 +168,7 @@ def _plan(scene: Scene, attempt: Attempt, motion: _Motion, *, custom: bool) -> P
         options,
         own=custom,
         baseline=(baseline_figures, baseline),
-        planned=(motion.certificate.figures, motion.optimised.trajectory),
+        planned=(motion.work.figures, motion.work.trajectory),
         floor=guess.lower_bound.value if sliding else None,
     )
     return Plan(
@@ -180,13 +181,11 @@ def _plan(scene: Scene, attempt: Attempt, motion: _Motion, *, custom: bool) -> P
         baseline_figures=baseline_figures,
         drift=float(path.drift.max()),
         smallest_singular_value=float(path.singular_value.min()),
-        trajectory=motion.optimised.trajectory,
-        certificate=motion.certificate,
+        job=motion.job,
         passes=motion.optimised.passes,
         objective=objective,
         lower_bound=guess.lower_bound if sliding else None,
         choice=guess.choice,
-        approach=motion.approach,
         compensation=motion.compensation,
         quieting=motion.quieting,
         sag=context.sag,
@@ -216,14 +215,17 @@ def _fallbacks(attempt: Attempt, motion: _Motion) -> Iterator[str]:
 
 @dataclass(frozen=True, kw_only=True)
 class _Motion:
-    """The optimised and certified motion, and the approach to its start."""
+    """The optimised and certified motion of a job."""
 
     optimised: Optimised
     compensation: Compensation | None
     quieting: VibrationSuppression | None
-    certificate: Certificate
     start: Start
-    approach: Approach | None
+    job: Job
+
+    @property
+    def work(self) -> Segment:
+        return self.job.strokes[0]
 
 
 def _certified_motion(attempt: Attempt) -> _Motion:
@@ -259,18 +261,25 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         sag=context.sag,
     )
     certificate.require()
-    approach = None
+    approach: Segment | None = None
     if moved <= _SAME_POSTURE:
         posture, moved = context.posture, 0.0
     elif guess.search is not None:
         reporter.step("planning the approach to the start")
         at_rest = context.objective.at_rest(context.postures.at(optimised.trajectory.q))
         approach = plan_approach(context, posture, guess.search.first_chart.q, allowed=float(at_rest.max()))
+    work = Segment(
+        name=WORK,
+        kind="stroke",
+        begin=0.0 if approach is None else approach.end,
+        trajectory=optimised.trajectory,
+        certificate=certificate,
+        task=context.task,
+    )
     return _Motion(
         optimised=optimised,
         compensation=compensation,
         quieting=quieting,
-        certificate=certificate,
         start=Start(posture=posture, moved=moved, failures=guess.failures),
-        approach=approach,
+        job=Job(segments=(work,) if approach is None else (approach, work)),
     )

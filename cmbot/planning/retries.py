@@ -25,8 +25,8 @@ from typing import Protocol, TypeVar
 import numpy as np
 
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
-from cmbot.planning.approach import reachable
 from cmbot.planning.context import PlanningContext
+from cmbot.planning.free_motion.approach import reachable
 from cmbot.planning.initial_guess import InitialGuess, initial_guess, sliding_guess, solved
 from cmbot.planning.torque import TorqueProblem
 from cmbot.scene import MOST_SAMPLES

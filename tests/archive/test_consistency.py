@@ -7,7 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plan_folders import edit, npz, refused, rewrite
+from forgeries import put_job
+from plan_folders import as_earlier, edit, npz, refused, rewrite, same_arrays
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
@@ -56,7 +57,16 @@ def folder(sliding: Path, tmp_path: Path) -> Path:
         (lambda data: data["start"].update(posture_deg=[]), "start.posture_deg"),
         (lambda data: data["start"]["posture_deg"].__setitem__(2, 1.0), "start.posture_deg"),
         # Not what the rest says.
-        (lambda data: data.pop("approach"), "approach"),
+        (lambda data: data.pop("segments"), "segments"),
+        (lambda data: data["segments"].pop(0), "segments"),
+        (lambda data: data["segments"].reverse(), "segments"),
+        (lambda data: data["segments"][1].update(begin=0.0), "segments[1].begin"),
+        (lambda data: data["segments"][1].update(kind="free"), "segments"),
+        (lambda data: data["segments"][1].update(max_tool_lag=1.0), "segments[1].max_tool_lag"),
+        (lambda data: data["segments"][1]["certificate"]["checks"].pop(), "segments[1].certificate"),
+        (lambda data: data["planned"].pop("job"), "planned.job"),
+        (lambda data: data["planned"]["job"].update(min_clearance=1.0), "planned.job.min_clearance"),
+        (lambda data: data["planned"]["job"]["limit_use"].update(jerk=0.1), "planned.job.limit_use.jerk"),
         (lambda data: data.update(floor=None), "floor"),
         (lambda data: data.update(choice=None), "choice"),
         (lambda data: data.update(torque_floor=None), "torque_floor"),
@@ -87,16 +97,16 @@ def folder(sliding: Path, tmp_path: Path) -> Path:
         (lambda data: data["floor"].update(via_point=-1), "floor.via_point"),
         (lambda data: data["choice"].update(free=-1.0), "choice.free"),
         (lambda data: data["choice"].pop("pinned"), "choice.pinned"),
-        (lambda data: data["approach"].pop("limit_use"), "approach.limit_use"),
-        (lambda data: data["approach"].update(along_self_motion=1), "approach.along_self_motion"),
-        (lambda data: data["approach"].update(seconds=0.0), "approach.seconds"),
+        (lambda data: data["segments"][0].pop("limit_use"), "segments[0].limit_use"),
+        (lambda data: data["segments"][0].update(along_self_motion=1), "segments[0].along_self_motion"),
+        (lambda data: data["segments"][0].update(seconds=0.0), "segments[0].seconds"),
         (
-            lambda data: data["approach"]["certificate"]["checks"][2].update(value=1e9),
-            "approach.certificate.checks[2]",
+            lambda data: data["segments"][0]["certificate"]["checks"][2].update(value=1e9),
+            "segments[0].certificate.checks[2]",
         ),
         (lambda data: data["files"].update({"other.csv": "0" * 64}), "files"),
-        (lambda data: data["start"].update(moved_deg=0.0), "approach"),
-        (lambda data: data["options"].update(knots="fixed"), "approach"),
+        (lambda data: data["start"].update(moved_deg=0.0), "segments"),
+        (lambda data: data["options"].update(knots="fixed"), "segments"),
     ],
 )
 def test_what_is_wrong_or_does_not_fit_is_named_by_its_key(folder, change, key):
@@ -105,10 +115,29 @@ def test_what_is_wrong_or_does_not_fit_is_named_by_its_key(folder, change, key):
 
 
 def test_an_approach_that_is_denied(folder):
+    edit(folder, lambda data: data["segments"].pop(0))
+    assert refused(folder, "plan.json", "segments").expected.startswith("approach, work")
+
+
+def test_a_plan_of_the_version_before_is_read(folder, sliding_plan):
+    read = load_plan(as_earlier(folder), verify=True)
+    assert [segment.name for segment in read.job.segments] == ["approach", "work"]
+    assert read.job.figures.peak_guardrail_torque == sliding_plan.job.figures.peak_guardrail_torque
+    same_arrays(read.approach.trajectory, sliding_plan.approach.trajectory)
+    way = read.approach.trajectory
+    rewrite(folder, "approach.npz", knots_of(way, q=nudged(way.q, 0)))
+    refused(folder, "approach.npz", "q")
     edit(folder, lambda data: data.update(approach=None))
-    assert "approach.csv" in refused(folder, "plan.json", "files").got
-    edit(folder, lambda data: [data["files"].pop(f"approach.{end}") for end in ("csv", "npz", "ros.json")])
-    assert refused(folder, "plan.json", "approach").got == "null"
+    assert refused(folder, "plan.json", "segments").got == "'work'"
+
+
+@pytest.mark.parametrize("name", ["job.csv", "job.npz", "job.ros.json"])
+def test_missing_and_changed_files_of_the_job(folder, name):
+    content = (folder / name).read_bytes()
+    (folder / name).write_bytes(content + b" ")
+    assert refused(folder, name, "").got == "other content"
+    (folder / name).unlink()
+    assert "no such file" in refused(folder, name, "").got
 
 
 @pytest.mark.parametrize("key", ["floor", "choice", "torque_floor", "gap_to_floor"])
@@ -132,16 +161,18 @@ def nudged(q, k):
     ("motion", "change", "file", "key", "words"),
     [
         # An arm that drove the motions one after the other would jump.
-        ("approach", lambda own: {"q": nudged(own.q, 0)}, "approach.npz", "q", "the scene's posture"),
-        ("approach", lambda own: {"q": nudged(own.q, -1)}, "approach.npz", "q", "where the work starts"),
-        ("trajectory", lambda own: {"q": own.q + 1e-6}, "plan.json", "start.posture_deg", ""),
-        ("approach", lambda own: {"t": own.t + 1}, "approach.npz", "t", "plan.json"),
-        ("approach", lambda own: {"t": 2 * own.t}, "approach.npz", "t", "plan.json"),
-        ("approach", lambda own: {n: getattr(own, n)[:, :6] for n in "qva"}, "approach.npz", "q", ""),
+        ("job", lambda own: {"q": nudged(own.q, 0)}, "job.npz", "q", "the scene's posture"),
+        ("job", lambda own: {"q": nudged(own.q, -1)}, "job.npz", "q", "those of trajectory.npz"),
+        ("job", lambda own: {"v": nudged(own.v, -1)}, "job.npz", "v", "those of trajectory.npz"),
+        ("job", lambda own: {"t": own.t**1.01 * own.t[-1] ** -0.01}, "job.npz", "t", "knots at"),
+        ("trajectory", lambda own: {"q": own.q + 1e-6}, "job.npz", "q", "those of trajectory.npz"),
+        ("job", lambda own: {"t": own.t + 1}, "job.npz", "t", "plan.json"),
+        ("job", lambda own: {"t": 2 * own.t}, "job.npz", "t", "plan.json"),
+        ("job", lambda own: {n: getattr(own, n)[:, :6] for n in "qva"}, "job.npz", "q", ""),
     ],
 )
 def test_knots_that_do_not_fit_the_rest(folder, sliding_plan, motion, change, file, key, words):
-    own = (sliding_plan.approach if motion == "approach" else sliding_plan).trajectory
+    own = (sliding_plan.job if motion == "job" else sliding_plan).trajectory
     rewrite(folder, f"{motion}.npz", knots_of(own, **change(own)))
     assert words in refused(folder, file, key).expected
 
@@ -151,9 +182,21 @@ def test_a_choice_without_a_way(sliding_plan, tmp_path):
     assert load_plan(save(replace(sliding_plan, choice=choice), tmp_path / "plan")).choice == choice
 
 
-@pytest.mark.parametrize("motion", ["planned", "baseline", "approach"])
-def test_verify_notices_wrong_figures(folder, motion):
-    edit(folder, lambda data: data[motion].update(mean_guardrail_torque=1.0))
+@pytest.mark.parametrize("motion", ["planned", "baseline", "segments[0]"])
+def test_verify_notices_wrong_figures(folder, sliding_plan, motion):
+    def change(data):
+        wrong, job = {"mean_guardrail_torque": 1.0}, data["planned"]["job"]
+        if motion == "baseline":
+            data["baseline"].update(wrong)
+            return
+        k = int(motion == "planned")
+        if k:
+            data["planned"].update(wrong)
+        segment, old = data["segments"][k], data["segments"][k]["mean_guardrail_torque"]
+        segment.update(wrong)
+        job["mean_guardrail_torque"] += (1.0 - old) * segment["seconds"] / sliding_plan.job.duration
+
+    edit(folder, change)
     assert load_plan(folder).start.moved > 0  # the file's word
     with pytest.raises(ArchiveError) as caught:
         load_plan(folder, verify=True)
@@ -161,12 +204,12 @@ def test_verify_notices_wrong_figures(folder, motion):
     assert caught.value.got == 1.0
 
 
-@pytest.mark.parametrize("name", ["trajectory", "approach"])
+@pytest.mark.parametrize("name", ["work", "approach"])
 def test_verify_notices_a_broken_promise(folder, sliding_plan, name):
-    knots = (sliding_plan.approach if name == "approach" else sliding_plan).trajectory
+    knots = sliding_plan.job.segment(name).trajectory
     v = knots.v.copy()
     v[5] += 0.5
-    rewrite(folder, f"{name}.npz", knots_of(knots, v=v))
+    put_job(folder, sliding_plan.job.changed(name, trajectory=replace(knots, v=v)))
     assert load_plan(folder).certificate.holds  # the file's word
     with pytest.raises(LimitViolation, match="of joint_"):
         load_plan(folder, verify=True)

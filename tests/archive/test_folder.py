@@ -11,7 +11,7 @@ from plan_folders import names
 
 from cmbot.archive import add_file, atomic, require_free
 from cmbot.archive.folder import add_files, write_folder
-from cmbot.archive.names import APPROACH_FILES, SAVED_FILES
+from cmbot.archive.names import EARLIER_FILES, JOB_FILES, SAVED_FILES
 from cmbot.common.errors import ArchiveError
 
 CONTENTS = {"plan.json": b'{"format": "cmbot-plan/1"}', "trajectory.csv": b"1,2\n", "trajectory.npz": b"\0"}
@@ -208,7 +208,10 @@ ELSEWHERE = ("", ".", "..", "../x", "a/b", "/x", ".hidden", "a\0", "a\n", "x" * 
     ("name", "content", "words"),
     [
         *((name, "", "add_file: name") for name in ELSEWHERE),
-        *((name, "", "the plan's own files") for name in ("plan.json", *SAVED_FILES, *APPROACH_FILES)),
+        *(
+            (name, "", "the plan's own files")
+            for name in ("plan.json", *SAVED_FILES, *JOB_FILES, *EARLIER_FILES)
+        ),
         ("report.html", "\ud800", "add_file: content"),
     ],
 )

@@ -9,12 +9,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from plan_folders import FILES, edit, same_arrays
+from plan_folders import FILES, changed, edit, same_arrays
 
 from cmbot.archive import load_plan, save
-from cmbot.archive.names import APPROACH_FILES
 from cmbot.common.errors import ArchiveError, PathNotFound
-from cmbot.planning import Plan, Start
+from cmbot.planning import Job, Plan, Start
 from cmbot.planning.verification.metrics import figures
 from cmbot.scene import PlannerOptions
 
@@ -75,10 +74,10 @@ def test_saved_again_it_is_the_same(saved_triangle, loaded, tmp_path):
 def test_round_trip_with_fixed_knots(short_plan, tmp_path):
     folder = save(short_plan, tmp_path / "plan")
     data = json.loads((folder / "plan.json").read_text())
-    for key in ("approach", "torque_floor", "gap_to_floor", "floor", "choice"):
+    for key in ("torque_floor", "gap_to_floor", "floor", "choice"):
         assert data[key] is None
-    assert {path.name for path in folder.iterdir()} == FILES - set(APPROACH_FILES)
-    assert set(data["files"]) == FILES - {"plan.json", *APPROACH_FILES}
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert set(data["files"]) == FILES - {"plan.json"}
     read = load_plan(folder, verify=True)
     assert (read.lower_bound, read.choice, read.approach, read.gap_to_floor) == (None, None, None, None)
     same_arrays(read.trajectory, short_plan.trajectory)
@@ -111,7 +110,8 @@ def test_a_start_elsewhere_is_kept(short_plan, tmp_path):
     )
     start = Start(posture=short_plan.start.posture + 0.1, moved=0.1, failures=failures)
     moved = replace(short_plan.trajectory, q=short_plan.trajectory.q + 0.1)
-    read = load_plan(save(replace(short_plan, start=start, trajectory=moved), tmp_path / "plan")).start
+    elsewhere = changed(replace(short_plan, start=start), "work", trajectory=moved)
+    read = load_plan(save(elsewhere, tmp_path / "plan")).start
     np.testing.assert_allclose(read.posture, start.posture, rtol=1e-15)
     assert read.moved == pytest.approx(0.1, rel=1e-15)
     for got, expected in zip(read.failures, failures, strict=True):
@@ -131,10 +131,10 @@ def without_obstacles(certificate):
 def test_without_anything_to_hit_clearances_are_infinite(thin_plan, tmp_path):
     certificate = without_obstacles(thin_plan.certificate)
     approach = replace(thin_plan.approach, certificate=without_obstacles(thin_plan.approach.certificate))
+    work = replace(thin_plan.work, certificate=certificate)
     plan = replace(
         thin_plan,
-        certificate=certificate,
-        approach=approach,
+        job=Job(segments=(approach, work)),
         baseline=replace(thin_plan.baseline, clearance=np.full(len(thin_plan.baseline.t), np.inf)),
         baseline_figures=replace(thin_plan.baseline_figures, min_clearance=math.inf),
     )

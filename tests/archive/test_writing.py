@@ -3,11 +3,11 @@
 import csv
 import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
 
 import numpy as np
 import pytest
-from plan_folders import FILES, MOTIONS
+from plan_folders import FILES, MOTIONS, changed
 
 import cmbot
 from cmbot.archive import load_plan, save
@@ -26,24 +26,32 @@ FIGURES = {
 
 
 @pytest.fixture(scope="module")
-def approach_samples(triangle_plan: Plan) -> Samples:
-    """The approach measured every 0.01 s."""
-    trajectory, robot = triangle_plan.approach.trajectory, triangle_plan.robot
-    t = np.append(0.01 * np.arange(math.ceil(100 * trajectory.duration)), trajectory.duration)
-    motion = [trajectory.evaluate(t, order) for order in range(4)]
-    clearances = Clearances(robot, triangle_plan.scene.obstacles)
-    return measure(robot, triangle_plan.approach.task, clearances, t, motion)
+def job_samples(triangle_plan: Plan) -> Samples:
+    """The approach and the work measured every 0.01 s, one after the other."""
+    plan, robot = triangle_plan, triangle_plan.robot
+    clearances, parts = Clearances(robot, plan.scene.obstacles), []
+    for segment in plan.job.segments:
+        trajectory = segment.trajectory
+        # The last step is shorter where need be.
+        t = np.append(0.01 * np.arange(math.ceil(100 * trajectory.duration - 1e-9)), trajectory.duration)
+        motion = [trajectory.evaluate(t, order) for order in range(4)]
+        parts.append(measure(robot, segment.task, clearances, t, motion))
+    parts[1] = replace(parts[1], t=parts[0].t[-1] + parts[1].t)
+    names = [field.name for field in fields(Samples) if field.name != "expected_tool_point"]
+    joined = {name: np.concatenate([getattr(parts[0], name), getattr(parts[1], name)[1:]]) for name in names}
+    return Samples(**joined, expected_tool_point=None)
 
 
 def motion_of(plan: Plan, name: str) -> QuinticTrajectory:
-    return plan.approach.trajectory if name == "approach" else plan.trajectory
+    return plan.job.trajectory if name == "job" else plan.trajectory
 
 
 def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
     data = json.loads((saved_triangle / "plan.json").read_text(encoding="utf-8"))
-    assert (data["format"], data["status"]) == ("cmbot-plan/1", "certified")
+    assert (data["format"], data["status"]) == ("cmbot-plan/2", "certified")
     for motion in ("baseline", "planned"):
-        assert set(data[motion]) == FIGURES
+        assert set(data[motion]) == FIGURES | {"job"}
+        assert set(data[motion]["job"]) == FIGURES
         assert set(data[motion]["limit_use"]) == {"velocity", "acceleration", "jerk", "torque"}
     assert data["planned"]["peak_guardrail_torque"] == triangle_plan.figures.peak_guardrail_torque
     assert data["baseline"]["min_clearance"] == triangle_plan.baseline_figures.min_clearance
@@ -74,8 +82,15 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
     assert set(data["passes"][0]["worst"]) == {"name", "value"}
     keys = {"quantity", "time", "value", "bound", "unit", "at_least", "holds"}
     assert {frozenset(entry) for entry in data["certificate"]["checks"]} == {frozenset(keys)}
-    certificate, approach = triangle_plan.approach.certificate, data["approach"]
-    assert set(approach) == FIGURES | {"seconds", "along_self_motion", "certificate"}
+    certificate, (approach, work) = triangle_plan.approach.certificate, data["segments"]
+    keys = {"name", "kind", "begin", "seconds", "along_self_motion", "certificate"}
+    assert set(approach) == set(work) == FIGURES | keys
+    assert (approach["name"], approach["kind"]) == ("approach", "free")
+    assert (work["name"], work["kind"]) == ("work", "stroke")
+    assert (approach["begin"], work["begin"]) == (0.0, approach["seconds"])
+    assert data["planned"]["job"]["peak_guardrail_torque"] == approach["peak_guardrail_torque"]
+    assert {key: work[key] for key in FIGURES} == {key: data["planned"][key] for key in FIGURES}
+    assert work["certificate"] == data["certificate"]
     assert approach["peak_guardrail_torque"] == certificate.figures.peak_guardrail_torque
     assert approach["limit_use"] == asdict(certificate.figures.limit_use)
     assert approach["seconds"] == triangle_plan.approach.trajectory.duration
@@ -120,23 +135,30 @@ def test_the_promised_files_are_strict_json_and_the_same_each_time(saved_triangl
 
 
 @pytest.mark.parametrize("name", [*MOTIONS, "baseline"])
-def test_tables_hold_the_samples_exactly(saved_triangle, triangle_plan, approach_samples, name):
+def test_tables_hold_the_samples_exactly(saved_triangle, triangle_plan, job_samples, name):
     samples = {
         "trajectory": triangle_plan.samples,
-        "approach": approach_samples,
+        "job": job_samples,
         "baseline": triangle_plan.baseline,
     }[name]
     with (saved_triangle / f"{name}.csv").open(newline="") as file:
         header, *rows = csv.reader(file)
     joints = [f"{letter}{i}" for letter in ("q", "v", "a", "j", "tau") for i in range(1, 8)]
     vectors = [f"{v}_{axis}" for v in ("guardrail_torque", "guardrail_force", "tool") for axis in "xyz"]
-    assert header == ["t", *joints, *vectors, "clearance"]
+    assert header == ["t", *joints, *vectors, "clearance", *(["segment"] if name == "job" else [])]
+    if name == "job":
+        begin = triangle_plan.work.begin
+        expected = ["approach" if t <= begin else "work" for t in samples.t.tolist()]
+        assert [row.pop() for row in rows] == expected
     table = np.array(rows, dtype=float)
     joints_and_torque = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
     wrench = (samples.guardrail_torque, samples.guardrail_force)
     columns = (samples.t, *joints_and_torque, *wrench, samples.tool_point, samples.clearance)
     np.testing.assert_array_equal(table, np.column_stack(columns))
     steps = np.diff(table[:, 0])
+    assert (steps > 0).all()
+    if name == "job":
+        return
     np.testing.assert_allclose(steps[:-1], 0.01, rtol=1e-9)
     assert 0 < steps[-1] <= 0.01 + 1e-9
 
@@ -144,11 +166,12 @@ def test_tables_hold_the_samples_exactly(saved_triangle, triangle_plan, approach
 @pytest.mark.parametrize("name", MOTIONS)
 def test_planned_tables_and_knots_are_those_of_the_splines(saved_triangle, triangle_plan, name):
     trajectory = motion_of(triangle_plan, name)
-    table = np.loadtxt(saved_triangle / f"{name}.csv", delimiter=",", skiprows=1)
+    table = np.loadtxt(saved_triangle / f"{name}.csv", delimiter=",", skiprows=1, usecols=range(46))
     assert (table[0, 0], table[-1, 0]) == (0.0, trajectory.duration)
     for order in range(4):
         expected = trajectory.evaluate(table[:, 0], order)
-        np.testing.assert_array_equal(table[:, 1 + 7 * order : 8 + 7 * order], expected)
+        exact = {"rtol": 0, "atol": 0 if name == "trajectory" else 1e-10}
+        np.testing.assert_allclose(table[:, 1 + 7 * order : 8 + 7 * order], expected, **exact)
     # At rest the force on the guardrail is the arm's weight.
     np.testing.assert_allclose(table[0, 39:42], [0, 0, -triangle_plan.robot.arm_mass * 9.81], atol=1e-6)
     with np.load(saved_triangle / f"{name}.npz", allow_pickle=False) as knots:
@@ -158,8 +181,8 @@ def test_planned_tables_and_knots_are_those_of_the_splines(saved_triangle, trian
 
 
 @pytest.mark.parametrize("name", MOTIONS)
-def test_ros_joint_trajectory(saved_triangle, triangle_plan, approach_samples, name):
-    samples = approach_samples if name == "approach" else triangle_plan.samples
+def test_ros_joint_trajectory(saved_triangle, triangle_plan, job_samples, name):
+    samples = job_samples if name == "job" else triangle_plan.samples
     text = (saved_triangle / f"{name}.ros.json").read_text()
     data = json.loads(text)
     assert text == json.dumps(data) + "\n"
@@ -187,12 +210,11 @@ def test_numbers_that_are_none_and_broken_promises_are_not_written(short_plan, t
     unmeasured = replace(short_plan, baseline=replace(short_plan.baseline, joint_torque=torque))
     check = Check(quantity="clearance", time=1.0, value=0.0, bound=0.02, unit="m", at_least=True)
     broken = replace(thin_plan.certificate, checks=(check,))
-    approach = replace(thin_plan.approach, certificate=broken)
     for plan, words in (
         (unmeasured, r"baseline\.csv: line 7, tau3: got nan"),
         (replace(short_plan, drift=math.nan), "drift"),
-        (replace(short_plan, certificate=broken), "status"),
-        (replace(thin_plan, approach=approach), "status"),
+        (changed(short_plan, "work", certificate=broken), "status"),
+        (changed(thin_plan, "approach", certificate=broken), "status"),
     ):
         with pytest.raises(ArchiveError, match=words):
             save(plan, tmp_path / "plan")

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 import run_suite
+from plan_folders import changed
 from rich.console import Console
 from suite import judge, oracle, scenes, tables
 from suite.task import TimedPath, read_scene, world_of
@@ -128,9 +129,9 @@ def test_a_plan_is_judged_right_and_a_forged_one_wrong(triangle_plan: Plan) -> N
     forged = replace(triangle_plan, lower_bound=replace(bound, value=1.01 * bound.value))
     assert "was found there" in judge._false_bound(forged, search)
     made = triangle_plan.trajectory
-    shifted = replace(triangle_plan, trajectory=replace(made, q=made.q + 0.01))
+    shifted = changed(triangle_plan, "work", trajectory=replace(made, q=made.q + 0.01))
     assert any("deviation of the tool" in broken for broken in judge.violations(shifted, world, path, R))
-    hasty = replace(triangle_plan, trajectory=replace(made, v=3 * made.v))
+    hasty = changed(triangle_plan, "work", trajectory=replace(made, v=3 * made.v))
     assert any(broken.startswith("jerk of") for broken in judge.violations(hasty, world, path, R))
 
 

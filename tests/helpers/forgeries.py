@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from plan_folders import edit, npz, rewrite
+from plan_folders import edit, knots, rewrite
 
 from cmbot.archive import load_plan
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import validated
-from cmbot.planning import Certificate, Plan, QuinticTrajectory, certify, robot_of, task_of
+from cmbot.planning import Certificate, Job, Plan, QuinticTrajectory, certify, robot_of, task_of
 from cmbot.scene import Scene, SceneFile, scene_from_file
 
 Forge = Callable[[QuinticTrajectory], QuinticTrajectory]
@@ -195,12 +195,19 @@ def certified(scene: Scene, planned: Plan, trajectory: QuinticTrajectory) -> Cer
 def forge(folder: Path, forgery: Forgery) -> None:
     """Put a forgery into a plan directory, with every hash made right."""
     if forgery.motion is not None:
-        x = forgery.motion(load_plan(folder).trajectory)
-        rewrite(folder, "trajectory.npz", npz(t=x.t, q=x.q, v=x.v, a=x.a))
+        planned = load_plan(folder)
+        x = forgery.motion(planned.trajectory)
+        put_job(folder, planned.job.changed("work", trajectory=x))
         start = np.degrees(x.q[0]).tolist()
         edit(folder, lambda data: data["start"].update(posture_deg=start))
     if forgery.scene is not None:
         edit(folder, lambda data: changed_scene(data, forgery.scene, folder))  # type: ignore[arg-type]
+
+
+def put_job(folder: Path, job: Job) -> None:
+    """Put the motions of a job into a plan directory, with every hash made right."""
+    for name, x in (("trajectory", job.strokes[0].trajectory), ("job", job.trajectory)):
+        rewrite(folder, f"{name}.npz", knots(x))
 
 
 def changed_scene(data: dict[str, Any], change: Callable[[dict[str, Any]], object], folder: Path) -> None:

@@ -15,14 +15,14 @@ from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError
-from cmbot.planning import Plan, Samples, plan
+from cmbot.planning import Job, Plan, QuinticTrajectory, Samples, plan
 from cmbot.simulation import Tracking, simulate
 
-MOTIONS = ("trajectory", "approach")
+MOTIONS = ("trajectory", "job")
 FILES = {"plan.json", "baseline.csv"} | {
     f"{name}{end}" for name in MOTIONS for end in (".csv", ".npz", ".ros.json")
 }
-"""All files of a plan with an approach."""
+"""All files of a plan."""
 
 
 @pytest.fixture(scope="session")
@@ -69,6 +69,38 @@ def short_tracking(short_plan: Plan) -> Tracking:
     return simulate(short_plan)
 
 
+def changed(planned: Plan, segment: str, **changes: Any) -> Plan:
+    """The plan with other fields of a segment of its job."""
+    return replace(planned, job=planned.job.changed(segment, **changes))
+
+
+def without_approach(planned: Plan) -> Plan:
+    """The plan as if the arm stood where the work starts."""
+    return replace(planned, job=Job(segments=(replace(planned.work, begin=0.0),)))
+
+
+def as_earlier(folder: Path) -> Path:
+    """Turn a plan directory, whose work starts elsewhere, into one of the version before."""
+    approach = load_plan(folder).approach
+    assert approach is not None
+    files = {"approach.npz": knots(approach.trajectory), "approach.csv": b"", "approach.ros.json": b""}
+    for end in ("csv", "npz", "ros.json"):
+        (folder / f"job.{end}").unlink()
+
+    def change(data: dict[str, Any]) -> None:
+        data["format"] = "cmbot-plan/1"
+        block = data.pop("segments")[0]
+        data["approach"] = {key: block[key] for key in block if key not in ("name", "kind", "begin")}
+        for key in ("baseline", "planned"):
+            del data[key]["job"]
+        data["files"] = {name: each for name, each in data["files"].items() if not name.startswith("job.")}
+
+    edit(folder, change)
+    for name, content in files.items():
+        rewrite(folder, name, content)
+    return folder
+
+
 def names(folder: Path) -> set[str]:
     return {path.name for path in folder.iterdir()}
 
@@ -93,6 +125,10 @@ def npz(**arrays: Any) -> bytes:
     file = io.BytesIO()
     np.savez(file, **arrays)
     return file.getvalue()
+
+
+def knots(trajectory: QuinticTrajectory) -> bytes:
+    return npz(**{name: getattr(trajectory, name) for name in "tqva"})
 
 
 def refused(folder: Path, file: str, key: str, load: Callable[[Path], object] = load_plan) -> ArchiveError:

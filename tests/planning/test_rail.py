@@ -13,8 +13,8 @@ from small_scenes import off_task, problem_of
 import cmbot
 from cmbot.common.errors import SceneError
 from cmbot.planning import Plan, remarks, robot_of, task_of
-from cmbot.planning.approach import plan_approach
 from cmbot.planning.context import PlanningContext, build_context
+from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import rrt_connect

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from plan_folders import changed
 
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import counted
@@ -32,7 +33,7 @@ def test_passes_are_counted(short_plan: Plan, number: int, passes: str) -> None:
 def test_checks_are_counted(short_plan: Plan) -> None:
     assert line(short_plan, "Certified: ").startswith("Certified: 14 checks hold, computed again ")
     certificate = replace(short_plan.certificate, checks=short_plan.certificate.checks[:1])
-    one = replace(short_plan, certificate=certificate)
+    one = changed(short_plan, "work", certificate=certificate)
     assert line(one, "Certified: ").startswith("Certified: 1 check holds, computed again ")
 
 
@@ -106,8 +107,9 @@ def test_an_approach_that_asks_more_than_all_that_follows_says_so(triangle_plan:
     assert "The approach asks more" not in " ".join(remarks(triangle_plan))
     approach = triangle_plan.approach
     figures = replace(approach.certificate.figures, peak_guardrail_torque=600.0)
-    hard = replace(approach, certificate=replace(approach.certificate, figures=figures))
-    said = line(replace(triangle_plan, approach=hard), "The approach asks more of the guardrail")
+    hard = replace(approach.certificate, figures=figures)
+    asking = changed(triangle_plan, "approach", certificate=hard)
+    said = line(asking, "The approach asks more of the guardrail")
     assert "start: pinned" in said
 
 

@@ -18,7 +18,7 @@ from cmbot.cli.inspection import examine
 from cmbot.common.errors import LimitViolation, MissingExtra, OptimisationFailed, PathNotFound
 from cmbot.optimization import exchange
 from cmbot.planning import Plan, plan, planner, remarks
-from cmbot.planning.approach import reachable
+from cmbot.planning.free_motion.approach import reachable
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.precheck import solver_of
 from cmbot.planning.progress import ProgressReporter

@@ -11,6 +11,7 @@ import pytest
 from browser import ask, chromium, next_frame, open_page, require_quiet, slide
 from page_data import hostile, without_shapes
 from PIL import Image
+from plan_folders import without_approach
 from selenium.webdriver import Chrome
 
 from cmbot.collision import Clearances
@@ -137,7 +138,7 @@ def test_the_plot_shades_the_approach_and_draws_the_floor(
     bare, plots = without_shapes(triangle_plan), []
     for floor in (triangle_plan.objective.floor, None):
         path = tmp_path / f"{len(plots)}.html"
-        replay(replace(bare, approach=None, objective=replace(bare.objective, floor=floor)), path)
+        replay(replace(without_approach(bare), objective=replace(bare.objective, floor=floor)), path)
         open_page(chrome, path)
         assert ask(chrome, "[cmbotReplay.start, cmbotReplay.time]") == [0, 0]
         plots.append(plotted(chrome))

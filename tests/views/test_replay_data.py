@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from page_data import floats
+from plan_folders import changed
 
 from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
@@ -76,11 +77,10 @@ def test_the_approach_leads_to_the_work_as_certified(data: dict[str, Any], trian
 
 
 def test_the_approachs_label_is_its_kind_and_a_slow_one_has_no_more_frames(triangle_plan: Plan) -> None:
-    approach, trajectory = triangle_plan.approach, triangle_plan.approach.trajectory
+    trajectory = triangle_plan.approach.trajectory
     slow = dataclasses.replace(trajectory, t=4 * trajectory.t, v=trajectory.v / 4, a=trajectory.a / 16)
     for along, label in ((True, "approach along the self-motion"), (False, "approach, tool off")):
-        slowed = dataclasses.replace(approach, trajectory=slow, along_self_motion=along)
-        data = replay_data(dataclasses.replace(triangle_plan, approach=slowed))
+        data = replay_data(changed(triangle_plan, "approach", trajectory=slow, along_self_motion=along))
         assert data["approach"]["label"] == label
         frames = [len(floats(part["planned"]["clearance"])) for part in (data["approach"], data)]
         assert 0.95 * MOST_POSES < 7 * sum(frames) <= MOST_POSES + 4 * 7

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from page_data import data_of, floats
+from plan_folders import changed
 
 import cmbot
 from cmbot.common.errors import InputError
@@ -68,9 +69,9 @@ def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
     alone = short_plan.robot.collision_model.copy()
     alone.removeAllCollisionPairs()
     limits = replace(limits, lower=lower, upper=upper)
+    free = replace(certificate, checks=checks, figures=figures, clearance_bound=np.inf)
     plan = replace(
-        short_plan,
-        certificate=replace(certificate, checks=checks, figures=figures, clearance_bound=np.inf),
+        changed(short_plan, "work", certificate=free),
         scene=replace(short_plan.scene, obstacles=()),
         robot=replace(short_plan.robot, limits=limits, collision_model=alone),
         baseline=replace(short_plan.baseline, clearance=np.full_like(short_plan.baseline.clearance, np.inf)),
@@ -141,7 +142,7 @@ def broken(certificate: Certificate) -> Certificate:
 
 
 def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan) -> None:
-    plan = replace(triangle_plan, certificate=broken(triangle_plan.certificate))
+    plan = changed(triangle_plan, "work", certificate=broken(triangle_plan.certificate))
     _, _, certified, clearance, *_ = headlines(plan, None)
     checks = plan.certificate.checks
     assert (certified.value, certified.state) == (f"{len(checks) - 1} of {len(checks)} hold", "bad")
@@ -149,7 +150,7 @@ def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan
     assert clearance.state == "bad"
     assert ">NO</td>" in report_page(plan)
     approach = triangle_plan.approach
-    plan = replace(triangle_plan, approach=replace(approach, certificate=broken(approach.certificate)))
+    plan = changed(triangle_plan, "approach", certificate=broken(approach.certificate))
     certified, number = list(headlines(plan, None))[2], len(approach.certificate.checks)
     assert certified.state == "bad"
     assert certified.detail.endswith(f"approach: {number - 1} of {number}")

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import copy
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
-from forgeries import FORGERIES, PLACE, Forgery, certified, forge
-from plan_folders import edit, npz, rewrite
+from forgeries import FORGERIES, PLACE, Forgery, certified, changed_scene, forge, put_job
+from plan_folders import edit, rewrite, without_approach
 from small_scenes import SHORT, short_scene
 
 from cmbot.archive import load_plan
-from cmbot.archive.folder import APPROACH_FILES
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, LimitViolation
-from cmbot.planning import Plan, QuinticTrajectory, certify_approach, plan
+from cmbot.planning import Plan, QuinticTrajectory, certify_move, plan
+from cmbot.robot import Robot
 from cmbot.scene import Box, Obstacle, SpeedProfile, load_scene, pose
 from cmbot.trajectory import SplineSpace
 
@@ -117,6 +118,13 @@ def straight(start: Any, end: Any, seconds: float) -> QuinticTrajectory:
     return space.trajectory(space.least_jerk(start + share * (end - start)))
 
 
+def elbow(robot: Robot, x: QuinticTrajectory) -> Any:
+    """Where the fourth joint is half-way."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, x.evaluate([0.5 * x.t[-1]])[0])
+    return data.oMi[4].translation.copy()
+
+
 def test_an_approach_that_is_not_free(triangle_plan: Plan, triangle_folder: Path) -> None:
     """Through a post that stands where the arm's elbow passes on the way, or to other ends."""
     approach = triangle_plan.approach
@@ -124,10 +132,7 @@ def test_an_approach_that_is_not_free(triangle_plan: Plan, triangle_folder: Path
     x, scene, held = approach.trajectory, triangle_plan.scene, approach.task
     robot, options = triangle_plan.robot, triangle_plan.options
     ends = (scene.posture, triangle_plan.trajectory.q[0])
-    middle = x.evaluate([0.5 * x.t[-1]])[0]
-    data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, middle)
-    post = Obstacle(name="post", shape=Box(size=(0.01, 0.01, 0.01)), X_WO=pose(data.oMi[4].translation))
+    post = Obstacle(name="post", shape=Box(size=(0.01, 0.01, 0.01)), X_WO=pose(elbow(robot, x)))
     for obstacles, way, caught_by in (
         (scene.obstacles, x, None),
         ((*scene.obstacles, post), x, "clearance"),
@@ -136,12 +141,51 @@ def test_an_approach_that_is_not_free(triangle_plan: Plan, triangle_folder: Path
         (scene.obstacles, straight(ends[0] + 0.01, ends[1], 100.0), "distance of the start"),
     ):
         clearances = Clearances(robot, obstacles)
-        got = certify_approach(robot, held, way, clearances, options, *ends)
+        got = certify_move(robot, held, way, clearances, options, *ends)
         failed = [check.quantity for check in got.checks if not check.holds]
         assert [caught_by] == [next(iter(failed), None) and caught_by], failed
         assert not failed or failed[0].startswith(str(caught_by))
-    rewrite(triangle_folder, "approach.npz", npz(**vars(straight(ends[0] + 0.01, ends[1], 100.0))))
-    with pytest.raises(ArchiveError):
+
+
+def from_elsewhere(x: QuinticTrajectory) -> QuinticTrajectory:
+    q = x.q.copy()
+    q[0] += 0.01
+    return replace(x, q=q)
+
+
+def leaping(x: QuinticTrajectory) -> QuinticTrajectory:
+    """Not at rest where the work begins."""
+    v = x.v.copy()
+    v[-1] += 0.01
+    return replace(x, v=v)
+
+
+@pytest.mark.parametrize(
+    ("forged", "words"),
+    [
+        (from_elsewhere, "the scene's posture at first"),
+        (leaping, "other knots of the work"),
+        (lambda x: replace(x, q=x.q * np.linspace(1, 1.01, len(x.q))[:, None]), "other knots"),
+    ],
+)
+def test_a_forged_approach_in_a_plan_directory(
+    triangle_plan: Plan, triangle_folder: Path, forged: Any, words: str
+) -> None:
+    """From another posture, with a jump of the velocity or of the posture where the work begins."""
+    approach = triangle_plan.approach
+    assert approach is not None
+    put_job(triangle_folder, triangle_plan.job.changed("approach", trajectory=forged(approach.trajectory)))
+    with pytest.raises(ArchiveError, match=words):
+        load_plan(triangle_folder, verify=True)
+
+
+def test_a_scene_with_a_post_in_the_approachs_way(triangle_plan: Plan, triangle_folder: Path) -> None:
+    assert triangle_plan.approach is not None
+    place = elbow(triangle_plan.robot, triangle_plan.approach.trajectory)
+    post = {"name": "post", "box": [0.01, 0.01, 0.01], "xyz": place.tolist()}
+    add = partial(changed_scene, change=lambda data: data["obstacles"].append(post), folder=triangle_folder)
+    edit(triangle_folder, add)
+    with pytest.raises(LimitViolation, match=r"clearance of \S+ from post"):
         load_plan(triangle_folder, verify=True)
 
 
@@ -149,10 +193,16 @@ def test_a_start_that_nothing_leads_to(triangle_plan: Plan, triangle_folder: Pat
     """A directory that claims that the work starts in the scene's posture, and has no approach."""
 
     def claim(data: dict[str, Any]) -> None:
-        data["start"]["moved_deg"], data["approach"] = 0.0, None
-        for name in APPROACH_FILES:
-            del data["files"][name]
+        data["start"]["moved_deg"] = 0.0
+        (work,) = data["segments"] = data["segments"][1:]
+        work["begin"] = 0.0
+        data["planned"]["job"] = {key: value for key, value in data["planned"].items() if key != "job"}
 
     edit(triangle_folder, claim)
+    put_job(triangle_folder, without_approach(triangle_plan).job)
+    for name in ("job.csv", "job.ros.json"):
+        rewrite(triangle_folder, name, b"")
+    for name in ("job.csv", "job.ros.json"):
+        rewrite(triangle_folder, name, b"")
     with pytest.raises(LimitViolation, match="distance of the start"):
         load_plan(triangle_folder, verify=True)

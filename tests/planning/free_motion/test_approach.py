@@ -9,8 +9,8 @@ from small_scenes import context_of, parts, short_scene
 
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Plan, certify_approach, plan
-from cmbot.planning.approach import plan_approach
+from cmbot.planning import Plan, certify_move, plan
+from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.path.gradient_projection import self_motion_postures
@@ -148,7 +148,7 @@ def test_a_certificate_made_again_is_the_same(triangle_plan: Plan) -> None:
     clearances = Clearances(triangle_plan.robot, triangle_plan.scene.obstacles)
     robot, options = triangle_plan.robot, triangle_plan.options
     start, end = triangle_plan.scene.posture, triangle_plan.start.posture
-    again = certify_approach(robot, task, approach.trajectory, clearances, options, start, end)
+    again = certify_move(robot, task, approach.trajectory, clearances, options, start, end)
     assert again == approach.certificate
     points = task.path.position(np.linspace(0.0, task.path.duration, 5))
     np.testing.assert_array_equal(points, np.tile(triangle_plan.task.path.corners[0], (5, 1)))

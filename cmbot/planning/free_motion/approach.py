@@ -1,0 +1,86 @@
+"""The approach: the free move from the scene's posture to the start of the work."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.free_motion.free_move import FreeMove, free_space, plan_move
+from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.planning.free_motion.graph import graph_of, path_between_ends
+from cmbot.planning.job import APPROACH, Segment
+
+__all__ = ["plan_approach", "reachable"]
+
+# Postures of a chart are neighbours within this many spacings.
+_NEIGHBOURS = 1.6
+
+
+def plan_approach(
+    context: PlanningContext, end: FloatArray, chart: FloatArray, *, allowed: float = 0.0
+) -> Segment:
+    """Plan the free move from the scene's posture to another one, `end` (n,), with the same tool pose.
+
+    Along the self-motion, whose postures are `chart` (M, n), where that connects them free of collisions;
+    else as `plan_move` does.
+
+    Parameters
+    ----------
+    context : PlanningContext
+    end : (n,), rad
+    chart : (M, n), rad
+    allowed : float
+        Value of the objective that the work reaches anyway.
+
+    Raises
+    ------
+    PathNotFound
+        When nothing leads there.
+    """
+    move = FreeMove(
+        name=APPROACH,
+        start=context.posture,
+        end=end,
+        start_name="the scene's posture",
+        end_name="the start of the work",
+        remedy="take start: pinned, or a start posture from which one leads there",
+        allowed=allowed,
+    )
+    ends = np.stack([move.start, move.end])
+    return plan_move(
+        context, move, partial(_along_chart, ends=ends, chart=chart, spacing=context.options.chart_spacing)
+    )
+
+
+def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:
+    """Which postures of the start's chart (M, n) self-motion leads to from the scene's posture."""
+    space = free_space(context.tool_off)
+    space = space.around(context.posture[None]) or space
+    graph = _neighbours(space, context.posture[None], chart, context.options.chart_spacing)[1]
+    _, component = connected_components(graph, directed=False)
+    return np.asarray(component[1:] == component[0])
+
+
+def _along_chart(space: FreeSpace, ends: FloatArray, chart: FloatArray, spacing: float) -> FloatArray | None:
+    """Shortest path (k, n) between neighbouring postures of a chart; None where none connects the ends."""
+    nodes, graph = _neighbours(space, ends, chart, spacing)
+    path = path_between_ends(graph)
+    return None if path is None else nodes[path]
+
+
+def _neighbours(
+    space: FreeSpace, ends: FloatArray, chart: FloatArray, spacing: float
+) -> tuple[FloatArray, sparse.csr_array]:
+    """Postures, those of `ends` (k, n) first, and the graph of distances between free neighbours."""
+    nodes, metric = np.vstack([ends, chart]), space.robot.metric
+    pairs = cKDTree(metric.coordinates(nodes)).query_pairs(_NEIGHBOURS * spacing, output_type="ndarray")
+    free = space.holds(nodes)
+    pairs = pairs[free[pairs].all(axis=1)]
+    lengths = metric.lengths(nodes[pairs[:, 0]] - nodes[pairs[:, 1]])
+    return nodes, graph_of(len(nodes), pairs, lengths)

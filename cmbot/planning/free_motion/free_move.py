@@ -1,0 +1,271 @@
+"""Free moves: certified motions from one posture to another with the tool off."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import LimitViolation, PathNotFound
+from cmbot.optimization import StateSamples
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.free_motion.free_space import FreeSpace
+from cmbot.planning.free_motion.roadmap import lower_peak
+from cmbot.planning.free_motion.rrt_connect import rrt_connect
+from cmbot.planning.job import Segment
+from cmbot.planning.objectives import efforts_of
+from cmbot.planning.task import ToolTask
+from cmbot.planning.verification.certificate import Certificate, certify
+from cmbot.robot import Dynamics, Robot
+from cmbot.scene import PlannerOptions, SpeedProfile
+from cmbot.trajectory import QuinticTrajectory, SplineSpace
+
+__all__ = ["FreeMove", "certify_move", "free_space", "largest_objective", "plan_move"]
+
+# Distance of the spline's knots along the path, rad; halved while the spline's certificate does not hold.
+_KNOT_SPACING, _HALVINGS = 0.4, 4
+# Share of the time left that the search for a free move may take, as without an approach there are other
+# starts, and share of the time limit that it has in any case: no plan is complete without its free moves.
+_TIME_SHARE, _MORE_TIME = 0.4, 0.2
+# Share of the limits that a free move may use.
+_LIMIT_SHARE = 0.95
+# Postures of the straight line that are looked at where nothing leads to the other end.
+_ON_THE_LINE = 50
+# Values of the objective that differ by less are the same, relative.
+_SAME = 1e-3
+# Factors on the shortest duration, while the moving arm asks more than it may, and samples a segment to see.
+_SLOWER, _SAMPLES = (1.0, 1.25, 1.6, 2.0, 2.5, 3.2, 4.0), 8
+# An objective below this is nothing.
+_NO_TORQUE = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class FreeMove:
+    """A free move to be planned.
+
+    Attributes
+    ----------
+    name : str
+        Of the segment, as in ``approach``.
+    start, end : (n,), rad, of joints that slide m
+    start_name, end_name : str
+        What messages call the two postures.
+    remedy : str
+        What to do where nothing leads from one to the other.
+    begin : float, s
+        When it begins on the job's clock.
+    allowed : float
+        Value of the objective that the rest of the job reaches anyway.
+    """
+
+    name: str
+    start: FloatArray
+    end: FloatArray
+    start_name: str
+    end_name: str
+    remedy: str
+    begin: float = 0.0
+    allowed: float = 0.0
+
+
+def plan_move(
+    context: PlanningContext,
+    move: FreeMove,
+    first: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
+) -> Segment:
+    """Plan a free move: straight in joint space where that is free, else on any free path.
+
+    Where the objective at rest would exceed both its value at the ends and what is allowed, a path is sought
+    on which its largest value is least.
+
+    Parameters
+    ----------
+    context : PlanningContext
+    move : FreeMove
+    first : callable
+        From the free space to a path (k, n) between the ends that is tried before the straight one, or None.
+
+    Raises
+    ------
+    PathNotFound
+        When nothing leads there.
+    """
+    context = context.tool_off
+    space = _space_around(context, move)
+    ends = np.stack([move.start, move.end])
+    allowed = (1 + _SAME) * max(move.allowed, *space.cost(ends))
+    given = first(space)
+    stop = context.reporter.part_expired(_TIME_SHARE, _MORE_TIME)
+    path = _path(space, ends, given, allowed, stop)
+    if path is None:
+        raise _unconnected(context, space, move)
+    held = context.task.held_at_start()
+    for halving in range(_HALVINGS):
+        trajectory = _timed(context, path, _KNOT_SPACING / 2**halving, allowed, move.begin)
+        certificate = certify_move(
+            context.robot, held, trajectory, context.clearances, context.options, move.start, move.end
+        )
+        if certificate.holds:
+            break
+    try:
+        certificate.require()
+    except LimitViolation as violation:
+        reason = f"no {move.name} to {move.end_name} is certified: {violation}"
+        raise context.path_not_found(reason, move.start) from violation
+    return Segment(
+        name=move.name,
+        kind="free",
+        begin=move.begin,
+        trajectory=trajectory,
+        certificate=certificate,
+        task=held,
+        along_self_motion=given is not None and path is given,
+    )
+
+
+def certify_move(
+    robot: Robot,
+    task: ToolTask,
+    trajectory: QuinticTrajectory,
+    clearances: Clearances,
+    options: PlannerOptions,
+    start: FloatArray,
+    end: FloatArray,
+) -> Certificate:
+    """Certify a free move: the tool is off, so no force acts on it, and its place is measured, not bounded.
+
+    Parameters
+    ----------
+    robot : Robot
+    task : ToolTask
+        The tool held where the work starts, from `ToolTask.held_at_start`.
+    trajectory : QuinticTrajectory
+    clearances : Clearances
+    options : PlannerOptions
+    start, end : (n,), rad, of joints that slide m
+        The postures in which it has to start and to end.
+
+    Returns
+    -------
+    Certificate
+        It may not hold, as with `certify`.
+    """
+    off = robot.tool_off
+    return certify(off, task, trajectory, clearances, options, via_points=None, start=start, end=end)
+
+
+def free_space(context: PlanningContext) -> FreeSpace:
+    """Return the postures in which the arm can rest, with the objective there as their cost."""
+    limit = context.robot.limits.torque
+
+    def cost(q: FloatArray) -> FloatArray:
+        at = context.postures.at(q)
+        holds = (np.abs(at.joint_torque) <= limit).all(axis=1)
+        return np.where(holds, context.objective.at_rest(at), np.inf)
+
+    return FreeSpace(context.robot, context.clearances, context.options.safety_margin_m, cost)
+
+
+def largest_objective(context: PlanningContext, trajectory: QuinticTrajectory) -> float:
+    """Return the largest value of the objective on a trajectory, at samples."""
+    return float(context.objective.values(StateSamples.even(trajectory, _SAMPLES)).max())
+
+
+def _space_around(context: PlanningContext, move: FreeMove) -> FreeSpace:
+    """The free space with the ends of a move in it."""
+    clearances, options = context.clearances, context.options
+    whole = free_space(context)
+    for place, q in ((move.start_name, move.start), (move.end_name, move.end)):
+        if whole.around(q[None]) is None:
+            nearest = clearances.smallest(q[None])
+            why, pair = f"{context.out_of_range(q[None])} is out of its range", None
+            if nearest.distance[0] < options.safety_margin_m:
+                shapes = clearances.pairs[nearest.pair[0]]
+                pair = (shapes.link, shapes.other)
+                why = f"{shapes.link} and {shapes.other} come within the safety margin"
+            reason = f"no collision-free {move.name}: in {place} {why}; {move.remedy}"
+            raise context.path_not_found(reason, move.start, pair=pair)
+    return whole.around(np.stack([move.start, move.end])) or whole
+
+
+def _unconnected(context: PlanningContext, space: FreeSpace, move: FreeMove) -> PathNotFound:
+    """The error of a move that was not found: what is in the way on the straight line."""
+    line = move.start + np.linspace(0.0, 1.0, _ON_THE_LINE)[:, None] * (move.end - move.start)
+    blocked = line[~space.holds(line)]
+    heavy = blocked[np.isinf(space.cost(blocked))]
+    way, pair = "", None
+    if 2 * len(heavy) > len(blocked):
+        way = f" (straight there {context.weakest_joint(heavy)} cannot hold the arm)"
+    elif len(blocked) and (pair := context.most_often_near(blocked)):
+        way = f" (straight there {pair[0]} and {pair[1]} come too near)"
+    over = ", the time was over" if context.reporter.expired() else ""
+    reason = f"no collision-free {move.name} to {move.end_name} was found{way}{over}; {move.remedy}"
+    return context.path_not_found(reason, move.start, pair=pair)
+
+
+def _path(
+    space: FreeSpace,
+    ends: FloatArray,
+    given: FloatArray | None,
+    allowed: float,
+    stop: Callable[[], bool],
+) -> FloatArray | None:
+    """A free path (k, n): the first whose peak is allowed, else one whose peak is as low as was found."""
+    found = [] if given is None else [given]
+    if space.straight(ends[0], ends[1]):
+        found.append(ends)
+    if not found and (path := rrt_connect(space, ends[0], ends[1], stop)) is not None:
+        found.append(space.shorten(path))
+    for path in found:
+        if space.peak(path) <= allowed:
+            return path
+    if not found:
+        return None
+    path = lower_peak(space, min(found, key=space.peak), allowed, stop)
+    return space.below(max(allowed, space.peak(path))).shorten(path)
+
+
+def _timed(
+    context: PlanningContext, path: FloatArray, spacing: float, allowed: float, begin: float
+) -> QuinticTrajectory:
+    """Put a C3 spline from rest to rest through a broken line, as fast as limits and objective allow."""
+    lengths = context.robot.metric.lengths(np.diff(path, axis=0))
+    along = np.concatenate([[0.0], np.cumsum(lengths)])
+    knots = max(int(np.ceil(along[-1] / spacing)) + 1, 8)
+    u = np.linspace(0.0, 1.0, knots)
+    share = SpeedProfile(kind="jerk_limited", ramp=0.5).share(u)
+    q = np.stack([np.interp(share * along[-1], along, joint) for joint in path.T], axis=1)
+    space = SplineSpace(u)
+    trial = space.trajectory(space.least_jerk(q))
+    limits = context.robot.limits
+    # Slowing down by T divides derivative k by T^k.
+    seconds = max(
+        float((trial.extrema(order).largest()[0] / (_LIMIT_SHARE * bound)).max()) ** (1.0 / order)
+        for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1)
+    )
+    at_rest = _asked(context, StateSamples.at_rest(u, trial.q), allowed)
+    for slower in _SLOWER:
+        timed = _slowed(trial, slower * seconds, begin)
+        if _asked(context, StateSamples.even(timed, _SAMPLES), allowed) <= (1 + _SAME) * max(at_rest, 1.0):
+            break
+    return timed
+
+
+def _slowed(trial: QuinticTrajectory, seconds: float, begin: float) -> QuinticTrajectory:
+    """The same motion in so many seconds, at times that the job's clock holds exactly."""
+    if begin == 0.0:
+        t = trial.t * seconds
+        return QuinticTrajectory(t=t, q=trial.q, v=trial.v / seconds, a=trial.a / seconds**2)
+    # Rounded times are other times: a spline through these has no jumps.
+    space = SplineSpace((begin + trial.t * seconds) - begin)
+    return space.trajectory(space.least_jerk(trial.q))
+
+
+def _asked(context: PlanningContext, states: StateSamples, allowed: float) -> float:
+    """The largest share of what is allowed that states ask of the objective and of the joints."""
+    torque = efforts_of(Dynamics(context.robot), states).joint_torque
+    use = float((np.abs(torque) / (_LIMIT_SHARE * context.robot.limits.torque)).max())
+    return max(use, float(context.objective.values(states).max()) / max(allowed, _NO_TORQUE))

@@ -1,0 +1,188 @@
+"""The job: strokes and free moves in order, on one clock, from the start posture to where the arm ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, fields, replace
+from functools import cached_property
+from typing import Any, Literal
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.planning.task import ToolTask
+from cmbot.planning.verification.certificate import Certificate, Check
+from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
+from cmbot.trajectory import QuinticTrajectory
+
+__all__ = ["APPROACH", "WORK", "Job", "Segment", "SegmentMetrics", "job_metrics", "join_trajectories"]
+
+APPROACH, WORK = "approach", "work"
+"""Names of the free move to the first stroke, and of the stroke of a tool path without named ones."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Segment:
+    """A part of a job: a stroke with the tool on, or a free move with the tool off.
+
+    Attributes
+    ----------
+    name : str
+        ``approach``, ``work``, ``return``.
+    kind : str
+        ``stroke`` or ``free``.
+    begin : float, s
+        When it begins on the job's clock.
+    trajectory : QuinticTrajectory
+        From rest to rest, its own clock begins at 0.
+    certificate : Certificate
+        Of a free move the tool deviation is the distance of the tool point from where the work starts; it is
+        not bounded.
+    task : ToolTask
+        Of a stroke its tool path; of a free move the tool held where the work starts.
+    along_self_motion : bool
+        The path of a free move leads along the self-motion, so that the tool stays about where it is.
+    """
+
+    name: str
+    kind: Literal["stroke", "free"]
+    begin: float
+    trajectory: QuinticTrajectory
+    certificate: Certificate
+    task: ToolTask
+    along_self_motion: bool = False
+
+    @property
+    def duration(self) -> float:
+        """Its duration, s."""
+        return self.trajectory.duration
+
+    @property
+    def end(self) -> float:
+        """When it ends on the job's clock, s."""
+        return self.begin + self.duration
+
+    @property
+    def figures(self) -> MotionMetrics:
+        """Its figures, as certified."""
+        return self.certificate.figures
+
+    @property
+    def metrics(self) -> SegmentMetrics:
+        """Its figures with what they are weighted by."""
+        return SegmentMetrics(figures=self.figures, seconds=self.duration, kind=self.kind)
+
+
+@dataclass(frozen=True, kw_only=True)
+class SegmentMetrics:
+    """The figures of a segment, its duration, s, and whether it is a ``stroke`` or ``free``."""
+
+    figures: MotionMetrics
+    seconds: float
+    kind: Literal["stroke", "free"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """A certified motion: segments one after the other, continuous postures and rest at the joins.
+
+    Attributes
+    ----------
+    segments : tuple of Segment
+        In the order of time; the first begins at 0.
+    """
+
+    segments: tuple[Segment, ...]
+
+    @property
+    def duration(self) -> float:
+        """Time of the whole job, s."""
+        return self.segments[-1].end
+
+    @property
+    def strokes(self) -> tuple[Segment, ...]:
+        """The segments with the tool on."""
+        return tuple(segment for segment in self.segments if segment.kind == "stroke")
+
+    def segment(self, name: str) -> Segment | None:
+        """Return the segment of that name; None where there is none."""
+        return next((segment for segment in self.segments if segment.name == name), None)
+
+    def changed(self, name: str, **changes: Any) -> Job:
+        """Return the job with other fields of the segment of that name."""
+        return replace(
+            self,
+            segments=tuple(
+                replace(segment, **changes) if segment.name == name else segment for segment in self.segments
+            ),
+        )
+
+    @cached_property
+    def figures(self) -> MotionMetrics:
+        """The figures of all segments together; the tool's are those of the strokes."""
+        return job_metrics(segment.metrics for segment in self.segments)
+
+    @cached_property
+    def trajectory(self) -> QuinticTrajectory:
+        """The whole motion on the job's clock."""
+        return join_trajectories(self.segments)
+
+    @cached_property
+    def certificate(self) -> Certificate:
+        """All promises of all segments as one statement, times on the job's clock."""
+        each = [segment.certificate for segment in self.segments]
+        return Certificate(
+            checks=tuple(check for _, check in self.checks()),
+            figures=self.figures,
+            clearance_bound=min(certificate.clearance_bound for certificate in each),
+            guardrail_torque_bound=max(certificate.guardrail_torque_bound for certificate in each),
+        )
+
+    def checks(self) -> Iterator[tuple[Segment, Check]]:
+        """Yield every promise with the segment that makes it, its time on the job's clock."""
+        for segment in self.segments:
+            for check in segment.certificate.checks:
+                yield segment, replace(check, time=segment.begin + check.time)
+
+
+def job_metrics(segments: Iterable[SegmentMetrics]) -> MotionMetrics:
+    """Return the figures of segments one after the other.
+
+    Parameters
+    ----------
+    segments : iterable of SegmentMetrics
+        One or more strokes among them: where the tool is off, its place is no figure.
+    """
+    segments = list(segments)
+    each = [segment.figures for segment in segments]
+    strokes = [segment.figures for segment in segments if segment.kind == "stroke"]
+    seconds = np.array([segment.seconds for segment in segments])
+    mean = np.average([figures.mean_guardrail_torque for figures in each], weights=seconds)
+    use = {
+        field.name: max(getattr(figures.limit_use, field.name) for figures in each)
+        for field in fields(LimitUse)
+    }
+    return MotionMetrics(
+        peak_guardrail_torque=max(figures.peak_guardrail_torque for figures in each),
+        mean_guardrail_torque=float(mean),
+        peak_static_guardrail_torque=max(figures.peak_static_guardrail_torque for figures in each),
+        min_clearance=min(figures.min_clearance for figures in each),
+        max_tool_deviation=max(figures.max_tool_deviation for figures in strokes),
+        max_tool_rotation=max(figures.max_tool_rotation for figures in strokes),
+        max_tool_lag=max(figures.max_tool_lag for figures in strokes),
+        limit_use=LimitUse(**use),
+    )
+
+
+def join_trajectories(segments: Iterable[Segment]) -> QuinticTrajectory:
+    """Return the motion of segments that follow on each other, on the job's clock; they share the joins."""
+    segments = list(segments)
+    # The knot at a join is the last one of the segment before it.
+    kept = [slice(0, None), *(slice(1, None) for _ in segments[1:])]
+    times = [segment.begin + segment.trajectory.t for segment in segments]
+
+    def joined(arrays: Iterable[FloatArray]) -> FloatArray:
+        return np.concatenate([array[part] for array, part in zip(arrays, kept, strict=True)])
+
+    q, v, a = (joined(getattr(segment.trajectory, name) for segment in segments) for name in ("q", "v", "a"))
+    return QuinticTrajectory(t=joined(times), q=q, v=v, a=a)
