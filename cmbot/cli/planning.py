@@ -110,7 +110,7 @@ def plan(
     with claim(directory):
         require_free(directory, force=force)
         require_plots(figures)
-        for finding in () if quiet else precheck_options(options):
+        for finding in () if quiet else precheck_options(options, loaded.tool):
             err.print(flat(f"warning: {finding.key}: got {finding.got}, expected {finding.expected}"))
         with ConsoleProgress(quiet=quiet) as console_progress:
             planned = cmbot.plan(loaded, options=options, progress=console_progress.update)

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PathNotFound, PlanningError, SceneError
 from cmbot.common.installation import install_command
 from cmbot.common.validation import counted
@@ -19,7 +20,7 @@ from cmbot.optimization import piqp_module
 from cmbot.planning.context import PlanningContext, robot_of, task_of
 from cmbot.planning.task import task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
-from cmbot.scene import PlannerOptions, Scene, ToolPath
+from cmbot.scene import PlannerOptions, Scene, Tool, ToolPath
 from cmbot.trajectory import SUPPORT
 
 __all__ = [
@@ -93,6 +94,11 @@ def precheck_scene(scene: Scene) -> Precheck:
         ("obstacles", f"{len(scene.obstacles)}, of them {workpieces}"),
         ("tool point at the start", f"({point}) m"),
     ]
+    if robot.pushed:
+        force = ", ".join(f"{x:g}" for x in robot.tool_force)
+        found.append(("process force on the tool", f"({force}) N along its axes"))
+    if scene.tool.max_speed_m_s is not None:
+        found.append(("tool speed", f"{_speeds(path).max():.4g} of at most {scene.tool.max_speed_m_s:g} m/s"))
     if robot.remarks:
         found.append(("assumed", " ".join(robot.remarks)))
     warnings: list[Finding] = []
@@ -106,7 +112,9 @@ def precheck_scene(scene: Scene) -> Precheck:
                 "a start that is clear: another posture, other obstacles or a lower planner.safety_margin_m"
             )
             warnings.append(_warning(scene.file.posture_key, pair.describe(distance, margin), clear))
-    efforts = Dynamics(robot).static_efforts(scene.posture[None])
+    # Where the work may start elsewhere, the arm waits in the scene's posture with its tool off.
+    stays = scene.planner.start == "pinned" or scene.planner.knots == "fixed"
+    efforts = Dynamics(robot if stays else robot.tool_off).static_efforts(scene.posture[None])
     use = np.abs(efforts.joint_torque[0]) / robot.limits.torque
     joint = robot.joints[use.argmax()]
     found += [
@@ -124,21 +132,24 @@ def precheck_scene(scene: Scene) -> Precheck:
     warnings += _too_fast(scene, path)
     if too_large := oversized(scene, robot.dof, scene.planner):
         warnings.append(too_large)
-    warnings += precheck_options(scene.planner)
+    warnings += precheck_options(scene.planner, scene.tool)
     if warnings and looks_like_radians(scene):
         got = "values that all lie within 2 pi, which look like radians"
         warnings.append(_warning(scene.file.posture_key, got, "degrees"))
     return Precheck(found=tuple(found), warnings=tuple(warnings))
 
 
-def precheck_options(options: PlannerOptions) -> Iterator[Finding]:
+def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Iterator[Finding]:
     """Yield reasons why planning with some options may fail.
 
     Parameters
     ----------
     options : PlannerOptions
+    tool : Tool, optional
+        The scene's: a process force may have a torque about z.
     """
-    if options.objective == "torque" and not any(options.axis_weights[:2]):
+    pushed = tool is not None and any(tool.process_force_n)
+    if options.objective == "torque" and not any(options.axis_weights[:2]) and not pushed:
         weights = ", ".join(f"{weight:g}" for weight in options.axis_weights)
         yield _warning(
             "planner.axis_weights",
@@ -208,14 +219,18 @@ def _too_fast(scene: Scene, path: ToolPath) -> Iterator[Finding]:
     most = scene.tool.max_speed_m_s
     if most is None:
         return
-    # The speed is largest in the middle of a leg.
-    speeds = path.lengths / path.seconds * float(path.profile.rate(np.array(0.5)))
+    speeds = _speeds(path)
     for k in np.flatnonzero(speeds > most * (1 + _ROUNDING)):
         yield _warning(
             f"tool_path.legs[{k}].seconds",
             f"{path.seconds[k]:g} s, in which the tool reaches {speeds[k]:.4g} m/s",
             f"at least {_rounded_up(path.seconds[k] * speeds[k] / most)} s, for tool.max_speed_m_s {most:g}",
         )
+
+
+def _speeds(path: ToolPath) -> FloatArray:
+    """Largest speeds (L,) on the legs, m/s: those in the middle of their time."""
+    return np.asarray(path.lengths / path.seconds * float(path.profile.rate(np.array(0.5))))
 
 
 def _rounded_up(seconds: float) -> str:

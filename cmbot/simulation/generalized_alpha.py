@@ -85,8 +85,10 @@ class GeneralizedAlpha:
         self._gamma = 0.5 + self._alpha_f - self._alpha_m
         self._beta = 0.25 * (self._gamma + 0.5) ** 2
         f, n = len(system.elastic), system.model.nv
-        none = system.external_forces is None
-        self._external = [pin.Force.Zero()] * system.model.njoints if none else system.external_forces
+        self._external = system.external_forces
+        if self._external is None:
+            self._external = pin.StdVec_Force()
+            self._external.extend([pin.Force.Zero()] * system.model.njoints)
         self._data = system.model.createData()
         # Rows act on accelerations, displacements and rates, stacked in this order in `_state`.
         self._linear = np.hstack([system.added_mass, system.stiffness, system.damping])

@@ -22,6 +22,8 @@ from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
 
 FORCE = (20.0, 0.0, -60.0)
 GRAVITY = 9.81
+# 0.3 m in 4 s, ramps of a fifth: the speed in between, m/s.
+SPEED = 0.09375
 
 
 def scene_with(tool: dict[str, Any], **changes: Any) -> Scene:
@@ -127,20 +129,25 @@ def test_the_bent_arm_is_pushed_in_the_simulation() -> None:
     assert moved(ElasticSystem.of(free, none)) > 1e-5
 
 
-def test_sag_under_a_force_is_compensated() -> None:
+@pytest.fixture(scope="module")
+def compensated_plan() -> Plan:
     soft = {"stiffness": np.diag([1e6, 1e6, 1e6, 2e4, 2e4, 2e4]).tolist()}
-    made = plan(scene_with({"process_force_n": list(FORCE)}, guardrail=soft, planner={"compensate": True}))
-    assert made.sag is not None
-    q = made.trajectory.evaluate(made.task.path.via_times(8))
-    p = Kinematics(made.robot).tool_poses(q)[0]
-    away = p + made.sag.at(q).tool - made.task.path.position(made.task.path.via_times(8))
+    tool = {"process_force_n": list(FORCE), "max_speed_m_s": SPEED}
+    return plan(scene_with(tool, guardrail=soft, planner={"compensate": True}))
+
+
+def test_sag_under_a_force_is_compensated(compensated_plan: Plan) -> None:
+    made, sag = compensated_plan, compensated_plan.sag
+    assert sag is not None
+    times = made.task.path.via_times(8)
+    q = made.trajectory.evaluate(times)
+    away = Kinematics(made.robot).tool_poses(q)[0] + sag.at(q).tool - made.task.path.position(times)
     assert np.linalg.norm(away, axis=1).max() < made.options.max_tool_deviation_m
-    unpushed = Sag(elastic_arm(made.robot.tool_off, made.sag.arm.base)).at(q).tool
-    assert np.linalg.norm(unpushed - made.sag.at(q).tool, axis=1).min() > 1e-4
+    unpushed = Sag(elastic_arm(made.robot.tool_off, sag.arm.base)).at(q).tool
+    assert np.linalg.norm(unpushed - sag.at(q).tool, axis=1).min() > 1e-4
 
 
 def test_a_tool_path_that_is_too_fast_is_refused_before_planning() -> None:
-    # 0.3 m in 4 s, ramps of a fifth: 0.09375 m/s in between.
     scene = scene_with({"max_speed_m_s": 0.09})
     wanted = (
         r"tool_path.legs\[0\].seconds: got 4 s, in which the tool reaches 0.09375 m/s, "
@@ -150,19 +157,48 @@ def test_a_tool_path_that_is_too_fast_is_refused_before_planning() -> None:
         plan(scene)
     (warning,) = precheck_scene(scene).warnings
     assert warning.key == "tool_path.legs[0].seconds"
-    assert not precheck_scene(scene_with({"max_speed_m_s": 0.09375})).warnings
+    assert not precheck_scene(scene_with({"max_speed_m_s": SPEED})).warnings
 
 
 def test_the_speed_of_the_tool_is_bounded_and_certified(short_plan: Plan) -> None:
     """The path just keeps the bound; between via-points the tool has five per cent."""
-    bound = 0.09375
-    made = plan(scene_with({"max_speed_m_s": bound}))
+    made = plan(scene_with({"max_speed_m_s": SPEED}))
     x = made.trajectory
     q, v, _ = x.states(np.linspace(0, x.duration, 20_001))
     J = Kinematics(made.robot).tool_point_jacobians(q)[1]
     speed = np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1).max()
     (check,) = (check for check in made.certificate.checks if check.quantity == "tool speed")
-    assert check.bound == pytest.approx(1.05 * bound)
+    assert check.bound == pytest.approx(1.05 * SPEED)
     assert speed <= check.value <= check.bound
     assert speed == pytest.approx(check.value, rel=1e-5)
     assert "tool speed" not in [check.quantity for check in short_plan.certificate.checks]
+
+
+def test_check_says_what_the_process_asks() -> None:
+    tool = {"process_force_n": list(FORCE), "max_speed_m_s": 0.1}
+    planner = {"axis_weights": [0, 0, 1]}
+    pinned = precheck_scene(scene_with(tool, planner=planner))
+    found = dict(pinned.found)
+    assert found["process force on the tool"] == "(20, 0, -60) N along its axes"
+    assert found["tool speed"] == "0.09375 of at most 0.1 m/s"
+    # Unlike gravity it has a torque about z.
+    assert not pinned.warnings
+    (warning,) = precheck_scene(short_scene(planner=planner)).warnings
+    assert warning.key == "planner.axis_weights"
+    # Where the work may start elsewhere, the arm waits with the tool off.
+    key = "torque on the guardrail there"
+    free = dict(precheck_scene(scene_with(tool, planner={"knots": "sliding"})).found)
+    assert free[key] == dict(precheck_scene(short_scene()).found)[key] == "486.41 Nm" != found[key]
+
+
+def test_the_speed_of_the_bent_tool_is_what_is_certified(compensated_plan: Plan) -> None:
+    x, sag = compensated_plan.trajectory, compensated_plan.sag
+    assert sag is not None
+    t, step = np.arange(0, x.duration - 0.01, 0.01), 1e-4
+    ends = [x.evaluate(t + shift) for shift in (0.0, step)]
+    points = [Kinematics(compensated_plan.robot).tool_poses(q)[0] + sag.at(q).tool for q in ends]
+    speed = np.linalg.norm(points[1] - points[0], axis=1).max() / step
+    (check,) = (
+        check for check in compensated_plan.certificate.checks if check.quantity == "expected tool speed"
+    )
+    assert speed == pytest.approx(check.value, rel=1e-3)

@@ -95,7 +95,10 @@ def full_scene() -> dict[str, Any]:
     """A scene that gives a value to nearly every key."""
     small = small_scene()
     return small | {
+        "format": "cmbot-scene/2",
         "name": "full",
+        "base": {"name": "rail"},
+        "tool": {"process_force_n": [0, 1, -2], "max_speed_m_s": 0.15},
         "robot": small["robot"]
         | {
             "srdf": "arm.srdf",
