@@ -77,9 +77,7 @@ class ToolTask:
 
     def held_at_start(self) -> ToolTask:
         """Return the task of holding the tool where this one starts."""
-        corners = np.repeat(self.path.corners[:1], 2, axis=0)
-        path = replace(self.path, corners=corners, seconds=np.ones(1))
-        return replace(self, path=path, max_speed=None)
+        return replace(self, path=self.path.held(), max_speed=None)
 
     @property
     def dimension(self) -> int:

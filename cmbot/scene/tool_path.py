@@ -1,9 +1,9 @@
-"""The tool path: straight legs from the initial tool pose, each timed by a speed profile."""
+"""The tool path: legs from the initial tool pose, each from rest to rest and timed by a speed profile."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from heapq import heapify, heapreplace
 from typing import Annotated, Literal
@@ -11,20 +11,20 @@ from typing import Annotated, Literal
 import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import AfterValidator, Field
+from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, refusal
+from cmbot.scene.curves import Curve
 from cmbot.scene.fields import Vector
 
 __all__ = ["Leg", "ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_out_segments"]
 
 _SHORTEST_LEG = 1e-6  # m
 _NO_LENGTH = 1e-300
-# Corners that agree to this many digits after the point, m, are one: the rest is rounding of the legs' sum.
-_DIGITS = 12
-# Points whose nearest legs are sought in one call.
-_BLOCK = 512
+# Halvings that find when a share is covered.
+_HALVINGS = 60
 
 
 def _long_enough(by: Vector) -> Vector:
@@ -66,6 +66,15 @@ class SpeedProfile(CheckedFields):
         """Derivative of `share`: speed in units of length over duration."""
         x = np.minimum(np.minimum(u, 1 - u) / self.ramp, 1.0)
         return self._ramp(x) / (1 - self.ramp)
+
+    def time_share(self, share: FloatArray) -> FloatArray:
+        """Share of the duration at which shares (N,) of the length are covered: the inverse of `share`."""
+        low, high = np.zeros(len(share)), np.ones(len(share))
+        for _ in range(_HALVINGS):
+            middle = 0.5 * (low + high)
+            early = self.share(middle) < share
+            low, high = np.where(early, middle, low), np.where(early, high, middle)
+        return 0.5 * (low + high)
 
     def _ramp(self, x: FloatArray) -> FloatArray:
         """Share of the cruising speed reached at share x of a ramp."""
@@ -130,23 +139,30 @@ class ToolPoses:
 
 @dataclass(frozen=True, kw_only=True)
 class ToolPath:
-    """Straight legs, each from rest to rest, with one speed profile.
+    """Legs, each from rest to rest, with one speed profile: straight lines, or the curves that are given.
 
     Attributes
     ----------
     corners : (L + 1, 3), m
         The tool point's start and the ends of the L legs, in W.
     orientation : (3, 3)
-        R_WT, kept all along.
+        R_WT at the start.
     seconds : (L,), s
         Durations of the legs.
     profile : SpeedProfile
+    rotations : (L, 3), rad, or None
+        Rotation vectors in W by which the tool turns along each leg, about a fixed axis and in proportion to
+        the share of the leg that is covered. None: it keeps its orientation.
+    curves : mapping of int to Curve
+        Those of the legs that are no straight lines.
     """
 
     corners: FloatArray
     orientation: FloatArray
     seconds: FloatArray
     profile: SpeedProfile
+    rotations: FloatArray | None = None
+    curves: Mapping[int, Curve] = field(default_factory=dict)
 
     @cached_property
     def leg_times(self) -> FloatArray:
@@ -161,43 +177,118 @@ class ToolPath:
     @cached_property
     def lengths(self) -> FloatArray:
         """Lengths (L,) of the legs, m."""
-        return np.asarray(np.linalg.norm(self._edges, axis=1))
+        lengths = np.linalg.norm(self._edges, axis=1)
+        for k, curve in self.curves.items():
+            lengths[k] = curve.length
+        return np.asarray(lengths)
 
     @cached_property
     def _edges(self) -> FloatArray:
         return np.diff(self.corners, axis=0)
 
+    @cached_property
+    def turns(self) -> bool:
+        """Whether the tool's orientation changes along the path."""
+        return bool(self._rotation_vectors.any()) or any(curve.turns for curve in self.curves.values())
+
+    @cached_property
+    def _rotation_vectors(self) -> FloatArray:
+        return np.zeros((len(self.seconds), 3)) if self.rotations is None else self.rotations
+
+    @cached_property
+    def _corner_rotations(self) -> FloatArray:
+        """R_WT (L + 1, 3, 3) at the corners."""
+        R = np.empty((len(self.corners), 3, 3))
+        R[:] = self.orientation
+        for k, turn in enumerate(Rotation.from_rotvec(self._rotation_vectors).as_matrix()):
+            R[k + 1] = turn @ R[k]
+        return R
+
     def position(self, times: ArrayLike) -> FloatArray:
         """Return the tool point p_WT (N, 3), m, at `times` (N,)."""
         leg, u = self._locate(times)
-        return self.corners[leg] + self.profile.share(u)[:, None] * self._edges[leg]
+        share = self.profile.share(u)
+        p = self.corners[leg] + share[:, None] * self._edges[leg]
+        for which, curve in self._on_curves(leg):
+            p[which] = curve.position(share[which])
+        return p
 
     def poses(self, times: ArrayLike) -> ToolPoses:
         """Return the timed poses of the tool at `times` (N,)."""
-        return ToolPoses(point=self.position(times), rotation=self.orientation[None])
-
-    @property
-    def turns(self) -> bool:
-        """Whether the tool's orientation changes along the path."""
-        return False
+        if not self.turns:
+            return ToolPoses(point=self.position(times), rotation=self.orientation[None])
+        leg, u = self._locate(times)
+        share = self.profile.share(u)
+        turn = Rotation.from_rotvec(share[:, None] * self._rotation_vectors[leg]).as_matrix()
+        R = turn @ self._corner_rotations[leg]
+        for which, curve in self._on_curves(leg):
+            prescribed = curve.rotation(share[which])
+            if prescribed is not None:
+                R[which] = prescribed
+        return ToolPoses(point=self.position(times), rotation=R)
 
     def velocity(self, times: ArrayLike) -> FloatArray:
         """Return the tool point's velocity (N, 3), m/s, at `times` (N,)."""
         leg, u = self._locate(times)
-        return np.asarray((self.profile.rate(u) / self.seconds[leg])[:, None] * self._edges[leg])
+        slope = self._edges[leg]
+        for which, curve in self._on_curves(leg):
+            slope[which] = curve.slope(self.profile.share(u[which]))
+        return np.asarray((self.profile.rate(u) / self.seconds[leg])[:, None] * slope)
 
     @cached_property
     def breaks(self) -> FloatArray:
-        """Times (B,), s, between which the timed position is a polynomial: ends of legs and of ramps."""
+        """Times (B,), s, between which the timed pose is analytic: ends of legs, of ramps and of curves."""
         ramp = self.profile.ramp
         shares = [0.0, ramp, 1 - ramp, 1.0]
         if self.profile.kind == "jerk_limited":
             shares += [0.5 * ramp, 1 - 0.5 * ramp]
-        return np.unique(self.leg_times[:-1, None] + np.array(shares) * self.seconds[:, None])
+        times = [(self.leg_times[:-1, None] + np.array(shares) * self.seconds[:, None]).ravel()]
+        for k, curve in self.curves.items():
+            times.append(self.leg_times[k] + self.profile.time_share(curve.breaks) * self.seconds[k])
+        return np.unique(np.concatenate(times))
+
+    def arc_angle(self, times: ArrayLike, at: ArrayLike) -> tuple[FloatArray, FloatArray]:
+        """Return angles (N,), rad, and radii (N,), m, of the arcs that the tool point is on.
+
+        Between two breaks the angle is a polynomial in time; both are zero where the tool point is one.
+        `at` (N,) are times between the breaks: they say which piece is meant, as two meet at a break.
+        """
+        angle, radius = np.zeros((2, len(np.asarray(times))))
+        for which, curve, share, piece in self._curved(times, at):
+            angle[which], radius[which] = curve.arc_angle(share, piece)
+        return angle, radius
+
+    def turn(self, times: ArrayLike, at: ArrayLike) -> FloatArray:
+        """Return rotation vectors (N, 3), rad, from where the piece of `at` (N,) begins: see `arc_angle`."""
+        leg, _ = self._locate(at)
+        if not self.turns:
+            return np.zeros((len(leg), 3))
+        turn = np.asarray(
+            self.profile.share(self._share_of(times, leg))[:, None] * self._rotation_vectors[leg]
+        )
+        for which, curve, share, piece in self._curved(times, at):
+            prescribed = curve.turn(share, piece)
+            if prescribed is not None:
+                turn[which] = prescribed
+        return turn
+
+    def bend(self, start: FloatArray, end: FloatArray) -> FloatArray:
+        """Return bounds (K,) on how far unit tangents between two times are from that in their middle."""
+        middle = 0.5 * (start + end)
+        bound = np.zeros(len(start))
+        for which, curve, share, _ in self._curved(middle, middle):
+            leg, _ = self._locate(middle[which])
+            ends = (self.profile.share(self._share_of(t[which], leg)) for t in (start, end))
+            furthest = np.max([np.abs(each - share) for each in ends], axis=0)
+            angle = np.minimum(curve.curvature * curve.length * furthest, np.pi)
+            bound[which] = 2 * np.sin(0.5 * angle)
+        return bound
 
     def progress(self, time: float) -> float:
-        """Share of the path's length that is covered at `time`."""
+        """Share of the path's length that is covered at `time`; of a path without length, of its time."""
         leg, u = self._locate([time])
+        if not self.lengths.sum() > 0:
+            return float(np.clip(time / self.duration, 0.0, 1.0))
         covered = self.lengths[: leg[0]].sum() + self.profile.share(u)[0] * self.lengths[leg[0]]
         return float(covered / self.lengths.sum())
 
@@ -218,53 +309,68 @@ class ToolPath:
 
     def leg_directions(self, times: ArrayLike) -> FloatArray:
         """Return unit vectors (N, 3) along the legs at `times`; zero for a leg of no length."""
-        leg, _ = self._locate(times)
-        return np.asarray(self._edges[leg] / np.maximum(self.lengths[leg], _NO_LENGTH)[:, None])
+        leg, u = self._locate(times)
+        along = self._edges[leg] / np.maximum(self.lengths[leg], _NO_LENGTH)[:, None]
+        for which, curve in self._on_curves(leg):
+            along[which] = curve.tangent(self.profile.share(u[which]))
+        return np.asarray(along)
+
+    def is_curved(self, times: ArrayLike) -> BoolArray:
+        """Return which of `times` (N,) are on legs that are no straight lines."""
+        curved = np.zeros(len(self.seconds), dtype=np.bool_)
+        curved[list(self.curves)] = True
+        return curved[self._locate(times)[0]]
 
     def leg_offset(self, times: ArrayLike, p: FloatArray) -> FloatArray:
-        """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the leg at `times`."""
-        return self._offset_from(self._locate(times)[0], p)
+        """Return the vector (N, 3), m, to each of `p` (N, 3) from the nearest point of the leg at `times`.
 
-    def offset(self, p: FloatArray) -> FloatArray:
-        """Return the vector from the nearest point of the legs to each of `p` (N, 3), (N, 3), m."""
-        blocks = [self._nearest_offset(p[k : k + _BLOCK]) for k in range(0, len(p), _BLOCK)]
-        return np.concatenate([np.empty((0, 3)), *blocks])
-
-    def _nearest_offset(self, p: FloatArray) -> FloatArray:
-        """`offset` of points near each other: most legs are then too far from all of them."""
-        legs = self._distinct_legs
-        centre = p.mean(axis=0)
-        radius = np.linalg.norm(p - centre, axis=1).max()
-        away = np.linalg.norm(self._offset_from(legs, np.tile(centre, (len(legs), 1))), axis=1)
-        # Not "<=": points that are not finite leave no leg out.
-        near = legs[~(away - radius > away.min() + radius)]
-        offsets = self._offset_from(near, p[:, None])
-        nearest = np.einsum("nld,nld->nl", offsets, offsets).argmin(axis=1)
-        return np.asarray(offsets[np.arange(len(p)), nearest])
-
-    @cached_property
-    def _distinct_legs(self) -> IntArray:
-        """Legs without those between the same corners as an earlier one, such as strokes to and fro."""
-        corner = np.unique(np.round(self.corners, _DIGITS), axis=0, return_inverse=True)[1].ravel()
-        ends = np.sort(np.stack([corner[:-1], corner[1:]], axis=1), axis=1)
-        return np.sort(np.unique(ends, axis=0, return_index=True)[1])
-
-    def _offset_from(self, leg: IntArray, p: FloatArray) -> FloatArray:
-        """Vectors (..., 3) from the nearest points of legs (...) to points (..., 3)."""
+        On a curved leg it is that from the nearest point of the tangent at the timed place.
+        """
+        leg, u = self._locate(times)
         edge, away = self._edges[leg], p - self.corners[leg]
-        along = np.einsum("...d,...d->...", away, edge) / np.maximum(self.lengths[leg] ** 2, _NO_LENGTH)
-        return np.asarray(away - np.clip(along, 0.0, 1.0)[..., None] * edge)
+        along = np.einsum("nd,nd->n", away, edge) / np.maximum(self.lengths[leg] ** 2, _NO_LENGTH)
+        offset = away - np.clip(along, 0.0, 1.0)[:, None] * edge
+        for which, curve in self._on_curves(leg):
+            share = self.profile.share(u[which])
+            away, tangent = p[which] - curve.position(share), curve.tangent(share)
+            offset[which] = away - np.einsum("nd,nd->n", away, tangent)[:, None] * tangent
+        return np.asarray(offset)
+
+    def held(self) -> ToolPath:
+        """Return the path of a tool that stays, for a second, where this one starts."""
+        corners = np.repeat(self.corners[:1], 2, axis=0)
+        return replace(self, corners=corners, seconds=np.ones(1), rotations=None, curves={})
 
     def _locate(self, times: ArrayLike) -> tuple[IntArray, FloatArray]:
         """Leg (N,) and share of its duration (N,) at `times`; outside the path, its nearer end."""
         t: FloatArray = np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)
         leg = np.clip(np.searchsorted(self.leg_times, t, side="right") - 1, 0, len(self.seconds) - 1)
-        return leg, np.clip((t - self.leg_times[leg]) / self.seconds[leg], 0.0, 1.0)
+        return leg, self._share_of(t, leg)
+
+    def _share_of(self, times: ArrayLike, leg: IntArray) -> FloatArray:
+        """Share of the legs' durations (N,) at `times`; outside them, their nearer end."""
+        return np.clip((np.asarray(times) - self.leg_times[leg]) / self.seconds[leg], 0.0, 1.0)
+
+    def _on_curves(self, leg: IntArray) -> Iterator[tuple[IntArray, Curve]]:
+        """Yield the curves that some of the legs (N,) follow, and which of these."""
+        for k, curve in self.curves.items():
+            which = np.flatnonzero(leg == k)
+            if len(which):
+                yield which, curve
+
+    def _curved(
+        self, times: ArrayLike, at: ArrayLike
+    ) -> Iterator[tuple[IntArray, Curve, FloatArray, FloatArray]]:
+        """Yield which of the times (N,) `at` are on curved legs, the curve, and shares at both times."""
+        leg, u = self._locate(at)
+        share = self.profile.share(self._share_of(times, leg))
+        for which, curve in self._on_curves(leg):
+            yield which, curve, share[which], self.profile.share(u[which])
 
 
 @dataclass(frozen=True, kw_only=True)
 class ShiftedToolPath(ToolPath):
-    """A tool path that is displaced over time; `offset` is measured from the path without displacement.
+    """A tool path that is displaced over time; `leg_offset` is measured from the displaced leg.
 
     Attributes
     ----------
@@ -273,6 +379,11 @@ class ShiftedToolPath(ToolPath):
     """
 
     shift: Callable[[FloatArray], FloatArray]
+
+    @classmethod
+    def of(cls, path: ToolPath, shift: Callable[[FloatArray], FloatArray]) -> ShiftedToolPath:
+        """Return a path that is displaced."""
+        return cls(**{each.name: getattr(path, each.name) for each in fields(ToolPath)}, shift=shift)
 
     def position(self, times: ArrayLike) -> FloatArray:
         """Return the displaced tool point (N, 3), m, at `times` (N,)."""

@@ -157,6 +157,18 @@ class Pieces:
         # The middle of the range plays no part in what turns.
         return np.asarray(np.abs(_CHEBYSHEV[: _QUINTIC + 1] @ values) + rounding)
 
+    def imaginary(self, values: FloatArray) -> FloatArray:
+        """Return bounds (K, R, m) of the imaginary parts of polynomials on the ellipses.
+
+        Parameters
+        ----------
+        values : (K (d + 1), m)
+            At the Chebyshev points; of degree d at most.
+        """
+        values = values.reshape(len(self.start), DEGREE + 1, -1)
+        coefficients = np.abs(_CHEBYSHEV @ values) + _ROUNDING * np.abs(values).max(axis=1, keepdims=True)
+        return np.asarray(np.sinh(np.outer(np.log(_RHO), np.arange(DEGREE + 1))) @ coefficients)
+
     def remainder(self, size: FloatArray) -> FloatArray:
         """Bounds (K,) of what interpolation misses of a function, with rounding.
 

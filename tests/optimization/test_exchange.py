@@ -184,7 +184,8 @@ def test_bounds_are_kept_between_the_samples(solved: Solved) -> None:
     fine = np.linspace(0, trajectory.t[-1], 3001)
     for order, bound in ((1, limits.velocity), (2, limits.acceleration), (3, limits.jerk)):
         assert (np.abs(trajectory.evaluate(fine, order)) <= bound).all()
-    away = task.path.offset(tool_points(problem.context.robot, trajectory.evaluate(fine[::10])))
+    some = fine[::10]
+    away = task.path.leg_offset(some, tool_points(problem.context.robot, trajectory.evaluate(some)))
     assert np.linalg.norm(away, axis=1).max() <= problem.context.options.max_tool_deviation_m
     np.testing.assert_array_equal(optimised.via_points, problem.parametrization.via_points)
     np.testing.assert_allclose(trajectory.evaluate(trajectory.t), optimised.via_points, rtol=0, atol=1e-12)

@@ -148,6 +148,6 @@ class Literal:
         """Distance of the tool from its leg as a share of the bound, squared, and its Jacobian."""
         offset, A = self._at_grid[0]
         p, J = Kinematics(self.robot).tool_point_jacobians(offset + A @ z)
-        away = self.task.path.offset(p) / self.max_tool_deviation
+        away = self.task.path.leg_offset(self._grid, p) / self.max_tool_deviation
         d = 2 * np.einsum("ki,kij,kjz->kz", away, J, A) / self.max_tool_deviation
         return (away**2).sum(axis=1), d

@@ -1,7 +1,6 @@
 """Everything grows in proportion to the path, and what is done for that changes no answer."""
 
 from dataclasses import replace
-from itertools import pairwise
 
 import growth
 import numpy as np
@@ -9,9 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy import sparse
-from small_scenes import context_of, path_through, problem_of, short_scene
+from small_scenes import context_of, problem_of, short_scene
 
-from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import install_command
 from cmbot.planning import plan, precheck
@@ -24,7 +22,7 @@ from cmbot.planning.selfmotion.dynamic_programming import BottleneckDynamicProgr
 from cmbot.planning.selfmotion.global_search import GlobalSearch
 from cmbot.planning.torque.decomposition import optimise
 from cmbot.robot import Finding, Postures, Robot
-from cmbot.scene import Scene, ToolPath
+from cmbot.scene import Scene
 from cmbot.trajectory.local_basis import SparseSplines
 from cmbot.trajectory.spline_space import SplineSpace
 
@@ -144,33 +142,6 @@ def test_longer_paths_do_not_take_many_more_steps() -> None:
         return sum(report.iterations for report in optimised.passes)
 
     assert iterations(150) <= 2 * iterations(50) + 5
-
-
-def check_offset(path: ToolPath, p: FloatArray) -> None:
-    """Against the offset from every leg."""
-    every = [path._offset_from(np.full(len(p), leg), p) for leg in range(len(path.seconds))]
-    nearest = np.linalg.norm(every, axis=2).min(axis=0)
-    np.testing.assert_allclose(np.linalg.norm(path.offset(p), axis=1), nearest, atol=1e-12)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(1, 40), st.integers(0, 1500))
-def test_nearest_legs_are_found_among_few(seed: int, legs: int, points: int) -> None:
-    rng = np.random.default_rng(seed)
-    steps = rng.normal(size=(legs + 1, 3)) * rng.choice([0, 0.1, 2], (legs + 1, 1))
-    path = path_through(np.cumsum(steps, axis=0), np.eye(3))
-    check_offset(path, np.cumsum(rng.normal(size=(points, 3)) * 0.02, axis=0))
-
-
-@given(st.lists(st.integers(0, 4), min_size=2, max_size=30), st.integers(0, 2**32 - 1))
-def test_strokes_to_and_fro_are_one_leg(corners: list[int], seed: int) -> None:
-    """Corners that adding up steps has put a rounding aside are the same."""
-    rng = np.random.default_rng(seed)
-    # On no place between two that are rounded apart.
-    places = np.round(rng.normal(size=(5, 3)), 6)
-    near = places[corners] + rng.uniform(-1e-15, 1e-15, (len(corners), 3))
-    path = path_through(near, np.eye(3))
-    assert len(path._distinct_legs) == len({frozenset(pair) for pair in pairwise(corners)})
-    check_offset(path, rng.normal(size=(40, 3)))
 
 
 def large(via_points: int, **options: object) -> Scene:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise, product
 from typing import Any
 
@@ -81,8 +80,8 @@ def test_the_tool_moves_along_the_leg_of_its_time_and_rests_at_every_corner(path
     # Next to a corner, on either side of it, the speed is small too.
     for times in (path.leg_times, path.leg_times - 1e-9, path.leg_times + 1e-9):
         assert np.abs(path.velocity(times)).max() < 1e-6
-    on_legs = np.vstack([path.corners, path.position(np.linspace(0, path.duration, 101))])
-    np.testing.assert_allclose(path.offset(on_legs), 0.0, rtol=0, atol=1e-13)
+    times = np.linspace(0, path.duration, 101)
+    np.testing.assert_allclose(path.leg_offset(times, path.position(times)), 0.0, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -113,34 +112,22 @@ def test_progress_is_the_covered_share_of_the_length(path: ToolPath) -> None:
 
 @settings(max_examples=30)
 @given(paths, st.integers(0, 2**32 - 1))
-def test_offset_is_the_way_from_the_nearest_point_of_densely_sampled_legs(path: ToolPath, seed: int) -> None:
-    p = np.random.default_rng(seed).normal(scale=1.5, size=(20, 3))
-    offset = path.offset(p)
-    assert offset.shape == (20, 3)
-    s = np.linspace(0, 1, 801)[:, None, None]
-    samples = (path.corners[:-1] + s * np.diff(path.corners, axis=0)).reshape(-1, 3)
-    squares = ((p[:, None] - samples) ** 2).sum(axis=2).min(axis=1)
-    # The nearest sample is at most half a step beside the nearest point.
-    slack = (path.lengths.max() / 800 / 2) ** 2
-    distance = (offset**2).sum(axis=1)
-    assert np.all(distance <= squares + 1e-13)
-    assert np.all(squares <= distance + slack + 1e-13)
-    # What the offset leads back to is itself on a leg.
-    np.testing.assert_allclose(path.offset(p - offset), 0.0, rtol=0, atol=1e-13)
-
-
-@given(paths, st.integers(0, 2**32 - 1))
-def test_leg_offset_is_from_the_leg_of_that_time_only(path: ToolPath, seed: int) -> None:
+def test_leg_offset_is_from_the_nearest_point_of_the_leg_of_that_time(path: ToolPath, seed: int) -> None:
     rng = np.random.default_rng(seed)
     legs = len(path.seconds)
     p = rng.normal(scale=1.5, size=(legs, 3))
     times = path.leg_times[:-1] + rng.uniform(0.01, 0.99, size=legs) * path.seconds
-    got = path.leg_offset(times, p)
-    for leg in range(legs):
-        alone = replace(path, corners=path.corners[leg : leg + 2], seconds=path.seconds[leg : leg + 1])
-        np.testing.assert_allclose(got[leg], alone.offset(p[leg : leg + 1])[0], rtol=0, atol=1e-14)
-    # The nearest of all legs is no further.
-    assert np.all(np.linalg.norm(path.offset(p), axis=1) <= np.linalg.norm(got, axis=1) + 1e-14)
+    offset = path.leg_offset(times, p)
+    s = np.linspace(0, 1, 801)[:, None, None]
+    samples = path.corners[:-1] + s * np.diff(path.corners, axis=0)
+    squares = ((p - samples) ** 2).sum(axis=2).min(axis=0)
+    # The nearest sample is at most half a step beside the nearest point.
+    slack = (path.lengths / 800 / 2) ** 2
+    distance = (offset**2).sum(axis=1)
+    assert np.all(distance <= squares + 1e-13)
+    assert np.all(squares <= distance + slack + 1e-13)
+    # What the offset leads back to is itself on the leg.
+    np.testing.assert_allclose(path.leg_offset(times, p - offset), 0.0, rtol=0, atol=1e-13)
 
 
 @given(paths, st.integers(0, 60))

@@ -109,11 +109,4 @@ def _shifted(context: PlanningContext, times: FloatArray, shift: FloatArray) -> 
     # Imported where needed: it takes a while to load, and few plans need it.
     from scipy.interpolate import CubicSpline
 
-    path = context.task.path
-    return ShiftedToolPath(
-        corners=path.corners,
-        orientation=path.orientation,
-        seconds=path.seconds,
-        profile=path.profile,
-        shift=CubicSpline(times, shift),
-    )
+    return ShiftedToolPath.of(context.task.path, CubicSpline(times, shift))

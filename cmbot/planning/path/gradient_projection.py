@@ -113,10 +113,11 @@ def follow_path(
         drift[k] = np.linalg.norm(X_WT.translation - points[k])
         if stop_at_obstacles:
             clearance[k] = _require_free(context, q[k], t[k], error)
-        ahead = points[min(k + 1, steps)] - points[k]
-        command = np.zeros(len(error))
-        command[:3] = ahead / dt
-        command += options.drift_gain * error
+        command = options.drift_gain * error
+        if k < steps:
+            command[:3] += (points[k + 1] - points[k]) / dt
+            if task.path.turns:
+                command[3:] += (task.error(X_WT, goals[k + 1]) - error)[3:] / dt
         gradient = _gradient(kinematics, clearances, q[k], options)
         # (I - J+ J) gradient of Eq. (16): the part in the null space of the task.
         aside = gradient - Vt.T @ (Vt @ gradient)

@@ -239,6 +239,8 @@ class _Work:
         q, v, a = self._pieces.states
         self._efforts: Efforts = self._dynamics.efforts(q, v, a)
         self._p_WT, self._R_WT = Kinematics(robot).tool_poses(q)
+        self._goals = task.path.poses(self._pieces.times.ravel())
+        self._goal_remainder, self._goal_rotation = _goal_sizes(task, self._pieces)
         self._unknown = np.zeros(len(self._pieces.start))
         if sag is not None:
             bent = sag.at(q).tool
@@ -307,25 +309,37 @@ class _Work:
         return peak, mean, self._highest(static, _norm, remainder, resolution).value
 
     def tool_deviation(self) -> Peak:
-        """Distance of the tool point from the leg of its time, m."""
-        path, middle = self._task.path, self._pieces.middle
+        """Distance of the tool point from the leg of its time, m; see `ToolPath.leg_offset`."""
+        path, pieces = self._task.path, self._pieces
+        middle, curved = pieces.middle, path.is_curved(pieces.middle)
+        along, bend = path.leg_directions(middle), path.bend(pieces.start, pieces.end)
+        # From the leg itself, which is convex, or from the timed place, across the tangent in the middle.
+        origin = np.where(np.repeat(curved, len(self._p_WT) // len(curved))[:, None], self._goals.point, 0.0)
 
         def distance(p: FloatArray, piece: IntArray) -> FloatArray:
             points = np.swapaxes(p, 1, 2)
             times = np.repeat(middle[piece], points.shape[1])
             offset = path.leg_offset(times, points.reshape(-1, 3))
-            return np.asarray(np.linalg.norm(offset, axis=1).reshape(points.shape[:2]))
+            straight = np.linalg.norm(offset, axis=1).reshape(points.shape[:2])
+            forward = np.einsum("knd,kd->kn", points, along[piece])
+            across = points - forward[:, :, None] * along[piece][:, None]
+            # The tangent is turned by so much at most: |x - (x t) t| <= |x - (x m) m| + |x m| |m - t|.
+            slanted = np.linalg.norm(across, axis=2) + bend[piece][:, None] * np.abs(forward)
+            return np.asarray(np.where(curved[piece][:, None], slanted, straight))
 
-        return self._highest(self._p_WT, distance, self._point_remainder, _TOOL_RESOLUTION)
+        return self._highest(self._p_WT - origin, distance, self._point_remainder, _TOOL_RESOLUTION)
 
     def tool_lag(self) -> Peak:
         """Distance along its leg of the tool point from its timed place, m."""
         pieces, path = self._pieces, self._task.path
-        away = (self._p_WT - path.position(pieces.times.ravel())).reshape(len(pieces.start), -1, 3)
-        along = np.einsum("knd,kd->kn", away, path.leg_directions(pieces.middle))
-        return self._highest(
-            along.reshape(-1, 1), lambda x, piece: np.abs(x[:, 0]), self._point_remainder, _TOOL_RESOLUTION
-        )
+        along, bend = path.leg_directions(pieces.middle), path.bend(pieces.start, pieces.end)
+
+        def lag(away: FloatArray, piece: IntArray) -> FloatArray:
+            forward = np.einsum("kdn,kd->kn", away, along[piece])
+            return np.asarray(np.abs(forward) + bend[piece][:, None] * np.linalg.norm(away, axis=1))
+
+        away = self._p_WT - self._goals.point
+        return self._highest(away, lag, self._point_remainder, _TOOL_RESOLUTION)
 
     def tool_speed(self) -> Peak:
         """Speed of the tool point, m/s."""
@@ -340,13 +354,14 @@ class _Work:
 
     def tool_rotation(self) -> Peak:
         """Angle by which the tool misses what is prescribed of its orientation, rad."""
-        goal, keep = self._task.path.poses(self._pieces.times.ravel()), self._task.keep
+        goal, keep = self._goals, self._task.keep
         if keep == "position":
             return Peak(time=float(self._trajectory.t[0]), value=0.0, bound=0.0)
         # Both chords are 2 k sin(angle/2): of the axis as a vector, of the orientation as a matrix.
         columns, k = (slice(2, 3), 1.0) if keep == "axis" else (slice(None), np.sqrt(2.0))
         away = (self._R_WT - goal.rotation)[:, :, columns].reshape(len(self._R_WT), -1)
-        remainder = self._pieces.remainder(self._bounds.tool_rotation) * np.sqrt(away.shape[1] / 3)
+        size = self._bounds.tool_rotation + self._goal_rotation
+        remainder = self._pieces.remainder(size) * np.sqrt(away.shape[1] / 3)
         chord = self._highest(away, _norm, remainder, _TOOL_RESOLUTION)
         value, bound = (2 * np.arcsin(np.minimum(x / (2 * k), 1.0)) for x in (chord.value, chord.bound))
         return Peak(time=chord.time, value=float(value), bound=float(bound))
@@ -366,7 +381,25 @@ class _Work:
 
     @property
     def _point_remainder(self) -> FloatArray:
-        return np.asarray(self._pieces.remainder(self._bounds.tool_point) + self._unknown)
+        remainder = self._pieces.remainder(self._bounds.tool_point)
+        return np.asarray(remainder + self._goal_remainder + self._unknown)
+
+
+def _goal_sizes(task: ToolTask, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
+    """What interpolation misses (K,), m, of the timed tool point; bounds (K, R) of the timed rotation's norm.
+
+    A point on an arc and a rotation are exponentials of an angle that is a polynomial in time: on an ellipse
+    they grow with the exponential of its imaginary part.
+    """
+    times, at = pieces.times.ravel(), np.repeat(pieces.middle, pieces.times.shape[1])
+    angle, radius = task.path.arc_angle(times, at)
+    radius = radius.reshape(pieces.times.shape)[:, 0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        growth = np.exp(pieces.imaginary(angle[:, None])[..., 0])
+        turn = np.exp(np.linalg.norm(pieces.imaginary(task.path.turn(times, at)), axis=2))
+        point = np.where(radius > 0, pieces.remainder(radius[:, None] * growth), 0.0)
+    # A constant has no remainder: nothing is added where the tool keeps its orientation.
+    return point, turn if task.path.turns else np.zeros_like(turn)
 
 
 def _norm(vectors: FloatArray, piece: IntArray) -> FloatArray:

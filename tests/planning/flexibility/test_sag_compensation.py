@@ -50,9 +50,9 @@ def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
     commanded = tool_points(robot, q)
     bent = commanded + sag.at(q).tool
     legs = task_of(scene, robot).path
-    assert np.linalg.norm(legs.offset(bent), axis=1).max() <= ALLOWED
+    assert np.linalg.norm(legs.leg_offset(t, bent), axis=1).max() <= ALLOWED
     # Without the shift the arm would be about a centimetre off.
-    assert np.linalg.norm(legs.offset(commanded), axis=1).max() > 5 * ALLOWED
+    assert np.linalg.norm(legs.leg_offset(t, commanded), axis=1).max() > 5 * ALLOWED
     # It is where it should be not only on the legs but in time, at the via-points.
     via = compensated.trajectory.t
     at_via = np.array([np.interp(via, t, x) for x in bent.T]).T

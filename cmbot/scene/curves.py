@@ -1,0 +1,335 @@
+"""Curves that a leg of the tool path follows where it is not straight: circular arcs, splines, blended lines.
+
+A curve is parametrised by the share of its length, from 0 to 1, that is covered. Between its breaks it is a
+polynomial in that share or a turn about an axis by an angle in proportion to it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicSpline
+    from scipy.spatial.transform import RotationSpline
+
+__all__ = ["Arc", "Blend", "Curve", "Spline"]
+
+# Points of the Gauss rule that measures the length of a spline's piece, and rounds in which the spline's
+# parameter comes to be its length; what is left is far below a micrometre.
+_GAUSS, _ROUNDS = 12, 60
+# Distance of three points from a line, as a share of their own distances, below which they have no circle.
+_STRAIGHT = 1e-6
+
+
+class Curve(ABC):
+    """The curve of one leg, from the share 0 of its length to the share 1."""
+
+    @property
+    @abstractmethod
+    def length(self) -> float:
+        """Length, m."""
+
+    @property
+    def breaks(self) -> FloatArray:
+        """Shares (B,) between 0 and 1 at which its pieces meet."""
+        return np.empty(0)
+
+    @property
+    @abstractmethod
+    def curvature(self) -> float:
+        """Largest curvature, 1/m."""
+
+    @property
+    def turns(self) -> bool:
+        """Whether the curve prescribes the tool's orientation."""
+        return False
+
+    @abstractmethod
+    def position(self, share: FloatArray) -> FloatArray:
+        """Return points (N, 3), m, at shares (N,)."""
+
+    @abstractmethod
+    def slope(self, share: FloatArray) -> FloatArray:
+        """Return derivatives (N, 3), m, of `position` by the share."""
+
+    def tangent(self, share: FloatArray) -> FloatArray:
+        """Return unit vectors (N, 3) along the curve."""
+        slope = self.slope(share)
+        return np.asarray(slope / np.linalg.norm(slope, axis=1, keepdims=True))
+
+    def arc_angle(self, share: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the angles (N,), rad, and radii (N,), m, of the arcs on which the shares `at` (N,) lie.
+
+        The angles are linear in the share; both are zero where the curve is a polynomial.
+        """
+        return np.zeros(len(share)), np.zeros(len(share))
+
+    def rotation(self, share: FloatArray) -> FloatArray | None:
+        """Return orientations R_WT (N, 3, 3), where the curve prescribes them."""
+        return None
+
+    def turn(self, share: FloatArray, at: FloatArray) -> FloatArray | None:
+        """Return rotation vectors (N, 3), rad, from the orientation where the piece of `at` (N,) begins.
+
+        They are polynomials of the share on every piece. None where the curve prescribes no orientation.
+        """
+        return None
+
+
+@dataclass(frozen=True, eq=False)
+class Arc(Curve):
+    """A circular arc about `axis`, a unit vector, by `angle`, rad, from the point `start`."""
+
+    centre: FloatArray
+    axis: FloatArray
+    start: FloatArray
+    angle: float
+
+    @classmethod
+    def through(cls, start: FloatArray, via: FloatArray, end: FloatArray) -> Arc | None:
+        """Return the arc from `start` through `via` to `end`; None where these are on a line."""
+        a, b = via - start, end - start
+        normal = np.cross(a, b)
+        size = float(normal @ normal)
+        if size <= (_STRAIGHT * (a @ a + b @ b)) ** 2:
+            return None
+        centre = start + np.cross((a @ a) * b - (b @ b) * a, normal) / (2 * size)
+        axis = normal / np.sqrt(size)
+        first, last = start - centre, end - centre
+        angle = float(np.arctan2(axis @ np.cross(first, last), first @ last)) % (2 * np.pi)
+        return cls(centre, axis, start, angle)
+
+    @property
+    def radius(self) -> float:
+        """Radius, m."""
+        return float(np.linalg.norm(self._arm))
+
+    @property
+    def length(self) -> float:
+        """Length, m."""
+        return self.radius * abs(self.angle)
+
+    @property
+    def curvature(self) -> float:
+        """Curvature, 1/m."""
+        return 1.0 / self.radius
+
+    @cached_property
+    def _arm(self) -> FloatArray:
+        arm = self.start - self.centre
+        return np.asarray(arm - (arm @ self.axis) * self.axis)
+
+    def position(self, share: FloatArray) -> FloatArray:
+        """Return points (N, 3), m."""
+        angle = (self.angle * share)[:, None]
+        foot = self.start - self._arm
+        return np.asarray(foot + np.cos(angle) * self._arm + np.sin(angle) * np.cross(self.axis, self._arm))
+
+    def slope(self, share: FloatArray) -> FloatArray:
+        """Return derivatives (N, 3), m."""
+        angle = (self.angle * share)[:, None]
+        along = np.cos(angle) * np.cross(self.axis, self._arm) - np.sin(angle) * self._arm
+        return np.asarray(self.angle * along)
+
+    def arc_angle(self, share: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the angle and the radius."""
+        return self.angle * share, np.full(len(share), self.radius)
+
+
+@dataclass(frozen=True, eq=False)
+class Spline(Curve):
+    """A cubic spline through `points` (K, 3), m, whose parameter is, as nearly as may be, its length.
+
+    Attributes
+    ----------
+    points : (K, 3), m
+    orientations : (K, 3, 3) or None
+        R_WT at the points; between them a spline of rotations (SciPy's `RotationSpline`).
+    """
+
+    points: FloatArray
+    orientations: FloatArray | None = None
+
+    @property
+    def turns(self) -> bool:
+        """Whether orientations are given."""
+        return self.orientations is not None
+
+    @cached_property
+    def _spline(self) -> CubicSpline:
+        # Imported where needed: it takes a while to load, and few paths need it.
+        from scipy.interpolate import CubicSpline
+
+        # From the points' distances towards the spline's own lengths, which only gentle splines have as a
+        # fixed point: the rounds end where they bring no more.
+        lengths, best, least = np.linalg.norm(np.diff(self.points, axis=0), axis=1), None, np.inf
+        for _ in range(_ROUNDS):
+            at = np.append(0.0, np.cumsum(lengths / lengths.sum()))
+            spline = CubicSpline(at, self.points)
+            lengths = _lengths(spline)
+            uneven = np.abs(lengths / lengths.sum() / np.diff(at) - 1.0).max()
+            if best is not None and not uneven < least:
+                break
+            best, least = spline, uneven
+        return best
+
+    @cached_property
+    def length(self) -> float:
+        """Length, m."""
+        return float(_lengths(self._spline).sum())
+
+    @property
+    def breaks(self) -> FloatArray:
+        """Shares (K - 2,) of the inner points."""
+        return np.asarray(self._spline.x[1:-1])
+
+    @cached_property
+    def curvature(self) -> float:
+        """Bound of the curvature, 1/m: the second derivative is linear between the points."""
+        second = np.linalg.norm(self._spline(self._spline.x, 2), axis=1)
+        fine = np.linspace(self._spline.x[:-1], self._spline.x[1:], 33, axis=1)
+        slowest = np.linalg.norm(self._spline(fine, 1), axis=2).min()
+        return float(second.max() / slowest**2)
+
+    def position(self, share: FloatArray) -> FloatArray:
+        """Return points (N, 3), m."""
+        return np.asarray(self._spline(share))
+
+    def slope(self, share: FloatArray) -> FloatArray:
+        """Return derivatives (N, 3), m."""
+        return np.asarray(self._spline(share, 1))
+
+    @cached_property
+    def _rotations(self) -> RotationSpline | None:
+        if self.orientations is None:
+            return None
+        from scipy.spatial.transform import RotationSpline
+
+        return RotationSpline(self._spline.x, Rotation.from_matrix(self.orientations))
+
+    def rotation(self, share: FloatArray) -> FloatArray | None:
+        """Return orientations R_WT (N, 3, 3)."""
+        return None if self._rotations is None else self._rotations(share).as_matrix()
+
+    def turn(self, share: FloatArray, at: FloatArray) -> FloatArray | None:
+        """Return rotation vectors (N, 3), rad, cubic in the share between two points."""
+        if self._rotations is None or self.orientations is None:
+            return None
+        before = self.orientations[self._piece(at)]
+        now = self._rotations(share).as_matrix()
+        return np.asarray(Rotation.from_matrix(before.transpose(0, 2, 1) @ now).as_rotvec())
+
+    def _piece(self, at: FloatArray) -> IntArray:
+        last = len(self.points) - 2
+        return np.clip(np.searchsorted(self._spline.x, at, side="right") - 1, 0, last)
+
+
+@dataclass(frozen=True, eq=False)
+class Blend(Curve):
+    """Straight lines through `corners` (K, 3), whose inner ones are rounded off by arcs of `radius`, m.
+
+    An arc is smaller where a line is too short for it.
+    """
+
+    corners: FloatArray
+    radius: float
+
+    @cached_property
+    def _parts(self) -> list[Curve]:
+        corners, parts = self.corners, list[Curve]()
+        edges = np.diff(corners, axis=0)
+        lengths = np.linalg.norm(edges, axis=1)
+        along = edges / lengths[:, None]
+        start = corners[0]
+        for k in range(1, len(corners) - 1):
+            a, b = along[k - 1], along[k]
+            angle = float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
+            if angle < _STRAIGHT:
+                continue
+            # Half of a line is left to the corner at its other end.
+            cut = min(self.radius * np.tan(0.5 * angle), 0.5 * lengths[k - 1], 0.5 * lengths[k])
+            axis = np.cross(a, b) / np.linalg.norm(np.cross(a, b))
+            first = corners[k] - cut * a
+            centre = first + np.cross(axis, a) * cut / np.tan(0.5 * angle)
+            parts += [_Line(start, first), Arc(centre, axis, first, angle)]
+            start = corners[k] + cut * b
+        return [*parts, _Line(start, corners[-1])]
+
+    @cached_property
+    def _ends(self) -> FloatArray:
+        lengths = np.array([part.length for part in self._parts])
+        return np.concatenate([[0.0], np.cumsum(lengths) / lengths.sum()])
+
+    @cached_property
+    def length(self) -> float:
+        """Length, m."""
+        return sum(part.length for part in self._parts)
+
+    @property
+    def breaks(self) -> FloatArray:
+        """Shares at which lines and arcs meet."""
+        return self._ends[1:-1]
+
+    @property
+    def curvature(self) -> float:
+        """Largest curvature, 1/m."""
+        return max(part.curvature for part in self._parts)
+
+    def position(self, share: FloatArray) -> FloatArray:
+        """Return points (N, 3), m."""
+        return self._of_parts(share, share, lambda part, s, _: part.position(s))
+
+    def slope(self, share: FloatArray) -> FloatArray:
+        """Return derivatives (N, 3), m."""
+        return self._of_parts(share, share, lambda part, s, scale: scale * part.slope(s))
+
+    def arc_angle(self, share: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the angles and radii of the arcs; zero on the lines."""
+        both = self._of_parts(share, at, lambda part, s, _: np.stack(part.arc_angle(s, s), axis=1), 2)
+        return both[:, 0], both[:, 1]
+
+    def _of_parts(self, share: FloatArray, at: FloatArray, of: object, columns: int = 3) -> FloatArray:
+        """What a function of part, its own share and their ratio yields on the parts where `at` (N,) lies."""
+        values = np.empty((len(share), columns))
+        which = np.clip(np.searchsorted(self._ends, at, side="right") - 1, 0, len(self._parts) - 1)
+        for k in np.unique(which):
+            here = which == k
+            scale = 1.0 / (self._ends[k + 1] - self._ends[k])
+            values[here] = of(self._parts[k], (share[here] - self._ends[k]) * scale, scale)  # type: ignore[operator]
+        return values
+
+
+@dataclass(frozen=True, eq=False)
+class _Line(Curve):
+    start: FloatArray
+    end: FloatArray
+
+    @property
+    def length(self) -> float:
+        return float(np.linalg.norm(self.end - self.start))
+
+    @property
+    def curvature(self) -> float:
+        return 0.0
+
+    def position(self, share: FloatArray) -> FloatArray:
+        return np.asarray(self.start + share[:, None] * (self.end - self.start))
+
+    def slope(self, share: FloatArray) -> FloatArray:
+        return np.broadcast_to(self.end - self.start, (len(share), 3))
+
+
+def _lengths(spline: CubicSpline) -> FloatArray:
+    """Lengths (K - 1,) of the pieces of a spline."""
+    x, weight = np.polynomial.legendre.leggauss(_GAUSS)
+    middle, half = 0.5 * (spline.x[1:] + spline.x[:-1]), 0.5 * np.diff(spline.x)
+    speed = np.linalg.norm(spline(middle[:, None] + half[:, None] * x, 1), axis=2)
+    return np.asarray(half * (speed @ weight))
