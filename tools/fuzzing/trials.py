@@ -35,8 +35,8 @@ LONGEST_MESSAGE = 400
 _NO_NUMBER = re.compile(r"(?<![\w.\-/'])[-+]?(nan|inf)(?![\w.\-/'])")
 # A clearance is infinite where there is nothing to hit, a range where a joint is endless.
 _MAY_BE_INFINITE = ("clearance", "lower", "upper", "bound", "value", "distance")
-# Words that a file holds: text, no figures.
-_NAMES = (".quantity", ".unit")
+# Words and names that a file holds: text, no figures.
+_NAMES = (".quantity", ".unit", ".scene")
 _STATUSES = (0, 2, 3)
 # Errors of another kind than bad input and no plan, whose status is 1.
 _OTHER_ERRORS = re.compile(r"error: (the simulation diverges|.* is not installed; run: )")
