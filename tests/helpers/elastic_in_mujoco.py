@@ -51,8 +51,11 @@ class Twin:
                 self._add_joints(body, SLIDE, AXES[1:])
                 self._add_joints(body, HINGE, AXES)
                 X = X_JT.inverse()
-        tool = robot.model.frames[robot.tool_frame_id].placement
-        body.add_site(name=TOOL, pos=X.act(tool.translation))
+        tool = X * robot.model.frames[robot.tool_frame_id].placement
+        x, y, z, w = pin.Quaternion(tool.rotation).coeffs()
+        body.add_site(name=TOOL, pos=tool.translation, quat=[w, x, y, z])
+        if robot.pushed:
+            self._add_push(robot.tool_force)
         if timestep:
             self.spec.option.timestep = timestep
             self.spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -83,6 +86,13 @@ class Twin:
     def _add_joints(self, body: Any, kind: Any, axes: Any, armature: float = 0.0) -> None:
         for axis in axes:
             body.add_joint(name=next(self.names), type=kind, axis=axis, armature=armature)
+
+    def _add_push(self, force: tuple[float, ...]) -> None:
+        """A motor that pushes the tool along its own axes: by 1 times its gear, whatever its control."""
+        motor = self.spec.add_actuator(name="push", target=TOOL, trntype=mujoco.mjtTrn.mjTRN_SITE)
+        motor.gear = [*force, 0.0, 0.0, 0.0]
+        motor.biastype = mujoco.mjtBias.mjBIAS_AFFINE
+        motor.biasprm[0] = 1.0
 
     def _add_springs(self) -> None:
         """Springs and masses that couple coordinates: fixed tendons along the matrices' eigenvectors."""

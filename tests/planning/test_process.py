@@ -7,21 +7,26 @@ from typing import Any
 import numpy as np
 import pytest
 from forgeries import certified, changed_scene
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from plan_folders import edit
-from small_scenes import context_of, short_scene
+from small_motions import wild
+from small_scenes import context_of, short_scene, task_at
 
 from cmbot.archive import load_plan, save
+from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, PlanningError, SceneError
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.sag import Sag
-from cmbot.planning import Plan, plan, precheck_scene
-from cmbot.robot import Dynamics, Kinematics
-from cmbot.scene import Scene, Tool
+from cmbot.planning import Plan, certify, plan, precheck_scene
+from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.scene import PlannerOptions, Scene, Tool
 from cmbot.simulation import PrescribedMotion
 from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
 
 FORCE = (20.0, 0.0, -60.0)
 GRAVITY = 9.81
+KEPT = ("pose", "axis", "position")
 # 0.3 m in 4 s, ramps of a fifth: the speed in between, m/s.
 SPEED = 0.09375
 
@@ -67,6 +72,26 @@ def test_the_peak_under_a_force_is_enclosed(pushed_plan: Plan) -> None:
     assert pushed_plan.torque_floor_kind == "proven"
     assert pushed_plan.gap_to_floor == pytest.approx(0, abs=0.01)
     assert "peak of its static part, Nm" in pushed_plan.summary()
+
+
+@settings(max_examples=4)
+@given(
+    seed=st.integers(0, 2**32 - 1), force=st.tuples(*[st.floats(-500, 500)] * 3), keep=st.sampled_from(KEPT)
+)
+def test_enclosures_under_a_force_miss_nothing(
+    cmbot_robot: Robot, seed: int, force: tuple[float, float, float], keep: str
+) -> None:
+    robot, x = replace(cmbot_robot, tool_force=force), wild(seed, joints=7, knots=3)
+    task = replace(task_at(robot, x.q[0], keep), max_speed=1.0)
+    found = certify(robot, task, x, Clearances(robot, ()), PlannerOptions(), via_points=3)
+    q, v, a = x.states(np.linspace(0, x.duration, 4001))
+    peak = np.linalg.norm(Dynamics(robot).efforts(q, v, a).guardrail_torque, axis=1).max()
+    J = Kinematics(robot).tool_point_jacobians(q)[1]
+    speed = np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1).max()
+    (check,) = (check for check in found.checks if check.quantity == "tool speed")
+    for sampled, bound in ((peak, found.guardrail_torque_bound), (speed, check.value)):
+        assert sampled <= bound * (1 + 1e-9)
+        assert sampled == pytest.approx(bound, rel=1e-3)
 
 
 def test_a_plan_under_a_force_is_read_back(pushed_plan: Plan, tmp_path: Path) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from elastic_in_mujoco import Twin
@@ -12,18 +14,30 @@ from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
 
 OUTPUT = 0.02
+NONE, FORCE = (0.0, 0.0, 0.0), (40.0, -60.0, -300.0)
 
 
 @pytest.mark.parametrize(
-    ("initial", "segments", "seconds", "step"),
+    ("initial", "segments", "seconds", "step", "force"),
     # The arm that is let go shakes at hundreds of hertz, too: both need finer steps.
-    [("equilibrium", 1, 4.0, 4e-4), ("equilibrium", 2, 2.0, 2e-4), ("undeformed", 1, 1.0, 1e-4)],
+    [
+        ("equilibrium", 1, 4.0, 4e-4, NONE),
+        ("equilibrium", 2, 2.0, 2e-4, NONE),
+        ("undeformed", 1, 1.0, 1e-4, NONE),
+        ("equilibrium", 1, 1.0, 2e-4, FORCE),
+    ],
 )
 def test_mujoco_moves_the_tool_alike(
-    cmbot_robot: Robot, initial: str, segments: int, seconds: float, step: float
+    cmbot_robot: Robot,
+    initial: str,
+    segments: int,
+    seconds: float,
+    step: float,
+    force: tuple[float, float, float],
 ) -> None:
     """Undamped, the joints swinging: within 0.01 mm of millimetres of vibration."""
-    arm, driven = arm_on_its_guardrail(cmbot_robot, segments), swing(seconds)
+    robot = replace(cmbot_robot, tool_force=force)
+    arm, driven = arm_on_its_guardrail(robot, segments), swing(seconds)
     still = np.zeros(len(arm.elastic))
     start = Sag(arm).at(driven.states([0.0])[0]).u[0] if initial == "equilibrium" else still
     system = ElasticSystem.of(arm, np.zeros_like(arm.stiffness))
