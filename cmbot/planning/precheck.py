@@ -44,6 +44,8 @@ two minutes, at 4,000 more than three."""
 
 # A stretched arm is not out of its own reach.
 _ROUNDING = 1e-9
+# Odd, so that the middle of a leg's time is among them.
+_SPEED_SAMPLES = 201
 # An angle is whole to this, deg.
 _WHOLE = 1e-6
 
@@ -229,8 +231,10 @@ def _too_fast(scene: Scene, path: ToolPath) -> Iterator[Finding]:
 
 
 def _speeds(path: ToolPath) -> FloatArray:
-    """Largest speeds (L,) on the legs, m/s: those in the middle of their time."""
-    return np.asarray(path.lengths / path.seconds * float(path.profile.rate(np.array(0.5))))
+    """Largest speeds (L,) on the legs, m/s: of straight ones in the middle, of curved ones at samples."""
+    times = np.linspace(path.leg_times[:-1], path.leg_times[1:], _SPEED_SAMPLES, axis=1)
+    speeds = np.linalg.norm(path.velocity(times.ravel()), axis=1)
+    return np.asarray(speeds.reshape(times.shape).max(axis=1))
 
 
 def _rounded_up(seconds: float) -> str:
