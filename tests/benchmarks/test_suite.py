@@ -141,7 +141,7 @@ def test_a_false_reason_is_found(triangle_plan: Plan) -> None:
     search = oracle.Oracle(world, path, R, "pose")
     for reason, said in (
         ("via-point 3 of 50 is blocked: out of reach: no posture within the joint ranges holds it", "range"),
-        ("via-point 3 of 50 is blocked: 7 postures come within the safety margin", "admissible at"),
+        ("of 7 postures that were tried there 7 come within the safety margin", "admissible at"),
         ("its admissible postures are too far from those before", ""),
     ):
         error = PathNotFound(reason, time=1.0, progress=0.1, smallest_singular_value=0.1)

@@ -249,43 +249,49 @@ def blocked(
     `origins` (M,) are the postures from which one would lead there: of the via-point before, at the first
     those in which it may start.
     """
-    layer, pair, pace = layers[k], None, 1.0
+    layer, pair, pace, place = layers[k], None, 1.0, f"via-point {k + 1} of {len(layers)}"
     tried = "" if coverage is None else f" in {coverage.drawn} attempts"
+    # Of what is not proven it is said that nothing was found.
+    opening = f"no way was found through {place}"
     if not layer.chart.within.any():
         joint = context.out_of_range(layer.chart.q)
         beyond = f" (beyond its range is most often {joint})" if joint else ""
         found = f"no posture within the joint ranges that holds the tool there was found{tried}{beyond}"
+        proven = out_of_reach(context, k)
+        if proven:
+            opening = f"{place} is blocked"
         why = (
-            f"{out_of_reach(context, k) or found}; take another start posture, move the tool path, or keep "
+            f"{proven or found}; take another start posture, move the tool path, or keep "
             "less of the pose (tool_path.keep)"
         )
     elif not layer.admissible.any():
         why, pair = _inadmissible(context, layer)
     elif k == 0:
+        opening = f"{place} is blocked"
         why, pair = _no_start(context, layer, origins)
     else:
         joint, pace = _slowest(context, layers, k, origins)
         why = (
-            f"its admissible postures are too far from those before for the velocity of {joint}; "
-            "give the leg more seconds"
+            "its admissible postures, as far as they were found, are too far from those before for the "
+            f"velocity of {joint}; give the leg more seconds"
         )
     q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
-    reason = f"via-point {k + 1} of {len(layers)} is blocked: {why}"
-    return context.path_not_found(reason, q[0], context.times[k], pair, pace)
+    return context.path_not_found(f"{opening}: {why}", q[0], context.times[k], pair, pace)
 
 
 def _inadmissible(context: PlanningContext, layer: GraphLayer) -> tuple[str, tuple[str, str] | None]:
     """Why no posture of a chart is admissible, and the pair that most often comes too near."""
     weak = layer.chart.within & (layer.chart.joint_use > 1.0)
     near, feeble = int(layer.too_near.sum()), int(weak.sum())
+    tried = f"of {int(layer.chart.within.sum())} postures that were tried there"
     if near >= feeble and (pair := context.most_often_near(layer.chart.q[layer.too_near])) is not None:
         why = (
-            f"{near} postures come within the safety margin, most often {pair[0]} and {pair[1]}, {feeble} "
+            f"{tried} {near} come within the safety margin, most often {pair[0]} and {pair[1]}, {feeble} "
             "ask too much of a joint's torque; move obstacles or tool path, or lower planner.safety_margin_m"
         )
         return why, pair
     why = (
-        f"{feeble} postures ask too much of a joint's torque, most often of "
+        f"{tried} {feeble} ask too much of a joint's torque, most often of "
         f"{context.weakest_joint(layer.chart.q[weak])}, {near} come within the safety margin; "
         "move the tool path, or take a lighter payload"
     )

@@ -35,6 +35,8 @@ _SAME_POSTURE = 1e-9
 _POSE = 6
 # Sequences beside one.
 _BESIDE = 40
+# How often charts are made denser where no way leads through a via-point, and at how many beside it.
+_REFINEMENTS, _ABOUT = 3, 2
 # Checks of a chart at most, and random postures of each as a multiple of those that charts are grown from.
 _CHECKS, _SEEDS_OF_A_CHECK = 5, 5
 
@@ -84,21 +86,29 @@ class GlobalSearch:
         self._context = context
         # The charts have one turn of these joints; the edges between charts count their angles modulo a turn.
         self._winding = context.robot.limits.winding
-        each, lowest = self._bounded()
         self._wide = context.robot.dof - context.task.dimension > 1
+        self._sampler = SelfMotionSampler(context)
+        # How often each chart has been made denser.
+        self._rounds = np.zeros(len(context.goals), dtype=np.intp)
+        self._chart(_sampled(self._sampler, context))
+
+    def _chart(self, each: list[FloatArray]) -> None:
+        """Find the lower bound and the graph of charts, (M, d) each."""
+        context = self._context
+        self._each, lowest = self._bounded(each)
         if self._wide:
-            charts = charts_of(context, self._with_more(each, lowest))
+            charts = charts_of(context, self._with_more(self._each, lowest))
             self._layers = [GraphLayer(context, chart) for chart in charts]
         self._allow(context.options.step_share)
         self.first_chart = self._layers[0].chart
 
-    def _bounded(self) -> tuple[list[FloatArray], FloatArray]:
+    def _bounded(self, each: list[FloatArray]) -> tuple[list[FloatArray], FloatArray]:
         """Find the lower bound; return all charts, (M, d) each, and a posture (d,) with that value.
 
-        Where it is set, and where no posture is admissible, more random postures check the chart first.
+        Where it is set, and where no posture is admissible, more random postures check the chart first; in
+        the second case denser charts do, too.
         """
-        context, sampler = self._context, SelfMotionSampler(self._context)
-        each = _sampled(sampler, context)
+        context, sampler = self._context, self._sampler
         for _ in range(_CHECKS):
             self._layers = [GraphLayer(context, chart) for chart in charts_of(context, each)]
             empty = next((k for k, best in enumerate(best_nodes(self._layers)) if best is None), None)
@@ -113,10 +123,24 @@ class GlobalSearch:
             if sum(len(q) for q in each) == before:
                 break
         if empty is not None:
+            if self._refine(each, empty):
+                return self._bounded(self._each)
             raise blocked(context, self._layers, empty, sampler.coverage)
         self.lower_bound, lowest = with_proof(context, self.lower_bound, lowest, sampler.coverage)
         self._spacing = sampler.spacing
         return each, lowest
+
+    def _refine(self, each: list[FloatArray], via_point: int) -> bool:
+        """Make charts, (M, d) each, denser about a via-point; return whether they became so."""
+        rounds = int(self._rounds[via_point]) + 1
+        if rounds > _REFINEMENTS or self._context.reporter.expired():
+            return False
+        beside = np.arange(max(via_point - _ABOUT, 0), min(via_point + _ABOUT + 1, len(each)))
+        beside = beside[self._rounds[beside] < rounds]
+        self._rounds[beside] = rounds
+        self._context.reporter.step(f"charting via-point {via_point + 1} more densely")
+        self._each = self._sampler.refined(each, self._context.goals, beside.tolist(), rounds)
+        return self._each is not each
 
     def halved(self) -> GlobalSearch:
         """Return the same charts with half the steps between via-points."""
@@ -139,7 +163,17 @@ class GlobalSearch:
         PathNotFound
             When no sequence of admissible postures can be followed to the end.
         """
-        return self._solve(self._context.posture if pinned else None, starts)
+        if pinned:
+            return self._solve(self._context.posture, starts)
+        while True:
+            try:
+                return self._solve(None, starts)
+            except PathNotFound as failure:
+                k = int(np.abs(self._context.times - failure.time).argmin())
+                halved = self.step_share < self._context.options.step_share
+                if starts is not None or halved or not self._refine(self._each, k):
+                    raise
+                self._chart(self._each)
 
     def solve_elsewhere(self, failed: PathNotFound) -> tuple[GlobalSolution, tuple[PathNotFound, ...]]:
         """Start in the posture nearest to the scene's from which the path can be followed.

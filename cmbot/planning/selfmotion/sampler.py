@@ -41,6 +41,8 @@ _MOST_POSTURES, _TOO_MANY, _COARSER, _COARSEST = 600, 1500, 1.6, np.pi
 # Charts are carried to every point of this stride first, and between this many pairs of these at once: more
 # only need memory.
 _STRIDE, _PAIRS = 6, 4
+# How often as many postures a refined chart has, and how many it may have at most.
+_DENSER, _MOST_REFINED = 4, 6000
 # Rounds of random postures along the path at most, and the factor of their number from one to the next.
 _ROUNDS, _MORE = 6, 2
 
@@ -91,6 +93,8 @@ class SelfMotionSampler:
         self._finest = context.options.chart_spacing
         # How often the spacing within and that beyond the joint ranges have grown.
         self._coarser = self._beyond = 0
+        # By how much it is finer while charts are refined.
+        self._denser = 1.0
         self._seeds = context.options.chart_seeds
         self._freedom = max(context.robot.dof - context.task.dimension, 0)
         self.coverage = Coverage(0, 0, 0)
@@ -166,6 +170,32 @@ class SelfMotionSampler:
             self._spread(sets, before, goals)
             number *= _MORE
         return sets.postures
+
+    def refined(
+        self, charts: list[FloatArray], goals: ToolPoses, at: Sequence[int], rounds: int
+    ) -> list[FloatArray]:
+        """Return charts at `goals` that are several times as dense at some of them.
+
+        Between the postures of a chart there may be a way that is narrower than its spacing.
+
+        Parameters
+        ----------
+        charts : list of (M, n)
+        goals : ToolPoses, (k,)
+        at : sequence of int
+            Where they get denser, ascending. Charts that are large already stay.
+        rounds : int
+            In so many rounds, counted from those of `along`.
+        """
+        some = [k for k in at if len(charts[k]) <= _MOST_REFINED // _DENSER]
+        if not some:
+            return charts
+        self._denser = _DENSER ** (rounds / max(self._freedom, 1))
+        sets = self._sets([charts[k] for k in some])
+        self._grow(_Postures.of_each(sets.postures), goals[np.asarray(some)], sets, most=_MOST_REFINED)
+        self._denser = 1.0
+        refined = dict(zip(some, sets.postures, strict=True))
+        return [refined.get(k, q) for k, q in enumerate(charts)]
 
     def _random(self, goals: ToolPoses, number: int) -> _Postures:
         """Random postures that hold the tool at `goals`, from `number` at each."""
@@ -290,7 +320,7 @@ class SelfMotionSampler:
 
     def _spacing_of(self, coarser: int) -> float:
         """Spacing that has grown so often, rad."""
-        return float(self._finest * _COARSER ** (2 * coarser / max(self._freedom, 2)))
+        return float(self._finest / self._denser * _COARSER ** (2 * coarser / max(self._freedom, 2)))
 
     def _far(self, some: _Postures, sets: PoissonDiskSets, share: float = _APART) -> _Postures:
         """Those of some postures that are apart from their charts by that share of the spacing."""

@@ -10,9 +10,12 @@ from hypothesis import strategies as st
 from small_scenes import context_of, off_task, short_scene
 from urdf_arms import six_joint_scene
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound, PlanningError
 from cmbot.planning import GlobalSearch, plan
 from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.selfmotion import global_search
 from cmbot.planning.selfmotion.dynamic_programming import refine
 from cmbot.planning.selfmotion.global_search import sequences_beside
 from cmbot.robot import Dynamics
@@ -89,7 +92,7 @@ FAR = {"legs": [{"by": [0, 2.5, 0], "seconds": 60}]}
     [
         (
             {"obstacles": [WALL]},
-            r"via-point \d of 8 is blocked: \d+ postures come within.*lower planner\.safety_margin_m",
+            r"through via-point \d of 8: of \d+ postures .* come within.*lower planner\.safety_margin_m",
             False,
         ),
         ({"tool_path": FAR}, r"blocked: out of reach: no posture .* there \(proven\); take another", False),
@@ -110,7 +113,7 @@ def test_a_blocked_via_point_is_named_with_its_reason(changes: Any, message: str
 def test_joints_that_are_too_slow_are_named() -> None:
     slow = {"legs": [{"by": [0, -0.6, 0], "seconds": 0.3}], "via_points": 5}
     search = GlobalSearch(sliding(tool_path=slow, planner={"chart_spacing": 0.1}))
-    expected = r"too far from those before for the velocity of joint_\d; give the leg more seconds"
+    expected = r"as far as .* found, are too far from those before for the velocity of joint_\d; give the leg"
     with pytest.raises(PathNotFound, match=expected) as caught:
         search.solve(pinned=True)
     # So much slower, the next via-point is reached.
@@ -189,3 +192,23 @@ def test_joints_that_can_turn_twice(turned: PlanningContext) -> None:
     narrow = replace(turned.robot.limits, upper=limits.upper - 2 * np.pi * (np.arange(6) == 3))
     within = GlobalSearch(replace(turned, robot=replace(turned.robot, limits=narrow))).solve(pinned=False)
     assert (within.q <= narrow.upper).all()
+
+
+def test_a_way_that_is_narrower_than_the_charts_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only what is next to a sequence between the charts' postures counts as clear."""
+    context = sliding(planner={"chart_spacing": 0.5})
+    q = GlobalSearch(context).solve(pinned=False).q
+    null = null_space(context.postures, context.task, q)[:, 0]
+    # The directions of neighbours agree.
+    null *= np.cumprod(np.sign(np.append(1.0, (null[1:] * null[:-1]).sum(axis=1))))[:, None]
+    narrow, reached = project_onto_task(context.postures, context.task, q + 0.2 * null, context.goals)
+    assert reached.all()
+
+    def near(some: FloatArray, margin: float) -> FloatArray:
+        return np.linalg.norm(some[:, None] - narrow, axis=2).min(axis=1) > 0.05
+
+    monkeypatch.setattr(context.clearances, "check_collision", near)
+    assert GlobalSearch(context).solve(pinned=False).peak > 0
+    monkeypatch.setattr(global_search, "_REFINEMENTS", 0)
+    with pytest.raises(PathNotFound, match=r"no way was found .* of \d+ postures that were tried"):
+        GlobalSearch(context).solve(pinned=False)
