@@ -87,6 +87,13 @@ def compensated_short() -> tuple[Plan, Tracking]:
     return made, simulate(made, SimulationOptions(settle_s=0.5))
 
 
+@pytest.fixture(scope="session")
+def returning_plan() -> Plan:
+    """From the short scene's posture to work, with an approach, and to the stow posture."""
+    planner = {"knots": "sliding"}
+    return plan(short_scene(format="cmbot-scene/2", planner=planner, **{"return": "stow"}))
+
+
 def _with_fixed_knots(name: str) -> Plan:
     scene = load_scene(name)
     return plan(scene, options=replace(scene.planner, knots="fixed"))

@@ -30,7 +30,8 @@ def schema_text() -> str:
         definition["description"] = inspect.getdoc(kind).partition("\n\nAttributes")[0]
         # pydantic would read the docstrings whenever cmbot is imported, and that takes a while.
         for key, text in attributes(kind) if is_dataclass(kind) else docstrings(kind):
-            definition["properties"][key]["description"] = text
+            # A key that is a word of Python has another name there.
+            definition["properties"][key.rstrip("_")]["description"] = text
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": FORMAT}
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 

@@ -15,6 +15,7 @@ from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import counted, shown
 from cmbot.planning import (
     APPROACH,
+    RETURN,
     WORK,
     Job,
     MotionMetrics,
@@ -45,14 +46,19 @@ def require_unchanged(folder: Path, file: PlanFile, contents: Mapping[str, bytes
         raise ArchiveError(str(folder / PLAN_FILE), "files", got, "none but the files of this plan")
 
 
-def require_segments(file: PlanFile, folder: Path) -> None:
-    """Refuse other segments than the scene and the start ask for, and gaps between them."""
+def require_segments(file: PlanFile, folder: Path, *, returns: bool) -> None:
+    """Refuse other segments than the scene and the start ask for, and gaps between them.
+
+    `returns`: the scene asks for a return, which there is unless the work ends there.
+    """
     source = str(folder / PLAN_FILE)
     sliding = file.options.knots == "sliding"
     expected = [(WORK, "stroke")]
     if sliding and file.start.moved_deg > 0:
         expected.insert(0, (APPROACH, "free"))
     got = [(segment.name, segment.kind) for segment in file.segments]
+    if returns and got[-1:] == [(RETURN, "free")]:
+        expected.append((RETURN, "free"))
     if got != expected:
         shown_got, names = (", ".join(name for name, _ in each) for each in (got, expected))
         raise ArchiveError(source, "segments", shown(shown_got), f"{names}, by the scene and the start")
@@ -63,10 +69,11 @@ def require_segments(file: PlanFile, folder: Path) -> None:
         begin = segment.begin + segment.seconds
 
 
-def require_fit(file: PlanFile, posture: FloatArray, job: Job, folder: Path) -> None:
+def require_fit(file: PlanFile, posture: FloatArray, end: FloatArray | None, job: Job, folder: Path) -> None:
     """Refuse a plan whose motions do not join, or whose entries contradict each other.
 
-    `posture` (n,), rad, is the scene's; `folder`, the plan directory, is for messages.
+    `posture` (n,), rad, is the scene's, and `end` that in which its job ends; None: where the work ends.
+    `folder`, the plan directory, is for messages.
     """
     source, work = str(folder / PLAN_FILE), job.strokes[0].trajectory
     _require_start(file, work, source)
@@ -81,6 +88,11 @@ def require_fit(file: PlanFile, posture: FloatArray, job: Job, folder: Path) -> 
         q, knots = approach.trajectory.q, str(folder / ("approach.npz" if earlier else "job.npz"))
         _require_posture(q[0], posture, knots, "q", "the scene's posture at first")
         _require_posture(q[-1], work.q[0], knots, "q", "where the work starts at last")
+    if end is not None:
+        last, knots = job.segments[-1], str(folder / "job.npz")
+        _require_posture(last.trajectory.q[-1], end, knots, "q", "where the job is to end at last")
+        if last.kind == "free":
+            _require_posture(last.trajectory.q[0], work.q[-1], knots, "q", "where the work ends at first")
     _require_work(file, source)
     if file.format != EARLIER_FORMAT:
         _require_figures(file.planned.job, job.figures, source, "planned.job")

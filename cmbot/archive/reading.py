@@ -37,6 +37,7 @@ from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
+    RETURN,
     Certificate,
     Check,
     Job,
@@ -49,6 +50,7 @@ from cmbot.planning import (
     bending_arm,
     certify,
     certify_move,
+    end_posture_of,
     figures,
     measure,
     objective_metrics,
@@ -110,10 +112,11 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         scene = _scene(read, data, source)
         robot = _robot(scene, read, source)
         task = task_of(scene, robot)
+        end = end_posture_of(scene, robot)
         clearances = Clearances(robot, scene.obstacles)
     duration = task.path.duration
     file = read.upgraded(duration) if isinstance(read, EarlierPlanFile) else read
-    require_segments(file, folder)
+    require_segments(file, folder, returns=end is not None)
     contents = _contents(folder, file, robot.dof, duration)
     # What is in them is looked at only when they are the ones that were saved.
     require_unchanged(folder, file, contents)
@@ -121,7 +124,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     job = _job(file, trajectories, robot, task, source)
     t, motion = read_motion(contents["baseline.csv"], str(folder / "baseline.csv"), robot.dof)
     require_times(t, duration, str(folder / "baseline.csv"), "the scene")
-    require_fit(file, np.array(scene.posture), job, folder)
+    require_fit(file, np.array(scene.posture), end, job, folder)
     plan = Plan(
         scene=scene,
         options=file.options,
@@ -143,7 +146,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         fallbacks=file.fallbacks,
         seconds=file.seconds,
     )
-    return _verified(plan, clearances, source) if verify else plan
+    return _verified(plan, file.baseline.job, clearances, source) if verify else plan
 
 
 def plan_data(directory: Path) -> dict[str, Any]:
@@ -259,7 +262,7 @@ def _job(
     return Job(segments=tuple(segments))
 
 
-def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
+def _verified(plan: Plan, baseline_job: MetricsFile | None, clearances: Clearances, source: Path) -> Plan:
     """Return the plan with new certificates; their metrics must be those in the file."""
     job = plan.job
     for k, segment in enumerate(plan.job.segments):
@@ -269,6 +272,9 @@ def _verified(plan: Plan, clearances: Clearances, source: Path) -> Plan:
         _require_same(segment.figures, certificate.figures, source, key)
         job = job.changed(segment.name, certificate=certificate)
     _require_same(plan.baseline_figures, figures(plan.robot, plan.baseline), source, "baseline")
+    if baseline_job is not None:
+        expected = made(MotionMetrics, baseline_job)
+        _require_same(expected, plan.baseline_job_figures, source, "baseline.job")
     if not plan.objective.own:
         _verify_objective(plan, source)
     return replace(plan, job=job)
@@ -292,8 +298,12 @@ def _certified(plan: Plan, segment: Segment, clearances: Clearances) -> Certific
             sag=sag,
         )
     else:
-        held, end = plan.task.held_at_start(), plan.trajectory.q[0]
-        certificate = certify_move(robot, held, trajectory, clearances, options, posture, end)
+        held = plan.task.held_at_start()
+        start, end = posture, plan.trajectory.q[0]
+        if segment.name == RETURN:
+            # That the scene asks for it, and where it leads to, has been checked.
+            start, end = plan.trajectory.q[-1], np.array(end_posture_of(plan.scene, robot))
+        certificate = certify_move(robot, held, trajectory, clearances, options, start, end)
     checks = second_opinion(plan.scene, options, trajectory, robot=robot, at_work=at_work, sag=sag)
     return replace(certificate, checks=(*certificate.checks, *checks))
 

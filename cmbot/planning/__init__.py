@@ -4,12 +4,12 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.context import bending_arm, robot_of, sag_of, task_of
+from cmbot.planning.context import bending_arm, end_posture_of, robot_of, sag_of, task_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import certify_move
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.job import APPROACH, WORK, Job, Segment, SegmentMetrics, job_metrics
+from cmbot.planning.job import APPROACH, RETURN, WORK, Job, Segment, SegmentMetrics, job_metrics
 from cmbot.planning.objectives import (
     Objective,
     PostureFunction,
@@ -36,6 +36,7 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 
 __all__ = [
     "APPROACH",
+    "RETURN",
     "WORK",
     "Certificate",
     "Check",
@@ -72,6 +73,7 @@ __all__ = [
     "bending_arm",
     "certify",
     "certify_move",
+    "end_posture_of",
     "figures",
     "find_start",
     "job_metrics",

@@ -19,12 +19,13 @@ from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
-from cmbot.scene import SPEED_TOLERANCE, PlannerOptions, Scene, ToolPath, ToolPoses, pose
+from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, ToolPath, ToolPoses, pose
 
 __all__ = [
     "PlanningContext",
     "bending_arm",
     "build_context",
+    "end_posture_of",
     "no_start_left",
     "robot_of",
     "sag_of",
@@ -38,6 +39,7 @@ class PlanningContext:
 
     robot: Robot
     posture: FloatArray  # (n,), rad and m: the scene's
+    end_posture: FloatArray | None  # (n,), rad and m, of the whole job; None: where the work ends
     task: ToolTask
     clearances: Clearances
     times: FloatArray  # (k,), s, of the via-points
@@ -160,6 +162,7 @@ def build_context(
     return PlanningContext(
         robot=robot,
         posture=posture,
+        end_posture=end_posture_of(scene, robot),
         task=task,
         clearances=Clearances(robot, scene.obstacles),
         times=task.path.via_times(scene.via_points),
@@ -170,6 +173,24 @@ def build_context(
         sag=sag if options.compensate else None,
         reporter=reporter or ProgressReporter(),
     )
+
+
+def end_posture_of(scene: Scene, robot: Robot) -> FloatArray | None:
+    """Return the posture (n,), rad and m, in which a scene's job ends; None: where its work ends.
+
+    An arm without a stow posture is put away where it started.
+
+    Raises
+    ------
+    SceneError
+        When its stow posture is out of the joint ranges.
+    """
+    if scene.return_to == "none":
+        return None
+    stow = robot.group_states.get(STOW)
+    if scene.return_to == "start" or stow is None:
+        return np.array(scene.posture)
+    return np.array(robot.posture(stow, source=scene.source, key="return", error_type=SceneError))
 
 
 def bending_arm(scene: Scene, robot: Robot) -> ElasticArm | None:

@@ -15,10 +15,19 @@ from cmbot.planning.verification.certificate import Certificate, Check
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["APPROACH", "WORK", "Job", "Segment", "SegmentMetrics", "job_metrics", "join_trajectories"]
+__all__ = [
+    "APPROACH",
+    "RETURN",
+    "WORK",
+    "Job",
+    "Segment",
+    "SegmentMetrics",
+    "job_metrics",
+    "join_trajectories",
+]
 
-APPROACH, WORK = "approach", "work"
-"""Names of the free move to the first stroke, and of the stroke of a tool path without named ones."""
+APPROACH, WORK, RETURN = "approach", "work", "return"
+"""Names of the free move to the first stroke, of the stroke of a tool path without names, of the way back."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,16 +15,18 @@ from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
 from cmbot.optimization import ExchangeReport, StateSamples
-from cmbot.planning.context import bending_arm, sag_of
+from cmbot.planning.context import bending_arm, end_posture_of, sag_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
+from cmbot.planning.free_motion.return_move import SAME_POSTURE
+from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.job import APPROACH, Job, Segment
+from cmbot.planning.job import APPROACH, Job, Segment, SegmentMetrics, job_metrics
 from cmbot.planning.objectives import Objective
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate
-from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
+from cmbot.planning.verification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.trajectory import QuinticTrajectory
@@ -137,7 +139,8 @@ class Plan:
     smallest_singular_value : float
         Of the task Jacobian along the baseline.
     job : Job
-        The planned motion: the work and, where the work starts elsewhere than the arm does, the approach.
+        The planned motion: the work; before it the approach, where the work starts elsewhere than the arm
+        does; after it the return, where the scene asks for one.
     passes : tuple of ExchangeReport
         Exchange iterations of the optimisation.
     objective : ObjectiveMetrics
@@ -176,10 +179,31 @@ class Plan:
     fallbacks: tuple[str, ...]
     seconds: Seconds
 
-    @property
+    @cached_property
+    def baseline_return(self) -> Samples | None:
+        """The baseline's return every 0.01 s, from time 0: the quickest straight joint motion within limits.
+
+        It starts where the baseline ends; torques and collisions are ignored. None without a return.
+        """
+        start, end = self.baseline.q[-1], end_posture_of(self.scene, self.robot)
+        if end is None or np.abs(end - start).max() <= SAME_POSTURE:
+            return None
+        robot = self.robot.tool_off
+        t, motion = quickest_straight(robot.limits, start, end, _SAMPLE_STEP)
+        clearances = Clearances(robot, self.scene.obstacles)
+        return measure(robot, self.task.held_at_start(), clearances, t, motion)
+
+    @cached_property
     def baseline_job_figures(self) -> MotionMetrics:
         """Figures of the baseline over the whole job: it begins where the arm is."""
-        return self.baseline_figures
+        figures_of_work, back = self.baseline_figures, self.baseline_return
+        parts = [
+            SegmentMetrics(figures=figures_of_work, seconds=float(self.baseline.t[-1]), kind="stroke"),
+        ]
+        if back is not None:
+            measured = figures(self.robot.tool_off, back)
+            parts.append(SegmentMetrics(figures=measured, seconds=float(back.t[-1]), kind="free"))
+        return job_metrics(parts)
 
     @property
     def work(self) -> Segment:

@@ -17,6 +17,8 @@ from cmbot.planning.failures import constraints_named, in_seconds, slower, slowe
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
+from cmbot.planning.free_motion.free_move import largest_objective
+from cmbot.planning.free_motion.return_move import plan_return
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.job import WORK, Job, Segment
 from cmbot.planning.objectives import WrenchFunction
@@ -228,6 +230,19 @@ class _Motion:
         return self.job.strokes[0]
 
 
+def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | None:
+    """The return of a job after what is planned of it."""
+    if context.end_posture is None:
+        return None
+    context.reporter.step("planning the return")
+    allowed = max(
+        largest_objective(context if segment.kind == "stroke" else context.tool_off, segment.trajectory)
+        for segment in before
+    )
+    work = before[-1]
+    return plan_return(context, work.trajectory.q[-1], begin=work.end, allowed=allowed)
+
+
 def _certified_motion(attempt: Attempt) -> _Motion:
     context, guess = attempt.context, attempt.guess
     reporter, options = context.reporter, context.options
@@ -276,10 +291,13 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         certificate=certificate,
         task=context.task,
     )
+    before = () if approach is None else (approach,)
+    back = _return(context, (*before, work))
+    after = () if back is None else (back,)
     return _Motion(
         optimised=optimised,
         compensation=compensation,
         quieting=quieting,
         start=Start(posture=posture, moved=moved, failures=guess.failures),
-        job=Job(segments=(work,) if approach is None else (approach, work)),
+        job=Job(segments=(*before, work, *after)),
     )

@@ -17,7 +17,7 @@ from cmbot.common.installation import install_command
 from cmbot.common.validation import counted
 from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module
-from cmbot.planning.context import PlanningContext, robot_of, task_of
+from cmbot.planning.context import PlanningContext, end_posture_of, robot_of, task_of
 from cmbot.planning.task import task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
 from cmbot.scene import PlannerOptions, Scene, Tool, ToolPath
@@ -123,6 +123,7 @@ def precheck_scene(scene: Scene) -> Precheck:
         ("smallest singular value there", f"{task.smallest_singular_value(robot, scene.posture):.4f}"),
         (f"torque on the {scene.base_name} there", f"{np.linalg.norm(efforts.guardrail_torque):.2f} Nm"),
         ("largest joint torque there", f"{use.max():.2f} of the bound of {joint}"),
+        *_return(scene, robot),
     ]
     if use.max() > 1.0:
         effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
@@ -139,6 +140,14 @@ def precheck_scene(scene: Scene) -> Precheck:
         got = "values that all lie within 2 pi, which look like radians"
         warnings.append(_warning(scene.file.posture_key, got, "degrees"))
     return Precheck(found=tuple(found), warnings=tuple(warnings))
+
+
+def _return(scene: Scene, robot: Robot) -> Iterator[tuple[str, str]]:
+    """Where the arm goes after the work, and what it asks there at rest."""
+    end = end_posture_of(scene, robot)
+    if end is not None:
+        torque = np.linalg.norm(Dynamics(robot.tool_off).static_efforts(end[None]).guardrail_torque)
+        yield "return", f"to {scene.return_to}: {torque:.2f} Nm on the {scene.base_name} there"
 
 
 def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Iterator[Finding]:

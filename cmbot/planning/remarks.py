@@ -8,8 +8,10 @@ import numpy as np
 
 from cmbot.common.validation import counted
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
+from cmbot.planning.job import RETURN
 from cmbot.planning.plan import ObjectiveMetrics, Plan
 from cmbot.robot import postures_in_words
+from cmbot.scene import STOW
 
 __all__ = ["remarks"]
 
@@ -24,6 +26,7 @@ _NOTHING = 1e-9
 def remarks(plan: Plan) -> Iterator[str]:
     """Yield what should be known of a plan besides its metrics, a sentence or two each."""
     yield from _start(plan)
+    yield from _return(plan)
     if plan.baseline_figures.min_clearance < plan.options.safety_margin_m:
         yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
     yield _gain(plan)
@@ -134,6 +137,24 @@ def _start(plan: Plan) -> Iterator[str]:
                 f"The approach asks more of the {plan.scene.base_name} than baseline and work do; "
                 "start: pinned, or a start posture nearer to this one, spares it."
             )
+
+
+def _return(plan: Plan) -> Iterator[str]:
+    """How the arm goes back, where the scene asks for it."""
+    if plan.scene.return_to == "none":
+        return
+    lacks = plan.scene.return_to == "stow" and STOW not in plan.robot.group_states
+    where = "its stow posture" if plan.scene.return_to == "stow" and not lacks else "where it started"
+    why = f" (its SRDF has no group state {STOW})" if lacks else ""
+    back = plan.job.segment(RETURN)
+    if back is None:
+        yield f"The work ends in the posture to which the arm is to return{why}."
+        return
+    peak, clearance = back.figures.peak_guardrail_torque, 1e3 * back.figures.min_clearance
+    yield (
+        f"Return: after the work the arm goes to {where}{why} in {back.duration:.1f} s (tool off), "
+        f"peak torque {peak:.2f} Nm, clearance {clearance:.1f} mm, certified."
+    )
 
 
 def _furthest(plan: Plan) -> str:

@@ -5,6 +5,7 @@ from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape,
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.scene import RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
+from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 from cmbot.scene.tool_path import (
@@ -19,6 +20,7 @@ from cmbot.scene.tool_path import (
 __all__ = [
     "MOST_SAMPLES",
     "SPEED_TOLERANCE",
+    "STOW",
     "Box",
     "Capsule",
     "Cylinder",

@@ -74,18 +74,20 @@ class BaseFile(FileModel):
 
 
 class PostureFile(FileModel):
-    """Where the arm is at the start: one posture, from the base to the tool, in either unit."""
+    """Where the arm is at the start: stowed, or one posture, from the base to the tool, in either unit."""
 
-    model_config = ConfigDict(json_schema_extra=one_of_schema(("posture_deg", "posture")))
+    model_config = ConfigDict(json_schema_extra=one_of_schema(("posture_deg", "posture", "stow")))
 
     posture_deg: Posture | None = None
     """Joint angles, for arms whose joints all turn."""
     posture: Posture | None = None
     """Joint positions in rad and, of joints that slide, m."""
+    stow: Literal[True] | None = None
+    """In the group state ``stow`` of the arm's SRDF."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        exactly_one(self, ("posture_deg", "posture"))
+        exactly_one(self, ("posture_deg", "posture", "stow"))
         return self
 
 
@@ -148,8 +150,10 @@ class ToolPathFile(FileModel):
 class SceneFile(FileModel):
     """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
 
+    model_config = ConfigDict(serialize_by_alias=True)
+
     format: Literal["cmbot-scene/1", "cmbot-scene/2"]
-    """The second knows `base`, `start` and `tool`, too."""
+    """The second knows `base`, `start`, `return` and `tool`, too."""
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
@@ -158,7 +162,10 @@ class SceneFile(FileModel):
     posture_deg: Posture | None = None
     """Joint angles at the start, from the base to the tool."""
     start: PostureFile | None = None
-    """In place of `posture_deg`, and needed where joints slide; of ``cmbot-scene/2``."""
+    """In place of `posture_deg`, and needed where joints slide; of ``cmbot-scene/2``; left out: stowed."""
+    return_: Annotated[Literal["stow", "start", "none"] | None, Field(alias="return")] = None
+    """Where the arm goes after the work; of ``cmbot-scene/2``; left out: nowhere. An arm whose SRDF has no
+    group state ``stow`` is put away where it started."""
     tool: Tool | None = None
     """What the process asks while the tool is on; of ``cmbot-scene/2``."""
     tool_path: ToolPathFile
@@ -168,11 +175,12 @@ class SceneFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        for key in ("base", "start", "tool"):
-            if getattr(self, key) is not None and self.format == "cmbot-scene/1":
+        newer = {"base": self.base, "start": self.start, "return": self.return_, "tool": self.tool}
+        for key, value in newer.items():
+            if value is not None and self.format == "cmbot-scene/1":
                 expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"
                 raise refusal(expected, got=key, key=(key,))
-        if self.posture_deg is None and self.start is None:
+        if self.posture_deg is None and self.start is None and self.format == "cmbot-scene/1":
             raise refusal("a value, this key is required", got="nothing", key=("posture_deg",))
         if self.posture_deg is not None and self.start is not None:
             raise refusal("no such key beside posture_deg", got="start", key=("start",))
@@ -192,27 +200,28 @@ class SceneFile(FileModel):
     def posture_key(self) -> str:
         """The key that has the posture, such as ``posture_deg`` or ``start.posture``."""
         if self.start is None:
-            return "posture_deg"
-        return f"start.{'posture' if self.start.posture_deg is None else 'posture_deg'}"
+            return "start" if self.posture_deg is None else "posture_deg"
+        (given,) = self.start.model_dump(exclude_none=True)
+        return f"start.{given}"
 
     @property
-    def posture(self) -> FloatArray:
-        """The posture (n,) in SI, as if every joint turned where it is in degrees."""
+    def posture(self) -> FloatArray | None:
+        """The posture (n,) in SI, as if every joint turned where it is in degrees; None: stowed."""
         in_degrees = self.posture_deg if self.start is None else self.start.posture_deg
         if in_degrees is not None:
             return np.radians(in_degrees)
-        return np.array(None if self.start is None else self.start.posture, dtype=float)
+        given = None if self.start is None else self.start.posture
+        return None if given is None else np.array(given, dtype=float)
 
-    def with_posture(self, q: FloatArray) -> dict[str, Any]:
-        """Return the entries with another posture `q` (n,), SI, in the units of this one; itself if same."""
-        if np.array_equal(self.posture, q):
+    def with_posture(self, q: FloatArray, known: FloatArray) -> dict[str, Any]:
+        """Return the entries with a posture `q` (n,), SI, in the units of the file's; its own if `known`."""
+        if np.array_equal(known, q):
             return self.model_dump(mode="json", include={"posture_deg", "start"}, exclude_none=True)
-        degrees = np.degrees(q).tolist()
-        if self.start is None:
-            return {"posture_deg": degrees}
-        return {
-            "start": {"posture": q.tolist()} if self.start.posture_deg is None else {"posture_deg": degrees}
-        }
+        if self.posture_key == "posture_deg":
+            return {"posture_deg": np.degrees(q).tolist()}
+        if self.posture_key == "start.posture_deg":
+            return {"start": {"posture_deg": np.degrees(q).tolist()}}
+        return {"start": {"posture": q.tolist()}}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,6 +265,7 @@ class _SceneFields(ToolPathFile):
     """The bounds of a `Scene`'s fields that hold text and numbers: those of the scene file."""
 
     posture: Posture
+    return_to: Literal["stow", "start", "none"]
     planner: PlannerOptions
 
 
@@ -287,6 +297,8 @@ class Scene:
     robot : RobotSource
     posture : array
         (n,), joint positions at the start, rad, of joints that slide m; read-only.
+    return_to : str
+        Where the arm goes after the work: ``stow``, ``start`` or ``none``, nowhere.
     tool : Tool
         What the process asks while the tool is on.
     keep : str
@@ -317,6 +329,7 @@ class Scene:
     source: str
     robot: RobotSource
     posture: FloatArray
+    return_to: Literal["stow", "start", "none"]
     tool: Tool
     keep: Literal["pose", "axis", "position"]
     legs: tuple[Leg, ...]

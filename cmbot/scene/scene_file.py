@@ -24,6 +24,7 @@ from cmbot.scene.fields import si_fields
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
 from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
+from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
 
 __all__ = ["load_scene", "scene_from_file", "shipped_scenes", "update_file"]
@@ -99,12 +100,13 @@ def scene_from_file(
     """
     find = partial(_found, base_folder, source)
     own = tuple(obstacle_from_file(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
-    guardrail = guardrail_from_file(file.guardrail)
+    guardrail, robot = guardrail_from_file(file.guardrail), _robot(file.robot, find)
     return Scene(
         name=file.name,
         source=source,
-        robot=_robot(file.robot, find),
-        posture=read_only(file.posture),
+        robot=robot,
+        posture=read_only(np.array(start_posture(file, robot, source))),
+        return_to=file.return_ or "none",
         tool=file.tool or Tool(),
         obstacles=(*own, *guardrail_obstacles(guardrail)),
         guardrail=guardrail,
@@ -129,13 +131,15 @@ def update_file(scene: Scene) -> Scene:
     data = scene.file.as_data() | {
         "name": scene.name,
         "robot": _robot_data(scene.robot, scene.file.robot),
-        **scene.file.with_posture(scene.posture),
+        **scene.file.with_posture(scene.posture, start_posture(scene.file, scene.robot, scene.source)),
         "tool_path": {
             name: plain(getattr(scene, name), "Scene") for name in type(scene.file.tool_path).model_fields
         },
         "obstacles": [obstacle_data(obstacle, entries.get(obstacle.name)) for obstacle in own],
         "planner": plain(scene.planner, "Scene"),
     }
+    if scene.return_to != (scene.file.return_ or "none"):
+        data |= {"return": scene.return_to, "format": FORMAT}
     if scene.tool != (scene.file.tool or Tool()):
         # The first format does not have it, and all else means the same in both.
         data |= {"tool": plain(scene.tool, "Scene"), "format": FORMAT}

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning import Plan, Samples
+from cmbot.planning import RETURN, Plan, Samples
 from cmbot.simulation import Tracking
 from cmbot.views.page import pack
 
@@ -67,7 +67,8 @@ class Chart:
     bounds: tuple[float | None, float | None] = (None, None)  # values beyond them are not allowed
     marks: tuple[tuple[float, str], ...] = ()  # levels with their names
     note: str = ""  # explanation below the title
-    approach: str = ""  # why the approach has no curve
+    work_ends: float | None = None  # when the return begins, s, where its curves are shown
+    free: str = ""  # why the free moves have no curves
 
     def data(self, most: int = MOST_POINTS) -> dict[str, Any]:
         """Return it ready for JSON; arrays are little-endian float32 in base64."""
@@ -160,6 +161,7 @@ def _torque(plan: Plan) -> Chart:
     bound = plan.torque_floor
     return Chart(
         key="torque",
+        work_ends=_work_ends(plan),
         title=f"Torque on the {plan.scene.base_name}",
         unit="Nm",
         digits=1,
@@ -180,6 +182,7 @@ def _clearance(plan: Plan) -> Chart:
     lowest = min((float(curve.y.min()) for curve in curves), default=0.0)
     return Chart(
         key="clearance",
+        work_ends=_work_ends(plan),
         title="Clearance",
         unit="mm",
         digits=1,
@@ -198,12 +201,12 @@ def _tool_deviation(plan: Plan) -> Chart:
         title="Tool's distance from its path",
         unit="mm",
         digits=3,
-        curves=_curves(plan, lambda samples: 1e3 * samples.tool_deviation, approach=False),
+        curves=_curves(plan, lambda samples: 1e3 * samples.tool_deviation, free=False),
         axis=(0.0, 1.15 * bound),
         bounds=(None, bound),
         marks=((bound, f"bound {bound:g} mm"),),
         note=_EXPECTED if plan.samples.expected_tool_point is not None else "",
-        approach="no tool path",
+        free="no tool path",
     )
 
 
@@ -225,7 +228,7 @@ def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
             curves=(*static, *total),
             axis=(middle - half, middle + half),
             note="" if number else note,
-            approach=_NOT_SIMULATED,
+            free=_NOT_SIMULATED,
         )
 
 
@@ -242,7 +245,7 @@ def _off_path(tracking: Tracking) -> Chart:
         curves=curves,
         axis=(0.0, ROOM * _highest(curves)),
         note="To the nearest point of the path: elastic deflection and joint motion together.",
-        approach=_NOT_SIMULATED,
+        free=_NOT_SIMULATED,
     )
 
 
@@ -250,20 +253,27 @@ def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], Float
     return lambda samples: np.asarray(factor * getattr(samples, name)[:, joint])
 
 
-def _curves(
-    plan: Plan, quantity: Callable[[Samples], FloatArray], *, approach: bool = True
-) -> tuple[Curve, ...]:
-    """Return a quantity of both motions; the planned one's curve begins with the approach."""
-    planned = plan.samples
-    t, y = planned.t, quantity(planned)
-    before = plan.approach_samples
-    if approach and before is not None:
-        t = np.concatenate([before.t - before.t[-1], t])
-        y = np.concatenate([quantity(before), y])
-    return (
-        Curve(motion="baseline", t=plan.baseline.t, y=quantity(plan.baseline)),
-        Curve(motion="planned", t=t, y=y),
-    )
+def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool = True) -> tuple[Curve, ...]:
+    """Return a quantity of both motions over the time since the work began, `free` moves included."""
+    begin, back = plan.work.begin, plan.baseline_return
+    planned = [
+        (segment.begin - begin, plan.segment_samples[segment.name])
+        for segment in plan.job.segments
+        if free or segment.kind == "stroke"
+    ]
+    baseline = [(0.0, plan.baseline)]
+    if free and back is not None:
+        baseline.append((float(plan.baseline.t[-1]), back))
+
+    def curve(motion: Motion, parts: list[tuple[float, Samples]]) -> Curve:
+        t = np.concatenate([start + samples.t for start, samples in parts])
+        return Curve(motion=motion, t=t, y=np.concatenate([quantity(samples) for _, samples in parts]))
+
+    return curve("baseline", baseline), curve("planned", planned)
+
+
+def _work_ends(plan: Plan) -> float | None:
+    return plan.work.duration if plan.job.segment(RETURN) is not None else None
 
 
 def _highest(curves: tuple[Curve, ...]) -> float:

@@ -132,11 +132,14 @@ def _chart(chart: Chart) -> Figure:
         _forbidden(axes, upper, high)
     for level, name in chart.marks:
         axes.axhline(level, color="black", linewidth=0.8, linestyle="--", label=name)
+    outside = []
     if any(curve.t[0] < 0 for curve in chart.curves):
         axes.axvline(0.0, color="0.6", linewidth=0.6)
-        axes.set_xlabel("time, s (the approach before 0)")
-    else:
-        axes.set_xlabel("time, s")
+        outside.append("the approach before 0")
+    if chart.work_ends is not None:
+        axes.axvline(chart.work_ends, color="0.6", linewidth=0.6)
+        outside.append(f"the return after {chart.work_ends:g}")
+    axes.set_xlabel(f"time, s ({', '.join(outside)})" if outside else "time, s")
     axes.set_ylabel(chart.unit)
     axes.set_title(chart.title, loc="left")
     _legend(figure, axes)

@@ -1,4 +1,4 @@
-"""The motions of a plan (approach, work, baseline) as the pages replay them, at equal time steps."""
+"""The motions of a plan (its job and the baseline) as the pages replay them, at equal time steps."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import require_type
-from cmbot.planning import MotionMetrics, Plan, Samples, figures, measure
+from cmbot.planning import APPROACH, RETURN, MotionMetrics, Plan, Samples, figures, measure
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.views.charts import floor_name
@@ -22,28 +22,31 @@ from cmbot.views.page import pack
 __all__ = ["replay_data"]
 
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
-MOST_POSES = 12_000  # frames times links, approach and work together
+MOST_POSES = 12_000  # frames times links, of the whole job
 
 
 def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     """Return the page's data, ready for JSON; `_Frames.motion` documents each motion.
 
-    The work starts at time 0, the approach at ``start`` before it; with `tracking` the arms rest after the
-    work until ``end``.
+    The work starts at time 0, the approach at ``start`` before it; the return comes after it until ``end``.
+    With `tracking`, and without a return, the arms rest after the work until then.
     """
     duration = float(max(plan.samples.t[-1], plan.baseline.t[-1]))
-    approach_duration = plan.approach.trajectory.duration if plan.approach is not None else 0.0
     if tracking is not None:
         require_type(tracking, Tracking, "tracking", "", "a Tracking, as cmbot.simulate returns it")
     end = duration if tracking is None else _end(tracking, duration)
-    step = max(FRAME_STEP, (approach_duration + end) * plan.robot.dof / MOST_POSES)
+    back = _return_seconds(plan)
+    if back > 0:
+        end = duration + back
+    before = 0.0 if plan.approach is None else plan.approach.duration
+    step = max(FRAME_STEP, (before + end) * plan.robot.dof / MOST_POSES)
     frames = _Frames(plan)
     times = _frame_times(0.0, duration, step)
     planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
     return {
         "title": plan.scene.name,
         "robot": plan.robot.name,
-        "start": 0.0 - approach_duration,
+        "start": 0.0 - before,
         "duration": duration,
         "end": end,
         "base": plan.scene.base_name,
@@ -55,7 +58,8 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "approach": _approach(plan, frames, step),
         "planned": frames.motion(plan.samples, plan.figures, times, planned),
         "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, baseline),
-        "rest": _rest(plan, tracking, frames, _frame_times(duration, end, step)),
+        "return": _return(plan, frames, _frame_times(0.0, back, step)) if back > 0 else None,
+        "rest": None if back > 0 else _rest(plan, tracking, frames, _frame_times(duration, end, step)),
         "pairs": list(frames.pairs),
         "focus": _focus(plan),
         "reach": reach(plan.robot),
@@ -159,18 +163,46 @@ def _end(tracking: Tracking, duration: float) -> float:
 
 def _approach(plan: Plan, frames: _Frames, step: float) -> dict[str, Any] | None:
     """Return the planned arm's approach; meanwhile the baseline's arm rests in its first posture."""
-    robot, approach, planned = plan.robot, plan.approach, plan.approach_samples
-    if approach is None or planned is None:
+    approach = plan.approach
+    if approach is None:
         return None
-    times = _frame_times(0.0, approach.trajectory.duration, step)
-    ends = times[[0, -1]]
-    posture = np.repeat(plan.baseline.q[:1], 2, axis=0)
-    still = measure(robot, plan.task, frames.clearances, ends, [posture, *np.zeros((3, *posture.shape))])
+    times = _frame_times(0.0, approach.duration, step)
+    label = "approach along the self-motion" if approach.along_self_motion else "approach, tool off"
     return {
-        "label": "approach along the self-motion" if approach.along_self_motion else "approach, tool off",
-        "planned": frames.motion(planned, approach.certificate.figures, times),
-        "baseline": frames.motion(still, figures(robot, still), ends),
+        "label": label,
+        "planned": frames.motion(plan.segment_samples[APPROACH], approach.figures, times),
+        "baseline": _still(plan, frames, plan.baseline.q[0], times[[0, -1]]),
     }
+
+
+def _return_seconds(plan: Plan) -> float:
+    """How long the arms' returns take, the longer one, s; 0 without."""
+    planned, baseline = plan.job.segment(RETURN), plan.baseline_return
+    each = (0.0 if planned is None else planned.duration, 0.0 if baseline is None else float(baseline.t[-1]))
+    return max(each)
+
+
+def _return(plan: Plan, frames: _Frames, times: FloatArray) -> dict[str, Any]:
+    """Return both arms' returns; the one that is there first rests."""
+    planned, baseline = plan.job.segment(RETURN), plan.baseline_return
+    ends, off = times[[0, -1]], plan.robot.tool_off
+    return {
+        "label": "return, tool off",
+        "planned": _still(plan, frames, plan.trajectory.q[-1], ends)
+        if planned is None
+        else frames.motion(plan.segment_samples[RETURN], planned.figures, times),
+        "baseline": _still(plan, frames, plan.baseline.q[-1], ends)
+        if baseline is None
+        else frames.motion(baseline, figures(off, baseline), times),
+    }
+
+
+def _still(plan: Plan, frames: _Frames, q: FloatArray, times: FloatArray) -> dict[str, Any]:
+    """Return an arm that rests in a posture (n,), its tool off, between two `times` (2,)."""
+    posture, off = np.repeat(q[None], 2, axis=0), plan.robot.tool_off
+    rates = np.zeros((3, *posture.shape))
+    samples = measure(off, plan.task, frames.clearances, times, [posture, *rates])
+    return frames.motion(samples, figures(off, samples), times)
 
 
 def _rest(plan: Plan, tracking: Tracking | None, frames: _Frames, times: FloatArray) -> dict[str, Any] | None:
@@ -187,8 +219,7 @@ def _rest(plan: Plan, tracking: Tracking | None, frames: _Frames, times: FloatAr
 def _focus(plan: Plan) -> dict[str, Any]:
     """Return a ball (m, in W) about the foot, the path and the arm's joints, and the camera's azimuth."""
     motions = [plan.samples.q, plan.baseline.q]
-    if plan.approach is not None:
-        motions.append(plan.approach.trajectory.q)
+    motions += [segment.trajectory.q for segment in plan.job.segments if segment.kind == "free"]
     points = [np.zeros((1, 3)), plan.task.path.corners, plan.samples.tool_point, plan.baseline.tool_point]
     points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3].reshape(-1, 3) for q in motions]
     cloud = np.concatenate(points)

@@ -116,9 +116,9 @@ def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
 
 
 def certificates(plan: Plan) -> dict[str, Certificate]:
-    """Return the certificates of a plan by motion: ``work`` and, where there is one, ``approach``."""
-    approach = plan.approach
-    return {"work": plan.certificate} | ({} if approach is None else {"approach": approach.certificate})
+    """Return the certificates of a plan by the names of its segments, that of the work first."""
+    first = {plan.work.name: plan.certificate}
+    return first | {segment.name: segment.certificate for segment in plan.job.segments}
 
 
 def bound_use(check: Check) -> float:
@@ -131,9 +131,9 @@ def bound_use(check: Check) -> float:
 def _peak_card(plan: Plan) -> Headline:
     before, after = plan.baseline_figures.peak_guardrail_torque, plan.figures.peak_guardrail_torque
     detail = f"{100 * (after / before - 1):+.1f} % at work" if before else ""
-    if plan.approach is not None:
-        peak = plan.approach.certificate.figures.peak_guardrail_torque
-        detail += f"; {peak:.1f} Nm on the approach"
+    for segment in plan.job.segments:
+        if segment.kind == "free":
+            detail += f"; {segment.figures.peak_guardrail_torque:.1f} Nm on the {segment.name}"
     return Headline(
         title=f"Peak {plan.scene.base_name} torque",
         before=f"{before:.1f}",
@@ -163,12 +163,12 @@ def _certificate_card(plan: Plan) -> Headline:
         for name, found in certificates(plan).items()
     }
     tightest = max(plan.certificate.checks, key=bound_use)
-    approach = f"; approach: {held['approach']}" if "approach" in held else ""
+    others = "".join(f"; {name}: {number}" for name, number in held.items() if name != plan.work.name)
     kept = all(check.holds for found in certificates(plan).values() for check in found.checks)
     return Headline(
         title="Certified checks",
-        value=f"{held['work']} hold",
-        detail=f"tightest: {tightest.quantity}, {100 * bound_use(tightest):.0f} % of its bound{approach}",
+        value=f"{held[plan.work.name]} hold",
+        detail=f"tightest: {tightest.quantity}, {100 * bound_use(tightest):.0f} % of its bound{others}",
         state="good" if kept else "bad",
     )
 

@@ -18,7 +18,7 @@ def test_peaks_survive_the_thinning(triangle_plan: Plan, triangle_tracking: Trac
     torque, *others = charts(triangle_plan, triangle_tracking)
     for chart in (torque, *others):
         # A plot without the approach says why.
-        assert (min(curve.t[0] for curve in chart.curves) < 0) == (chart.approach == "")
+        assert (min(curve.t[0] for curve in chart.curves) < 0) == (chart.free == "")
     baseline, planned = (floats(curve["y"]) for curve in torque.data()["curves"])
     norms = np.linalg.norm(triangle_plan.baseline.guardrail_torque, axis=1)
     assert baseline.max() == pytest.approx(norms.max(), rel=1e-6)

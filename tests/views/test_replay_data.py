@@ -12,6 +12,7 @@ from plan_folders import changed
 from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
 from cmbot.simulation import Tracking
+from cmbot.views.charts import charts
 from cmbot.views.replay_data import MOST_POSES, replay_data
 
 
@@ -128,3 +129,23 @@ def test_the_error_is_that_of_the_simulation_from_where_the_tool_is_expected(
     shown = floats(replay_data(*compensated_short)["planned"]["tool"], 3)
     np.testing.assert_allclose(shown[[0, -1]], samples.expected_tool_point[[0, -1]], atol=1e-6)
     assert np.linalg.norm(shown[0] - samples.tool_point[0]) > 1e-3
+
+
+def test_the_return_comes_after_the_work(returning_plan: Plan) -> None:
+    data, back = replay_data(returning_plan), returning_plan.job.segments[-1]
+    assert data["end"] == pytest.approx(data["duration"] + back.duration)
+    assert data["rest"] is None
+    robot, phase = returning_plan.robot, data["return"]
+    last = floats(phase["planned"]["poses"]).reshape(-1, robot.dof, 7)[-1]
+    pin.forwardKinematics(robot.model, (made := robot.model.createData()), robot.group_states["stow"])
+    np.testing.assert_allclose(last[-1], pin.SE3ToXYZQUAT(made.oMi[robot.dof]), atol=1e-6)
+    # The baseline is there sooner, and rests.
+    poses = floats(phase["baseline"]["poses"]).reshape(-1, robot.dof, 7)
+    np.testing.assert_allclose(poses[-1], last, atol=1e-6)
+    np.testing.assert_allclose(poses[-2], poses[-1], atol=1e-6)
+    assert phase["planned"]["peakTorque"] == back.figures.peak_guardrail_torque
+    (torque,) = (chart for chart in charts(returning_plan, None) if chart.key == "torque")
+    assert [curve.t[-1] for curve in torque.curves] == pytest.approx(
+        [returning_plan.baseline.t[-1] + returning_plan.baseline_return.t[-1], data["end"]]
+    )
+    assert torque.work_ends == data["duration"]

@@ -136,10 +136,11 @@ class Chart {
   }
 
   drawGround(inside, svg) {
-    const { start, legTimes, end } = this.timeline, [low, high] = this.axis;
+    const { start, legTimes, duration, end } = this.timeline, [low, high] = this.axis;
     const across = { x: this.x(start), width: this.x(end) - this.x(start) };
     const band = (name, from, to) => make("rect", { class: name, ...across, y: this.y(to), height: Math.max(this.y(from) - this.y(to), 0) }, inside);
-    if (start < 0) make("rect", { class: "approach", x: this.x(start), y: 0, width: this.x(0) - this.x(start), height: this.height }, inside);
+    const free = [["approach", start, 0], ["return", duration, this.timeline.return ? end : duration]].filter(([, from, to]) => from < to);
+    for (const [, from, to] of free) make("rect", { class: "free-move", x: this.x(from), y: 0, width: this.x(to) - this.x(from), height: this.height }, inside);
     const [lower, upper] = this.spec.bounds;
     if (lower !== null && lower > low) band("beyond", low, Math.min(lower, high));
     if (upper !== null && upper < high) band("beyond", Math.max(upper, low), high);
@@ -153,13 +154,13 @@ class Chart {
       const x = this.x(value), anchor = x > this.width - 24 ? "end" : "middle";
       make("text", { class: "tick", x: anchor === "end" ? this.width - 2 : x, y: this.height - 6, "text-anchor": anchor }, svg, `${text} s`);
     }
-    if (start < 0) this.nameApproach(svg);
+    for (const move of free) this.nameFreeMove(svg, ...move);
   }
 
-  // The approach's name and, below it, why it has no curve.
-  nameApproach(svg) {
-    const x = this.x(this.timeline.start) + 5, y = this.height - this.inset.bottom - 5, room = this.x(0) - x;
-    const lines = [this.spec.approach, "approach"].filter((words) => words && 6.2 * words.length < room);
+  // A free move's name and, below it, why it has no curve.
+  nameFreeMove(svg, name, from, to) {
+    const x = this.x(from) + 5, y = this.height - this.inset.bottom - 5, room = this.x(to) - x;
+    const lines = [this.spec.free, name].filter((words) => words && 6.2 * words.length < room);
     lines.forEach((words, k) => make("text", { class: "tick", x, y: y - 14 * k }, svg, words));
   }
 

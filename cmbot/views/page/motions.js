@@ -1,5 +1,5 @@
-// The motions as functions of time, in phases: the approach if there is one, the work, and after it the rest, in
-// which elastic parts vibrate, if that was simulated.
+// The motions as functions of time, in phases: the approach if there is one, the work, and after it the return or,
+// if that was simulated, the rest, in which elastic parts vibrate.
 class Motion {
   constructor(source, links) {
     this.links = links;
@@ -65,8 +65,9 @@ class Motion {
 
 // A part of the timeline in which each arm has one motion.
 class Phase {
-  constructor(start, end, label, source, links) {
-    Object.assign(this, { start, end, label });
+  // `free`: the name of a free move, with the tool off.
+  constructor(start, end, source, links, free = "") {
+    Object.assign(this, { start, end, free, label: source.label ?? "" });
     this.motions = {
       planned: new Motion(source.planned, links), baseline: new Motion(source.baseline, links) };
     this.peak = Math.max(source.planned.peakTorque, source.baseline.peakTorque);
@@ -82,8 +83,9 @@ class Phase {
 }
 
 function phasesOf(data) {
-  const links = data.links.length, phases = [new Phase(0, data.duration, "", data, links)];
-  if (data.approach) phases.unshift(new Phase(data.start, 0, data.approach.label, data.approach, links));
-  if (data.rest) phases.push(new Phase(data.duration, data.end, data.rest.label, data.rest, links));
+  const links = data.links.length, phases = [new Phase(0, data.duration, data, links)];
+  if (data.approach) phases.unshift(new Phase(data.start, 0, data.approach, links, "approach"));
+  if (data.return) phases.push(new Phase(data.duration, data.end, data.return, links, "return"));
+  else if (data.rest) phases.push(new Phase(data.duration, data.end, data.rest, links));
   return phases;
 }

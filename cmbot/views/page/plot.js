@@ -32,7 +32,7 @@ class TorquePlot {
     this.pen.font = "11px system-ui, sans-serif";
     const style = getComputedStyle(document.documentElement);
     this.colour = (name) => style.getPropertyValue(`--${name}`);
-    this.shadeApproach();
+    for (const phase of this.phases) if (phase.free) this.shade(phase);
     for (const time of this.data.legTimes) this.upright(time, this.colour("line"), 1);
     this.line([[this.x(this.data.start), this.y(0)], [this.x(this.data.end), this.y(0)]], this.colour("line"), 1);
     for (const phase of this.phases) this.drawPhase(phase);
@@ -41,14 +41,13 @@ class TorquePlot {
     this.upright(now, this.colour("ink"), 1.5);
   }
 
-  shadeApproach() {
-    const { start } = this.data;
-    if (start === 0) return;
-    this.pen.fillStyle = this.colour("approach");
-    this.pen.fillRect(this.x(start), 0, this.x(0) - this.x(start), this.height);
-    const room = this.x(0) - this.x(start) - 8;
-    const label = [this.phases[0].label, "approach"].find((text) => this.pen.measureText(text).width <= room);
-    if (label) this.text(label, this.x(start) + 4, this.height - 8);
+  // A free move, with its label, or its name where there is less room.
+  shade({ start, end, label, free }) {
+    this.pen.fillStyle = this.colour("free-move");
+    this.pen.fillRect(this.x(start), 0, this.x(end) - this.x(start), this.height);
+    const room = this.x(end) - this.x(start) - 8;
+    const shown = [label, free].find((text) => this.pen.measureText(text).width <= room);
+    if (shown) this.text(shown, this.x(start) + 4, this.height - 8);
   }
 
   drawPhase(phase) {

@@ -1,0 +1,57 @@
+"""The return: the free move from the end of the work to the posture in which the arm is left."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.free_motion.free_move import FreeMove, plan_move
+from cmbot.planning.job import RETURN, Segment
+
+__all__ = ["SAME_POSTURE", "plan_return"]
+
+SAME_POSTURE = 1e-9
+"""Postures that differ by less, rad and m, are the same: no move leads from one to the other."""
+
+
+def plan_return(
+    context: PlanningContext, start: FloatArray, *, begin: float, allowed: float
+) -> Segment | None:
+    """Plan the free move from the end of the work, `start` (n,), to where the scene wants the arm.
+
+    Parameters
+    ----------
+    context : PlanningContext
+    start : (n,), rad, of joints that slide m
+    begin : float, s
+        When the work ends on the job's clock.
+    allowed : float
+        Value of the objective that the job reaches anyway.
+
+    Returns
+    -------
+    Segment or None
+        None where the scene asks for no return, or the work ends there.
+
+    Raises
+    ------
+    PathNotFound
+        When nothing leads there.
+    """
+    end = context.end_posture
+    if end is None or np.abs(end - start).max() <= SAME_POSTURE:
+        return None
+    return plan_move(
+        context,
+        FreeMove(
+            name=RETURN,
+            start=start,
+            end=end,
+            start_name="the end of the work",
+            end_name=f"the {'start' if np.array_equal(end, context.posture) else 'stow'} posture",
+            remedy="take another return, or return: none",
+            begin=begin,
+            allowed=allowed,
+        ),
+    )
