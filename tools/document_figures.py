@@ -47,28 +47,18 @@ def run(*words: str) -> str:
 
 
 def operation(plan: cmbot.Plan, planning: float = math.nan) -> Iterator[Row]:
-    """Yield the figures of the whole operation, work and approach: name and unit, baseline, planned."""
-    work, base, approach = plan.figures, plan.baseline_figures, plan.approach
-    seconds, moved = plan.trajectory.duration, 0.0
-    peak, mean, clearance = work.peak_guardrail_torque, work.mean_guardrail_torque, work.min_clearance
-    if approach is not None:
-        way, moved = approach.certificate.figures, approach.trajectory.duration
-        peak, clearance = max(peak, way.peak_guardrail_torque), min(clearance, way.min_clearance)
-        mean = (seconds * mean + moved * way.mean_guardrail_torque) / (seconds + moved)
-    left = f"{base.peak_guardrail_torque:.2f}", f"{base.mean_guardrail_torque:.2f}"
-    yield "peak torque while working, Nm", left[0], f"{work.peak_guardrail_torque:.2f}"
-    yield (
-        "lower bound of that peak, Nm",
-        "-",
-        "-" if plan.lower_bound is None else f"{plan.lower_bound.value:.2f}",
-    )
-    yield "peak torque over the whole job, with the approach, Nm", left[0], f"{peak:.2f}"
-    yield "mean torque while working, Nm", left[1], f"{work.mean_guardrail_torque:.2f}"
-    yield "mean torque over the whole job, Nm", left[1], f"{mean:.2f}"
-    closest = f"{1e3 * base.min_clearance:.1f}", f"{1e3 * clearance:.1f}"
-    yield "smallest clearance over the whole job, mm", *closest
+    """Yield the figures of the whole job, and of its work alone: name and unit, baseline, planned."""
+    work, job = (plan.baseline_figures, plan.figures), (plan.baseline_job_figures, plan.job.figures)
+    for name, pair in (("over the whole job, with the approach", job), ("while working", work)):
+        yield f"peak torque {name}, Nm", *(f"{each.peak_guardrail_torque:.2f}" for each in pair)
+    bound = plan.lower_bound
+    yield "lower bound of that peak, Nm", "-", "-" if bound is None else f"{bound.value:.2f}"
+    for name, pair in (("over the whole job", job), ("while working", work)):
+        yield f"mean torque {name}, Nm", *(f"{each.mean_guardrail_torque:.2f}" for each in pair)
+    yield "smallest clearance over the whole job, mm", *(f"{1e3 * each.min_clearance:.1f}" for each in job)
+    seconds = plan.trajectory.duration
     yield "time of the work, s", f"{seconds:.1f}", f"{seconds:.1f}"
-    yield "time of the approach, s", "-", f"{moved:.1f}"
+    yield "time of the approach, s", "-", f"{plan.job.duration - seconds:.1f}"
     yield "processor time to plan, s", "-", f"{planning:.1f}"
 
 

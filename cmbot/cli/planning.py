@@ -150,10 +150,11 @@ def _changed(options: dict[str, Any], changes: Sequence[str]) -> cmbot.PlannerOp
 
 def _summary(planned: Plan, directory: Path) -> dict[str, Any]:
     from cmbot.archive import plan_data
-    from cmbot.planning import remarks
+    from cmbot.planning import remarks, verdict
 
     entries = {name: entry for name, entry in plan_data(directory).items() if name not in _LEFT_OUT}
-    return {"scene": planned.scene.name, **entries, "remarks": list(remarks(planned))}
+    said = {"verdict": verdict(planned), "remarks": list(remarks(planned))}
+    return {"scene": planned.scene.name, **entries, **said}
 
 
 def _print_plan(planned: Plan) -> None:

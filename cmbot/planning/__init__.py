@@ -29,6 +29,7 @@ from cmbot.planning.remarks import remarks
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
+from cmbot.planning.verdict import bound_use, during, tightest_check, verdict
 from cmbot.planning.verification.certificate import Certificate, Check, certify
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
 from cmbot.planning.verification.second_opinion import second_opinion
@@ -71,8 +72,10 @@ __all__ = [
     "WrenchFunction",
     "WrenchObjective",
     "bending_arm",
+    "bound_use",
     "certify",
     "certify_move",
+    "during",
     "end_posture_of",
     "figures",
     "find_start",
@@ -89,5 +92,7 @@ __all__ = [
     "sag_of",
     "second_opinion",
     "task_of",
+    "tightest_check",
     "tool_lag",
+    "verdict",
 ]

@@ -21,7 +21,7 @@ from cmbot.planning.flexibility.vibration_suppression import VibrationSuppressio
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.job import APPROACH, Job, Segment, SegmentMetrics, job_metrics
+from cmbot.planning.job import APPROACH, RETURN, Job, Segment, SegmentMetrics, job_metrics
 from cmbot.planning.objectives import Objective
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
@@ -333,23 +333,32 @@ class Plan:
 
     def rows(self) -> Iterator[tuple[str, str, str]]:
         """Yield the figures, each as its name and unit, the baseline's value and the planned one."""
-        pair = (self.baseline_figures, self.figures)
+        work, job = (self.baseline_figures, self.figures), (self.baseline_job_figures, self.job.figures)
         for words, attribute, unit, factor, digits in _ROWS:
             part = "static" if self.robot.pushed else "gravity"
             name = words.format(base=self.scene.base_name, part=part)
+            pair = job if "whole job" in name else work
             left, right = (f"{factor * getattr(figures, attribute):.{digits}f}" for figures in pair)
             yield f"{name}, {unit}", left, right
-            if attribute == "peak_guardrail_torque":
-                # It may be higher than that of the work.
-                yield "peak on the way there (approach), Nm", "-", self._approach_peak()
+            if name == _PEAK_AT_WORK:
+                yield from self._peaks_of_free_moves()
+        duration = float(self.baseline.t[-1])
+        if self.baseline_return is not None:
+            duration += float(self.baseline_return.t[-1])
+        yield "time of the whole job, s", f"{duration:.1f}", f"{self.job.duration:.1f}"
         for limit in ("velocity", "acceleration", "jerk", "torque"):
-            left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in pair)
-            yield f"joint {limit}, share of its bound", left, right
+            left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in work)
+            yield f"joint {limit} at work, share of its bound", left, right
 
-    def _approach_peak(self) -> str:
-        if self.approach is None:
-            return "-"
-        return f"{self.approach.certificate.figures.peak_guardrail_torque:.2f}"
+    def _peaks_of_free_moves(self) -> Iterator[tuple[str, str, str]]:
+        back = self.baseline_return
+        for segment in self.job.segments:
+            if segment.kind == "free":
+                baseline = "-"
+                if segment.name == RETURN and back is not None:
+                    baseline = f"{np.linalg.norm(back.guardrail_torque, axis=1).max():.2f}"
+                name = f"peak torque on the {segment.name}, Nm"
+                yield name, baseline, f"{segment.figures.peak_guardrail_torque:.2f}"
 
 
 def objective_metrics(
@@ -406,11 +415,14 @@ def require_plan(value: object, source: str) -> None:
     require_type(value, Plan, source, "plan", "a Plan, as cmbot.plan and cmbot.load_plan return it")
 
 
+_PEAK_AT_WORK = "peak torque at work"
 _ROWS = (
-    ("peak torque on the {base}", "peak_guardrail_torque", "Nm", 1.0, 2),
-    ("mean torque on the {base}", "mean_guardrail_torque", "Nm", 1.0, 2),
-    ("peak of its {part} part", "peak_static_guardrail_torque", "Nm", 1.0, 2),
-    ("smallest clearance", "min_clearance", "mm", 1e3, 1),
+    ("peak torque on the {base}, whole job", "peak_guardrail_torque", "Nm", 1.0, 2),
+    (_PEAK_AT_WORK, "peak_guardrail_torque", "Nm", 1.0, 2),
+    ("mean torque, whole job", "mean_guardrail_torque", "Nm", 1.0, 2),
+    ("mean torque at work", "mean_guardrail_torque", "Nm", 1.0, 2),
+    ("peak of its {part} part at work", "peak_static_guardrail_torque", "Nm", 1.0, 2),
+    ("smallest clearance, whole job", "min_clearance", "mm", 1e3, 1),
     ("largest tool deviation", "max_tool_deviation", "mm", 1e3, 3),
     ("largest tool rotation", "max_tool_rotation", "deg", float(np.rad2deg(1.0)), 3),
 )

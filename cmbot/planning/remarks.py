@@ -10,6 +10,7 @@ from cmbot.common.validation import counted
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.job import RETURN
 from cmbot.planning.plan import ObjectiveMetrics, Plan
+from cmbot.planning.verdict import verdict
 from cmbot.robot import postures_in_words
 from cmbot.scene import STOW
 
@@ -25,6 +26,7 @@ _NOTHING = 1e-9
 
 def remarks(plan: Plan) -> Iterator[str]:
     """Yield what should be known of a plan besides its metrics, a sentence or two each."""
+    yield verdict(plan)
     yield from _start(plan)
     yield from _return(plan)
     if plan.baseline_figures.min_clearance < plan.options.safety_margin_m:
@@ -52,7 +54,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     if done is not None and done.rounds:
         passes += f" in the last of {counted(done.rounds, 'round')}"
     yield (
-        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({passes}), approach, "
+        f"Time: path {seconds.path:.2f} s, optimisation {seconds.optimise:.2f} s ({passes}), free moves, "
         f"baseline and certificates {seconds.certify:.2f} s, in all {seconds.total:.2f} s."
     )
 
@@ -126,8 +128,7 @@ def _start(plan: Plan) -> Iterator[str]:
             f"Approach: before the work the arm goes there from the scene's posture, in "
             f"{plan.approach.trajectory.duration:.1f} s ({how}), "
             f"peak torque {figures.peak_guardrail_torque:.2f} Nm, "
-            f"clearance {1e3 * figures.min_clearance:.1f} mm, certified. "
-            "All other figures are of the work alone."
+            f"clearance {1e3 * figures.min_clearance:.1f} mm, certified."
         )
         worst = max(
             plan.baseline_figures.peak_guardrail_torque, plan.certificate.figures.peak_guardrail_torque

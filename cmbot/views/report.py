@@ -12,7 +12,15 @@ from typing import Any, Literal
 import numpy as np
 
 from cmbot.common.validation import given_path
-from cmbot.planning import Certificate, Check, Plan, remarks, require_plan
+from cmbot.planning import (
+    Certificate,
+    Plan,
+    bound_use,
+    during,
+    remarks,
+    require_plan,
+    tightest_check,
+)
 from cmbot.robot import postures_in_words
 from cmbot.simulation import Tracking, off_path, tracking_remarks, tracking_rows, tracking_verdict
 from cmbot.version import __version__, versions
@@ -21,9 +29,11 @@ from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
 
-__all__ = ["REPLAY", "REPORT", "bound_use", "headlines", "pages", "report", "report_page"]
+__all__ = ["REPLAY", "REPORT", "headlines", "pages", "report", "report_page"]
 
 REPLAY, REPORT = "replay.html", "report.html"
+# Peaks that differ by less, as a share, are the same.
+_GAIN = 1e-3
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
@@ -121,25 +131,27 @@ def certificates(plan: Plan) -> dict[str, Certificate]:
     return first | {segment.name: segment.certificate for segment in plan.job.segments}
 
 
-def bound_use(check: Check) -> float:
-    """Return the share of its bound that a check's value uses: 1 at the bound, more beyond it."""
-    if check.at_least:
-        return check.bound / check.value if check.value > 0 else inf
-    return check.value / check.bound if check.bound else 0.0
-
-
 def _peak_card(plan: Plan) -> Headline:
-    before, after = plan.baseline_figures.peak_guardrail_torque, plan.figures.peak_guardrail_torque
-    detail = f"{100 * (after / before - 1):+.1f} % at work" if before else ""
+    before, after = (
+        figures.peak_guardrail_torque for figures in (plan.baseline_job_figures, plan.job.figures)
+    )
+    other, work = plan.baseline_figures.peak_guardrail_torque, plan.figures.peak_guardrail_torque
+    change = f", {100 * (work / other - 1):+.1f} %" if other else ""
+    detail = f"at work {other:.1f} → {work:.1f} Nm{change}"
     for segment in plan.job.segments:
         if segment.kind == "free":
             detail += f"; {segment.figures.peak_guardrail_torque:.1f} Nm on the {segment.name}"
+    state: Literal["plain", "good", "bad"] = "plain"
+    if after < before * (1 - _GAIN):
+        state = "good"
+    elif after > before * (1 + _GAIN):
+        state = "bad"
     return Headline(
-        title=f"Peak {plan.scene.base_name} torque",
+        title=f"Peak {plan.scene.base_name} torque, whole job",
         before=f"{before:.1f}",
         value=f"{after:.1f} Nm",
         detail=detail,
-        state="good" if after < before else "plain",
+        state=state,
     )
 
 
@@ -162,25 +174,26 @@ def _certificate_card(plan: Plan) -> Headline:
         name: f"{sum(check.holds for check in found.checks)} of {len(found.checks)}"
         for name, found in certificates(plan).items()
     }
-    tightest = max(plan.certificate.checks, key=bound_use)
+    segment, tightest = tightest_check(plan.job)
+    use = f"{100 * bound_use(tightest):.0f} % of its bound"
     others = "".join(f"; {name}: {number}" for name, number in held.items() if name != plan.work.name)
     kept = all(check.holds for found in certificates(plan).values() for check in found.checks)
     return Headline(
         title="Certified checks",
         value=f"{held[plan.work.name]} hold",
-        detail=f"tightest: {tightest.quantity}, {100 * bound_use(tightest):.0f} % of its bound{others}",
+        detail=f"tightest: {tightest.quantity} {during(segment)}, {use}{others}",
         state="good" if kept else "bad",
     )
 
 
 def _clearance_card(plan: Plan) -> Headline:
-    value, margin = plan.figures.min_clearance, plan.options.safety_margin_m
+    value, margin = plan.job.figures.min_clearance, plan.options.safety_margin_m
     if value == inf:
         return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
-    always = floor(1e4 * plan.certificate.clearance_bound) / 10
+    always = floor(1e4 * plan.job.certificate.clearance_bound) / 10
     return Headline(
         title="Smallest clearance",
-        before=f"{1e3 * plan.baseline_figures.min_clearance:.1f}",
+        before=f"{1e3 * plan.baseline_job_figures.min_clearance:.1f}",
         value=f"{1e3 * value:.1f} mm",
         detail=f"rigid arm; margin {1e3 * margin:g} mm; above {always:.1f} mm at all times",
         state="good" if value >= margin else "bad",

@@ -71,7 +71,7 @@ def test_the_peak_under_a_force_is_enclosed(pushed_plan: Plan) -> None:
     assert pushed_plan.baseline_figures.peak_guardrail_torque > torque.max()
     assert pushed_plan.torque_floor_kind == "proven"
     assert pushed_plan.gap_to_floor == pytest.approx(0, abs=0.01)
-    assert "peak of its static part, Nm" in pushed_plan.summary()
+    assert "peak of its static part at work, Nm" in pushed_plan.summary()
 
 
 @settings(max_examples=4)

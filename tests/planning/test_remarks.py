@@ -89,7 +89,7 @@ def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Pla
     )
     approach = line(triangle_plan, "Approach: ")
     assert approach.startswith("Approach: before the work the arm goes there from the scene's posture, in ")
-    assert approach.endswith("All other figures are of the work alone.")
+    assert approach.endswith(" mm, certified.")
     assert line(triangle_plan, "Against the baseline, the paper's motion without optimisation: ")
     pinned = "Had it started in the scene's posture (start: pinned)"
     assert "the peak at rest would be " in line(triangle_plan, pinned)

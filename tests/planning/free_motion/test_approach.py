@@ -135,10 +135,13 @@ def test_its_samples_are_measured_once(triangle_plan: Plan) -> None:
 
 def test_its_peak_stands_beside_that_of_the_work(triangle_plan: Plan, short_plan: Plan) -> None:
     peak = triangle_plan.approach.certificate.figures.peak_guardrail_torque
-    for planned, shown in ((triangle_plan, f"{peak:.2f}"), (short_plan, "-")):
-        names = [row[0] for row in planned.rows()]
-        assert names[:2] == ["peak torque on the guardrail, Nm", "peak on the way there (approach), Nm"]
-        assert list(planned.rows())[1][1:] == ("-", shown)
+    row = ("peak torque on the approach, Nm", "-", f"{peak:.2f}")
+    for planned, shown in ((triangle_plan, True), (short_plan, False)):
+        rows = list(planned.rows())
+        names = [name for name, *_ in rows[:2]]
+        assert names == ["peak torque on the guardrail, whole job, Nm", "peak torque at work, Nm"]
+        assert (rows[2] == row) == shown
+        assert rows[0][2] == f"{planned.job.figures.peak_guardrail_torque:.2f}"
     assert short_plan.approach_samples is None
 
 

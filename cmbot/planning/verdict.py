@@ -1,0 +1,80 @@
+"""The verdict on a plan: what the base must bear over the whole job, and how near its promises are."""
+
+from __future__ import annotations
+
+from math import inf
+
+import numpy as np
+
+from cmbot.planning.context import end_posture_of
+from cmbot.planning.job import Job, Segment
+from cmbot.planning.plan import Plan
+from cmbot.planning.verification.certificate import Check
+from cmbot.robot import Dynamics
+
+__all__ = ["bound_use", "during", "tightest_check", "verdict"]
+
+# Peaks that differ by less, as a share of them, are the same.
+_SAME = 1e-3
+
+
+def verdict(plan: Plan) -> str:
+    """Return in a sentence or two what the base must bear, where, and how near the tightest promise is.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    base, job = plan.scene.base_name, plan.job
+    peak, before = (figures.peak_guardrail_torque for figures in (job.figures, plan.baseline_job_figures))
+    text = f"The {base} must bear {peak:.1f} Nm over the whole job ({_where(plan)}), "
+    text += _compared(peak, before)
+    if len(job.segments) > 1:
+        work, other = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
+        text += f"; the work alone {work:.1f} Nm (baseline {other:.1f} Nm)"
+    segment, check = tightest_check(job)
+    return (
+        f"{text}. Tightest promise: {check.quantity} {during(segment)}, at {check.time:.1f} s, "
+        f"{100 * bound_use(check):.0f} % of its bound."
+    )
+
+
+def tightest_check(job: Job) -> tuple[Segment, Check]:
+    """Return the promise of a job that uses most of its bound, with the segment that makes it."""
+    return max(job.checks(), key=lambda each: bound_use(each[1]))
+
+
+def bound_use(check: Check) -> float:
+    """Return the share of its bound that a check's value uses: 1 at the bound, more beyond it."""
+    if check.at_least:
+        return check.bound / check.value if check.value > 0 else inf
+    return check.value / check.bound if check.bound else 0.0
+
+
+def during(segment: Segment) -> str:
+    """Return when a segment is, in words: ``at work``, ``on the approach``."""
+    return "at work" if segment.kind == "stroke" else f"on the {segment.name}"
+
+
+def _where(plan: Plan) -> str:
+    """Where the torque of a job is largest: in the posture at an end, at rest, or during a segment."""
+    peak = plan.job.figures.peak_guardrail_torque
+    ends = [("begins", plan.scene.posture)]
+    if (end := end_posture_of(plan.scene, plan.robot)) is not None:
+        ends.append(("ends", end))
+    for which, q in ends:
+        at_rest = Dynamics(plan.robot.tool_off).static_efforts(q[None]).guardrail_torque
+        if np.linalg.norm(at_rest) >= (1 - _SAME) * peak:
+            return f"at rest in the posture in which the arm {which}"
+    segment = max(plan.job.segments, key=lambda each: each.figures.peak_guardrail_torque)
+    samples = plan.segment_samples[segment.name]
+    time = segment.begin + samples.t[np.linalg.norm(samples.guardrail_torque, axis=1).argmax()]
+    return f"{during(segment)}, at {time:.1f} s"
+
+
+def _compared(peak: float, baseline: float) -> str:
+    change = peak / baseline - 1.0
+    if abs(change) <= _SAME:
+        return "as much as the baseline"
+    more = "more" if change > 0 else "less"
+    return f"{100 * abs(change):.1f} % {more} than the baseline's {baseline:.1f} Nm"

@@ -1,0 +1,49 @@
+"""The verdict on a plan: over the whole job, truthful about gain and loss."""
+
+from dataclasses import replace
+
+import pytest
+from plan_folders import changed, without_approach
+
+from cmbot.planning import Check, Plan, bound_use, tightest_check, verdict
+
+
+def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_plan: Plan) -> None:
+    work, baseline = (
+        figures.peak_guardrail_torque for figures in (triangle_plan.figures, triangle_plan.baseline_figures)
+    )
+    segment, check = tightest_check(triangle_plan.job)
+    assert segment.name == "approach"
+    peak, use = triangle_plan.job.figures.peak_guardrail_torque, 100 * bound_use(check)
+    assert verdict(triangle_plan) == (
+        f"The guardrail must bear {peak:.1f} Nm over the whole job "
+        "(at rest in the posture in which the arm begins), as much as the baseline; "
+        f"the work alone {work:.1f} Nm (baseline {baseline:.1f} Nm). Tightest promise: {check.quantity} "
+        f"on the approach, at {check.time:.1f} s, {use:.0f} % of its bound."
+    )
+
+
+def test_a_job_of_work_alone_gains(triangle_plan: Plan) -> None:
+    scene = replace(triangle_plan.scene, posture=triangle_plan.start.posture)
+    said = verdict(replace(without_approach(triangle_plan), scene=scene))
+    assert "the work alone" not in said
+    assert "% less than the baseline's 486.4 Nm. Tightest" in said
+
+
+def test_a_heavy_approach_is_a_loss_and_has_its_time(returning_plan: Plan) -> None:
+    approach = returning_plan.approach
+    assert approach is not None
+    figures = replace(approach.figures, peak_guardrail_torque=800.0)
+    heavy = changed(returning_plan, "approach", certificate=replace(approach.certificate, figures=figures))
+    said = verdict(heavy)
+    assert said.startswith("The guardrail must bear 800.0 Nm over the whole job (on the approach, at ")
+    assert "% more than the baseline's " in said
+
+
+def test_the_tightest_promise_may_be_any_segments(returning_plan: Plan) -> None:
+    back = returning_plan.job.segments[-1]
+    tight = Check(quantity="clearance", time=1.5, value=0.0200001, bound=0.02, unit="m", at_least=True)
+    certificate = replace(back.certificate, checks=(*back.certificate.checks, tight))
+    segment, check = tightest_check(changed(returning_plan, "return", certificate=certificate).job)
+    assert (segment.name, check.quantity) == ("return", "clearance")
+    assert check.time == pytest.approx(back.begin + 1.5)
