@@ -80,15 +80,17 @@ def sliding_guess(
     starts: BoolArray | None = None,
     unfollowed: PathNotFound | None = None,
     pinned: GlobalSolution | PathNotFound | None = None,
+    *,
+    stay: bool = False,
 ) -> InitialGuess:
     """Take via-points from the global search, to slide along the self-motion.
 
     With ``start: free`` the arm starts wherever the tool pose is the scene's, if that gains enough. With
-    ``pinned``, or where no approach leads there (`unreached`), it starts in the scene's posture, or in the
-    nearest one from which a path leads on. A `search` of the same context saves making the charts again;
-    `starts` says in which postures of its first chart the arm may start. Where no trajectory leads on from
-    the scene's posture (`unfollowed`), it starts elsewhere. `pinned` is what the search finds from there,
-    where that is known.
+    ``pinned``, where it is to `stay`, or where no approach leads there (`unreached`), it starts in the
+    scene's posture, or in the nearest one from which a path leads on. A `search` of the same context saves
+    making the charts again; `starts` says in which postures of its first chart the arm may start. Where no
+    trajectory leads on from the scene's posture (`unfollowed`), it starts elsewhere. `pinned` is what the
+    search finds from there, where that is known.
 
     Raises
     ------
@@ -106,7 +108,7 @@ def sliding_guess(
     failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
     if isinstance(free, PathNotFound):
         raise free
-    may_leave = options.start == "free" and unreached is None
+    may_leave = options.start == "free" and unreached is None and not stay
     if unfollowed is not None:
         solution, failures = free, (unfollowed,)
     elif isinstance(pinned, GlobalSolution):

@@ -19,8 +19,8 @@ from cmbot.planning.flexibility.vibration_suppression import VibrationSuppressio
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import plan_return
-from cmbot.planning.initial_guess import initial_guess
-from cmbot.planning.job import WORK, Job, Segment
+from cmbot.planning.initial_guess import initial_guess, sliding_guess
+from cmbot.planning.job import APPROACH, WORK, Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.plan import Plan, Seconds, Start, objective_metrics
@@ -114,7 +114,48 @@ def plan(
 
 def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
     first = Attempt(context=context, guess=initial_guess(context), automatic=automatic)
-    return with_retries(first, _certified_motion)
+    return _lighter(*with_retries(first, _certified_motion))
+
+
+def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
+    """The motion from the scene's posture in place of one whose approach asks more than all of that does.
+
+    The peak over the whole job counts: a better start is none where the way there is worse.
+    """
+    context, guess, approach = attempt.context, attempt.guess, motion.job.segment(APPROACH)
+    pinned = None if guess.choice is None else guess.choice.pinned
+    if approach is None or pinned is None or guess.failures or context.reporter.expired():
+        return attempt, motion
+    asked, margin = _job_peak(context, motion.job), 1 + context.options.gap_target
+    rest = _job_peak(
+        context, Job(segments=tuple(each for each in motion.job.segments if each is not approach))
+    )
+    if asked <= margin * max(pinned, rest):
+        return attempt, motion
+    context.reporter.stage("path")
+    context.reporter.step("the approach asks more than the work; trying the scene's posture")
+    try:
+        stays = sliding_guess(context, search=guess.search, stay=True)
+        other, lighter = with_retries(replace(attempt, guess=stays), _certified_motion)
+    except PlanningError:
+        return attempt, motion
+    peak = _job_peak(other.context, lighter.job)
+    if margin * peak > asked:
+        return attempt, motion
+    unit = context.objective.unit
+    fallback = (
+        f"A start that is better at work is not used: the approach to it would ask {asked:.4g} {unit}, the "
+        f"whole job from the scene's posture {peak:.4g} {unit}."
+    )
+    return replace(other, fallbacks=(*other.fallbacks, fallback)), lighter
+
+
+def _job_peak(context: PlanningContext, job: Job) -> float:
+    """The largest value of the objective over a job."""
+    return max(
+        largest_objective(context if segment.kind == "stroke" else context.tool_off, segment.trajectory)
+        for segment in job.segments
+    )
 
 
 def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool) -> Iterator[str]:
@@ -235,11 +276,7 @@ def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | 
     if context.end_posture is None:
         return None
     context.reporter.step("planning the return")
-    allowed = max(
-        largest_objective(context if segment.kind == "stroke" else context.tool_off, segment.trajectory)
-        for segment in before
-    )
-    work = before[-1]
+    work, allowed = before[-1], _job_peak(context, Job(segments=before))
     return plan_return(context, work.trajectory.q[-1], begin=work.end, allowed=allowed)
 
 

@@ -1,13 +1,16 @@
 """Where sliding knots start: in the scene's posture as long as that leads on, or is as good as another."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from small_scenes import context_of, parts, short_scene
 
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import GlobalSearch, plan, planner, remarks
+from cmbot.planning import GlobalSearch, Segment, SplineSpace, plan, planner, remarks
+from cmbot.planning.free_motion.approach import plan_approach
+from cmbot.robot import Dynamics
 
 # Beside the elbow: from the scene's posture the arm cannot get past it, from another it can.
 BALL = {"name": "ball", "sphere": 0.0555, "xyz": [0.95, 0.52, -1.0]}
@@ -82,3 +85,41 @@ def test_a_pinned_start_that_is_not_admissible_is_what_is_named() -> None:
     with pytest.raises(PathNotFound, match=expected) as caught:
         stage.solve(pinned=True)
     assert caught.value.progress == 0
+
+
+def outward(segment: Segment, degrees: float) -> Segment:
+    """An approach that stretches the arm out on its way."""
+    x = segment.trajectory
+    q = x.q.copy()
+    q[:, 1] += np.radians(degrees) * np.sin(np.pi * x.t / x.t[-1]) ** 2
+    space = SplineSpace(x.t)
+    return replace(segment, trajectory=space.trajectory(space.least_jerk(q)))
+
+
+@pytest.mark.parametrize(("degrees", "stays"), [(0.0, False), (25.0, True)])
+def test_a_better_start_whose_approach_asks_more_than_the_whole_other_job_is_left(
+    monkeypatch: pytest.MonkeyPatch, degrees: float, stays: bool
+) -> None:
+    """Less torque at work is no gain where the way there asks more than the job from the scene's posture."""
+    found: list[Segment] = []
+
+    def heavy(*given: Any, **named: Any) -> Segment:
+        found.append(outward(plan_approach(*given, **named), degrees))
+        return found[-1]
+
+    monkeypatch.setattr(planner, "plan_approach", heavy)
+    planned = plan(short_scene(planner={"knots": "sliding"}))
+    assert len(found) == 1
+    robot, choice = planned.robot, planned.choice
+    efforts = Dynamics(robot).efforts(*found[0].trajectory.states(np.linspace(0, found[0].duration, 400)))
+    asked = np.linalg.norm(efforts.guardrail_torque, axis=1).max()
+    assert choice is not None and choice.free < choice.pinned
+    assert (asked > 1.002 * choice.pinned) == stays
+    assert (planned.start.moved == 0) == stays
+    assert (planned.approach is None) == stays
+    said = [
+        line for line in planned.fallbacks if line.startswith("A start that is better at work is not used")
+    ]
+    assert len(said) == stays
+    if stays:
+        assert planned.job.figures.peak_guardrail_torque < asked
