@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from cmbot.common.validation import FileModel
-from cmbot.scene import Leg, PlannerOptions, SceneFile, SpeedProfile, Tool
+from cmbot.scene import ArcTo, Goal, Leg, PlannerOptions, SceneFile, SpeedProfile, Tool
 from cmbot.scene.scene import FORMAT
 
 TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
@@ -24,14 +24,16 @@ TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
 def schema_text() -> str:
     """Return the schema as the text of its file."""
     schema = SceneFile.model_json_schema()
-    kinds = [*FileModel.__subclasses__(), Leg, SpeedProfile, Tool, PlannerOptions]
+    kinds = [*FileModel.__subclasses__(), ArcTo, Goal, Leg, SpeedProfile, Tool, PlannerOptions]
     for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:
         (kind,) = (kind for kind in kinds if kind.__name__ == name)
         definition["description"] = inspect.getdoc(kind).partition("\n\nAttributes")[0]
         # pydantic would read the docstrings whenever cmbot is imported, and that takes a while.
+        fields = {} if is_dataclass(kind) else kind.model_fields
+        aliases = {name: field.alias for name, field in fields.items() if field.alias}
         for key, text in attributes(kind) if is_dataclass(kind) else docstrings(kind):
-            # A key that is a word of Python has another name there.
-            definition["properties"][key.rstrip("_")]["description"] = text
+            for name in key.split(", "):
+                definition["properties"][aliases.get(name, name)]["description"] = text
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": FORMAT}
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
@@ -48,7 +50,7 @@ def docstrings(model: type) -> Iterator[tuple[str, str]]:
 def attributes(kind: type) -> Iterator[tuple[str, str]]:
     """Yield the dataclass's keys, each with its text in the section "Attributes" of the docstring."""
     section = inspect.getdoc(kind).partition("Attributes\n----------\n")[2].partition("\n\n")[0]
-    for name, text in re.findall(r"^(\w+) : .*\n((?:    .*\n?)+)", section, flags=re.MULTILINE):
+    for name, text in re.findall(r"^([\w, ]+) : .*\n((?:    .*\n?)+)", section, flags=re.MULTILINE):
         yield name, textwrap.dedent(text).strip()
 
 

@@ -46,15 +46,16 @@ def require_unchanged(folder: Path, file: PlanFile, contents: Mapping[str, bytes
         raise ArchiveError(str(folder / PLAN_FILE), "files", got, "none but the files of this plan")
 
 
-def require_segments(file: PlanFile, folder: Path, *, returns: bool) -> None:
+def require_segments(file: PlanFile, folder: Path, *, begins_elsewhere: bool, returns: bool) -> None:
     """Refuse other segments than the scene and the start ask for, and gaps between them.
 
-    `returns`: the scene asks for a return, which there is unless the work ends there.
+    `begins_elsewhere`: the tool path does not begin at the tool in the scene's posture. `returns`: the scene
+    asks for a return, which there is unless the work ends there.
     """
     source = str(folder / PLAN_FILE)
-    sliding = file.options.knots == "sliding"
+    approaches = file.options.knots == "sliding" or begins_elsewhere
     expected = [(WORK, "stroke")]
-    if sliding and file.start.moved_deg > 0:
+    if approaches and file.start.moved_deg > 0:
         expected.insert(0, (APPROACH, "free"))
     got = [(segment.name, segment.kind) for segment in file.segments]
     if returns and got[-1:] == [(RETURN, "free")]:

@@ -116,7 +116,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         clearances = Clearances(robot, scene.obstacles)
     duration = task.path.duration
     file = read.upgraded(duration) if isinstance(read, EarlierPlanFile) else read
-    require_segments(file, folder, returns=end is not None)
+    require_segments(file, folder, begins_elsewhere=scene.begins_elsewhere, returns=end is not None)
     contents = _contents(folder, file, robot.dof, duration)
     # What is in them is looked at only when they are the ones that were saved.
     require_unchanged(folder, file, contents)
@@ -286,7 +286,8 @@ def _certified(plan: Plan, segment: Segment, clearances: Clearances) -> Certific
     posture, at_work = np.array(plan.scene.posture), segment.kind == "stroke"
     sag = plan.sag if at_work else None
     if at_work:
-        rests_there = plan.approach is None and options.knots == "sliding"
+        approaches = options.knots == "sliding" or plan.scene.begins_elsewhere
+        rests_there = approaches and plan.approach is None
         certificate = certify(
             robot,
             plan.task,

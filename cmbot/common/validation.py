@@ -218,6 +218,11 @@ def input_error(source: str, error: ValidationError, error_type: type[InputError
     if kind == _REFUSAL:
         key = key_path((*loc, *context["key"]))
         return error_type(source, key, context["got"], context["expected"], context["choices"])
+    if kind == "value_error" and isinstance(context.get("error"), InputError):
+        # Of a dataclass, which checks itself in Python, too.
+        found = context["error"]
+        key = ".".join(filter(None, (key_path(loc), found.key)))
+        return error_type(source, key, found.got, found.expected, found.choices)
     if kind in _UNKNOWN_KEY:
         keys = tuple(_schema_at(schema, loc[:-1]).get("properties", {}))
         expected = f"a known key{hint(loc[-1], keys)}"

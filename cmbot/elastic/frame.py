@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import linalg, sparse
 from scipy.sparse.csgraph import connected_components
-from scipy.sparse.linalg import LinearOperator, SuperLU, eigsh, splu
+from scipy.sparse.linalg import ArpackError, LinearOperator, SuperLU, eigsh, splu
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
@@ -204,16 +204,19 @@ def natural_frequencies(
         moving = squares > size * np.finfo(float).eps * squares[0]
         return np.asarray(1 / (2 * np.pi * np.sqrt(squares[moving])))
     solve = (factor or _factorised(stiffness)).solve
-    squares = eigsh(
-        stiffness,
-        count,
-        mass,
-        sigma=0.0,
-        OPinv=LinearOperator(stiffness.shape, matvec=solve, dtype=float),
-        # The start vector has to be repeatable and without symmetries.
-        v0=np.random.default_rng(0).normal(size=size),
-        return_eigenvectors=False,
-    )
+    try:
+        squares = eigsh(
+            stiffness,
+            count,
+            mass,
+            sigma=0.0,
+            OPinv=LinearOperator(stiffness.shape, matvec=solve, dtype=float),
+            # The start vector has to be repeatable and without symmetries.
+            v0=np.random.default_rng(0).normal(size=size),
+            return_eigenvectors=False,
+        )
+    except ArpackError as error:  # such as masses that vanish beside the stiffness
+        raise _ill_conditioned() from error
     if not squares.min() > 0:
         raise _ill_conditioned()
     return np.sort(np.sqrt(squares)) / (2 * np.pi)
@@ -249,6 +252,6 @@ def _refusal(key: str, got: object, expected: str) -> InputError:
 
 
 def _ill_conditioned() -> InputError:
-    """Error of a stiffness that is positive definite on paper but not in floating point."""
-    got = "stiffnesses that floating-point numbers cannot hold side by side"
-    return _refusal("members", got, "members of comparable stiffness and length")
+    """Error of matrices that are definite on paper but not in floating point."""
+    got = "stiffnesses or masses that floating-point numbers cannot hold side by side"
+    return _refusal("members", got, "members of comparable stiffness, mass and length")

@@ -19,7 +19,7 @@ from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
-from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, ToolPath, ToolPoses, pose
+from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, ToolPoses, pose, timed_path
 
 __all__ = [
     "PlanningContext",
@@ -40,6 +40,7 @@ class PlanningContext:
     robot: Robot
     posture: FloatArray  # (n,), rad and m: the scene's
     end_posture: FloatArray | None  # (n,), rad and m, of the whole job; None: where the work ends
+    first: FloatArray  # (n,), rad and m: that in which the work starts unless another one is better
     task: ToolTask
     clearances: Clearances
     times: FloatArray  # (k,), s, of the via-points
@@ -163,6 +164,7 @@ def build_context(
         robot=robot,
         posture=posture,
         end_posture=end_posture_of(scene, robot),
+        first=posture,
         task=task,
         clearances=Clearances(robot, scene.obstacles),
         times=task.path.via_times(scene.via_points),
@@ -277,12 +279,6 @@ def task_of(scene: Scene, robot: Robot) -> ToolTask:
         raise SceneError(scene.source, key, got, expected)
     posture = robot.posture(scene.posture, source=scene.source, key=key, error_type=SceneError)
     X_WT = Kinematics(robot).tool_pose(posture)
-    steps = np.array([leg.by for leg in scene.legs])
-    path = ToolPath(
-        corners=X_WT.translation + np.vstack([np.zeros(3), np.cumsum(steps, axis=0)]),
-        orientation=X_WT.rotation,
-        seconds=np.array([leg.seconds for leg in scene.legs]),
-        profile=scene.speed_profile,
-    )
+    path = timed_path(scene, X_WT.homogeneous)
     speed = scene.tool.max_speed_m_s
     return ToolTask(path, scene.keep, None if speed is None else speed * (1 + SPEED_TOLERANCE))

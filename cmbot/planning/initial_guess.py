@@ -148,7 +148,7 @@ def shifted_problem(context: PlanningContext, guess: InitialGuess, via_points: F
 
 def _require_clear_start(context: PlanningContext) -> None:
     """Refuse a scene's posture within the safety margin: neither work nor approach can start there."""
-    margin, q = context.options.safety_margin_m, context.posture
+    margin, q = context.options.safety_margin_m, context.first
     smallest = context.clearances.smallest(q[None])
     distance = float(smallest.distance[0])
     if distance >= margin:

@@ -22,6 +22,7 @@ from cmbot.planning.free_motion.return_move import plan_return
 from cmbot.planning.initial_guess import initial_guess, sliding_guess
 from cmbot.planning.job import APPROACH, WORK, Job, Segment
 from cmbot.planning.objectives import WrenchFunction
+from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.plan import Plan, Seconds, Start, objective_metrics
 from cmbot.planning.precheck import (
@@ -103,6 +104,8 @@ def plan(
         require_reasonable_size(scene, context.robot.dof, options)
         require_tool_speed(scene, context.task.path)
         require_within_reach(context)
+        if scene.begins_elsewhere:
+            context = starting_at_path(context)
         try:
             attempt, motion = _search(context, automatic=automatic)
         except PlanningError as failure:
@@ -316,10 +319,11 @@ def _certified_motion(attempt: Attempt) -> _Motion:
     approach: Segment | None = None
     if moved <= _SAME_POSTURE:
         posture, moved = context.posture, 0.0
-    elif guess.search is not None:
+    elif guess.search is not None or context.first is not context.posture:
         reporter.step("planning the approach to the start")
         at_rest = context.objective.at_rest(context.postures.at(optimised.trajectory.q))
-        approach = plan_approach(context, posture, guess.search.first_chart.q, allowed=float(at_rest.max()))
+        chart = context.first[None] if guess.search is None else guess.search.first_chart.q
+        approach = plan_approach(context, posture, chart, allowed=float(at_rest.max()))
     work = Segment(
         name=WORK,
         kind="stroke",

@@ -199,7 +199,7 @@ def beyond_reach(robot: Robot, path: ToolPath) -> Iterator[tuple[str, float]]:
     """
     distances = np.linalg.norm(path.corners[1:] - robot.base_point, axis=1)
     for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
-        yield f"tool_path.legs[{k}].by", float(distances[k])
+        yield f"tool_path.legs[{k}]", float(distances[k])
 
 
 def require_within_reach(context: PlanningContext) -> None:

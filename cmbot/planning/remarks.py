@@ -119,6 +119,8 @@ def _start(plan: Plan) -> Iterator[str]:
             f"Starts elsewhere: from the scene's posture, {plan.start.failures[0].reason}. "
             f"{other} with the same tool pose leads to the end, {where}. Bring the arm there first."
         )
+    elif plan.scene.begins_elsewhere:
+        yield f"Starts where the tool path begins, in the posture {where}."
     else:
         yield f"Starts in a better posture with the same tool pose, {where} (start: free)."
     if plan.approach is not None:
@@ -231,7 +233,7 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     other, peak = (
         ("in another posture (start: free)", plan.choice.free)
         if pinned
-        else ("in the scene's posture (start: pinned)", plan.choice.pinned)
+        else (f"in the {plan.scene.pinned_posture} (start: pinned)", plan.choice.pinned)
     )
     if peak is None:
         yield f"Had it started {other}: no sequence of postures through the charts was found."

@@ -155,7 +155,7 @@ def another_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
         raise failure
     context.reporter.stage("path")
     reason = f"no trajectory follows the tool path ({_told(failure)})"
-    unfollowed = context.path_not_found(reason, context.posture)
+    unfollowed = context.path_not_found(reason, context.first)
     rough, tries, parts = roughness(guess.problem), 0, search.parts_of_first_chart()
     for _ in range(1 + _HALVINGS):
         pinned = solved(search, pinned=True)

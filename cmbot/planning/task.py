@@ -123,7 +123,7 @@ def _sine_and_cosine(R_WT: FloatArray, R_goal: FloatArray) -> tuple[FloatArray, 
 
     Half the sum of the cross products, and of the scalar products less one, of both orientations' axes.
     """
-    if len(R_goal) > 1:
+    if len(R_goal) != 1:
         turned = np.einsum("kij,klj->ilk", R_goal, R_WT)
         sine = 0.5 * np.stack(
             [turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]]

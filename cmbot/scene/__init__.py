@@ -1,15 +1,16 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
+from cmbot.scene.legs import ArcTo, Goal, Leg
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
+from cmbot.scene.path_builder import timed_path
 from cmbot.scene.scene import RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 from cmbot.scene.tool_path import (
-    Leg,
     ShiftedToolPath,
     SpeedProfile,
     ToolPath,
@@ -21,9 +22,11 @@ __all__ = [
     "MOST_SAMPLES",
     "SPEED_TOLERANCE",
     "STOW",
+    "ArcTo",
     "Box",
     "Capsule",
     "Cylinder",
+    "Goal",
     "GuardrailFile",
     "Leg",
     "Mesh",
@@ -48,5 +51,6 @@ __all__ = [
     "scene_text",
     "share_out_segments",
     "shipped_scenes",
+    "timed_path",
     "update_file",
 ]

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 __all__ = ["Arc", "Blend", "Curve", "Spline"]
 
 # Points of the Gauss rule that measures the length of a spline's piece, and rounds in which the spline's
-# parameter comes to be its length; what is left is far below a micrometre.
-_GAUSS, _ROUNDS = 12, 60
+# parameter comes near to its length.
+_GAUSS, _ROUNDS = 12, 6
 # Distance of three points from a line, as a share of their own distances, below which they have no circle.
 _STRAIGHT = 1e-6
 
@@ -168,18 +168,13 @@ class Spline(Curve):
         # Imported where needed: it takes a while to load, and few paths need it.
         from scipy.interpolate import CubicSpline
 
-        # From the points' distances towards the spline's own lengths, which only gentle splines have as a
-        # fixed point: the rounds end where they bring no more.
-        lengths, best, least = np.linalg.norm(np.diff(self.points, axis=0), axis=1), None, np.inf
-        for _ in range(_ROUNDS):
-            at = np.append(0.0, np.cumsum(lengths / lengths.sum()))
-            spline = CubicSpline(at, self.points)
+        # From the points' distances towards the spline's own lengths: few rounds, as the splines through wild
+        # points have no fixed point.
+        lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        for _ in range(_ROUNDS + 1):
+            spline = CubicSpline(np.append(0.0, np.cumsum(lengths)) / lengths.sum(), self.points)
             lengths = _lengths(spline)
-            uneven = np.abs(lengths / lengths.sum() / np.diff(at) - 1.0).max()
-            if best is not None and not uneven < least:
-                break
-            best, least = spline, uneven
-        return best
+        return spline
 
     @cached_property
     def length(self) -> float:

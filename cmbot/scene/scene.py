@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
@@ -31,10 +32,11 @@ from cmbot.scene.fields import (
     one_of_schema,
 )
 from cmbot.scene.guardrail import GuardrailFile
-from cmbot.scene.obstacles import Obstacle, ObstacleFile
+from cmbot.scene.legs import Goal, Leg, Seconds, Speed, Waypoint
+from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.tool import Tool
-from cmbot.scene.tool_path import Leg, SpeedProfile
+from cmbot.scene.tool_path import SpeedProfile
 
 __all__ = [
     "FORMAT",
@@ -128,19 +130,43 @@ class RobotFile(FileModel):
 class ToolPathFile(FileModel):
     """The path of the tool from its pose in the start posture."""
 
+    model_config = ConfigDict(serialize_by_alias=True)
+
     keep: Literal["pose", "axis", "position"] = "pose"
     """What the path prescribes of the tool."""
-    legs: Annotated[tuple[Leg, ...], Field(min_length=1, max_length=2000)]
+    start_pose: Annotated[Goal | None, Field(alias="from")] = None
+    """Where the path begins, in place of the tool's pose in the start posture; of ``cmbot-scene/2``."""
+    legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
+    """From where the path begins, each from rest to rest."""
+    waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=3, max_length=2000)] = None
+    """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
+    it passes without a stop, from the first to the last; in a file also the path of a CSV file with these
+    columns, relative to it; of ``cmbot-scene/2``."""
+    seconds: Seconds | None = None
+    """Duration of the path through `waypoints`, s."""
+    speed_m_s: Speed | None = None
+    """In place of it the speed at which the tool cruises along them, m/s."""
+    blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
+    """Radius by which corners between straight legs are rounded, m; left out: the tool rests there; of
+    ``cmbot-scene/2``."""
     speed_profile: SpeedProfile = SpeedProfile()
     via_points: Annotated[int, Field(ge=5, le=20000)] = 50
     """Via-points in all; the ends of the legs are among them."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
+        if (self.waypoints is None) != bool(self.legs):
+            got = "both" if self.legs else "neither"
+            raise refusal("either legs or waypoints", got=got, key=("legs",))
+        if self.waypoints is not None:
+            exactly_one(self, ("seconds", "speed_m_s"))
+            if self.start_pose is not None:
+                expected = "no such key beside waypoints, where the path begins at the first"
+                raise refusal(expected, got="a pose", key=("from",))
         if self.via_points <= len(self.legs):
             expected = f"more than the {len(self.legs)} legs"
             raise refusal(expected, got=self.via_points, key=("via_points",))
-        seconds = sum(leg.seconds for leg in self.legs)
+        seconds = sum(leg.seconds or leg.pause or 0.0 for leg in self.legs)
         if seconds > _LONGEST:
             expected = f"legs of at most {_LONGEST:,} s in all (10 h)"
             raise refusal(expected, got=f"{seconds:g} s", key=("legs",))
@@ -153,7 +179,7 @@ class SceneFile(FileModel):
     model_config = ConfigDict(serialize_by_alias=True)
 
     format: Literal["cmbot-scene/1", "cmbot-scene/2"]
-    """The second knows `base`, `start`, `return` and `tool`, too."""
+    """The second knows `base`, `start`, `return`, `tool`, `frames` and more kinds of legs, too."""
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
@@ -168,6 +194,8 @@ class SceneFile(FileModel):
     group state ``stow`` is put away where it started."""
     tool: Tool | None = None
     """What the process asks while the tool is on; of ``cmbot-scene/2``."""
+    frames: Annotated[dict[Slug, MountFile] | None, Field(max_length=100)] = None
+    """Frames of workpieces by their names, in W; of ``cmbot-scene/2``."""
     tool_path: ToolPathFile
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
@@ -175,11 +203,11 @@ class SceneFile(FileModel):
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        newer = {"base": self.base, "start": self.start, "return": self.return_, "tool": self.tool}
-        for key, value in newer.items():
-            if value is not None and self.format == "cmbot-scene/1":
-                expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"
-                raise refusal(expected, got=key, key=(key,))
+        if self.format == "cmbot-scene/1":
+            self._check_first_format()
+        for name in self.frames or ():
+            if name in ("world", "tool"):
+                raise refusal("a name that no frame has", got=name, key=("frames",))
         if self.posture_deg is None and self.start is None and self.format == "cmbot-scene/1":
             raise refusal("a value, this key is required", got="nothing", key=("posture_deg",))
         if self.posture_deg is not None and self.start is not None:
@@ -192,9 +220,24 @@ class SceneFile(FileModel):
             taken.add(obstacle.name)
         return self
 
+    def _check_first_format(self) -> None:
+        path = self.tool_path
+        keys: list[tuple[str | int, ...]] = [
+            (name.rstrip("_"),)
+            for name in ("base", "start", "return_", "tool", "frames")
+            if getattr(self, name) is not None
+        ]
+        newer = {"start_pose": "from", "waypoints": "waypoints", "blend_radius_m": "blend_radius_m"}
+        keys += [("tool_path", key) for name, key in newer.items() if getattr(path, name) is not None]
+        keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
+        for key in keys:
+            got = "another leg than by and seconds" if key[1:2] == ("legs",) else str(key[-1])
+            expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"
+            raise refusal(expected, got=got, key=key)
+
     def as_data(self) -> dict[str, Any]:
         """Return the file's content, every default filled in, as `cmbot.load_scene` takes it back."""
-        return self.model_dump(mode="json", exclude_none=True)
+        return self.model_dump(mode="json", exclude_none=True, by_alias=True)
 
     @property
     def posture_key(self) -> str:
@@ -264,6 +307,8 @@ class RobotSource(CheckedFields):
 class _SceneFields(ToolPathFile):
     """The bounds of a `Scene`'s fields that hold text and numbers: those of the scene file."""
 
+    model_config = ConfigDict(validate_by_name=True)
+
     posture: Posture
     return_to: Literal["stow", "start", "none"]
     planner: PlannerOptions
@@ -303,8 +348,16 @@ class Scene:
         What the process asks while the tool is on.
     keep : str
         What the tool path prescribes of the tool: its ``pose``, ``axis`` or ``position``.
+    start_pose : Goal or None
+        Where the tool path begins; None: at the pose of the tool in `posture`.
     legs : tuple of Leg
-        From the pose of the tool at `posture`.
+        From there.
+    waypoints : tuple or None
+        In place of legs points, m, and unit quaternions (w, x, y, z) of the tool in W, (K, 7).
+    seconds, speed_m_s : float or None
+        Duration of the path through waypoints, s, or its speed, m/s.
+    blend_radius_m : float or None
+        By which the corners between straight legs are rounded.
     speed_profile : SpeedProfile
     via_points : int
         In all, with the ends of the legs.
@@ -332,7 +385,12 @@ class Scene:
     return_to: Literal["stow", "start", "none"]
     tool: Tool
     keep: Literal["pose", "axis", "position"]
-    legs: tuple[Leg, ...]
+    start_pose: Goal | None = None
+    legs: tuple[Leg, ...] = ()
+    waypoints: tuple[tuple[float, ...], ...] | None = None
+    seconds: float | None = None
+    speed_m_s: float | None = None
+    blend_radius_m: float | None = None
     speed_profile: SpeedProfile
     via_points: int
     obstacles: tuple[Obstacle, ...]
@@ -340,6 +398,22 @@ class Scene:
     planner: PlannerOptions
     file: SceneFile
     content_hash: str
+
+    @property
+    def begins_elsewhere(self) -> bool:
+        """Whether the tool path begins at a pose of its own, not at that of the tool in `posture`."""
+        return self.start_pose is not None or self.waypoints is not None
+
+    @property
+    def pinned_posture(self) -> str:
+        """What ``start: pinned`` starts in, in words."""
+        return "posture nearest to the scene's" if self.begins_elsewhere else "scene's posture"
+
+    @cached_property
+    def frames(self) -> dict[str, FloatArray]:
+        """Poses (4, 4) in W of the frames that its file names."""
+        each = self.file.frames or {}
+        return {name: pose(frame.xyz, np.radians(frame.rpy_deg)) for name, frame in each.items()}
 
     @property
     def base_name(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import hashlib
 import json
 import os
@@ -30,6 +31,8 @@ from cmbot.scene.tool import Tool
 __all__ = ["load_scene", "scene_from_file", "shipped_scenes", "update_file"]
 
 _LONGEST_SOURCE = 300
+_LARGEST_WAYPOINTS = 1_000_000
+_WAYPOINT_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _PACKAGES = "robot.package_dirs"
 
 _Find = Callable[[str, str], Path]
@@ -62,6 +65,7 @@ def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
     with lines_named(path):
         data = read_yaml(path, SceneError)
         _require_model(data, path)
+        _read_waypoints(data, path)
         return scene_from_file(validated(SceneFile, data, str(path), SceneError), path.parent, str(path))
 
 
@@ -71,6 +75,35 @@ def _require_model(data: Mapping[str, Any], path: Path) -> None:
     model = robot.get("model") if isinstance(robot, dict) else None
     if isinstance(model, str) and model not in ("", "cmbot"):
         _model(partial(_found, path.parent, str(path)), model)
+
+
+def _read_waypoints(data: Mapping[str, Any], path: Path) -> None:
+    """Put the rows of a CSV file of waypoints where a scene names it, in place."""
+    tool_path = data.get("tool_path")
+    if not isinstance(tool_path, dict) or not isinstance(tool_path.get("waypoints"), str):
+        return
+    key = "tool_path.waypoints"
+    source = _found(path.parent, str(path), tool_path["waypoints"], key)
+    content = read_input(source, SceneError, kind="a CSV file of waypoints", largest=_LARGEST_WAYPOINTS)
+    try:
+        rows = list(csv.reader(content.decode("utf-8-sig").splitlines()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise SceneError(str(source), "", f"text that cannot be read ({error})", "a CSV file") from error
+    heading = [name.strip() for name in rows[0]] if rows else []
+    if heading != list(_WAYPOINT_COLUMNS):
+        got = shown(",".join(heading))
+        raise SceneError(str(source), "line 1", got, f"the columns {','.join(_WAYPOINT_COLUMNS)}")
+    waypoints = []
+    for line, row in enumerate(rows[1:], start=2):
+        try:
+            numbers = [float(cell) for cell in row]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(_WAYPOINT_COLUMNS) or not np.isfinite(numbers).all():
+            got = shown(",".join(row))
+            raise SceneError(str(source), f"line {line}", got, f"{len(_WAYPOINT_COLUMNS)} finite numbers")
+        waypoints.append(numbers)
+    tool_path["waypoints"] = waypoints
 
 
 def shipped_scenes() -> tuple[str, ...]:
@@ -133,7 +166,8 @@ def update_file(scene: Scene) -> Scene:
         "robot": _robot_data(scene.robot, scene.file.robot),
         **scene.file.with_posture(scene.posture, start_posture(scene.file, scene.robot, scene.source)),
         "tool_path": {
-            name: plain(getattr(scene, name), "Scene") for name in type(scene.file.tool_path).model_fields
+            field.alias or name: plain(getattr(scene, name), "Scene")
+            for name, field in type(scene.file.tool_path).model_fields.items()
         },
         "obstacles": [obstacle_data(obstacle, entries.get(obstacle.name)) for obstacle in own],
         "planner": plain(scene.planner, "Scene"),

@@ -10,27 +10,21 @@ from typing import Annotated, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import AfterValidator, Field
+from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import CheckedFields, refusal
+from cmbot.common.validation import CheckedFields
 from cmbot.scene.curves import Curve
-from cmbot.scene.fields import Vector
 
-__all__ = ["Leg", "ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_out_segments"]
+__all__ = ["ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_out_segments"]
 
-_SHORTEST_LEG = 1e-6  # m
 _NO_LENGTH = 1e-300
+# Points by which a curve is shown.
+_SHOWN = 41
 # Halvings that find when a share is covered.
 _HALVINGS = 60
-
-
-def _long_enough(by: Vector) -> Vector:
-    if max(map(abs, by)) < _SHORTEST_LEG:
-        raise refusal("a leg longer than a micrometre", got=by)
-    return by
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,27 +80,6 @@ class SpeedProfile(CheckedFields):
         if self.kind == "trapezoidal":
             return x**2 / 2
         return np.where(x < 0.5, 2 * x**3 / 3, x - 0.5 + 2 * (1 - x) ** 3 / 3)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Leg(CheckedFields):
-    """A straight leg of the tool's path.
-
-    Attributes
-    ----------
-    by : tuple of float
-        Displacement in W, m.
-    seconds : float
-        Duration, s.
-
-    Raises
-    ------
-    InputError
-        When a field is out of its bounds, or the leg shorter than a micrometre.
-    """
-
-    by: Annotated[Vector, AfterValidator(_long_enough)]
-    seconds: Annotated[float, Field(ge=1e-3, le=36_000)]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -335,6 +308,15 @@ class ToolPath:
             away, tangent = p[which] - curve.position(share), curve.tangent(share)
             offset[which] = away - np.einsum("nd,nd->n", away, tangent)[:, None] * tangent
         return np.asarray(offset)
+
+    def outline(self) -> FloatArray:
+        """Return points (k, 3), m, whose straight connections show the path: its corners, more on curves."""
+        shares = np.linspace(0.0, 1.0, _SHOWN)[:-1]
+        pieces = [
+            self.curves[k].position(shares) if k in self.curves else self.corners[k : k + 1]
+            for k in range(len(self.seconds))
+        ]
+        return np.vstack([*pieces, self.corners[-1:]])
 
     def held(self) -> ToolPath:
         """Return the path of a tool that stays, for a second, where this one starts."""

@@ -51,7 +51,7 @@ def scene_commands(plan: Plan) -> list[bytes]:
         {"type": "set_property", "path": f"/{hidden}", "property": "visible", "value": False}
         for hidden in ("Grid", "Axes", "Lights")
     ]
-    path = tube(plan.task.path.corners, 0.002 * reach(plan.robot))
+    path = tube(plan.task.path.outline(), 0.002 * reach(plan.robot))
     commands += [*_robot(plan.robot), *_bridge(plan.scene), _set_mesh("/path", [path], PATH)]
     return [umsgpack.packb(command) for command in commands]
 

@@ -220,7 +220,7 @@ def _focus(plan: Plan) -> dict[str, Any]:
     """Return a ball (m, in W) about the foot, the path and the arm's joints, and the camera's azimuth."""
     motions = [plan.samples.q, plan.baseline.q]
     motions += [segment.trajectory.q for segment in plan.job.segments if segment.kind == "free"]
-    points = [np.zeros((1, 3)), plan.task.path.corners, plan.samples.tool_point, plan.baseline.tool_point]
+    points = [np.zeros((1, 3)), plan.task.path.outline(), plan.samples.tool_point, plan.baseline.tool_point]
     points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3].reshape(-1, 3) for q in motions]
     cloud = np.concatenate(points)
     low, high = cloud.min(axis=0), cloud.max(axis=0)

@@ -337,8 +337,9 @@ def _scene(plan: Plan) -> Iterator[Row]:
     if scene.tool.max_speed_m_s is not None:
         yield "largest tool speed", f"{scene.tool.max_speed_m_s:g} m/s"
     legs = zip(np.diff(path.corners, axis=0), path.seconds, strict=True)
-    for number, (by, seconds) in enumerate(legs, start=1):
-        yield f"leg {number}", f"by ({_numbers(by, 3)}) m in {seconds:g} s"
+    for k, (by, seconds) in enumerate(legs):
+        along = f", {path.lengths[k]:.3f} m along a curve" if k in path.curves else ""
+        yield f"leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
     workpieces = [obstacle.name for obstacle in scene.obstacles if obstacle.workpiece]
     yield "obstacles", ", ".join(obstacle.name for obstacle in scene.obstacles) or "none"
     yield "workpieces among them", ", ".join(workpieces) or "none"

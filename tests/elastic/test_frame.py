@@ -339,7 +339,7 @@ def test_stiffnesses_of_too_different_magnitude(factor: float) -> None:
     hard = replace(PLATE, area=factor, major=factor, minor=factor, torsion=factor)
     frame = chain([(x, 0.3 * x, 0.1 * x) for x in range(7)], hard)
     frame = replace(frame, members=(member(0, 1), *frame.members[1:]))
-    with pytest.raises(InputError, match="members: got stiffnesses that floating-point numbers"):
+    with pytest.raises(InputError, match="members: got stiffnesses or masses that floating-point numbers"):
         frame.condense(6)
 
 
@@ -351,3 +351,9 @@ def test_frequencies_need_a_positive_definite_stiffness(size: int) -> None:
     squares[4] = -0.5
     with pytest.raises(InputError, match="comparable stiffness"):
         natural_frequencies(sparse.csc_array(sparse.diags_array(squares)), M, 3)
+
+
+def test_masses_that_vanish_beside_the_stiffness() -> None:
+    K = sparse.csc_array(sparse.diags_array(np.linspace(1e8, 2e8, 400)))
+    with pytest.raises(InputError, match="floating-point numbers cannot hold side by side"):
+        natural_frequencies(K, sparse.csc_array(1e-300 * sparse.eye_array(400)), 3)

@@ -103,7 +103,7 @@ def follow_path(
     dt, metric = t[1], robot.metric
     q, v = np.empty((steps + 1, robot.dof)), np.empty((steps + 1, robot.dof))
     clearance, singular_value, drift = (np.empty(steps + 1) for _ in range(3))
-    q[0] = context.posture if posture is None else posture
+    q[0] = context.first if posture is None else posture
     for k in range(steps + 1):
         X_WT, J = kinematics.tool_jacobian(q[k])
         J = metric.positions(J)
@@ -247,7 +247,7 @@ def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
     ways; with a full pose and seven joints that is all of the self-motion connected with it. A curve ends at
     a joint's range, or where it comes back.
     """
-    posture, limits, task = context.posture, context.robot.limits, context.task
+    posture, limits, task = context.first, context.robot.limits, context.task
     metric = context.robot.metric
     directions = null_space(context.postures, task, posture[None])[0]
     along = np.concatenate([directions, -directions])

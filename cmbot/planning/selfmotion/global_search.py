@@ -164,7 +164,7 @@ class GlobalSearch:
             When no sequence of admissible postures can be followed to the end.
         """
         if pinned:
-            return self._solve(self._context.posture, starts)
+            return self._solve(self._context.first, starts)
         while True:
             try:
                 return self._solve(None, starts)
@@ -196,7 +196,7 @@ class GlobalSearch:
         PathNotFound
             When none of `PlannerOptions.other_starts` postures leads to the end.
         """
-        chart, posture = self._layers[0].chart, self._context.posture
+        chart, posture = self._layers[0].chart, self._context.first
         moves = self._moves(posture, chart.q)
         away = self._largest(moves)
         others = np.flatnonzero(chart.within & (away >= _SAME_POSTURE))
@@ -216,7 +216,7 @@ class GlobalSearch:
         chart = self.first_chart
         metric = self._context.robot.metric
         label = connected_parts(chart.q, chart.within, self._spacing, metric)
-        away = self._largest(self._moves(self._context.posture, chart.q))
+        away = self._largest(self._moves(self._context.first, chart.q))
         parts = [label == number for number in np.unique(label[label >= 0])]
         return sorted(parts, key=lambda part: float(away[part].min()))
 
@@ -287,7 +287,7 @@ class GlobalSearch:
         q[1:, self._winding] = q[0, self._winding] + np.cumsum(
             nearest_turn(np.diff(q[:, self._winding], axis=0)), axis=0
         )
-        first = self._context.posture if start is None else start
+        first = self._context.first if start is None else start
         turns = np.where(self._winding, np.round((first - q[0]) / turn), 0.0)
         if start is None:
             # The turns nearest to the scene's posture on which the sequence stays within the ranges.
@@ -338,9 +338,9 @@ def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[Float
                 f"the time, {limit}, was over when {done} of {total} via-points had been charted; take a "
                 "longer one, fewer tool_path.via_points or a larger planner.chart_spacing"
             )
-            raise context.path_not_found(reason, context.posture)
+            raise context.path_not_found(reason, context.first)
 
-    return sampler.along(context.goals, context.posture[None], report)
+    return sampler.along(context.goals, context.first[None], report)
 
 
 def sequences_beside(

@@ -253,16 +253,18 @@ class _Work:
         torque, turns = self._robot.limits.torque, ~self._robot.limits.prismatic
         scale = float((torque[turns] if turns.any() else torque).max())
         speed = np.inf if self._task.max_speed is None else _TOOL_RESOLUTION
-        shares = [
-            pieces.remainder(of.guardrail_torque) / (_TORQUE_RESOLUTION * scale),
-            pieces.remainder(of.tool_point) / _TOOL_RESOLUTION,
-            pieces.remainder(of.tool_rotation) / _TOOL_RESOLUTION,
-            pieces.remainder(of.tool_velocity) / speed,
-            *(
-                pieces.remainder(of.joint_torque[..., j]) / (_TORQUE_RESOLUTION * torque[j])
-                for j in range(self._robot.dof)
-            ),
-        ]
+        # Infinite where a torque bound is next to nothing: then no number of pieces suffices.
+        with np.errstate(over="ignore"):
+            shares = [
+                pieces.remainder(of.guardrail_torque) / (_TORQUE_RESOLUTION * scale),
+                pieces.remainder(of.tool_point) / _TOOL_RESOLUTION,
+                pieces.remainder(of.tool_rotation) / _TOOL_RESOLUTION,
+                pieces.remainder(of.tool_velocity) / speed,
+                *(
+                    pieces.remainder(of.joint_torque[..., j]) / (_TORQUE_RESOLUTION * torque[j])
+                    for j in range(self._robot.dof)
+                ),
+            ]
         return np.asarray(np.max(shares, axis=0))
 
     def _highest(

@@ -20,6 +20,7 @@ from cmbot.planning.verification.certificate import Check
 from cmbot.planning.verification.convex_distance import ConvexShape, Proven, hull, smallest_distances
 from cmbot.planning.verification.multibody import Multibody, PlacedShape
 from cmbot.planning.verification.robot_files import mesh_parts, read_multibody
+from cmbot.planning.verification.scene_path import ScenePath
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import (
     SPEED_TOLERANCE,
@@ -30,9 +31,8 @@ from cmbot.scene import (
     PlannerOptions,
     Scene,
     Shape,
-    SpeedProfile,
     Sphere,
-    ToolPath,
+    timed_path,
 )
 from cmbot.trajectory import QuinticTrajectory
 
@@ -298,34 +298,34 @@ def _obstacle_shapes(shape: Shape) -> Iterator[tuple[FloatArray, ConvexShape]]:
 
 def _path_checks(scene: Scene, body: Multibody, times: FloatArray) -> Iterator[Check]:
     """What the package's timed path differs by."""
-    p, R = body.tool_poses(scene.posture[None])
-    corners = p + np.concatenate([np.zeros((1, 3)), np.cumsum([leg.by for leg in scene.legs], axis=0)])
-    path = ToolPath(
-        corners=corners,
-        orientation=R[0],
-        seconds=np.array([leg.seconds for leg in scene.legs]),
-        profile=scene.speed_profile,
-    )
-    away = np.linalg.norm(path.position(times) - _timed_points(scene, p[0], times), axis=1)
-    bound = _POSES * max(1.0, float(np.abs(corners).max()))
+    X_WT = np.eye(4)
+    X_WT[:3, 3], X_WT[:3, :3] = (pose[0] for pose in body.tool_poses(scene.posture[None]))
+    own, path = ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3]), timed_path(scene, X_WT)
+    poses, (p, R) = path.poses(times), own.poses(times)
+    away = np.linalg.norm(poses.point - p, axis=1)
+    bound = _POSES * max(1.0, float(np.abs(path.corners).max()))
     yield _worst(f"difference of the timed tool path {_FROM}", times, away, bound, "m")
-    own = _via_times(scene)
-    late = np.abs(path.via_times(scene.via_points) - own)
-    yield _worst(f"difference of the via-points' times {_FROM}", own, late, _SHARES * float(own[-1]), "s")
+    turned = _angles(np.broadcast_to(poses.rotation, R.shape), R)
+    yield _worst(f"turn between the timed tool path and that {_FROM}", times, turned, _POSES, "rad")
+    via_times = own.via_times()
+    late = np.abs(path.via_times(scene.via_points) - via_times)
+    bound = _SHARES * float(via_times[-1])
+    yield _worst(f"difference of the via-points' times {_FROM}", via_times, late, bound, "s")
 
 
 def _via_point_checks(scene: Scene, body: Multibody, trajectory: QuinticTrajectory) -> Iterator[Check]:
     """Whether the tool is at its timed pose at the via-points."""
+    path = ScenePath(scene, *(pose[0] for pose in body.tool_poses(scene.posture[None])))
     ends = trajectory.t[[0, -1]]
     # A trajectory is to end with its path: where it is shorter or longer, it is held at its ends.
-    times = np.concatenate([_via_times(scene), ends])
-    (p_start,), (R_start,) = body.tool_poses(scene.posture[None])
+    times = np.concatenate([path.via_times(), ends])
     p, R = body.tool_poses(_motion(trajectory, np.clip(times, *ends))[0])
-    away = np.linalg.norm(p - _timed_points(scene, p_start, times), axis=1)
+    p_timed, R_timed = path.poses(times)
+    away = np.linalg.norm(p - p_timed, axis=1)
     yield _worst("distance of the tool from its timed via-point", times, away, _VIA_POINT, "m")
     if scene.keep == "position":
         return
-    turned = _angles(R, R_start) if scene.keep == "pose" else _between(R[:, :, 2], R_start[:, 2])
+    turned = _angles(R, R_timed) if scene.keep == "pose" else _between(R[:, :, 2], R_timed[:, :, 2])
     yield _worst("turn of the tool at its via-point", times, turned, _VIA_POINT, "rad")
 
 
@@ -337,59 +337,6 @@ def _speed_checks(
         speed = np.linalg.norm(body.tool_velocities(motion[0], motion[1]), axis=1)
         bound = scene.tool.max_speed_m_s * (1 + SPEED_TOLERANCE) * (1 + _LIMIT)
         yield _worst(f"tool speed {_BY}", times, speed, bound, "m/s")
-
-
-def _timed_points(scene: Scene, start: FloatArray, times: FloatArray) -> FloatArray:
-    """Where the tool point is to be (N, 3), m, from its `start` (3,): at rest at the ends of each leg."""
-    seconds = np.array([leg.seconds for leg in scene.legs])
-    by = np.array([leg.by for leg in scene.legs])
-    ends, corners = np.cumsum(seconds), start + np.cumsum(by, axis=0)
-    leg = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
-    left = np.clip((ends[leg] - times) / seconds[leg], 0.0, 1.0)
-    # A profile is symmetric in time, so what is left of a leg is what its rest would cover from the start.
-    return np.asarray(corners[leg] - _covered(scene.speed_profile, left)[:, None] * by[leg])
-
-
-def _covered(profile: SpeedProfile, u: FloatArray) -> FloatArray:
-    """Share of the length that is covered at share `u` of the time: phases of constant jerk, integrated."""
-    r = profile.ramp
-    # Duration, acceleration at the beginning and jerk of each phase, for a cruising speed of 1.
-    phases = [(r, 1 / r, 0.0), (1 - 2 * r, 0.0, 0.0), (r, -1 / r, 0.0)]
-    if profile.kind == "jerk_limited":
-        jerk = 4 / r**2
-        phases = [
-            (r / 2, 0.0, jerk),
-            (r / 2, 2 / r, -jerk),
-            (1 - 2 * r, 0.0, 0.0),
-            (r / 2, 0.0, -jerk),
-            (r / 2, -2 / r, jerk),
-        ]
-    covered, begin, speed, total = np.zeros_like(u), 0.0, 0.0, 0.0
-    for duration, acceleration, jerk in phases:
-        x = np.clip(u - begin, 0.0, duration)
-        covered += x * (speed + x * (acceleration / 2 + x * jerk / 6))
-        total += duration * (speed + duration * (acceleration / 2 + duration * jerk / 6))
-        speed += duration * (acceleration + duration * jerk / 2)
-        begin += duration
-    return np.asarray(covered / total)
-
-
-def _via_times(scene: Scene) -> FloatArray:
-    """Times of the via-points (k,), s: the ends of the legs, and equal steps within each.
-
-    Each leg has a segment; every further one goes to the leg whose segments are then the longest (D'Hondt).
-    """
-    seconds = np.array([leg.seconds for leg in scene.legs])
-    segments = np.ones(len(seconds), dtype=np.intp)
-    for _ in range(scene.via_points - 1 - len(seconds)):
-        segments[np.argmax(seconds / (segments + 1))] += 1
-    ends = np.cumsum(seconds)
-    begins = np.concatenate([[0.0], ends[:-1]])
-    steps = (
-        begin + (end - begin) * np.arange(number) / number
-        for begin, end, number in zip(begins, ends, segments, strict=True)
-    )
-    return np.concatenate([*steps, ends[-1:]])
 
 
 def _angles(R: FloatArray, other: FloatArray) -> FloatArray:

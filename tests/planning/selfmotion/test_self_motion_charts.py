@@ -33,6 +33,7 @@ def context_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: i
     options = PlannerOptions(chart_spacing=spacing, chart_seeds=seeds)
     objective = objective_of(robot, options)
     return PlanningContext(
+        first=np.zeros(robot.dof),
         robot=robot,
         posture=np.zeros(robot.dof),
         task=task,

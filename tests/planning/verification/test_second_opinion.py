@@ -18,7 +18,7 @@ from random_arms import random_arm
 from small_scenes import short_scene
 from urdf_arms import arm_scene, endless_scene, six_joint_scene
 
-import cmbot.planning.context
+import cmbot.scene.path_builder
 from cmbot.collision import Clearances
 from cmbot.common.errors import ModelError
 from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
@@ -225,7 +225,7 @@ def test_a_planner_whose_legs_are_short(monkeypatch: pytest.MonkeyPatch) -> None
         return ToolPath(corners=corners[0] + 0.1 * (corners - corners[0]), **fields)
 
     with monkeypatch.context() as patch:
-        patch.setattr(cmbot.planning.context, "ToolPath", short_path)
+        patch.setattr(cmbot.scene.path_builder, "ToolPath", short_path)
         planned = plan(short_scene())
     assert broken(planned) == {"distance of the tool from its timed via-point"}
 

@@ -1,0 +1,55 @@
+"""Where the work starts when the tool path begins apart from the tool in the scene's posture."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.projection import project_onto_task
+
+__all__ = ["starting_at_path"]
+
+# Random postures from which Newton's method starts, and its steps.
+_RESTARTS, _STEPS = 1000, 40
+
+
+def starting_at_path(context: PlanningContext) -> PlanningContext:
+    """Return the context whose work starts in the admissible posture nearest to the scene's.
+
+    Raises
+    ------
+    PathNotFound
+        When none was found.
+    """
+    found = _admissible(context, context.posture[None])
+    if not len(found):
+        limits, rng = context.robot.limits, np.random.default_rng(0)
+        half = limits.sampled_half
+        low, high = limits.range_middle - half, limits.range_middle + half
+        found = _admissible(context, rng.uniform(low, high, (_RESTARTS, len(low))))
+    if not len(found):
+        begin = ", ".join(f"{x:.3f}" for x in context.task.path.corners[0])
+        raise context.path_not_found(
+            f"no posture that holds the tool where the path begins, at ({begin}) m, within the joint ranges, "
+            f"clear of obstacles and strong enough was found in {_RESTARTS} attempts; move the start of the "
+            "path, or keep less of the pose (tool_path.keep)",
+            context.posture,
+        )
+    away = context.robot.metric.lengths(found - context.posture)
+    return replace(context, first=found[int(away.argmin())])
+
+
+def _admissible(context: PlanningContext, q: FloatArray) -> FloatArray:
+    """Postures near `q` (N, n) that hold the tool at the path's beginning, (k, n)."""
+    limits, goal = context.robot.limits, context.task.path.poses([0.0])
+    placed, reached = project_onto_task(
+        context.postures, context.task, q, goal, steps=_STEPS, tolerance=1e-12
+    )
+    placed = limits.turned_to_middle(placed[reached])
+    placed = placed[limits.contain(placed)]
+    use = np.abs(context.postures.at(placed).joint_torque) / limits.torque
+    placed = placed[use.max(axis=1, initial=0.0) <= 1.0]
+    return np.asarray(placed[~context.clearances.check_collision(placed, context.options.safety_margin_m)])

@@ -1,0 +1,266 @@
+"""The timed tool path of a scene by another route than `cmbot.scene`: what a second opinion compares with.
+
+Rotations are products of elementary ones, circles the solution of linear equations, orientations on a line
+Rodrigues' formula, and what a profile covers is integrated from phases of constant jerk.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray
+from cmbot.scene import ArcTo, Goal, Leg, Scene, SpeedProfile
+
+__all__ = ["ScenePath"]
+
+_Points = Callable[[FloatArray], FloatArray]
+# As the description of the spline through waypoints has it.
+_SPLINE_ROUNDS = 6
+
+
+class ScenePath:
+    """Where a scene has the tool, from its pose `p` (3,), m, and `R` (3, 3) in the scene's posture."""
+
+    def __init__(self, scene: Scene, p: FloatArray, R: FloatArray) -> None:
+        self._scene, self._frames = scene, {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
+        for name, frame in (scene.file.frames or {}).items():
+            self._frames[name] = np.array(frame.xyz), _rpy(frame.rpy_deg)
+        if scene.start_pose is not None:
+            p, R = self._goal(scene.start_pose, R)
+            self._frames["tool"] = p, R
+        # Of each leg: seconds, points and orientations by the share that is covered.
+        self._legs: list[tuple[float, _Points, _Points]] = []
+        if scene.waypoints is not None:
+            self._add_spline(np.array(scene.waypoints, dtype=float))
+        straight: list[FloatArray] = []
+        for leg in scene.legs:
+            seconds, points, orientations, end = self._leg(leg, p, R)
+            bends = scene.blend_radius_m is not None and leg.pause is None and leg.arc is None
+            bends = bends and bool(np.allclose(end[1], R, rtol=0, atol=1e-12))
+            if bends and straight:
+                before = self._legs.pop()[0]
+                straight.append(end[0])
+                points, seconds = _blended(np.array(straight), scene.blend_radius_m or 0.0), seconds + before
+            else:
+                straight = [p, end[0]] if bends else []
+            self._legs.append((seconds, points, orientations))
+            p, R = end
+
+    def poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Tool points (N, 3), m, and orientations (N, 3, 3): at rest at the ends of each leg."""
+        ends = np.cumsum([seconds for seconds, _, _ in self._legs])
+        leg = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
+        p, R = np.empty((len(times), 3)), np.empty((len(times), 3, 3))
+        for k in np.unique(leg):
+            seconds, points, orientations = self._legs[k]
+            here = leg == k
+            left = np.clip((ends[k] - times[here]) / seconds, 0.0, 1.0)
+            # A profile is symmetric in time: what is left is what its rest would cover from the start.
+            share = 1 - _covered(self._scene.speed_profile, left)
+            p[here], R[here] = points(share), orientations(share)
+        return p, R
+
+    def via_times(self) -> FloatArray:
+        """Times of the via-points (k,), s: the ends of the legs, and equal steps within each.
+
+        Each leg has a segment; every further one goes to the leg whose segments are then the longest
+        (D'Hondt).
+        """
+        seconds = np.array([each for each, _, _ in self._legs])
+        segments = np.ones(len(seconds), dtype=np.intp)
+        for _ in range(self._scene.via_points - 1 - len(seconds)):
+            segments[np.argmax(seconds / (segments + 1))] += 1
+        ends = np.cumsum(seconds)
+        begins = np.concatenate([[0.0], ends[:-1]])
+        steps = (
+            begin + (end - begin) * np.arange(number) / number
+            for begin, end, number in zip(begins, ends, segments, strict=True)
+        )
+        return np.concatenate([*steps, ends[-1:]])
+
+    def _leg(
+        self, leg: Leg, p: FloatArray, R: FloatArray
+    ) -> tuple[float, _Points, _Points, tuple[FloatArray, FloatArray]]:
+        """Seconds, points, orientations and the pose at the end of a leg."""
+        if leg.arc is not None:
+            points, axis, angle, length = self._arc(leg.arc, p)
+            turn = axis * angle if leg.arc.turns else np.zeros(3)
+        else:
+            end, R_end = (p, R) if leg.to is None else self._goal(leg.to, R)
+            way = np.array(leg.by) if leg.by is not None else end - p
+            turn, length = Rotation.from_matrix(R_end @ R.T).as_rotvec(), float(np.linalg.norm(way))
+
+            def points(share: FloatArray) -> FloatArray:
+                return np.asarray(p + share[:, None] * way)
+
+        def orientations(share: FloatArray) -> FloatArray:
+            return np.array([_rodrigues(s * turn) @ R for s in share])
+
+        seconds = leg.pause or leg.seconds or self._cruise(length, leg.speed_m_s)
+        return seconds, points, orientations, (points(np.ones(1))[0], orientations(np.ones(1))[0])
+
+    def _cruise(self, length: float, speed: float | None) -> float:
+        """Seconds in which a leg is covered when the tool cruises at a speed between two ramps."""
+        return length / ((speed or np.nan) * float(_travelled(self._scene.speed_profile, np.ones(1))[0]))
+
+    def _goal(self, goal: Goal, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A pose in W, from the orientation `R` before."""
+        p_frame, R_frame = self._frames[goal.frame]
+        p = p_frame + R_frame @ np.array(goal.xyz)
+        if goal.rpy_deg is not None:
+            return p, R_frame @ _rpy(goal.rpy_deg)
+        if goal.axis is None:
+            return p, R
+        z = R_frame @ np.array(goal.axis) / np.linalg.norm(goal.axis)
+        cross, cosine = np.cross(R[:, 2], z), float(R[:, 2] @ z)
+        if cosine < -1 + 1e-12:
+            cross = np.cross(R[:, 2], np.eye(3)[np.abs(R[:, 2]).argmin()])
+            return p, _rodrigues(np.pi * cross / np.linalg.norm(cross)) @ R
+        K = _skew(cross)
+        return p, (np.eye(3) + K + K @ K / (1 + cosine)) @ R
+
+    def _arc(self, arc: ArcTo, p: FloatArray) -> tuple[_Points, FloatArray, float, float]:
+        """Points by the share, the axis, the angle and the length of an arc from `p`."""
+        p_frame, R_frame = self._frames[arc.frame]
+        if arc.via is not None and arc.to is not None:
+            via, end = (p_frame + R_frame @ np.array(x) for x in (arc.via, arc.to))
+            axis = np.cross(via - p, end - p)
+            axis /= np.linalg.norm(axis)
+            A = np.stack([via - p, end - p, axis])
+            b = np.array([(via @ via - p @ p) / 2, (end @ end - p @ p) / 2, axis @ p])
+            centre = np.linalg.solve(A, b)
+        else:
+            axis = R_frame @ np.array(arc.axis) / np.linalg.norm(np.array(arc.axis))
+            centre = p_frame + R_frame @ np.array(arc.centre)
+            centre = centre + ((p - centre) @ axis) * axis
+        arm = p - centre
+        if arc.angle_deg is not None:
+            angle = float(np.radians(arc.angle_deg))
+        else:
+            last = end - centre
+            angle = float(np.arctan2(np.cross(arm, last) @ axis, arm @ last)) % (2 * np.pi)
+
+        def points(share: FloatArray) -> FloatArray:
+            return np.array([centre + _rodrigues(s * angle * axis) @ arm for s in share])
+
+        return points, axis, angle, float(np.linalg.norm(arm) * abs(angle))
+
+    def _add_spline(self, rows: FloatArray) -> None:
+        from scipy.interpolate import make_interp_spline
+        from scipy.spatial.transform import RotationSpline
+
+        points = rows[:, :3]
+        steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
+        for _ in range(_SPLINE_ROUNDS + 1):
+            at = np.append(0.0, np.cumsum(steps)) / steps.sum()
+            spline = make_interp_spline(at, points, k=3)
+            steps = _lengths(spline.derivative(), at)
+        orientations = RotationSpline(at, Rotation.from_quat(rows[:, 3:], scalar_first=True))
+        scene = self._scene
+        seconds = scene.seconds or self._cruise(float(steps.sum()), scene.speed_m_s)
+        self._legs.append((seconds, spline, lambda share: orientations(share).as_matrix()))
+
+
+def _lengths(rate: _Points, at: FloatArray) -> FloatArray:
+    """Lengths (k,) of a curve between successive parameters, by its derivative."""
+    x, weight = np.polynomial.legendre.leggauss(12)
+    half = np.diff(at)[:, None] / 2
+    speed = np.linalg.norm(rate(at[:-1, None] + half * (x + 1)), axis=-1)
+    return np.asarray((speed * weight * half).sum(axis=1))
+
+
+def _blended(corners: FloatArray, radius: float) -> _Points:
+    """Points by the share of the length of lines whose corners are rounded."""
+    pieces: list[tuple[float, _Points]] = []
+    begin = corners[0]
+
+    def line(start: FloatArray, end: FloatArray) -> None:
+        pieces.append((float(np.linalg.norm(end - start)), lambda s: start + s[:, None] * (end - start)))
+
+    def arc(centre: FloatArray, first: FloatArray, along: FloatArray, angle: float) -> None:
+        arm = first - centre
+        across = along * np.linalg.norm(arm)
+
+        def points(s: FloatArray) -> FloatArray:
+            return np.asarray(centre + np.cos(s * angle)[:, None] * arm + np.sin(s * angle)[:, None] * across)
+
+        pieces.append((float(np.linalg.norm(arm)) * angle, points))
+
+    for before, corner, after in zip(corners, corners[1:], corners[2:], strict=False):
+        a, b = corner - before, after - corner
+        room = min(np.linalg.norm(a), np.linalg.norm(b)) / 2
+        a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
+        half = float(np.arctan2(np.linalg.norm(b - a), np.linalg.norm(b + a)))
+        if 2 * half < 1e-6:
+            continue
+        cut = min(radius * np.tan(half), room)
+        centre = corner + (b - a) / np.linalg.norm(b - a) * cut / np.sin(half)
+        line(begin, corner - cut * a)
+        arc(centre, corner - cut * a, a, 2 * half)
+        begin = corner + cut * b
+    line(begin, corners[-1])
+    ends = np.cumsum([length for length, _ in pieces])
+
+    def points(share: FloatArray) -> FloatArray:
+        s = share * ends[-1]
+        which = np.minimum(np.searchsorted(ends, s), len(ends) - 1)
+        p = np.empty((len(s), 3))
+        for k in np.unique(which):
+            length, of = pieces[k]
+            here = which == k
+            p[here] = of((s[here] - ends[k] + length) / length)
+        return p
+
+    return points
+
+
+def _covered(profile: SpeedProfile, u: FloatArray) -> FloatArray:
+    """Share of the length that is covered at share `u` of the time."""
+    return np.asarray(_travelled(profile, u) / _travelled(profile, np.ones(1)))
+
+
+def _travelled(profile: SpeedProfile, u: FloatArray) -> FloatArray:
+    """Length at share `u` of a time of 1 with a cruising speed of 1: phases of constant jerk, integrated."""
+    r = profile.ramp
+    # Duration, acceleration at the beginning and jerk of each phase.
+    phases = [(r, 1 / r, 0.0), (1 - 2 * r, 0.0, 0.0), (r, -1 / r, 0.0)]
+    if profile.kind == "jerk_limited":
+        jerk = 4 / r**2
+        phases = [
+            (r / 2, 0.0, jerk),
+            (r / 2, 2 / r, -jerk),
+            (1 - 2 * r, 0.0, 0.0),
+            (r / 2, 0.0, -jerk),
+            (r / 2, -2 / r, jerk),
+        ]
+    travelled, begin, speed = np.zeros_like(u), 0.0, 0.0
+    for duration, acceleration, jerk in phases:
+        x = np.clip(u - begin, 0.0, duration)
+        travelled += x * (speed + x * (acceleration / 2 + x * jerk / 6))
+        speed += duration * (acceleration + duration * jerk / 2)
+        begin += duration
+    return travelled
+
+
+def _rpy(rpy_deg: tuple[float, float, float]) -> FloatArray:
+    """``Rz(yaw) Ry(pitch) Rx(roll)``."""
+    roll, pitch, yaw = np.radians(rpy_deg)
+    x, y, z = np.eye(3)
+    return np.asarray(_rodrigues(yaw * z) @ _rodrigues(pitch * y) @ _rodrigues(roll * x))
+
+
+def _rodrigues(turn: FloatArray) -> FloatArray:
+    """Rotation matrix of a rotation vector."""
+    angle = float(np.linalg.norm(turn))
+    if angle == 0:
+        return np.eye(3)
+    K = _skew(turn / angle)
+    return np.asarray(np.eye(3) + np.sin(angle) * K + 2 * np.sin(angle / 2) ** 2 * K @ K)
+
+
+def _skew(v: FloatArray) -> FloatArray:
+    x, y, z = v
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

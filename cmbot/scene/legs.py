@@ -1,0 +1,193 @@
+"""What a scene file says of the tool path: legs, poses and waypoints."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import numpy as np
+from pydantic import AfterValidator, Field
+
+from cmbot.common.errors import InputError
+from cmbot.common.validation import CheckedFields, refusal
+from cmbot.scene.fields import Angle, Angles, Coordinate, Slug, Vector
+
+__all__ = ["SHORTEST_LEG", "ArcTo", "Goal", "Leg", "Seconds", "Speed", "Waypoint"]
+
+SHORTEST_LEG = 1e-6
+"""m."""
+
+# Axes are unit vectors up to what people round.
+_LENGTH_OF_AXIS = 1e-2
+# A unit quaternion up to what files round.
+_LENGTH_OF_QUATERNION = 1e-3
+
+Seconds = Annotated[float, Field(ge=1e-3, le=36_000)]
+Speed = Annotated[float, Field(ge=1e-5, le=100)]
+
+
+def _long_enough(by: Vector) -> Vector:
+    if max(map(abs, by)) < SHORTEST_LEG:
+        raise refusal("a leg longer than a micrometre", got=by)
+    return by
+
+
+def _unit_vector(axis: Vector) -> Vector:
+    length = float(np.linalg.norm(axis))
+    if abs(length - 1.0) > _LENGTH_OF_AXIS:
+        raise refusal("a unit vector", got=axis)
+    return axis
+
+
+UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Goal(CheckedFields):
+    """A pose of the tool.
+
+    Attributes
+    ----------
+    xyz : three floats
+        Of the tool point, m, in `frame`.
+    rpy_deg : three floats or None
+        Its orientation in `frame`: roll, pitch, yaw as in URDF. Left out with `axis`: as before.
+    axis : three floats or None
+        In place of it the direction of the tool's z axis in `frame`, a unit vector, to which the tool turns
+        on the shortest way.
+    frame : str
+        ``world``, ``tool`` (the tool's pose where the path begins) or the name of one of `frames`.
+
+    Raises
+    ------
+    InputError
+        When a field is out of its bounds.
+    """
+
+    xyz: Vector
+    rpy_deg: Angles | None = None
+    axis: UnitVector | None = None
+    frame: Slug = "world"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _at_most_one(self, ("rpy_deg", "axis"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArcTo(CheckedFields):
+    """A circular arc, through two points or about an axis.
+
+    Attributes
+    ----------
+    via, to : three floats or None
+        Points of the arc, m, in `frame`; `to` is its end.
+    centre, axis : three floats or None
+        In place of them a point of the axis, m, and its direction, a unit vector, in `frame`.
+    angle_deg : float or None
+        With `centre` and `axis`: the angle about it.
+    turns : bool
+        Whether the tool turns with the arc, as about a pipe; otherwise it keeps its orientation.
+    frame : str
+        As in other poses.
+
+    Raises
+    ------
+    InputError
+        When a field is out of its bounds, or the arc is not one of these two.
+    """
+
+    via: Vector | None = None
+    to: Vector | None = None
+    centre: Vector | None = None
+    axis: UnitVector | None = None
+    angle_deg: Angle | None = None
+    turns: bool = False
+    frame: Slug = "world"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        given = set(_given(self, ("via", "to", "centre", "axis", "angle_deg")))
+        if given not in ({"via", "to"}, {"centre", "axis", "angle_deg"}):
+            got = ", ".join(sorted(given)) or "nothing"
+            raise InputError("ArcTo", "", got, "via and to, or centre, axis and angle_deg")
+        if self.angle_deg == 0:
+            raise InputError("ArcTo", "angle_deg", "0", "an angle other than 0")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Leg(CheckedFields):
+    """A leg of the tool's path, from rest to rest.
+
+    Attributes
+    ----------
+    by : three floats or None
+        Displacement in W, m, along a straight line.
+    to : Goal or None
+        In place of it the pose at its end, on a straight line to which the tool turns in proportion.
+    arc : ArcTo or None
+        In place of it an arc.
+    pause : float or None
+        In place of it seconds in which the tool waits.
+    seconds : float or None
+        Duration, s.
+    speed_m_s : float or None
+        In place of it the speed at which the tool cruises, m/s; the ramps come on top.
+
+    Raises
+    ------
+    InputError
+        When a field is out of its bounds, or the leg shorter than a micrometre.
+    """
+
+    by: Annotated[Vector, AfterValidator(_long_enough)] | None = None
+    to: Goal | None = None
+    arc: ArcTo | None = None
+    pause: Seconds | None = None
+    seconds: Seconds | None = None
+    speed_m_s: Speed | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _exactly_one(self, ("by", "to", "arc", "pause"))
+        if self.pause is None:
+            _exactly_one(self, ("seconds", "speed_m_s"))
+        elif self.seconds is not None or self.speed_m_s is not None:
+            key = "seconds" if self.seconds is not None else "speed_m_s"
+            raise InputError("Leg", key, "a value", "no such key beside pause, which says how long")
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is a displacement in so many seconds, all that ``cmbot-scene/1`` knows."""
+        return self.by is not None and self.seconds is not None
+
+
+def _unit_quaternion(row: tuple[float, ...]) -> tuple[float, ...]:
+    if abs(float(np.linalg.norm(row[3:])) - 1.0) > _LENGTH_OF_QUATERNION:
+        raise refusal("x, y, z and a unit quaternion qw, qx, qy, qz", got=row)
+    return row
+
+
+Waypoint = Annotated[
+    tuple[Coordinate, ...], Field(min_length=7, max_length=7), AfterValidator(_unit_quaternion)
+]
+"""Point, m, and unit quaternion (w, x, y, z) of the tool in W."""
+
+
+def _given(instance: object, names: Sequence[str]) -> list[str]:
+    return [name for name in names if getattr(instance, name) is not None]
+
+
+def _exactly_one(instance: object, names: Sequence[str]) -> None:
+    given = _given(instance, names)
+    if len(given) != 1:
+        got = " and ".join(given) or "none"
+        raise InputError(type(instance).__name__, "", got, "exactly one of these keys", tuple(names))
+
+
+def _at_most_one(instance: object, names: Sequence[str]) -> None:
+    given = _given(instance, names)
+    if len(given) > 1:
+        got = " and ".join(given)
+        raise InputError(type(instance).__name__, "", got, "at most one of these keys", tuple(names))

@@ -1,0 +1,209 @@
+"""The timed tool path that a scene's legs and waypoints make."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.common.validation import shown
+from cmbot.scene.curves import Arc, Blend, Curve, Spline
+from cmbot.scene.legs import SHORTEST_LEG, ArcTo, Goal, Leg
+from cmbot.scene.obstacles import pose
+from cmbot.scene.scene import Scene
+from cmbot.scene.tool_path import ToolPath
+
+__all__ = ["timed_path"]
+
+# Sine of the angle between two axes below which they are parallel.
+_PARALLEL = 1e-12
+
+
+def timed_path(scene: Scene, X_WT: FloatArray) -> ToolPath:
+    """Return the tool path that a scene describes.
+
+    Parameters
+    ----------
+    scene : Scene
+    X_WT : (4, 4)
+        Pose of the tool in the scene's posture; the path begins there unless it has a start of its own.
+
+    Raises
+    ------
+    SceneError
+        When a leg has no length but a speed, three points are on a line, or a frame is not known.
+    """
+    builder = _PathBuilder(scene, X_WT)
+    if scene.waypoints:
+        builder.spline()
+    for k, leg in enumerate(scene.legs):
+        builder.leg(leg, f"tool_path.legs[{k}]")
+    if scene.blend_radius_m is not None:
+        builder.blend(scene.blend_radius_m)
+    return builder.path()
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """A leg with everything in W."""
+
+    end: FloatArray
+    turn: FloatArray
+    seconds: float
+    curve: Curve | None = None
+    blends: bool = False
+
+
+class _PathBuilder:
+    """Puts legs one after the other."""
+
+    def __init__(self, scene: Scene, X_WT: FloatArray) -> None:
+        self._scene = scene
+        self._frames: dict[str, FloatArray] = {"world": np.eye(4), "tool": X_WT, **scene.frames}
+        self._point, self._R = X_WT[:3, 3], X_WT[:3, :3]
+        if scene.start_pose is not None:
+            key = "tool_path.from"
+            self._point, turn = self._at(scene.start_pose, key)
+            self._R = _turned(turn, self._R)
+            self._frames["tool"] = _matrix(self._point, self._R)
+        elif scene.waypoints:
+            self._point, self._R = (each[0] for each in self._waypoints())
+        self._start, self._parts = (self._point, self._R), list[_Part]()
+
+    def path(self) -> ToolPath:
+        """The legs that were put together."""
+        parts = self._parts
+        return ToolPath(
+            corners=np.vstack([self._start[0], *(part.end for part in parts)]),
+            orientation=self._start[1],
+            seconds=np.array([part.seconds for part in parts]),
+            profile=self._scene.speed_profile,
+            rotations=np.array([part.turn for part in parts]),
+            curves={k: part.curve for k, part in enumerate(parts) if part.curve is not None},
+        )
+
+    def leg(self, leg: Leg, key: str) -> None:
+        """Add a leg of the scene."""
+        end, turn, curve = self._point, np.zeros(3), None
+        if leg.by is not None:
+            end = self._point + np.array(leg.by)
+        elif leg.to is not None:
+            end, turn = self._at(leg.to, f"{key}.to")
+        elif leg.arc is not None:
+            end, turn, curve = self._arc(leg.arc, f"{key}.arc")
+        length = float(np.linalg.norm(end - self._point)) if curve is None else curve.length
+        straight = curve is None and leg.pause is None and not turn.any()
+        seconds = leg.pause or self._seconds(leg.seconds, leg.speed_m_s, length, f"{key}.speed_m_s")
+        self._add(_Part(end=end, turn=turn, seconds=seconds, curve=curve, blends=straight))
+
+    def spline(self) -> None:
+        """Add the spline through the scene's waypoints."""
+        points, orientations = self._waypoints()
+        curve = Spline(points, orientations)
+        turn = Rotation.from_matrix(orientations[-1] @ orientations[0].T).as_rotvec()
+        scene = self._scene
+        seconds = self._seconds(scene.seconds, scene.speed_m_s, curve.length, "tool_path.speed_m_s")
+        self._add(_Part(end=points[-1], turn=turn, seconds=seconds, curve=curve))
+
+    def blend(self, radius: float) -> None:
+        """Make one leg of straight ones that follow each other without a turn of the tool."""
+        merged, group, point = list[_Part](), list[_Part](), self._start[0]
+
+        def close() -> None:
+            nonlocal point
+            if len(group) > 1:
+                corners = np.vstack([point, *(part.end for part in group)])
+                seconds = sum(part.seconds for part in group)
+                merged.append(replace(group[-1], seconds=seconds, curve=Blend(corners, radius)))
+            else:
+                merged.extend(group)
+            point = group[-1].end if group else point
+            group.clear()
+
+        for part in self._parts:
+            if part.blends:
+                group.append(part)
+                continue
+            close()
+            merged.append(part)
+            point = part.end
+        close()
+        self._parts = merged
+
+    def _add(self, part: _Part) -> None:
+        self._parts.append(part)
+        self._point, self._R = part.end, _turned(part.turn, self._R)
+
+    def _seconds(self, seconds: float | None, speed: float | None, length: float, key: str) -> float:
+        if seconds is not None or speed is None:
+            return float(seconds or 0.0)
+        if length < SHORTEST_LEG:
+            expected = "seconds in place of it: the leg has no length"
+            raise SceneError(self._scene.source, key, f"{speed:g} m/s", expected)
+        return length / (speed * (1 - self._scene.speed_profile.ramp))
+
+    def _frame(self, name: str, key: str) -> FloatArray:
+        if name not in self._frames:
+            known = tuple(self._frames)
+            raise SceneError(self._scene.source, f"{key}.frame", shown(name), "a frame of the scene", known)
+        return self._frames[name]
+
+    def _at(self, goal: Goal, key: str) -> tuple[FloatArray, FloatArray]:
+        """Point of a pose in W, and the rotation vector in W that leads to its orientation from here."""
+        X = self._frame(goal.frame, key)
+        point = X[:3, :3] @ np.array(goal.xyz) + X[:3, 3]
+        if goal.rpy_deg is not None:
+            R = X[:3, :3] @ pose((0.0, 0.0, 0.0), np.radians(goal.rpy_deg))[:3, :3]
+            return point, Rotation.from_matrix(R @ self._R.T).as_rotvec()
+        if goal.axis is not None:
+            axis = X[:3, :3] @ (np.array(goal.axis) / np.linalg.norm(goal.axis))
+            return point, _shortest_turn(self._R[:, 2], axis)
+        return point, np.zeros(3)
+
+    def _arc(self, arc: ArcTo, key: str) -> tuple[FloatArray, FloatArray, Curve | None]:
+        """End, rotation vector and curve of an arc."""
+        X = self._frame(arc.frame, key)
+        if arc.via is not None and arc.to is not None:
+            via, end = (X[:3, :3] @ np.array(p) + X[:3, 3] for p in (arc.via, arc.to))
+            found = Arc.through(self._point, via, end)
+            if found is None:
+                got = "three points on a line"
+                raise SceneError(self._scene.source, key, got, "a point beside the line, or a straight leg")
+            turn = found.angle * found.axis if arc.turns else np.zeros(3)
+            return end, turn, found
+        axis = X[:3, :3] @ (np.array(arc.axis) / np.linalg.norm(np.array(arc.axis)))
+        angle = float(np.radians(arc.angle_deg or 0.0))
+        turn = angle * axis if arc.turns else np.zeros(3)
+        curve = Arc(X[:3, :3] @ np.array(arc.centre) + X[:3, 3], axis, self._point, angle)
+        if curve.radius < SHORTEST_LEG:  # the tool turns on the spot
+            return self._point, turn, None
+        return curve.position(np.ones(1))[0], turn, curve
+
+    def _waypoints(self) -> tuple[FloatArray, FloatArray]:
+        """Points (K, 3) and orientations (K, 3, 3) in W, each quaternion of the sign nearer to the last."""
+        rows = np.array(self._scene.waypoints, dtype=float)
+        orientations = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
+        return rows[:, :3], orientations
+
+
+def _matrix(point: FloatArray, R: FloatArray) -> FloatArray:
+    X = np.eye(4)
+    X[:3, :3], X[:3, 3] = R, point
+    return X
+
+
+def _turned(turn: FloatArray, R: FloatArray) -> FloatArray:
+    return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ R)
+
+
+def _shortest_turn(z: FloatArray, goal: FloatArray) -> FloatArray:
+    """Rotation vector of the shortest turn from one unit vector to another."""
+    cross, cosine = np.cross(z, goal), float(z @ goal)
+    sine = float(np.linalg.norm(cross))
+    if sine > _PARALLEL:
+        return np.asarray(cross * (np.arctan2(sine, cosine) / sine))
+    across = np.cross(z, np.eye(3)[np.abs(z).argmin()])
+    return np.zeros(3) if cosine > 0 else np.asarray(np.pi * across / np.linalg.norm(across))

@@ -1,0 +1,307 @@
+"""Legs, poses and waypoints of scene files: against a second computation, and their refusals."""
+
+import copy
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+from small_scenes import SHORT
+
+from cmbot import load_scene
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError, SceneError
+from cmbot.planning.verification.scene_path import ScenePath
+from cmbot.scene import ArcTo, Goal, Leg, Scene, timed_path, update_file
+
+SECOND = {
+    **{key: value for key, value in SHORT.items() if key != "posture_deg"},
+    "format": "cmbot-scene/2",
+    "start": {"posture_deg": SHORT["posture_deg"]},
+    "frames": {"bracket": {"xyz": [0.3, -0.2, 0.7], "rpy_deg": [10, -40, 130]}},
+}
+WHERE = np.array([1.8, 0.7, -2.0])
+
+
+def scene_of(**tool_path: Any) -> Scene:
+    data: dict[str, Any] = copy.deepcopy(SECOND)
+    data["tool_path"] = {"via_points": 60, **tool_path}
+    return load_scene(data)
+
+
+def vectors(size: float = 1.0) -> st.SearchStrategy[list[float]]:
+    number = st.floats(-size, size).map(lambda x: round(x, 4))
+    return st.lists(number, min_size=3, max_size=3).filter(lambda v: float(np.abs(v).max()) > 0.05 * size)
+
+
+def unit(v: list[float]) -> list[float]:
+    return (np.array(v) / np.linalg.norm(v)).tolist()
+
+
+frames = st.sampled_from(["world", "tool", "bracket"])
+durations = st.one_of(
+    st.fixed_dictionaries({"seconds": st.floats(0.5, 5)}),
+    st.fixed_dictionaries({"speed_m_s": st.floats(0.05, 0.5)}),
+)
+turns = st.one_of(
+    st.just({}),
+    st.fixed_dictionaries({"rpy_deg": vectors(180.0)}),
+    st.fixed_dictionaries({"axis": vectors().map(unit)}),
+)
+goals = st.builds(lambda xyz, frame, turn: {"xyz": xyz, "frame": frame, **turn}, vectors(), frames, turns)
+arcs = st.one_of(
+    st.fixed_dictionaries({"via": vectors(), "to": vectors(), "turns": st.booleans(), "frame": frames}),
+    st.fixed_dictionaries(
+        {
+            "centre": vectors(),
+            "axis": vectors().map(unit),
+            "angle_deg": st.floats(5, 350),
+            "turns": st.booleans(),
+            "frame": frames,
+        }
+    ),
+)
+legs = st.one_of(
+    st.builds(lambda by, time: {"by": by, **time}, vectors(), durations),
+    st.builds(lambda goal, time: {"to": goal, **time}, goals, durations),
+    st.builds(lambda arc, time: {"arc": arc, **time}, arcs, durations),
+    st.builds(lambda seconds: {"pause": seconds}, st.floats(0.1, 3)),
+)
+profiles = st.fixed_dictionaries(
+    {"kind": st.sampled_from(["trapezoidal", "jerk_limited"]), "ramp": st.floats(0.05, 0.5)}
+)
+
+
+def check_path(scene: Scene) -> None:
+    """The timed poses against the second computation of them."""
+    X_WT = np.eye(4)
+    X_WT[:3, :3], X_WT[:3, 3] = Rotation.from_rotvec([0.3, -1.2, 0.5]).as_matrix(), WHERE
+    path, second = timed_path(scene, X_WT), ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3])
+    times = np.unique(np.concatenate([np.linspace(0, path.duration, 301), path.breaks]))
+    p, R = second.poses(times)
+    poses = path.poses(times)
+    np.testing.assert_allclose(poses.point, p, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(np.broadcast_to(poses.rotation, R.shape), R, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(path.via_times(60), second.via_times(), rtol=1e-9)
+
+
+@settings(max_examples=60)
+@given(
+    st.lists(legs, min_size=1, max_size=5),
+    st.one_of(st.none(), goals),
+    st.one_of(st.none(), st.floats(0.01, 0.3)),
+    profiles,
+)
+def test_timed_poses_are_those_of_a_second_computation(
+    each: list[dict[str, Any]], begin: dict[str, Any] | None, radius: float | None, profile: dict[str, Any]
+) -> None:
+    more: dict[str, Any] = {} if begin is None else {"from": begin}
+    more |= {} if radius is None else {"blend_radius_m": radius}
+    try:
+        check_path(scene_of(legs=each, speed_profile=profile, **more))
+    except SceneError as refused:
+        assert "three points on a line" in refused.got or "no length" in refused.expected
+
+
+def waypoint_rows(rng: np.random.Generator, number: int = 7) -> FloatArray:
+    points = np.cumsum(0.03 * rng.normal(size=(number, 3)) + [0.1, 0, 0], axis=0)
+    quaternions = Rotation.from_rotvec(np.cumsum(0.2 * rng.normal(size=(number, 3)), axis=0)).as_quat()
+    return np.hstack([points, quaternions[:, [3, 0, 1, 2]]])
+
+
+@settings(max_examples=20)
+@given(st.integers(0, 2**32 - 1), durations, profiles)
+def test_waypoints_are_passed(seed: int, time: dict[str, float], profile: dict[str, Any]) -> None:
+    rows = waypoint_rows(np.random.default_rng(seed))
+    scene = scene_of(waypoints=rows.tolist(), speed_profile=profile, **time)
+    check_path(scene)
+    path = timed_path(scene, np.eye(4))
+    times = np.linspace(0, path.duration, 20_001)
+    points = path.position(times)
+    for row in rows:
+        assert np.linalg.norm(points - row[:3], axis=1).min() < 1e-4
+    ends = path.poses([0.0, path.duration]).rotation
+    np.testing.assert_allclose(
+        ends, Rotation.from_quat(rows[[0, -1]][:, [4, 5, 6, 3]]).as_matrix(), atol=1e-9
+    )
+
+
+@pytest.mark.parametrize(
+    "leg", [{"by": [0, 0.4, 0]}, {"arc": {"centre": [1.8, 0.9, -2], "axis": [1, 0, 0], "angle_deg": 70}}]
+)
+def test_the_tool_cruises_at_the_speed_that_is_asked(leg: dict[str, Any]) -> None:
+    for ramp in (0.1, 0.5):
+        scene = scene_of(legs=[{**leg, "speed_m_s": 0.07}], speed_profile={"ramp": ramp})
+        X_WT = np.eye(4)
+        X_WT[:3, 3] = WHERE
+        path = timed_path(scene, X_WT)
+        speed = np.linalg.norm(path.velocity(np.linspace(0, path.duration, 1001)), axis=1)
+        assert speed.max() == pytest.approx(0.07, rel=1e-9)
+
+
+def test_a_scene_changed_in_python_is_that_of_its_file(rng: np.random.Generator) -> None:
+    scene = scene_of(
+        legs=[{"to": {"frame": "bracket", "xyz": [0, 0.1, 0], "axis": [0, 0, 1]}, "speed_m_s": 0.1}],
+        **{"from": {"frame": "tool", "xyz": [0, 0, 0.1]}},
+    )
+    again = load_scene(scene.file.as_data())
+    assert again.content_hash == scene.content_hash == update_file(scene).content_hash
+    assert again.legs == scene.legs
+    assert again.start_pose == scene.start_pose == Goal(frame="tool", xyz=(0, 0, 0.1))
+    np.testing.assert_allclose(again.frames["bracket"], scene.frames["bracket"])
+    splined = scene_of(waypoints=waypoint_rows(rng).tolist(), seconds=4)
+    assert update_file(splined).content_hash == splined.content_hash
+    assert splined.begins_elsewhere
+    assert not scene_of(legs=[{"pause": 1}]).begins_elsewhere
+
+
+BY = {"by": [0, 0.1, 0], "seconds": 1}
+
+
+@pytest.mark.parametrize(
+    ("tool_path", "key", "expected"),
+    [
+        ({"legs": [{"by": [0, 1, 0]}]}, "tool_path.legs[0]", "exactly one of these keys"),
+        ({"legs": [{"seconds": 1}]}, "tool_path.legs[0]", "exactly one of these keys"),
+        ({"legs": [{**BY, "speed_m_s": 1}]}, "tool_path.legs[0]", "exactly one of these keys"),
+        ({"legs": [{**BY, "pause": 1}]}, "tool_path.legs[0]", "exactly one of these keys"),
+        ({"legs": [{"pause": 1, "seconds": 1}]}, "tool_path.legs[0].seconds", "no such key beside pause"),
+        ({"legs": [{"arc": {"via": [0, 0, 1]}, "seconds": 1}]}, "tool_path.legs[0].arc", "via and to, or"),
+        (
+            {"legs": [{"arc": {"centre": [0, 0, 1], "axis": [0, 0, 1], "angle_deg": 0}, "seconds": 1}]},
+            "tool_path.legs[0].arc.angle_deg",
+            "an angle other than 0",
+        ),
+        (
+            {"legs": [{"to": {"xyz": [0, 0, 1], "axis": [0, 0, 2]}, "seconds": 1}]},
+            "tool_path.legs[0].to.axis",
+            "a unit vector",
+        ),
+        (
+            {"legs": [{"to": {"xyz": [0, 0, 1], "axis": [0, 0, 1], "rpy_deg": [0, 0, 0]}, "seconds": 1}]},
+            "tool_path.legs[0].to",
+            "at most one of these keys",
+        ),
+        ({"legs": [BY], "waypoints": [[0, 0, 0, 1, 0, 0, 0]] * 3}, "tool_path.legs", "either legs or"),
+        ({}, "tool_path.legs", "either legs or waypoints"),
+        ({"waypoints": [[0, 0, k, 1, 0, 0, 0] for k in range(3)]}, "tool_path", "exactly one of these"),
+        ({"waypoints": [[0, 0, 0, 2, 0, 0, 0]] * 3}, "tool_path.waypoints[0]", "a unit quaternion"),
+        (
+            {
+                "waypoints": [[0, 0, k, 1, 0, 0, 0] for k in range(3)],
+                "seconds": 1,
+                "from": {"xyz": [0, 0, 0]},
+            },
+            "tool_path.from",
+            "no such key beside waypoints",
+        ),
+    ],
+)
+def test_what_a_tool_path_cannot_be(tool_path: dict[str, Any], key: str, expected: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        scene_of(**tool_path)
+    assert caught.value.key == key
+    assert expected in caught.value.expected
+
+
+@pytest.mark.parametrize(
+    ("leg", "key", "expected"),
+    [
+        ({"to": {"xyz": [0, 0, 1], "frame": "braket"}, "seconds": 1}, "legs[0].to.frame", "a frame of the"),
+        ({"to": {"xyz": [0, 0, 0], "frame": "tool"}, "speed_m_s": 1}, "legs[0].speed_m_s", "has no length"),
+        (
+            {"arc": {"via": [0, 0.1, 0], "to": [0, 0.2, 0], "frame": "tool"}, "seconds": 1},
+            "legs[0].arc",
+            "a point beside the line",
+        ),
+    ],
+)
+def test_what_a_leg_cannot_do(leg: dict[str, Any], key: str, expected: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        timed_path(scene_of(legs=[leg]), np.eye(4))
+    assert caught.value.key == f"tool_path.{key}"
+    assert expected in caught.value.expected
+
+
+@pytest.mark.parametrize(
+    ("change", "key"),
+    [
+        ({"frames": {}}, "frames"),
+        ({"tool_path": {"legs": [{"pause": 1}]}}, "tool_path.legs[0]"),
+        ({"tool_path": {"legs": [{"by": [0, 0.1, 0], "speed_m_s": 1}]}}, "tool_path.legs[0]"),
+        ({"tool_path": {"legs": [BY], "from": {"xyz": [0, 0, 1]}}}, "tool_path.from"),
+        ({"tool_path": {"legs": [BY], "blend_radius_m": 0.1}}, "tool_path.blend_radius_m"),
+    ],
+)
+def test_the_first_format_knows_none_of_this(change: dict[str, Any], key: str) -> None:
+    with pytest.raises(SceneError, match="goes with cmbot-scene/2") as caught:
+        load_scene(copy.deepcopy(SHORT) | change)
+    assert caught.value.key == key
+
+
+def test_frames_have_names_of_their_own() -> None:
+    data = copy.deepcopy(SECOND) | {"frames": {"tool": {"xyz": [0, 0, 0], "rpy_deg": [0, 0, 0]}}}
+    with pytest.raises(SceneError, match="a name that no frame has"):
+        load_scene(data)
+
+
+def test_in_python_too() -> None:
+    with pytest.raises(InputError, match="exactly one of these keys"):
+        Leg(by=(0, 1, 0))
+    with pytest.raises(InputError, match="via and to"):
+        ArcTo(via=(0, 0, 1))
+    with pytest.raises(InputError, match="at most one"):
+        Goal(xyz=(0, 0, 0), axis=(0, 0, 1), rpy_deg=(0, 0, 0))
+
+
+HEADING = "x,y,z,qw,qx,qy,qz"
+ROW = "0.1,0.2,0.3,1,0,0,0"
+
+
+def written(folder: Path, rows: list[str] | bytes) -> Path:
+    csv = folder / "way.csv"
+    csv.write_bytes(rows if isinstance(rows, bytes) else "\n".join(rows).encode())
+    data = copy.deepcopy(SECOND) | {"tool_path": {"waypoints": "way.csv", "seconds": 5}}
+    path = folder / "scene.yaml"
+    path.write_text(yaml.safe_dump(data), encoding="utf-8")
+    return path
+
+
+def test_waypoints_of_a_csv_file_are_part_of_the_scene(tmp_path: Path, rng: np.random.Generator) -> None:
+    rows = waypoint_rows(rng)
+    lines = [HEADING, *(",".join(map(repr, row)) for row in rows.tolist())]
+    scene = load_scene(written(tmp_path, lines))
+    np.testing.assert_array_equal(scene.waypoints, rows)
+    (tmp_path / "way.csv").unlink()
+    assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
+
+
+@pytest.mark.parametrize(
+    ("rows", "key", "expected"),
+    [
+        (["x,y,z", ROW], "line 1", "the columns x,y,z,qw,qx,qy,qz"),
+        ([], "line 1", "the columns"),
+        ([HEADING, ROW, "1,2,3"], "line 3", "7 finite numbers"),
+        ([HEADING, ROW, "1,2,3,one,0,0,0"], "line 3", "7 finite numbers"),
+        ([HEADING, ROW, "1,2,nan,1,0,0,0"], "line 3", "7 finite numbers"),
+        (b"\xff\xfe\x00", "", "a CSV file"),
+    ],
+)
+def test_a_csv_file_that_is_none(tmp_path: Path, rows: list[str] | bytes, key: str, expected: str) -> None:
+    with pytest.raises(SceneError) as caught:
+        load_scene(written(tmp_path, rows))
+    assert caught.value.key == key
+    assert expected in caught.value.expected
+    assert Path(caught.value.source).name == "way.csv"
+
+
+def test_a_csv_file_that_is_missing(tmp_path: Path) -> None:
+    path = written(tmp_path, [HEADING])
+    (tmp_path / "way.csv").unlink()
+    with pytest.raises(SceneError, match="a file that exists") as caught:
+        load_scene(path)
+    assert caught.value.key == "tool_path.waypoints"
