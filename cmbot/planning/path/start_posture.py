@@ -15,7 +15,7 @@ from cmbot.common.validation import counted
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Postures, Robot, sampled_postures
-from cmbot.scene import Obstacle, PlannerOptions, SpeedProfile, ToolPath
+from cmbot.scene import Obstacle, PlannerOptions, SpeedProfile, ToolPath, ToolPoses
 
 __all__ = ["StartPosture", "find_start"]
 
@@ -197,8 +197,8 @@ class _Search:
     def _followed(self, task: ToolTask, posture: FloatArray, points: FloatArray) -> FloatArray | None:
         """Postures that hold the tool at `points` (N, 3), each from the one before; None where one fails."""
         q = [posture]
-        for point in points:
-            step, reached = project_onto_task(self._batch, task, q[-1][None], point, steps=10)
+        for goal in ToolPoses(point=points, rotation=task.path.poses([0.0]).rotation):
+            step, reached = project_onto_task(self._batch, task, q[-1][None], goal, steps=10)
             if not reached[0] or not self._within(step)[0] or self._singular_value(step[0]) < _SINGULAR:
                 return None
             q.append(step[0])
