@@ -15,7 +15,7 @@ from itertools import pairwise
 from pathlib import Path
 
 from cmbot.common.validation import FileModel
-from cmbot.scene import ArcTo, Goal, Leg, PlannerOptions, SceneFile, SpeedProfile, Tool
+from cmbot.scene import ArcTo, Goal, Leg, PlannerOptions, Raster, SceneFile, SpeedProfile, Tool
 from cmbot.scene.scene import FORMAT
 
 TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
@@ -24,7 +24,7 @@ TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
 def schema_text() -> str:
     """Return the schema as the text of its file."""
     schema = SceneFile.model_json_schema()
-    kinds = [*FileModel.__subclasses__(), ArcTo, Goal, Leg, SpeedProfile, Tool, PlannerOptions]
+    kinds = [*FileModel.__subclasses__(), ArcTo, Goal, Leg, Raster, SpeedProfile, Tool, PlannerOptions]
     for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:
         (kind,) = (kind for kind in kinds if kind.__name__ == name)
         definition["description"] = inspect.getdoc(kind).partition("\n\nAttributes")[0]
@@ -34,6 +34,9 @@ def schema_text() -> str:
         for key, text in attributes(kind) if is_dataclass(kind) else docstrings(kind):
             for name in key.split(", "):
                 definition["properties"][aliases.get(name, name)]["description"] = text
+    # A CSV file's rows are read before a scene is checked.
+    waypoints = schema["$defs"]["ToolPathFile"]["properties"]["waypoints"]
+    waypoints["anyOf"].append({"type": "string", "minLength": 1})
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": FORMAT}
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 

@@ -1,7 +1,7 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
-from cmbot.scene.legs import ArcTo, Goal, Leg
+from cmbot.scene.legs import ArcTo, Goal, Leg, Raster
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path_builder import timed_path
@@ -32,6 +32,7 @@ __all__ = [
     "Mesh",
     "Obstacle",
     "PlannerOptions",
+    "Raster",
     "RobotSource",
     "Scene",
     "SceneFile",

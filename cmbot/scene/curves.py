@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import RotationSpline
 
-__all__ = ["Arc", "Blend", "Curve", "Spline"]
+__all__ = ["Arc", "Blend", "Curve", "Spline", "rounded"]
 
 # Points of the Gauss rule that measures the length of a spline's piece, and rounds in which the spline's
 # parameter comes near to its length.
 _GAUSS, _ROUNDS = 12, 6
+# Cosine of the largest angle, 150 deg, by which a rounded corner turns.
+_BACK = -0.866
 # Distance of three points from a line, as a share of their own distances, below which they have no circle.
 _STRAIGHT = 1e-6
 
@@ -225,6 +227,12 @@ class Spline(Curve):
     def _piece(self, at: FloatArray) -> IntArray:
         last = len(self.points) - 2
         return np.clip(np.searchsorted(self._spline.x, at, side="right") - 1, 0, last)
+
+
+def rounded(before: FloatArray, corner: FloatArray, after: FloatArray) -> bool:
+    """Whether a corner is one to round off, not one at which the tool turns back."""
+    a, b = corner - before, after - corner
+    return bool(a @ b > _BACK * np.linalg.norm(a) * np.linalg.norm(b))
 
 
 @dataclass(frozen=True, eq=False)

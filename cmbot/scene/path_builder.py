@@ -10,8 +10,8 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import shown
-from cmbot.scene.curves import Arc, Blend, Curve, Spline
-from cmbot.scene.legs import SHORTEST_LEG, ArcTo, Goal, Leg
+from cmbot.scene.curves import Arc, Blend, Curve, Spline, rounded
+from cmbot.scene.legs import SHORTEST_LEG, ArcTo, Goal, Leg, Raster
 from cmbot.scene.obstacles import pose
 from cmbot.scene.scene import Scene
 from cmbot.scene.tool_path import ToolPath
@@ -39,6 +39,8 @@ def timed_path(scene: Scene, X_WT: FloatArray) -> ToolPath:
     builder = _PathBuilder(scene, X_WT)
     if scene.waypoints:
         builder.spline()
+    if scene.raster is not None:
+        builder.raster(scene.raster)
     for k, leg in enumerate(scene.legs):
         builder.leg(leg, f"tool_path.legs[{k}]")
     if scene.blend_radius_m is not None:
@@ -71,6 +73,8 @@ class _PathBuilder:
             self._frames["tool"] = _matrix(self._point, self._R)
         elif scene.waypoints:
             self._point, self._R = (each[0] for each in self._waypoints())
+        elif scene.raster is not None:
+            self._point, self._R = self._raster_start(scene.raster)
         self._start, self._parts = (self._point, self._R), list[_Part]()
 
     def path(self) -> ToolPath:
@@ -95,7 +99,7 @@ class _PathBuilder:
         elif leg.arc is not None:
             end, turn, curve = self._arc(leg.arc, f"{key}.arc")
         length = float(np.linalg.norm(end - self._point)) if curve is None else curve.length
-        straight = curve is None and leg.pause is None and not turn.any()
+        straight = curve is None and length >= SHORTEST_LEG and not turn.any()
         seconds = leg.pause or self._seconds(leg.seconds, leg.speed_m_s, length, f"{key}.speed_m_s")
         self._add(_Part(end=end, turn=turn, seconds=seconds, curve=curve, blends=straight))
 
@@ -107,6 +111,38 @@ class _PathBuilder:
         scene = self._scene
         seconds = self._seconds(scene.seconds, scene.speed_m_s, curve.length, "tool_path.speed_m_s")
         self._add(_Part(end=points[-1], turn=turn, seconds=seconds, curve=curve))
+
+    def raster(self, raster: Raster) -> None:
+        """Add the rows of a raster and the steps between them."""
+        u, v, _ = self._raster_axes(raster)
+        row = u * (np.linalg.norm(raster.u) + 2 * raster.overscan_m)
+        step = v * np.linalg.norm(raster.v) / (raster.rows - 1)
+        moves = [row]
+        for k in range(1, raster.rows):
+            moves += [step, row if k % 2 == 0 else -row]
+        lengths, scene = np.linalg.norm(moves, axis=1), self._scene
+        if scene.seconds is not None:
+            seconds = scene.seconds * lengths / lengths.sum()
+        else:
+            key = "tool_path.speed_m_s"
+            seconds = np.array([self._seconds(None, scene.speed_m_s, float(x), key) for x in lengths])
+        for by, duration in zip(moves, seconds, strict=True):
+            end = self._point + by
+            self._add(_Part(end=end, turn=np.zeros(3), seconds=float(duration), blends=True))
+
+    def _raster_start(self, raster: Raster) -> tuple[FloatArray, FloatArray]:
+        """Tool point and orientation at the beginning of the first row."""
+        u, _, normal = self._raster_axes(raster)
+        X = self._frame(raster.frame, "tool_path.raster")
+        corner = X[:3, :3] @ np.array(raster.origin) + X[:3, 3]
+        turn = _shortest_turn(self._R[:, 2], -normal)
+        return corner - raster.overscan_m * u + raster.stand_off_m * normal, _turned(turn, self._R)
+
+    def _raster_axes(self, raster: Raster) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Unit vectors in W along a row, to the next one, and out of the rectangle."""
+        R = self._frame(raster.frame, "tool_path.raster")[:3, :3]
+        u, v = (R @ np.array(edge) / np.linalg.norm(edge) for edge in (raster.u, raster.v))
+        return u, v, np.cross(u, v)
 
     def blend(self, radius: float) -> None:
         """Make one leg of straight ones that follow each other without a turn of the tool."""
@@ -125,6 +161,9 @@ class _PathBuilder:
 
         for part in self._parts:
             if part.blends:
+                corner = [point, *(each.end for each in group), part.end][-3:]
+                if group and not rounded(*corner):
+                    close()
                 group.append(part)
                 continue
             close()

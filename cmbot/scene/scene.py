@@ -32,7 +32,7 @@ from cmbot.scene.fields import (
     one_of_schema,
 )
 from cmbot.scene.guardrail import GuardrailFile
-from cmbot.scene.legs import Goal, Leg, Seconds, Speed, Waypoint
+from cmbot.scene.legs import Goal, Leg, Raster, Seconds, Speed, Waypoint
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.tool import Tool
@@ -142,26 +142,30 @@ class ToolPathFile(FileModel):
     """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
     it passes without a stop, from the first to the last; in a file also the path of a CSV file with these
     columns, relative to it; of ``cmbot-scene/2``."""
+    raster: Raster | None = None
+    """In place of `legs`, rows over a rectangle, with `blend_radius_m` without a stop; of
+    ``cmbot-scene/2``."""
     seconds: Seconds | None = None
-    """Duration of the path through `waypoints`, s."""
+    """Duration of the path through `waypoints` or of `raster`, s."""
     speed_m_s: Speed | None = None
     """In place of it the speed at which the tool cruises along them, m/s."""
     blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
-    """Radius by which corners between straight legs are rounded, m; left out: the tool rests there; of
-    ``cmbot-scene/2``."""
+    """Radius by which corners between straight legs are rounded, m; left out, and where the way turns by
+    more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
     speed_profile: SpeedProfile = SpeedProfile()
     via_points: Annotated[int, Field(ge=5, le=20000)] = 50
     """Via-points in all; the ends of the legs are among them."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
-        if (self.waypoints is None) != bool(self.legs):
-            got = "both" if self.legs else "neither"
-            raise refusal("either legs or waypoints", got=got, key=("legs",))
-        if self.waypoints is not None:
+        given = [name for name in ("legs", "waypoints", "raster") if getattr(self, name)]
+        if len(given) != 1:
+            got = " and ".join(given) or "neither"
+            raise refusal("either legs, waypoints or a raster", got=got, key=("legs",))
+        if not self.legs:
             exactly_one(self, ("seconds", "speed_m_s"))
             if self.start_pose is not None:
-                expected = "no such key beside waypoints, where the path begins at the first"
+                expected = "no such key beside waypoints or a raster, where the path begins"
                 raise refusal(expected, got="a pose", key=("from",))
         if self.via_points <= len(self.legs):
             expected = f"more than the {len(self.legs)} legs"
@@ -227,8 +231,9 @@ class SceneFile(FileModel):
             for name in ("base", "start", "return_", "tool", "frames")
             if getattr(self, name) is not None
         ]
-        newer = {"start_pose": "from", "waypoints": "waypoints", "blend_radius_m": "blend_radius_m"}
-        keys += [("tool_path", key) for name, key in newer.items() if getattr(path, name) is not None]
+        newer = ("start_pose", "waypoints", "raster", "blend_radius_m")
+        named = {name: field.alias or name for name, field in type(path).model_fields.items()}
+        keys += [("tool_path", named[name]) for name in newer if getattr(path, name) is not None]
         keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
         for key in keys:
             got = "another leg than by and seconds" if key[1:2] == ("legs",) else str(key[-1])
@@ -354,8 +359,10 @@ class Scene:
         From there.
     waypoints : tuple or None
         In place of legs points, m, and unit quaternions (w, x, y, z) of the tool in W, (K, 7).
+    raster : Raster or None
+        In place of legs rows over a rectangle.
     seconds, speed_m_s : float or None
-        Duration of the path through waypoints, s, or its speed, m/s.
+        Duration of the path through waypoints or of the raster, s, or the speed, m/s.
     blend_radius_m : float or None
         By which the corners between straight legs are rounded.
     speed_profile : SpeedProfile
@@ -388,6 +395,7 @@ class Scene:
     start_pose: Goal | None = None
     legs: tuple[Leg, ...] = ()
     waypoints: tuple[tuple[float, ...], ...] | None = None
+    raster: Raster | None = None
     seconds: float | None = None
     speed_m_s: float | None = None
     blend_radius_m: float | None = None
@@ -402,7 +410,7 @@ class Scene:
     @property
     def begins_elsewhere(self) -> bool:
         """Whether the tool path begins at a pose of its own, not at that of the tool in `posture`."""
-        return self.start_pose is not None or self.waypoints is not None
+        return any(each is not None for each in (self.start_pose, self.waypoints, self.raster))
 
     @property
     def pinned_posture(self) -> str:

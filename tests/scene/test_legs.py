@@ -130,6 +130,44 @@ def test_waypoints_are_passed(seed: int, time: dict[str, float], profile: dict[s
     )
 
 
+@settings(max_examples=20)
+@given(vectors(), vectors(), st.floats(0.05, 0.5), st.floats(0, 0.3), frames, durations, st.booleans())
+def test_rasters_cover_their_rectangle(
+    u: list[float],
+    v: list[float],
+    spacing: float,
+    stand_off: float,
+    frame: str,
+    time: dict[str, float],
+    blended: bool,
+) -> None:
+    across = np.cross(u, v)
+    if np.linalg.norm(across) < 0.05:
+        return
+    v = np.cross(across, u).tolist()
+    v = (np.array(v) / np.linalg.norm(v) * 0.7).tolist()
+    raster = {"origin": [0.1, 0.2, 0.3], "u": u, "v": v, "spacing_m": spacing, "stand_off_m": stand_off}
+    raster |= {"overscan_m": 0.02, "frame": frame}
+    scene = scene_of(raster=raster, **time, **({"blend_radius_m": 0.02} if blended else {}))
+    check_path(scene)
+    path = timed_path(scene, np.eye(4))
+    if blended:
+        assert len(path.seconds) == 1
+        return
+    X = {"world": np.eye(4), "tool": np.eye(4), "bracket": scene.frames["bracket"]}[frame]
+    corner = X[:3, :3] @ [0.1, 0.2, 0.3] + X[:3, 3]
+    e_u, e_v = (X[:3, :3] @ np.array(x) / np.linalg.norm(x) for x in (u, v))
+    out = np.cross(e_u, e_v)
+    p = path.corners - corner
+    np.testing.assert_allclose(p @ out, stand_off, atol=1e-9)
+    np.testing.assert_allclose(path.orientation[:, 2], -out, atol=1e-9)
+    along, rows = p @ e_u, np.unique(np.round(p @ e_v, 9))
+    np.testing.assert_allclose([along.min(), along.max()], [-0.02, np.linalg.norm(u) + 0.02], atol=1e-9)
+    np.testing.assert_allclose([rows[0], rows[-1]], [0, 0.7], atol=1e-8)
+    assert np.diff(rows).max() <= spacing + 1e-6
+    assert len(rows) == scene.raster.rows
+
+
 @pytest.mark.parametrize(
     "leg", [{"by": [0, 0.4, 0]}, {"arc": {"centre": [1.8, 0.9, -2], "axis": [1, 0, 0], "angle_deg": 70}}]
 )
@@ -159,6 +197,7 @@ def test_a_scene_changed_in_python_is_that_of_its_file(rng: np.random.Generator)
     assert not scene_of(legs=[{"pause": 1}]).begins_elsewhere
 
 
+RASTER = {"origin": [0, 0, 0], "u": [0, 0.2, 0], "v": [0.1, 0, 0], "spacing_m": 0.05, "stand_off_m": 0.1}
 BY = {"by": [0, 0.1, 0], "seconds": 1}
 
 
@@ -186,8 +225,12 @@ BY = {"by": [0, 0.1, 0], "seconds": 1}
             "tool_path.legs[0].to",
             "at most one of these keys",
         ),
-        ({"legs": [BY], "waypoints": [[0, 0, 0, 1, 0, 0, 0]] * 3}, "tool_path.legs", "either legs or"),
-        ({}, "tool_path.legs", "either legs or waypoints"),
+        (
+            {"legs": [BY], "waypoints": [[0, 0, 0, 1, 0, 0, 0]] * 3},
+            "tool_path.legs",
+            "either legs, waypoints or",
+        ),
+        ({}, "tool_path.legs", "either legs, waypoints or"),
         ({"waypoints": [[0, 0, k, 1, 0, 0, 0] for k in range(3)]}, "tool_path", "exactly one of these"),
         ({"waypoints": [[0, 0, 0, 2, 0, 0, 0]] * 3}, "tool_path.waypoints[0]", "a unit quaternion"),
         (
@@ -197,7 +240,7 @@ BY = {"by": [0, 0.1, 0], "seconds": 1}
                 "from": {"xyz": [0, 0, 0]},
             },
             "tool_path.from",
-            "no such key beside waypoints",
+            "no such key beside waypoints or",
         ),
     ],
 )

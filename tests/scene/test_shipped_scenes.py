@@ -28,8 +28,8 @@ def box_of(scene, name):
 
 
 def test_the_shipped_scenes():
-    assert shipped_scenes() == ("line", "triangle")
-    with pytest.raises(SceneError, match=r"no such file.*\(one of: line, triangle\)"):
+    assert shipped_scenes() == ("gusset_plate", "line", "triangle")
+    with pytest.raises(SceneError, match=r"no such file.*\(one of: gusset_plate, line, triangle\)"):
         load_scene("traingle")
 
 

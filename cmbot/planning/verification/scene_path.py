@@ -12,13 +12,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
-from cmbot.scene import ArcTo, Goal, Leg, Scene, SpeedProfile
+from cmbot.scene import ArcTo, Goal, Leg, Raster, Scene, SpeedProfile
 
 __all__ = ["ScenePath"]
 
 _Points = Callable[[FloatArray], FloatArray]
 # As the description of the spline through waypoints has it.
 _SPLINE_ROUNDS = 6
+# The largest turn of a rounded corner, rad.
+_SHARPEST = float(np.arccos(-0.866))
 
 
 class ScenePath:
@@ -35,12 +37,16 @@ class ScenePath:
         self._legs: list[tuple[float, _Points, _Points]] = []
         if scene.waypoints is not None:
             self._add_spline(np.array(scene.waypoints, dtype=float))
+        legs = scene.legs
+        if scene.raster is not None:
+            p, R, legs = self._raster(scene.raster, R)
         straight: list[FloatArray] = []
-        for leg in scene.legs:
+        for leg in legs:
             seconds, points, orientations, end = self._leg(leg, p, R)
             bends = scene.blend_radius_m is not None and leg.pause is None and leg.arc is None
             bends = bends and bool(np.allclose(end[1], R, rtol=0, atol=1e-12))
-            if bends and straight:
+            bends = bends and float(np.linalg.norm(end[0] - p)) >= 1e-6
+            if bends and straight and _turn(straight[-2], p, end[0]) < _SHARPEST:
                 before = self._legs.pop()[0]
                 straight.append(end[0])
                 points, seconds = _blended(np.array(straight), scene.blend_radius_m or 0.0), seconds + before
@@ -148,6 +154,28 @@ class ScenePath:
 
         return points, axis, angle, float(np.linalg.norm(arm) * abs(angle))
 
+    def _raster(self, raster: Raster, R: FloatArray) -> tuple[FloatArray, FloatArray, tuple[Leg, ...]]:
+        """Where a raster begins, and its rows and steps as legs."""
+        p_frame, R_frame = self._frames[raster.frame]
+        u, v = R_frame @ np.array(raster.u), R_frame @ np.array(raster.v)
+        width, height = float(np.linalg.norm(u)), float(np.linalg.norm(v))
+        out = np.cross(u / width, v / height)
+        before = u * raster.overscan_m / width
+        p = p_frame + R_frame @ np.array(raster.origin) - before + raster.stand_off_m * out
+        local = Goal(xyz=(0, 0, 0), axis=_three(-out))
+        rows, ways = raster.rows, []
+        for k in range(rows):
+            ways.append((u + 2 * before) * (-1) ** k)
+            if k < rows - 1:
+                ways.append(v / (rows - 1))
+        total = sum(float(np.linalg.norm(way)) for way in ways)
+        legs = []
+        for way in ways:
+            share = float(np.linalg.norm(way)) / total
+            seconds = None if self._scene.seconds is None else self._scene.seconds * share
+            legs.append(Leg(by=_three(way), seconds=seconds, speed_m_s=self._scene.speed_m_s))
+        return p, self._goal(local, R)[1], tuple(legs)
+
     def _add_spline(self, rows: FloatArray) -> None:
         from scipy.interpolate import make_interp_spline
         from scipy.spatial.transform import RotationSpline
@@ -162,6 +190,17 @@ class ScenePath:
         scene = self._scene
         seconds = scene.seconds or self._cruise(float(steps.sum()), scene.speed_m_s)
         self._legs.append((seconds, spline, lambda share: orientations(share).as_matrix()))
+
+
+def _three(vector: FloatArray) -> tuple[float, float, float]:
+    x, y, z = map(float, vector)
+    return x, y, z
+
+
+def _turn(before: FloatArray, corner: FloatArray, after: FloatArray) -> float:
+    """Angle by which the direction changes at a corner, rad."""
+    a, b = corner - before, after - corner
+    return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
 def _lengths(rate: _Points, at: FloatArray) -> FloatArray:
