@@ -139,8 +139,7 @@ def _off_task(case: Case, trajectory: QuinticTrajectory) -> float:
         return float(np.abs(trajectory.q - case.via_points).max())
     context = case.context
     at = Postures(context.robot).at(np.ascontiguousarray(trajectory.q))
-    points = context.task.path.position(context.times)
-    return float(np.abs(context.task.errors(at.tool_point, at.tool_rotation, points)).max())
+    return float(np.abs(context.task.errors(at.tool_point, at.tool_rotation, context.goals)).max())
 
 
 def guess_of(scene: Scene, knots: str) -> tuple[PlanningContext, InitialGuess]:
