@@ -1,4 +1,4 @@
-"""Writes scenes/scene.schema.json, the JSON Schema of the scene file, from the models that check it."""
+"""Writes the JSON Schema of the scene file and its reference page from the models that check it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,14 @@ from dataclasses import is_dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from scene_reference import reference_text
+
 from cmbot.common.validation import FileModel
 from cmbot.scene import ArcTo, Goal, Leg, PlannerOptions, Raster, SceneFile, SpeedProfile, Tool
 from cmbot.scene.scene import FORMAT
 
-TARGET = Path(__file__).resolve().parent.parent / "scenes" / "scene.schema.json"
+_ROOT = Path(__file__).resolve().parent.parent
+TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_file.md"
 
 
 def schema_text() -> str:
@@ -41,6 +44,12 @@ def schema_text() -> str:
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
 
+def page_text() -> str:
+    """Return the reference page as the text of its file."""
+    example = (_ROOT / "scenes" / "gusset_plate.yaml").read_text(encoding="utf-8")
+    return reference_text(json.loads(schema_text()), example)
+
+
 def docstrings(model: type) -> Iterator[tuple[str, str]]:
     """Yield the model's keys that have a docstring, each with it."""
     (definition,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
@@ -61,13 +70,16 @@ def main() -> int:
     """Write the file, or with ``--check`` only say whether it is up to date."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--check", action="store_true", help="write nothing; exit 1 when the file differs")
-    if parser.parse_args().check:
-        current = TARGET.exists() and TARGET.read_text(encoding="utf-8") == schema_text()
-        print(f"{TARGET.name} is {'up to date' if current else 'not what tools/build_schema.py writes'}")
-        return 0 if current else 1
-    TARGET.write_text(schema_text(), encoding="utf-8")
-    print(f"wrote {TARGET.name}")
-    return 0
+    check, differ = parser.parse_args().check, False
+    for target, text in ((TARGET, schema_text()), (PAGE, page_text())):
+        if check:
+            current = target.exists() and target.read_text(encoding="utf-8") == text
+            differ |= not current
+            print(f"{target.name} is {'up to date' if current else 'not what tools/build_schema.py writes'}")
+        else:
+            target.write_text(text, encoding="utf-8")
+            print(f"wrote {target.name}")
+    return int(differ)
 
 
 if __name__ == "__main__":

@@ -60,7 +60,7 @@ _AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
 
 
 class MountFile(FileModel):
-    """Pose of the robot's base frame in W."""
+    """A pose in W: of the robot's base frame, or of a workpiece."""
 
     xyz: Vector
     """m."""

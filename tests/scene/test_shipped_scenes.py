@@ -111,6 +111,8 @@ def test_guardrail_data_for_the_frame():
 def test_json_schema_is_up_to_date():
     written = build_schema.TARGET.read_text(encoding="utf-8")
     assert written == build_schema.schema_text(), "run tools/build_schema.py"
+    page = build_schema.PAGE.read_text(encoding="utf-8")
+    assert page == build_schema.page_text(), "run tools/build_schema.py"
 
 
 @pytest.fixture(scope="module")

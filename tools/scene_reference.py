@@ -1,0 +1,113 @@
+"""The reference page of the scene file, written from its JSON Schema."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from typing import Any
+
+__all__ = ["reference_text"]
+
+_HEAD = """# Scene file
+
+A scene is one YAML file: the robot, where its arm starts, the tool's path, obstacles and guardrail. This page
+is written from the JSON Schema `scenes/scene.schema.json` by `tools/build_schema.py`; editors that read the
+first line `# yaml-language-server: $schema=…` check a scene while it is typed. Lengths are metres, angles
+degrees, times seconds. `cmbot-scene/1` is read as ever; what is marked as of `cmbot-scene/2` needs that
+format.
+
+A whole job, from the stowed arm and back to it (`cmbot plan gusset_plate`):
+
+```yaml
+{example}
+```
+"""
+# Order of the sections, with the words above each; the scene itself comes first.
+_SECTIONS = {
+    "SceneFile": "The scene",
+    "PostureFile": "`start`",
+    "RobotFile": "`robot`",
+    "MountFile": "`robot.mount`, `frames`",
+    "BaseFile": "`base`",
+    "Tool": "`tool`",
+    "ToolPathFile": "`tool_path`",
+    "Leg": "Legs",
+    "Goal": "Poses: `to`, `from`",
+    "ArcTo": "Arcs: `arc`",
+    "Raster": "Rasters: `raster`",
+    "SpeedProfile": "`speed_profile`",
+    "ObstacleFile": "`obstacles`",
+    "GuardrailFile": "`guardrail`",
+    "PostFile": "`guardrail.post`",
+    "RailFile": "`guardrail.rails`",
+    "SectionFile": "Sections of posts and rails",
+    "MaterialFile": "`guardrail.material`",
+    "FootFile": "`guardrail.foot`",
+    "PlannerOptions": "`planner`",
+}
+
+
+def reference_text(schema: dict[str, Any], example: str) -> str:
+    """Return the page as Markdown."""
+    definitions = {**schema["$defs"], "SceneFile": schema}
+    if missing := definitions.keys() ^ _SECTIONS.keys():
+        raise ValueError(f"sections and definitions differ: {', '.join(sorted(missing))}")
+    parts = [_HEAD.replace("{example}", example.strip())]
+    for name, title in _SECTIONS.items():
+        definition = definitions[name]
+        parts.append(f"## {title}\n\n{_prose(definition['description'])}\n")
+        parts.append("| key | value | |\n|---|---|---|\n" + "\n".join(_rows(definition)) + "\n")
+    return "\n".join(parts)
+
+
+def _rows(definition: dict[str, Any]) -> Iterator[str]:
+    required = definition.get("required", ())
+    for key, value in definition["properties"].items():
+        text = _prose(value.get("description", ""))
+        if key in required:
+            text = f"Required. {text}"
+        elif not isinstance(value.get("default"), dict | list | None):
+            text = f"{text} Default: `{json.dumps(value['default'])}`."
+        yield f"| `{key}` | {_kind(value)} | {text.strip()} |"
+
+
+def _kind(value: dict[str, Any]) -> str:
+    """What a value may be, in words."""
+    if "$ref" in value:
+        name = value["$ref"].rsplit("/", 1)[-1]
+        title = _SECTIONS[name]
+        return f"[{title.replace('`', '')}](#{_anchor(title)})"
+    for several in ("anyOf", "oneOf"):
+        if several in value and "type" not in value:
+            each = [_kind(one) for one in value[several] if one.get("type") != "null"]
+            return " or ".join(dict.fromkeys(each))
+    if "enum" in value or "const" in value:
+        choices = value.get("enum", [value.get("const")])
+        return ", ".join(f"`{x if isinstance(x, str) else json.dumps(x)}`" for x in choices)
+    if value.get("type") == "array":
+        fixed = value.get("prefixItems")
+        if fixed or value.get("minItems") == value.get("maxItems"):
+            return f"{len(fixed) if fixed else value['minItems']} numbers"
+        return f"list of {_kind(value['items'])}"
+    if value.get("type") == "object":
+        (of,) = value.get("patternProperties", {"": value.get("additionalProperties")}).values()
+        return f"{_kind(of)} by name"
+    words = {"number": "number", "integer": "whole number", "string": "text", "boolean": "true or false"}
+    kind = words[value["type"]]
+    low = value.get("minimum", value.get("exclusiveMinimum"))
+    high = value.get("maximum", value.get("exclusiveMaximum"))
+    if low is not None and high is not None:
+        return f"{kind}, {low:g} to {high:g}"
+    return kind
+
+
+def _anchor(title: str) -> str:
+    """The anchor that MkDocs gives a heading."""
+    return re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", title.lower())).strip("-")
+
+
+def _prose(text: str) -> str:
+    """A docstring on one line of Markdown."""
+    line = " ".join(text.split()).replace("``", "`")
+    return re.sub(r"`cmbot\.([\w.]+)`", r"`cmbot.\1`", line).replace("|", "\\|")
