@@ -44,11 +44,12 @@ def remarks(plan: Plan) -> Iterator[str]:
             "chosen by it, and only the motion's own share could be lowered. More seconds for the legs lower "
             "that; axis_weights with x or y above 0 count gravity's torque, too."
         )
-    checks, passes = len(plan.certificate.checks), counted(len(plan.passes), "pass", "passes")
+    whole = plan.job.certificate
+    checks, passes = len(whole.checks), counted(len(plan.passes), "pass", "passes")
     yield (
         f"Certified: {counted(checks, 'check')} {'holds' if checks == 1 else 'hold'}, computed again from "
-        "the finished motion by code that the optimiser does not use; at all times "
-        f"{plan.certificate.at_all_times(plan.scene.base_name)}."
+        "the finished motion by code that the optimiser does not use; at all times of the job "
+        f"{whole.at_all_times(plan.scene.base_name)}."
     )
     seconds, done = plan.seconds, plan.compensation
     if done is not None and done.rounds:

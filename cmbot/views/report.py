@@ -331,6 +331,8 @@ def _scene(plan: Plan) -> Iterator[Row]:
         yield "posture", postures_in_words(robot.limits.prismatic, scene.posture)
     else:
         yield "posture, deg", _numbers(np.rad2deg(scene.posture), 1)
+    if scene.return_to != "none":
+        yield "return to", scene.return_to
     yield "tool constraint", scene.keep
     if robot.pushed:
         yield "process force on the tool, along its axes", f"({_numbers(robot.tool_force, 1)}) N"

@@ -131,6 +131,16 @@ def test_a_plan_of_the_version_before_is_read(folder, sliding_plan):
     assert refused(folder, "plan.json", "segments").got == "'work'"
 
 
+def test_a_plan_of_the_version_before_without_an_approach_is_read(short_folder, short_plan):
+    read = load_plan(as_earlier(short_folder))
+    assert [(each.name, each.begin) for each in read.job.segments] == [("work", 0.0)]
+    assert read.job.figures == short_plan.figures
+    # What it is saved as is a plan of this version, and nothing of the other is left.
+    again = load_plan(save(read, short_folder, force=True))
+    assert again.job.figures == short_plan.figures
+    assert (short_folder / "job.csv").exists()
+
+
 @pytest.mark.parametrize("name", ["job.csv", "job.npz", "job.ros.json"])
 def test_missing_and_changed_files_of_the_job(folder, name):
     content = (folder / name).read_bytes()

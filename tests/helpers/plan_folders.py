@@ -80,17 +80,17 @@ def without_approach(planned: Plan) -> Plan:
 
 
 def as_earlier(folder: Path) -> Path:
-    """Turn a plan directory, whose work starts elsewhere, into one of the version before."""
-    approach = load_plan(folder).approach
-    assert approach is not None
-    files = {"approach.npz": knots(approach.trajectory), "approach.csv": b"", "approach.ros.json": b""}
+    """Turn a plan directory into one of the version before."""
+    approach, files = load_plan(folder).approach, dict[str, bytes]()
+    if approach is not None:
+        files = {"approach.npz": knots(approach.trajectory), "approach.csv": b"", "approach.ros.json": b""}
     for end in ("csv", "npz", "ros.json"):
         (folder / f"job.{end}").unlink()
 
     def change(data: dict[str, Any]) -> None:
-        data["format"] = "cmbot-plan/1"
-        block = data.pop("segments")[0]
-        data["approach"] = {key: block[key] for key in block if key not in ("name", "kind", "begin")}
+        data["format"], block = "cmbot-plan/1", data.pop("segments")[0]
+        kept = {key: block[key] for key in block if key not in ("name", "kind", "begin")}
+        data["approach"] = None if approach is None else kept
         for key in ("baseline", "planned"):
             del data[key]["job"]
         data["files"] = {name: each for name, each in data["files"].items() if not name.startswith("job.")}
