@@ -78,6 +78,7 @@ def require_fit(file: PlanFile, posture: FloatArray, end: FloatArray | None, job
     """
     source, work = str(folder / PLAN_FILE), job.strokes[0].trajectory
     _require_start(file, work, source)
+    _require_clearances(file, source)
     sliding = file.options.knots == "sliding"
     _require_there(file.floor, sliding, source, "floor")
     _require_there(file.choice, sliding, source, "choice")
@@ -120,6 +121,13 @@ def _require_figures(got: MetricsFile | None, expected: MotionMetrics, source: s
             _require_number(getattr(got, name), value, source, f"{key}.{name}")
     for name, value in vars(expected.limit_use).items():
         _require_number(getattr(got.limit_use, name), value, source, f"{key}.limit_use.{name}")
+
+
+def _require_clearances(file: PlanFile, source: str) -> None:
+    """Refuse a clearance that is infinite for one motion alone: all have the same shapes around them."""
+    if np.isinf(file.baseline.min_clearance) != np.isinf(file.planned.min_clearance):
+        got, expected = "null for one motion alone", "null, for nothing to hit, or numbers for both"
+        raise ArchiveError(source, "baseline.min_clearance", got, expected)
 
 
 def _require_start(file: PlanFile, work: QuinticTrajectory, source: str) -> None:
