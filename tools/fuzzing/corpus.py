@@ -47,7 +47,7 @@ class Corpus:
     scenes: tuple[tuple[str, Any], ...]
     """Scenes for the folder of `robot`: name and content; and the shipped ones, their content as text."""
     plans: tuple[Files, ...]
-    """Plan directories, one with tracking errors and one with an approach."""
+    """Plan directories, one with tracking errors and one with approach and return."""
 
 
 def make_corpus(folder: Path) -> Corpus:
@@ -58,9 +58,13 @@ def make_corpus(folder: Path) -> Corpus:
         (folder / name).write_bytes(content)
     shipped = [(name, (scene_folder() / f"{name}.yaml").read_text("utf-8")) for name in ("triangle", "line")]
     plans = []
-    for name, planner in (("fixed", {"knots": "fixed"}), ("sliding", _QUICK)):
+    away = {"format": "cmbot-scene/2", "return": "start"}
+    for name, changes in (
+        ("fixed", {"planner": {"knots": "fixed"}}),
+        ("sliding", {"planner": _QUICK} | away),
+    ):
         path = folder / f"{name}.yaml"
-        path.write_bytes(as_yaml(small_scene(planner=planner)))
+        path.write_bytes(as_yaml(small_scene(**changes)))
         planned = cmbot.plan(cmbot.load_scene(path))
         target = cmbot.save(planned, folder / name, force=True)
         if name == "fixed":
@@ -98,6 +102,7 @@ def full_scene() -> dict[str, Any]:
         "format": "cmbot-scene/2",
         "name": "full",
         "base": {"name": "rail"},
+        "return": "start",
         "tool": {"process_force_n": [0, 1, -2], "max_speed_m_s": 0.15},
         "robot": small["robot"]
         | {
