@@ -175,11 +175,12 @@ class Parametrization:
 
     def jacobian(self, rows: LocalRows, derivative: FloatArray) -> sparse.csr_array:
         """Take derivatives (k, N, d) by the states to those (N, dimension) by the unknowns."""
-        return sparse.csr_array(self.splines.jacobian(rows, derivative) @ self.map)
+        product: sparse.csr_array = self.splines.jacobian(rows, derivative) @ self.map
+        return product
 
     def hessian(self, rows: LocalRows, curvature: FloatArray) -> sparse.csr_array:
         """Sum the curvatures (N, 3 d, 3 d) of functions by the states, as functions of the unknowns."""
-        return sparse.csr_array(self.map.T @ self.splines.hessian(rows, curvature) @ self.map)
+        return sparse.csr_array(self._transposed_map @ self.splines.hessian(rows, curvature) @ self.map)
 
     def pullback(self, rows: LocalRows, derivative: FloatArray) -> FloatArray:
         """Gradient (size of u,) by u of a sum of functions, from derivatives (k, N, d) by the states."""
@@ -197,7 +198,7 @@ class Parametrization:
     @cached_property
     def jerk_hessian(self) -> sparse.csr_array:
         """Hessian (dimension, dimension) of `mean_squared_jerk` along the tangents."""
-        return sparse.csr_array(self.map.T @ self.splines.jerk_curvature @ self.map)
+        return sparse.csr_array(self._transposed_map @ self.splines.jerk_curvature @ self.map)
 
     def bend_hessian(self, gradient: FloatArray) -> sparse.csr_array:
         """Hessian (dimension, dimension) of a function with `gradient` by u, as far as it is due to bends.
@@ -253,6 +254,10 @@ class Parametrization:
         place = np.empty(self.dimension, dtype=np.intp)
         place[np.argsort(self._blocks, kind="stable")] = np.arange(self.dimension)
         return place
+
+    @cached_property
+    def _transposed_map(self) -> sparse.csr_array:
+        return sparse.csr_array(self.map.T)
 
     @cached_property
     def map(self) -> sparse.csr_array:

@@ -24,7 +24,13 @@ def derivative(c: FloatArray, order: int = 1) -> FloatArray:
     """
     if order >= c.shape[-1]:
         return np.zeros((*c.shape[:-1], 1))
-    return np.asarray(c[..., order:] * [perm(k, order) for k in range(order, c.shape[-1])])
+    return np.asarray(c[..., order:] * _factors(order, c.shape[-1]))
+
+
+@cache
+def _factors(order: int, number: int) -> FloatArray:
+    """Factors that powers get when they are differentiated."""
+    return np.array([perm(k, order) for k in range(order, number)], dtype=float)
 
 
 def hull(c: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -69,9 +75,11 @@ def roots_in_unit_interval(c: FloatArray) -> FloatArray:
 
     Between neighbouring roots of its derivative a polynomial is monotone, so Newton's method, kept within an
     interval that halves where it is slow, finds every root there, whether the polynomial changes sign or only
-    touches zero. No leading coefficient is divided by: degenerate polynomials are harmless.
+    touches zero. Quadratic polynomials have a formula. Degenerate polynomials are harmless.
     """
     degree = c.shape[-1] - 1
+    if degree == 2:
+        return _roots_of_quadratics(c)
     ends = (np.zeros((*c.shape[:-1], 1)), np.ones((*c.shape[:-1], 1)))
     stationary = [roots_in_unit_interval(derivative(c))] if degree > 1 else []
     edges = np.concatenate([ends[0], *stationary, ends[1]], axis=-1)
@@ -82,6 +90,19 @@ def roots_in_unit_interval(c: FloatArray) -> FloatArray:
     of = np.broadcast_to(c[..., None, :], (*crossed.shape, degree + 1))[crossed]
     roots[crossed] = _crossings(of, low[crossed], high[crossed], sign[..., :-1][crossed])
     return roots
+
+
+def _roots_of_quadratics(c: FloatArray) -> FloatArray:
+    """Roots (..., 2) in [0, 1] of quadratic polynomials (..., 3) without cancellation, sorted.
+
+    Press et al., "Numerical Recipes", 2007, Section 5.6. Where there is none, the stationary point or an end.
+    """
+    constant, slope, bend = c[..., 0], c[..., 1], c[..., 2]
+    root = np.sqrt(np.maximum(slope**2 - 4 * bend * constant, 0.0))
+    larger = -0.5 * (slope + np.copysign(root, slope))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        both = np.stack([larger / bend, np.where(root > 0, constant / larger, larger / bend)], axis=-1)
+    return np.sort(np.clip(np.nan_to_num(both, nan=0.0), 0.0, 1.0), axis=-1)
 
 
 def _crossings(c: FloatArray, low: FloatArray, high: FloatArray, sign: FloatArray) -> FloatArray:
@@ -113,7 +134,11 @@ def _crossings(c: FloatArray, low: FloatArray, high: FloatArray, sign: FloatArra
 
 def values(c: FloatArray, u: FloatArray) -> FloatArray:
     """Evaluate each polynomial `c` (..., k + 1) at its own points `u` (..., m), by Horner's rule."""
-    value = np.broadcast_to(c[..., -1:], np.broadcast_shapes(c[..., -1:].shape, u.shape))
-    for power in range(c.shape[-1] - 2, -1, -1):
-        value = value * u + c[..., power : power + 1]
+    if c.shape[-1] == 1:
+        return np.asarray(c + np.zeros_like(u))
+    value = c[..., -1:] * u
+    for power in range(c.shape[-1] - 2, 0, -1):
+        value += c[..., power : power + 1]
+        value *= u
+    value += c[..., :1]
     return np.asarray(value)
