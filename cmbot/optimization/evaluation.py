@@ -68,13 +68,12 @@ class NlpEvaluation:
         """Return the program after a step `p` (n,), with the same constraints."""
         return self.around(self.program, self.stage, self.parametrization.step(p), self.constraints)
 
-    def step(self, p: FloatArray) -> NlpEvaluation:
-        """Return the program after a step `p` (n,), with what is violated there among its constraints."""
-        trial = self.displaced(p)
-        limit = trial.values.peak if self.stage.bound is None else self.stage.bound
-        trajectory = trial.parametrization.trajectory
-        found = find_violations(self.program, trajectory, limit, self.stage.tolerance, _MOST)
-        return trial._with(found.added_to(self.constraints))
+    def separated(self) -> NlpEvaluation:
+        """Return the same point with what is violated there among its constraints."""
+        limit = self.values.peak if self.stage.bound is None else self.stage.bound
+        trajectory, tolerance = self.parametrization.trajectory, self.stage.tolerance
+        found = find_violations(self.program, trajectory, limit, tolerance, _MOST)
+        return self._with(found.added_to(self.constraints))
 
     def refresh(self, other: NlpEvaluation) -> NlpEvaluation:
         """Return the same point with the constraints of another one, which extend its own."""

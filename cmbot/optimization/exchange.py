@@ -25,6 +25,9 @@ from cmbot.trajectory import Parametrization
 
 __all__ = ["ExchangeOptions", "ExchangeReport", "Result", "minimize_peak", "minimize_smoothed_peak"]
 
+# A smoothing of less than so many tolerances of the peak is not worth a lighter one.
+_LITTLE = 2.0
+
 
 @dataclass(frozen=True, kw_only=True)
 class ExchangeOptions:
@@ -45,18 +48,20 @@ class ExchangeOptions:
     continuation : tuple of float
         Factors of the smoothing while the peak is minimised, one after the other as long as each lowers the
         peak by more than its tolerance, and promises to: what smoothing adds to the peak is in proportion to
-        it. A light smoothing alone lets splines swing between the few times that are known.
-    peak_accuracy : float
-        Optimality tolerance while the peak is minimised, which need not be known better than its tolerance.
+        it, and hardly more than its own value. A light smoothing alone lets splines swing between the few
+        times that are known.
     most_violations : int
         Constraints of a family that are added in an exchange iteration, at most.
     nearly_met : float
         An attempt at the lower bound goes on where the solver stops with violations up to this.
+    nearly_ended : float
+        Where it ended with violations up to this, the peak is minimised from there on.
     attempt_steps : int
         It is given up after so many steps that do not halve violations beyond that.
     stalls : int
         So often nothing new is violated by too much before the solver is given up.
-    slsqp_accuracy : float
+    slsqp_accuracy, slsqp_peak_accuracy : float
+        Of the mean square, and of the peak, which need not be known better than its tolerance.
     slsqp_iterations : int
         Of SLSQP in an exchange iteration: it need not end before the next one knows more constraints.
     sqp : SqpOptions
@@ -72,12 +77,13 @@ class ExchangeOptions:
     max_passes: int = 80
     max_iterations: int = 1000
     continuation: tuple[float, ...] = (1.0, 0.1, 1e-2, 1e-3)
-    peak_accuracy: float = 1e-6
     most_violations: int = 400
     nearly_met: float = 1e-3
+    nearly_ended: float = 1e-2
     attempt_steps: int = 6
     stalls: int = 3
     slsqp_accuracy: float = 1e-8
+    slsqp_peak_accuracy: float = 1e-6
     slsqp_iterations: int = 10
     sqp: SqpOptions = field(default_factory=SqpOptions)
     stop: Callable[[], bool] = lambda: False
@@ -165,7 +171,7 @@ def minimize_peak(
             except OptimisationFailed:
                 if options.stop():
                     raise
-                exchange.restart()
+                exchange.end_attempt()
         peak = exchange.lowest_peak(bound)
         bound = max(bound, peak * (1 + options.peak_tolerance))
         exchange.run(options.smoothing, bound=bound)
@@ -217,6 +223,15 @@ class _Exchange:
         self.form = self._program.parametrization
         self._warm: SqpResult[NlpEvaluation] | None = None
 
+    def end_attempt(self) -> None:
+        """Go on where an attempt ended, if nearly all is met there; otherwise start again."""
+        last = self._warm
+        if last is None or last.iterate.values.violation > self._options.nearly_ended:
+            self.restart()
+            return
+        self.form, self._warm = last.iterate.parametrization, None
+        self._constraints = last.iterate.constraints.rebased()
+
     def result(self, peak_bound: float) -> Result:
         """Return the present trajectory, its peak held below `peak_bound`."""
         return Result(parametrization=self.form, passes=tuple(self.reports), peak_bound=peak_bound)
@@ -230,6 +245,8 @@ class _Exchange:
         lowest = promise = np.inf
         for before, factor in pairwise([factors[0], *factors]):
             if promise * before < (1 - worthwhile) * lowest:
+                break
+            if np.isfinite(lowest) and self._smoothing(before) < _LITTLE * (1 - worthwhile) * lowest:
                 break
             kept = self.form, self._constraints, self._warm
             try:
@@ -247,6 +264,10 @@ class _Exchange:
             if peak <= target:
                 break
         return lowest
+
+    def _smoothing(self, factor: float) -> float:
+        """What the smoothing with that factor is at the present trajectory."""
+        return factor * self._options.smoothing * self.form.mean_squared_jerk()[0]
 
     def run(
         self, smoothing: float, *, bound: float | None = None, target: float = 0.0, attempt: bool = False
@@ -298,17 +319,17 @@ class _Exchange:
 
     def _solved(self, start: NlpEvaluation, *, attempt: bool) -> tuple[NlpEvaluation, int, bool]:
         """Solve with the constraints of `start`; return the end, the iterations, and whether it converged."""
-        o, accuracy = self._options, self._options.peak_accuracy if start.stage.bound is None else None
+        o = self._options
         if o.solver == "slsqp":
             most = min(o.slsqp_iterations, o.max_iterations)
-            accuracy = accuracy or o.slsqp_accuracy
+            accuracy = o.slsqp_peak_accuracy if start.stage.bound is None else o.slsqp_accuracy
             end, iterations = solve_slsqp(start, accuracy, most)
             before, after = start.values, end.values
             gained = before.objective + before.peak - after.objective - after.peak
             # Where nothing more is to be gained SLSQP may go on without an end.
             met = max(before.violation, after.violation) <= o.feasibility_tolerance
             return end, iterations, iterations < most or (met and gained <= accuracy)
-        sqp = replace(o.sqp, optimality_tolerance=accuracy) if accuracy else o.sqp
+        sqp = o.sqp
         if attempt:
             sqp = replace(sqp, stuck_steps=o.attempt_steps, stuck_share=0.5, stuck_violation=o.nearly_met)
         result = solve_sqp(start, self._families, sqp, self._warm, o.stop)

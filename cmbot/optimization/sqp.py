@@ -57,6 +57,8 @@ class SqpOptions:
         unknowns move far together.
     damping_growth, damping_release : float
         Factors by which the damping grows after a refused step, and falls after a good one.
+    damping_share : float
+        After a refused step its damping term is at least this share of what was predicted for it.
     accept, shrink, expand : float
         Shares of the predicted decrease: a step is accepted above the first, too long below the second, and
         the next one may be longer above the third.
@@ -66,18 +68,23 @@ class SqpOptions:
     correction_penalty, correction_damping : float
         By how much more a correction weighs violations than the rest, and what a change of all of the step
         costs, in units of its predicted decrease.
-    initial_radius, max_radius : float
-        The box that steps stay in: it doubles where steps reach its sides and keep their prediction.
+    initial_radius, min_radius, max_radius : float
+        The box that steps stay in: it doubles where steps reach its sides and keep their prediction. No step
+        is sought in a smaller one than the least.
+    contraction : float
+        Side of the box after a refused step, as a share of that step: damping alone hardly shortens steps
+        along which the model is flat.
     stays : float
         A step that leaves this share of the violations does little about them.
     steering : float
         Share that a step removes, at least, of the violations that can be removed where nothing else counts.
     hopeless : float
         Where no penalty brings violations down to this share they cannot be met.
-    stall_steps, stall_tolerance : int, float
-        So many iterations that together gain less than that, a share as `optimality_tolerance`, end it where
-        the constraints are met: near a solution it takes fewer, elsewhere it creeps. Where they do not bring
-        the violation down to the share `hopeless`, it ends if no step can.
+    stall_steps, stall_tolerance, stall_promise : int, float, float
+        So many iterations that together gain less than the second, a share as `optimality_tolerance`, end it
+        where the constraints are met and a step within `optimality_radius` promises no more than the third:
+        near a solution it takes fewer, elsewhere it creeps. Where they do not bring the violation down to the
+        share `hopeless`, it ends if no step can.
     stuck_steps, stuck_share, stuck_violation : int, float, float
         So many steps that leave this share of what is violated by more than that end it.
     """
@@ -97,6 +104,7 @@ class SqpOptions:
     max_damping: float = 1e6
     damping_growth: float = 4.0
     damping_release: float = 16.0
+    damping_share: float = 0.1
     accept: float = 1e-3
     shrink: float = 0.25
     expand: float = 0.75
@@ -105,12 +113,15 @@ class SqpOptions:
     correction_penalty: float = 30.0
     correction_damping: float = 100.0
     initial_radius: float = 4.0
+    min_radius: float = 1e-6
     max_radius: float = 1e3
+    contraction: float = 0.4
     stays: float = 0.5
     steering: float = 0.5
     hopeless: float = 0.9
     stall_steps: int = 8
     stall_tolerance: float = 1e-5
+    stall_promise: float = 5e-4
     stuck_steps: int = 30
     stuck_share: float = 0.8
     stuck_violation: float = 2e-2
@@ -139,11 +150,14 @@ class Iterate(Protocol):
     def hessian(self, multipliers: FloatArray) -> sparse.csr_array:
         """Positive definite Hessian (n, n) of the Lagrangian; multipliers (K,) as constraints."""
 
-    def step(self, p: FloatArray) -> Self:
-        """Step by `p` (n,); what is violated there is among the new point's constraints, the old ones first.
+    def displaced(self, p: FloatArray) -> Self:
+        """Return the point after a step `p` (n,), with the same constraints.
 
         An `OptimisationFailed` is raised when there is no such point.
         """
+
+    def separated(self) -> Self:
+        """Return the same point with all that is violated there among its constraints, the old ones first."""
 
     def refresh(self, other: Self) -> Self:
         """Return the same point with the constraints of `other`, which extend its own: itself if they are."""
@@ -226,6 +240,8 @@ class _SqpState(Generic[AnyIterate]):
         self._excused, self._radius = False, options.initial_radius
         # Of each iteration: the decrease of the merit, and the largest violation at its end.
         self._gained: list[float] = []
+        # What the last step was predicted to gain, as if it went as far as `optimality_radius`.
+        self._promised = np.inf
         self._violations = [start.values.violation]
 
     @property
@@ -245,7 +261,8 @@ class _SqpState(Generic[AnyIterate]):
         o, last = self._options, self._gained[-self._options.stall_steps :]
         if self._status is SqpStatus.ITERATION_LIMIT and len(last) == o.stall_steps:
             met = self.iterate.values.violation <= o.feasibility_tolerance
-            if met and sum(last) <= o.stall_tolerance * self._size:
+            little = sum(last) <= o.stall_tolerance * self._size
+            if met and little and self._promised <= o.stall_promise * self._size:
                 return SqpStatus.STALLED
         return self._status
 
@@ -304,14 +321,16 @@ class _SqpState(Generic[AnyIterate]):
     def take(self, model: NlpModel, step: QpStep, predicted: float) -> None:
         """Try a step; accept it if the merit falls, and adapt the damping to how far it does."""
         o, before_step = self._options, self.iterate
+        shorter = min(1.0, float(np.abs(step.p).max()) / o.optimality_radius)
+        self._promised = predicted / max(shorter, o.min_radius)
         trial, gained = self._tried(model, step.p, predicted)
         # What a step overlooked does not make it too long, unless it does so again.
         overlooked = self.iterate is not before_step
         self._excused = overlooked and gained < o.shrink * predicted and not self._excused
         if gained < o.shrink * predicted and not self._excused:
-            halving = predicted / max(float(step.p @ step.p), _LEAST_PREDICTION)
-            self.damping = max(o.damping_growth * self.damping, halving)
-            self._radius = max(0.5 * self._radius, o.initial_radius)
+            square = max(float(step.p @ step.p), _LEAST_PREDICTION)
+            self.damping = max(o.damping_growth * self.damping, o.damping_share * predicted / square)
+            self._radius = o.contraction * min(self._radius, float(np.abs(step.p).max()))
         elif gained > o.expand * predicted:
             self.damping = max(self.damping / o.damping_release, o.min_damping)
             if float(np.abs(step.p).max()) > 0.9 * self._radius:
@@ -324,7 +343,7 @@ class _SqpState(Generic[AnyIterate]):
             self.hessian = self.iterate.hessian(self.multipliers)
         else:
             self._gained.append(0.0)
-            if self.damping > o.max_damping:
+            if self.damping > o.max_damping or self._radius < o.min_radius:
                 met = model.violation <= o.feasibility_tolerance
                 self._status = SqpStatus.CONVERGED if met else SqpStatus.INFEASIBLE
         self._violations.append(self.iterate.values.violation)
@@ -349,26 +368,35 @@ class _SqpState(Generic[AnyIterate]):
     def _tried(self, model: NlpModel, p: FloatArray, predicted: float) -> tuple[AnyIterate | None, float]:
         """Take the step `p` (n,) and evaluate what it gains; where that is little, correct it.
 
-        The iterate gets every constraint that one of the trials violates.
+        The iterate gets every constraint that one of the trials violates, but for corrections on the way to
+        others: what they break of the known constraints is enough to correct them.
         """
         o, length = self._options, float(np.abs(p).max())
         stiffness = o.correction_damping * predicted / max(length**2, _LEAST_PREDICTION)
-        trial = _stepped(self.iterate, p)
+        trial = _displaced(self.iterate, p)
         best: AnyIterate | None = None
         most = -np.inf
         for correction in range(o.max_corrections + 1):
             if trial is None:
                 break
-            self.iterate = self.iterate.refresh(trial)
-            gained = self.iterate.values.merit(self.penalty) - trial.values.merit(self.penalty)
-            if gained > most:
-                best, most = trial, gained
-            if gained >= o.correct_below * predicted or correction == o.max_corrections:
-                break
+            last = correction == o.max_corrections
+            gained = self._gain(trial)
+            if correction == 0 or last or gained >= o.correct_below * predicted:
+                trial = trial.separated()
+                self.iterate = self.iterate.refresh(trial)
+                gained = self._gain(trial)
+                if gained > most:
+                    best, most = trial, gained
+                if last or gained >= o.correct_below * predicted:
+                    break
             bent = replace(trial.model, gradient=model.gradient + model.hessian @ p, hessian=model.hessian)
             change = solve_qp(bent, o.correction_penalty * self.penalty, length, stiffness).p
-            p, trial = p + change, _stepped(trial, change)
+            p, trial = p + change, _displaced(trial, change)
         return (None if best is None else best.refresh(self.iterate)), most
+
+    def _gain(self, trial: AnyIterate) -> float:
+        """How far the merit falls from the iterate to a trial with the same constraints."""
+        return self.iterate.values.merit(self.penalty) - trial.values.merit(self.penalty)
 
 
 def _extended(multipliers: FloatArray, iterate: Iterate) -> FloatArray:
@@ -376,9 +404,9 @@ def _extended(multipliers: FloatArray, iterate: Iterate) -> FloatArray:
     return np.append(multipliers, np.zeros(len(iterate.values.value) - len(multipliers)))
 
 
-def _stepped(iterate: AnyIterate, p: FloatArray) -> AnyIterate | None:
+def _displaced(iterate: AnyIterate, p: FloatArray) -> AnyIterate | None:
     try:
-        trial = iterate.step(p)
+        trial = iterate.displaced(p)
     except OptimisationFailed:
         return None
     at = trial.values

@@ -168,7 +168,7 @@ def test_a_step_adds_what_it_violates(problem: TorqueProblem) -> None:
     """Behind the constraints that were there, whose multipliers so stay the first."""
     some = ConstraintSet(step=0.01).at_all([OBJECTIVE, DEVIATION], TIMES)
     at = NlpEvaluation.around(problem, PEAK, problem.parametrization, some)
-    trial = at.step(np.full(problem.parametrization.dimension, 0.5))
+    trial = at.displaced(np.full(problem.parametrization.dimension, 0.5)).separated()
     K = len(at.constraints)
     assert len(trial.constraints) == len(trial.values.value) > K
     for name in ("family", "component", "time"):

@@ -53,8 +53,11 @@ class Ripples:
         curvature = 12 * (self.x - 1) ** 2 + 2 * multipliers.sum() + 1e-6
         return sparse.csr_array(np.diag(curvature))
 
-    def step(self, p: FloatArray) -> Self:
+    def displaced(self, p: FloatArray) -> Self:
         return replace(self, x=self.x + p)
+
+    def separated(self) -> Self:
+        return self
 
     def refresh(self, other: Self) -> Self:
         return self
@@ -133,11 +136,10 @@ class Veiled(Ripples):
     def all_of_it(self) -> NlpModel:
         return Ripples(self.x, self.steepness).model
 
-    def step(self, p: FloatArray) -> Self:
-        trial = replace(self, x=self.x + p)
-        value = trial.all_of_it.value
+    def separated(self) -> Self:
+        value = self.all_of_it.value
         new = [k for k in range(len(self.x), len(value)) if value[k] > 0 and k not in self.known]
-        return replace(trial, known=(*self.known, *new))
+        return replace(self, known=(*self.known, *new))
 
     def refresh(self, other: Self) -> Self:
         return self if other.known == self.known else replace(self, known=other.known)

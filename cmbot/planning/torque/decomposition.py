@@ -28,6 +28,9 @@ LONGEST_WHOLE = 300
 _LEAST, _MOST = 100, 200
 # The SQP meets known constraints so much better than they have to be met.
 _CLOSER = 0.5
+# It ends where a step promises no more than this share of the objective, or so many steps gain no more than
+# that share together: a plan's peak and mean matter to a thousandth.
+_ACCURACY, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 2e-4
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -121,6 +124,9 @@ def exchange_options(problem: TorqueProblem) -> ExchangeOptions:
         max_passes=o.max_passes,
         max_iterations=o.max_iterations,
         sqp=SqpOptions(
+            optimality_tolerance=_ACCURACY,
+            stall_steps=_STALL_STEPS,
+            stall_tolerance=_STALL_GAIN,
             feasibility_tolerance=_CLOSER * o.constraint_tolerance,
             max_iterations=min(SqpOptions.max_iterations, o.max_iterations),
         ),
