@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,14 +16,23 @@ from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.torque import TorqueProblem, parametrization_through
 
 __all__ = [
+    "SMOOTHER",
     "Choice",
     "InitialGuess",
     "fixed_guess",
     "initial_guess",
+    "roughness",
     "shifted_problem",
     "sliding_guess",
     "solved",
 ]
+
+SMOOTHER = 0.9
+"""A guess with shorter steps is worth it when its roughness is at most this share of that before."""
+
+# From rougher guesses hardly any trajectory leads on: their steps are halved so often at most, as long as the
+# peak at rest rises by no more than this share.
+_HOPELESS, _HALVINGS, _NEXT_TO_NOTHING = 4.0, 3, 1e-3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,10 +63,41 @@ class InitialGuess:
 
 
 def initial_guess(context: PlanningContext, search: GlobalSearch | None = None) -> InitialGuess:
-    """Return the guess that the option ``knots`` asks for; see `fixed_guess` and `sliding_guess`."""
+    """Return the guess that the option ``knots`` asks for; see `fixed_guess` and `sliding_guess`.
+
+    Where a sliding guess is so rough that hardly any trajectory leads on from it, a smoother one that rests
+    below nearly the same peak: shorter steps between via-points often cost no torque.
+    """
     if context.options.knots == "fixed":
         return fixed_guess(context)
-    return sliding_guess(context, search=search)
+    guess = sliding_guess(context, search=search)
+    best, shorter = guess, guess.search
+    for _ in range(_HALVINGS):
+        if shorter is None or roughness(best.problem) <= _HOPELESS or context.reporter.expired():
+            break
+        shorter = shorter.halved()
+        try:
+            other = sliding_guess(context, search=shorter)
+        except PathNotFound:
+            break
+        rests = (each.problem.at_via_points.max() for each in (other, guess))
+        if next(rests) > next(rests) * (1 + _NEXT_TO_NOTHING):
+            break
+        may_start = other.pinned == guess.pinned or context.options.start == "free"
+        if may_start and roughness(other.problem) <= SMOOTHER * roughness(best.problem):
+            best = replace(other, choice=guess.choice)
+    return best
+
+
+def roughness(problem: TorqueProblem) -> float:
+    """Largest velocity, acceleration or jerk where a problem starts, as a share of its bound."""
+    start = problem.parametrization.trajectory
+    shares = (
+        np.abs(start.extrema(bound.order).value) / bound.scale[:, None]
+        for bound in problem.bounds
+        if bound.order > 0
+    )
+    return max(float(share.max()) for share in shares)
 
 
 def fixed_guess(context: PlanningContext) -> InitialGuess:

@@ -27,8 +27,14 @@ import numpy as np
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.approach import reachable
-from cmbot.planning.initial_guess import InitialGuess, initial_guess, sliding_guess, solved
-from cmbot.planning.torque import TorqueProblem
+from cmbot.planning.initial_guess import (
+    SMOOTHER,
+    InitialGuess,
+    initial_guess,
+    roughness,
+    sliding_guess,
+    solved,
+)
 from cmbot.scene import MOST_SAMPLES
 
 __all__ = [
@@ -40,15 +46,13 @@ __all__ = [
     "guesses_in_shorter_steps",
     "more_via_points",
     "reachable_start",
-    "roughness",
     "scene_start",
     "shorter_steps",
     "with_retries",
 ]
 
-# Halvings of the steps, and guesses among these that are optimised, at most. A guess is worth it when its
-# roughness is at most this share of that before.
-_HALVINGS, _TRIES, _SMOOTHER = 4, 2, 0.9
+# Halvings of the steps, and guesses among these that are optimised, at most.
+_HALVINGS, _TRIES = 4, 2
 # What the certificate may miss a bound by for more samples to help, as a share of it.
 _BY_A_HAIR = 0.01
 # Via-points at most for which SLSQP is tried: its time grows with the cube of their number.
@@ -166,7 +170,7 @@ def another_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
                 left = sliding_guess(
                     context, search=search, starts=starts, unfollowed=unfollowed, pinned=pinned
                 )
-                if roughness(left.problem) <= _SMOOTHER * rough:
+                if roughness(left.problem) <= SMOOTHER * rough:
                     tries += 1
                     return run(replace(failed, guess=left))
             except (OptimisationFailed, PathNotFound):
@@ -294,7 +298,7 @@ def guesses_in_shorter_steps(failed: Attempt, failure: OptimisationFailed) -> It
         except PathNotFound:
             return
         found = roughness(guess.problem)
-        if found <= _SMOOTHER * rough:
+        if found <= SMOOTHER * rough:
             rough, tries = found, tries + 1
             fallback = (
                 f"With planner.step_share {context.options.step_share:g} no trajectory was found "
@@ -302,14 +306,3 @@ def guesses_in_shorter_steps(failed: Attempt, failure: OptimisationFailed) -> It
                 "a smoother sequence of postures."
             )
             yield replace(failed, guess=guess, fallbacks=(*failed.fallbacks, fallback))
-
-
-def roughness(problem: TorqueProblem) -> float:
-    """Largest velocity, acceleration or jerk where a problem starts, as a share of its bound."""
-    start = problem.parametrization.trajectory
-    shares = (
-        np.abs(start.extrema(bound.order).value) / bound.scale[:, None]
-        for bound in problem.bounds
-        if bound.order > 0
-    )
-    return max(float(share.max()) for share in shares)
