@@ -194,6 +194,9 @@ class _BranchAndBound:
             return best, np.where(best > incumbent, best * (1 - _ACCURACY), -np.inf)
         cells = _Cells(q, edges, np.full(edges.shape[:2], self._spacing), of)
         for _ in range(_MOST_HALVINGS * edges.shape[1]):
+            cells = cells[self._in_range_somewhere(cells)]
+            if len(cells.q) == 0:
+                break
             value, fall, possible = self._bounded(cells)
             lowest = value - fall.sum(axis=1)
             if self._context.reporter.expired():
@@ -249,9 +252,6 @@ class _BranchAndBound:
     def _bounded(self, cells: _Cells) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Values at the centres, how far they may fall along each edge, and which cells may be admissible."""
         N, d, n = cells.edges.shape
-        limits = self._context.robot.limits
-        extent = np.einsum("kd,kdn->kn", cells.half, np.abs(cells.edges))
-        possible = ((cells.q + extent >= limits.lower) & (cells.q - extent <= limits.upper)).all(axis=1)
         shifts = 0.5 * cells.half[:, :, None] * cells.edges
         around = np.stack([cells.q[:, None] + shifts, cells.q[:, None] - shifts], axis=2).reshape(-1, n)
         placed, reached = self._placed(around, np.repeat(cells.of, 2 * d))
@@ -265,7 +265,14 @@ class _BranchAndBound:
         # Mixed second differences are taken to be as large as the others allow.
         fall = slope + 0.5 * bend * bend.sum(axis=1, keepdims=True)
         change = 2 * np.abs(beside_use - centre_use[:, None, None]).max(axis=2).sum(axis=1)
-        return centre, fall, possible & (centre_use - _DOUBT * change <= 1.0)
+        return centre, fall, centre_use - _DOUBT * change <= 1.0
+
+    def _in_range_somewhere(self, cells: _Cells) -> BoolArray:
+        """Which cells may reach into the joint ranges."""
+        limits = self._context.robot.limits
+        extent = np.einsum("kd,kdn->kn", cells.half, np.abs(cells.edges))
+        inside = (cells.q + extent >= limits.lower) & (cells.q - extent <= limits.upper)
+        return np.asarray(inside.all(axis=1))
 
     def _measured(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Objective at rest and largest share of a joint torque's bound, (N,) each."""
