@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 from forgeries import changed_scene, put_job
 from plan_folders import edit, refused, same_arrays
-from small_scenes import short_scene
+from small_scenes import context_of, short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.planning import Plan, QuinticTrajectory, plan, remarks
+from cmbot.planning.free_motion.return_move import plan_return
 from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.robot import Robot
 from cmbot.trajectory import SplineSpace
@@ -130,6 +131,13 @@ def test_a_return_to_another_posture_is_refused(returning_plan: Plan, folder: Pa
     back = returning_plan.job.segments[-1].trajectory
     put_job(folder, returning_plan.job.changed("return", trajectory=wrong_end(back)))
     assert "where the job is to end at last" in refused(folder, "job.npz", "q").expected
+
+
+def test_no_move_leads_to_where_the_arm_is() -> None:
+    context = context_of(short_scene())
+    assert plan_return(context, context.posture, begin=4.0, allowed=0.0) is None
+    there = replace(context, end_posture=context.posture)
+    assert plan_return(there, context.posture.copy(), begin=4.0, allowed=0.0) is None
 
 
 def test_a_return_that_hurries_breaks_a_promise(returning_plan: Plan, folder: Path) -> None:
