@@ -103,7 +103,7 @@ def plan(
         context = build_context(scene, options, objective, reporter)
         require_reasonable_size(scene, context.robot.dof, options)
         require_tool_speed(scene, context.task.path)
-        require_within_reach(context)
+        require_within_reach(scene, context)
         if scene.begins_elsewhere:
             context = starting_at_path(context)
         try:

@@ -82,7 +82,7 @@ def precheck_scene(scene: Scene) -> Precheck:
         robot = robot_of(scene)
         task = task_of(scene, robot)
     path, clearances = task.path, Clearances(robot, scene.obstacles)
-    joints, legs = counted(robot.dof, "joint"), counted(len(scene.legs), "leg")
+    joints = counted(robot.dof, "joint")
     workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
     point = ", ".join(f"{x:.4f}" for x in path.corners[0])
     found = [
@@ -90,7 +90,8 @@ def precheck_scene(scene: Scene) -> Precheck:
         ("robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"),
         (
             "tool path",
-            f"{legs}, {path.lengths.sum():.3f} m in {path.duration:g} s, keeps the tool's {scene.keep}",
+            f"{scene.path_in_words}, {path.lengths.sum():.3f} m in {path.duration:.6g} s, "
+            f"keeps the tool's {scene.keep}",
         ),
         ("via-points", str(len(path.via_times(scene.via_points)))),
         ("obstacles", f"{len(scene.obstacles)}, of them {workpieces}"),
@@ -130,7 +131,7 @@ def precheck_scene(scene: Scene) -> Precheck:
         got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
         warnings.append(_warning(scene.file.posture_key, got, "at most 1: another posture or less payload"))
     within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
-    for key, away in beyond_reach(robot, path):
+    for key, away in beyond_reach(scene, robot, path):
         warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
     warnings += _too_fast(scene, path)
     if too_large := oversized(scene, robot.dof, scene.planner):
@@ -192,26 +193,28 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         raise
 
 
-def beyond_reach(robot: Robot, path: ToolPath) -> Iterator[tuple[str, float]]:
+def beyond_reach(scene: Scene, robot: Robot, path: ToolPath) -> Iterator[tuple[str, float]]:
     """Yield the legs whose ends the stretched arm does not reach: keys in a scene file, and distances, m.
 
     Distances are those from the arm's first joint. What lies between two ends within reach is within reach.
     """
     distances = np.linalg.norm(path.corners[1:] - robot.base_point, axis=1)
     for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
-        yield f"tool_path.legs[{k}]", float(distances[k])
+        yield scene.leg_key(int(k)), float(distances[k])
 
 
-def require_within_reach(context: PlanningContext) -> None:
+def require_within_reach(scene: Scene, context: PlanningContext) -> None:
     """Refuse a tool path that leaves the reach of the stretched arm; the error names the first such leg."""
     path, robot = context.task.path, context.robot
-    for key, distance in beyond_reach(robot, path):
+    for key, distance in beyond_reach(scene, robot, path):
         away = np.linalg.norm(context.goals.point - robot.base_point, axis=1)
         time = float(context.times[np.argmax(away > robot.reach * (1 + _ROUNDING))])
+        remedy = "shorten the leg (lengths are in metres), or take another start posture"
+        if scene.begins_elsewhere:
+            remedy = "move the tool path (lengths are in metres)"
         raise PathNotFound(
             f"{key} ends {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out of "
-            f"reach (the arm with its tool stretched out is {robot.reach:.3f} m long); shorten the leg "
-            "(lengths are in metres), or take another start posture",
+            f"reach (the arm with its tool stretched out is {robot.reach:.3f} m long); {remedy}",
             time=time,
             progress=path.progress(time),
             # The stretched arm cannot move further out.
@@ -232,8 +235,9 @@ def _too_fast(scene: Scene, path: ToolPath) -> Iterator[Finding]:
         return
     speeds = _speeds(path)
     for k in np.flatnonzero(speeds > most * (1 + _ROUNDING)):
+        key = scene.leg_key(int(k))
         yield _warning(
-            f"tool_path.legs[{k}].seconds",
+            f"{key}.seconds" if scene.legs else "tool_path.seconds",
             f"{path.seconds[k]:g} s, in which the tool reaches {speeds[k]:.4g} m/s",
             f"at least {_rounded_up(path.seconds[k] * speeds[k] / most)} s, for tool.max_speed_m_s {most:g}",
         )

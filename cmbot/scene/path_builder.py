@@ -57,6 +57,7 @@ class _Part:
     seconds: float
     curve: Curve | None = None
     blends: bool = False
+    cruises: bool = False  # at a speed that is given
 
 
 class _PathBuilder:
@@ -101,7 +102,9 @@ class _PathBuilder:
         length = float(np.linalg.norm(end - self._point)) if curve is None else curve.length
         straight = curve is None and length >= SHORTEST_LEG and not turn.any()
         seconds = leg.pause or self._seconds(leg.seconds, leg.speed_m_s, length, f"{key}.speed_m_s")
-        self._add(_Part(end=end, turn=turn, seconds=seconds, curve=curve, blends=straight))
+        cruises = leg.speed_m_s is not None
+        part = _Part(end=end, turn=turn, seconds=seconds, curve=curve, blends=straight, cruises=cruises)
+        self._add(part)
 
     def spline(self) -> None:
         """Add the spline through the scene's waypoints."""
@@ -128,7 +131,9 @@ class _PathBuilder:
             seconds = np.array([self._seconds(None, scene.speed_m_s, float(x), key) for x in lengths])
         for by, duration in zip(moves, seconds, strict=True):
             end = self._point + by
-            self._add(_Part(end=end, turn=np.zeros(3), seconds=float(duration), blends=True))
+            cruises, still = scene.seconds is None, np.zeros(3)
+            part = _Part(end=end, turn=still, seconds=float(duration), blends=True, cruises=cruises)
+            self._add(part)
 
     def _raster_start(self, raster: Raster) -> tuple[FloatArray, FloatArray]:
         """Tool point and orientation at the beginning of the first row."""
@@ -152,8 +157,10 @@ class _PathBuilder:
             nonlocal point
             if len(group) > 1:
                 corners = np.vstack([point, *(part.end for part in group)])
-                seconds = sum(part.seconds for part in group)
-                merged.append(replace(group[-1], seconds=seconds, curve=Blend(corners, radius)))
+                curve = Blend(corners, radius)
+                shorter = curve.length / float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
+                seconds = sum(part.seconds * (shorter if part.cruises else 1.0) for part in group)
+                merged.append(replace(group[-1], seconds=seconds, curve=curve))
             else:
                 merged.extend(group)
             point = group[-1].end if group else point

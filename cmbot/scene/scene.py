@@ -15,6 +15,7 @@ from cmbot.common.validation import (
     CheckedFields,
     FileModel,
     check_fields,
+    counted,
     refusal,
     require_type,
     shown,
@@ -411,6 +412,22 @@ class Scene:
     def begins_elsewhere(self) -> bool:
         """Whether the tool path begins at a pose of its own, not at that of the tool in `posture`."""
         return any(each is not None for each in (self.start_pose, self.waypoints, self.raster))
+
+    def leg_key(self, leg: int) -> str:
+        """Return the key of a leg of the timed path, as far as it has one of its own."""
+        if self.raster is not None or self.waypoints is not None:
+            return "tool_path.waypoints" if self.raster is None else "tool_path.raster"
+        return f"tool_path.legs[{leg}]" if self.blend_radius_m is None else "tool_path.legs"
+
+    @property
+    def path_in_words(self) -> str:
+        """What the tool path is made of."""
+        if self.raster is not None:
+            rows, area = counted(self.raster.rows, "row"), f"{self.raster.area:.3g} m2"
+            return f"a raster of {rows} over {area}"
+        if self.waypoints is not None:
+            return f"a spline through {counted(len(self.waypoints), 'waypoint')}"
+        return counted(len(self.legs), "leg")
 
     @property
     def pinned_posture(self) -> str:

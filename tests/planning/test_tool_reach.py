@@ -21,13 +21,14 @@ FAR = {
 
 
 def test_ends_out_of_reach_are_found_by_the_length_of_the_arm() -> None:
-    robot, task, _, _ = parts(short_scene(tool_path=FAR))
-    ((key, distance),) = beyond_reach(robot, task.path)
-    assert key == "tool_path.legs[1].by"
+    scene, near = short_scene(tool_path=FAR), short_scene()
+    robot, task, _, _ = parts(scene)
+    ((key, distance),) = beyond_reach(scene, robot, task.path)
+    assert key == "tool_path.legs[1]"
     assert distance == pytest.approx(np.linalg.norm(task.path.corners[2] - robot.base_point))
     # Table 2 of the paper, and a tool of 0.30 m.
     assert robot.reach == pytest.approx(3.78, abs=5e-3)
-    assert not list(beyond_reach(robot, parts(short_scene())[1].path))
+    assert not list(beyond_reach(near, robot, parts(near)[1].path))
 
 
 @pytest.mark.parametrize("knots", ["sliding", "fixed"])
@@ -39,7 +40,7 @@ def test_the_planner_names_the_leg_before_it_searches(knots: str) -> None:
         plan(scene, progress=told.append)
     assert not any("postures" in progress.step for progress in told)
     (warning,) = (w for w in precheck_scene(scene).warnings if w.key.startswith("tool_path"))
-    ((_, distance),) = beyond_reach(robot, task.path)
+    ((_, distance),) = beyond_reach(scene, robot, task.path)
     assert caught.value.reason.startswith(f"{warning.key} ends {distance:.3f} m from the arm's")
     assert f"{distance - robot.reach:.3f} m out of reach" in caught.value.reason
     assert f"{distance:.3f} m" in warning.got
@@ -56,5 +57,6 @@ def test_what_is_just_within_reach_is_not_refused() -> None:
     for share, beyond in ((1 - 1e-7, 0), (1 + 1e-7, 1)):
         step = (share * robot.reach / length - 1) * outwards
         path = {"legs": [{"by": step.tolist(), "seconds": 4}]}
-        _, there, _, _ = parts(short_scene(tool_path=path))
-        assert len(list(beyond_reach(robot, there.path))) == beyond
+        scene = short_scene(tool_path=path)
+        _, there, _, _ = parts(scene)
+        assert len(list(beyond_reach(scene, robot, there.path))) == beyond

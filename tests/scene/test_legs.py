@@ -181,6 +181,14 @@ def test_the_tool_cruises_at_the_speed_that_is_asked(leg: dict[str, Any]) -> Non
         assert speed.max() == pytest.approx(0.07, rel=1e-9)
 
 
+@pytest.mark.parametrize("radius", [None, 0.05])
+def test_a_raster_is_covered_at_its_speed(radius: float | None) -> None:
+    more = {} if radius is None else {"blend_radius_m": radius}
+    path = timed_path(scene_of(raster=RASTER, speed_m_s=0.1, **more), np.eye(4))
+    speed = np.linalg.norm(path.velocity(np.linspace(0, path.duration, 4001)), axis=1)
+    assert speed.max() == pytest.approx(0.1, rel=1e-6)
+
+
 def test_a_scene_changed_in_python_is_that_of_its_file(rng: np.random.Generator) -> None:
     scene = scene_of(
         legs=[{"to": {"frame": "bracket", "xyz": [0, 0.1, 0], "axis": [0, 0, 1]}, "speed_m_s": 0.1}],

@@ -41,17 +41,24 @@ class ScenePath:
         if scene.raster is not None:
             p, R, legs = self._raster(scene.raster, R)
         straight: list[FloatArray] = []
+        given = cruising = 0.0
         for leg in legs:
             seconds, points, orientations, end = self._leg(leg, p, R)
             bends = scene.blend_radius_m is not None and leg.pause is None and leg.arc is None
             bends = bends and bool(np.allclose(end[1], R, rtol=0, atol=1e-12))
             bends = bends and float(np.linalg.norm(end[0] - p)) >= 1e-6
             if bends and straight and _turn(straight[-2], p, end[0]) < _SHARPEST:
-                before = self._legs.pop()[0]
+                self._legs.pop()
                 straight.append(end[0])
-                points, seconds = _blended(np.array(straight), scene.blend_radius_m or 0.0), seconds + before
+                points, length = _blended(np.array(straight), scene.blend_radius_m or 0.0)
+                sides = float(np.linalg.norm(np.diff(straight, axis=0), axis=1).sum())
+                given += leg.seconds or 0.0
+                cruising += 0.0 if leg.speed_m_s is None else seconds
+                # A given speed is that along the rounded corners.
+                seconds = given + cruising * length / sides
             else:
                 straight = [p, end[0]] if bends else []
+                given, cruising = (seconds, 0.0) if leg.speed_m_s is None else (0.0, seconds)
             self._legs.append((seconds, points, orientations))
             p, R = end
 
@@ -211,8 +218,8 @@ def _lengths(rate: _Points, at: FloatArray) -> FloatArray:
     return np.asarray((speed * weight * half).sum(axis=1))
 
 
-def _blended(corners: FloatArray, radius: float) -> _Points:
-    """Points by the share of the length of lines whose corners are rounded."""
+def _blended(corners: FloatArray, radius: float) -> tuple[_Points, float]:
+    """Points by the share of the length of lines whose corners are rounded, and that length."""
     pieces: list[tuple[float, _Points]] = []
     begin = corners[0]
 
@@ -253,7 +260,7 @@ def _blended(corners: FloatArray, radius: float) -> _Points:
             p[here] = of((s[here] - ends[k] + length) / length)
         return p
 
-    return points
+    return points, float(ends[-1])
 
 
 def _covered(profile: SpeedProfile, u: FloatArray) -> FloatArray:
