@@ -37,8 +37,16 @@ def scene_with(tool: dict[str, Any], **changes: Any) -> Scene:
 
 @pytest.fixture(scope="module")
 def pushed_plan() -> Plan:
-    """With an approach, in which the tool is off."""
-    return plan(scene_with({"process_force_n": list(FORCE)}, planner={"knots": "sliding"}))
+    """With an approach, in which the tool is off, from a folded posture."""
+    begin = {"xyz": [1.75, 0.7, -2.0], "axis": [0.8, 0, -0.6]}
+    return plan(
+        scene_with(
+            {"process_force_n": list(FORCE)},
+            posture_deg=[26, -146, 43, 161, -84, -112, -55],
+            tool_path={"from": begin},
+            planner={"knots": "sliding"},
+        )
+    )
 
 
 def test_the_force_acts_at_work_and_not_on_the_approach(pushed_plan: Plan) -> None:
