@@ -71,7 +71,7 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
     *warnings, last = (line for line in run("check", path).out.splitlines() if "warning" in line)
     distance = np.hypot(np.hypot(START[0], START[1] + 0.1 + 3.0 - 0.5), START[2])
     assert warnings[0].endswith(
-        f": tool_path.legs[1].by: got an end {distance:.3f} m from the arm's first joint, "
+        f": tool_path.legs[1]: got an end {distance:.3f} m from the arm's first joint, "
         "expected at most 3.780 m, the arm with its tool stretched out"
     )
     assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1].by", "tool_path.legs[3].by"]

@@ -42,7 +42,7 @@ obstacles:
         ("seconds: 4\n", "seconds: -4\n", "8: tool_path.legs[0].seconds: got -4"),
         ("seconds: 4}", "seconds: x}", "9: tool_path.legs[1].seconds: got 'x'"),
         ("0.3, 0], s", "0.3], s", "9: tool_path.legs[1].by: got [0, 0.3]"),
-        ("      seconds: 4\n", "", "7: tool_path.legs[0].seconds: got nothing"),
+        ("      seconds: 4\n", "", "7: tool_path.legs[0]: got none"),
         ("    sphere: 0.1\n", "", "12: obstacles[0]: got none"),
         ("sphere: 0.1", "mesh: none.obj", "13: obstacles[0].mesh: got 'none.obj'"),
         ("10, 50, 0]", "10, 50]", "4: posture_deg: got [-10.0, "),
