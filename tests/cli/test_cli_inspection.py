@@ -74,7 +74,7 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
         f": tool_path.legs[1]: got an end {distance:.3f} m from the arm's first joint, "
         "expected at most 3.780 m, the arm with its tool stretched out"
     )
-    assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1].by", "tool_path.legs[3].by"]
+    assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1]", "tool_path.legs[3]"]
     assert last == f"2 warnings; cmbot plan {path} would have to deal with them."
     heavy = {"model": "cmbot", "payload_kg": 60.0}
     path = write_scene(tmp_path / "heavy.yaml", {**SHORT, "robot": heavy})
