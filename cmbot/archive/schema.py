@@ -61,7 +61,9 @@ def _or_infinite(value: object, handler: Callable[[object], float], info: Valida
     return math.inf if infinite else handler(value)
 
 
-NonNegative = Annotated[float, Field(ge=0)]
+# Larger numbers could not be printed in other units.
+_LARGEST = 1e12
+NonNegative = Annotated[float, Field(ge=0, le=_LARGEST)]
 Count = Annotated[int, Field(ge=0)]
 Share = Annotated[float, Field(ge=0, le=1)]
 Sha256 = Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")]
@@ -71,13 +73,19 @@ OrInfinite = Annotated[float, WrapValidator(_or_infinite), NullIfInfinite]
 Truth = Annotated[bool, BeforeValidator(lambda value: bool(value) if isinstance(value, np.bool_) else value)]
 
 
+def _moderate(value: float) -> float:
+    if math.isfinite(value) and abs(value) > _LARGEST:
+        raise refusal(f"null, or at most {_LARGEST:g}", got=value)
+    return value
+
+
 class MetricsFile(FileModel):
     """`MotionMetrics` of one motion, in SI units."""
 
     peak_guardrail_torque: NonNegative
     mean_guardrail_torque: NonNegative
     peak_static_guardrail_torque: NonNegative
-    min_clearance: OrInfinite
+    min_clearance: Annotated[OrInfinite, AfterValidator(_moderate)]
     max_tool_deviation: NonNegative
     max_tool_rotation: NonNegative
     max_tool_lag: NonNegative | None = None

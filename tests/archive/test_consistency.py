@@ -65,6 +65,8 @@ def folder(sliding: Path, tmp_path: Path) -> Path:
         (lambda data: data["segments"][1].update(max_tool_lag=1.0), "segments[1].max_tool_lag"),
         (lambda data: data["segments"][1]["certificate"]["checks"].pop(), "segments[1].certificate"),
         (lambda data: data["baseline"].update(min_clearance=None), "baseline.min_clearance"),
+        (lambda data: data["baseline"].update(min_clearance=1.7e308), "baseline.min_clearance"),
+        (lambda data: data["baseline"].update(max_tool_deviation=1.7e308), "baseline.max_tool_deviation"),
         (lambda data: data["planned"].pop("job"), "planned.job"),
         (lambda data: data["planned"]["job"].update(min_clearance=1.0), "planned.job.min_clearance"),
         (lambda data: data["planned"]["job"]["limit_use"].update(jerk=0.1), "planned.job.limit_use.jerk"),

@@ -254,7 +254,7 @@ class _Work:
         scale = float((torque[turns] if turns.any() else torque).max())
         speed = np.inf if self._task.max_speed is None else _TOOL_RESOLUTION
         # Infinite where a torque bound is next to nothing: then no number of pieces suffices.
-        with np.errstate(over="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             shares = [
                 pieces.remainder(of.guardrail_torque) / (_TORQUE_RESOLUTION * scale),
                 pieces.remainder(of.tool_point) / _TOOL_RESOLUTION,
