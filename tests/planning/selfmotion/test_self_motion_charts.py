@@ -34,6 +34,7 @@ def context_for(robot: Robot, task: ToolTask, spacing: float = SPACING, seeds: i
     objective = objective_of(robot, options)
     return PlanningContext(
         first=np.zeros(robot.dof),
+        end_posture=None,
         robot=robot,
         posture=np.zeros(robot.dof),
         task=task,
