@@ -203,7 +203,9 @@ class _PathBuilder:
         point = X[:3, :3] @ np.array(goal.xyz) + X[:3, 3]
         if goal.rpy_deg is not None:
             R = X[:3, :3] @ pose((0.0, 0.0, 0.0), np.radians(goal.rpy_deg))[:3, :3]
-            return point, Rotation.from_matrix(R @ self._R.T).as_rotvec()
+            turn = np.asarray(Rotation.from_matrix(R @ self._R.T).as_rotvec())
+            # The same orientation again is no turn, whatever rounding says.
+            return point, turn if np.linalg.norm(turn) > _PARALLEL else np.zeros(3)
         if goal.axis is not None:
             axis = X[:3, :3] @ (np.array(goal.axis) / np.linalg.norm(goal.axis))
             return point, _shortest_turn(self._R[:, 2], axis)

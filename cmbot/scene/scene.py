@@ -163,6 +163,12 @@ class ToolPathFile(FileModel):
         if len(given) != 1:
             got = " and ".join(given) or "neither"
             raise refusal("either legs, waypoints or a raster", got=got, key=("legs",))
+        for name in ("seconds", "speed_m_s"):
+            if self.legs and getattr(self, name) is not None:
+                raise refusal("no such key beside legs, which have their own", got="a value", key=(name,))
+        if self.waypoints is not None and self.blend_radius_m is not None:
+            expected = "no such key beside waypoints, which have no corners"
+            raise refusal(expected, got="a value", key=("blend_radius_m",))
         if not self.legs:
             exactly_one(self, ("seconds", "speed_m_s"))
             if self.start_pose is not None:

@@ -205,6 +205,7 @@ def test_a_scene_changed_in_python_is_that_of_its_file(rng: np.random.Generator)
     assert not scene_of(legs=[{"pause": 1}]).begins_elsewhere
 
 
+WAYPOINTS = [[0, 0, k, 1, 0, 0, 0] for k in range(3)]
 RASTER = {"origin": [0, 0, 0], "u": [0, 0.2, 0], "v": [0.1, 0, 0], "spacing_m": 0.05, "stand_off_m": 0.1}
 BY = {"by": [0, 0.1, 0], "seconds": 1}
 
@@ -237,6 +238,20 @@ BY = {"by": [0, 0.1, 0], "seconds": 1}
             {"legs": [BY], "waypoints": [[0, 0, 0, 1, 0, 0, 0]] * 3},
             "tool_path.legs",
             "either legs, waypoints or",
+        ),
+        (
+            {"raster": {**RASTER, "v": [0.1, 0.1, 0]}, "speed_m_s": 0.1},
+            "tool_path.raster.v",
+            "at right angles",
+        ),
+        ({"raster": {**RASTER, "spacing_m": 1e-5}, "speed_m_s": 0.1}, "tool_path.raster.spacing_m", "500"),
+        ({"raster": RASTER}, "tool_path", "exactly one of these"),
+        ({"legs": [BY], "speed_m_s": 0.1}, "tool_path.speed_m_s", "no such key beside legs"),
+        ({"legs": [BY], "seconds": 3}, "tool_path.seconds", "no such key beside legs"),
+        (
+            {"waypoints": WAYPOINTS, "seconds": 1, "blend_radius_m": 0.1},
+            "tool_path.blend_radius_m",
+            "no such key beside waypoints",
         ),
         ({}, "tool_path.legs", "either legs, waypoints or"),
         ({"waypoints": [[0, 0, k, 1, 0, 0, 0] for k in range(3)]}, "tool_path", "exactly one of these"),
