@@ -12,13 +12,13 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import ToolPath, ToolPoses
+from cmbot.scene import ToolPath, ToolPoses, shortest_turns
 
 __all__ = ["ToolTask", "task_dimension"]
 
-# Sines of angles below which a rotation vector is zero, two unit vectors are parallel or opposite, and the
-# cosine below which a turn counts as nearly half a one.
-_NO_TURN, _OPPOSITE, _NEARLY_HALF_A_TURN = 1e-300, 1e-12, -0.9
+# Sine of an angle below which a rotation vector is zero, and the cosine below which a turn counts as nearly
+# half a one.
+_NO_TURN, _NEARLY_HALF_A_TURN = 1e-300, -0.9
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class ToolTask:
             return translation
         if self.keep == "pose":
             return np.concatenate([translation.T, _rotation_vectors(R_WT, goals.rotation)]).T
-        turns = _between(R_WT[:, :, 2], goals.rotation[:, :, 2])
+        turns = shortest_turns(R_WT[:, :, 2], goals.rotation[:, :, 2])
         return np.concatenate([translation, np.einsum("kij,ki->kj", R_WT[:, :, :2], turns)], axis=1)
 
     def held_at_start(self) -> ToolTask:
@@ -134,15 +134,3 @@ def _sine_and_cosine(R_WT: FloatArray, R_goal: FloatArray) -> tuple[FloatArray, 
     products = 0.5 * np.vstack([np.hstack([-pin.skew(axis) for axis in goal]), goal.reshape(1, 9)])
     parts = products @ R_WT.transpose(2, 1, 0).reshape(9, -1)
     return parts[:3], parts[3] - 0.5
-
-
-def _between(z: FloatArray, z_goal: FloatArray) -> FloatArray:
-    """Shortest rotation vectors (N, 3) that turn unit vectors `z` (N, 3) to `z_goal`, (N, 3) or (1, 3)."""
-    cross, cosine = np.cross(z, z_goal), (z * z_goal).sum(axis=1)
-    sine = np.linalg.norm(cross, axis=1)
-    vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
-    for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
-        # Half a turn about any axis across z.
-        across = np.cross(z[k], np.eye(3)[np.abs(z[k]).argmin()])
-        vectors[k] = np.pi * across / np.linalg.norm(across)
-    return np.asarray(vectors)

@@ -16,6 +16,7 @@ from cmbot.scene.tool_path import (
     ToolPath,
     ToolPoses,
     share_out_segments,
+    shortest_turns,
 )
 
 __all__ = [
@@ -52,6 +53,7 @@ __all__ = [
     "scene_text",
     "share_out_segments",
     "shipped_scenes",
+    "shortest_turns",
     "timed_path",
     "update_file",
 ]

@@ -14,12 +14,12 @@ from cmbot.scene.curves import Arc, Blend, Curve, Spline, rounded
 from cmbot.scene.legs import SHORTEST_LEG, ArcTo, Goal, Leg, Raster
 from cmbot.scene.obstacles import pose
 from cmbot.scene.scene import Scene
-from cmbot.scene.tool_path import ToolPath
+from cmbot.scene.tool_path import ToolPath, shortest_turns
 
 __all__ = ["timed_path"]
 
-# Sine of the angle between two axes below which they are parallel.
-_PARALLEL = 1e-12
+# Angle below which a turn is none, rad.
+_NO_TURN = 1e-12
 
 
 def timed_path(scene: Scene, X_WT: FloatArray) -> ToolPath:
@@ -140,7 +140,7 @@ class _PathBuilder:
         u, _, normal = self._raster_axes(raster)
         X = self._frame(raster.frame, "tool_path.raster")
         corner = X[:3, :3] @ np.array(raster.origin) + X[:3, 3]
-        turn = _shortest_turn(self._R[:, 2], -normal)
+        turn = shortest_turns(self._R[None, :, 2], -normal[None])[0]
         return corner - raster.overscan_m * u + raster.stand_off_m * normal, _turned(turn, self._R)
 
     def _raster_axes(self, raster: Raster) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -201,15 +201,15 @@ class _PathBuilder:
         """Point of a pose in W, and the rotation vector in W that leads to its orientation from here."""
         X = self._frame(goal.frame, key)
         point = X[:3, :3] @ np.array(goal.xyz) + X[:3, 3]
+        turn = np.zeros(3)
         if goal.rpy_deg is not None:
             R = X[:3, :3] @ pose((0.0, 0.0, 0.0), np.radians(goal.rpy_deg))[:3, :3]
             turn = np.asarray(Rotation.from_matrix(R @ self._R.T).as_rotvec())
-            # The same orientation again is no turn, whatever rounding says.
-            return point, turn if np.linalg.norm(turn) > _PARALLEL else np.zeros(3)
-        if goal.axis is not None:
+        elif goal.axis is not None:
             axis = X[:3, :3] @ (np.array(goal.axis) / np.linalg.norm(goal.axis))
-            return point, _shortest_turn(self._R[:, 2], axis)
-        return point, np.zeros(3)
+            turn = shortest_turns(self._R[None, :, 2], axis[None])[0]
+        # The same orientation again is no turn, whatever rounding says.
+        return point, turn if np.linalg.norm(turn) > _NO_TURN else np.zeros(3)
 
     def _arc(self, arc: ArcTo, key: str) -> tuple[FloatArray, FloatArray, Curve | None]:
         """End, rotation vector and curve of an arc."""
@@ -245,13 +245,3 @@ def _matrix(point: FloatArray, R: FloatArray) -> FloatArray:
 
 def _turned(turn: FloatArray, R: FloatArray) -> FloatArray:
     return np.asarray(Rotation.from_rotvec(turn).as_matrix() @ R)
-
-
-def _shortest_turn(z: FloatArray, goal: FloatArray) -> FloatArray:
-    """Rotation vector of the shortest turn from one unit vector to another."""
-    cross, cosine = np.cross(z, goal), float(z @ goal)
-    sine = float(np.linalg.norm(cross))
-    if sine > _PARALLEL:
-        return np.asarray(cross * (np.arctan2(sine, cosine) / sine))
-    across = np.cross(z, np.eye(3)[np.abs(z).argmin()])
-    return np.zeros(3) if cosine > 0 else np.asarray(np.pi * across / np.linalg.norm(across))

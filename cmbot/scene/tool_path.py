@@ -18,9 +18,11 @@ from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields
 from cmbot.scene.curves import Curve
 
-__all__ = ["ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_out_segments"]
+__all__ = ["ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_out_segments", "shortest_turns"]
 
 _NO_LENGTH = 1e-300
+# Sines of angles below which a turn is none, and two unit vectors are parallel or opposite.
+_NO_TURN, _OPPOSITE = 1e-300, 1e-12
 # Points by which a curve is shown.
 _SHOWN = 41
 # Digits of the shares of the duration that legs have.
@@ -190,8 +192,12 @@ class ToolPath:
 
     def poses(self, times: ArrayLike) -> ToolPoses:
         """Return the timed poses of the tool at `times` (N,)."""
+        return ToolPoses(point=self.position(times), rotation=self.rotation(times))
+
+    def rotation(self, times: ArrayLike) -> FloatArray:
+        """Return the timed orientations R_WT (N, 3, 3) at `times` (N,); (1, 3, 3) where all are the same."""
         if not self.turns:
-            return ToolPoses(point=self.position(times), rotation=self.orientation[None])
+            return self.orientation[None]
         leg, u = self._locate(times)
         share = self.profile.share(u)
         turn = Rotation.from_rotvec(share[:, None] * self._rotation_vectors[leg]).as_matrix()
@@ -200,7 +206,7 @@ class ToolPath:
             prescribed = curve.rotation(share[which])
             if prescribed is not None:
                 R[which] = prescribed
-        return ToolPoses(point=self.position(times), rotation=R)
+        return np.asarray(R)
 
     def velocity(self, times: ArrayLike) -> FloatArray:
         """Return the tool point's velocity (N, 3), m/s, at `times` (N,)."""
@@ -403,3 +409,15 @@ def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> 
         shares[leg] += 1
         heapreplace(longest, (-float(seconds[leg]) / (shares[leg] + 1), leg))
     return shares
+
+
+def shortest_turns(z: FloatArray, z_goal: FloatArray) -> FloatArray:
+    """Return shortest rotation vectors (N, 3) from unit vectors `z` (N, 3) to others, (N, 3) or (1, 3)."""
+    cross, cosine = np.cross(z, z_goal), (z * z_goal).sum(axis=1)
+    sine = np.linalg.norm(cross, axis=1)
+    vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
+    for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
+        # Half a turn about any axis across z.
+        across = np.cross(z[k], np.eye(3)[np.abs(z[k]).argmin()])
+        vectors[k] = np.pi * across / np.linalg.norm(across)
+    return np.asarray(vectors)

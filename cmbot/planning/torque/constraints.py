@@ -12,6 +12,7 @@ from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Postures, ToolBatch
+from cmbot.scene import ToolPoses
 
 __all__ = ["ClearanceMargin", "JointTorque", "ToolDeviation", "ToolLag", "ToolRotation", "ToolSpeed"]
 
@@ -137,17 +138,18 @@ class ToolRotation:
 
     def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
         """Return angle/bound - 1, (N, 1)."""
-        value = self._angle(states)[:, None] / self.bound - 1
+        tool = _tool(self.postures, states)
+        value = self.task.rotation(tool.tool_rotation, self._goals(tool, states))[:, None] / self.bound - 1
         return value, np.zeros(value.shape, dtype=np.intp)
 
-    def _angle(self, states: StateSamples) -> FloatArray:
-        goals = self.task.path.poses(states.t)
-        return self.task.rotation(_tool(self.postures, states).tool_rotation, goals)
+    def _goals(self, tool: ToolBatch, states: StateSamples) -> ToolPoses:
+        """The timed orientations where the tool is: its point plays no part."""
+        return ToolPoses(point=tool.tool_point, rotation=self.task.path.rotation(states.t))
 
     def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
         """Linearize the angle."""
         tool, task = _tool(self.postures, states), self.task
-        goals = task.path.poses(states.t)
+        goals = self._goals(tool, states)
         turn = task.errors(tool.tool_point, tool.tool_rotation, goals)[:, 3:] / self.bound
         # The errors lead to the goal: they fall as the tool turns towards it.
         J = -task.jacobian(tool.tool_rotation, tool.jacobian)[:, 3:] / self.bound
