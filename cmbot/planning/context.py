@@ -244,16 +244,7 @@ def robot_of(scene: Scene) -> Robot:
         mount = pose(source.mount_xyz, source.mount_rpy)
     try:
         robot = load_robot(
-            source.model,
-            base_frame=source.base_frame,
-            tool_frame=source.tool_frame,
-            limits=source.limits,
-            srdf=source.srdf,
-            elasticity=source.elasticity,
-            mount=mount,
-            tool_length=source.tool_length,
-            payload=source.payload,
-            package_dirs=source.package_dirs or (),
+            **source.files, mount=mount, tool_length=source.tool_length, payload=source.payload
         )
     except ModelError as error:
         if error.key not in ("base_frame", "tool_frame"):

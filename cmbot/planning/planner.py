@@ -18,7 +18,7 @@ from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensatio
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
-from cmbot.planning.free_motion.return_move import plan_return
+from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
 from cmbot.planning.initial_guess import initial_guess, sliding_guess
 from cmbot.planning.job import APPROACH, WORK, Job, Segment
 from cmbot.planning.objectives import WrenchFunction
@@ -43,8 +43,6 @@ __all__ = ["plan"]
 
 # Slower legs are tried so often where velocities, accelerations or jerks are what fails.
 _TRIALS = 3
-# The arm starts in the scene's posture when no joint is further from it than this, rad.
-_SAME_POSTURE = 1e-9
 
 
 def plan(
@@ -312,12 +310,12 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         context.clearances,
         options,
         via_points=len(context.times),
-        start=context.posture if moved <= _SAME_POSTURE else None,
+        start=context.posture if moved <= SAME_POSTURE else None,
         sag=context.sag,
     )
     certificate.require()
     approach: Segment | None = None
-    if moved <= _SAME_POSTURE:
+    if moved <= SAME_POSTURE:
         posture, moved = context.posture, 0.0
     elif guess.search is not None or context.first is not context.posture:
         reporter.step("planning the approach to the start")

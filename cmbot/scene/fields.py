@@ -9,6 +9,7 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BaseModel, Field, WithJsonSchema
 
+from cmbot.common.errors import InputError
 from cmbot.common.validation import refusal, shown
 
 __all__ = [
@@ -22,6 +23,7 @@ __all__ = [
     "Text",
     "Vector",
     "exactly_one",
+    "given_of",
     "one_of_schema",
     "si_fields",
 ]
@@ -51,11 +53,17 @@ Slug = Annotated[
 ]
 
 
-def exactly_one(model: BaseModel, names: Sequence[str]) -> None:
-    """Refuse a model that gives none or several of the keys `names`."""
-    given = [name for name in names if getattr(model, name) is not None]
+def given_of(entry: object, names: Sequence[str]) -> list[str]:
+    """Return those of the keys `names` that an entry of a file gives."""
+    return [name for name in names if getattr(entry, name) is not None]
+
+
+def exactly_one(entry: object, names: Sequence[str]) -> None:
+    """Refuse an entry of a file, or a dataclass, that gives none or several of the keys `names`."""
+    given = given_of(entry, names)
     if len(given) != 1:
-        raise refusal("exactly one of these keys", got=" and ".join(given) or "none", choices=names)
+        got = " and ".join(given) or "none"
+        raise InputError(type(entry).__name__, "", got, "exactly one of these keys", tuple(names))
 
 
 def one_of_schema(names: Sequence[str]) -> dict[str, Any]:

@@ -11,7 +11,7 @@ from pydantic import AfterValidator, Field
 
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, refusal, shown
-from cmbot.scene.fields import Angle, Angles, Coordinate, Length, Slug, Vector
+from cmbot.scene.fields import Angle, Angles, Coordinate, Length, Slug, Vector, exactly_one, given_of
 
 __all__ = ["SHORTEST_LEG", "ArcTo", "Goal", "Leg", "Raster", "Seconds", "Speed", "Waypoint"]
 
@@ -110,7 +110,7 @@ class ArcTo(CheckedFields):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        given = set(_given(self, ("via", "to", "centre", "axis", "angle_deg")))
+        given = set(given_of(self, ("via", "to", "centre", "axis", "angle_deg")))
         if given not in ({"via", "to"}, {"centre", "axis", "angle_deg"}):
             got = ", ".join(sorted(given)) or "nothing"
             raise InputError("ArcTo", "", got, "via and to, or centre, axis and angle_deg")
@@ -152,9 +152,9 @@ class Leg(CheckedFields):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        _exactly_one(self, ("by", "to", "arc", "pause"))
+        exactly_one(self, ("by", "to", "arc", "pause"))
         if self.pause is None:
-            _exactly_one(self, ("seconds", "speed_m_s"))
+            exactly_one(self, ("seconds", "speed_m_s"))
         elif self.seconds is not None or self.speed_m_s is not None:
             key = "seconds" if self.seconds is not None else "speed_m_s"
             raise InputError("Leg", key, "a value", "no such key beside pause, which says how long")
@@ -230,19 +230,8 @@ Waypoint = Annotated[
 """Point, m, and unit quaternion (w, x, y, z) of the tool in W."""
 
 
-def _given(instance: object, names: Sequence[str]) -> list[str]:
-    return [name for name in names if getattr(instance, name) is not None]
-
-
-def _exactly_one(instance: object, names: Sequence[str]) -> None:
-    given = _given(instance, names)
-    if len(given) != 1:
-        got = " and ".join(given) or "none"
-        raise InputError(type(instance).__name__, "", got, "exactly one of these keys", tuple(names))
-
-
 def _at_most_one(instance: object, names: Sequence[str]) -> None:
-    given = _given(instance, names)
+    given = given_of(instance, names)
     if len(given) > 1:
         got = " and ".join(given)
         raise InputError(type(instance).__name__, "", got, "at most one of these keys", tuple(names))

@@ -315,6 +315,13 @@ class RobotSource(CheckedFields):
     tool_length: Length | None
     payload: Mass
 
+    @property
+    def files(self) -> dict[str, Any]:
+        """The model with its frames and files, as arguments of `cmbot.load_robot`."""
+        names = ("base_frame", "tool_frame", "limits", "srdf", "elasticity")
+        given = {name: getattr(self, name) for name in names}
+        return {"model": self.model, **given, "package_dirs": self.package_dirs or ()}
+
 
 class _SceneFields(ToolPathFile):
     """The bounds of a `Scene`'s fields that hold text and numbers: those of the scene file."""

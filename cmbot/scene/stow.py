@@ -35,15 +35,7 @@ def start_posture(file: SceneFile, robot: RobotSource, source: str) -> FloatArra
     # Imported here: scenes whose start is a posture need no robot.
     from cmbot.robot import load_robot
 
-    loaded = load_robot(
-        robot.model,
-        base_frame=robot.base_frame,
-        tool_frame=robot.tool_frame,
-        limits=robot.limits,
-        srdf=robot.srdf,
-        elasticity=robot.elasticity,
-        package_dirs=robot.package_dirs or (),
-    )
+    loaded = load_robot(**robot.files)
     stow = loaded.group_states.get(STOW)
     if stow is not None:
         return stow

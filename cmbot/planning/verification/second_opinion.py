@@ -103,9 +103,12 @@ def second_opinion(
         *_clearance_checks(scene, options, body, robot, times, motion[0]),
     ]
     if at_work:
-        checks += _path_checks(scene, body, times)
+        X_WT = np.eye(4)
+        X_WT[:3, 3], X_WT[:3, :3] = (pose[0] for pose in body.tool_poses(scene.posture[None]))
+        path = ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3])
+        checks += _path_checks(scene, path, X_WT, times)
         if sag is None:
-            checks += _via_point_checks(scene, body, trajectory)
+            checks += _via_point_checks(scene, path, body, trajectory)
             checks += _speed_checks(scene, body, times, motion)
     return tuple(checks)
 
@@ -296,11 +299,9 @@ def _obstacle_shapes(shape: Shape) -> Iterator[tuple[FloatArray, ConvexShape]]:
                 yield X, convex
 
 
-def _path_checks(scene: Scene, body: Multibody, times: FloatArray) -> Iterator[Check]:
+def _path_checks(scene: Scene, own: ScenePath, X_WT: FloatArray, times: FloatArray) -> Iterator[Check]:
     """What the package's timed path differs by."""
-    X_WT = np.eye(4)
-    X_WT[:3, 3], X_WT[:3, :3] = (pose[0] for pose in body.tool_poses(scene.posture[None]))
-    own, path = ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3]), timed_path(scene, X_WT)
+    path = timed_path(scene, X_WT)
     poses, (p, R) = path.poses(times), own.poses(times)
     away = np.linalg.norm(poses.point - p, axis=1)
     bound = _POSES * max(1.0, float(np.abs(path.corners).max()))
@@ -313,9 +314,10 @@ def _path_checks(scene: Scene, body: Multibody, times: FloatArray) -> Iterator[C
     yield _worst(f"difference of the via-points' times {_FROM}", via_times, late, bound, "s")
 
 
-def _via_point_checks(scene: Scene, body: Multibody, trajectory: QuinticTrajectory) -> Iterator[Check]:
+def _via_point_checks(
+    scene: Scene, path: ScenePath, body: Multibody, trajectory: QuinticTrajectory
+) -> Iterator[Check]:
     """Whether the tool is at its timed pose at the via-points."""
-    path = ScenePath(scene, *(pose[0] for pose in body.tool_poses(scene.posture[None])))
     ends = trajectory.t[[0, -1]]
     # A trajectory is to end with its path: where it is shorter or longer, it is held at its ends.
     times = np.concatenate([path.via_times(), ends])
