@@ -27,7 +27,7 @@ TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_f
 def schema_text() -> str:
     """Return the schema as the text of its file."""
     schema = SceneFile.model_json_schema()
-    kinds = [*FileModel.__subclasses__(), ArcTo, Goal, Leg, Raster, SpeedProfile, Tool, PlannerOptions]
+    kinds = [*subclasses(FileModel), ArcTo, Goal, Leg, Raster, SpeedProfile, Tool, PlannerOptions]
     for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:
         (kind,) = (kind for kind in kinds if kind.__name__ == name)
         definition["description"] = inspect.getdoc(kind).partition("\n\nAttributes")[0]
@@ -38,8 +38,9 @@ def schema_text() -> str:
             for name in key.split(", "):
                 definition["properties"][aliases.get(name, name)]["description"] = text
     # A CSV file's rows are read before a scene is checked.
-    waypoints = schema["$defs"]["ToolPathFile"]["properties"]["waypoints"]
-    waypoints["anyOf"].append({"type": "string", "minLength": 1})
+    for name in ("ToolPathFile", "StrokeFile"):
+        waypoints = schema["$defs"][name]["properties"]["waypoints"]
+        waypoints["anyOf"].append({"type": "string", "minLength": 1})
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": FORMAT}
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 
@@ -50,8 +51,17 @@ def page_text() -> str:
     return reference_text(json.loads(schema_text()), example)
 
 
+def subclasses(kind: type) -> Iterator[type]:
+    """Yield the classes below a class, at all depths."""
+    for below in kind.__subclasses__():
+        yield below
+        yield from subclasses(below)
+
+
 def docstrings(model: type) -> Iterator[tuple[str, str]]:
-    """Yield the model's keys that have a docstring, each with it."""
+    """Yield the model's keys that have a docstring, each with it; first those of the class above it."""
+    if model.__base__ is not FileModel:
+        yield from docstrings(model.__base__)
     (definition,) = ast.parse(textwrap.dedent(inspect.getsource(model))).body
     for statement, following in pairwise(definition.body):
         match statement, following:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Container, Iterator
 from typing import Any
 
 __all__ = ["reference_text"]
@@ -32,6 +32,7 @@ _SECTIONS = {
     "BaseFile": "`base`",
     "Tool": "`tool`",
     "ToolPathFile": "`tool_path`",
+    "StrokeFile": "`tool_path.strokes`",
     "Leg": "Legs",
     "Goal": "Poses: `to`, `from`",
     "ArcTo": "Arcs: `arc`",
@@ -57,13 +58,18 @@ def reference_text(schema: dict[str, Any], example: str) -> str:
     for name, title in _SECTIONS.items():
         definition = definitions[name]
         parts.append(f"## {title}\n\n{_prose(definition['description'])}\n")
-        parts.append("| key | value | |\n|---|---|---|\n" + "\n".join(_rows(definition)) + "\n")
+        above = definitions["ToolPathFile"]["properties"] if name == "StrokeFile" else {}
+        rows = _rows(definition, above)
+        parts.append("| key | value | |\n|---|---|---|\n" + "\n".join(rows) + "\n")
     return "\n".join(parts)
 
 
-def _rows(definition: dict[str, Any]) -> Iterator[str]:
+def _rows(definition: dict[str, Any], known: Container[str] = ()) -> Iterator[str]:
+    """A row for each key that is not known from another section."""
     required = definition.get("required", ())
     for key, value in definition["properties"].items():
+        if key in known:
+            continue
         text = _prose(value.get("description", ""))
         if key in required:
             text = f"Required. {text}"

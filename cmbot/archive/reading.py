@@ -58,6 +58,7 @@ from cmbot.planning import (
     robot_of,
     sag_of,
     second_opinion,
+    strokes_of,
     task_of,
     tool_lag,
 )
@@ -111,7 +112,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     with _as_archive_error(str(source)):
         scene = _scene(read, data, source)
         robot = _robot(scene, read, source)
-        task = task_of(scene, robot)
+        task = task_of(strokes_of(scene, robot)[0], scene)
         end = end_posture_of(scene, robot)
         clearances = Clearances(robot, scene.obstacles)
     duration = task.path.duration
@@ -305,7 +306,9 @@ def _certified(plan: Plan, segment: Segment, clearances: Clearances) -> Certific
             # That the scene asks for it, and where it leads to, has been checked.
             start, end = plan.trajectory.q[-1], np.array(end_posture_of(plan.scene, robot))
         certificate = certify_move(robot, held, trajectory, clearances, options, start, end)
-    checks = second_opinion(plan.scene, options, trajectory, robot=robot, at_work=at_work, sag=sag)
+    checks = second_opinion(
+        plan.scene, options, trajectory, robot=robot, stroke=0 if at_work else None, sag=sag
+    )
     return replace(certificate, checks=(*certificate.checks, *checks))
 
 

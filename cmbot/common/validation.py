@@ -203,6 +203,8 @@ def plain(value: object, source: str, steps: Sequence[str | int] = ()) -> Any:
         return plain(value.tolist(), source, steps)
     if isinstance(value, tuple | list):
         return [plain(item, source, (*steps, k)) for k, item in enumerate(value)]
+    if isinstance(value, BaseModel):
+        value = value.model_dump(by_alias=True, exclude_none=True)
     if is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in fields(value)}
     if isinstance(value, Mapping):

@@ -4,7 +4,7 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.context import bending_arm, end_posture_of, robot_of, sag_of, task_of
+from cmbot.planning.context import bending_arm, end_posture_of, robot_of, sag_of, strokes_of, task_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import certify_move
@@ -91,6 +91,7 @@ __all__ = [
     "robot_of",
     "sag_of",
     "second_opinion",
+    "strokes_of",
     "task_of",
     "tightest_check",
     "tool_lag",

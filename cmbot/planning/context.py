@@ -19,7 +19,7 @@ from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, Postures, Robot, load_robot
-from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, ToolPoses, pose, timed_path
+from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses, pose
 
 __all__ = [
     "PlanningContext",
@@ -29,6 +29,7 @@ __all__ = [
     "no_start_left",
     "robot_of",
     "sag_of",
+    "strokes_of",
     "task_of",
 ]
 
@@ -41,6 +42,8 @@ class PlanningContext:
     posture: FloatArray  # (n,), rad and m: the scene's
     end_posture: FloatArray | None  # (n,), rad and m, of the whole job; None: where the work ends
     first: FloatArray  # (n,), rad and m: that in which the work starts unless another one is better
+    strokes: tuple[Stroke, ...]  # of the job
+    stroke: Stroke  # the one that is planned
     task: ToolTask
     clearances: Clearances
     times: FloatArray  # (k,), s, of the via-points
@@ -152,7 +155,7 @@ def build_context(
         When `own` is no function of the wrench.
     """
     robot = robot_of(scene)
-    task = task_of(scene, robot)
+    strokes = strokes_of(scene, robot)
     posture = np.array(scene.posture)
     arm = bending_arm(scene, robot)
     sag = sag_of(scene, arm, options)
@@ -165,9 +168,11 @@ def build_context(
         posture=posture,
         end_posture=end_posture_of(scene, robot),
         first=posture,
-        task=task,
+        strokes=strokes,
+        stroke=strokes[0],
+        task=task_of(strokes[0], scene),
         clearances=Clearances(robot, scene.obstacles),
-        times=task.path.via_times(scene.via_points),
+        times=strokes[0].via_times,
         options=options,
         objective=objective,
         idle_objective=idle,
@@ -255,13 +260,13 @@ def robot_of(scene: Scene) -> Robot:
     return replace(robot, tool_force=scene.tool.process_force_n)
 
 
-def task_of(scene: Scene, robot: Robot) -> ToolTask:
-    """Return the timed tool path of a scene, from the tool pose of its posture.
+def strokes_of(scene: Scene, robot: Robot) -> tuple[Stroke, ...]:
+    """Return the strokes of a scene, from the tool pose of its posture.
 
     Raises
     ------
     SceneError
-        When the posture does not fit the robot.
+        When the posture does not fit the robot, or a tool path is none.
     """
     key, slides = scene.file.posture_key, np.flatnonzero(robot.limits.prismatic)
     if len(slides) and key.endswith("posture_deg"):
@@ -269,7 +274,10 @@ def task_of(scene: Scene, robot: Robot) -> ToolTask:
         expected = "start: {posture: [...]} in place of it, in rad and, of joints that slide, m"
         raise SceneError(scene.source, key, got, expected)
     posture = robot.posture(scene.posture, source=scene.source, key=key, error_type=SceneError)
-    X_WT = Kinematics(robot).tool_pose(posture)
-    path = timed_path(scene, X_WT.homogeneous)
+    return scene.timed_strokes(Kinematics(robot).tool_pose(posture).homogeneous)
+
+
+def task_of(stroke: Stroke, scene: Scene) -> ToolTask:
+    """Return what a stroke of a scene prescribes of the tool."""
     speed = scene.tool.max_speed_m_s
-    return ToolTask(path, scene.keep, None if speed is None else speed * (1 + SPEED_TOLERANCE))
+    return ToolTask(stroke.path, stroke.file.keep, None if speed is None else speed * (1 + SPEED_TOLERANCE))

@@ -99,10 +99,11 @@ def plan(
         reporter = ProgressReporter(progress, limit=options.time_limit_s)
         reporter.stage("path")
         context = build_context(scene, options, objective, reporter)
-        require_reasonable_size(scene, context.robot.dof, options)
-        require_tool_speed(scene, context.task.path)
-        require_within_reach(scene, context)
-        if scene.begins_elsewhere:
+        for stroke in context.strokes:
+            require_reasonable_size(scene, stroke, context.robot.dof, options)
+            require_tool_speed(scene, stroke)
+        require_within_reach(context)
+        if context.stroke.begins_elsewhere:
             context = starting_at_path(context)
         try:
             attempt, motion = _search(context, automatic=automatic)

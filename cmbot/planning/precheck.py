@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Literal
@@ -17,10 +17,10 @@ from cmbot.common.installation import install_command
 from cmbot.common.validation import counted
 from cmbot.common.yaml_reader import lines_named
 from cmbot.optimization import piqp_module
-from cmbot.planning.context import PlanningContext, end_posture_of, robot_of, task_of
+from cmbot.planning.context import PlanningContext, end_posture_of, robot_of, strokes_of, task_of
 from cmbot.planning.task import task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
-from cmbot.scene import PlannerOptions, Scene, Tool, ToolPath
+from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath
 from cmbot.trajectory import SUPPORT
 
 __all__ = [
@@ -80,20 +80,15 @@ def precheck_scene(scene: Scene) -> Precheck:
     """
     with failures_explained(scene):
         robot = robot_of(scene)
-        task = task_of(scene, robot)
-    path, clearances = task.path, Clearances(robot, scene.obstacles)
+        strokes = strokes_of(scene, robot)
+    task, clearances = task_of(strokes[0], scene), Clearances(robot, scene.obstacles)
     joints = counted(robot.dof, "joint")
     workpieces = counted(sum(obstacle.workpiece for obstacle in scene.obstacles), "workpiece")
-    point = ", ".join(f"{x:.4f}" for x in path.corners[0])
+    point = ", ".join(f"{x:.4f}" for x in task.path.corners[0])
     found = [
         ("scene", f"{scene.name} ({scene.source})"),
         ("robot", f"{robot.name}: {joints}, {robot.mass:.2f} kg ({robot.arm_mass:.2f} kg moving)"),
-        (
-            "tool path",
-            f"{scene.path_in_words}, {path.lengths.sum():.3f} m in {path.duration:.6g} s, "
-            f"keeps the tool's {scene.keep}",
-        ),
-        ("via-points", str(len(path.via_times(scene.via_points)))),
+        *_paths(strokes),
         ("obstacles", f"{len(scene.obstacles)}, of them {workpieces}"),
         ("tool point at the start", f"({point}) m"),
     ]
@@ -101,7 +96,8 @@ def precheck_scene(scene: Scene) -> Precheck:
         force = ", ".join(f"{x:g}" for x in robot.tool_force)
         found.append(("process force on the tool", f"({force}) N along its axes"))
     if scene.tool.max_speed_m_s is not None:
-        found.append(("tool speed", f"{_speeds(path).max():.4g} of at most {scene.tool.max_speed_m_s:g} m/s"))
+        fastest = max(_speeds(stroke.path).max() for stroke in strokes)
+        found.append(("tool speed", f"{fastest:.4g} of at most {scene.tool.max_speed_m_s:g} m/s"))
     if robot.remarks:
         found.append(("assumed", " ".join(robot.remarks)))
     warnings: list[Finding] = []
@@ -131,16 +127,30 @@ def precheck_scene(scene: Scene) -> Precheck:
         got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
         warnings.append(_warning(scene.file.posture_key, got, "at most 1: another posture or less payload"))
     within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
-    for key, away in beyond_reach(scene, robot, path):
-        warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
-    warnings += _too_fast(scene, path)
-    if too_large := oversized(scene, robot.dof, scene.planner):
-        warnings.append(too_large)
+    for stroke in strokes:
+        for key, away in beyond_reach(stroke, robot):
+            warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
+        warnings += _too_fast(scene.tool, stroke)
+        if too_large := oversized(stroke, robot.dof, scene.planner):
+            warnings.append(too_large)
     warnings += precheck_options(scene.planner, scene.tool)
     if warnings and looks_like_radians(scene):
         got = "values that all lie within 2 pi, which look like radians"
         warnings.append(_warning(scene.file.posture_key, got, "degrees"))
     return Precheck(found=tuple(found), warnings=tuple(warnings))
+
+
+def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
+    """What each stroke is made of, and the number of its via-points."""
+    for stroke in strokes:
+        path = stroke.path
+        name = "tool path" if len(strokes) == 1 else f"stroke {stroke.name}"
+        yield (
+            name,
+            f"{stroke.file.in_words}, {path.lengths.sum():.3f} m in {path.duration:.6g} s, "
+            f"keeps the tool's {stroke.file.keep}",
+        )
+    yield "via-points", " + ".join(str(len(stroke.via_times)) for stroke in strokes)
 
 
 def _return(scene: Scene, robot: Robot) -> Iterator[tuple[str, str]]:
@@ -193,24 +203,24 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         raise
 
 
-def beyond_reach(scene: Scene, robot: Robot, path: ToolPath) -> Iterator[tuple[str, float]]:
+def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
     """Yield the legs whose ends the stretched arm does not reach: keys in a scene file, and distances, m.
 
     Distances are those from the arm's first joint. What lies between two ends within reach is within reach.
     """
-    distances = np.linalg.norm(path.corners[1:] - robot.base_point, axis=1)
+    distances = np.linalg.norm(stroke.path.corners[1:] - robot.base_point, axis=1)
     for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
-        yield scene.leg_key(int(k)), float(distances[k])
+        yield stroke.leg_key(int(k)), float(distances[k])
 
 
-def require_within_reach(scene: Scene, context: PlanningContext) -> None:
+def require_within_reach(context: PlanningContext) -> None:
     """Refuse a tool path that leaves the reach of the stretched arm; the error names the first such leg."""
     path, robot = context.task.path, context.robot
-    for key, distance in beyond_reach(scene, robot, path):
+    for key, distance in beyond_reach(context.stroke, robot):
         away = np.linalg.norm(context.goals.point - robot.base_point, axis=1)
         time = float(context.times[np.argmax(away > robot.reach * (1 + _ROUNDING))])
         remedy = "shorten the leg (lengths are in metres), or take another start posture"
-        if scene.begins_elsewhere:
+        if context.stroke.begins_elsewhere:
             remedy = "move the tool path (lengths are in metres)"
         raise PathNotFound(
             f"{key} ends {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out of "
@@ -222,22 +232,21 @@ def require_within_reach(scene: Scene, context: PlanningContext) -> None:
         )
 
 
-def require_tool_speed(scene: Scene, path: ToolPath) -> None:
-    """Refuse a tool path on which the tool has to be faster than the scene allows: a `SceneError`."""
-    for found in _too_fast(scene, path):
+def require_tool_speed(scene: Scene, stroke: Stroke) -> None:
+    """Refuse a stroke on which the tool has to be faster than the scene allows: a `SceneError`."""
+    for found in _too_fast(scene.tool, stroke):
         raise SceneError(scene.source, found.key, found.got, found.expected)
 
 
-def _too_fast(scene: Scene, path: ToolPath) -> Iterator[Finding]:
+def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:
     """Yield the legs that are too fast for the tool."""
-    most = scene.tool.max_speed_m_s
+    path, most = stroke.path, tool.max_speed_m_s
     if most is None:
         return
     speeds = _speeds(path)
     for k in np.flatnonzero(speeds > most * (1 + _ROUNDING)):
-        key = scene.leg_key(int(k))
         yield _warning(
-            f"{key}.seconds" if scene.legs else "tool_path.seconds",
+            f"{stroke.leg_key(int(k)) if stroke.file.legs else stroke.key}.seconds",
             f"{path.seconds[k]:g} s, in which the tool reaches {speeds[k]:.4g} m/s",
             f"at least {_rounded_up(path.seconds[k] * speeds[k] / most)} s, for tool.max_speed_m_s {most:g}",
         )
@@ -275,30 +284,31 @@ def solver_of(options: PlannerOptions) -> Literal["sqp", "slsqp"]:
     return "sqp"
 
 
-def oversized(scene: Scene, joints: int, options: PlannerOptions) -> Finding | None:
+def oversized(stroke: Stroke, joints: int, options: PlannerOptions) -> Finding | None:
     """Return what is wrong when a problem is too large for the solver that `options` would plan it with."""
     try:
         solver = solver_of(options)
     except MissingExtra:
         return None
-    slides = max(joints - task_dimension(scene.keep), 0) if options.knots == "sliding" else 0
+    slides = max(joints - task_dimension(stroke.file.keep), 0) if options.knots == "sliding" else 0
     # `SplineSpace.dimension` unknowns a joint, and the slides.
-    unknowns = (scene.via_points - SUPPORT) * joints + scene.via_points * slides
+    count = stroke.file.via_points
+    unknowns = (count - SUPPORT) * joints + count * slides
     if solver == "sqp" or unknowns <= MOST_UNKNOWNS:
         return None
     most = (MOST_UNKNOWNS + SUPPORT * joints) // (joints + slides)
     installed = importlib.util.find_spec("piqp") is not None
     how = "" if installed else f" ({install_command('fast')})"
     return _warning(
-        "tool_path.via_points",
-        f"{scene.via_points} with solver: slsqp, whose time grows with the cube of their number",
+        f"{stroke.key}.via_points",
+        f"{count} with solver: slsqp, whose time grows with the cube of their number",
         f"at most {most}, or planner.solver: sqp{how}, whose time grows in proportion",
     )
 
 
-def require_reasonable_size(scene: Scene, joints: int, options: PlannerOptions) -> None:
-    """Refuse a scene that is `oversized`: a `SceneError` with what to do about it."""
-    found = oversized(scene, joints, options)
+def require_reasonable_size(scene: Scene, stroke: Stroke, joints: int, options: PlannerOptions) -> None:
+    """Refuse a stroke that is `oversized`: a `SceneError` with what to do about it."""
+    found = oversized(stroke, joints, options)
     if found is not None:
         raise SceneError(scene.source, found.key, found.got, found.expected)
 

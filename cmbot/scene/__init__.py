@@ -1,16 +1,10 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
-from cmbot.scene.legs import ArcTo, Goal, Leg, Raster
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
-from cmbot.scene.path_builder import timed_path
-from cmbot.scene.scene import RobotSource, Scene, SceneFile
-from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
-from cmbot.scene.stow import STOW
-from cmbot.scene.template import limits_text, scene_text
-from cmbot.scene.tool import SPEED_TOLERANCE, Tool
-from cmbot.scene.tool_path import (
+from cmbot.scene.path.legs import ArcTo, Goal, Leg, Raster
+from cmbot.scene.path.tool_path import (
     ShiftedToolPath,
     SpeedProfile,
     ToolPath,
@@ -18,11 +12,17 @@ from cmbot.scene.tool_path import (
     share_out_segments,
     shortest_turns,
 )
+from cmbot.scene.scene import WORK, RobotSource, Scene, SceneFile, Stroke
+from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
+from cmbot.scene.stow import STOW
+from cmbot.scene.template import limits_text, scene_text
+from cmbot.scene.tool import SPEED_TOLERANCE, Tool
 
 __all__ = [
     "MOST_SAMPLES",
     "SPEED_TOLERANCE",
     "STOW",
+    "WORK",
     "ArcTo",
     "Box",
     "Capsule",
@@ -41,6 +41,7 @@ __all__ = [
     "ShiftedToolPath",
     "SpeedProfile",
     "Sphere",
+    "Stroke",
     "Tool",
     "ToolPath",
     "ToolPoses",
@@ -54,6 +55,5 @@ __all__ = [
     "share_out_segments",
     "shipped_scenes",
     "shortest_turns",
-    "timed_path",
     "update_file",
 ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
@@ -15,7 +15,6 @@ from cmbot.common.validation import (
     CheckedFields,
     FileModel,
     check_fields,
-    counted,
     refusal,
     require_type,
     shown,
@@ -33,14 +32,17 @@ from cmbot.scene.fields import (
     one_of_schema,
 )
 from cmbot.scene.guardrail import GuardrailFile
-from cmbot.scene.legs import Goal, Leg, Raster, Seconds, Speed, Waypoint
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
+from cmbot.scene.path.builder import PathSource, timed_path
+from cmbot.scene.path.legs import Goal, Leg, Raster
+from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
+from cmbot.scene.path.tool_path import SpeedProfile, ToolPath
 from cmbot.scene.tool import Tool
-from cmbot.scene.tool_path import SpeedProfile
 
 __all__ = [
     "FORMAT",
+    "WORK",
     "BaseFile",
     "MountFile",
     "PostureFile",
@@ -48,13 +50,12 @@ __all__ = [
     "RobotSource",
     "Scene",
     "SceneFile",
-    "ToolPathFile",
+    "Stroke",
 ]
 
 FORMAT = "cmbot-scene/2"
-
-# Duration of a tool path, s: motions are sampled every 0.01 s.
-_LONGEST = 36_000
+WORK = "work"
+"""Name of the stroke of a tool path without names."""
 
 # A path is checked as the text that a file would hold.
 _AS_TEXT = GetPydanticSchema(lambda _, handler: handler(Text))
@@ -128,62 +129,6 @@ class RobotFile(FileModel):
         return self
 
 
-class ToolPathFile(FileModel):
-    """The path of the tool from its pose in the start posture."""
-
-    model_config = ConfigDict(serialize_by_alias=True)
-
-    keep: Literal["pose", "axis", "position"] = "pose"
-    """What the path prescribes of the tool."""
-    start_pose: Annotated[Goal | None, Field(alias="from")] = None
-    """Where the path begins, in place of the tool's pose in the start posture; of ``cmbot-scene/2``."""
-    legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
-    """From where the path begins, each from rest to rest."""
-    waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=3, max_length=2000)] = None
-    """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
-    it passes without a stop, from the first to the last; in a file also the path of a CSV file with these
-    columns, relative to it; of ``cmbot-scene/2``."""
-    raster: Raster | None = None
-    """In place of `legs`, rows over a rectangle, with `blend_radius_m` without a stop; of
-    ``cmbot-scene/2``."""
-    seconds: Seconds | None = None
-    """Duration of the path through `waypoints` or of `raster`, s."""
-    speed_m_s: Speed | None = None
-    """In place of it the speed at which the tool cruises along them, m/s."""
-    blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
-    """Radius by which corners between straight legs are rounded, m; left out, and where the way turns by
-    more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
-    speed_profile: SpeedProfile = SpeedProfile()
-    via_points: Annotated[int, Field(ge=5, le=20000)] = 50
-    """Via-points in all; the ends of the legs are among them."""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        given = [name for name in ("legs", "waypoints", "raster") if getattr(self, name)]
-        if len(given) != 1:
-            got = " and ".join(given) or "neither"
-            raise refusal("either legs, waypoints or a raster", got=got, key=("legs",))
-        for name in ("seconds", "speed_m_s"):
-            if self.legs and getattr(self, name) is not None:
-                raise refusal("no such key beside legs, which have their own", got="a value", key=(name,))
-        if self.waypoints is not None and self.blend_radius_m is not None:
-            expected = "no such key beside waypoints, which have no corners"
-            raise refusal(expected, got="a value", key=("blend_radius_m",))
-        if not self.legs:
-            exactly_one(self, ("seconds", "speed_m_s"))
-            if self.start_pose is not None:
-                expected = "no such key beside waypoints or a raster, where the path begins"
-                raise refusal(expected, got="a pose", key=("from",))
-        if self.via_points <= len(self.legs):
-            expected = f"more than the {len(self.legs)} legs"
-            raise refusal(expected, got=self.via_points, key=("via_points",))
-        seconds = sum(leg.seconds or leg.pause or 0.0 for leg in self.legs)
-        if seconds > _LONGEST:
-            expected = f"legs of at most {_LONGEST:,} s in all (10 h)"
-            raise refusal(expected, got=f"{seconds:g} s", key=("legs",))
-        return self
-
-
 class SceneFile(FileModel):
     """The robot, its start posture, the tool path and the surroundings; in m, s, kg and degrees."""
 
@@ -238,7 +183,7 @@ class SceneFile(FileModel):
             for name in ("base", "start", "return_", "tool", "frames")
             if getattr(self, name) is not None
         ]
-        newer = ("start_pose", "waypoints", "raster", "blend_radius_m")
+        newer = ("start_pose", "waypoints", "raster", "blend_radius_m", "strokes")
         named = {name: field.alias or name for name, field in type(path).model_fields.items()}
         keys += [("tool_path", named[name]) for name in newer if getattr(path, name) is not None]
         keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
@@ -349,6 +294,41 @@ _ITEM_TYPES: dict[str, tuple[type, str]] = {"legs": (Leg, "a Leg"), "obstacles":
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Stroke:
+    """A path with the tool on.
+
+    Attributes
+    ----------
+    name : str
+    key : str
+        Of its description in the scene file.
+    file : StrokeFile
+        Its description.
+    path : ToolPath
+    begins_elsewhere : bool
+        Whether the arm has to be brought to its start: not the first one from the tool's pose in the scene's
+        posture.
+    """
+
+    name: str
+    key: str
+    file: StrokeFile
+    path: ToolPath
+    begins_elsewhere: bool
+
+    @cached_property
+    def via_times(self) -> FloatArray:
+        """Times of its via-points (k,), s."""
+        return self.path.via_times(self.file.via_points)
+
+    def leg_key(self, leg: int) -> str:
+        """Return the key of a leg of the timed path, as far as it has one of its own."""
+        if not self.file.legs:
+            return f"{self.key}.waypoints" if self.file.raster is None else f"{self.key}.raster"
+        return f"{self.key}.legs[{leg}]" if self.file.blend_radius_m is None else f"{self.key}.legs"
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Scene:
     """A planning problem and its surroundings. Equal `content_hash` means the same scene.
 
@@ -382,6 +362,8 @@ class Scene:
     speed_profile : SpeedProfile
     via_points : int
         In all, with the ends of the legs.
+    strokes : tuple of StrokeFile or None
+        In place of all from `keep` to here: several paths with the tool on.
     obstacles : tuple of Obstacle
         The scene's own, then the members of the guardrail.
     guardrail : Guardrail
@@ -405,7 +387,7 @@ class Scene:
     posture: FloatArray
     return_to: Literal["stow", "start", "none"]
     tool: Tool
-    keep: Literal["pose", "axis", "position"]
+    keep: Literal["pose", "axis", "position"] = "pose"
     start_pose: Goal | None = None
     legs: tuple[Leg, ...] = ()
     waypoints: tuple[tuple[float, ...], ...] | None = None
@@ -413,8 +395,9 @@ class Scene:
     seconds: float | None = None
     speed_m_s: float | None = None
     blend_radius_m: float | None = None
-    speed_profile: SpeedProfile
-    via_points: int
+    speed_profile: SpeedProfile = field(default_factory=SpeedProfile)
+    via_points: int = 50
+    strokes: tuple[StrokeFile, ...] | None = None
     obstacles: tuple[Obstacle, ...]
     guardrail: Guardrail
     planner: PlannerOptions
@@ -422,30 +405,41 @@ class Scene:
     content_hash: str
 
     @property
-    def begins_elsewhere(self) -> bool:
-        """Whether the tool path begins at a pose of its own, not at that of the tool in `posture`."""
-        return any(each is not None for each in (self.start_pose, self.waypoints, self.raster))
-
-    def leg_key(self, leg: int) -> str:
-        """Return the key of a leg of the timed path, as far as it has one of its own."""
-        if self.raster is not None or self.waypoints is not None:
-            return "tool_path.waypoints" if self.raster is None else "tool_path.raster"
-        return f"tool_path.legs[{leg}]" if self.blend_radius_m is None else "tool_path.legs"
+    def each_stroke(self) -> tuple[StrokeFile, ...]:
+        """What describes each stroke: one without a name of its own is the ``work``."""
+        if self.strokes is not None:
+            return self.strokes
+        own = {name: getattr(self, name) for name in PathFile.model_fields}
+        return (StrokeFile.model_construct(name=WORK, **own),)
 
     @property
-    def path_in_words(self) -> str:
-        """What the tool path is made of."""
-        if self.raster is not None:
-            rows, area = counted(self.raster.rows, "row"), f"{self.raster.area:.3g} m2"
-            return f"a raster of {rows} over {area}"
-        if self.waypoints is not None:
-            return f"a spline through {counted(len(self.waypoints), 'waypoint')}"
-        return counted(len(self.legs), "leg")
+    def begins_elsewhere(self) -> bool:
+        """Whether the first stroke begins at a pose of its own, not at that of the tool in `posture`."""
+        return self.each_stroke[0].has_start
 
     @property
     def pinned_posture(self) -> str:
         """What ``start: pinned`` starts in, in words."""
         return "posture nearest to the scene's" if self.begins_elsewhere else "scene's posture"
+
+    def timed_strokes(self, X_WT: FloatArray) -> tuple[Stroke, ...]:
+        """Return the strokes, from the pose (4, 4) of the tool in `posture`.
+
+        Raises
+        ------
+        SceneError
+            When one of their paths is none.
+        """
+        strokes = list[Stroke]()
+        for k, file in enumerate(self.each_stroke):
+            key = "tool_path" if self.strokes is None else f"tool_path.strokes[{k}]"
+            path = timed_path(file, PathSource(source=self.source, key=key, frames=self.frames), X_WT)
+            elsewhere = file.has_start or k > 0
+            strokes.append(
+                Stroke(name=str(file.name), key=key, file=file, path=path, begins_elsewhere=elsewhere)
+            )
+            X_WT = path.end_pose
+        return tuple(strokes)
 
     @cached_property
     def frames(self) -> dict[str, FloatArray]:

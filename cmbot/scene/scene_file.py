@@ -78,12 +78,22 @@ def _require_model(data: Mapping[str, Any], path: Path) -> None:
 
 
 def _read_waypoints(data: Mapping[str, Any], path: Path) -> None:
-    """Put the rows of a CSV file of waypoints where a scene names it, in place."""
+    """Put the rows of CSV files of waypoints where a scene names them, in place."""
     tool_path = data.get("tool_path")
-    if not isinstance(tool_path, dict) or not isinstance(tool_path.get("waypoints"), str):
+    if not isinstance(tool_path, dict):
         return
-    key = "tool_path.waypoints"
-    source = _found(path.parent, str(path), tool_path["waypoints"], key)
+    strokes = tool_path.get("strokes")
+    paths = {"tool_path": tool_path}
+    if isinstance(strokes, list):
+        paths |= {f"tool_path.strokes[{k}]": stroke for k, stroke in enumerate(strokes)}
+    for key, entry in paths.items():
+        if isinstance(entry, dict) and isinstance(entry.get("waypoints"), str):
+            source = _found(path.parent, str(path), entry["waypoints"], f"{key}.waypoints")
+            entry["waypoints"] = _waypoints(source)
+
+
+def _waypoints(source: Path) -> list[list[float]]:
+    """The rows of a CSV file of waypoints."""
     content = read_input(source, SceneError, kind="a CSV file of waypoints", largest=_LARGEST_WAYPOINTS)
     try:
         rows = list(csv.reader(content.decode("utf-8-sig").splitlines()))
@@ -103,7 +113,7 @@ def _read_waypoints(data: Mapping[str, Any], path: Path) -> None:
             got = shown(",".join(row))
             raise SceneError(str(source), f"line {line}", got, f"{len(_WAYPOINT_COLUMNS)} finite numbers")
         waypoints.append(numbers)
-    tool_path["waypoints"] = waypoints
+    return waypoints
 
 
 def shipped_scenes() -> tuple[str, ...]:

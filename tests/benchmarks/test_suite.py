@@ -17,7 +17,7 @@ from suite.world import World
 from cmbot.campaign import Job, JobResult, JobStatus
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import Plan, robot_of, task_of
+from cmbot.planning import Plan, robot_of, strokes_of, task_of
 from cmbot.robot import Dynamics, Kinematics, Postures
 from cmbot.scene import Scene
 
@@ -51,7 +51,7 @@ def test_a_scenes_number_and_seed_determine_it(folders: list[Path], tmp_path: Pa
 def test_the_oracle_sees_what_the_package_sees(folders: list[Path], number: int) -> None:
     scene, world, path, R = read_scene(folders[number])
     robot = robot_of(scene)
-    task = task_of(scene, robot)
+    task = task_of(strokes_of(scene, robot)[0], scene)
     assert tuple(world.joints) == robot.joints
     np.testing.assert_allclose(R, task.path.orientation, atol=1e-12)
     times = np.linspace(0.0, path.duration, 50)

@@ -13,7 +13,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import validated
-from cmbot.planning import Certificate, Job, Plan, QuinticTrajectory, certify, robot_of, task_of
+from cmbot.planning import Certificate, Job, Plan, QuinticTrajectory, certify, robot_of, strokes_of, task_of
 from cmbot.scene import Scene, SceneFile, scene_from_file
 
 Forge = Callable[[QuinticTrajectory], QuinticTrajectory]
@@ -183,7 +183,7 @@ def certified(scene: Scene, planned: Plan, trajectory: QuinticTrajectory) -> Cer
     robot = robot_of(scene)
     return certify(
         robot,
-        task_of(scene, robot),
+        task_of(strokes_of(scene, robot)[0], scene),
         trajectory,
         Clearances(robot, scene.obstacles),
         planned.options,

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.planning import ToolTask, robot_of, task_of
+from cmbot.planning import ToolTask, robot_of, strokes_of, task_of
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.torque.problem import TorqueProblem, parametrization_through
@@ -42,7 +42,12 @@ def short_scene(
 def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
     """Robot, task, posture and clearances of a scene."""
     robot = robot_of(scene)
-    return robot, task_of(scene, robot), scene.posture, Clearances(robot, scene.obstacles)
+    return (
+        robot,
+        task_of(strokes_of(scene, robot)[0], scene),
+        scene.posture,
+        Clearances(robot, scene.obstacles),
+    )
 
 
 def path_through(corners: FloatArray, orientation: FloatArray) -> ToolPath:

@@ -13,7 +13,7 @@ from small_scenes import context_of, problem_of, short_scene
 from cmbot.common.errors import SceneError
 from cmbot.common.installation import install_command
 from cmbot.planning import plan, precheck
-from cmbot.planning.context import PlanningContext
+from cmbot.planning.context import PlanningContext, robot_of, strokes_of
 from cmbot.planning.path.projection import TangentPredictor, project_onto_task
 from cmbot.planning.precheck import MOST_UNKNOWNS, oversized, precheck_scene
 from cmbot.planning.selfmotion import charts as self_motion
@@ -151,7 +151,7 @@ def large(via_points: int, **options: object) -> Scene:
 
 def too_large(via_points: int, **options: object) -> Finding | None:
     scene = large(via_points, **options)
-    return oversized(scene, 7, scene.planner)
+    return oversized(strokes_of(scene, robot_of(scene))[0], 7, scene.planner)
 
 
 def test_slsqp_refuses_what_would_take_it_hours() -> None:

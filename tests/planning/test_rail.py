@@ -12,7 +12,7 @@ from small_scenes import off_task, problem_of
 
 import cmbot
 from cmbot.common.errors import SceneError
-from cmbot.planning import Plan, remarks, robot_of, task_of
+from cmbot.planning import Plan, remarks, robot_of, strokes_of, task_of
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
@@ -62,7 +62,7 @@ def test_forces_that_are_halved_are_noticed(rail_plan: Plan, monkeypatch: pytest
 
     def broken() -> set[str]:
         checks = second_opinion(
-            rail_plan.scene, rail_plan.options, rail_plan.trajectory, robot=rail_plan.robot, at_work=True
+            rail_plan.scene, rail_plan.options, rail_plan.trajectory, robot=rail_plan.robot, stroke=0
         )
         return {check.quantity for check in checks if not check.holds}
 
@@ -119,7 +119,7 @@ def test_postures_in_degrees_are_refused(tmp_path: Path) -> None:
         with pytest.raises(
             SceneError, match=r"posture_deg: got degrees, but rail slides, expected start: {po"
         ):
-            task_of(scene, robot_of(scene))
+            task_of(strokes_of(scene, robot_of(scene))[0], scene)
     with pytest.raises(SceneError, match="start: got start, expected no such key beside posture_deg"):
         load_scene(rail_data(tmp_path, {"posture_deg": degrees, "start": {"posture": POSTURE}}))
     with pytest.raises(SceneError, match="start: got posture_deg and posture, expected exactly one"):

@@ -52,7 +52,7 @@ def scene_of(kind: str, posture: list[float] | None = None, keep: str = "pose", 
 
 def broken(scene: Scene, of: Plan, trajectory: QuinticTrajectory | None = None) -> set[str]:
     """Checks of a second opinion that fail."""
-    checks = second_opinion(scene, of.options, trajectory or of.trajectory, robot=of.robot, at_work=True)
+    checks = second_opinion(scene, of.options, trajectory or of.trajectory, robot=of.robot, stroke=0)
     return {check.quantity for check in checks if not check.holds}
 
 

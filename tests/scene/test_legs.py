@@ -16,7 +16,7 @@ from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning.verification.scene_path import ScenePath
-from cmbot.scene import ArcTo, Goal, Leg, Scene, timed_path, update_file
+from cmbot.scene import ArcTo, Goal, Leg, Scene, update_file
 
 SECOND = {
     **{key: value for key, value in SHORT.items() if key != "posture_deg"},
@@ -80,7 +80,7 @@ def check_path(scene: Scene) -> None:
     """The timed poses against the second computation of them."""
     X_WT = np.eye(4)
     X_WT[:3, :3], X_WT[:3, 3] = Rotation.from_rotvec([0.3, -1.2, 0.5]).as_matrix(), WHERE
-    path, second = timed_path(scene, X_WT), ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3])
+    path, second = scene.timed_strokes(X_WT)[0].path, ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3])
     times = np.unique(np.concatenate([np.linspace(0, path.duration, 301), path.breaks]))
     p, R = second.poses(times)
     poses = path.poses(times)
@@ -119,7 +119,7 @@ def test_waypoints_are_passed(seed: int, time: dict[str, float], profile: dict[s
     rows = waypoint_rows(np.random.default_rng(seed))
     scene = scene_of(waypoints=rows.tolist(), speed_profile=profile, **time)
     check_path(scene)
-    path = timed_path(scene, np.eye(4))
+    path = scene.timed_strokes(np.eye(4))[0].path
     times = np.linspace(0, path.duration, 20_001)
     points = path.position(times)
     for row in rows:
@@ -150,7 +150,7 @@ def test_rasters_cover_their_rectangle(
     raster |= {"overscan_m": 0.02, "frame": frame}
     scene = scene_of(raster=raster, **time, **({"blend_radius_m": 0.02} if blended else {}))
     check_path(scene)
-    path = timed_path(scene, np.eye(4))
+    path = scene.timed_strokes(np.eye(4))[0].path
     if blended:
         assert len(path.seconds) == 1
         return
@@ -176,7 +176,7 @@ def test_the_tool_cruises_at_the_speed_that_is_asked(leg: dict[str, Any]) -> Non
         scene = scene_of(legs=[{**leg, "speed_m_s": 0.07}], speed_profile={"ramp": ramp})
         X_WT = np.eye(4)
         X_WT[:3, 3] = WHERE
-        path = timed_path(scene, X_WT)
+        path = scene.timed_strokes(X_WT)[0].path
         speed = np.linalg.norm(path.velocity(np.linspace(0, path.duration, 1001)), axis=1)
         assert speed.max() == pytest.approx(0.07, rel=1e-9)
 
@@ -184,7 +184,7 @@ def test_the_tool_cruises_at_the_speed_that_is_asked(leg: dict[str, Any]) -> Non
 @pytest.mark.parametrize("radius", [None, 0.05])
 def test_a_raster_is_covered_at_its_speed(radius: float | None) -> None:
     more = {} if radius is None else {"blend_radius_m": radius}
-    path = timed_path(scene_of(raster=RASTER, speed_m_s=0.1, **more), np.eye(4))
+    path = scene_of(raster=RASTER, speed_m_s=0.1, **more).timed_strokes(np.eye(4))[0].path
     speed = np.linalg.norm(path.velocity(np.linspace(0, path.duration, 4001)), axis=1)
     assert speed.max() == pytest.approx(0.1, rel=1e-6)
 
@@ -288,7 +288,7 @@ def test_what_a_tool_path_cannot_be(tool_path: dict[str, Any], key: str, expecte
 )
 def test_what_a_leg_cannot_do(leg: dict[str, Any], key: str, expected: str) -> None:
     with pytest.raises(SceneError) as caught:
-        timed_path(scene_of(legs=[leg]), np.eye(4))
+        scene_of(legs=[leg]).timed_strokes(np.eye(4))
     assert caught.value.key == f"tool_path.{key}"
     assert expected in caught.value.expected
 

@@ -24,33 +24,42 @@ _SHARPEST = float(np.arccos(-0.866))
 
 
 class ScenePath:
-    """Where a scene has the tool, from its pose `p` (3,), m, and `R` (3, 3) in the scene's posture."""
+    """Where a scene has the tool along a stroke.
 
-    def __init__(self, scene: Scene, p: FloatArray, R: FloatArray) -> None:
-        self._scene, self._frames = scene, {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
-        for name, frame in (scene.file.frames or {}).items():
-            self._frames[name] = np.array(frame.xyz), _rpy(frame.rpy_deg)
-        if scene.start_pose is not None:
-            p, R = self._goal(scene.start_pose, R)
+    From its pose `p` (3,), m, and `R` (3, 3) in the scene's posture through the strokes before.
+    """
+
+    def __init__(self, scene: Scene, p: FloatArray, R: FloatArray, number: int = 0) -> None:
+        for file in scene.each_stroke[: number + 1]:
+            self._file, self._frames = file, {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
+            for name, frame in (scene.file.frames or {}).items():
+                self._frames[name] = np.array(frame.xyz), _rpy(frame.rpy_deg)
+            # Of each leg: seconds, points and orientations by the share that is covered.
+            self._legs: list[tuple[float, _Points, _Points]] = []
+            p, R = self._follow(p, R)
+
+    def _follow(self, p: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Put the legs together; where the tool is after them."""
+        file = self._file
+        if file.start_pose is not None:
+            p, R = self._goal(file.start_pose, R)
             self._frames["tool"] = p, R
-        # Of each leg: seconds, points and orientations by the share that is covered.
-        self._legs: list[tuple[float, _Points, _Points]] = []
-        if scene.waypoints is not None:
-            self._add_spline(np.array(scene.waypoints, dtype=float))
-        legs = scene.legs
-        if scene.raster is not None:
-            p, R, legs = self._raster(scene.raster, R)
+        if file.waypoints is not None:
+            return self._add_spline(np.array(file.waypoints, dtype=float))
+        legs = file.legs
+        if file.raster is not None:
+            p, R, legs = self._raster(file.raster, R)
         straight: list[FloatArray] = []
         given = cruising = 0.0
         for leg in legs:
             seconds, points, orientations, end = self._leg(leg, p, R)
-            bends = scene.blend_radius_m is not None and leg.pause is None and leg.arc is None
+            bends = file.blend_radius_m is not None and leg.pause is None and leg.arc is None
             bends = bends and bool(np.allclose(end[1], R, rtol=0, atol=1e-12))
             bends = bends and float(np.linalg.norm(end[0] - p)) >= 1e-6
             if bends and straight and _turn(straight[-2], p, end[0]) < _SHARPEST:
                 self._legs.pop()
                 straight.append(end[0])
-                points, length = _blended(np.array(straight), scene.blend_radius_m or 0.0)
+                points, length = _blended(np.array(straight), file.blend_radius_m or 0.0)
                 sides = float(np.linalg.norm(np.diff(straight, axis=0), axis=1).sum())
                 given += leg.seconds or 0.0
                 cruising += 0.0 if leg.speed_m_s is None else seconds
@@ -61,6 +70,7 @@ class ScenePath:
                 given, cruising = (seconds, 0.0) if leg.speed_m_s is None else (0.0, seconds)
             self._legs.append((seconds, points, orientations))
             p, R = end
+        return p, R
 
     def poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points (N, 3), m, and orientations (N, 3, 3): at rest at the ends of each leg."""
@@ -72,7 +82,7 @@ class ScenePath:
             here = leg == k
             left = np.clip((ends[k] - times[here]) / seconds, 0.0, 1.0)
             # A profile is symmetric in time: what is left is what its rest would cover from the start.
-            share = 1 - _covered(self._scene.speed_profile, left)
+            share = 1 - _covered(self._file.speed_profile, left)
             p[here], R[here] = points(share), orientations(share)
         return p, R
 
@@ -85,7 +95,7 @@ class ScenePath:
         seconds = np.array([each for each, _, _ in self._legs])
         segments = np.ones(len(seconds), dtype=np.intp)
         shares = np.round(seconds / seconds.sum(), _DIGITS)
-        for _ in range(self._scene.via_points - 1 - len(seconds)):
+        for _ in range(self._file.via_points - 1 - len(seconds)):
             segments[np.argmax(shares / (segments + 1))] += 1
         ends = np.cumsum(seconds)
         begins = np.concatenate([[0.0], ends[:-1]])
@@ -118,7 +128,7 @@ class ScenePath:
 
     def _cruise(self, length: float, speed: float | None) -> float:
         """Seconds in which a leg is covered when the tool cruises at a speed between two ramps."""
-        return length / ((speed or np.nan) * float(_travelled(self._scene.speed_profile, np.ones(1))[0]))
+        return length / ((speed or np.nan) * float(_travelled(self._file.speed_profile, np.ones(1))[0]))
 
     def _goal(self, goal: Goal, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A pose in W, from the orientation `R` before."""
@@ -180,11 +190,11 @@ class ScenePath:
         legs = []
         for way in ways:
             share = float(np.linalg.norm(way)) / total
-            seconds = None if self._scene.seconds is None else self._scene.seconds * share
-            legs.append(Leg(by=_three(way), seconds=seconds, speed_m_s=self._scene.speed_m_s))
+            seconds = None if self._file.seconds is None else self._file.seconds * share
+            legs.append(Leg(by=_three(way), seconds=seconds, speed_m_s=self._file.speed_m_s))
         return p, self._goal(local, R)[1], tuple(legs)
 
-    def _add_spline(self, rows: FloatArray) -> None:
+    def _add_spline(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         from scipy.interpolate import make_interp_spline
         from scipy.spatial.transform import RotationSpline
 
@@ -193,9 +203,10 @@ class ScenePath:
         at = np.append(0.0, np.cumsum(steps)) / steps.sum()
         spline = make_interp_spline(at, points, k=3)
         orientations = RotationSpline(at, Rotation.from_quat(rows[:, 3:], scalar_first=True))
-        scene = self._scene
-        seconds = scene.seconds or self._cruise(_length(spline.derivative(), at), scene.speed_m_s)
+        file = self._file
+        seconds = file.seconds or self._cruise(_length(spline.derivative(), at), file.speed_m_s)
         self._legs.append((seconds, spline, lambda share: orientations(share).as_matrix()))
+        return points[-1], orientations(1.0).as_matrix()
 
 
 def _three(vector: FloatArray) -> tuple[float, float, float]:

@@ -32,7 +32,7 @@ from cmbot.scene import (
     Scene,
     Shape,
     Sphere,
-    timed_path,
+    Stroke,
 )
 from cmbot.trajectory import QuinticTrajectory
 
@@ -59,7 +59,7 @@ def second_opinion(
     trajectory: QuinticTrajectory,
     *,
     robot: Robot,
-    at_work: bool,
+    stroke: int | None,
     sag: Sag | None = None,
 ) -> tuple[Check, ...]:
     """Compute again, by another route, what a certificate stands on.
@@ -76,8 +76,9 @@ def second_opinion(
     trajectory : QuinticTrajectory
     robot : Robot
         What the package made of the scene's robot.
-    at_work : bool
-        False with the tool off: it may be anywhere, and no process force acts on it.
+    stroke : int or None
+        Number of the stroke, from 0. None with the tool off: it may be anywhere, and no process force acts on
+        it.
     sag : Sag, optional
         Where it is compensated. Then the commanded tool is not on the path, and its place is not judged.
 
@@ -87,8 +88,8 @@ def second_opinion(
         When the robot's files cannot be read as they were for `robot`.
     """
     body = read_multibody(scene.robot)
-    robot = robot if at_work else robot.tool_off
-    tool_force = scene.tool.process_force_n if at_work else (0.0, 0.0, 0.0)
+    robot = robot.tool_off if stroke is None else robot
+    tool_force = (0.0, 0.0, 0.0) if stroke is None else scene.tool.process_force_n
     known = _joints_check(body, robot, trajectory)
     if not known.holds:
         return (known,)
@@ -102,13 +103,14 @@ def second_opinion(
         *_bound_checks(body, trajectory, times, motion),
         *_clearance_checks(scene, options, body, robot, times, motion[0]),
     ]
-    if at_work:
+    if stroke is not None:
         X_WT = np.eye(4)
         X_WT[:3, 3], X_WT[:3, :3] = (pose[0] for pose in body.tool_poses(scene.posture[None]))
-        path = ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3])
-        checks += _path_checks(scene, path, X_WT, times)
+        path = ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3], stroke)
+        checks += _path_checks(scene.timed_strokes(X_WT)[stroke], path, times)
         if sag is None:
-            checks += _via_point_checks(scene, path, body, trajectory)
+            keep = scene.each_stroke[stroke].keep
+            checks += _via_point_checks(keep, path, body, trajectory)
             checks += _speed_checks(scene, body, times, motion)
     return tuple(checks)
 
@@ -299,9 +301,9 @@ def _obstacle_shapes(shape: Shape) -> Iterator[tuple[FloatArray, ConvexShape]]:
                 yield X, convex
 
 
-def _path_checks(scene: Scene, own: ScenePath, X_WT: FloatArray, times: FloatArray) -> Iterator[Check]:
+def _path_checks(stroke: Stroke, own: ScenePath, times: FloatArray) -> Iterator[Check]:
     """What the package's timed path differs by."""
-    path = timed_path(scene, X_WT)
+    path = stroke.path
     poses, (p, R) = path.poses(times), own.poses(times)
     away = np.linalg.norm(poses.point - p, axis=1)
     bound = _POSES * max(1.0, float(np.abs(path.corners).max()))
@@ -309,13 +311,13 @@ def _path_checks(scene: Scene, own: ScenePath, X_WT: FloatArray, times: FloatArr
     turned = _angles(np.broadcast_to(poses.rotation, R.shape), R)
     yield _worst(f"turn between the timed tool path and that {_FROM}", times, turned, _POSES, "rad")
     via_times = own.via_times()
-    late = np.abs(path.via_times(scene.via_points) - via_times)
+    late = np.abs(stroke.via_times - via_times)
     bound = _SHARES * float(via_times[-1])
     yield _worst(f"difference of the via-points' times {_FROM}", via_times, late, bound, "s")
 
 
 def _via_point_checks(
-    scene: Scene, path: ScenePath, body: Multibody, trajectory: QuinticTrajectory
+    keep: str, path: ScenePath, body: Multibody, trajectory: QuinticTrajectory
 ) -> Iterator[Check]:
     """Whether the tool is at its timed pose at the via-points."""
     ends = trajectory.t[[0, -1]]
@@ -325,9 +327,9 @@ def _via_point_checks(
     p_timed, R_timed = path.poses(times)
     away = np.linalg.norm(p - p_timed, axis=1)
     yield _worst("distance of the tool from its timed via-point", times, away, _VIA_POINT, "m")
-    if scene.keep == "position":
+    if keep == "position":
         return
-    turned = _angles(R, R_timed) if scene.keep == "pose" else _between(R[:, :, 2], R_timed[:, :, 2])
+    turned = _angles(R, R_timed) if keep == "pose" else _between(R[:, :, 2], R_timed[:, :, 2])
     yield _worst("turn of the tool at its via-point", times, turned, _VIA_POINT, "rad")
 
 

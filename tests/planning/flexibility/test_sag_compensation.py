@@ -23,6 +23,7 @@ from cmbot.planning import (
     remarks,
     robot_of,
     sag_of,
+    strokes_of,
     task_of,
 )
 from cmbot.planning.context import PlanningContext
@@ -49,7 +50,7 @@ def test_the_bent_arm_follows_the_path(compensated: Plan) -> None:
     q = compensated.trajectory.evaluate(t)
     commanded = tool_points(robot, q)
     bent = commanded + sag.at(q).tool
-    legs = task_of(scene, robot).path
+    legs = task_of(strokes_of(scene, robot)[0], scene).path
     assert np.linalg.norm(legs.leg_offset(t, bent), axis=1).max() <= ALLOWED
     # Without the shift the arm would be about a centimetre off.
     assert np.linalg.norm(legs.leg_offset(t, commanded), axis=1).max() > 5 * ALLOWED
@@ -149,7 +150,7 @@ def test_derivative_of_the_sags_length(rng: np.random.Generator) -> None:
 
 def test_a_shifted_path_is_the_path_and_the_shift(rng: np.random.Generator) -> None:
     scene = load_scene("triangle")
-    path = task_of(scene, robot_of(scene)).path
+    path = task_of(strokes_of(scene, robot_of(scene))[0], scene).path
     knots = np.linspace(0, path.duration, 12)
     shift = CubicSpline(knots, rng.uniform(-0.02, 0.02, (12, 3)))
     shifted = ShiftedToolPath(**{each.name: getattr(path, each.name) for each in fields(path)}, shift=shift)

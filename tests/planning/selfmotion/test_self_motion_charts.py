@@ -13,7 +13,7 @@ from small_scenes import goals_at, off_task, task_at
 from urdf_arms import endless_scene, panda_scene
 
 from cmbot.collision import Clearances
-from cmbot.planning import robot_of, task_of
+from cmbot.planning import robot_of, strokes_of, task_of
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import objective_of
 from cmbot.planning.path.projection import project_onto_task
@@ -126,7 +126,7 @@ def test_a_charts_postures_hold_the_task_apart_from_each_other(
 
 def test_charts_along_a_path_are_complete(cmbot_robot: Robot) -> None:
     scene = load_scene("triangle")
-    task = task_of(scene, cmbot_robot)
+    task = task_of(strokes_of(scene, cmbot_robot)[0], scene)
     goals = task.path.poses(task.path.via_times(50))
     charts = charts_along(context_for(cmbot_robot, task, 0.2), goals, scene.posture[None])
     assert len(charts) == len(goals)
@@ -145,7 +145,7 @@ def test_other_arms_charts_are_complete(
     """No posture that random restarts find lies farther than the spacing from the chart."""
     scene = make(tmp_path, keep=keep)
     robot = robot_of(scene)
-    task, limits = task_of(scene, robot), robot.limits
+    task, limits = task_of(strokes_of(scene, robot)[0], scene), robot.limits
     sampler = SelfMotionSampler(context_for(robot, task, 0.15, seeds=200))
     chart = sampler.first(task.path.poses([0.0]), scene.posture[None])
     lower, upper = np.maximum(limits.lower, -np.pi), np.minimum(limits.upper, np.pi)

@@ -18,7 +18,7 @@ from random_arms import random_arm
 from small_scenes import short_scene
 from urdf_arms import arm_scene, endless_scene, six_joint_scene
 
-import cmbot.scene.path_builder
+import cmbot.scene.path.builder
 from cmbot.collision import Clearances
 from cmbot.common.errors import ModelError
 from cmbot.planning import Plan, QuinticTrajectory, plan, robot_of
@@ -52,7 +52,7 @@ def broken(planned: Plan, **changes: Any) -> set[str]:
         "options": planned.options,
         "trajectory": planned.trajectory,
         "robot": planned.robot,
-        "at_work": True,
+        "stroke": 0,
     }
     return {check.quantity for check in second_opinion(**(given | changes)) if not check.holds}
 
@@ -78,7 +78,7 @@ def test_the_package_agrees(name: str, tmp_path: Path) -> None:
     scene = SCENES[name](tmp_path)
     robot = robot_of(scene)
     trajectory = swing(robot, sum(leg.seconds for leg in scene.legs))
-    checks = second_opinion(scene, scene.planner, trajectory, robot=robot, at_work=True)
+    checks = second_opinion(scene, scene.planner, trajectory, robot=robot, stroke=0)
     compared = [check for check in checks if check.quantity.startswith(("difference", "joints that"))]
     assert len(compared) == 10
     assert not [check for check in compared if not check.holds]
@@ -131,7 +131,7 @@ def test_bodies_move_as_in_the_paper(cmbot_robot: Robot, random_states: StateSam
 def test_the_timed_path_agrees(kind: Any, ramp: float) -> None:
     scene = replace(load_scene("triangle"), speed_profile=SpeedProfile(kind=kind, ramp=ramp), via_points=37)
     robot = robot_of(scene)
-    checks = second_opinion(scene, scene.planner, swing(robot, 20), robot=robot, at_work=True)
+    checks = second_opinion(scene, scene.planner, swing(robot, 20), robot=robot, stroke=0)
     path = {check.quantity: check.holds for check in checks if "time" in check.quantity}
     assert path["difference of the timed tool path from a second computation"]
     assert path["difference of the via-points' times from a second computation"]
@@ -142,7 +142,7 @@ def test_plans_hold(name: str, request: pytest.FixtureRequest) -> None:
     planned: Plan = request.getfixturevalue(name)
     assert not broken(planned)
     if planned.approach is not None:
-        assert not broken(planned, trajectory=planned.approach.trajectory, at_work=False)
+        assert not broken(planned, trajectory=planned.approach.trajectory, stroke=None)
 
 
 def test_a_bent_tool_is_not_judged(compensated_short: Any) -> None:
@@ -225,7 +225,7 @@ def test_a_planner_whose_legs_are_short(monkeypatch: pytest.MonkeyPatch) -> None
         return ToolPath(corners=corners[0] + 0.1 * (corners - corners[0]), **fields)
 
     with monkeypatch.context() as patch:
-        patch.setattr(cmbot.scene.path_builder, "ToolPath", short_path)
+        patch.setattr(cmbot.scene.path.builder, "ToolPath", short_path)
         planned = plan(short_scene())
     assert broken(planned) == {"distance of the tool from its timed via-point"}
 
@@ -314,7 +314,7 @@ def test_the_margin_is_the_one_that_was_promised(short_plan: Plan) -> None:
             short_plan.options,
             short_plan.trajectory,
             robot=short_plan.robot,
-            at_work=True,
+            stroke=0,
         )
         if check.quantity.startswith("clearance")
     )
@@ -331,7 +331,7 @@ def test_nothing_to_hit(short_plan: Plan, tmp_path: Path) -> None:
     kept = [line for line in text.splitlines() if not line.startswith("<collision name")]
     urdf.write_text("\n".join(kept), encoding="utf-8")
     robot = robot_of(scene)
-    checks = second_opinion(scene, scene.planner, swing(robot, 4), robot=robot, at_work=False)
+    checks = second_opinion(scene, scene.planner, swing(robot, 4), robot=robot, stroke=None)
     clearance = {check.quantity: check for check in checks if "clearance" in check.quantity}
     assert clearance["difference of the clearance from a second computation"].value == 0
     assert np.isposinf(clearance["clearance by a second computation"].value)

@@ -8,8 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
-from cmbot.scene.curves import Arc, Blend, Curve, Spline
-from cmbot.scene.tool_path import SpeedProfile, ToolPath
+from cmbot.scene.path.curves import Arc, Blend, Curve, Spline
+from cmbot.scene.path.tool_path import SpeedProfile, ToolPath
 from cmbot.trajectory import Pieces, QuinticTrajectory
 
 seeds = st.integers(0, 2**32 - 1)

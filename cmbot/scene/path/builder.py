@@ -1,7 +1,8 @@
-"""The timed tool path that a scene's legs and waypoints make."""
+"""The timed tool path that legs, waypoints or a raster make."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,41 +11,59 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import shown
-from cmbot.scene.curves import Arc, Blend, Curve, Spline, rounded
-from cmbot.scene.legs import SHORTEST_LEG, ArcTo, Goal, Leg, Raster
 from cmbot.scene.obstacles import pose
-from cmbot.scene.scene import Scene
-from cmbot.scene.tool_path import ToolPath, shortest_turns
+from cmbot.scene.path.curves import Arc, Blend, Curve, Spline, rounded
+from cmbot.scene.path.legs import SHORTEST_LEG, ArcTo, Goal, Leg, Raster
+from cmbot.scene.path.path_file import PathFile
+from cmbot.scene.path.tool_path import ToolPath, shortest_turns
 
-__all__ = ["timed_path"]
+__all__ = ["PathSource", "timed_path"]
 
 # Angle below which a turn is none, rad.
 _NO_TURN = 1e-12
 
 
-def timed_path(scene: Scene, X_WT: FloatArray) -> ToolPath:
-    """Return the tool path that a scene describes.
+@dataclass(frozen=True, kw_only=True)
+class PathSource:
+    """Where a path is described, and the frames in which its poses are.
+
+    Attributes
+    ----------
+    source, key : str
+        The scene's, and the path's in it, for messages.
+    frames : mapping of str to (4, 4)
+        Poses in W of the frames that the scene names.
+    """
+
+    source: str
+    key: str
+    frames: Mapping[str, FloatArray]
+
+
+def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> ToolPath:
+    """Return the tool path that a file describes.
 
     Parameters
     ----------
-    scene : Scene
+    file : PathFile
+    place : PathSource
     X_WT : (4, 4)
-        Pose of the tool in the scene's posture; the path begins there unless it has a start of its own.
+        Pose of the tool before; the path begins there unless it has a start of its own.
 
     Raises
     ------
     SceneError
         When a leg has no length but a speed, three points are on a line, or a frame is not known.
     """
-    builder = _PathBuilder(scene, X_WT)
-    if scene.waypoints:
+    builder = _PathBuilder(file, place, X_WT)
+    if file.waypoints:
         builder.spline()
-    if scene.raster is not None:
-        builder.raster(scene.raster)
-    for k, leg in enumerate(scene.legs):
-        builder.leg(leg, f"tool_path.legs[{k}]")
-    if scene.blend_radius_m is not None:
-        builder.blend(scene.blend_radius_m)
+    if file.raster is not None:
+        builder.raster(file.raster)
+    for k, leg in enumerate(file.legs):
+        builder.leg(leg, f"{place.key}.legs[{k}]")
+    if file.blend_radius_m is not None:
+        builder.blend(file.blend_radius_m)
     return builder.path()
 
 
@@ -63,19 +82,18 @@ class _Part:
 class _PathBuilder:
     """Puts legs one after the other."""
 
-    def __init__(self, scene: Scene, X_WT: FloatArray) -> None:
-        self._scene = scene
-        self._frames: dict[str, FloatArray] = {"world": np.eye(4), "tool": X_WT, **scene.frames}
+    def __init__(self, file: PathFile, place: PathSource, X_WT: FloatArray) -> None:
+        self._file, self._place = file, place
+        self._frames: dict[str, FloatArray] = {"world": np.eye(4), "tool": X_WT, **place.frames}
         self._point, self._R = X_WT[:3, 3], X_WT[:3, :3]
-        if scene.start_pose is not None:
-            key = "tool_path.from"
-            self._point, turn = self._at(scene.start_pose, key)
+        if file.start_pose is not None:
+            self._point, turn = self._at(file.start_pose, f"{place.key}.from")
             self._R = _turned(turn, self._R)
             self._frames["tool"] = _matrix(self._point, self._R)
-        elif scene.waypoints:
+        elif file.waypoints:
             self._point, self._R = (each[0] for each in self._waypoints())
-        elif scene.raster is not None:
-            self._point, self._R = self._raster_start(scene.raster)
+        elif file.raster is not None:
+            self._point, self._R = self._raster_start(file.raster)
         self._start, self._parts = (self._point, self._R), list[_Part]()
 
     def path(self) -> ToolPath:
@@ -85,7 +103,7 @@ class _PathBuilder:
             corners=np.vstack([self._start[0], *(part.end for part in parts)]),
             orientation=self._start[1],
             seconds=np.array([part.seconds for part in parts]),
-            profile=self._scene.speed_profile,
+            profile=self._file.speed_profile,
             rotations=np.array([part.turn for part in parts]),
             curves={k: part.curve for k, part in enumerate(parts) if part.curve is not None},
         )
@@ -111,8 +129,8 @@ class _PathBuilder:
         points, orientations = self._waypoints()
         curve = Spline(points, orientations)
         turn = Rotation.from_matrix(orientations[-1] @ orientations[0].T).as_rotvec()
-        scene = self._scene
-        seconds = self._seconds(scene.seconds, scene.speed_m_s, curve.length, "tool_path.speed_m_s")
+        file = self._file
+        seconds = self._seconds(file.seconds, file.speed_m_s, curve.length, f"{self._place.key}.speed_m_s")
         self._add(_Part(end=points[-1], turn=turn, seconds=seconds, curve=curve))
 
     def raster(self, raster: Raster) -> None:
@@ -123,29 +141,29 @@ class _PathBuilder:
         moves = [row]
         for k in range(1, raster.rows):
             moves += [step, row if k % 2 == 0 else -row]
-        lengths, scene = np.linalg.norm(moves, axis=1), self._scene
-        if scene.seconds is not None:
-            seconds = scene.seconds * lengths / lengths.sum()
+        lengths, file = np.linalg.norm(moves, axis=1), self._file
+        if file.seconds is not None:
+            seconds = file.seconds * lengths / lengths.sum()
         else:
-            key = "tool_path.speed_m_s"
-            seconds = np.array([self._seconds(None, scene.speed_m_s, float(x), key) for x in lengths])
+            key = f"{self._place.key}.speed_m_s"
+            seconds = np.array([self._seconds(None, file.speed_m_s, float(x), key) for x in lengths])
         for by, duration in zip(moves, seconds, strict=True):
             end = self._point + by
-            cruises, still = scene.seconds is None, np.zeros(3)
+            cruises, still = file.seconds is None, np.zeros(3)
             part = _Part(end=end, turn=still, seconds=float(duration), blends=True, cruises=cruises)
             self._add(part)
 
     def _raster_start(self, raster: Raster) -> tuple[FloatArray, FloatArray]:
         """Tool point and orientation at the beginning of the first row."""
         u, _, normal = self._raster_axes(raster)
-        X = self._frame(raster.frame, "tool_path.raster")
+        X = self._frame(raster.frame, f"{self._place.key}.raster")
         corner = X[:3, :3] @ np.array(raster.origin) + X[:3, 3]
         turn = shortest_turns(self._R[None, :, 2], -normal[None])[0]
         return corner - raster.overscan_m * u + raster.stand_off_m * normal, _turned(turn, self._R)
 
     def _raster_axes(self, raster: Raster) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Unit vectors in W along a row, to the next one, and out of the rectangle."""
-        R = self._frame(raster.frame, "tool_path.raster")[:3, :3]
+        R = self._frame(raster.frame, f"{self._place.key}.raster")[:3, :3]
         u, v = (R @ np.array(edge) / np.linalg.norm(edge) for edge in (raster.u, raster.v))
         return u, v, np.cross(u, v)
 
@@ -188,13 +206,13 @@ class _PathBuilder:
             return float(seconds or 0.0)
         if length < SHORTEST_LEG:
             expected = "seconds in place of it: the leg has no length"
-            raise SceneError(self._scene.source, key, f"{speed:g} m/s", expected)
-        return length / (speed * (1 - self._scene.speed_profile.ramp))
+            raise SceneError(self._place.source, key, f"{speed:g} m/s", expected)
+        return length / (speed * (1 - self._file.speed_profile.ramp))
 
     def _frame(self, name: str, key: str) -> FloatArray:
         if name not in self._frames:
             known = tuple(self._frames)
-            raise SceneError(self._scene.source, f"{key}.frame", shown(name), "a frame of the scene", known)
+            raise SceneError(self._place.source, f"{key}.frame", shown(name), "a frame of the scene", known)
         return self._frames[name]
 
     def _at(self, goal: Goal, key: str) -> tuple[FloatArray, FloatArray]:
@@ -219,7 +237,7 @@ class _PathBuilder:
             found = Arc.through(self._point, via, end)
             if found is None:
                 got = "three points on a line"
-                raise SceneError(self._scene.source, key, got, "a point beside the line, or a straight leg")
+                raise SceneError(self._place.source, key, got, "a point beside the line, or a straight leg")
             turn = found.angle * found.axis if arc.turns else np.zeros(3)
             return end, turn, found
         axis = X[:3, :3] @ (np.array(arc.axis) / np.linalg.norm(np.array(arc.axis)))
@@ -232,7 +250,7 @@ class _PathBuilder:
 
     def _waypoints(self) -> tuple[FloatArray, FloatArray]:
         """Points (K, 3) and orientations (K, 3, 3) in W, each quaternion of the sign nearer to the last."""
-        rows = np.array(self._scene.waypoints, dtype=float)
+        rows = np.array(self._file.waypoints, dtype=float)
         orientations = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
         return rows[:, :3], orientations
 

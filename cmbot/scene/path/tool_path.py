@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields
-from cmbot.scene.curves import Curve
+from cmbot.scene.path.curves import Curve
 
 __all__ = ["ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_out_segments", "shortest_turns"]
 
@@ -207,6 +207,13 @@ class ToolPath:
             if prescribed is not None:
                 R[which] = prescribed
         return np.asarray(R)
+
+    @property
+    def end_pose(self) -> FloatArray:
+        """Pose (4, 4) of the tool in W where the path ends."""
+        X_WT = np.eye(4)
+        X_WT[:3, 3], X_WT[:3, :3] = self.corners[-1], self.rotation([self.duration])[0]
+        return X_WT
 
     def velocity(self, times: ArrayLike) -> FloatArray:
         """Return the tool point's velocity (N, 3), m/s, at `times` (N,)."""

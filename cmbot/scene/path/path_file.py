@@ -1,0 +1,142 @@
+"""A path of the tool as a scene file describes it."""
+
+from __future__ import annotations
+
+import re
+from typing import Annotated, Literal, Self
+
+from pydantic import ConfigDict, Field, model_validator
+
+from cmbot.common.validation import FileModel, counted, refusal
+from cmbot.scene.fields import Slug, exactly_one
+from cmbot.scene.path.legs import Goal, Leg, Raster, Seconds, Speed, Waypoint
+from cmbot.scene.path.tool_path import SpeedProfile
+
+__all__ = ["FREE_MOVE", "LONGEST", "RESERVED", "PathFile", "StrokeFile", "ToolPathFile"]
+
+LONGEST = 36_000
+"""Duration of all strokes, s: motions are sampled every 0.01 s."""
+RESERVED = ("approach", "work", "return")
+"""Names of parts of a job that no stroke can have."""
+FREE_MOVE = re.compile(r"free_\d+")
+"""Names of the free moves between strokes."""
+
+
+class PathFile(FileModel):
+    """A path of the tool."""
+
+    model_config = ConfigDict(serialize_by_alias=True)
+
+    keep: Literal["pose", "axis", "position"] = "pose"
+    """What the path prescribes of the tool."""
+    start_pose: Annotated[Goal | None, Field(alias="from")] = None
+    """Where the path begins, in place of the tool's pose in the start posture; of ``cmbot-scene/2``."""
+    legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
+    """From where the path begins, each from rest to rest."""
+    waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=3, max_length=2000)] = None
+    """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
+    it passes without a stop, from the first to the last; in a file also the path of a CSV file with these
+    columns, relative to it; of ``cmbot-scene/2``."""
+    raster: Raster | None = None
+    """In place of `legs`, rows over a rectangle, with `blend_radius_m` without a stop; of
+    ``cmbot-scene/2``."""
+    seconds: Seconds | None = None
+    """Duration of the path through `waypoints` or of `raster`, s."""
+    speed_m_s: Speed | None = None
+    """In place of it the speed at which the tool cruises along them, m/s."""
+    blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
+    """Radius by which corners between straight legs are rounded, m; left out, and where the way turns by
+    more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
+    speed_profile: SpeedProfile = SpeedProfile()
+    via_points: Annotated[int, Field(ge=5, le=20000)] = 50
+    """Via-points in all; the ends of the legs are among them."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        self._check_path()
+        return self
+
+    def _check_path(self) -> None:
+        given = [name for name in ("legs", "waypoints", "raster") if getattr(self, name)]
+        if len(given) != 1:
+            got = " and ".join(given) or "neither"
+            raise refusal("either legs, waypoints or a raster", got=got, key=("legs",))
+        for name in ("seconds", "speed_m_s"):
+            if self.legs and getattr(self, name) is not None:
+                raise refusal("no such key beside legs, which have their own", got="a value", key=(name,))
+        if self.waypoints is not None and self.blend_radius_m is not None:
+            expected = "no such key beside waypoints, which have no corners"
+            raise refusal(expected, got="a value", key=("blend_radius_m",))
+        if not self.legs:
+            exactly_one(self, ("seconds", "speed_m_s"))
+            if self.start_pose is not None:
+                expected = "no such key beside waypoints or a raster, where the path begins"
+                raise refusal(expected, got="a pose", key=("from",))
+        if self.via_points <= len(self.legs):
+            expected = f"more than the {len(self.legs)} legs"
+            raise refusal(expected, got=self.via_points, key=("via_points",))
+        if self.given_seconds > LONGEST:
+            expected = f"legs of at most {LONGEST:,} s in all (10 h)"
+            raise refusal(expected, got=f"{self.given_seconds:g} s", key=("legs",))
+
+    @property
+    def given_seconds(self) -> float:
+        """Duration of the legs that have one, s."""
+        return sum(leg.seconds or leg.pause or 0.0 for leg in self.legs)
+
+    @property
+    def has_start(self) -> bool:
+        """Whether it begins at a pose of its own, not where the tool was before."""
+        return any(each is not None for each in (self.start_pose, self.waypoints, self.raster))
+
+    @property
+    def in_words(self) -> str:
+        """What it is made of."""
+        if self.raster is not None:
+            rows, area = counted(self.raster.rows, "row"), f"{self.raster.area:.3g} m2"
+            return f"a raster of {rows} over {area}"
+        if self.waypoints is not None:
+            return f"a spline through {counted(len(self.waypoints), 'waypoint')}"
+        return counted(len(self.legs), "leg")
+
+
+class StrokeFile(PathFile):
+    """A path with the tool on: all keys of ``tool_path`` but ``strokes``, and its name."""
+
+    name: Slug | None = None
+    """Left out: ``stroke_1`` for the first one, and so on."""
+
+
+class ToolPathFile(PathFile):
+    """The path of the tool from its pose in the start posture: one stroke, or several in their order."""
+
+    strokes: Annotated[tuple[StrokeFile, ...] | None, Field(min_length=1, max_length=200)] = None
+    """In place of all other keys: the tool is on along each, and off on the free moves from one to the next.
+    A stroke without a start of its own begins where the path of the one before it ends; of
+    ``cmbot-scene/2``."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.strokes is None:
+            self._check_path()
+            return self
+        for name, field in PathFile.model_fields.items():
+            if getattr(self, name) != field.default:
+                expected = "no such key beside strokes, which have their own"
+                raise refusal(expected, got="a value", key=(field.alias or name,))
+        # Names are given here, so that messages, pages and files call a stroke the same.
+        named = tuple(
+            stroke if stroke.name else stroke.model_copy(update={"name": f"stroke_{k}"})
+            for k, stroke in enumerate(self.strokes, start=1)
+        )
+        taken = set[str](RESERVED)
+        for k, stroke in enumerate(named):
+            if stroke.name in taken or FREE_MOVE.fullmatch(str(stroke.name)):
+                expected = f"a name that no other part of the job has (not {', '.join(RESERVED)}, free_1)"
+                raise refusal(expected, got=str(stroke.name), key=("strokes", k, "name"))
+            taken.add(str(stroke.name))
+        if (seconds := sum(stroke.given_seconds for stroke in named)) > LONGEST:
+            expected = f"strokes of at most {LONGEST:,} s in all (10 h)"
+            raise refusal(expected, got=f"{seconds:g} s", key=("strokes",))
+        object.__setattr__(self, "strokes", named)
+        return self
