@@ -36,8 +36,8 @@ def lower_peak(
 
     A probabilistic roadmap (Kavraki et al., 1996) grows by postures whose cost is below the best path's peak,
     anywhere and about that path. On it the path whose largest cost is least is the one in the minimum
-    spanning tree; edges are checked for collisions when a path leads over them (lazy PRM; Bohlin and Kavraki,
-    2000). The random numbers are the same in every run.
+    spanning tree; the cost along edges is computed, and they are checked for collisions, when a path leads
+    over them (lazy PRM; Bohlin and Kavraki, 2000). The random numbers are the same in every run.
 
     Parameters
     ----------
@@ -85,31 +85,32 @@ class _Roadmap:
 
     def __init__(self, space: FreeSpace, ends: FloatArray) -> None:
         self._space = space
-        self._q = ends
+        self._q, self._at_nodes = ends, space.cost(ends)
         self._pairs = np.empty((0, 2), dtype=np.intp)
+        # Of an edge: the largest cost at its ends and, once it is computed, along it.
         self._cost = np.empty(0)
         self._length = np.empty(0)
-        self._checked = np.empty(0, dtype=np.bool_)
+        self._computed, self._checked = np.empty((2, 0), dtype=np.bool_)
 
     def add(self, q: FloatArray, bound: float) -> None:
         """Add those of the postures `q` (N, n) that are free and cost less than a bound, and their edges."""
         known = len(self._q)
-        below = self._space.below(bound * (1 - _ROUNDING))
-        self._q = np.vstack([self._q, q[below.holds(q)]])
+        free = q[self._space.below(bound * (1 - _ROUNDING)).holds(q)]
+        self._q = np.vstack([self._q, free])
+        self._at_nodes = np.concatenate([self._at_nodes, self._space.cost(free)])
         new = np.arange(known if len(self._pairs) else 0, len(self._q))
         number = min(_NEIGHBOURS + 1, len(self._q))
         x = self._space.robot.metric.coordinates(self._q)
         nearest = cKDTree(x).query(x[new], number)[1].reshape(len(new), -1)
         pairs = np.stack([np.repeat(new, number), nearest.ravel()], axis=1)
         pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
-        starts, ends = self._q[pairs[:, 0]], self._q[pairs[:, 1]]
-        cost = self._space.highest(starts, ends)
-        kept = cost < bound * (1 - _ROUNDING)
-        self._pairs = np.vstack([self._pairs, pairs[kept]])
-        self._cost = np.concatenate([self._cost, cost[kept]])
-        length = self._space.robot.metric.lengths(starts - ends)
-        self._length = np.concatenate([self._length, length[kept]])
-        self._checked = np.concatenate([self._checked, np.zeros(kept.sum(), dtype=np.bool_)])
+        self._pairs = np.vstack([self._pairs, pairs])
+        self._cost = np.concatenate([self._cost, self._at_nodes[pairs].max(axis=1)])
+        length = self._space.robot.metric.lengths(np.diff(self._q[pairs], axis=1)[:, 0])
+        self._length = np.concatenate([self._length, length])
+        unknown = np.zeros(len(pairs), dtype=np.bool_)
+        self._computed = np.concatenate([self._computed, unknown])
+        self._checked = np.concatenate([self._checked, unknown])
 
     def bottleneck_path(self, bound: float, stop: Callable[[], bool]) -> FloatArray | None:
         """Return the shortest of the free paths (k, n) whose largest cost is least, if below a bound."""
@@ -120,10 +121,13 @@ class _Roadmap:
             nodes = path_between_ends(tree)
             if nodes is None:
                 return None
-            usable = self._cost <= self._cost[self._edges(nodes)].max()
-            shortest = path_between_ends(self._graph(self._length, usable))
+            least = self._cost[self._edges(nodes)].max()
+            shortest = path_between_ends(self._graph(self._length, self._cost <= least))
             nodes = nodes if shortest is None else shortest
             edges = self._edges(nodes)
+            self._compute(edges[~self._computed[edges]])
+            if self._cost[edges].max() > least:
+                continue
             unknown = edges[~self._checked[edges]]
             checks += len(unknown)
             free = [self._space.straight(*self._q[self._pairs[edge]]) for edge in unknown]
@@ -133,6 +137,12 @@ class _Roadmap:
             # No path leads over them any more.
             self._cost[unknown[~np.array(free)]] = np.inf
         return None
+
+    def _compute(self, edges: IntArray) -> None:
+        """Compute the largest costs along edges."""
+        if len(edges):
+            self._cost[edges] = self._space.highest(*np.swapaxes(self._q[self._pairs[edges]], 0, 1))
+            self._computed[edges] = True
 
     def _graph(self, weight: FloatArray, usable: BoolArray) -> sparse.csr_array:
         return graph_of(len(self._q), self._pairs[usable], weight[usable])

@@ -1,5 +1,6 @@
 """Free paths on which the largest cost is least."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,6 +13,7 @@ from cmbot.planning.context import robot_of
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
+from cmbot.planning.progress import ProgressReporter
 
 START, END = np.radians([[-10, -90, 90, -60, 10, 50, 0], [-10, -90, 90, 60, 10, 50, 40]])
 
@@ -46,6 +48,20 @@ def test_what_is_low_enough_or_out_of_time_stays(space: FreeSpace) -> None:
     straight = np.stack([START, END])
     assert lower_peak(space, straight, 0.9) is straight
     assert lower_peak(space, straight, 0.2, lambda: True) is straight
+
+
+def test_the_time_limit_holds_where_costs_take_long(space: FreeSpace) -> None:
+    """On a clock that goes on by 1 s with every posture: a round computes few beside those that it draws."""
+    spent = [0.0]
+
+    def slow_hill(q: FloatArray) -> FloatArray:
+        spent[0] += len(q)
+        return hill(q)
+
+    reporter = ProgressReporter(clock=lambda: spent[0], limit=30_000.0)
+    lowered = lower_peak(replace(space, cost=slow_hill), np.stack([START, END]), 0.0, reporter.expired)
+    assert space.peak(lowered) < 0.2
+    assert 30_000.0 < spent[0] < 40_000.0
 
 
 def test_trees_lead_around_postures_that_cannot_be_held(space: FreeSpace) -> None:
