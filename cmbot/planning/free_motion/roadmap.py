@@ -101,7 +101,7 @@ class _Roadmap:
         new = np.arange(known if len(self._pairs) else 0, len(self._q))
         number = min(_NEIGHBOURS + 1, len(self._q))
         x = self._space.robot.metric.coordinates(self._q)
-        nearest = cKDTree(x).query(x[new], number)[1].reshape(len(new), -1)
+        nearest = cKDTree(x).query(x[new], number)[1].reshape(len(new), number)
         pairs = np.stack([np.repeat(new, number), nearest.ravel()], axis=1)
         pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
         self._pairs = np.vstack([self._pairs, pairs])
