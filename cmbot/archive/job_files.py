@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,7 @@ from cmbot.archive.names import EARLIER_FORMAT, PLAN_FILE
 from cmbot.archive.schema import PlanFile, SegmentFile
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import QuinticTrajectory
+from cmbot.scene import Stroke
 
 __all__ = ["job_trajectories"]
 
@@ -21,7 +23,7 @@ _SAME = 1e-9
 
 
 def job_trajectories(
-    file: PlanFile, contents: Mapping[str, bytes], folder: Path, dof: int, duration: float
+    file: PlanFile, contents: Mapping[str, bytes], folder: Path, dof: int, strokes: Sequence[Stroke]
 ) -> tuple[QuinticTrajectory, ...]:
     """Return the trajectory of each segment, on its own clock.
 
@@ -34,34 +36,45 @@ def job_trajectories(
     folder : Path
         The plan directory, for messages.
     dof : int
-    duration : float, s
-        Of the stroke, by the scene.
+    strokes : sequence of Stroke
+        By the scene.
 
     Raises
     ------
     ArchiveError
         When a file is damaged, or its times are not those of the segments.
     """
-    stroke = read_knots(contents["trajectory.npz"], str(folder / "trajectory.npz"), dof)
-    require_times(stroke.t, duration, str(folder / "trajectory.npz"), "the scene")
+    work = read_knots(contents["trajectory.npz"], str(folder / "trajectory.npz"), dof)
+    if len(strokes) == 1:
+        duration = strokes[0].path.duration
+        require_times(work.t, duration, str(folder / "trajectory.npz"), "the scene")
     if file.format == EARLIER_FORMAT:
         return tuple(
-            stroke if segment.kind == "stroke" else _earlier(segment, contents, folder, dof)
+            work if segment.kind == "stroke" else _earlier(segment, contents, folder, dof)
             for segment in file.segments
         )
     source = str(folder / "job.npz")
     whole = read_knots(contents["job.npz"], source, dof)
-    require_times(whole.t, _seconds(file), source, PLAN_FILE)
+    last = file.segments[-1]
+    require_times(whole.t, last.begin + last.seconds, source, PLAN_FILE)
     parts = [_part(whole, segment, source) for segment in file.segments]
-    for k, segment in enumerate(file.segments):
-        if segment.kind == "stroke":
-            _require_same(parts[k], stroke, source)
-            parts[k] = stroke
+    along = [k for k, segment in enumerate(file.segments) if segment.kind == "stroke"]
+    if len(strokes) == 1:
+        _require_same(parts[along[0]], work, source)
+        parts[along[0]] = work
+        return tuple(parts)
+    begin = file.segments[along[0]].begin
+    end = file.segments[along[-1]].begin + file.segments[along[-1]].seconds
+    _require_same(_between(whole, begin, end, source, "the strokes"), work, source)
+    for k, stroke in zip(along, strokes, strict=True):
+        require_times(parts[k].t, stroke.path.duration, source, "the scene")
+        times = stroke.via_times
+        if len(times) != len(parts[k].t) or not np.allclose(parts[k].t, times, rtol=_SAME, atol=_SAME):
+            expected = f"knots at the via-points of {stroke.name}"
+            raise ArchiveError(source, "t", "knots at other times", expected)
+        # The sums on the job's clock are rounded.
+        parts[k] = replace(parts[k], t=times)
     return tuple(parts)
-
-
-def _seconds(file: PlanFile) -> float:
-    return file.segments[-1].begin + file.segments[-1].seconds
 
 
 def _earlier(
@@ -76,11 +89,16 @@ def _earlier(
 
 def _part(whole: QuinticTrajectory, segment: SegmentFile, source: str) -> QuinticTrajectory:
     """The knots of a segment, which has one at either end."""
-    ends = np.array([segment.begin, segment.begin + segment.seconds])
-    first, last = (int(np.abs(whole.t - end).argmin()) for end in ends)
+    return _between(whole, segment.begin, segment.begin + segment.seconds, source, segment.name)
+
+
+def _between(whole: QuinticTrajectory, begin: float, end: float, source: str, what: str) -> QuinticTrajectory:
+    """The knots between two times, s, which have one at either end."""
+    ends = np.array([begin, end])
+    first, last = (int(np.abs(whole.t - each).argmin()) for each in ends)
     if last <= first or (np.abs(whole.t[[first, last]] - ends) > _SAME * np.maximum(ends, 1.0)).any():
         got = "no knot where a segment begins or ends"
-        raise ArchiveError(source, "t", got, f"knots at {ends[0]:g} and {ends[1]:g} s ({segment.name})")
+        raise ArchiveError(source, "t", got, f"knots at {begin:g} and {end:g} s ({what})")
     part = slice(first, last + 1)
     return QuinticTrajectory(
         t=whole.t[part] - whole.t[first], q=whole.q[part], v=whole.v[part], a=whole.a[part]

@@ -11,7 +11,13 @@ from typing import Any
 import numpy as np
 
 from cmbot.archive.atomic import recover
-from cmbot.archive.consistency import require_fit, require_segments, require_times, require_unchanged
+from cmbot.archive.consistency import (
+    require_combined,
+    require_fit,
+    require_segments,
+    require_times,
+    require_unchanged,
+)
 from cmbot.archive.folder import plans_nearby, read_file
 from cmbot.archive.job_files import job_trajectories
 from cmbot.archive.motion_files import columns, largest_knots, largest_table, read_motion
@@ -28,16 +34,17 @@ from cmbot.archive.schema import (
     EarlierPlanFile,
     MetricsFile,
     PlanFile,
+    StrokeEntries,
     made,
 )
 from cmbot.archive.strict_json import read_json
+from cmbot.archive.writing import stroke_entries
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError, InputError
 from cmbot.common.validation import given_path, shown, validated
 from cmbot.elastic.sag import Sag
 from cmbot.planning import (
-    RETURN,
     Certificate,
     Check,
     Job,
@@ -46,10 +53,13 @@ from cmbot.planning import (
     Plan,
     QuinticTrajectory,
     Segment,
+    StrokePlan,
     ToolTask,
     bending_arm,
     certify,
     certify_move,
+    combined,
+    combined_baseline,
     end_posture_of,
     figures,
     measure,
@@ -63,7 +73,7 @@ from cmbot.planning import (
     tool_lag,
 )
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import PlannerOptions, Scene, scene_from_file
+from cmbot.scene import WORK, PlannerOptions, Scene, scene_from_file
 
 __all__ = ["load_plan", "plan_data"]
 
@@ -71,6 +81,8 @@ __all__ = ["load_plan", "plan_data"]
 _SAME, _SAME_ZERO = 1e-6, 1e-9
 # Of the tables of planned motions.
 _ROWS_A_SECOND = 100.0
+# The baseline's free moves lead to other postures, and may take longer than the planned ones by so much.
+_SLOWER_BASELINE = 10.0
 # Cells of a table that a segment's name is as long as, at most.
 _LABEL = 5
 
@@ -112,42 +124,100 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     with _as_archive_error(str(source)):
         scene = _scene(read, data, source)
         robot = _robot(scene, read, source)
-        task = task_of(strokes_of(scene, robot)[0], scene)
+        strokes = strokes_of(scene, robot)
         end = end_posture_of(scene, robot)
         clearances = Clearances(robot, scene.obstacles)
-    duration = task.path.duration
+    duration = strokes[0].path.duration
     file = read.upgraded(duration) if isinstance(read, EarlierPlanFile) else read
-    require_segments(file, folder, begins_elsewhere=scene.begins_elsewhere, returns=end is not None)
-    contents = _contents(folder, file, robot.dof, duration)
+    require_segments(file, folder, scene, returns=end is not None)
+    contents = _contents(folder, file, robot.dof)
     # What is in them is looked at only when they are the ones that were saved.
     require_unchanged(folder, file, contents)
-    trajectories = job_trajectories(file, contents, folder, robot.dof, duration)
-    job = _job(file, trajectories, robot, task, source)
-    t, motion = read_motion(contents["baseline.csv"], str(folder / "baseline.csv"), robot.dof)
-    require_times(t, duration, str(folder / "baseline.csv"), "the scene")
+    trajectories = job_trajectories(file, contents, folder, robot.dof, strokes)
+    tasks = [task_of(stroke, scene) for stroke in strokes]
+    job = _job(file, trajectories, robot, tasks, source)
     require_fit(file, np.array(scene.posture), end, job, folder)
     plan = Plan(
+        **_stroke_plans(file, contents["baseline.csv"], folder, robot, clearances, tasks),
         scene=scene,
         options=file.options,
         robot=robot,
-        task=task,
-        start=file.start.made(),
-        baseline=measure(robot, task, clearances, t, motion),
-        baseline_figures=_metrics(file.baseline, robot, task, t, motion[0]),
-        drift=file.drift,
-        smallest_singular_value=file.smallest_singular_value,
         job=job,
-        passes=file.passes,
-        objective=made(ObjectiveMetrics, file.objective),
-        lower_bound=None if file.floor is None else file.floor.made(),
-        choice=file.choice,
-        compensation=file.compensation,
-        quieting=None if file.quieting is None else file.quieting.made(),
         sag=_sag(scene, robot, file.options) if file.options.compensate else None,
         fallbacks=file.fallbacks,
         seconds=file.seconds,
     )
+    if plan.several:
+        entries = StrokeEntries.model_validate(stroke_entries(plan, robot), from_attributes=True)
+        require_combined(file, entries, str(source))
     return _verified(plan, file.baseline.job, clearances, source) if verify else plan
+
+
+def _stroke_plans(
+    file: PlanFile,
+    content: bytes,
+    folder: Path,
+    robot: Robot,
+    clearances: Clearances,
+    tasks: Sequence[ToolTask],
+) -> dict[str, Any]:
+    """The fields of a plan that are those of its strokes, by name, and with several strokes these."""
+    source = str(folder / "baseline.csv")
+    t, motion = read_motion(content, source, robot.dof)
+    if not file.strokes:
+        require_times(t, tasks[0].path.duration, source, "the scene")
+        return vars(_stroke_plan(file, WORK, robot, tasks[0], clearances, t, motion))
+    several = []
+    for entry, task in zip(file.strokes, tasks, strict=True):
+        begin, end = entry.baseline_begin, entry.baseline_begin + task.path.duration
+        room = _SAME_ZERO * max(end, 1.0)
+        rows = np.flatnonzero((t >= begin - room) & (t <= end + room))
+        if not len(rows) or abs(t[rows[0]] - begin) > room or abs(t[rows[-1]] - end) > room:
+            expected = f"rows from {begin:g} to {end:g} s ({entry.name})"
+            raise ArchiveError(source, "t", "no row where a stroke begins or ends", expected)
+        along = [array[rows] for array in motion]
+        several.append(_stroke_plan(entry, entry.name, robot, task, clearances, t[rows] - t[rows[0]], along))
+    baseline, measured = combined_baseline(robot, clearances, several)
+    if not (_agree(baseline.t, t) and _agree(baseline.q, motion[0])):
+        raise ArchiveError(source, "", "other motions between the strokes", "the quickest straight ones")
+    return {
+        **combined(several),
+        "name": WORK,
+        "baseline": baseline,
+        "baseline_figures": measured,
+        "several": tuple(several),
+    }
+
+
+def _agree(got: FloatArray, expected: FloatArray) -> bool:
+    return got.shape == expected.shape and np.allclose(got, expected, rtol=_SAME_ZERO, atol=_SAME_ZERO)
+
+
+def _stroke_plan(
+    entry: StrokeEntries,
+    name: str,
+    robot: Robot,
+    task: ToolTask,
+    clearances: Clearances,
+    t: FloatArray,
+    motion: Sequence[FloatArray],
+) -> StrokePlan:
+    """What is planned of a stroke, with its baseline at times `t` (N,)."""
+    return StrokePlan(
+        name=name,
+        task=task,
+        start=entry.start.made(),
+        baseline=measure(robot, task, clearances, t, motion),
+        baseline_figures=_metrics(entry.baseline, robot, task, t, motion[0]),
+        drift=entry.drift,
+        smallest_singular_value=entry.smallest_singular_value,
+        passes=entry.passes,
+        objective=made(ObjectiveMetrics, entry.objective),
+        lower_bound=None if entry.floor is None else entry.floor.made(),
+        choice=entry.choice,
+        compensation=entry.compensation,
+        quieting=None if entry.quieting is None else entry.quieting.made(),
+    )
 
 
 def plan_data(directory: Path) -> dict[str, Any]:
@@ -178,14 +248,15 @@ def plan_data(directory: Path) -> dict[str, Any]:
     return data
 
 
-def _contents(folder: Path, file: PlanFile, dof: int, duration: float) -> dict[str, bytes]:
-    """Read the files beside plan.json, each at most as large as a plan of that duration, s, has them."""
+def _contents(folder: Path, file: PlanFile, dof: int) -> dict[str, bytes]:
+    """Read the files beside plan.json, each at most as large as a plan of that duration has them."""
     names: tuple[str, ...] = (*SAVED_FILES, *JOB_FILES)
     if file.format == EARLIER_FORMAT:
         names = SAVED_FILES if len(file.segments) == 1 else (*SAVED_FILES, *EARLIER_FILES)
-    seconds = dict.fromkeys(("job", "approach"), sum(segment.seconds for segment in file.segments))
-    steps = {name: _ROWS_A_SECOND * value for name, value in ({"trajectory": duration} | seconds).items()}
-    steps["baseline"] = duration / file.options.path_step_s
+    seconds = sum(segment.seconds for segment in file.segments)
+    # The baseline's free moves are as quick as they can be.
+    steps = dict.fromkeys(("trajectory", "job", "approach"), _ROWS_A_SECOND * seconds)
+    steps["baseline"] = _ROWS_A_SECOND * _SLOWER_BASELINE * seconds + seconds / file.options.path_step_s
     contents = {}
     for name in names:
         motion, _, kind = name.partition(".")
@@ -246,16 +317,20 @@ def _job(
     file: PlanFile,
     trajectories: Sequence[QuinticTrajectory],
     robot: Robot,
-    task: ToolTask,
+    tasks: Sequence[ToolTask],
     source: Path,
 ) -> Job:
-    segments = []
+    segments, number = [], 0
     for k, (entry, trajectory) in enumerate(zip(file.segments, trajectories, strict=True)):
+        # A free move belongs to the stroke that it leads to, the return to the last one.
+        task = tasks[min(number, len(tasks) - 1)]
         own = task if entry.kind == "stroke" else task.held_at_start()
         metrics = _metrics(entry, robot, own, *_knots(trajectory))
         stored, key = entry.certificate, f"segments[{k}].certificate"
         if entry.kind == "stroke":
-            stored, key = file.certificate, "certificate"
+            number += 1
+            if not file.strokes:
+                stored, key = file.certificate, "certificate"
         elif file.format == EARLIER_FORMAT:
             key = "approach.certificate"
         certificate = _certificate(stored, metrics, source, key)
@@ -267,62 +342,65 @@ def _verified(plan: Plan, baseline_job: MetricsFile | None, clearances: Clearanc
     """Return the plan with new certificates; their metrics must be those in the file."""
     job = plan.job
     for k, segment in enumerate(plan.job.segments):
-        certificate = _certified(plan, segment, clearances)
+        certificate = _certified(plan, k, clearances)
         certificate.require()
-        key = "planned" if segment.kind == "stroke" else f"segments[{k}]"
+        key = "planned" if segment.kind == "stroke" and not plan.several else f"segments[{k}]"
         _require_same(segment.figures, certificate.figures, source, key)
         job = job.changed(segment.name, certificate=certificate)
-    _require_same(plan.baseline_figures, figures(plan.robot, plan.baseline), source, "baseline")
+    prefixes = [f"strokes[{k}]." for k in range(len(plan.several))] or [""]
+    for prefix, stroke in zip(prefixes, plan.strokes, strict=True):
+        fresh = figures(plan.robot, stroke.baseline)
+        _require_same(stroke.baseline_figures, fresh, source, f"{prefix}baseline")
+        if not plan.objective.own:
+            _verify_objective(plan, stroke, source, f"{prefix}objective")
     if baseline_job is not None:
         expected = made(MotionMetrics, baseline_job)
         _require_same(expected, plan.baseline_job_figures, source, "baseline.job")
-    if not plan.objective.own:
-        _verify_objective(plan, source)
     return replace(plan, job=job)
 
 
-def _certified(plan: Plan, segment: Segment, clearances: Clearances) -> Certificate:
+def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
     """Return a new certificate of a segment, by the scene and its neighbours, and by a second opinion."""
-    robot, options, trajectory = plan.robot, plan.options, segment.trajectory
-    posture, at_work = np.array(plan.scene.posture), segment.kind == "stroke"
-    sag = plan.sag if at_work else None
+    robot, options, segments = plan.robot, plan.options, plan.job.segments
+    segment = segments[number]
+    at_work, trajectory = segment.kind == "stroke", segment.trajectory
+    before = np.array(plan.scene.posture) if number == 0 else segments[number - 1].trajectory.q[-1]
+    stroke, sag = None, None
     if at_work:
-        approaches = options.knots == "sliding" or plan.scene.begins_elsewhere
-        rests_there = approaches and plan.approach is None
+        stroke, sag = [each.name for each in plan.job.strokes].index(segment.name), plan.sag
+        # Where it follows on a segment, that they join has been checked.
+        rests_there = number == 0 and (options.knots == "sliding" or plan.scene.begins_elsewhere)
         certificate = certify(
             robot,
-            plan.task,
+            segment.task,
             trajectory,
             clearances,
             options,
-            via_points=plan.scene.via_points,
-            start=posture if rests_there else None,
+            via_points=plan.scene.each_stroke[stroke].via_points,
+            start=before if rests_there else None,
             sag=sag,
         )
     else:
-        held = plan.task.held_at_start()
-        start, end = posture, plan.trajectory.q[0]
-        if segment.name == RETURN:
-            # That the scene asks for it, and where it leads to, has been checked.
-            start, end = plan.trajectory.q[-1], np.array(end_posture_of(plan.scene, robot))
-        certificate = certify_move(robot, held, trajectory, clearances, options, start, end)
-    checks = second_opinion(
-        plan.scene, options, trajectory, robot=robot, stroke=0 if at_work else None, sag=sag
-    )
+        # That the scene asks for a return, and where it leads to, has been checked.
+        last = number + 1 == len(segments)
+        after = np.array(end_posture_of(plan.scene, robot)) if last else segments[number + 1].trajectory.q[0]
+        certificate = certify_move(robot, segment.task, trajectory, clearances, options, before, after)
+    checks = second_opinion(plan.scene, options, trajectory, robot=robot, stroke=stroke, sag=sag)
     return replace(certificate, checks=(*certificate.checks, *checks))
 
 
-def _verify_objective(plan: Plan, source: Path) -> None:
+def _verify_objective(plan: Plan, stroke: StrokePlan, source: Path, key: str) -> None:
     """Refuse peaks of the objective that are not those of the motions."""
+    (segment,) = (each for each in plan.job.strokes if each.name == stroke.name)
     fresh = objective_metrics(
         objective_of(plan.robot, plan.options, sag=_sag(plan.scene, plan.robot, plan.options)),
         plan.options,
         own=False,
-        baseline=(plan.baseline_figures, plan.baseline),
-        planned=(plan.figures, plan.trajectory),
-        floor=plan.objective.floor,
+        baseline=(stroke.baseline_figures, stroke.baseline),
+        planned=(segment.figures, segment.trajectory),
+        floor=stroke.objective.floor,
     )
-    _require_same(plan.objective, fresh, source, "objective")
+    _require_same(stroke.objective, fresh, source, key)
 
 
 def _require_same(stored: object, fresh: object, source: Path, key: str) -> None:

@@ -27,7 +27,6 @@ from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import FileModel, refusal
 from cmbot.planning import (
     APPROACH,
-    WORK,
     Choice,
     Compensation,
     ExchangeReport,
@@ -37,9 +36,17 @@ from cmbot.planning import (
     Start,
     VibrationSuppression,
 )
-from cmbot.scene import PlannerOptions, SceneFile
+from cmbot.scene import WORK, PlannerOptions, SceneFile
 
-__all__ = ["CertificateFile", "EarlierPlanFile", "MetricsFile", "PlanFile", "SegmentFile", "made"]
+__all__ = [
+    "CertificateFile",
+    "EarlierPlanFile",
+    "MetricsFile",
+    "PlanFile",
+    "SegmentFile",
+    "StrokeEntries",
+    "made",
+]
 
 T = TypeVar("T")
 
@@ -235,17 +242,39 @@ class HashesFile(FileModel):
     """The same of the scene in this file, whose paths are absolute."""
 
 
-class _PlanEntries(FileModel):
-    """What every version has of a plan but its arrays."""
+class StrokeEntries(FileModel):
+    """What is planned of a stroke, or of all of them."""
 
-    format: str
-    status: Literal["certified"]
     baseline: MetricsFile
-    planned: MetricsFile
     quieting: SuppressionFile | None = None
     """null: the vibration was not suppressed."""
     compensation: Annotated[Compensation, _at_least_zero()] | None = None
     """null: the sag was not compensated."""
+    objective: ObjectiveFile
+    floor: LowerBoundFile | None
+    choice: Annotated[Choice, _at_least_zero()] | None
+    start: StartFile
+    drift: NonNegative
+    """Of the baseline's tool point, m."""
+    smallest_singular_value: NonNegative
+    """Along the baseline."""
+    passes: tuple[Annotated[ExchangeReport, _at_least_zero("number", "iterations", "constraints")], ...]
+
+
+class StrokePlanFile(StrokeEntries):
+    """`StrokePlan`, one of several."""
+
+    name: Annotated[str, Field(min_length=1, max_length=100)]
+    baseline_begin: NonNegative
+    """When the baseline's stroke begins in ``baseline.csv``, s."""
+
+
+class _PlanEntries(StrokeEntries):
+    """What every version has of a plan but its arrays."""
+
+    format: str
+    status: Literal["certified"]
+    planned: MetricsFile
     torque_floor: NonNegative | None
     """Of the torque on the guardrail, Nm; null with fixed knots or another objective."""
     torque_floor_kind: Literal["proven", "estimated"] | None = None
@@ -254,24 +283,15 @@ class _PlanEntries(FileModel):
     """How far the true value may lie below the bound, Nm; null where the kind is."""
     gap_to_floor: float | None
     """Planned peak less its lower bound, as a share of the bound."""
-    objective: ObjectiveFile
-    floor: LowerBoundFile | None
-    choice: Annotated[Choice, _at_least_zero()] | None
     fallbacks: tuple[str, ...] = ()
     seconds: Annotated[Seconds, _at_least_zero()]
     certificate: CertificateFile
-    start: StartFile
-    drift: NonNegative
-    """Of the baseline's tool point, m."""
-    smallest_singular_value: NonNegative
-    """Along the baseline."""
     options: PlannerOptions
     scene: Annotated[SceneFile, PlainSerializer(SceneFile.as_data)]
     versions: dict[str, str]
     hashes: HashesFile
     files: dict[str, Sha256]
     """SHA-256 of the files beside this one."""
-    passes: tuple[Annotated[ExchangeReport, _at_least_zero("number", "iterations", "constraints")], ...]
 
 
 class PlanFile(_PlanEntries):
@@ -283,6 +303,8 @@ class PlanFile(_PlanEntries):
     planned: MotionFile
     segments: Annotated[tuple[SegmentFile, ...], Field(min_length=1, max_length=10_000)]
     """Of the job, in the order of time."""
+    strokes: Annotated[tuple[StrokePlanFile, ...], Field(max_length=200)] = ()
+    """Empty where there is one: the plan's entries are its own."""
 
 
 class EarlierPlanFile(_PlanEntries):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -14,13 +14,15 @@ from cmbot.archive.motion_files import motion_files, samples_csv
 from cmbot.archive.names import FORMAT, PLAN_FILE
 from cmbot.archive.schema import PlanFile
 from cmbot.archive.strict_json import json_bytes
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ArchiveError
 from cmbot.common.validation import given_path, input_error, validated
-from cmbot.planning import Plan, Segment, require_plan
+from cmbot.planning import Plan, Segment, StrokePlan, require_plan
+from cmbot.robot import Robot
 from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file, update_file
 from cmbot.version import versions
 
-__all__ = ["save"]
+__all__ = ["save", "stroke_entries"]
 
 
 def save(
@@ -70,33 +72,23 @@ def save(
 
 
 def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
-    given, start, bound = update_file(plan.scene), plan.start, plan.lower_bound
+    given = update_file(plan.scene)
     scene = _resolved(given)
     entries = {
         "format": FORMAT,
         "status": "certified" if plan.job.certificate.holds else "a promise is broken",
+        **stroke_entries(plan, plan.robot),
         "baseline": {**vars(plan.baseline_figures), "job": plan.baseline_job_figures},
         "planned": {**vars(plan.figures), "job": plan.job.figures},
         "segments": tuple(map(_segment, plan.job.segments)),
-        "quieting": plan.quieting,
-        "compensation": plan.compensation,
+        "strokes": tuple(_several(plan)),
         "torque_floor": plan.torque_floor,
         "torque_floor_kind": plan.torque_floor_kind,
         "torque_floor_error": plan.torque_floor_error,
         "gap_to_floor": plan.gap_to_floor,
-        "objective": plan.objective,
-        "floor": None if bound is None else {**vars(bound), "each": tuple(bound.each.tolist())},
-        "choice": plan.choice,
         "fallbacks": plan.fallbacks,
         "seconds": plan.seconds,
         "certificate": plan.certificate,
-        "start": {
-            **_posture(plan),
-            "moved_deg": float(np.degrees(start.moved)),
-            "failures": start.failures,
-        },
-        "drift": plan.drift,
-        "smallest_singular_value": plan.smallest_singular_value,
         "options": plan.options,
         "scene": scene,
         "versions": versions(),
@@ -106,7 +98,6 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
             "resolved_scene": scene_from_file(scene, Path.cwd(), plan.scene.source).content_hash,
         },
         "files": {name: hashlib.sha256(content).hexdigest() for name, content in contents.items()},
-        "passes": plan.passes,
     }
     try:
         file = PlanFile.model_validate(entries, from_attributes=True)
@@ -115,13 +106,44 @@ def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
     data = file.model_dump()
     # What could not be read back is not written.
     validated(PlanFile, data, PLAN_FILE, ArchiveError)
-    return json_bytes(data, indent=2)
+    first = {name: data[name] for name in ("format", "status", "baseline", "planned")}
+    return json_bytes(first | data, indent=2)
 
 
-def _posture(plan: Plan) -> dict[str, tuple[float, ...]]:
-    """Where the work starts: in degrees, or in rad and m where joints slide."""
-    q = plan.start.posture
-    if plan.robot.limits.prismatic.any():
+def stroke_entries(stroke: StrokePlan, robot: Robot) -> dict[str, object]:
+    """Return the entries of what is planned of a stroke, or of a plan of all of them."""
+    start, bound = stroke.start, stroke.lower_bound
+    return {
+        "baseline": stroke.baseline_figures,
+        "quieting": stroke.quieting,
+        "compensation": stroke.compensation,
+        "objective": stroke.objective,
+        "floor": None if bound is None else {**vars(bound), "each": tuple(bound.each.tolist())},
+        "choice": stroke.choice,
+        "start": {
+            **_posture(start.posture, robot),
+            "moved_deg": float(np.degrees(start.moved)),
+            "failures": start.failures,
+        },
+        "drift": stroke.drift,
+        "smallest_singular_value": stroke.smallest_singular_value,
+        "passes": stroke.passes,
+    }
+
+
+def _several(plan: Plan) -> Iterator[dict[str, object]]:
+    """The entries of each of several strokes."""
+    first = plan.baseline_segment(plan.strokes[0].name)
+    for stroke in plan.several:
+        part = plan.baseline_segment(stroke.name)
+        if first is not None and part is not None:
+            begin = part.begin - first.begin
+            yield {**stroke_entries(stroke, plan.robot), "name": stroke.name, "baseline_begin": begin}
+
+
+def _posture(q: FloatArray, robot: Robot) -> dict[str, tuple[float, ...]]:
+    """A posture in degrees, or in rad and m where joints slide."""
+    if robot.limits.prismatic.any():
         return {"posture": tuple(q.tolist())}
     return {"posture_deg": tuple(np.degrees(q).tolist())}
 

@@ -4,12 +4,13 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
+from cmbot.planning.baseline import BaselineSegment, combined_baseline
 from cmbot.planning.context import bending_arm, end_posture_of, robot_of, sag_of, strokes_of, task_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import certify_move
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.job import APPROACH, RETURN, WORK, Job, Segment, SegmentMetrics, job_metrics
+from cmbot.planning.job import APPROACH, RETURN, Job, Segment, SegmentMetrics, free_move_name, job_metrics
 from cmbot.planning.objectives import (
     Objective,
     PostureFunction,
@@ -21,13 +22,14 @@ from cmbot.planning.objectives import (
 )
 from cmbot.planning.path.gradient_projection import JointPath
 from cmbot.planning.path.start_posture import StartPosture, find_start
-from cmbot.planning.plan import ObjectiveMetrics, Plan, Seconds, Start, objective_metrics, require_plan
+from cmbot.planning.plan import Plan, Seconds, require_plan
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress
 from cmbot.planning.remarks import remarks
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.stroke_plan import ObjectiveMetrics, Start, StrokePlan, combined, objective_metrics
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verdict import bound_use, during, tightest_check, verdict
 from cmbot.planning.verification.certificate import Certificate, Check, certify
@@ -38,7 +40,7 @@ from cmbot.trajectory import QuinticTrajectory, SplineSpace
 __all__ = [
     "APPROACH",
     "RETURN",
-    "WORK",
+    "BaselineSegment",
     "Certificate",
     "Check",
     "Choice",
@@ -66,6 +68,7 @@ __all__ = [
     "SplineSpace",
     "Start",
     "StartPosture",
+    "StrokePlan",
     "ToolTask",
     "VibrationSuppression",
     "WeightedMoment",
@@ -75,10 +78,13 @@ __all__ = [
     "bound_use",
     "certify",
     "certify_move",
+    "combined",
+    "combined_baseline",
     "during",
     "end_posture_of",
     "figures",
     "find_start",
+    "free_move_name",
     "job_metrics",
     "measure",
     "objective_metrics",

@@ -39,11 +39,11 @@ class PlanningContext:
     """What every stage of planning needs."""
 
     robot: Robot
-    posture: FloatArray  # (n,), rad and m: the scene's
+    posture: FloatArray  # (n,), rad and m: where the arm is before, at first the scene's
     end_posture: FloatArray | None  # (n,), rad and m, of the whole job; None: where the work ends
     first: FloatArray  # (n,), rad and m: that in which the work starts unless another one is better
     strokes: tuple[Stroke, ...]  # of the job
-    stroke: Stroke  # the one that is planned
+    number: int  # of the stroke that is planned, from 0
     task: ToolTask
     clearances: Clearances
     times: FloatArray  # (k,), s, of the via-points
@@ -52,7 +52,37 @@ class PlanningContext:
     idle_objective: Objective  # the same with the tool off
     arm: ElasticArm | None  # on its guardrail; None where both are rigid
     sag: Sag | None  # where it is to be compensated
+    begin: float = 0.0  # s, on the job's clock: what is planned begins there
+    reached: float = 0.0  # value of the objective that the job before reaches
     reporter: ProgressReporter = field(default_factory=ProgressReporter)
+
+    @property
+    def stroke(self) -> Stroke:
+        """The stroke that is planned."""
+        return self.strokes[self.number]
+
+    @property
+    def before_in_words(self) -> str:
+        """What messages call the posture in which the arm is before."""
+        if self.number == 0:
+            return "the scene's posture"
+        return f"the end of stroke {self.strokes[self.number - 1].name}"
+
+    def at_stroke(
+        self, number: int, scene: Scene, posture: FloatArray, begin: float, reached: float
+    ) -> PlanningContext:
+        """Return the context of a later stroke of a scene: the arm comes from `posture` (n,)."""
+        stroke = self.strokes[number]
+        return replace(
+            self,
+            number=number,
+            posture=posture,
+            first=posture,
+            task=task_of(stroke, scene),
+            times=stroke.via_times,
+            begin=begin,
+            reached=reached,
+        )
 
     @cached_property
     def tool_off(self) -> PlanningContext:
@@ -169,7 +199,7 @@ def build_context(
         end_posture=end_posture_of(scene, robot),
         first=posture,
         strokes=strokes,
-        stroke=strokes[0],
+        number=0,
         task=task_of(strokes[0], scene),
         clearances=Clearances(robot, scene.obstacles),
         times=strokes[0].via_times,

@@ -18,16 +18,21 @@ from cmbot.trajectory import QuinticTrajectory
 __all__ = [
     "APPROACH",
     "RETURN",
-    "WORK",
     "Job",
     "Segment",
     "SegmentMetrics",
+    "free_move_name",
     "job_metrics",
     "join_trajectories",
 ]
 
-APPROACH, WORK, RETURN = "approach", "work", "return"
-"""Names of the free move to the first stroke, of the stroke of a tool path without names, of the way back."""
+APPROACH, RETURN = "approach", "return"
+"""Names of the free move to the first stroke and of the way back."""
+
+
+def free_move_name(stroke: int) -> str:
+    """Return the name of the free move that leads to a stroke, counted from 0."""
+    return f"free_{stroke}" if stroke else APPROACH
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -37,7 +42,8 @@ class Segment:
     Attributes
     ----------
     name : str
-        ``approach``, ``work``, ``return``.
+        That of a stroke, ``work`` where it has none; of a free move ``approach``, ``free_1`` and so on
+        between strokes, ``return``.
     kind : str
         ``stroke`` or ``free``.
     begin : float, s
@@ -70,6 +76,11 @@ class Segment:
     def end(self) -> float:
         """When it ends on the job's clock, s."""
         return self.begin + self.duration
+
+    @property
+    def in_words(self) -> str:
+        """What messages call a free move: the approach, free_1, the return."""
+        return f"the {self.name}" if self.name in (APPROACH, RETURN) else self.name
 
     @property
     def figures(self) -> MotionMetrics:
@@ -127,9 +138,36 @@ class Job:
         )
 
     @cached_property
+    def work(self) -> Job:
+        """What lies between the beginning of the first stroke and the end of the last one, from time 0."""
+        names = [segment.name for segment in self.segments]
+        first, last = (names.index(self.strokes[k].name) for k in (0, -1))
+        begin = self.segments[first].begin
+        return Job(
+            segments=tuple(
+                replace(segment, begin=segment.begin - begin) for segment in self.segments[first : last + 1]
+            )
+        )
+
+    @cached_property
     def figures(self) -> MotionMetrics:
         """The figures of all segments together; the tool's are those of the strokes."""
         return job_metrics(segment.metrics for segment in self.segments)
+
+    @cached_property
+    def stroke_figures(self) -> MotionMetrics:
+        """The figures of the strokes together."""
+        return job_metrics(segment.metrics for segment in self.strokes)
+
+    @cached_property
+    def stroke_certificate(self) -> Certificate:
+        """The promises of the strokes as one statement, times from the beginning of the first one."""
+        (first, *others), begin = self.strokes, self.strokes[0].begin
+        if not others:
+            return first.certificate
+        return Job(
+            segments=tuple(replace(each, begin=each.begin - begin) for each in self.strokes)
+        ).certificate
 
     @cached_property
     def trajectory(self) -> QuinticTrajectory:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -11,32 +11,19 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
-from cmbot.optimization import ExchangeReport, StateSamples
+from cmbot.planning.baseline import SAMPLE_STEP, BaselineSegment, baseline_job, joined_samples
 from cmbot.planning.context import bending_arm, end_posture_of, sag_of
-from cmbot.planning.flexibility.sag_compensation import Compensation
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
-from cmbot.planning.free_motion.return_move import SAME_POSTURE
-from cmbot.planning.free_motion.straight_move import quickest_straight
-from cmbot.planning.initial_guess import Choice
-from cmbot.planning.job import APPROACH, RETURN, Job, Segment, SegmentMetrics, job_metrics
-from cmbot.planning.objectives import Objective
-from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.task import ToolTask
+from cmbot.planning.job import APPROACH, RETURN, Job, Segment, job_metrics
+from cmbot.planning.stroke_plan import StrokePlan
 from cmbot.planning.verification.certificate import Certificate
-from cmbot.planning.verification.metrics import MotionMetrics, Samples, figures, measure
+from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["ObjectiveMetrics", "Plan", "Seconds", "Start", "objective_metrics", "require_plan"]
-
-# Step of the sampled motions, s.
-_SAMPLE_STEP = 0.01
-# Samples per segment at which the peak of an objective is taken that is not enclosed.
-_PEAK_SAMPLES = 400
+__all__ = ["Plan", "Seconds", "require_plan"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,75 +37,11 @@ class Seconds:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Start:
-    """Where a motion starts, and the starts that failed.
-
-    Attributes
-    ----------
-    posture : (n,), rad, of joints that slide m
-    moved : float, rad
-        Largest difference of a joint from the scene's posture, of joints that slide in the units of
-        `PostureMetric`; 0 when that is kept.
-    failures : tuple of PathNotFound
-        Of the scene's posture, then of the others that were tried.
-    """
-
-    posture: FloatArray
-    moved: float
-    failures: tuple[PathNotFound, ...]
-
-
-@dataclass(frozen=True, kw_only=True)
-class ObjectiveMetrics:
-    """The objective of a plan, and its peaks.
-
-    Attributes
-    ----------
-    name : str
-        As in the options; of a custom function, its name in Python.
-    unit : str
-        Of the peaks; empty when it is not known.
-    own : bool
-        It is a custom function: a file holds its name only, so its peaks cannot be checked again.
-    moment_about : str or None
-    axis_weights : three floats or None
-        As in the options; None with another objective than torque.
-    baseline_peak, planned_peak : float
-        Its largest value over each motion.
-    floor : float or None
-        Lower bound of its peak at rest; None with fixed knots.
-    """
-
-    name: str
-    unit: str
-    own: bool
-    moment_about: str | None
-    axis_weights: tuple[float, float, float] | None
-    baseline_peak: float
-    planned_peak: float
-    floor: float | None
-
-    @property
-    def gap(self) -> float | None:
-        """How far the planned peak lies above the lower bound, as a share of it; None without one, or at 0.
-
-        Negative where a moving arm undercuts the static bound a little.
-        """
-        return self.planned_peak / self.floor - 1.0 if self.floor else None
-
-    @property
-    def is_guardrail_torque(self) -> bool:
-        """Whether it is the norm of the torque on the guardrail about O0, as metrics report it."""
-        return not self.own and (self.name, self.moment_about, self.axis_weights) == (
-            "torque",
-            "foot",
-            (1.0, 1.0, 1.0),
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class Plan:
+class Plan(StrokePlan):
     """A motion whose certificate holds, and the baseline.
+
+    What a `StrokePlan` says of its stroke, a plan says of all of them: of several strokes, the task and the
+    start of the first one, the largest peaks and bounds, and the baseline from the first one to the last.
 
     Attributes
     ----------
@@ -126,32 +49,11 @@ class Plan:
     options : PlannerOptions
         What it was planned with.
     robot : Robot
-    task : ToolTask
-    start : Start
-    baseline : Samples
-        The paper's motion without optimisation: Chang 2021, Eq. (22) integrated from the scene's posture;
-        its acceleration and jerk are central differences of its rates, with rest before and after, and its
-        first and last acceleration are those of rest. It may break limits, and collides where the planned
-        motion had to start elsewhere.
-    baseline_figures : MotionMetrics
-    drift : float, m
-        Largest distance of the baseline's tool point from where it should be at that time.
-    smallest_singular_value : float
-        Of the task Jacobian along the baseline.
     job : Job
-        The planned motion: the work; before it the approach, where the work starts elsewhere than the arm
-        does; after it the return, where the scene asks for one.
-    passes : tuple of ExchangeReport
-        Exchange iterations of the optimisation.
-    objective : ObjectiveMetrics
-    lower_bound : LowerBound or None
-        None with fixed knots.
-    choice : Choice or None
-        Peaks of the global search for both choices of the start; None with fixed knots.
-    compensation : Compensation or None
-        Of the predicted sag.
-    quieting : VibrationSuppression or None
-        None with fixed knots, where nothing bends, or unasked.
+        The planned motion: strokes in their order; before each the free move that leads to it, where it
+        starts elsewhere than the arm is; last the return, where the scene asks for one.
+    several : tuple of StrokePlan
+        What is planned of each stroke; empty where there is one, which is the plan's own.
     sag : Sag or None
         The sag that was compensated.
     fallbacks : tuple of str
@@ -162,68 +64,66 @@ class Plan:
     scene: Scene
     options: PlannerOptions
     robot: Robot
-    task: ToolTask
-    start: Start
-    baseline: Samples
-    baseline_figures: MotionMetrics
-    drift: float
-    smallest_singular_value: float
     job: Job
-    passes: tuple[ExchangeReport, ...]
-    objective: ObjectiveMetrics
-    lower_bound: LowerBound | None
-    choice: Choice | None
-    compensation: Compensation | None
-    quieting: VibrationSuppression | None
+    several: tuple[StrokePlan, ...] = ()
     sag: Sag | None
     fallbacks: tuple[str, ...]
     seconds: Seconds
 
+    @property
+    def strokes(self) -> tuple[StrokePlan, ...]:
+        """What is planned of each stroke."""
+        return self.several or (self,)
+
     @cached_property
+    def baseline_segments(self) -> tuple[BaselineSegment, ...]:
+        """The baseline of the whole job, from where the arm is to where it ends."""
+        return baseline_job(
+            self.robot,
+            Clearances(self.robot, self.scene.obstacles),
+            self.strokes,
+            np.array(self.scene.posture),
+            end_posture_of(self.scene, self.robot),
+        )
+
+    def baseline_segment(self, name: str) -> BaselineSegment | None:
+        """Return the segment of the baseline's job of that name; None where there is none."""
+        return next((segment for segment in self.baseline_segments if segment.name == name), None)
+
+    @property
     def baseline_return(self) -> Samples | None:
         """The baseline's return every 0.01 s, from time 0: the quickest straight joint motion within limits.
 
         It starts where the baseline ends; torques and collisions are ignored. None without a return.
         """
-        start, end = self.baseline.q[-1], end_posture_of(self.scene, self.robot)
-        if end is None or np.abs(end - start).max() <= SAME_POSTURE:
-            return None
-        robot = self.robot.tool_off
-        t, motion = quickest_straight(robot.limits, start, end, _SAMPLE_STEP)
-        clearances = Clearances(robot, self.scene.obstacles)
-        return measure(robot, self.task.held_at_start(), clearances, t, motion)
+        back = self.baseline_segment(RETURN)
+        return None if back is None else back.samples
 
     @cached_property
     def baseline_job_figures(self) -> MotionMetrics:
-        """Figures of the baseline over the whole job: it begins where the arm is."""
-        figures_of_work, back = self.baseline_figures, self.baseline_return
-        parts = [
-            SegmentMetrics(figures=figures_of_work, seconds=float(self.baseline.t[-1]), kind="stroke"),
-        ]
-        if back is not None:
-            measured = figures(self.robot.tool_off, back)
-            parts.append(SegmentMetrics(figures=measured, seconds=float(back.t[-1]), kind="free"))
-        return job_metrics(parts)
+        """Figures of the baseline over the whole job."""
+        return job_metrics(segment.metrics for segment in self.baseline_segments)
 
     @property
-    def work(self) -> Segment:
-        """The stroke of the job."""
-        return self.job.strokes[0]
+    def work(self) -> Job:
+        """What lies between the beginning of the first stroke and the end of the last one, from time 0."""
+        return self.job.work
 
-    @property
+    @cached_property
     def trajectory(self) -> QuinticTrajectory:
         """The motion of the work."""
-        return self.work.trajectory
+        first, *others = self.work.segments
+        return self.work.trajectory if others else first.trajectory
 
     @property
     def certificate(self) -> Certificate:
-        """The certificate of the work."""
-        return self.work.certificate
+        """The certificate of the strokes, times from the beginning of the first one."""
+        return self.job.stroke_certificate
 
     @property
     def figures(self) -> MotionMetrics:
-        """Figures of the work, as certified."""
-        return self.certificate.figures
+        """Figures of the strokes, as certified."""
+        return self.job.stroke_figures if self.several else self.certificate.figures
 
     @property
     def approach(self) -> Segment | None:
@@ -233,10 +133,13 @@ class Plan:
         """
         return self.job.segment(APPROACH)
 
-    @property
+    @cached_property
     def samples(self) -> Samples:
         """The work every 0.01 s, from time 0."""
-        return self.segment_samples[self.work.name]
+        first, *others = self.work.segments
+        if not others:
+            return self.segment_samples[first.name]
+        return joined_samples(self._on_the_clock(segment) for segment in self.work.segments)[0]
 
     @property
     def approach_samples(self) -> Samples | None:
@@ -250,27 +153,18 @@ class Plan:
         A join belongs to the segment that ends there. Where sag is compensated the tool is expected with its
         predicted sag in the free moves, too.
         """
-        each = [self._on_the_clock(segment) for segment in self.job.segments]
-        joined: dict[str, FloatArray | None] = {}
-        for field in fields(Samples):
-            arrays = [getattr(samples, field.name) for samples in each]
-            first, *others = arrays
-            joined[field.name] = (
-                None if first is None else np.concatenate([first, *(array[1:] for array in others)])
-            )
-        # The first row of a later segment is the join.
-        counts = [len(samples.t) - (k > 0) for k, samples in enumerate(each)]
+        samples, counts = joined_samples(self._on_the_clock(segment) for segment in self.job.segments)
         names = np.repeat([segment.name for segment in self.job.segments], counts)
-        return Samples(**joined), tuple(names.tolist())  # type: ignore[arg-type]
+        return samples, tuple(names.tolist())
 
-    def _on_the_clock(self, segment: Segment) -> Samples:
+    def _on_the_clock(self, segment: Segment) -> tuple[float, Samples, bool]:
         samples = self.segment_samples[segment.name]
         expected = samples.expected_tool_point
         if self.sag is not None and expected is None:
             # The tool is off: no process force bends the arm.
             sag = sag_of(self.scene, bending_arm(self.scene, self.robot.tool_off), self.options) or self.sag
             expected = samples.tool_point + sag.along(samples.t, samples.q)
-        return replace(samples, t=segment.begin + samples.t, expected_tool_point=expected)
+        return segment.begin, replace(samples, expected_tool_point=expected), False
 
     @cached_property
     def segment_samples(self) -> dict[str, Samples]:
@@ -287,12 +181,18 @@ class Plan:
 
     @property
     def largest_torque_difference(self) -> tuple[float, float]:
-        """Largest value over time of baseline's less planned torque norm, Nm, and when, s."""
-        baseline = np.linalg.norm(self.baseline.guardrail_torque, axis=1)
-        planned = np.linalg.norm(self.samples.guardrail_torque, axis=1)
-        difference = baseline - np.interp(self.baseline.t, self.samples.t, planned)
-        k = int(difference.argmax())
-        return float(difference[k]), float(self.baseline.t[k])
+        """Largest value over time of baseline's less planned torque norm, Nm, and when in the work, s."""
+        largest, when = -np.inf, 0.0
+        for stroke in self.strokes:
+            segment = self.work.segment(stroke.name)
+            samples = self.segment_samples[stroke.name]
+            baseline = np.linalg.norm(stroke.baseline.guardrail_torque, axis=1)
+            planned = np.linalg.norm(samples.guardrail_torque, axis=1)
+            difference = baseline - np.interp(stroke.baseline.t, samples.t, planned)
+            k = int(difference.argmax())
+            if segment is not None and difference[k] > largest:
+                largest, when = float(difference[k]), float(segment.begin + stroke.baseline.t[k])
+        return largest, when
 
     @property
     def torque_floor(self) -> float | None:
@@ -342,67 +242,19 @@ class Plan:
             yield f"{name}, {unit}", left, right
             if name == _PEAK_AT_WORK:
                 yield from self._peaks_of_free_moves()
-        duration = float(self.baseline.t[-1])
-        if self.baseline_return is not None:
-            duration += float(self.baseline_return.t[-1])
+        duration = self.baseline_segments[-1].end
         yield "time of the whole job, s", f"{duration:.1f}", f"{self.job.duration:.1f}"
         for limit in ("velocity", "acceleration", "jerk", "torque"):
             left, right = (f"{getattr(figures.limit_use, limit):.3f}" for figures in work)
             yield f"joint {limit} at work, share of its bound", left, right
 
     def _peaks_of_free_moves(self) -> Iterator[tuple[str, str, str]]:
-        back = self.baseline_return
         for segment in self.job.segments:
             if segment.kind == "free":
-                baseline = "-"
-                if segment.name == RETURN and back is not None:
-                    baseline = f"{np.linalg.norm(back.guardrail_torque, axis=1).max():.2f}"
-                name = f"peak torque on the {segment.name}, Nm"
+                other = self.baseline_segment(segment.name)
+                baseline = "-" if other is None else f"{other.figures.peak_guardrail_torque:.2f}"
+                name = f"peak torque on {segment.in_words}, Nm"
                 yield name, baseline, f"{segment.figures.peak_guardrail_torque:.2f}"
-
-
-def objective_metrics(
-    objective: Objective,
-    options: PlannerOptions,
-    *,
-    own: bool,
-    baseline: tuple[MotionMetrics, Samples],
-    planned: tuple[MotionMetrics, QuinticTrajectory],
-    floor: float | None,
-) -> ObjectiveMetrics:
-    """Evaluate an objective over both motions.
-
-    Parameters
-    ----------
-    objective : Objective
-    options : PlannerOptions
-    own : bool
-        It is a custom function, not the options' objective.
-    baseline : MotionMetrics and Samples
-    planned : MotionMetrics and QuinticTrajectory
-        Of what is not the torque about the foot the peak is sampled.
-    floor : float or None
-    """
-    (baseline_metrics, samples), (metrics, trajectory) = baseline, planned
-    t = trajectory.t
-    grid = np.append(np.linspace(t[:-1], t[1:], _PEAK_SAMPLES, endpoint=False, axis=1).ravel(), t[-1])
-
-    def peak(of: MotionMetrics, t: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> float:
-        if objective.reported:
-            return of.peak_guardrail_torque
-        return float(objective.values(StateSamples(t, q, v, a)).max())
-
-    of_torque = not own and options.objective == "torque"
-    return ObjectiveMetrics(
-        name=objective.name,
-        unit=objective.unit,
-        own=own,
-        moment_about=options.moment_about if of_torque else None,
-        axis_weights=options.axis_weights if of_torque else None,
-        baseline_peak=peak(baseline_metrics, samples.t, samples.q, samples.v, samples.a),
-        planned_peak=peak(metrics, grid, *trajectory.states(grid)),
-        floor=floor,
-    )
 
 
 def require_plan(value: object, source: str) -> None:
@@ -430,6 +282,6 @@ _ROWS = (
 
 def _sample_times(duration: float) -> FloatArray:
     """Return times from 0 to `duration` every 0.01 s (the last step shorter if need be)."""
-    count = int(np.floor(duration / _SAMPLE_STEP * (1 + 1e-12)))
-    t: FloatArray = _SAMPLE_STEP * np.arange(count + 1, dtype=np.float64)
+    count = int(np.floor(duration / SAMPLE_STEP * (1 + 1e-12)))
+    t: FloatArray = SAMPLE_STEP * np.arange(count + 1, dtype=np.float64)
     return t if duration - t[-1] < 1e-9 * duration else np.append(t, duration)

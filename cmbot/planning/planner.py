@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cmbot.common.errors import InputError, LimitViolation, PlanningError, remedy_for
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError, LimitViolation, PathNotFound, PlanningError, remedy_for
 from cmbot.common.validation import checked_options, require_type
 from cmbot.optimization import ExchangeReport
+from cmbot.planning.baseline import combined_baseline
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.failures import constraints_named, in_seconds, slower, slower_legs
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
@@ -20,11 +22,11 @@ from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
 from cmbot.planning.initial_guess import initial_guess, sliding_guess
-from cmbot.planning.job import APPROACH, WORK, Job, Segment
+from cmbot.planning.job import Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
-from cmbot.planning.plan import Plan, Seconds, Start, objective_metrics
+from cmbot.planning.plan import Plan, Seconds
 from cmbot.planning.precheck import (
     failures_explained,
     require_reasonable_size,
@@ -34,10 +36,11 @@ from cmbot.planning.precheck import (
 )
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.retries import Attempt, with_retries
+from cmbot.planning.stroke_plan import Start, StrokePlan, combined, objective_metrics
 from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.planning.verification.certificate import certify
 from cmbot.planning.verification.metrics import figures, measure
-from cmbot.scene import PlannerOptions, Scene
+from cmbot.scene import WORK, PlannerOptions, Scene
 
 __all__ = ["plan"]
 
@@ -102,16 +105,43 @@ def plan(
         for stroke in context.strokes:
             require_reasonable_size(scene, stroke, context.robot.dof, options)
             require_tool_speed(scene, stroke)
+        made: list[tuple[Attempt, _Motion]] = []
+        for number in range(len(context.strokes)):
+            made.append(_stroke(_at_stroke(context, scene, number, made), automatic=automatic))
+        return _plan(scene, made, custom=objective is not None)
+
+
+def _at_stroke(
+    context: PlanningContext, scene: Scene, number: int, made: Sequence[tuple[Attempt, _Motion]]
+) -> PlanningContext:
+    """The context of a stroke after those that are planned."""
+    left = len(context.strokes) - number
+    if left > 1:
+        # Only the last stroke leads to where the job ends.
+        context = replace(context, end_posture=None)
+    if len(context.strokes) > 1:
+        context.reporter.share_out(left)
+        context.reporter.stage("path")
+    if not made:
+        return context
+    before = made[-1][1].job.segments[-1]
+    reached = max(_job_peak(attempt.context, motion.job) for attempt, motion in made)
+    return context.at_stroke(number, scene, before.trajectory.q[-1], before.end, reached)
+
+
+def _stroke(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
+    """Plan a stroke and the free moves that go with it."""
+    try:
         require_within_reach(context)
         if context.stroke.begins_elsewhere:
             context = starting_at_path(context)
-        try:
-            attempt, motion = _search(context, automatic=automatic)
-        except PlanningError as failure:
-            if hints := [*_hints(context, failure, automatic=automatic)]:
-                failure.add_hint("; ".join(hints))
-            raise
-        return _plan(scene, attempt, motion, custom=objective is not None)
+        return _search(context, automatic=automatic)
+    except PlanningError as failure:
+        if len(context.strokes) > 1:
+            failure.add_hint(f"this is stroke {context.stroke.name}")
+        if hints := [*_hints(context, failure, automatic=automatic)]:
+            failure.add_hint("; ".join(hints))
+        raise
 
 
 def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
@@ -124,7 +154,7 @@ def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
 
     The peak over the whole job counts: a better start is none where the way there is worse.
     """
-    context, guess, approach = attempt.context, attempt.guess, motion.job.segment(APPROACH)
+    context, guess, approach = attempt.context, attempt.guess, motion.approach
     pinned = None if guess.choice is None else guess.choice.pinned
     if approach is None or pinned is None or guess.failures or context.reporter.expired():
         return attempt, motion
@@ -132,7 +162,7 @@ def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
     rest = _job_peak(
         context, Job(segments=tuple(each for each in motion.job.segments if each is not approach))
     )
-    if asked <= margin * max(pinned, rest):
+    if asked <= margin * max(pinned, rest, context.reached):
         return attempt, motion
     context.reporter.stage("path")
     context.reporter.step("the approach asks more than the work; trying the scene's posture")
@@ -191,17 +221,55 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
             return
 
 
-def _plan(scene: Scene, attempt: Attempt, motion: _Motion, *, custom: bool) -> Plan:
-    """Return the plan of a motion, beside the baseline."""
-    reporter = attempt.context.reporter
-    if len(attempt.context.times) != scene.via_points:
-        scene = replace(scene, via_points=len(attempt.context.times))
+def _plan(scene: Scene, made: Sequence[tuple[Attempt, _Motion]], *, custom: bool) -> Plan:
+    """Return the plan of a job's motions, beside the baseline."""
+    context = made[0][0].context
+    strokes, at = list[StrokePlan](), None
+    for attempt, motion in made:
+        strokes.append(_stroke_plan(attempt, motion, at, custom=custom))
+        at = strokes[-1].baseline.q[-1]
+    several = tuple(strokes) if len(strokes) > 1 else ()
+    of_all = vars(strokes[0])
+    if several:
+        # The baseline from the first stroke to the last is that of the job but for its ends.
+        baseline, measured = combined_baseline(context.robot, context.clearances, several)
+        of_all = {"name": WORK, **combined(several), "baseline": baseline, "baseline_figures": measured}
+    shares = [attempt.guess.search.step_share for attempt, _ in made if attempt.guess.search is not None]
+    return Plan(
+        **of_all,
+        scene=_with_via_points(scene, [len(attempt.context.times) for attempt, _ in made]),
+        options=replace(context.options, step_share=min(shares)) if shares else context.options,
+        robot=context.robot,
+        job=Job(segments=tuple(segment for _, motion in made for segment in motion.job.segments)),
+        several=several,
+        sag=context.sag,
+        fallbacks=tuple(_all_fallbacks(made)),
+        seconds=Seconds(**context.reporter.seconds()),
+    )
+
+
+def _with_via_points(scene: Scene, counts: Sequence[int]) -> Scene:
+    """The scene with the number of via-points that each stroke was planned with."""
+    given = [stroke.via_points for stroke in scene.each_stroke]
+    if list(counts) == given:
+        return scene
+    if scene.strokes is None:
+        return replace(scene, via_points=counts[0])
+    strokes = (
+        stroke.model_copy(update={"via_points": count})
+        for stroke, count in zip(scene.strokes, counts, strict=True)
+    )
+    return replace(scene, strokes=tuple(strokes))
+
+
+def _stroke_plan(attempt: Attempt, motion: _Motion, at: FloatArray | None, *, custom: bool) -> StrokePlan:
+    """What is planned of a stroke, beside the baseline from the posture `at` (n,), by default the scene's."""
     context, guess, options = attempt.context, attempt.guess, attempt.context.options
     # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
     path = follow_path(
-        context,
+        context if at is None else _starting_near(context, at),
         stop_at_obstacles=False,
-        report=partial(reporter.part, "following the tool path as the baseline does"),
+        report=partial(context.reporter.part, "following the tool path as the baseline does"),
     )
     baseline = measure(
         context.robot, context.task, context.clearances, path.t, path.motion(), clearance=path.clearance
@@ -216,31 +284,41 @@ def _plan(scene: Scene, attempt: Attempt, motion: _Motion, *, custom: bool) -> P
         planned=(motion.work.figures, motion.work.trajectory),
         floor=guess.lower_bound.value if sliding else None,
     )
-    return Plan(
-        scene=scene,
-        options=options if guess.search is None else replace(options, step_share=guess.search.step_share),
-        robot=context.robot,
+    return StrokePlan(
+        name=context.stroke.name,
         task=context.task,
         start=motion.start,
         baseline=baseline,
         baseline_figures=baseline_figures,
         drift=float(path.drift.max()),
         smallest_singular_value=float(path.singular_value.min()),
-        job=motion.job,
         passes=motion.optimised.passes,
         objective=objective,
         lower_bound=guess.lower_bound if sliding else None,
         choice=guess.choice,
         compensation=motion.compensation,
         quieting=motion.quieting,
-        sag=context.sag,
-        fallbacks=tuple(_fallbacks(attempt, motion)),
-        seconds=Seconds(**reporter.seconds()),
     )
+
+
+def _starting_near(context: PlanningContext, q: FloatArray) -> PlanningContext:
+    """The context of a stroke that starts in the admissible posture nearest to `q` (n,)."""
+    try:
+        return starting_at_path(replace(context, posture=q))
+    except PathNotFound:
+        # What was planned starts in one.
+        return context
 
 
 def _quiets(options: PlannerOptions) -> bool:
     return options.knots == "sliding" and options.quiet_modes > 0
+
+
+def _all_fallbacks(made: Sequence[tuple[Attempt, _Motion]]) -> Iterator[str]:
+    for attempt, motion in made:
+        of = f"Stroke {attempt.context.stroke.name}: " if len(made) > 1 else ""
+        for fallback in _fallbacks(attempt, motion):
+            yield of + fallback
 
 
 def _fallbacks(attempt: Attempt, motion: _Motion) -> Iterator[str]:
@@ -272,13 +350,18 @@ class _Motion:
     def work(self) -> Segment:
         return self.job.strokes[0]
 
+    @property
+    def approach(self) -> Segment | None:
+        first = self.job.segments[0]
+        return first if first.kind == "free" else None
+
 
 def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | None:
     """The return of a job after what is planned of it."""
     if context.end_posture is None:
         return None
     context.reporter.step("planning the return")
-    work, allowed = before[-1], _job_peak(context, Job(segments=before))
+    work, allowed = before[-1], max(context.reached, _job_peak(context, Job(segments=before)))
     return plan_return(context, work.trajectory.q[-1], begin=work.end, allowed=allowed)
 
 
@@ -324,9 +407,9 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         chart = context.first[None] if guess.search is None else guess.search.first_chart.q
         approach = plan_approach(context, posture, chart, allowed=float(at_rest.max()))
     work = Segment(
-        name=WORK,
+        name=context.stroke.name,
         kind="stroke",
-        begin=0.0 if approach is None else approach.end,
+        begin=context.begin if approach is None else approach.end,
         trajectory=optimised.trajectory,
         certificate=certificate,
         task=context.task,

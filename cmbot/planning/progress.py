@@ -94,6 +94,7 @@ class ProgressReporter:
         limit: float = math.inf,
     ) -> None:
         self._began, self._limit = clock(), limit
+        self._end = self._began + limit
         self._progress = progress or (lambda _: None)
         self._clock = clock
         self._now = Progress(stage="path")
@@ -107,6 +108,11 @@ class ProgressReporter:
     def quiet(self) -> ProgressReporter:
         """Return a reporter that reports nothing and knows the time left."""
         return ProgressReporter(clock=self._clock, limit=self.time_left)
+
+    def share_out(self, parts: int) -> None:
+        """Give what begins now one of so many equal parts of all the time that is left."""
+        self._began = self._clock()
+        self._limit = max(self._end - self._began, 0.0) / parts
 
     def expired(self, more: float = 0.0) -> bool:
         """Whether the time is over, and so is a share `more` of it."""

@@ -34,7 +34,7 @@ def verdict(plan: Plan) -> str:
         text += f"; the work alone {work:.1f} Nm (baseline {other:.1f} Nm)"
     segment, check = tightest_check(job)
     return (
-        f"{text}. Tightest promise: {check.quantity} {during(segment)}, at {check.time:.1f} s, "
+        f"{text}. Tightest promise: {check.quantity} {during(segment, job)}, at {check.time:.1f} s, "
         f"{100 * bound_use(check):.0f} % of its bound."
     )
 
@@ -51,9 +51,11 @@ def bound_use(check: Check) -> float:
     return check.value / check.bound if check.bound else 0.0
 
 
-def during(segment: Segment) -> str:
-    """Return when a segment is, in words: ``at work``, ``on the approach``."""
-    return "at work" if segment.kind == "stroke" else f"on the {segment.name}"
+def during(segment: Segment, job: Job) -> str:
+    """Return when a segment of a job is, in words: ``at work``, ``along flange``, ``on the approach``."""
+    if segment.kind == "stroke":
+        return "at work" if len(job.strokes) == 1 else f"along {segment.name}"
+    return f"on {segment.in_words}"
 
 
 def _where(plan: Plan) -> str:
@@ -69,7 +71,7 @@ def _where(plan: Plan) -> str:
     segment = max(plan.job.segments, key=lambda each: each.figures.peak_guardrail_torque)
     samples = plan.segment_samples[segment.name]
     time = segment.begin + samples.t[np.linalg.norm(samples.guardrail_torque, axis=1).argmax()]
-    return f"{during(segment)}, at {time:.1f} s"
+    return f"{during(segment, plan.job)}, at {time:.1f} s"
 
 
 def _compared(peak: float, baseline: float) -> str:

@@ -255,15 +255,16 @@ def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], Float
 
 def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool = True) -> tuple[Curve, ...]:
     """Return a quantity of both motions over the time since the work began, `free` moves included."""
-    begin, back = plan.work.begin, plan.baseline_return
+    segments, others = plan.job.segments, plan.baseline_segments
     planned = [
-        (segment.begin - begin, plan.segment_samples[segment.name])
-        for segment in plan.job.segments
+        (segment.begin - plan.job.strokes[0].begin, plan.segment_samples[segment.name])
+        for segment in segments
         if free or segment.kind == "stroke"
     ]
-    baseline = [(0.0, plan.baseline)]
-    if free and back is not None:
-        baseline.append((float(plan.baseline.t[-1]), back))
+    begin = next(segment.begin for segment in others if segment.kind == "stroke")
+    baseline = [
+        (segment.begin - begin, segment.samples) for segment in others if free or segment.kind == "stroke"
+    ]
 
     def curve(motion: Motion, parts: list[tuple[float, Samples]]) -> Curve:
         t = np.concatenate([start + samples.t for start, samples in parts])

@@ -51,8 +51,8 @@ def scene_commands(plan: Plan) -> list[bytes]:
         {"type": "set_property", "path": f"/{hidden}", "property": "visible", "value": False}
         for hidden in ("Grid", "Axes", "Lights")
     ]
-    path = tube(plan.task.path.outline(), 0.002 * reach(plan.robot))
-    commands += [*_robot(plan.robot), *_bridge(plan.scene), _set_mesh("/path", [path], PATH)]
+    paths = [tube(stroke.task.path.outline(), 0.002 * reach(plan.robot)) for stroke in plan.strokes]
+    commands += [*_robot(plan.robot), *_bridge(plan.scene), _set_mesh("/path", paths, PATH)]
     return [umsgpack.packb(command) for command in commands]
 
 

@@ -50,7 +50,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "duration": duration,
         "end": end,
         "base": plan.scene.base_name,
-        "legTimes": plan.task.path.leg_times.tolist(),
+        "legTimes": _leg_times(plan).tolist(),
         "floor": plan.torque_floor,
         "floorName": floor_name(plan),
         "margin": plan.options.safety_margin_m,
@@ -153,6 +153,13 @@ def _link_names(robot: Robot) -> list[str]:
     ]
 
 
+def _leg_times(plan: Plan) -> FloatArray:
+    """Return the times at which legs begin and end, s, of several strokes those of the planned motion."""
+    begins = [segment.begin for segment in plan.work.strokes]
+    times = (begin + stroke.task.path.leg_times for begin, stroke in zip(begins, plan.strokes, strict=True))
+    return np.unique(np.concatenate([*times]))
+
+
 def _end(tracking: Tracking, duration: float) -> float:
     for name, motion in reversed(tracking.motions):
         if not np.isclose(motion.stop, duration, rtol=1e-9, atol=0.0):
@@ -220,7 +227,8 @@ def _focus(plan: Plan) -> dict[str, Any]:
     """Return a ball (m, in W) about the foot, the path and the arm's joints, and the camera's azimuth."""
     motions = [plan.samples.q, plan.baseline.q]
     motions += [segment.trajectory.q for segment in plan.job.segments if segment.kind == "free"]
-    points = [np.zeros((1, 3)), plan.task.path.outline(), plan.samples.tool_point, plan.baseline.tool_point]
+    points = [np.zeros((1, 3)), plan.samples.tool_point, plan.baseline.tool_point]
+    points += [stroke.task.path.outline() for stroke in plan.strokes]
     points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3].reshape(-1, 3) for q in motions]
     cloud = np.concatenate(points)
     low, high = cloud.min(axis=0), cloud.max(axis=0)

@@ -22,6 +22,7 @@ from cmbot.planning import (
     tightest_check,
 )
 from cmbot.robot import postures_in_words
+from cmbot.scene import ToolPath
 from cmbot.simulation import Tracking, off_path, tracking_remarks, tracking_rows, tracking_verdict
 from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_meaning, joint_charts
@@ -126,8 +127,8 @@ def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
 
 
 def certificates(plan: Plan) -> dict[str, Certificate]:
-    """Return the certificates of a plan by the names of its segments, that of the work first."""
-    first = {plan.work.name: plan.certificate}
+    """Return the certificates of a plan by the names of its segments, those of the strokes first."""
+    first = {stroke.name: stroke.certificate for stroke in plan.job.strokes}
     return first | {segment.name: segment.certificate for segment in plan.job.segments}
 
 
@@ -140,7 +141,7 @@ def _peak_card(plan: Plan) -> Headline:
     detail = f"at work {other:.1f} → {work:.1f} Nm{change}"
     for segment in plan.job.segments:
         if segment.kind == "free":
-            detail += f"; {segment.figures.peak_guardrail_torque:.1f} Nm on the {segment.name}"
+            detail += f"; {segment.figures.peak_guardrail_torque:.1f} Nm on {segment.in_words}"
     state: Literal["plain", "good", "bad"] = "plain"
     if after < before * (1 - _GAIN):
         state = "good"
@@ -176,12 +177,14 @@ def _certificate_card(plan: Plan) -> Headline:
     }
     segment, tightest = tightest_check(plan.job)
     use = f"{100 * bound_use(tightest):.0f} % of its bound"
-    others = "".join(f"; {name}: {number}" for name, number in held.items() if name != plan.work.name)
+    strokes = {stroke.name for stroke in plan.job.strokes}
+    others = "".join(f"; {name}: {number}" for name, number in held.items() if name not in strokes)
+    checks = [check for stroke in plan.job.strokes for check in stroke.certificate.checks]
     kept = all(check.holds for found in certificates(plan).values() for check in found.checks)
     return Headline(
         title="Certified checks",
-        value=f"{held[plan.work.name]} hold",
-        detail=f"tightest: {tightest.quantity} {during(segment)}, {use}{others}",
+        value=f"{sum(check.holds for check in checks)} of {len(checks)} hold",
+        detail=f"tightest: {tightest.quantity} {during(segment, plan.job)}, {use}{others}",
         state="good" if kept else "bad",
     )
 
@@ -239,8 +242,10 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     elastic = list(_elastic(plan))
     if elastic:
         yield _section("Predicted sag and vibration", _table(elastic))
+    several = {stroke.name for stroke in plan.several}
     for name, certificate in certificates(plan).items():
-        yield _section(f"Certificate of the {name}", _check_table(certificate, plan.scene.base_name))
+        the = "" if name in several else "the "
+        yield _section(f"Certificate of {the}{name}", _check_table(certificate, plan.scene.base_name))
     if tracking is not None:
         table = _table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
@@ -324,7 +329,7 @@ def _check_table(certificate: Certificate, base: str) -> str:
 
 
 def _scene(plan: Plan) -> Iterator[Row]:
-    scene, path, robot = plan.scene, plan.task.path, plan.robot
+    scene, robot = plan.scene, plan.robot
     yield "name", scene.name
     yield "robot", f"{robot.name}, {robot.dof} joints, {robot.mass:.1f} kg, payload {robot.payload:g} kg"
     if robot.limits.prismatic.any():
@@ -333,18 +338,24 @@ def _scene(plan: Plan) -> Iterator[Row]:
         yield "posture, deg", _numbers(np.rad2deg(scene.posture), 1)
     if scene.return_to != "none":
         yield "return to", scene.return_to
-    yield "tool constraint", scene.keep
     if robot.pushed:
         yield "process force on the tool, along its axes", f"({_numbers(robot.tool_force, 1)}) N"
     if scene.tool.max_speed_m_s is not None:
         yield "largest tool speed", f"{scene.tool.max_speed_m_s:g} m/s"
-    legs = zip(np.diff(path.corners, axis=0), path.seconds, strict=True)
-    for k, (by, seconds) in enumerate(legs):
-        along = f", {path.lengths[k]:.3f} m along a curve" if k in path.curves else ""
-        yield f"leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
+    for stroke in plan.strokes:
+        of = f"{stroke.name}: " if plan.several else ""
+        yield f"{of}tool constraint", stroke.task.keep
+        for name, leg in _legs(stroke.task.path):
+            yield f"{of}{name}", leg
     workpieces = [obstacle.name for obstacle in scene.obstacles if obstacle.workpiece]
     yield "obstacles", ", ".join(obstacle.name for obstacle in scene.obstacles) or "none"
     yield "workpieces among them", ", ".join(workpieces) or "none"
+
+
+def _legs(path: ToolPath) -> Iterator[Row]:
+    for k, (by, seconds) in enumerate(zip(np.diff(path.corners, axis=0), path.seconds, strict=True)):
+        along = f", {path.lengths[k]:.3f} m along a curve" if k in path.curves else ""
+        yield f"leg {k + 1}", f"by ({_numbers(by, 3)}) m in {seconds:g} s{along}"
 
 
 def _joints(plan: Plan) -> Iterator[Row]:

@@ -147,7 +147,7 @@ def test_tables_hold_the_samples_exactly(saved_triangle, triangle_plan, job_samp
     vectors = [f"{v}_{axis}" for v in ("guardrail_torque", "guardrail_force", "tool") for axis in "xyz"]
     assert header == ["t", *joints, *vectors, "clearance", *(["segment"] if name == "job" else [])]
     if name == "job":
-        begin = triangle_plan.work.begin
+        begin = triangle_plan.job.strokes[0].begin
         expected = ["approach" if t <= begin else "work" for t in samples.t.tolist()]
         assert [row.pop() for row in rows] == expected
     table = np.array(rows, dtype=float)

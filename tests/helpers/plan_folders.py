@@ -76,7 +76,7 @@ def changed(planned: Plan, segment: str, **changes: Any) -> Plan:
 
 def without_approach(planned: Plan) -> Plan:
     """The plan as if the arm stood where the work starts."""
-    return replace(planned, job=Job(segments=(replace(planned.work, begin=0.0),)))
+    return replace(planned, job=Job(segments=(replace(planned.job.strokes[0], begin=0.0),)))
 
 
 def as_earlier(folder: Path) -> Path:
@@ -89,6 +89,7 @@ def as_earlier(folder: Path) -> Path:
 
     def change(data: dict[str, Any]) -> None:
         data["format"], block = "cmbot-plan/1", data.pop("segments")[0]
+        del data["strokes"]
         kept = {key: block[key] for key in block if key not in ("name", "kind", "begin")}
         data["approach"] = None if approach is None else kept
         for key in ("baseline", "planned"):

@@ -1,4 +1,4 @@
-"""The approach: the free move from the scene's posture to the start of the work."""
+"""The approach: the free move from where the arm is to the start of a stroke."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_move import FreeMove, free_space, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
-from cmbot.planning.job import APPROACH, Segment
+from cmbot.planning.job import Segment, free_move_name
 
 __all__ = ["plan_approach", "reachable"]
 
@@ -44,13 +44,14 @@ def plan_approach(
         When nothing leads there.
     """
     move = FreeMove(
-        name=APPROACH,
+        name=free_move_name(context.number),
         start=context.posture,
         end=end,
-        start_name="the scene's posture",
-        end_name="the start of the work",
+        start_name=context.before_in_words,
+        end_name="the start of the work" if context.number == 0 else f"the start of {context.stroke.name}",
         remedy="take start: pinned, or a start posture from which one leads there",
-        allowed=allowed,
+        begin=context.begin,
+        allowed=max(allowed, context.reached),
     )
     ends = np.stack([move.start, move.end])
     return plan_move(

@@ -1,0 +1,148 @@
+"""The baseline of a job: Eq. (22) along every stroke, the quickest straight joint motions between them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import Literal
+
+import numpy as np
+
+from cmbot.collision import Clearances
+from cmbot.common.arrays import FloatArray
+from cmbot.planning.free_motion.return_move import SAME_POSTURE
+from cmbot.planning.free_motion.straight_move import quickest_straight
+from cmbot.planning.job import RETURN, SegmentMetrics, free_move_name, job_metrics
+from cmbot.planning.stroke_plan import StrokePlan
+from cmbot.planning.task import ToolTask
+from cmbot.planning.verification.metrics import MotionMetrics, Samples, figures, measure
+from cmbot.robot import Robot
+
+__all__ = ["SAMPLE_STEP", "BaselineSegment", "baseline_job", "combined_baseline", "joined_samples"]
+
+SAMPLE_STEP = 0.01
+"""Step of the sampled motions, s."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class BaselineSegment:
+    """A part of the baseline's job, as of the planned one.
+
+    Attributes
+    ----------
+    name : str
+    kind : str
+        ``stroke`` or ``free``.
+    begin : float, s
+        When it begins on the clock of the baseline's job.
+    samples : Samples
+        Its own clock begins at 0.
+    figures : MotionMetrics
+    """
+
+    name: str
+    kind: Literal["stroke", "free"]
+    begin: float
+    samples: Samples
+    figures: MotionMetrics
+
+    @property
+    def duration(self) -> float:
+        """Its duration, s."""
+        return float(self.samples.t[-1])
+
+    @property
+    def end(self) -> float:
+        """When it ends on the clock of the baseline's job, s."""
+        return self.begin + self.duration
+
+    @property
+    def metrics(self) -> SegmentMetrics:
+        """Its figures with what they are weighted by."""
+        return SegmentMetrics(figures=self.figures, seconds=self.duration, kind=self.kind)
+
+
+def baseline_job(
+    robot: Robot,
+    clearances: Clearances,
+    strokes: Sequence[StrokePlan],
+    start: FloatArray,
+    end: FloatArray | None,
+) -> tuple[BaselineSegment, ...]:
+    """Return the baseline of a whole job, segment by segment.
+
+    Between the strokes it takes the quickest straight joint motions within the limits of velocity,
+    acceleration and jerk, every 0.01 s; torques and collisions are ignored.
+
+    Parameters
+    ----------
+    robot : Robot
+    clearances : Clearances
+    strokes : sequence of StrokePlan
+        With the baseline along each.
+    start : (n,), rad, of joints that slide m
+        Where the arm is before the job.
+    end : (n,) or None
+        Where it goes after the last stroke; None: nowhere.
+    """
+    segments, at, begin = list[BaselineSegment](), start, 0.0
+    off = robot.tool_off
+
+    def move(name: str, goal: FloatArray, task: ToolTask) -> None:
+        nonlocal begin
+        if np.abs(goal - at).max() <= SAME_POSTURE:
+            return
+        t, motion = quickest_straight(off.limits, at, goal, SAMPLE_STEP)
+        samples = measure(off, task.held_at_start(), clearances, t, motion)
+        add(name, "free", samples, figures(off, samples))
+
+    def add(name: str, kind: Literal["stroke", "free"], samples: Samples, measured: MotionMetrics) -> None:
+        nonlocal begin
+        segments.append(BaselineSegment(name=name, kind=kind, begin=begin, samples=samples, figures=measured))
+        begin = segments[-1].end
+
+    for number, stroke in enumerate(strokes):
+        move(free_move_name(number), stroke.baseline.q[0], stroke.task)
+        add(stroke.name, "stroke", stroke.baseline, stroke.baseline_figures)
+        at = stroke.baseline.q[-1]
+    if end is not None:
+        move(RETURN, end, strokes[-1].task)
+    return tuple(segments)
+
+
+def combined_baseline(
+    robot: Robot, clearances: Clearances, strokes: Sequence[StrokePlan]
+) -> tuple[Samples, MotionMetrics]:
+    """Return the baseline of several strokes from the first to the last, and the figures of the strokes."""
+    segments = baseline_job(robot, clearances, strokes, strokes[0].baseline.q[0], None)
+    samples, _ = joined_samples(
+        (segment.begin, segment.samples, segment.kind == "stroke") for segment in segments
+    )
+    along = (segment.metrics for segment in segments if segment.kind == "stroke")
+    return samples, job_metrics(along)
+
+
+def joined_samples(each: Iterable[tuple[float, Samples, bool]]) -> tuple[Samples, list[int]]:
+    """Return samples that follow on each other as one, and how many of each are left.
+
+    Parameters
+    ----------
+    each : iterable of (float, Samples, bool)
+        When each begins on the common clock, s, and whether it keeps its samples at both ends: of two that
+        share a join, the one that keeps its own has it there, else the one that ends there.
+    """
+    parts = list(each)
+    kept = list[slice]()
+    for k, (_, samples, keeps) in enumerate(parts):
+        yields_first = k > 0 and (not keeps or parts[k - 1][2])
+        yields_last = k + 1 < len(parts) and not keeps and parts[k + 1][2]
+        kept.append(slice(int(yields_first), len(samples.t) - int(yields_last)))
+    joined: dict[str, FloatArray | None] = {}
+    for field in fields(Samples):
+        arrays = [getattr(samples, field.name) for _, samples, _ in parts]
+        if field.name == "t":
+            arrays = [begin + samples.t for begin, samples, _ in parts]
+        known = [array[part] for array, part in zip(arrays, kept, strict=True) if array is not None]
+        joined[field.name] = np.concatenate(known) if len(known) == len(parts) else None
+    counts = [part.stop - part.start for part in kept]
+    return Samples(**joined), counts  # type: ignore[arg-type]

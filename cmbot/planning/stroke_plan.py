@@ -1,0 +1,263 @@
+"""What is planned of a stroke, beside the baseline that it is compared with."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import PathNotFound
+from cmbot.optimization import ExchangeReport, StateSamples
+from cmbot.planning.flexibility.sag_compensation import Compensation
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
+from cmbot.planning.initial_guess import Choice
+from cmbot.planning.objectives import Objective
+from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.task import ToolTask
+from cmbot.planning.verification.metrics import MotionMetrics, Samples
+from cmbot.scene import PlannerOptions
+from cmbot.trajectory import QuinticTrajectory
+
+__all__ = ["ObjectiveMetrics", "Start", "StrokePlan", "combined", "objective_metrics"]
+
+# Samples per segment at which the peak of an objective is taken that is not enclosed.
+_PEAK_SAMPLES = 400
+
+
+@dataclass(frozen=True, kw_only=True)
+class Start:
+    """Where a motion starts, and the starts that failed.
+
+    Attributes
+    ----------
+    posture : (n,), rad, of joints that slide m
+    moved : float, rad
+        Largest difference of a joint from the posture in which the arm was before, at first the scene's, of
+        joints that slide in the units of `PostureMetric`; 0 when that is kept.
+    failures : tuple of PathNotFound
+        Of the scene's posture, then of the others that were tried.
+    """
+
+    posture: FloatArray
+    moved: float
+    failures: tuple[PathNotFound, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectiveMetrics:
+    """The objective of a plan, and its peaks.
+
+    Attributes
+    ----------
+    name : str
+        As in the options; of a custom function, its name in Python.
+    unit : str
+        Of the peaks; empty when it is not known.
+    own : bool
+        It is a custom function: a file holds its name only, so its peaks cannot be checked again.
+    moment_about : str or None
+    axis_weights : three floats or None
+        As in the options; None with another objective than torque.
+    baseline_peak, planned_peak : float
+        Its largest value over each motion.
+    floor : float or None
+        Lower bound of its peak at rest; None with fixed knots.
+    """
+
+    name: str
+    unit: str
+    own: bool
+    moment_about: str | None
+    axis_weights: tuple[float, float, float] | None
+    baseline_peak: float
+    planned_peak: float
+    floor: float | None
+
+    @property
+    def gap(self) -> float | None:
+        """How far the planned peak lies above the lower bound, as a share of it; None without one, or at 0.
+
+        Negative where a moving arm undercuts the static bound a little.
+        """
+        return self.planned_peak / self.floor - 1.0 if self.floor else None
+
+    @property
+    def is_guardrail_torque(self) -> bool:
+        """Whether it is the norm of the torque on the guardrail about O0, as metrics report it."""
+        return not self.own and (self.name, self.moment_about, self.axis_weights) == (
+            "torque",
+            "foot",
+            (1.0, 1.0, 1.0),
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class StrokePlan:
+    """What is planned of a stroke, beside its baseline; its motion is a segment of the job.
+
+    Attributes
+    ----------
+    name : str
+        Of the stroke, and of its segment.
+    task : ToolTask
+    start : Start
+    baseline : Samples
+        The paper's motion without optimisation: Chang 2021, Eq. (22) integrated from the scene's posture, or
+        from the posture nearest to where the baseline is before; its acceleration and jerk are central
+        differences of its rates, with rest before and after, and its first and last acceleration are those of
+        rest. It may break limits, and collides where the planned motion had to start elsewhere.
+    baseline_figures : MotionMetrics
+    drift : float, m
+        Largest distance of the baseline's tool point from where it should be at that time.
+    smallest_singular_value : float
+        Of the task Jacobian along the baseline.
+    passes : tuple of ExchangeReport
+        Exchange iterations of the optimisation.
+    objective : ObjectiveMetrics
+    lower_bound : LowerBound or None
+        None with fixed knots.
+    choice : Choice or None
+        Peaks of the global search for both choices of the start; None with fixed knots.
+    compensation : Compensation or None
+        Of the predicted sag.
+    quieting : VibrationSuppression or None
+        None with fixed knots, where nothing bends, or unasked.
+    """
+
+    name: str
+    task: ToolTask
+    start: Start
+    baseline: Samples
+    baseline_figures: MotionMetrics
+    drift: float
+    smallest_singular_value: float
+    passes: tuple[ExchangeReport, ...]
+    objective: ObjectiveMetrics
+    lower_bound: LowerBound | None
+    choice: Choice | None
+    compensation: Compensation | None
+    quieting: VibrationSuppression | None
+
+
+def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
+    """Return what follows for a job from its strokes but the motions: fields of a `StrokePlan` by name.
+
+    The largest peaks, drifts and bounds of all strokes: no admissible plan of the job rests below the largest
+    lower bound of a stroke.
+    """
+    bounds = [stroke.lower_bound for stroke in strokes if stroke.lower_bound is not None]
+    choices = [stroke.choice for stroke in strokes if stroke.choice is not None]
+    compensations = [stroke.compensation for stroke in strokes if stroke.compensation is not None]
+    quieted = [stroke.quieting for stroke in strokes if stroke.quieting is not None]
+    return {
+        "task": strokes[0].task,
+        "start": strokes[0].start,
+        "drift": max(stroke.drift for stroke in strokes),
+        "smallest_singular_value": min(stroke.smallest_singular_value for stroke in strokes),
+        "passes": tuple(report for stroke in strokes for report in stroke.passes),
+        "objective": _largest_objective([stroke.objective for stroke in strokes]),
+        "lower_bound": _largest_bound(bounds) if bounds else None,
+        "choice": Choice(
+            free=_largest(choice.free for choice in choices),
+            pinned=_largest(choice.pinned for choice in choices),
+        )
+        if choices
+        else None,
+        "compensation": Compensation(
+            rounds=max(each.rounds for each in compensations),
+            largest_shift=max(each.largest_shift for each in compensations),
+            last_change=max(each.last_change for each in compensations),
+        )
+        if compensations
+        else None,
+        "quieting": VibrationSuppression(
+            modes=max(each.modes for each in quieted),
+            shares=tuple(share for each in quieted for share in each.shares),
+            before=max(each.before for each in quieted),
+            after=max(each.after for each in quieted),
+        )
+        if quieted
+        else None,
+    }
+
+
+def _largest(values: Iterable[float | None]) -> float | None:
+    """The largest of some values; None where one is missing."""
+    known = list(values)
+    return None if None in known else max(value for value in known if value is not None)
+
+
+def _largest_objective(each: Sequence[ObjectiveMetrics]) -> ObjectiveMetrics:
+    first = each[0]
+    return ObjectiveMetrics(
+        name=first.name,
+        unit=first.unit,
+        own=first.own,
+        moment_about=first.moment_about,
+        axis_weights=first.axis_weights,
+        baseline_peak=max(objective.baseline_peak for objective in each),
+        planned_peak=max(objective.planned_peak for objective in each),
+        floor=_largest(objective.floor for objective in each),
+    )
+
+
+def _largest_bound(bounds: Sequence[LowerBound]) -> LowerBound:
+    """The largest of the strokes' lower bounds, its via-point counted from the job's first one."""
+    number = int(np.argmax([bound.value for bound in bounds]))
+    largest = bounds[number]
+    before = sum(len(bound.each) for bound in bounds[:number])
+    return LowerBound(
+        value=largest.value,
+        error=largest.error,
+        via_point=before + largest.via_point,
+        each=np.concatenate([bound.each for bound in bounds]),
+        kind=largest.kind,
+        missed=largest.missed,
+    )
+
+
+def objective_metrics(
+    objective: Objective,
+    options: PlannerOptions,
+    *,
+    own: bool,
+    baseline: tuple[MotionMetrics, Samples],
+    planned: tuple[MotionMetrics, QuinticTrajectory],
+    floor: float | None,
+) -> ObjectiveMetrics:
+    """Evaluate an objective over both motions.
+
+    Parameters
+    ----------
+    objective : Objective
+    options : PlannerOptions
+    own : bool
+        It is a custom function, not the options' objective.
+    baseline : MotionMetrics and Samples
+    planned : MotionMetrics and QuinticTrajectory
+        Of what is not the torque about the foot the peak is sampled.
+    floor : float or None
+    """
+    (baseline_metrics, samples), (metrics, trajectory) = baseline, planned
+    t = trajectory.t
+    grid = np.append(np.linspace(t[:-1], t[1:], _PEAK_SAMPLES, endpoint=False, axis=1).ravel(), t[-1])
+
+    def peak(of: MotionMetrics, t: FloatArray, q: FloatArray, v: FloatArray, a: FloatArray) -> float:
+        if objective.reported:
+            return of.peak_guardrail_torque
+        return float(objective.values(StateSamples(t, q, v, a)).max())
+
+    of_torque = not own and options.objective == "torque"
+    return ObjectiveMetrics(
+        name=objective.name,
+        unit=objective.unit,
+        own=own,
+        moment_about=options.moment_about if of_torque else None,
+        axis_weights=options.axis_weights if of_torque else None,
+        baseline_peak=peak(baseline_metrics, samples.t, samples.q, samples.v, samples.a),
+        planned_peak=peak(metrics, grid, *trajectory.states(grid)),
+        floor=floor,
+    )
