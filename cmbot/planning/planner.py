@@ -120,8 +120,7 @@ def _at_stroke(
         # Only the last stroke leads to where the job ends.
         context = replace(context, end_posture=None)
     if len(context.strokes) > 1:
-        context.reporter.share_out(left)
-        context.reporter.stage("path")
+        context.reporter.begin_stroke(context.strokes[number].name, left)
     if not made:
         return context
     before = made[-1][1].job.segments[-1]

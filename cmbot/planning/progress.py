@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
 from cmbot.common.eta import Eta, Remaining
@@ -30,6 +30,8 @@ class Progress:
     ----------
     stage : str
         ``path``, ``optimise`` or ``certify``.
+    stroke : str
+        Name of the stroke of several that is planned; empty where there is one.
     failed_starts : int
         Starting postures from which no path was found so far.
     report : ExchangeReport or None
@@ -47,6 +49,7 @@ class Progress:
     """
 
     stage: str
+    stroke: str = ""
     failed_starts: int = 0
     report: ExchangeReport | None = None
     unit: str = "Nm"
@@ -57,6 +60,10 @@ class Progress:
 
     def sentence(self, *, passes: bool = True) -> str:
         """Return the stage in words, and after an exchange iteration, if wished, its peak and violation."""
+        of = f"{self.stroke}: " if self.stroke else ""
+        return of + self._sentence(passes=passes)
+
+    def _sentence(self, *, passes: bool) -> str:
         text = _STAGES[self.stage]
         if self.failed_starts:
             text += f" from another start ({self.failed_starts} failed)"
@@ -97,6 +104,7 @@ class ProgressReporter:
         self._end = self._began + limit
         self._progress = progress or (lambda _: None)
         self._clock = clock
+        self._stroke = ""
         self._now = Progress(stage="path")
         self._remaining = Remaining(clock())
         self._reported = 0.0
@@ -109,10 +117,11 @@ class ProgressReporter:
         """Return a reporter that reports nothing and knows the time left."""
         return ProgressReporter(clock=self._clock, limit=self.time_left)
 
-    def share_out(self, parts: int) -> None:
-        """Give what begins now one of so many equal parts of all the time that is left."""
-        self._began = self._clock()
-        self._limit = max(self._end - self._began, 0.0) / parts
+    def begin_stroke(self, name: str, left: int) -> None:
+        """Begin a stroke of several, of which so many are left: it has an equal part of the time left."""
+        self._stroke, self._began = name, self._clock()
+        self._limit = max(self._end - self._began, 0.0) / left
+        self.stage("path")
 
     def expired(self, more: float = 0.0) -> bool:
         """Whether the time is over, and so is a share `more` of it."""
@@ -138,7 +147,7 @@ class ProgressReporter:
         now = self._clock()
         self._seconds[self._now.stage] += now - self._stage_began
         self._stage_began, self._ends = now, [now]
-        self._begin(Progress(stage=stage, failed_starts=failed_starts))
+        self._begin(Progress(stage=stage, stroke=self._stroke, failed_starts=failed_starts))
 
     def seconds(self) -> dict[str, float]:
         """Return the time of each stage so far, and ``total``, s."""
@@ -193,7 +202,12 @@ class ProgressReporter:
             left = Eta(seconds=seconds, most=most - report.number, part="pass", parts="passes")
         self._ends.append(now)
         self._now = Progress(
-            stage="optimise", report=report, unit=unit, rounds=rounds, left=left if left.most else None
+            stage="optimise",
+            stroke=self._stroke,
+            report=report,
+            unit=unit,
+            rounds=rounds,
+            left=left if left.most else None,
         )
         self._progress(self._now)
 
@@ -205,4 +219,4 @@ class ProgressReporter:
     def _fresh(self, step: str, share: float | None = None, left: Eta | None = None) -> Progress:
         """Progress of a step of the present stage."""
         now = self._now
-        return Progress(stage=now.stage, failed_starts=now.failed_starts, step=step, share=share, left=left)
+        return replace(now, report=None, rounds=0, step=step, share=share, left=left)

@@ -29,6 +29,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     """Yield what should be known of a plan besides its metrics, a sentence or two each."""
     yield verdict(plan)
     yield from _start(plan)
+    yield from _between(plan)
     yield from _return(plan)
     if plan.baseline_figures.min_clearance < plan.options.safety_margin_m:
         yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
@@ -142,6 +143,19 @@ def _start(plan: Plan) -> Iterator[str]:
                 f"The approach asks more of the {plan.scene.base_name} than baseline and work do; "
                 "start: pinned, or a start posture nearer to this one, spares it."
             )
+
+
+def _between(plan: Plan) -> Iterator[str]:
+    """How the arm goes from one stroke to the next."""
+    moves = [segment for segment in plan.work.segments if segment.kind == "free"]
+    if moves:
+        hardest = max(moves, key=lambda move: move.figures.peak_guardrail_torque)
+        seconds = sum(move.duration for move in moves)
+        yield (
+            f"Between the {len(plan.several)} strokes: {counted(len(moves), 'free move')} in {seconds:.1f} s "
+            f"(tool off), peak torque {hardest.figures.peak_guardrail_torque:.2f} Nm (on {hardest.name}), "
+            f"clearance {1e3 * min(move.figures.min_clearance for move in moves):.1f} mm, certified."
+        )
 
 
 def _return(plan: Plan) -> Iterator[str]:

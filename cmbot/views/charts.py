@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning import RETURN, Plan, Samples
+from cmbot.planning import RETURN, BaselineSegment, Plan, Samples, Segment
 from cmbot.simulation import Tracking
 from cmbot.views.page import pack
 
@@ -22,6 +22,7 @@ __all__ = [
     "floor_name",
     "joint_charts",
     "joint_quantities",
+    "work_seconds",
 ]
 
 MOST_POINTS = 1000  # of a curve in a large plot
@@ -39,6 +40,8 @@ _NOT_SIMULATED = "not simulated"
 _OF_SLIDING = {"angle": "position", "torque": "force"}
 
 Motion = Literal["planned", "baseline"]
+# When it begins, s after the work, and its samples.
+_Part = tuple[float, Samples]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -255,26 +258,34 @@ def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], Float
 
 def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool = True) -> tuple[Curve, ...]:
     """Return a quantity of both motions over the time since the work began, `free` moves included."""
-    segments, others = plan.job.segments, plan.baseline_segments
-    planned = [
-        (segment.begin - plan.job.strokes[0].begin, plan.segment_samples[segment.name])
-        for segment in segments
-        if free or segment.kind == "stroke"
-    ]
-    begin = next(segment.begin for segment in others if segment.kind == "stroke")
-    baseline = [
-        (segment.begin - begin, segment.samples) for segment in others if free or segment.kind == "stroke"
-    ]
 
-    def curve(motion: Motion, parts: list[tuple[float, Samples]]) -> Curve:
+    def parts(segments: Sequence[Segment | BaselineSegment], sampled: Mapping[str, Samples]) -> list[_Part]:
+        begin = next(segment.begin for segment in segments if segment.kind == "stroke")
+        shown = [segment for segment in segments if free or segment.kind == "stroke"]
+        # Both arms return at the same time: the one whose work is done first waits.
+        return [
+            (work_seconds(plan) if each.name == RETURN else each.begin - begin, sampled[each.name])
+            for each in shown
+        ]
+
+    planned = parts(plan.job.segments, plan.segment_samples)
+    others = {segment.name: segment.samples for segment in plan.baseline_segments}
+    baseline = parts(plan.baseline_segments, others)
+
+    def curve(motion: Motion, parts: list[_Part]) -> Curve:
         t = np.concatenate([start + samples.t for start, samples in parts])
         return Curve(motion=motion, t=t, y=np.concatenate([quantity(samples) for _, samples in parts]))
 
     return curve("baseline", baseline), curve("planned", planned)
 
 
+def work_seconds(plan: Plan) -> float:
+    """Return how long the pages show the work: as long as the slower of both motions takes, s."""
+    return float(max(plan.samples.t[-1], plan.baseline.t[-1]))
+
+
 def _work_ends(plan: Plan) -> float | None:
-    return plan.work.duration if plan.job.segment(RETURN) is not None else None
+    return work_seconds(plan) if plan.job.segment(RETURN) is not None else None
 
 
 def _highest(curves: tuple[Curve, ...]) -> float:

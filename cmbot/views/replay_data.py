@@ -15,7 +15,7 @@ from cmbot.common.validation import require_type
 from cmbot.planning import APPROACH, RETURN, MotionMetrics, Plan, Samples, figures, measure
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
-from cmbot.views.charts import floor_name
+from cmbot.views.charts import floor_name, work_seconds
 from cmbot.views.meshcat_scene import reach, scene_commands
 from cmbot.views.page import pack
 
@@ -31,7 +31,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     The work starts at time 0, the approach at ``start`` before it; the return comes after it until ``end``.
     With `tracking`, and without a return, the arms rest after the work until then.
     """
-    duration = float(max(plan.samples.t[-1], plan.baseline.t[-1]))
+    duration = work_seconds(plan)
     if tracking is not None:
         require_type(tracking, Tracking, "tracking", "", "a Tracking, as cmbot.simulate returns it")
     end = duration if tracking is None else _end(tracking, duration)
