@@ -13,7 +13,7 @@ import pytest
 from hypothesis import settings
 from numpy.typing import NDArray
 from rail_arms import rail_scene
-from small_scenes import short_scene
+from small_scenes import short_scene, strokes_scene
 from urdf_arms import arm_scene, endless_scene
 
 from cmbot.common.installation import model_folder
@@ -92,6 +92,12 @@ def returning_plan() -> Plan:
     """From the short scene's posture to work, with an approach, and to the stow posture."""
     planner = {"knots": "sliding"}
     return plan(short_scene(format="cmbot-scene/2", planner=planner, **{"return": "stow"}))
+
+
+@pytest.fixture(scope="session")
+def strokes_plan() -> Plan:
+    """Of two strokes, `there` and `back`, with an approach, a free move between them and a return."""
+    return plan(strokes_scene())
 
 
 def _with_fixed_knots(name: str) -> Plan:

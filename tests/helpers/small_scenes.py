@@ -39,6 +39,23 @@ def short_scene(
     return load_scene(data | changes)
 
 
+def strokes_scene(**planner: Any) -> Scene:
+    """Scene of two short strokes 0.1 m apart with a process force, sliding knots, and a return."""
+    way = {"via_points": 12, "speed_profile": {"kind": "jerk_limited", "ramp": 0.4}}
+    there = {"name": "there", "legs": [{"by": [0, -0.1, 0], "seconds": 3}], **way}
+    begin = {"frame": "world", "xyz": [1.8154, 0.6796, -1.9628]}
+    back = {"name": "back", "from": begin, "legs": [{"by": [0, 0.1, 0], "seconds": 3}], **way}
+    changes = {
+        "format": "cmbot-scene/2",
+        "name": "strokes",
+        "tool": {"process_force_n": [0, 0, -40]},
+        "tool_path": {"strokes": [there, back]},
+        "return": "start",
+        "planner": {"path_step_s": 0.02, **planner},
+    }
+    return load_scene({**copy.deepcopy(SHORT), **changes})
+
+
 def parts(scene: Scene) -> tuple[Robot, ToolTask, FloatArray, Clearances]:
     """Robot, task, posture and clearances of a scene."""
     robot = robot_of(scene)
