@@ -71,3 +71,15 @@ def test_a_command_line_is_judged_by_status_and_streams(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     assert try_case(Case("command line", 0, {}, words), tmp_path).outcome == outcome
+
+
+@pytest.mark.parametrize(("folder", "outcome"), [("nan", "accepted"), ("out", "not finite")])
+def test_a_folder_may_be_called_like_no_number(
+    folder: str, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def saved() -> None:
+        sys.stdout.write("saved in nan")
+        sys.exit(0)
+
+    monkeypatch.setattr("fuzzing.trials.main", saved)
+    assert try_case(Case("command line", 0, {}, ("plan", "-o", folder)), tmp_path).outcome == outcome

@@ -196,7 +196,9 @@ def _judged_output(case: Case, status: int, out: str, err: str) -> Verdict:
         return Verdict("message", f"status {status}, not one line: {err[-300:]!r}", verb)
     if "Traceback" in err or "Traceback" in out:
         return Verdict("message", f"a traceback: {err[-300:]!r}", verb)
-    if status == 0 and (no_number := _NO_NUMBER.search(out)):
+    # A folder may be called nan: what the command line says is no figure.
+    found = (match for match in _NO_NUMBER.finditer(out) if match[0] not in case.words)
+    if status == 0 and (no_number := next(found, None)):
         return Verdict("not finite", f"{out[max(no_number.start() - 60, 0) : no_number.end()]!r}", verb)
     if longest := [line for line in lines if len(line) > LONGEST_MESSAGE]:
         return Verdict("message", f"of {len(longest[0])} characters: {longest[0][:200]!r}", verb)
