@@ -31,12 +31,10 @@ _SHARE, _LENGTH, _ANGLE = 1e-6, 1e-6, 1e-6
 # A lower bound is false when it exceeds what was found by more than this share, beside its own error.
 _BOUND = 1e-4
 _TRIES = 300
-# Claims of an error that one posture refutes, and whether that posture has to be admissible, too; of the rest
-# an error says how much was tried.
-_CLAIMS = (
-    (re.compile(r"out of reach: |with its tool stretched out"), False),
-    (re.compile(r"of \d+ postures that were tried there"), True),
-)
+# What an error may claim: that no posture within the joint ranges holds the tool at a point, and that the
+# scene's posture is no start. Of the rest, such as "no way was found", it says how much was tried.
+_OUT_OF_REACH = re.compile(r"out of reach: |with its tool stretched out")
+_NO_START = re.compile(r"is blocked: (in )?the posture to start in ")
 
 
 def plan_scene(folder: str) -> dict[str, Any]:
@@ -59,7 +57,7 @@ def plan_scene(folder: str) -> dict[str, Any]:
             "cpu_seconds": seconds,
             "reason": str(error),
             "at": getattr(error, "time", None),
-            "false_claim": _false_claim(oracle, error),
+            "false_claim": _false_claim(oracle, error, np.array(scene.posture)),
         }
     seconds = time.process_time() - begin
     _unlimited()
@@ -166,17 +164,14 @@ def _false_bound(made: Plan, oracle: Oracle) -> str:
     return f"{claimed}; {least:.4f} Nm was found there in {_degrees(q)}"
 
 
-def _false_claim(oracle: Oracle, error: PlanningError) -> str:
-    """Why an error's reason is wrong; empty where nothing speaks against it."""
-    t = getattr(error, "time", None)
-    for claim, clear in _CLAIMS:
-        if t is None or not claim.search(str(error)):
-            continue
-        p = oracle.path.point(float(t))
-        if clear and (found := oracle.anywhere(p, _TRIES)):
-            return f"admissible at {t:.3f} s: {_degrees(found[0])}"
-        if not clear and (q := oracle.in_range_somewhere(p, _TRIES)) is not None:
-            return f"within reach and range at {t:.3f} s: {_degrees(q)}"
+def _false_claim(oracle: Oracle, error: PlanningError, start: FloatArray) -> str:
+    """Why an error is wrong; empty where nothing speaks against it. `start` is the scene's posture."""
+    t, reason = getattr(error, "time", None), str(error)
+    if t is not None and _OUT_OF_REACH.search(reason):
+        q = oracle.in_range_somewhere(oracle.path.point(float(t)), _TRIES)
+        return "" if q is None else f"within reach and range at {t:.3f} s: {_degrees(q)}"
+    if _NO_START.search(reason) and oracle.world.admissible(start):
+        return f"the start is admissible: {_degrees(start)}"
     return ""
 
 

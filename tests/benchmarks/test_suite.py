@@ -141,11 +141,13 @@ def test_a_false_reason_is_found(triangle_plan: Plan) -> None:
     search = oracle.Oracle(world, path, R, "pose")
     for reason, said in (
         ("via-point 3 of 50 is blocked: out of reach: no posture within the joint ranges holds it", "range"),
-        ("of 7 postures that were tried there 7 come within the safety margin", "admissible at"),
+        ("via-point 1 of 50 is blocked: in the posture to start in a and b come too near", "admissible"),
+        ("no way was found through via-point 3: of 7 postures that were tried there 7 come too near", ""),
+        ("no way was found through via-point 3: no posture within the joint ranges was found", ""),
         ("its admissible postures are too far from those before", ""),
     ):
         error = PathNotFound(reason, time=1.0, progress=0.1, smallest_singular_value=0.1)
-        claim = judge._false_claim(search, error)
+        claim = judge._false_claim(search, error, np.array(triangle_plan.scene.posture))
         assert said in claim
         assert bool(said) == bool(claim)
 
