@@ -111,6 +111,8 @@ def require_fit(file: PlanFile, posture: FloatArray, end: FloatArray | None, job
     _require_work(file, job, source)
     if file.format != EARLIER_FORMAT:
         _require_figures(file.planned.job, job.figures, source, "planned.job")
+        if job.free_figures is not None:
+            _require_figures(file.planned.free, job.free_figures, source, "planned.free")
 
 
 def _require_joins(

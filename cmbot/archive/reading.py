@@ -33,6 +33,7 @@ from cmbot.archive.schema import (
     CertificateFile,
     EarlierPlanFile,
     MetricsFile,
+    MotionFile,
     PlanFile,
     StrokeEntries,
     made,
@@ -150,7 +151,7 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     if plan.several:
         entries = StrokeEntries.model_validate(stroke_entries(plan, robot), from_attributes=True)
         require_combined(file, entries, str(source))
-    return _verified(plan, file.baseline.job, clearances, source) if verify else plan
+    return _verified(plan, file.baseline, clearances, source) if verify else plan
 
 
 def _stroke_plans(
@@ -338,7 +339,7 @@ def _job(
     return Job(segments=tuple(segments))
 
 
-def _verified(plan: Plan, baseline_job: MetricsFile | None, clearances: Clearances, source: Path) -> Plan:
+def _verified(plan: Plan, baseline: MotionFile, clearances: Clearances, source: Path) -> Plan:
     """Return the plan with new certificates; their metrics must be those in the file."""
     job = plan.job
     for k, segment in enumerate(plan.job.segments):
@@ -353,9 +354,12 @@ def _verified(plan: Plan, baseline_job: MetricsFile | None, clearances: Clearanc
         _require_same(stroke.baseline_figures, fresh, source, f"{prefix}baseline")
         if not plan.objective.own:
             _verify_objective(plan, stroke, source, f"{prefix}objective")
-    if baseline_job is not None:
-        expected = made(MotionMetrics, baseline_job)
-        _require_same(expected, plan.baseline_job_figures, source, "baseline.job")
+    for name, stored, measured in (
+        ("job", baseline.job, plan.baseline_job_figures),
+        ("free", baseline.free, plan.baseline_free_figures),
+    ):
+        if stored is not None and measured is not None:
+            _require_same(made(MotionMetrics, stored), measured, source, f"baseline.{name}")
     return replace(plan, job=job)
 
 
@@ -404,12 +408,17 @@ def _verify_objective(plan: Plan, stroke: StrokePlan, source: Path, key: str) ->
 
 
 def _require_same(stored: object, fresh: object, source: Path, key: str) -> None:
-    """Refuse numbers of a dataclass, or of one in it, that differ from the new ones."""
+    """Refuse numbers of a dataclass, or of one in it, that differ from the new ones.
+
+    Files of earlier versions lack some.
+    """
     for field in fields(fresh):  # type: ignore[arg-type]
         got, value = getattr(stored, field.name), getattr(fresh, field.name)
         if is_dataclass(value):
             _require_same(got, value, source, f"{key}.{field.name}")
-        elif isinstance(value, float) and not np.isclose(got, value, rtol=_SAME, atol=_SAME_ZERO):
+        elif not isinstance(value, float) or got is None:
+            continue
+        elif not np.isclose(got, value, rtol=_SAME, atol=_SAME_ZERO):
             raise ArchiveError(str(source), f"{key}.{field.name}", got, f"{value:g}, as measured again")
 
 

@@ -42,6 +42,7 @@ __all__ = [
     "CertificateFile",
     "EarlierPlanFile",
     "MetricsFile",
+    "MotionFile",
     "PlanFile",
     "SegmentFile",
     "StrokeEntries",
@@ -91,6 +92,8 @@ class MetricsFile(FileModel):
 
     peak_guardrail_torque: NonNegative
     mean_guardrail_torque: NonNegative
+    rms_guardrail_torque: NonNegative | None = None
+    """None in older files."""
     peak_static_guardrail_torque: NonNegative
     min_clearance: Annotated[OrInfinite, AfterValidator(_moderate)]
     max_tool_deviation: NonNegative
@@ -122,10 +125,12 @@ class CertificateFile(FileModel):
 
 
 class MotionFile(MetricsFile):
-    """Metrics of the work, and of the whole job."""
+    """Metrics of the strokes, of the free moves, and of the whole job."""
 
+    free: MetricsFile | None = None
+    """null without free moves, and in older files."""
     job: MetricsFile | None = None
-    """None in older files."""
+    """null in older files."""
 
 
 class SegmentFile(MetricsFile):

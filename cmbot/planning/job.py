@@ -160,6 +160,12 @@ class Job:
         return job_metrics(segment.metrics for segment in self.strokes)
 
     @cached_property
+    def free_figures(self) -> MotionMetrics | None:
+        """The figures of the free moves together; None without any."""
+        moves = [segment.metrics for segment in self.segments if segment.kind == "free"]
+        return job_metrics(moves) if moves else None
+
+    @cached_property
     def stroke_certificate(self) -> Certificate:
         """The promises of the strokes as one statement, times from the beginning of the first one."""
         (first, *others), begin = self.strokes, self.strokes[0].begin
@@ -198,13 +204,14 @@ def job_metrics(segments: Iterable[SegmentMetrics]) -> MotionMetrics:
     Parameters
     ----------
     segments : iterable of SegmentMetrics
-        One or more strokes among them: where the tool is off, its place is no figure.
+        Where the tool is off, its place is no figure: of free moves alone those are 0.
     """
     segments = list(segments)
     each = [segment.figures for segment in segments]
     strokes = [segment.figures for segment in segments if segment.kind == "stroke"]
     seconds = np.array([segment.seconds for segment in segments])
     mean = np.average([figures.mean_guardrail_torque for figures in each], weights=seconds)
+    rms = [figures.rms_guardrail_torque for figures in each if figures.rms_guardrail_torque is not None]
     use = {
         field.name: max(getattr(figures.limit_use, field.name) for figures in each)
         for field in fields(LimitUse)
@@ -212,11 +219,14 @@ def job_metrics(segments: Iterable[SegmentMetrics]) -> MotionMetrics:
     return MotionMetrics(
         peak_guardrail_torque=max(figures.peak_guardrail_torque for figures in each),
         mean_guardrail_torque=float(mean),
+        rms_guardrail_torque=float(np.sqrt(np.average(np.square(rms), weights=seconds)))
+        if len(rms) == len(each)
+        else None,
         peak_static_guardrail_torque=max(figures.peak_static_guardrail_torque for figures in each),
         min_clearance=min(figures.min_clearance for figures in each),
-        max_tool_deviation=max(figures.max_tool_deviation for figures in strokes),
-        max_tool_rotation=max(figures.max_tool_rotation for figures in strokes),
-        max_tool_lag=max(figures.max_tool_lag for figures in strokes),
+        max_tool_deviation=max((figures.max_tool_deviation for figures in strokes), default=0.0),
+        max_tool_rotation=max((figures.max_tool_rotation for figures in strokes), default=0.0),
+        max_tool_lag=max((figures.max_tool_lag for figures in strokes), default=0.0),
         limit_use=LimitUse(**use),
     )
 

@@ -104,6 +104,12 @@ class Plan(StrokePlan):
         """Figures of the baseline over the whole job."""
         return job_metrics(segment.metrics for segment in self.baseline_segments)
 
+    @cached_property
+    def baseline_free_figures(self) -> MotionMetrics | None:
+        """Figures of the baseline's free moves; None without any."""
+        moves = [segment.metrics for segment in self.baseline_segments if segment.kind == "free"]
+        return job_metrics(moves) if moves else None
+
     @property
     def work(self) -> Job:
         """What lies between the beginning of the first stroke and the end of the last one, from time 0."""
@@ -238,7 +244,8 @@ class Plan(StrokePlan):
             part = "static" if self.robot.pushed else "gravity"
             name = words.format(base=self.scene.base_name, part=part)
             pair = job if "whole job" in name else work
-            left, right = (f"{factor * getattr(figures, attribute):.{digits}f}" for figures in pair)
+            values = [getattr(figures, attribute) for figures in pair]
+            left, right = ("-" if value is None else f"{factor * value:.{digits}f}" for value in values)
             yield f"{name}, {unit}", left, right
             if name == _PEAK_AT_WORK:
                 yield from self._peaks_of_free_moves()
@@ -273,6 +280,7 @@ _ROWS = (
     (_PEAK_AT_WORK, "peak_guardrail_torque", "Nm", 1.0, 2),
     ("mean torque, whole job", "mean_guardrail_torque", "Nm", 1.0, 2),
     ("mean torque at work", "mean_guardrail_torque", "Nm", 1.0, 2),
+    ("root mean square torque, whole job", "rms_guardrail_torque", "Nm", 1.0, 2),
     ("peak of its {part} part at work", "peak_static_guardrail_torque", "Nm", 1.0, 2),
     ("smallest clearance, whole job", "min_clearance", "mm", 1e3, 1),
     ("largest tool deviation", "max_tool_deviation", "mm", 1e3, 3),

@@ -161,6 +161,8 @@ class SceneFile(FileModel):
     def _check(self) -> Self:
         if self.format == "cmbot-scene/1":
             self._check_first_format()
+        else:
+            object.__setattr__(self, "tool_path", _smooth(self.tool_path))
         for name in self.frames or ():
             if name in ("world", "tool"):
                 raise refusal("a name that no frame has", got=name, key=("frames",))
@@ -222,6 +224,14 @@ class SceneFile(FileModel):
         if self.posture_key == "start.posture_deg":
             return {"start": {"posture_deg": np.degrees(q).tolist()}}
         return {"start": {"posture": q.tolist()}}
+
+
+def _smooth(path: ToolPathFile) -> ToolPathFile:
+    """The tool path, its strokes with the speed profile of new scenes where they have none of their own."""
+    if path.strokes is None:
+        return path.smooth_unless_given()
+    strokes = tuple(stroke.smooth_unless_given() for stroke in path.strokes)
+    return path.model_copy(update={"strokes": strokes})
 
 
 @dataclass(frozen=True, kw_only=True)

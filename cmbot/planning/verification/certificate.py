@@ -207,11 +207,12 @@ def certify(
         ]
         if task.max_speed is not None:
             checks.append(_enclosed(f"{expected}tool speed", work.tool_speed(), task.max_speed, "m/s"))
-    guardrail, mean, static = work.guardrail_torque()
+    guardrail, mean, rms, static = work.guardrail_torque()
     shares = [check.value / check.bound for check in (*rates, torque)]
     figures = MotionMetrics(
         peak_guardrail_torque=guardrail.value,
         mean_guardrail_torque=mean,
+        rms_guardrail_torque=rms,
         peak_static_guardrail_torque=static,
         min_clearance=nearest.distance,
         max_tool_deviation=deviation.value,
@@ -298,17 +299,20 @@ class _Work:
             unit=robot.limits.units(joint).torque,
         )
 
-    def guardrail_torque(self) -> tuple[Peak, float, float]:
-        """Peak and time mean of the norm of the torque on the guardrail, and its peak at rest, Nm."""
+    def guardrail_torque(self) -> tuple[Peak, float, float, float]:
+        """Peak, time mean and root mean square of the norm of the torque, and its peak at rest, Nm."""
         pieces, torque = self._pieces, self._efforts.guardrail_torque
         size = np.linalg.norm(torque, axis=1)
         resolution = _TORQUE_RESOLUTION * float(size.max())
         remainder = pieces.remainder(self._bounds.guardrail_torque)
         peak = self._highest(torque, _norm, remainder, resolution)
-        means = size.reshape(len(pieces.start), -1) @ clenshaw_curtis()
-        mean = float(np.average(means, weights=pieces.end - pieces.start))
+        weights = pieces.end - pieces.start
+        mean, square = (
+            float(np.average(values.reshape(len(weights), -1) @ clenshaw_curtis(), weights=weights))
+            for values in (size, size**2)
+        )
         static = self._dynamics.static_efforts(pieces.states[0]).guardrail_torque
-        return peak, mean, self._highest(static, _norm, remainder, resolution).value
+        return peak, mean, float(np.sqrt(square)), self._highest(static, _norm, remainder, resolution).value
 
     def tool_deviation(self) -> Peak:
         """Distance of the tool point from the leg of its time, m; see `ToolPath.leg_offset`."""

@@ -34,6 +34,8 @@ class MotionMetrics:
     ----------
     peak_guardrail_torque, mean_guardrail_torque : float, Nm
         Largest value and time mean of the norm of the torque on the guardrail.
+    rms_guardrail_torque : float or None, Nm
+        Root of its mean square over time; None in plans of earlier versions.
     peak_static_guardrail_torque : float, Nm
         Largest norm at rest in the motion's postures: the part that gravity asks.
     min_clearance : float, m
@@ -49,6 +51,7 @@ class MotionMetrics:
 
     peak_guardrail_torque: float
     mean_guardrail_torque: float
+    rms_guardrail_torque: float | None
     peak_static_guardrail_torque: float
     min_clearance: float
     max_tool_deviation: float
@@ -169,6 +172,7 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
     return MotionMetrics(
         peak_guardrail_torque=float(torque.max()),
         mean_guardrail_torque=float(np.trapezoid(torque, samples.t) / duration),
+        rms_guardrail_torque=float(np.sqrt(np.trapezoid(torque**2, samples.t) / duration)),
         peak_static_guardrail_torque=float(np.linalg.norm(static, axis=1).max()),
         min_clearance=float(samples.clearance.min()),
         max_tool_deviation=float(samples.tool_deviation.max()),

@@ -12,10 +12,12 @@ from cmbot.scene.fields import Slug, exactly_one
 from cmbot.scene.path.legs import Goal, Leg, Raster, Seconds, Speed, Waypoint
 from cmbot.scene.path.tool_path import SpeedProfile
 
-__all__ = ["FREE_MOVE", "LONGEST", "RESERVED", "PathFile", "StrokeFile", "ToolPathFile"]
+__all__ = ["FREE_MOVE", "LONGEST", "RESERVED", "SMOOTH", "PathFile", "StrokeFile", "ToolPathFile"]
 
 LONGEST = 36_000
 """Duration of all strokes, s: motions are sampled every 0.01 s."""
+SMOOTH = SpeedProfile(kind="jerk_limited", ramp=0.25)
+"""Speed profile of new scenes that have none of their own."""
 RESERVED = ("approach", "work", "return")
 """Names of parts of a job that no stroke can have."""
 FREE_MOVE = re.compile(r"free_\d+")
@@ -48,6 +50,8 @@ class PathFile(FileModel):
     """Radius by which corners between straight legs are rounded, m; left out, and where the way turns by
     more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
     speed_profile: SpeedProfile = SpeedProfile()
+    """Left out: in ``cmbot-scene/2`` jerk_limited with a ramp of 0.25, which leaves less vibration; in
+    ``cmbot-scene/1`` the paper's trapezoid."""
     via_points: Annotated[int, Field(ge=5, le=20000)] = 50
     """Via-points in all; the ends of the legs are among them."""
 
@@ -78,6 +82,11 @@ class PathFile(FileModel):
         if self.given_seconds > LONGEST:
             expected = f"legs of at most {LONGEST:,} s in all (10 h)"
             raise refusal(expected, got=f"{self.given_seconds:g} s", key=("legs",))
+
+    def smooth_unless_given(self) -> Self:
+        """Return the path with the speed profile of new scenes where it has none of its own."""
+        given = "speed_profile" in self.model_fields_set
+        return self if given else self.model_copy(update={"speed_profile": SMOOTH})
 
     @property
     def given_seconds(self) -> float:
