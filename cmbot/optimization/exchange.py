@@ -58,6 +58,9 @@ class ExchangeOptions:
         Where it ended with violations up to this, the peak is minimised from there on.
     attempt_steps : int
         It is given up after so many steps that do not halve violations beyond that.
+    attempt_iterations : int
+        And after so many at none of which the known constraints were met: where the lower bound is missed by
+        a hair, violations fall quickly up to that, and hardly any further.
     stalls : int
         So often nothing new is violated by too much before the solver is given up.
     slsqp_accuracy, slsqp_peak_accuracy : float
@@ -81,6 +84,7 @@ class ExchangeOptions:
     nearly_met: float = 1e-3
     nearly_ended: float = 1e-2
     attempt_steps: int = 6
+    attempt_iterations: int = 25
     stalls: int = 3
     slsqp_accuracy: float = 1e-8
     slsqp_peak_accuracy: float = 1e-6
@@ -331,7 +335,13 @@ class _Exchange:
             return end, iterations, iterations < most or (met and gained <= accuracy)
         sqp = o.sqp
         if attempt:
-            sqp = replace(sqp, stuck_steps=o.attempt_steps, stuck_share=0.5, stuck_violation=o.nearly_met)
+            sqp = replace(
+                sqp,
+                met_within=o.attempt_iterations,
+                stuck_steps=o.attempt_steps,
+                stuck_share=0.5,
+                stuck_violation=o.nearly_met,
+            )
         result = solve_sqp(start, self._families, sqp, self._warm, o.stop)
         self._warm = result
         if result.status is SqpStatus.INFEASIBLE:

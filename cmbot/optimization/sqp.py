@@ -87,6 +87,8 @@ class SqpOptions:
         share `hopeless`, it ends if no step can.
     stuck_steps, stuck_share, stuck_violation : int, float, float
         So many steps that leave this share of what is violated by more than that end it.
+    met_within : float
+        So many iterations at none of which the constraints were met end it.
     """
 
     optimality_tolerance: float = 1e-7
@@ -125,6 +127,7 @@ class SqpOptions:
     stuck_steps: int = 30
     stuck_share: float = 0.8
     stuck_violation: float = 2e-2
+    met_within: float = np.inf
 
 
 class SqpStatus(enum.Enum):
@@ -351,10 +354,12 @@ class _SqpState(Generic[AnyIterate]):
             self._status = SqpStatus.INFEASIBLE
 
     def _stuck(self, model: NlpModel) -> bool:
-        """Whether many steps have left the violations, or some have and no step can lower them."""
+        """Whether many steps have left violations, or some have most of them and no step can lower them."""
         o, tolerance = self._options, self._options.feasibility_tolerance
         last, few = (self._violations[-1 - steps :] for steps in (o.stuck_steps, o.stall_steps))
         if len(last) > o.stuck_steps and min(last) > max(o.stuck_violation, o.stuck_share * last[0]):
+            return True
+        if len(self._violations) > o.met_within and min(self._violations) > tolerance:
             return True
         stays = len(few) > o.stall_steps and min(few) > max(tolerance, o.hopeless * few[0])
         return stays and self._hopeless(model)

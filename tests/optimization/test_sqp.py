@@ -217,3 +217,15 @@ def test_the_iteration_limit_is_said() -> None:
     assert solve_sqp(Ripples(np.array([2.0, -1.0]), 3.0), max_iterations=1).status is (
         SqpStatus.ITERATION_LIMIT
     )
+
+
+def test_what_is_not_met_for_long_ends_the_run() -> None:
+    start, options = Ripples(np.array([3.0, -3.0]), 1.0), SqpOptions(optimality_tolerance=1e-9)
+    whole = sqp.solve_sqp(start, 2, options)
+    assert whole.status in ENDED
+    ended = sqp.solve_sqp(start, 2, replace(options, met_within=1))
+    assert (ended.status, ended.iterations) == (SqpStatus.INFEASIBLE, 1)
+    assert ended.iterate.model.violation > options.feasibility_tolerance
+    # Where they were met once, what they are later does not end it.
+    patient = sqp.solve_sqp(start, 2, replace(options, met_within=whole.iterations - 1))
+    assert (patient.status, patient.iterations) == (whole.status, whole.iterations)
