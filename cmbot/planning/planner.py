@@ -36,6 +36,7 @@ from cmbot.planning.precheck import (
 )
 from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.retries import Attempt, with_retries
+from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.stroke_plan import Start, StrokePlan, combined, objective_metrics
 from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.planning.verification.certificate import certify
@@ -46,6 +47,8 @@ __all__ = ["plan"]
 
 # Slower legs are tried so often where velocities, accelerations or jerks are what fails.
 _TRIALS = 3
+# Peaks of two orders of strokes that differ by less are the same.
+_SAME_PEAK = 1.001
 
 
 def plan(
@@ -95,6 +98,8 @@ def plan(
         if not (value is None or callable(value)):
             raise InputError("cmbot.plan", key, type(value).__name__, "something to call, or None")
     given = scene.planner if options is None else checked_options(PlannerOptions, options, "PlannerOptions")
+    if scene.order == "best":
+        return _in_best_order(scene, given, objective, progress)
     # The plan holds the solver that it was made with.
     automatic, options = given.solver == "auto", replace(given, solver=solver_of(given))
     # The matrices are small: more threads of linear algebra than one only wait for each other.
@@ -109,6 +114,39 @@ def plan(
         for number in range(len(context.strokes)):
             made.append(_stroke(_at_stroke(context, scene, number, made), automatic=automatic))
         return _plan(scene, made, custom=objective is not None)
+
+
+def _in_best_order(
+    scene: Scene,
+    options: PlannerOptions,
+    objective: WrenchFunction | None,
+    progress: Callable[[Progress], None] | None,
+) -> Plan:
+    """The plan in the order of least travel, or in the given one where the peak of that is lower.
+
+    Of two peaks that are about the same, the quicker job counts.
+    """
+    given, travels_least = replace(scene, order=None), in_least_travel(scene)
+    orders = [travels_least]
+    if travels_least.strokes != given.strokes:
+        orders.append(given)
+    options = replace(options, time_limit_s=options.time_limit_s / len(orders))
+    plans, failures = list[Plan](), list[PlanningError]()
+    for order in orders:
+        try:
+            plans.append(plan(order, options=options, objective=objective, progress=progress))
+        except PlanningError as error:
+            failures.append(error)
+    if not plans:
+        raise failures[-1]
+    lowest = min(each.job.figures.peak_guardrail_torque for each in plans)
+    alike = [each for each in plans if each.job.figures.peak_guardrail_torque <= _SAME_PEAK * lowest]
+    best = min(alike, key=lambda each: each.job.duration)
+    names = ", ".join(
+        f"{stroke.name}{' backwards' if stroke.backwards else ''}" for stroke in best.scene.each_stroke
+    )
+    chosen = f"Order of the strokes: {names}."
+    return replace(best, fallbacks=(chosen, *best.fallbacks))
 
 
 def _at_stroke(

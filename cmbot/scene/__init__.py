@@ -4,6 +4,7 @@ from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.legs import ArcTo, Goal, Leg, Raster
+from cmbot.scene.path.path_file import StrokeFile
 from cmbot.scene.path.tool_path import (
     ShiftedToolPath,
     SpeedProfile,
@@ -42,6 +43,7 @@ __all__ = [
     "SpeedProfile",
     "Sphere",
     "Stroke",
+    "StrokeFile",
     "Tool",
     "ToolPath",
     "ToolPoses",

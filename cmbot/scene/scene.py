@@ -185,7 +185,7 @@ class SceneFile(FileModel):
             for name in ("base", "start", "return_", "tool", "frames")
             if getattr(self, name) is not None
         ]
-        newer = ("start_pose", "waypoints", "raster", "blend_radius_m", "strokes")
+        newer = ("start_pose", "waypoints", "raster", "blend_radius_m", "passes", "strokes")
         named = {name: field.alias or name for name, field in type(path).model_fields.items()}
         keys += [("tool_path", named[name]) for name in newer if getattr(path, name) is not None]
         keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
@@ -335,7 +335,11 @@ class Stroke:
         """Return the key of a leg of the timed path, as far as it has one of its own."""
         if not self.file.legs:
             return f"{self.key}.waypoints" if self.file.raster is None else f"{self.key}.raster"
-        return f"{self.key}.legs[{leg}]" if self.file.blend_radius_m is None else f"{self.key}.legs"
+        legs = len(self.file.legs)
+        number, at = divmod(leg, legs)
+        if (number % 2 == 1) != self.file.backwards:
+            at = legs - 1 - at
+        return f"{self.key}.legs[{at}]" if self.file.blend_radius_m is None else f"{self.key}.legs"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -370,10 +374,14 @@ class Scene:
     blend_radius_m : float or None
         By which the corners between straight legs are rounded.
     speed_profile : SpeedProfile
+    passes : int or None
+        How often the path is followed, to and fro.
     via_points : int
         In all, with the ends of the legs.
     strokes : tuple of StrokeFile or None
         In place of all from `keep` to here: several paths with the tool on.
+    order : str or None
+        Of the strokes: ``given`` or None, or ``best``.
     obstacles : tuple of Obstacle
         The scene's own, then the members of the guardrail.
     guardrail : Guardrail
@@ -406,8 +414,10 @@ class Scene:
     speed_m_s: float | None = None
     blend_radius_m: float | None = None
     speed_profile: SpeedProfile = field(default_factory=SpeedProfile)
+    passes: int | None = None
     via_points: int = 50
     strokes: tuple[StrokeFile, ...] | None = None
+    order: Literal["given", "best"] | None = None
     obstacles: tuple[Obstacle, ...]
     guardrail: Guardrail
     planner: PlannerOptions
@@ -444,6 +454,8 @@ class Scene:
         for k, file in enumerate(self.each_stroke):
             key = "tool_path" if self.strokes is None else f"tool_path.strokes[{k}]"
             path = timed_path(file, PathSource(source=self.source, key=key, frames=self.frames), X_WT)
+            path = path.reversed() if file.backwards else path
+            path = path.repeated(file.passes or 1)
             elsewhere = file.has_start or k > 0
             strokes.append(
                 Stroke(name=str(file.name), key=key, file=file, path=path, begins_elsewhere=elsewhere)

@@ -142,6 +142,11 @@ class Pieces:
         """Position, velocity and acceleration at the Chebyshev points, (K (d + 1), n)."""
         return self.trajectory.states(self.times.ravel())
 
+    def means(self, values: FloatArray) -> FloatArray:
+        """Return the means over time (m,) of values (K (d + 1), m) at the Chebyshev points."""
+        each = clenshaw_curtis() @ values.reshape(len(self.start), DEGREE + 1, -1)
+        return np.asarray(np.average(each, axis=0, weights=self.end - self.start))
+
     @cached_property
     def ellipses(self) -> Ellipses:
         """Bounds of the state on the ellipses."""

@@ -208,6 +208,8 @@ def test_verify_notices_wrong_figures(folder, sliding_plan, motion):
         segment, old = data["segments"][k], data["segments"][k]["mean_guardrail_torque"]
         segment.update(wrong)
         job["mean_guardrail_torque"] += (1.0 - old) * segment["seconds"] / sliding_plan.job.duration
+        if not k:
+            data["planned"]["free"].update(wrong)
 
     edit(folder, change)
     assert load_plan(folder).start.moved > 0  # the file's word

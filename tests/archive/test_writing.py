@@ -20,7 +20,7 @@ from cmbot.planning.verification.metrics import measure
 from cmbot.scene import PlannerOptions
 
 FIGURES = {
-    *(f"{kind}_guardrail_torque" for kind in ("peak", "mean", "peak_static")),
+    *(f"{kind}_guardrail_torque" for kind in ("peak", "mean", "rms", "peak_static")),
     *("min_clearance", "max_tool_deviation", "max_tool_rotation", "max_tool_lag", "limit_use"),
 }
 
@@ -50,7 +50,7 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
     data = json.loads((saved_triangle / "plan.json").read_text(encoding="utf-8"))
     assert (data["format"], data["status"]) == ("cmbot-plan/2", "certified")
     for motion in ("baseline", "planned"):
-        assert set(data[motion]) == FIGURES | {"job"}
+        assert set(data[motion]) == FIGURES | {"job", "free"}
         assert set(data[motion]["job"]) == FIGURES
         assert set(data[motion]["limit_use"]) == {"velocity", "acceleration", "jerk", "torque"}
     assert data["planned"]["peak_guardrail_torque"] == triangle_plan.figures.peak_guardrail_torque

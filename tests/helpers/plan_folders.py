@@ -93,7 +93,7 @@ def as_earlier(folder: Path) -> Path:
         kept = {key: block[key] for key in block if key not in ("name", "kind", "begin")}
         data["approach"] = None if approach is None else kept
         for key in ("baseline", "planned"):
-            del data[key]["job"]
+            del data[key]["job"], data[key]["free"]
         data["files"] = {name: each for name, each in data["files"].items() if not name.startswith("job.")}
 
     edit(folder, change)

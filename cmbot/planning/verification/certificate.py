@@ -23,7 +23,7 @@ from cmbot.planning.verification.nearest_approach import nearest_approach
 from cmbot.planning.verification.norm_bounds import NormBounds, norm_bounds
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import PlannerOptions
-from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, clenshaw_curtis, highest
+from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
 
 __all__ = ["Certificate", "Check", "certify"]
 
@@ -306,13 +306,14 @@ class _Work:
         resolution = _TORQUE_RESOLUTION * float(size.max())
         remainder = pieces.remainder(self._bounds.guardrail_torque)
         peak = self._highest(torque, _norm, remainder, resolution)
-        weights = pieces.end - pieces.start
-        mean, square = (
-            float(np.average(values.reshape(len(weights), -1) @ clenshaw_curtis(), weights=weights))
-            for values in (size, size**2)
-        )
+        mean, square = pieces.means(np.stack([size, size**2], axis=1))
         static = self._dynamics.static_efforts(pieces.states[0]).guardrail_torque
-        return peak, mean, float(np.sqrt(square)), self._highest(static, _norm, remainder, resolution).value
+        return (
+            peak,
+            float(mean),
+            float(np.sqrt(square)),
+            self._highest(static, _norm, remainder, resolution).value,
+        )
 
     def tool_deviation(self) -> Peak:
         """Distance of the tool point from the leg of its time, m; see `ToolPath.leg_offset`."""

@@ -37,6 +37,13 @@ class ScenePath:
             # Of each leg: seconds, points and orientations by the share that is covered.
             self._legs: list[tuple[float, _Points, _Points]] = []
             p, R = self._follow(p, R)
+            if file.backwards:
+                p, R = self._turn_round()
+            once = self._legs
+            for _ in range(1, file.passes or 1):
+                p, R = self._turn_round()
+                once = [*once, *self._legs]
+            self._legs = once
 
     def _follow(self, p: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Put the legs together; where the tool is after them."""
@@ -71,6 +78,16 @@ class ScenePath:
             self._legs.append((seconds, points, orientations))
             p, R = end
         return p, R
+
+    def _turn_round(self) -> tuple[FloatArray, FloatArray]:
+        """Go through the legs from the last to the first; where the tool is after them."""
+
+        def back(of: _Points) -> _Points:
+            return lambda share: of(1 - share)
+
+        self._legs = [(each, back(points), back(turns)) for each, points, turns in reversed(self._legs)]
+        _, points, orientations = self._legs[-1]
+        return points(np.ones(1))[0], orientations(np.ones(1))[0]
 
     def poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points (N, 3), m, and orientations (N, 3, 3): at rest at the ends of each leg."""

@@ -54,6 +54,10 @@ class Curve(ABC):
         return False
 
     @abstractmethod
+    def reversed(self) -> Curve:
+        """Return the same curve from its end to its start."""
+
+    @abstractmethod
     def position(self, share: FloatArray) -> FloatArray:
         """Return points (N, 3), m, at shares (N,)."""
 
@@ -123,6 +127,10 @@ class Arc(Curve):
         """Curvature, 1/m."""
         return 1.0 / self.radius
 
+    def reversed(self) -> Arc:
+        """Return the arc from its end to its start."""
+        return Arc(self.centre, self.axis, self.position(np.ones(1))[0], -self.angle)
+
     @cached_property
     def _arm(self) -> FloatArray:
         arm = self.start - self.centre
@@ -163,6 +171,10 @@ class Spline(Curve):
     def turns(self) -> bool:
         """Whether orientations are given."""
         return self.orientations is not None
+
+    def reversed(self) -> Spline:
+        """Return the spline from its last point to its first."""
+        return Spline(self.points[::-1], None if self.orientations is None else self.orientations[::-1])
 
     @cached_property
     def _spline(self) -> CubicSpline:
@@ -241,6 +253,10 @@ class Blend(Curve):
     corners: FloatArray
     radius: float
 
+    def reversed(self) -> Blend:
+        """Return the lines from the last corner to the first."""
+        return Blend(self.corners[::-1], self.radius)
+
     @cached_property
     def _parts(self) -> list[Curve]:
         corners, parts = self.corners, list[Curve]()
@@ -318,6 +334,9 @@ class _Line(Curve):
     @property
     def curvature(self) -> float:
         return 0.0
+
+    def reversed(self) -> _Line:
+        return _Line(self.end, self.start)
 
     def position(self, share: FloatArray) -> FloatArray:
         return np.asarray(self.start + share[:, None] * (self.end - self.start))

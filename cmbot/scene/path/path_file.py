@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
@@ -12,12 +13,23 @@ from cmbot.scene.fields import Slug, exactly_one
 from cmbot.scene.path.legs import Goal, Leg, Raster, Seconds, Speed, Waypoint
 from cmbot.scene.path.tool_path import SpeedProfile
 
-__all__ = ["FREE_MOVE", "LONGEST", "RESERVED", "SMOOTH", "PathFile", "StrokeFile", "ToolPathFile"]
+__all__ = [
+    "FREE_MOVE",
+    "LONGEST",
+    "MOST_ORDERED",
+    "RESERVED",
+    "SMOOTH",
+    "PathFile",
+    "StrokeFile",
+    "ToolPathFile",
+]
 
 LONGEST = 36_000
 """Duration of all strokes, s: motions are sampled every 0.01 s."""
 SMOOTH = SpeedProfile(kind="jerk_limited", ramp=0.25)
 """Speed profile of new scenes that have none of their own."""
+MOST_ORDERED = 12
+"""Strokes whose best order is sought, at most."""
 RESERVED = ("approach", "work", "return")
 """Names of parts of a job that no stroke can have."""
 FREE_MOVE = re.compile(r"free_\d+")
@@ -52,6 +64,9 @@ class PathFile(FileModel):
     speed_profile: SpeedProfile = SpeedProfile()
     """Left out: in ``cmbot-scene/2`` jerk_limited with a ramp of 0.25, which leaves less vibration; in
     ``cmbot-scene/1`` the paper's trapezoid."""
+    passes: Annotated[int, Field(ge=1, le=100)] | None = None
+    """How often the path is followed, to and fro, without leaving it; left out: once; of
+    ``cmbot-scene/2``."""
     via_points: Annotated[int, Field(ge=5, le=20000)] = 50
     """Via-points in all; the ends of the legs are among them."""
 
@@ -76,8 +91,10 @@ class PathFile(FileModel):
             if self.start_pose is not None:
                 expected = "no such key beside waypoints or a raster, where the path begins"
                 raise refusal(expected, got="a pose", key=("from",))
-        if self.via_points <= len(self.legs):
-            expected = f"more than the {len(self.legs)} legs"
+        passes = self.passes or 1
+        legs = len(self.legs) * passes
+        if self.via_points <= legs:
+            expected = f"more than the {legs} legs" + (" of all passes" if passes > 1 else "")
             raise refusal(expected, got=self.via_points, key=("via_points",))
         if self.given_seconds > LONGEST:
             expected = f"legs of at most {LONGEST:,} s in all (10 h)"
@@ -90,13 +107,18 @@ class PathFile(FileModel):
 
     @property
     def given_seconds(self) -> float:
-        """Duration of the legs that have one, s."""
-        return sum(leg.seconds or leg.pause or 0.0 for leg in self.legs)
+        """Duration of the legs that have one, in all passes, s."""
+        return (self.passes or 1) * sum(leg.seconds or leg.pause or 0.0 for leg in self.legs)
+
+    @property
+    def has_own_start(self) -> bool:
+        """Whether it says itself where it begins."""
+        return any(each is not None for each in (self.start_pose, self.waypoints, self.raster))
 
     @property
     def has_start(self) -> bool:
-        """Whether it begins at a pose of its own, not where the tool was before."""
-        return any(each is not None for each in (self.start_pose, self.waypoints, self.raster))
+        """Whether it begins elsewhere than where the tool was before."""
+        return self.has_own_start
 
     @property
     def in_words(self) -> str:
@@ -114,6 +136,13 @@ class StrokeFile(PathFile):
 
     name: Slug | None = None
     """Left out: ``stroke_1`` for the first one, and so on."""
+    backwards: bool = False
+    """Whether the path is followed from its end to its start."""
+
+    @property
+    def has_start(self) -> bool:
+        """Whether it begins elsewhere than where the tool was before."""
+        return self.backwards or super().has_start
 
 
 class ToolPathFile(PathFile):
@@ -123,11 +152,17 @@ class ToolPathFile(PathFile):
     """In place of all other keys: the tool is on along each, and off on the free moves from one to the next.
     A stroke without a start of its own begins where the path of the one before it ends; of
     ``cmbot-scene/2``."""
+    order: Literal["given", "best"] | None = None
+    """Of the strokes; left out: as given. ``best`` takes that order and those directions in which the tool
+    travels least between them, if the peak of the torque does not rise by that; each needs a start of its
+    own."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
         if self.strokes is None:
             self._check_path()
+            if self.order is not None:
+                raise refusal("no such key without strokes", got=self.order, key=("order",))
             return self
         for name, field in PathFile.model_fields.items():
             if getattr(self, name) != field.default:
@@ -148,4 +183,15 @@ class ToolPathFile(PathFile):
             expected = f"strokes of at most {LONGEST:,} s in all (10 h)"
             raise refusal(expected, got=f"{seconds:g} s", key=("strokes",))
         object.__setattr__(self, "strokes", named)
+        if self.order == "best":
+            self._check_order(named)
         return self
+
+    def _check_order(self, strokes: Sequence[StrokeFile]) -> None:
+        if len(strokes) > MOST_ORDERED:
+            expected = f"given for more than {MOST_ORDERED} strokes"
+            raise refusal(expected, got=f"best for {len(strokes)} strokes", key=("order",))
+        for k, stroke in enumerate(strokes):
+            if not stroke.has_own_start:
+                expected = "a pose: with order: best a stroke may follow on any other one"
+                raise refusal(expected, got="nothing", key=("strokes", k, "from"))

@@ -333,6 +333,32 @@ class ToolPath:
         ]
         return np.vstack([*pieces, self.corners[-1:]])
 
+    def reversed(self) -> ToolPath:
+        """Return the path from its end to its start."""
+        last = len(self.seconds) - 1
+        return replace(
+            self,
+            corners=self.corners[::-1],
+            orientation=self._corner_rotations[-1],
+            seconds=self.seconds[::-1],
+            rotations=None if self.rotations is None else -self.rotations[::-1],
+            curves={last - k: curve.reversed() for k, curve in self.curves.items()},
+        )
+
+    def repeated(self, passes: int) -> ToolPath:
+        """Return the path followed so many times, to and fro, from rest to rest each time."""
+        each = [self if k % 2 == 0 else self.reversed() for k in range(passes)]
+        legs = len(self.seconds)
+        return replace(
+            self,
+            corners=np.vstack([self.corners[:1], *(path.corners[1:] for path in each)]),
+            seconds=np.concatenate([path.seconds for path in each]),
+            rotations=None
+            if self.rotations is None
+            else np.concatenate([path.rotations for path in each if path.rotations is not None]),
+            curves={n * legs + k: curve for n, path in enumerate(each) for k, curve in path.curves.items()},
+        )
+
     def held(self) -> ToolPath:
         """Return the path of a tool that stays, for a second, where this one starts."""
         corners = np.repeat(self.corners[:1], 2, axis=0)
