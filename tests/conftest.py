@@ -100,6 +100,11 @@ def strokes_plan() -> Plan:
     return plan(strokes_scene())
 
 
+@pytest.fixture(scope="session")
+def strokes_tracking(strokes_plan: Plan) -> Tracking:
+    return simulate(strokes_plan, SimulationOptions(settle_s=0.5))
+
+
 def _with_fixed_knots(name: str) -> Plan:
     scene = load_scene(name)
     return plan(scene, options=replace(scene.planner, knots="fixed"))

@@ -23,7 +23,7 @@ from cmbot.common.validation import FileModel, given_path, require_type, shown, 
 from cmbot.planning import Plan, require_plan
 from cmbot.simulation import (
     MotionTracking,
-    PrescribedMotion,
+    PrescribedWork,
     SimulationOptions,
     Tracking,
     expected_tool,
@@ -159,27 +159,23 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     if data.get("format") != _FORMAT:
         raise ArchiveError(source, "format", shown(data.get("format")), repr(_FORMAT))
     file = validated(_TrackingFile, data, source, ArchiveError)
-    rows = (plan.trajectory.duration + file.options.settle_s) / file.options.output_step_s
+    baseline, planned = PrescribedWork.baseline(plan), PrescribedWork.planned(plan)
+    seconds = max(baseline.duration, planned.duration) + file.options.settle_s
+    rows = seconds / file.options.output_step_s
     largest = {PLAN_FILE: LARGEST_TEXT, **dict.fromkeys(_TABLES, largest_table(rows, len(_COLUMNS)))}
     contents = {name: read_file(folder / name, size) for name, size in largest.items()}
     for name, got in _hashes(contents).items():
         if got != (expected := file.files.get(name)):
             why = f"{shown(expected)[:16]}…: {name} has changed since the simulation; simulate again"
             raise ArchiveError(source, f"files.{name}", f"{got[:16]}… now", why)
-    baseline = PrescribedMotion.through(plan.baseline.t, plan.baseline.q)
     motions = {}
-    for name, motion, sag in (
-        (_BASELINE, baseline, None),
-        (_PLANNED, PrescribedMotion.along(plan.trajectory), plan.sag),
-    ):
+    for name, work, sag in ((_BASELINE, baseline, None), (_PLANNED, planned, plan.sag)):
         table = read_table(contents[name], str(folder / name), _COLUMNS)
         t, error, static = table[:, 0].copy(), table[:, 1:4].copy(), table[:, 4:].copy()
-        rigid, predicted = expected_tool(plan.robot, motion, t, sag)
+        rigid, predicted = expected_tool(plan.robot, work, t, sag)
         entry: _Motion = getattr(file, _TABLES[name])
         frequencies = np.array([mode.frequency for mode in entry.modes], dtype=np.float64)
-        motions[_TABLES[name]] = motion_tracking(
-            plan.task, motion, t, rigid + predicted, error, static, frequencies
-        )
+        motions[_TABLES[name]] = motion_tracking(work, t, rigid + predicted, error, static, frequencies)
     return Tracking(options=file.options, seconds=file.seconds, **motions)
 
 
@@ -208,7 +204,7 @@ def _motion(motion: MotionTracking) -> dict[str, Any]:
         if residual is None
         else {**vars(residual), "peak_to_peak": _by_axis(residual.peak_to_peak)},
         "modes": [{"frequency": frequency, "power": power} for frequency, power in modes],
-        "largest_command_error": float(np.linalg.norm(motion.command, axis=1).max()),
+        "largest_command_error": float(np.nanmax(np.linalg.norm(motion.command, axis=1))),
     }
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -62,6 +62,11 @@ class ElasticArm:
     def external_forces(self) -> Any:
         """The force on the tool, `Robot.tool_force`, for the joints of `model`: it turns with the tool."""
         return external_forces(self.model, self.tool_frame_id, self.robot.tool_force)
+
+    @property
+    def tool_off(self) -> ElasticArm:
+        """The same arm with its tool off: no force acts on it."""
+        return replace(self, robot=self.robot.tool_off) if self.robot.pushed else self
 
     def configuration(self, q: FloatArray, u: FloatArray) -> FloatArray:
         """Join joint angles (..., n) and elastic coordinates (..., f) to configurations (..., n + f)."""

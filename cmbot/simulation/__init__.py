@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from cmbot.simulation.metrics import ErrorMetrics, Residual, Statistics, statistics
 from cmbot.simulation.options import SimulationOptions
-from cmbot.simulation.prescribed_motion import PrescribedMotion
+from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
 from cmbot.simulation.summary import (
     off_path,
     tracking_remarks,
@@ -19,12 +19,14 @@ from cmbot.simulation.tracking import (
     motion_tracking,
     simulate,
     track,
+    track_work,
 )
 
 __all__ = [
     "ErrorMetrics",
     "MotionTracking",
     "PrescribedMotion",
+    "PrescribedWork",
     "Residual",
     "SimulationOptions",
     "Statistics",
@@ -35,6 +37,7 @@ __all__ = [
     "simulate",
     "statistics",
     "track",
+    "track_work",
     "tracking_remarks",
     "tracking_rows",
     "tracking_summary",

@@ -103,10 +103,12 @@ class GeneralizedAlpha:
         u: FloatArray,
         v: FloatArray,
         progress: Callable[[float], None] | None = None,
+        forces: Sequence[Any] | None = None,
     ) -> ElasticMotion:
         """Integrate along prescribed motions, one after the other, from `u` and `v` (f,).
 
         Each continues the one before in position and velocity. Where the acceleration jumps, a step ends.
+        `forces` are the external ones along each motion, in place of the system's.
         `progress` is called every 100 steps with the time that has been reached, s.
 
         Raises
@@ -117,7 +119,9 @@ class GeneralizedAlpha:
         parts, start = [], 0.0
         # An overflow shows in the state, which every step checks.
         with np.errstate(over="ignore", invalid="ignore"):
-            for motion in motions:
+            for number, motion in enumerate(motions):
+                if forces is not None:
+                    self._external = forces[number]
                 part = self._along(motion, u, v, start, progress or (lambda _: None))
                 u, v, start = part.u[-1], part.v[-1], start + motion.duration
                 parts.append(part)

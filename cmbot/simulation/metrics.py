@@ -74,9 +74,9 @@ class ErrorMetrics:
     Attributes
     ----------
     total, static, dynamic : Statistics
-        Of the error, of its static part, of their difference, while the joints move.
+        Of the error, of its static part, of their difference, while the joints move, on free moves too.
     path : Statistics
-        Of the bent tool's offset from the nearest point of the tool path's leg, while the joints move.
+        Of the bent tool's offset from the nearest point of the tool path's leg, along the strokes.
     residual : Residual or None
         None where nothing was simulated after the stop.
     mode_frequencies : (k,), Hz
@@ -121,11 +121,13 @@ def error_metrics(
 
 
 def statistics(t: FloatArray, error: FloatArray) -> Statistics:
-    """Return the statistics of an error (N, 3) at times (N,)."""
+    """Return the statistics of an error (N, 3) at times (N,); rows of NaN are left out."""
     values = np.column_stack([error, np.linalg.norm(error, axis=1)])
     # Weights of the trapezoidal rule: the last step may be shorter.
     weight = np.gradient(t)
     weight[[0, -1]] *= 0.5
+    known = np.isfinite(values[:, 3])
+    values, weight = values[known], weight[known]
     weight /= weight.sum()
     mean = weight @ values
     return Statistics(

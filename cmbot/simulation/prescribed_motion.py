@@ -1,22 +1,30 @@
-"""The motion that is prescribed to the joints: position, velocity and acceleration that are consistent."""
+"""The motion that is prescribed to the joints: position, velocity and acceleration that are consistent.
+
+Along one stroke, or over the whole work of a plan.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.planning import QuinticTrajectory
+from cmbot.planning import Plan, QuinticTrajectory
+from cmbot.scene import ToolPath
 
 # scipy.interpolate is slow to import and planning does not need it: it is imported where it is used.
 if TYPE_CHECKING:
     from scipy.interpolate import PPoly
 
-__all__ = ["PrescribedMotion"]
+__all__ = ["PrescribedMotion", "PrescribedWork", "WorkPart"]
+
+# Share of a time by which it may be off, by rounding.
+_SAME_TIME = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,3 +103,99 @@ class PrescribedMotion:
         """
         t: FloatArray = np.clip(np.asarray(times, dtype=np.float64), 0.0, self.duration)
         return self.curve(t), self.curve(t, 1), self.curve(t, 2)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WorkPart:
+    """A stroke, or a free move between strokes, where the tool is off.
+
+    Attributes
+    ----------
+    motion : PrescribedMotion
+        Its own clock begins at 0.
+    path : ToolPath or None
+        That of the stroke; None on a free move.
+    begin : float, s
+        When it begins on the clock of the work.
+    """
+
+    motion: PrescribedMotion
+    path: ToolPath | None
+    begin: float
+
+
+@dataclass(frozen=True, eq=False)
+class PrescribedWork:
+    """What the joints do from the beginning of the first stroke to the end of the last one.
+
+    Attributes
+    ----------
+    parts : tuple of WorkPart
+        One after the other, the first from time 0; they join at rest.
+    """
+
+    parts: tuple[WorkPart, ...]
+
+    @classmethod
+    def of(cls, each: Iterable[tuple[PrescribedMotion, ToolPath | None]]) -> PrescribedWork:
+        """Return the work of motions one after the other, each with its path, None on a free move."""
+        parts, begin = list[WorkPart](), 0.0
+        for motion, path in each:
+            parts.append(WorkPart(motion=motion, path=path, begin=begin))
+            begin += motion.duration
+        return cls(tuple(parts))
+
+    @classmethod
+    def planned(cls, plan: Plan) -> PrescribedWork:
+        """Return the planned motion, exactly."""
+        paths = _paths(plan)
+        return cls.of(
+            (PrescribedMotion.along(segment.trajectory), paths.get(segment.name))
+            for segment in plan.work.segments
+        )
+
+    @classmethod
+    def baseline(cls, plan: Plan) -> PrescribedWork:
+        """Return the baseline, its strokes and its free moves through their samples."""
+        paths, segments = _paths(plan), plan.baseline_segments
+        strokes = [number for number, segment in enumerate(segments) if segment.name in paths]
+        return cls.of(
+            (PrescribedMotion.through(segment.samples.t, segment.samples.q), paths.get(segment.name))
+            for segment in segments[strokes[0] : strokes[-1] + 1]
+        )
+
+    @property
+    def duration(self) -> float:
+        """How long the joints move, s."""
+        return self.parts[-1].begin + self.parts[-1].motion.duration
+
+    @property
+    def end(self) -> FloatArray:
+        """The last posture, (n,), rad."""
+        return self.parts[-1].motion.end
+
+    def split(self, times: FloatArray) -> Iterator[tuple[WorkPart, IntArray, FloatArray]]:
+        """Yield each part in which some of `times` (N,) lie, their indices, and these times on its own clock.
+
+        A join belongs to the stroke, all after the stop to the last part.
+        """
+        joins = [
+            part.begin * (1 + _SAME_TIME if part.path is None else 1 - _SAME_TIME) for part in self.parts[1:]
+        ]
+        number = np.searchsorted(joins, times, side="right")
+        for k, part in enumerate(self.parts):
+            at = np.flatnonzero(number == k)
+            if len(at):
+                yield part, at, times[at] - part.begin
+
+    def postures(self, times: FloatArray) -> FloatArray:
+        """Return the joint positions at `times` (N,) from 0, (N, n), rad; after the stop the last ones."""
+        q = np.empty((len(times), len(self.end)))
+        for part, at, t in self.split(times):
+            q[at] = part.motion.states(t)[0]
+        return q
+
+
+def _paths(plan: Plan) -> dict[str, ToolPath]:
+    """The tool paths of a plan's strokes by their names, which free moves do not have."""
+    return {stroke.name: stroke.task.path for stroke in plan.strokes}

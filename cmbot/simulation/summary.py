@@ -66,16 +66,16 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
         return f"Within the margin: bent as it is, the tool stays within {bound} of its path."
     text = f"Not within the margin: bent as it is, the tool leaves its path by more than {bound}"
     if plan.options.compensate:
-        return (
-            f"{text}, though the foreseen sag is compensated: what bends here is not what was planned with."
-        )
+        sags = _largest(tracking.planned.static, tracking.planned) > allowed
+        why = "what bends here is not what was planned with" if sags else "beside it, it sways"
+        return f"{text}, though the foreseen sag is compensated: {why}."
     if _largest(tracking.planned.dynamic, tracking.planned) <= allowed:
         return f"{text}. That is sag, which can be foreseen: with compensate: true the plan makes up for it."
     return f"{text}. With compensate: true the plan makes up for the sag, not for the swaying."
 
 
 def off_path(motion: MotionTracking) -> float:
-    """Return the largest distance of the bent tool from its path while the joints move, m."""
+    """Return the largest distance of the bent tool from its path along the strokes, m."""
     return _largest(motion.path_error, motion)
 
 
@@ -102,7 +102,7 @@ def tracking_remarks(tracking: Tracking) -> Iterator[str]:
         "Error: the bent tool from where the same joint angles put the rigid one and, with compensation, its "
         "predicted sag; static: at rest; mm in W."
     )
-    yield "Off the path: the bent tool from the nearest point of its leg."
+    yield "Off the path: along strokes, the bent tool from the nearest point of its leg."
     for remark in (_command, _vibration, _decay):
         for name, motion in tracking.motions:
             if text := remark(motion):
@@ -113,13 +113,13 @@ def tracking_remarks(tracking: Tracking) -> Iterator[str]:
 
 
 def _largest(error: FloatArray, motion: MotionTracking) -> float:
-    """Largest norm of an error (N, 3) while the joints move, m."""
+    """Largest norm of an error (N, 3) while the joints move, m; rows of NaN are left out."""
     moving = motion.t <= motion.stop * (1 + 1e-12)
-    return float(np.linalg.norm(error[moving], axis=1).max())
+    return float(np.nanmax(np.linalg.norm(error[moving], axis=1)))
 
 
 def _command(motion: MotionTracking) -> str:
-    largest = 1e3 * np.linalg.norm(motion.command, axis=1).max()
+    largest = 1e3 * np.nanmax(np.linalg.norm(motion.command, axis=1))
     return f"apart from bending, the joints put the tool up to {largest:.3f} mm from its timed path"
 
 

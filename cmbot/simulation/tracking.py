@@ -23,7 +23,7 @@ from cmbot.robot import Kinematics, Robot
 from cmbot.simulation.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.simulation.metrics import ErrorMetrics, error_metrics
 from cmbot.simulation.options import SimulationOptions
-from cmbot.simulation.prescribed_motion import PrescribedMotion
+from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
 
 __all__ = [
     "MotionTracking",
@@ -33,6 +33,7 @@ __all__ = [
     "motion_tracking",
     "simulate",
     "track",
+    "track_work",
 ]
 
 # Step, s, at which the sag is computed; the cubic spline between is within 3e-5 mm on the shipped scenes.
@@ -52,12 +53,13 @@ class MotionTracking:
         Tool point of the elastic arm less the expected tool point: that of a rigid arm with the same joint
         angles and, where the sag was compensated, the predicted sag added.
     static : (N, 3), m
-        The error at rest: the sag of the posture at that time, less the predicted one.
+        The error at rest: the sag of the posture at that time, less the predicted one. It jumps where a
+        process force sets in or ends.
     command : (N, 3), m
         Expected tool point less that of the tool path at that time: it comes from the joint motion, not from
-        bending.
+        bending. NaN between strokes, where there is no path.
     path_error : (N, 3), m
-        From the nearest point of the current leg to the elastic arm's tool point.
+        From the nearest point of the current leg to the elastic arm's tool point. NaN between strokes.
     metrics : ErrorMetrics
     """
 
@@ -106,8 +108,9 @@ def simulate(
 ) -> Tracking:
     """Simulate the elastic arm of a plan's scene under its baseline and under its planned motion.
 
-    The joints follow their motion exactly; guardrail and links bend. The process force acts on the bent tool
-    all along, and on after the joints stop. The baseline's motion is the cubic spline through its postures.
+    The joints follow their motion exactly from the first stroke's beginning to the last one's end; guardrail
+    and links bend. The process force acts on the bent tool along the strokes, and on after the joints stop.
+    The baseline's motions, along each stroke and between strokes, are cubic splines through their postures.
 
     Parameters
     ----------
@@ -131,18 +134,15 @@ def simulate(
     # The matrices are too small for several threads of linear algebra.
     with threadpool_limits(limits=1, user_api="blas"):
         arm = elastic_arm_of(plan, options)
-        motions = (
-            PrescribedMotion.through(plan.baseline.t, plan.baseline.q),
-            PrescribedMotion.along(plan.trajectory),
-        )
-        first, second = (motion.duration + options.settle_s for motion in motions)
+        works = PrescribedWork.baseline(plan), PrescribedWork.planned(plan)
+        first, second = (work.duration + options.settle_s for work in works)
 
         def report(reached: float) -> None:
             if progress is not None:
                 progress(reached / (first + second))
 
-        baseline = track(arm, plan.task, motions[0], options, report)
-        planned = track(arm, plan.task, motions[1], options, lambda t: report(first + t), plan.sag)
+        baseline = track_work(arm, works[0], options, report)
+        planned = track_work(arm, works[1], options, lambda t: report(first + t), plan.sag)
     seconds = time.perf_counter() - started
     return Tracking(options=options, baseline=baseline, planned=planned, seconds=seconds)
 
@@ -172,14 +172,24 @@ def track(
     progress: Callable[[float], None] | None = None,
     sag: Sag | None = None,
 ) -> MotionTracking:
-    """Simulate an elastic arm under one motion.
+    """Simulate an elastic arm under one motion along a task's path, as `track_work` does."""
+    return track_work(arm, PrescribedWork.of([(motion, task.path)]), options, progress, sag)
+
+
+def track_work(
+    arm: ElasticArm,
+    work: PrescribedWork,
+    options: SimulationOptions,
+    progress: Callable[[float], None] | None = None,
+    sag: Sag | None = None,
+) -> MotionTracking:
+    """Simulate an elastic arm under the motions of a work and at rest after it.
 
     Parameters
     ----------
     arm : ElasticArm
-    task : ToolTask
-        Its path is the one to follow.
-    motion : PrescribedMotion
+        Its tool is on along the strokes and after the stop.
+    work : PrescribedWork
     options : SimulationOptions
     progress : callable, optional
         Called repeatedly with the time that has been reached, s.
@@ -193,39 +203,50 @@ def track(
     SimulationDiverged
         When the motion cannot be integrated.
     """
-    modes = arm_modes(arm, motion.states([0.0])[0][0])
+    modes = arm_modes(arm, work.postures(np.zeros(1))[0])
     start = modes.u if options.initial == "equilibrium" else np.zeros_like(modes.u)
-    motions = [motion]
+    loaded = {True: arm, False: arm.tool_off}
+    parts = [(part.motion, loaded[part.path is not None].external_forces) for part in work.parts]
     if options.settle_s > 0:
-        motions.append(PrescribedMotion.held(motion.end, options.settle_s))
+        parts.append((PrescribedMotion.held(work.end, options.settle_s), arm.external_forces))
+    motions, forces = zip(*parts, strict=True)
     integrator = GeneralizedAlpha(
         ElasticSystem.of(arm, modes.damping(options.damping)),
         step=options.step_s,
         rho_inf=options.spectral_radius,
         corrections=options.corrections,
     )
-    bent = integrator.run(motions, start, np.zeros_like(start), progress)
+    bent = integrator.run(motions, start, np.zeros_like(start), progress, forces)
 
     outputs = int(np.floor(bent.t[-1] / options.output_step_s * (1 + 1e-12))) + 1
     t = options.output_step_s * np.arange(outputs, dtype=np.float64)
-    rigid, predicted = expected_tool(arm.robot, motion, t, sag)
-    error = _bent_tool(arm, motion.states(t)[0], bent, t) - rigid - predicted
-    static = _sag(arm, motion, t) - predicted
-    return motion_tracking(task, motion, t, rigid + predicted, error, static, modes.frequencies)
+    rigid, predicted = expected_tool(arm.robot, work, t, sag)
+    error = _bent_tool(arm, work.postures(t), bent, t) - rigid - predicted
+    static = -predicted
+    for part, at, own in work.split(t):
+        static[at] += _sag(loaded[part.path is not None], part.motion, own)
+    return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies)
 
 
 def expected_tool(
-    robot: Robot, motion: PrescribedMotion, t: FloatArray, sag: Sag | None = None
+    robot: Robot, work: PrescribedWork, t: FloatArray, sag: Sag | None = None
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the rigid arm's tool points at times `t` (N,) and the predicted sag, each (N, 3), m."""
-    q = motion.states(t)[0]
+    """Return the rigid arm's tool points at times `t` (N,) and the predicted sag, each (N, 3), m.
+
+    Between strokes it is the sag with the tool off.
+    """
+    q = work.postures(t)
     rigid, _ = Kinematics(robot).tool_poses(q)
-    return rigid, np.zeros_like(rigid) if sag is None else sag.along(t, q)
+    predicted = np.zeros_like(rigid)
+    if sag is not None:
+        off = Sag(sag.arm.tool_off)
+        for part, at, own in work.split(t):
+            predicted[at] = (off if part.path is None else sag).along(own, q[at])
+    return rigid, predicted
 
 
 def motion_tracking(
-    task: ToolTask,
-    motion: PrescribedMotion,
+    work: PrescribedWork,
     t: FloatArray,
     expected: FloatArray,
     error: FloatArray,
@@ -236,8 +257,7 @@ def motion_tracking(
 
     Parameters
     ----------
-    task : ToolTask
-    motion : PrescribedMotion
+    work : PrescribedWork
     t : (N,), s
         Equal steps, from 0 to the stop or beyond.
     expected : (N, 3), m
@@ -246,14 +266,18 @@ def motion_tracking(
     frequencies : (f,), Hz
         Of the modes in the motion's first posture, ascending.
     """
-    path_error = task.path.leg_offset(t, expected + error)
-    moving = int(np.searchsorted(t, motion.duration * (1 + 1e-12), side="right"))
+    command, path_error = np.full_like(error, np.nan), np.full_like(error, np.nan)
+    for part, at, own in work.split(t):
+        if part.path is not None:
+            command[at] = expected[at] - part.path.position(own)
+            path_error[at] = part.path.leg_offset(own, expected[at] + error[at])
+    moving = int(np.searchsorted(t, work.duration * (1 + 1e-12), side="right"))
     return MotionTracking(
         t=t,
-        stop=motion.duration,
+        stop=work.duration,
         error=error,
         static=static,
-        command=expected - task.path.position(t),
+        command=command,
         path_error=path_error,
         metrics=error_metrics(t, error, static, path_error, moving, frequencies),
     )

@@ -236,16 +236,18 @@ def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
 
 
 def _off_path(tracking: Tracking) -> Chart:
-    curves = tuple(
-        Curve(motion=name, t=motion.t, y=1e3 * np.linalg.norm(motion.path_error, axis=1))
-        for name, motion in tracking.motions
-    )
+    curves = []
+    for name, motion in tracking.motions:
+        off = 1e3 * np.linalg.norm(motion.path_error, axis=1)
+        # NaN between strokes, where there is no path.
+        at_work = np.isfinite(off)
+        curves.append(Curve(motion=name, t=motion.t[at_work], y=off[at_work]))
     return Chart(
         key="tracking",
         title="Elastic tool's distance from its path",
         unit="mm",
         digits=2,
-        curves=curves,
+        curves=tuple(curves),
         axis=(0.0, ROOM * _highest(curves)),
         note="To the nearest point of the path: elastic deflection and joint motion together.",
         free=_NOT_SIMULATED,
@@ -288,5 +290,5 @@ def _work_ends(plan: Plan) -> float | None:
     return work_seconds(plan) if plan.job.segment(RETURN) is not None else None
 
 
-def _highest(curves: tuple[Curve, ...]) -> float:
+def _highest(curves: Sequence[Curve]) -> float:
     return max((float(curve.y.max()) for curve in curves), default=0.0)

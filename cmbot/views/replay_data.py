@@ -34,7 +34,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     duration = work_seconds(plan)
     if tracking is not None:
         require_type(tracking, Tracking, "tracking", "", "a Tracking, as cmbot.simulate returns it")
-    end = duration if tracking is None else _end(tracking, duration)
+    end = duration if tracking is None else _end(plan, tracking)
     back = _return_seconds(plan)
     if back > 0:
         end = duration + back
@@ -160,12 +160,15 @@ def _leg_times(plan: Plan) -> FloatArray:
     return np.unique(np.concatenate([*times]))
 
 
-def _end(tracking: Tracking, duration: float) -> float:
+def _end(plan: Plan, tracking: Tracking) -> float:
+    """When the simulation ends, s; an `InputError` with the tracking errors of another plan."""
+    durations = {"planned": float(plan.samples.t[-1]), "baseline": float(plan.baseline.t[-1])}
     for name, motion in reversed(tracking.motions):
+        duration = durations[name]
         if not np.isclose(motion.stop, duration, rtol=1e-9, atol=0.0):
             expected = f"{duration:g} s, the plan's duration: the tracking errors of this plan"
             raise InputError("tracking", f"{name}.stop", f"{motion.stop:g} s", expected)
-    return float(max(duration, tracking.planned.t[-1], tracking.baseline.t[-1]))
+    return float(max(*durations.values(), tracking.planned.t[-1], tracking.baseline.t[-1]))
 
 
 def _approach(plan: Plan, frames: _Frames, step: float) -> dict[str, Any] | None:

@@ -38,20 +38,30 @@ def test_what_was_saved_is_read(
     save(compensated, tmp_path / "short")
     save_tracking(foreseen, tmp_path / "short")
     for folder, tracking in ((saved, short_tracking), (tmp_path / "short", foreseen)):
-        found = cmbot.load_tracking(load_plan(folder), folder)
-        assert (found.options, found.seconds) == (tracking.options, tracking.seconds)
-        assert list(tracking_rows(found)) == list(tracking_rows(tracking))
-        for name in ("baseline", "planned"):
-            ours, theirs = getattr(found, name), getattr(tracking, name)
-            assert ours.stop == theirs.stop
-            for field in fields(ours):
-                if field.name not in ("stop", "metrics"):
-                    left, right = getattr(ours, field.name), getattr(theirs, field.name)
-                    np.testing.assert_allclose(left, right, atol=1e-12)
-            for key, value in asdict(ours.metrics).items():
-                if isinstance(value, np.ndarray):
-                    expected = getattr(theirs.metrics, key)
-                    np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-18)
+        require_read(folder, tracking)
+
+
+def test_of_several_strokes_too(strokes_plan: Plan, strokes_tracking: Tracking, tmp_path: Path) -> None:
+    save(strokes_plan, tmp_path / "strokes")
+    save_tracking(strokes_tracking, tmp_path / "strokes")
+    require_read(tmp_path / "strokes", strokes_tracking)
+
+
+def require_read(folder: Path, tracking: Tracking) -> None:
+    found = cmbot.load_tracking(load_plan(folder), folder)
+    assert (found.options, found.seconds) == (tracking.options, tracking.seconds)
+    assert list(tracking_rows(found)) == list(tracking_rows(tracking))
+    for name in ("baseline", "planned"):
+        ours, theirs = getattr(found, name), getattr(tracking, name)
+        assert ours.stop == pytest.approx(theirs.stop, rel=1e-14)
+        for field in fields(ours):
+            if field.name not in ("stop", "metrics"):
+                left, right = getattr(ours, field.name), getattr(theirs, field.name)
+                np.testing.assert_allclose(left, right, atol=1e-12)
+        for key, value in asdict(ours.metrics).items():
+            if isinstance(value, np.ndarray):
+                expected = getattr(theirs.metrics, key)
+                np.testing.assert_allclose(value, expected, rtol=1e-9, atol=1e-18)
 
 
 def refused(plan: Plan, folder: Path, file: str, key: str) -> ArchiveError:

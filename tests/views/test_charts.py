@@ -68,6 +68,19 @@ def test_tracking_errors_share_one_scale_and_say_where_they_are_measured_from(
     assert notes[1:] == compensated[1:] == ["", ""]
 
 
+def test_off_the_path_has_no_points_between_strokes(strokes_plan: Plan, strokes_tracking: Tracking) -> None:
+    *others, off = charts(strokes_plan, strokes_tracking)
+    assert off.title == "Elastic tool's distance from its path"
+    free = strokes_plan.work.segments[1], strokes_plan.baseline_segments[1]
+    for segment, name in zip(free, ("planned", "baseline"), strict=True):
+        (shown,) = (curve for curve in off.curves if curve.motion == name)
+        before, after = shown.t <= segment.begin + 1e-9, shown.t >= segment.end - 1e-9
+        assert before.any() and after.any() and (before | after).all()
+    for chart in (*others, off):
+        for curve in chart.curves:
+            assert np.isfinite(curve.y).all()
+
+
 @given(st.lists(st.floats(-1e6, 1e6), min_size=1, max_size=300), st.integers(4, 60))
 def test_thinning_keeps_ends_and_extremes(values: list[float], most: int) -> None:
     y = np.array(values)

@@ -9,6 +9,7 @@ import pytest
 from page_data import floats
 from plan_folders import changed
 
+from cmbot.common.errors import InputError
 from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
 from cmbot.simulation import Tracking
@@ -129,6 +130,21 @@ def test_the_error_is_that_of_the_simulation_from_where_the_tool_is_expected(
     shown = floats(replay_data(*compensated_short)["planned"]["tool"], 3)
     np.testing.assert_allclose(shown[[0, -1]], samples.expected_tool_point[[0, -1]], atol=1e-6)
     assert np.linalg.norm(shown[0] - samples.tool_point[0]) > 1e-3
+
+
+def test_works_of_several_strokes_may_differ_in_duration(
+    strokes_plan: Plan, strokes_tracking: Tracking
+) -> None:
+    data = replay_data(strokes_plan, strokes_tracking)
+    times = np.linspace(0, data["duration"], len(floats(data["planned"]["clearance"])))
+    for name, motion in strokes_tracking.motions:
+        expected = np.stack([np.interp(times, motion.t, e) for e in motion.error.T], axis=1)
+        np.testing.assert_allclose(floats(data[name]["error"], 3), expected, atol=1e-8)
+    baseline = strokes_tracking.baseline
+    assert baseline.stop < strokes_tracking.planned.stop - 0.01
+    exchanged = dataclasses.replace(strokes_tracking, planned=baseline)
+    with pytest.raises(InputError, match=r"planned\.stop: got .* s, expected .* s, the plan's duration"):
+        replay_data(strokes_plan, exchanged)
 
 
 def test_the_return_comes_after_the_work(returning_plan: Plan) -> None:

@@ -12,7 +12,7 @@ from plan_folders import changed, without_approach
 import cmbot
 from cmbot.common.errors import InputError
 from cmbot.planning import Certificate, Plan, bound_use, remarks
-from cmbot.simulation import Tracking, tracking_rows
+from cmbot.simulation import Tracking, tracking_rows, tracking_verdict
 from cmbot.views import pages, report_page
 from cmbot.views.report import headlines
 
@@ -57,6 +57,12 @@ def test_it_is_written_whole_or_not_at_all(
     # Neither with the tracking of another plan.
     with pytest.raises(InputError, match=r"tracking: planned\.stop: got 20 s, expected 4 s"):
         report_page(short_plan, triangle_tracking)
+
+
+def test_several_strokes_are_simulated(strokes_plan: Plan, strokes_tracking: Tracking) -> None:
+    text = report_page(strokes_plan, strokes_tracking)
+    assert tracking_verdict(strokes_plan, strokes_tracking) in text
+    assert ">nan<" not in text
 
 
 def test_nothing_to_hit_and_no_range(short_plan: Plan) -> None:
