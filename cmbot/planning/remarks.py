@@ -17,7 +17,8 @@ from cmbot.scene import STOW
 
 __all__ = ["remarks"]
 
-# A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none.
+# A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none, and
+# what sequences of postures ask is told where it is further away.
 _GAIN, _NEAR_BOUND = 5e-3, 1e-2
 # Largest error of a lower bound that the search closed, as a share of it.
 _CLOSED = 1e-2
@@ -246,6 +247,7 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
             f"{name}, not closed: {where} was found that asks less than {value}, but the search ended "
             f"with {error} open{gap}."
         )
+    yield from _sequences(plan)
     other, peak = (
         ("in another posture (start: free)", plan.choice.free)
         if pinned
@@ -255,6 +257,23 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
         yield f"Had it started {other}: no sequence of postures through the charts was found."
     else:
         yield f"Had it started {other}, the peak at rest would be {_value(objective, peak)}."
+
+
+def _sequences(plan: Plan) -> Iterator[str]:
+    """What the way from one via-point to the next asks beyond what the worst of them does."""
+    objective, bound, choice = plan.objective, plan.lower_bound, plan.choice
+    if bound is None or choice is None:
+        return
+    start, least = "", choice.free
+    if plan.options.start == "pinned" and choice.pinned is not None:
+        start, least = f" from the {plan.scene.pinned_posture}", choice.pinned
+    if least is None or least <= bound.value + _NEAR_BOUND * objective.planned_peak:
+        return
+    gap = 100 * (objective.planned_peak / least - 1)
+    yield (
+        f"Sequences: no way{start} through the charts of all via-points rests below "
+        f"{_value(objective, least)} (estimate); the peak is {gap:+.3f} % from that."
+    )
 
 
 def _value(objective: ObjectiveMetrics, value: float, more_digits: int = 0) -> str:

@@ -97,6 +97,19 @@ def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Pla
     assert "no sequence of postures through the charts was found" in line(none, pinned)
 
 
+def test_what_sequences_of_postures_ask_is_told_where_it_is_more_than_the_bound(triangle_plan: Plan) -> None:
+    assert not any(remark.startswith("Sequences: ") for remark in remarks(triangle_plan))
+    far = replace(triangle_plan, choice=Choice(free=400.0, pinned=500.0))
+    gap = 100 * (triangle_plan.objective.planned_peak / 400 - 1)
+    assert line(far, "Sequences: ") == (
+        "Sequences: no way through the charts of all via-points rests below 400.00 Nm (estimate); "
+        f"the peak is {gap:+.3f} % from that."
+    )
+    pinned = replace(far, options=replace(far.options, start="pinned"))
+    said = line(pinned, "Sequences: no way from the scene's posture through the charts")
+    assert "rests below 500.00 Nm" in said
+
+
 def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) -> None:
     objective = replace(triangle_plan.objective, planned_peak=1.1 * triangle_plan.objective.baseline_peak)
     said = line(replace(triangle_plan, objective=objective), "The peak is 10.00 % higher than the baseline's")
