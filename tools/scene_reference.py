@@ -33,6 +33,7 @@ _SECTIONS = {
     "Tool": "`tool`",
     "ToolPathFile": "`tool_path`",
     "StrokeFile": "`tool_path.strokes`",
+    "AxisCone": "Cones: `keep`",
     "Leg": "Legs",
     "Goal": "Poses: `to`, `from`",
     "ArcTo": "Arcs: `arc`",

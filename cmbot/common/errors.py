@@ -181,6 +181,7 @@ _REMEDIES = (
     ("position", "another start posture or another place for the tool path"),
     ("tool deviation", "more tool_path.via_points or a larger planner.max_tool_deviation_m"),
     ("tool rotation", "more tool_path.via_points or a larger planner.max_tool_rotation_deg"),
+    ("tool tilt", "a wider cone (tool_path.keep) or more tool_path.via_points"),
     ("tool lag", "more tool_path.via_points or a larger planner.max_tool_lag_m"),
     ("tool speed", "more tool_path.via_points, a speed_profile of kind jerk_limited or more seconds"),
     ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),

@@ -92,6 +92,11 @@ class PlanningContext:
         return replace(self, robot=self.robot.tool_off, objective=self.idle_objective)
 
     @cached_property
+    def on_axis(self) -> PlanningContext:
+        """The context of holding the tool's axis in the middle of its cone; without a cone this one."""
+        return self if self.task.cone is None else replace(self, task=self.task.on_axis)
+
+    @cached_property
     def postures(self) -> Postures:
         """Kinematics and statics of the robot in batches."""
         return Postures(self.robot)
@@ -310,4 +315,5 @@ def strokes_of(scene: Scene, robot: Robot) -> tuple[Stroke, ...]:
 def task_of(stroke: Stroke, scene: Scene) -> ToolTask:
     """Return what a stroke of a scene prescribes of the tool."""
     speed = scene.tool.max_speed_m_s
-    return ToolTask(stroke.path, stroke.file.keep, None if speed is None else speed * (1 + SPEED_TOLERANCE))
+    most = None if speed is None else speed * (1 + SPEED_TOLERANCE)
+    return ToolTask.of(stroke.path, stroke.file.keep, most)

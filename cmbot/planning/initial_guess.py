@@ -104,7 +104,7 @@ def fixed_guess(context: PlanningContext) -> InitialGuess:
     """Take via-points from the path of gradient projection, to stay there (Chang 2021, Eqs. (15)-(30))."""
     path, failures = find_path(context)
     rough = np.stack([np.interp(context.times, path.t, joint) for joint in path.q.T], axis=1)
-    form = parametrization_through(context, _placed(context, rough), sliding=False)
+    form = parametrization_through(context, _placed(context.on_axis, rough), sliding=False)
     each = context.objective.at_rest(context.postures.at(form.via_points))
     bound = LowerBound(
         value=float(each.max()), error=0.0, via_point=int(each.argmax()), each=each, kind="proven"

@@ -1,4 +1,4 @@
-"""What of the tool's pose is prescribed: all of it, its point and axis, or its point alone."""
+"""What of the tool's pose is prescribed: all of it, point and axis, point and a cone, or the point alone."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import ToolPath, ToolPoses, shortest_turns
+from cmbot.scene import Keep, ToolPath, ToolPoses, shortest_turns
 
 __all__ = ["ToolTask", "task_dimension"]
 
@@ -35,15 +35,28 @@ class ToolTask:
         ``pose`` (m = 6), ``axis`` (m = 5) or ``position`` (m = 3).
     max_speed : float or None
         Of the tool point, m/s: `SPEED_TOLERANCE` above the scene's. None: any.
+    cone : float or None
+        With ``position``: largest angle between the tool's axis and that of the path, rad. It is no task
+        coordinate but an inequality. None: any.
     """
 
     path: ToolPath
     keep: Literal["pose", "axis", "position"] = "pose"
     max_speed: float | None = None
+    cone: float | None = None
 
     def __post_init__(self) -> None:
         if self.keep not in ("pose", "axis", "position"):
             raise InputError("ToolTask", "keep", self.keep, "a kind", ("pose", "axis", "position"))
+        if self.cone is not None and self.keep != "position":
+            raise InputError("ToolTask", "cone", self.cone, "None, or keep: position")
+
+    @staticmethod
+    def of(path: ToolPath, keep: Keep, max_speed: float | None = None) -> ToolTask:
+        """Return the task of what a scene keeps of the tool along a path."""
+        if isinstance(keep, str):
+            return ToolTask(path, keep, max_speed)
+        return ToolTask(path, "position", max_speed, keep.angle)
 
     def jacobian(self, R_WT: FloatArray, J: FloatArray) -> FloatArray:
         """Task rows (..., m, n) of tool Jacobians `J` (..., 6, n) at orientations `R_WT` (..., 3, 3)."""
@@ -80,16 +93,29 @@ class ToolTask:
         return replace(self, path=self.path.held(), max_speed=None)
 
     @property
+    def on_axis(self) -> ToolTask:
+        """The task of holding the axis in the middle of its cone; without a cone this one."""
+        return self if self.cone is None else replace(self, keep="axis", cone=None)
+
+    @property
+    def kept(self) -> str:
+        """What is prescribed of the tool, in words."""
+        return self.keep if self.cone is None else f"axis within {np.degrees(self.cone):g} deg"
+
+    @property
     def dimension(self) -> int:
         """Number m of task coordinates."""
         return task_dimension(self.keep)
 
     def rotation(self, R_WT: FloatArray, goals: ToolPoses) -> FloatArray:
-        """Angles (N,), rad, by which orientations `R_WT` (N, 3, 3) miss what is prescribed."""
+        """Angles (N,), rad, by which orientations `R_WT` (N, 3, 3) miss what is prescribed.
+
+        Where a cone is, that between the axes.
+        """
         R_goal = goals.rotation
-        if self.keep == "position":
+        if self.keep == "position" and self.cone is None:
             return np.zeros(len(R_WT))
-        if self.keep == "axis":
+        if self.keep != "pose":
             z, z_goal = R_WT[:, :, 2], R_goal[:, :, 2]
             sine = np.linalg.norm(np.cross(z, z_goal), axis=1)
             return np.asarray(np.arctan2(sine, (z * z_goal).sum(axis=1)))
@@ -98,9 +124,9 @@ class ToolTask:
         return np.asarray(2 * np.arcsin(np.minimum(chord, 1.0)))
 
 
-def task_dimension(keep: Literal["pose", "axis", "position"]) -> int:
+def task_dimension(keep: Keep) -> int:
     """Return the number m of task coordinates."""
-    return {"pose": 6, "axis": 5, "position": 3}[keep]
+    return {"pose": 6, "axis": 5, "position": 3}[keep] if isinstance(keep, str) else 3
 
 
 def _rotation_vectors(R_WT: FloatArray, R_goal: FloatArray) -> FloatArray:

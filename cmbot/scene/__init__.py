@@ -3,6 +3,7 @@
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
+from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import ArcTo, Goal, Leg, Raster
 from cmbot.scene.path.path_file import StrokeFile
 from cmbot.scene.path.tool_path import (
@@ -25,11 +26,13 @@ __all__ = [
     "STOW",
     "WORK",
     "ArcTo",
+    "AxisCone",
     "Box",
     "Capsule",
     "Cylinder",
     "Goal",
     "GuardrailFile",
+    "Keep",
     "Leg",
     "Mesh",
     "Obstacle",

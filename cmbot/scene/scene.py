@@ -35,6 +35,7 @@ from cmbot.scene.guardrail import GuardrailFile
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.builder import PathSource, timed_path
+from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import Goal, Leg, Raster
 from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
 from cmbot.scene.path.tool_path import SpeedProfile, ToolPath
@@ -189,6 +190,9 @@ class SceneFile(FileModel):
         named = {name: field.alias or name for name, field in type(path).model_fields.items()}
         keys += [("tool_path", named[name]) for name in newer if getattr(path, name) is not None]
         keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
+        if isinstance(path.keep, AxisCone):
+            expected = "pose, axis or position in cmbot-scene/1: a cone goes with cmbot-scene/2"
+            raise refusal(expected, got="a cone", key=("tool_path", "keep"))
         for key in keys:
             got = "another leg than by and seconds" if key[1:2] == ("legs",) else str(key[-1])
             expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"
@@ -288,12 +292,13 @@ class _SceneFields(ToolPathFile):
     planner: PlannerOptions
 
 
-_TYPES: dict[str, tuple[type, str]] = {
+_TYPES: dict[str, tuple[type | tuple[type, ...], str]] = {
     "name": (str, "text"),
     "source": (str, "text"),
     "robot": (RobotSource, "a RobotSource"),
     "posture": (np.ndarray, "an array (n,), rad and m"),
     "tool": (Tool, "a Tool"),
+    "keep": ((str, AxisCone), "pose, axis, position or an AxisCone"),
     "speed_profile": (SpeedProfile, "a SpeedProfile"),
     "guardrail": (Guardrail, "a Guardrail"),
     "planner": (PlannerOptions, "PlannerOptions"),
@@ -359,8 +364,8 @@ class Scene:
         Where the arm goes after the work: ``stow``, ``start`` or ``none``, nowhere.
     tool : Tool
         What the process asks while the tool is on.
-    keep : str
-        What the tool path prescribes of the tool: its ``pose``, ``axis`` or ``position``.
+    keep : str or AxisCone
+        What the tool path prescribes of the tool: its ``pose``, ``axis`` or ``position``, or a cone.
     start_pose : Goal or None
         Where the tool path begins; None: at the pose of the tool in `posture`.
     legs : tuple of Leg
@@ -405,7 +410,7 @@ class Scene:
     posture: FloatArray
     return_to: Literal["stow", "start", "none"]
     tool: Tool
-    keep: Literal["pose", "axis", "position"] = "pose"
+    keep: Keep = "pose"
     start_pose: Goal | None = None
     legs: tuple[Leg, ...] = ()
     waypoints: tuple[tuple[float, ...], ...] | None = None

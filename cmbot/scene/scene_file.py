@@ -24,6 +24,7 @@ from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.scene.fields import si_fields
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
+from cmbot.scene.path.kept import AxisCone
 from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
@@ -187,6 +188,8 @@ def update_file(scene: Scene) -> Scene:
     if scene.tool != (scene.file.tool or Tool()):
         # The first format does not have it, and all else means the same in both.
         data |= {"tool": plain(scene.tool, "Scene"), "format": FORMAT}
+    if isinstance(scene.keep, AxisCone):
+        data |= {"format": FORMAT}
     file = validated(SceneFile, data, "Scene", SceneError)
     if file == scene.file:
         return replace(scene, obstacles=obstacles)

@@ -24,7 +24,7 @@ robot:
 {posture}
 
 tool_path:
-  keep: {keep}  # of the tool: pose, axis or position
+  keep: {keep}  # of the tool: pose, axis, position or {{axis_within_deg: 10}}
   # Each leg is a displacement of the tool point in W. Put your own here.
   legs:
     - {{by: {by}, seconds: {seconds}}}

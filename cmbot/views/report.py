@@ -344,7 +344,7 @@ def _scene(plan: Plan) -> Iterator[Row]:
         yield "largest tool speed", f"{scene.tool.max_speed_m_s:g} m/s"
     for stroke in plan.strokes:
         of = f"{stroke.name}: " if plan.several else ""
-        yield f"{of}tool constraint", stroke.task.keep
+        yield f"{of}tool constraint", stroke.task.kept
         for name, leg in _legs(stroke.task.path):
             yield f"{of}{name}", leg
     workpieces = [obstacle.name for obstacle in scene.obstacles if obstacle.workpiece]

@@ -14,7 +14,7 @@ from small_scenes import goals_at, path_through
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning.task import ToolTask
-from cmbot.scene import ToolPoses
+from cmbot.scene import AxisCone, ToolPoses
 
 SIZES = {"pose": 6, "axis": 5, "position": 3}
 every_kind = pytest.mark.parametrize("keep", SIZES)
@@ -45,6 +45,29 @@ def turn(axis: FloatArray, angle: float) -> FloatArray:
 def moved(X_WT: Any, twist: FloatArray) -> Any:
     """Move a pose along a twist: linear of the tool point, angular, both in W."""
     return pin.SE3(Rotation.from_rotvec(twist[3:]).as_matrix() @ X_WT.rotation, X_WT.translation + twist[:3])
+
+
+@settings(max_examples=30)
+@given(seed=seeds, tilt=st.floats(0, 3.1), roll=st.floats(-3, 3))
+def test_a_cone_leaves_the_point_and_measures_the_axis(seed: int, tilt: float, roll: float) -> None:
+    rng = np.random.default_rng(seed)
+    R = random_rotation(rng)
+    task = ToolTask.of(task_of("pose", R).path, AxisCone(axis_within_deg=10), 0.2)
+    assert (task.keep, task.max_speed, task.dimension) == ("position", 0.2, 3)
+    assert task.cone == pytest.approx(np.radians(10))
+    assert task.error(pin.SE3(R, np.ones(3)), goals_at(task, np.zeros(3))).shape == (3,)
+    leaning = turn(R @ [np.cos(roll), np.sin(roll), 0], tilt) @ R @ turn(np.eye(3)[2], roll)
+    assert missed(task, leaning[None])[0] == pytest.approx(tilt, abs=1e-7)
+    assert (task.kept, task.on_axis.kept) == ("axis within 10 deg", "axis")
+    axis = task.on_axis
+    assert (axis.keep, axis.cone, axis.dimension, axis.path) == ("axis", None, 5, task.path)
+    assert axis.on_axis is axis
+    assert task.held_at_start().cone == task.cone
+
+
+def test_only_a_free_axis_has_a_cone() -> None:
+    with pytest.raises(InputError, match=r"^ToolTask: cone: got 0.1, expected None, or keep: position$"):
+        ToolTask(task_of("axis", np.eye(3)).path, "axis", cone=0.1)
 
 
 @every_kind

@@ -34,6 +34,7 @@ A_PLAN = "a Plan, as cmbot.plan and cmbot.load_plan return it"
         ("legs", (), "legs: got neither, expected either legs, waypoints or a raster"),
         ("legs", ((0, 0, 1),), r"legs\[0\]: got tuple, expected a Leg"),
         ("keep", "poes", "keep: got 'poes', expected a known value; did you mean pose?"),
+        ("keep", {"axis_within_deg": 10}, "keep: got dict, expected pose, axis, position or an AxisCone"),
         ("posture", [1.0, 2.0], r"posture: got list, expected an array \(n,\), rad"),
         ("posture", np.array([[1.0]]), r"posture\[0\]: got \[1.0\], expected a number"),
         ("posture", np.array([1.0, np.nan]), r"posture\[1\]: got nan, expected a finite number"),
@@ -184,6 +185,7 @@ UNIT = np.eye(6).tolist()
 SKEW = (np.eye(6) + 0.1 * np.eye(6, k=1)).tolist()
 ANGLE = {"angle": [0.01, 0.02]}
 LEG = MINIMAL["tool_path"]["legs"][0]
+CONE = "tool_path.keep.axis_within_deg"
 
 
 def changed(path, value, base=FULL):
@@ -229,6 +231,19 @@ WRONG = [
     ("posture_deg[2]", math.inf, "inf", "a finite number"),
     ("tool_path", [], "[]", "a mapping of keys to values"),
     ("tool_path.keep", "axes", "'axes'", "did you mean axis?"),
+    ("tool_path.keep", ["axis"], "['axis']", "a known value"),
+    ("tool_path.keep", {"axis_within_deg": 10}, "a cone", "a cone goes with cmbot-scene/2"),
+    ("tool_path.keep", {}, "nothing", "this key is required", CONE),
+    ("tool_path.keep", {"axis_within_deg": 0}, "0", "at least 0.1", CONE),
+    ("tool_path.keep", {"axis_within_deg": 91}, "91", "at most 90", CONE),
+    ("tool_path.keep", {"axis_within_deg": "10"}, "'10'", "a number", CONE),
+    (
+        "tool_path.keep",
+        {"axis_within": 10},
+        "an unknown key",
+        "axis_within_deg?",
+        "tool_path.keep.axis_within",
+    ),
     ("tool_path.legs", [], "neither", "either legs, waypoints or a raster"),
     ("tool_path.legs", [LEG] * 2001, "[{", "at most 2000 items"),
     ("tool_path.legs[1].by", [0, 1], "[0, 1]", "a list of 3 items"),
@@ -302,7 +317,8 @@ def test_wrong_value_is_refused_with_its_key(where, value, got, expected, key):
 
 
 def test_choices_are_listed():
-    assert refused(changed(("tool_path", "keep"), "all")).choices == ("pose", "axis", "position")
+    kept = ("pose", "axis", "position", "{axis_within_deg: 10}")
+    assert refused(changed(("tool_path", "keep"), "all")).choices == kept
     assert refused(changed(("robot", "modl"), "x")).choices[:2] == ("model", "base_frame")
     shapes = ("box", "cylinder", "capsule", "sphere", "mesh")
     assert refused(changed(("obstacles", 0, "box"), None)).choices == shapes

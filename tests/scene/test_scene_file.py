@@ -17,6 +17,7 @@ from cmbot.common.errors import InputError, SceneError
 from cmbot.elastic import BarSection
 from cmbot.planning import plan
 from cmbot.scene import (
+    AxisCone,
     Box,
     Capsule,
     Cylinder,
@@ -250,6 +251,9 @@ def test_every_change_is_in_the_file() -> None:
     )
     read = again(changed)
     assert (read.name, read.keep, read.via_points) == ("other", "axis", 9)
+    # A cone is of the second format.
+    leaning = again(replace(scene, keep=AxisCone(axis_within_deg=7.5)))
+    assert (str(leaning.keep), leaning.file.format) == ("axis within 7.5 deg", "cmbot-scene/2")
     assert (read.legs, read.speed_profile, read.planner) == (
         changed.legs,
         changed.speed_profile,

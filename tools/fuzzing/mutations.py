@@ -459,10 +459,12 @@ def _plannable_scene(rng: Random, scene: dict[str, Any]) -> dict[str, Any]:
         "payload_kg": rng.choice((0, 0.5, 2, 30)),
     }
     scene["tool_path"] = {
-        "keep": rng.choice(("pose", "axis", "position")),
+        "keep": rng.choice(("pose", "axis", "position", {"axis_within_deg": rng.choice((0.1, 10, 90))})),
         "legs": [{"by": by, "seconds": rng.choice((0.3, 2, 4, 4, 30))}],
         "via_points": rng.choice((5, 6, 8, 12)),
     }
+    if isinstance(scene["tool_path"]["keep"], dict):
+        scene["format"] = "cmbot-scene/2"
     for obstacle in scene["obstacles"]:
         obstacle["xyz"] = [round(rng.uniform(-1, 1), 2) for _ in range(3)]
     if rng.random() < 0.5:

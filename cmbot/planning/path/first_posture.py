@@ -46,7 +46,7 @@ def _admissible(context: PlanningContext, q: FloatArray) -> FloatArray:
     """Postures near `q` (N, n) that hold the tool at the path's beginning, (k, n)."""
     limits, goal = context.robot.limits, context.task.path.poses([0.0])
     placed, reached = project_onto_task(
-        context.postures, context.task, q, goal, steps=_STEPS, tolerance=1e-12
+        context.postures, context.task.on_axis, q, goal, steps=_STEPS, tolerance=1e-12
     )
     placed = limits.turned_to_middle(placed[reached])
     placed = placed[limits.contain(placed)]

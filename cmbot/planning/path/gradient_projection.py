@@ -86,6 +86,7 @@ def follow_path(
     Integrates Eq. (22). The commanded velocity leads from where the tool should be now to where it should be
     one step later, plus feedback of the pose error, so that neither the step nor the damping lets it drift.
     Norms are those of `PostureMetric`: joints that slide have coordinates in rad, too.
+    Where the tool's axis may lean it is held in the middle of its cone.
     Without `stop_at_obstacles` it goes on whatever happens. `report` is called with the number of steps that
     are done, and of all.
 
@@ -94,7 +95,8 @@ def follow_path(
     PathNotFound
         When a joint leaves its range, a shape comes within the safety margin, or the tool cannot follow.
     """
-    robot, task, clearances, options = context.robot, context.task, context.clearances, context.options
+    robot, task = context.robot, context.task.on_axis
+    clearances, options = context.clearances, context.options
     kinematics = Kinematics(robot)
     steps = max(round(task.path.duration / options.path_step_s), 1)
     t = np.linspace(0.0, task.path.duration, steps + 1)
@@ -247,7 +249,7 @@ def self_motion_postures(context: PlanningContext) -> list[FloatArray]:
     ways; with a full pose and seven joints that is all of the self-motion connected with it. A curve ends at
     a joint's range, or where it comes back.
     """
-    posture, limits, task = context.first, context.robot.limits, context.task
+    posture, limits, task = context.first, context.robot.limits, context.task.on_axis
     metric = context.robot.metric
     directions = null_space(context.postures, task, posture[None])[0]
     along = np.concatenate([directions, -directions])

@@ -3,6 +3,9 @@
 Charts of self-motion at every via-point, and dynamic programming over them. The result is optimal up to the
 charts' spacing, and comes with a lower bound: at the via-point that sets it, no admissible posture has a
 smaller objective at rest. That is proven where `proof` can, and otherwise an estimate.
+
+Where the tool's axis may lean, charts and sequences hold it in the middle of its cone; the lower bound is
+that of all postures in the cone.
 """
 
 from __future__ import annotations
@@ -83,7 +86,8 @@ class GlobalSearch:
     """
 
     def __init__(self, context: PlanningContext) -> None:
-        self._context = context
+        self._leaning, self._context = context, context.on_axis
+        context = self._context
         # The charts have one turn of these joints; the edges between charts count their angles modulo a turn.
         self._winding = context.robot.limits.winding
         self._wide = context.robot.dof - context.task.dimension > 1
@@ -113,20 +117,28 @@ class GlobalSearch:
             self._layers = [GraphLayer(context, chart) for chart in charts_of(context, each)]
             empty = next((k for k, best in enumerate(best_nodes(self._layers)) if best is None), None)
             if empty is None:
-                self.lower_bound, lowest = find_lower_bound(context, self._layers, sampler.spacing)
+                self._bound, lowest = find_lower_bound(context, self._layers, sampler.spacing)
                 if context.reporter.expired():
                     break
             before = sum(len(q) for q in each)
             number = _SEEDS_OF_A_CHECK * context.options.chart_seeds
-            at = self.lower_bound.via_point if empty is None else empty
+            at = self._bound.via_point if empty is None else empty
             each = sampler.complete(each, context.goals, [at], number)
             if sum(len(q) for q in each) == before:
                 break
         if empty is not None:
             if self._refine(each, empty):
                 return self._bounded(self._each)
-            raise blocked(context, self._layers, empty, sampler.coverage)
-        self.lower_bound, lowest = with_proof(context, self.lower_bound, lowest, sampler.coverage)
+            failure = blocked(context, self._layers, empty, sampler.coverage)
+            if self._leaning is not context:
+                failure.add_hint("only postures with the axis in the middle of its cone are searched")
+            raise failure
+        if self._leaning is context:
+            self._bound, lowest = with_proof(context, self._bound, lowest, sampler.coverage)
+            self.lower_bound = self._bound
+        else:
+            found = find_lower_bound(self._leaning, self._layers, sampler.spacing)
+            self.lower_bound, _ = with_proof(self._leaning, *found, sampler.coverage)
         self._spacing = sampler.spacing
         return each, lowest
 
@@ -256,7 +268,7 @@ class GlobalSearch:
             stays = start is not None
             # A start that stays is a lower bound as well.
             at_start = float(layers[0].chart.value[chosen[0]]) if stays else 0.0
-            bound = max(self.lower_bound.value, at_start)
+            bound = max(self._bound.value, at_start)
             q = refine(context, q, self._steps, self._spacing, bound, self._winding, start_stays=stays)
         unwound, beyond = self._unwound(q, start)
         if beyond.any():
@@ -271,7 +283,7 @@ class GlobalSearch:
         So freedom never raises the peak, and a sequence leads on from the scene's own posture.
         """
         context = self._context
-        more = [sequences_beside(context, lowest, self.lower_bound.via_point, self._spacing)]
+        more = [sequences_beside(context, lowest, self._bound.via_point, self._spacing)]
         if context.robot.dof > _POSE and not context.reporter.expired():
             pose = replace(context, task=replace(context.task, keep="pose"))
             more.append(_sampled(SelfMotionSampler(pose), pose))

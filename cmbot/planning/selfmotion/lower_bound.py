@@ -36,6 +36,9 @@ _STEPS, _TRIES, _SHORTER = 60, 40, 0.87
 _WIDER = 1.1
 # In cells in which the arm moves further than this, m, clearances are not computed.
 _WIDE = 0.3
+# Where the tool's axis may lean, cells reach as far as it may, but no further than this, rad; and the slowest
+# rate at which it counts as leaning, rad/rad.
+_LONGEST, _SLOWEST = 0.8, 1e-6
 # Safety factor of the estimated change of joint torques within a cell.
 _DOUBT = 1.5
 # A bound counts as proven when the proof's error is at most this share of it; where a proof meets a posture
@@ -72,6 +75,15 @@ class LowerBound:
     each: FloatArray
     kind: Literal["proven", "estimated"] = "estimated"
     missed: float | None = None
+
+    def met(self, values: FloatArray) -> LowerBound:
+        """Return it for a plan with `values` (n,) at rest at the via-points: no estimate is above them."""
+        found = float(values[self.via_point])
+        if self.kind == "proven" or found >= self.value:
+            return self
+        each = self.each.copy()
+        each[self.via_point] = found
+        return replace(self, value=found, error=max(self.error - (self.value - found), 0.0), each=each)
 
     @property
     def basis(self) -> str:
@@ -189,10 +201,13 @@ class _BranchAndBound:
         charts = [self._layers[k].chart.q for k in some]
         q, of = np.concatenate(charts), np.repeat(np.arange(len(some)), [len(chart) for chart in charts])
         edges = self._null_space(q)
+        half = np.full(edges.shape[:2], self._spacing)
+        if self._context.task.cone is not None:
+            edges, half = self._leaning(q, edges)
         if edges.shape[1] == 0:
             # Without self-motion there are no other postures.
             return best, np.where(best > incumbent, best * (1 - _ACCURACY), -np.inf)
-        cells = _Cells(q, edges, np.full(edges.shape[:2], self._spacing), of)
+        cells = _Cells(q, edges, half, of)
         for _ in range(_MOST_HALVINGS * edges.shape[1]):
             cells = cells[self._in_range_somewhere(cells)]
             if len(cells.q) == 0:
@@ -242,6 +257,19 @@ class _BranchAndBound:
                 reach *= _SHORTER
         return best
 
+    def _leaning(self, q: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Edges turned so that the last ones do not lean the tool's axis; half lengths that reach its cone.
+
+        Postures `q` (M, n) are those of charts that hold the axis in the middle of the cone.
+        """
+        task, at = self._context.task, self._context.postures.tool_at(q)
+        leans = task.on_axis.jacobian(at.tool_rotation, at.jacobian)[:, 3:] @ edges.transpose(0, 2, 1)
+        _, rate, V = np.linalg.svd(leans)
+        half = np.full(edges.shape[:2], self._spacing)
+        lean = half[:, : rate.shape[1]]
+        lean[:] = np.clip(task.cone / np.maximum(rate, _SLOWEST), lean, _LONGEST)
+        return V @ edges, half
+
     def _null_space(self, q: FloatArray) -> FloatArray:
         return null_space(self._context.postures, self._context.task, q)
 
@@ -287,7 +315,8 @@ class _BranchAndBound:
         limits, clearances = self._context.robot.limits, self._context.clearances
         margin = self._context.options.safety_margin_m
         within = limits.contain(cells.q)
-        hopeful = within & (value < best[cells.of])
+        tilted = self._beyond_cone(cells)
+        hopeful = within & (value < best[cells.of]) & (tilted <= 0.0)
         hopeful[hopeful] = self._measured(cells.q[hopeful])[1] <= 1.0
         reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
         # Cells that reach further are nearly always clear somewhere.
@@ -300,7 +329,15 @@ class _BranchAndBound:
         for k in np.flatnonzero(hopeful & (distance >= margin)):
             if value[k] < best[cells.of[k]]:
                 best[cells.of[k]], postures[self._some[cells.of[k]]] = value[k], cells.q[k]
-        return best, distance + reach >= margin
+        turn = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), ~limits.prismatic)
+        return best, (distance + reach >= margin) & (tilted <= turn)
+
+    def _beyond_cone(self, cells: _Cells) -> FloatArray:
+        """By how much the tool's axis leans out of its cone at the centres, rad; negative within."""
+        task, at = self._context.task, self._context.postures.tool_at(cells.q)
+        if task.cone is None:
+            return np.full(len(cells.q), -np.inf)
+        return task.rotation(at.tool_rotation, self._goals[cells.of]) - task.cone
 
     def _halved(self, cells: _Cells, fall: FloatArray) -> _Cells:
         """Halve every cell along the edge of the largest fall; where none falls, along the longest."""

@@ -14,11 +14,19 @@ from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Postures, ToolBatch
 from cmbot.scene import ToolPoses
 
-__all__ = ["ClearanceMargin", "JointTorque", "ToolDeviation", "ToolLag", "ToolRotation", "ToolSpeed"]
+__all__ = [
+    "ClearanceMargin",
+    "JointTorque",
+    "ToolDeviation",
+    "ToolLag",
+    "ToolRotation",
+    "ToolSpeed",
+    "ToolTilt",
+]
 
 # A norm has no derivative at zero; below this share of its bound it is taken as flat.
 _FLAT = 1e-12
-# Directions across a leg in which the tool is held near it, its own among them.
+# Directions across a leg in which the tool is held near it, or in which its axis may lean.
 _DIRECTIONS = 8
 # Samples from one measured clearance to the next, from coarse to fine.
 _STRIDES = (16, 4, 1)
@@ -86,15 +94,11 @@ class ToolDeviation:
         d_q = np.einsum("ki,kij->kj", offset / np.maximum(distance, _FLAT)[:, None] / self.bound, J)
         still = np.zeros_like(d_q)
         leg = self.task.path.leg_directions(states.t)
-        across = np.cross(leg, np.eye(3)[np.abs(leg).argmin(axis=1)])
-        away = offset - np.einsum("ki,ki->k", offset, leg)[:, None] * leg
-        u = np.where(np.linalg.norm(away, axis=1, keepdims=True) > _FLAT, away, across)
-        u /= np.linalg.norm(u, axis=1, keepdims=True)
-        angle = np.arange(1, _DIRECTIONS) * (2 * np.pi / _DIRECTIONS)
-        directions = np.cos(angle)[:, None, None] * u + np.sin(angle)[:, None, None] * np.cross(leg, u)
+        # The first direction is the distance's own.
+        directions = _directions_across(leg, offset)[1:]
         value = (directions * offset).sum(axis=2) - 1
         by_q = directions.transpose(1, 0, 2) @ J / self.bound
-        cuts = (Linearization(value[k], by_q[:, k], still, still) for k in range(len(angle)))
+        cuts = (Linearization(value[k], by_q[:, k], still, still) for k in range(len(directions)))
         return Linearization(distance - 1, d_q, still, still, tuple(cuts))
 
 
@@ -160,6 +164,55 @@ class ToolRotation:
 
 
 @dataclass(frozen=True)
+class ToolTilt:
+    """Angle between the tool's axis and that of the path within its cone, by the squared chord.
+
+    Between unit vectors at an angle the chord is 2 sin(angle/2); unlike the angle its square is smooth where
+    the axes agree.
+    """
+
+    postures: Postures
+    task: ToolTask
+    bound: float  # rad
+    name: str = "tool tilt"
+    components: int = 1
+
+    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
+        """Return (chord/largest chord)^2 - 1, (N, 1)."""
+        z, z_goal = self._axes(states)
+        value = ((z - z_goal) ** 2).sum(axis=1, keepdims=True) / self._chord**2 - 1
+        return value, np.zeros(value.shape, dtype=np.intp)
+
+    def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
+        """Linearize the squared chord; its cuts are tangents where the tool would lean in several directions.
+
+        In the middle of the cone the squared chord has no slope: a step could leave the cone anywhere.
+        """
+        z, z_goal = self._axes(states)
+        turns, away = _tool(self.postures, states).jacobian[:, 3:] / self._chord, (z - z_goal) / self._chord
+        square = (away**2).sum(axis=1)
+        # An axis z moves by (rates of turn) x z.
+        d_q = 2 * np.einsum("ki,kij->kj", np.cross(z, away), turns)
+        still = np.zeros_like(d_q)
+        u = _directions_across(z_goal, away)
+        # Of a paraboloid: |x|^2 >= 2 u x - |u|^2.
+        value = 2 * (u * away).sum(axis=2) - 2
+        by_q = 2 * np.einsum("cki,kij->ckj", np.cross(z, u), turns)
+        cuts = (Linearization(value[k], by_q[k], still, still) for k in range(len(u)))
+        return Linearization(square - 1, d_q, still, still, tuple(cuts))
+
+    @property
+    def _chord(self) -> float:
+        return 2 * float(np.sin(self.bound / 2))
+
+    def _axes(self, states: StateSamples) -> tuple[FloatArray, FloatArray]:
+        """The tool's axes and those of the path, (N, 3) each."""
+        rotation = self.task.path.rotation(states.t)
+        z = _tool(self.postures, states).tool_rotation[:, :, 2]
+        return z, np.broadcast_to(rotation[:, :, 2], z.shape)
+
+
+@dataclass(frozen=True)
 class ToolSpeed:
     """Speed of the tool point within its bound."""
 
@@ -182,6 +235,16 @@ class ToolSpeed:
         along = velocity / np.maximum(speed, _FLAT)[:, None] / self.bound**2
         d_q, d_v = (np.einsum("ki,kij->kj", along, by) for by in (by_q, tool.jacobian[:, :3]))
         return Linearization(speed - 1, d_q, d_v, np.zeros_like(d_q))
+
+
+def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
+    """Unit vectors (8, N, 3) across unit vectors `axis` (N, 3), all round; the first along `away` (N, 3)."""
+    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
+    own = away - np.einsum("ki,ki->k", away, axis)[:, None] * axis
+    u = np.where(np.linalg.norm(own, axis=1, keepdims=True) > _FLAT, own, across)
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    angle = np.arange(_DIRECTIONS)[:, None, None] * (2 * np.pi / _DIRECTIONS)
+    return np.asarray(np.cos(angle) * u + np.sin(angle) * np.cross(axis, u))
 
 
 def _tool(postures: Postures, states: StateSamples) -> ToolBatch:

@@ -26,6 +26,7 @@ from cmbot.planning.torque.constraints import (
     ToolLag,
     ToolRotation,
     ToolSpeed,
+    ToolTilt,
 )
 from cmbot.planning.torque.task_manifold import TaskManifold
 from cmbot.robot import Dynamics, Robot
@@ -84,6 +85,7 @@ class TorqueProblem:
             ClearanceMargin(context.clearances, options.safety_margin_m + _CLEARANCE_ROOM),
             ToolLag(postures, task, options.max_tool_lag_m * inside),
             *([] if task.keep == "position" else [ToolRotation(postures, task, angle)]),
+            *([] if task.cone is None else [ToolTilt(postures, task, task.cone * inside)]),
             *([] if task.max_speed is None else [ToolSpeed(postures, task.max_speed * inside)]),
         )
         nodes, weights = np.polynomial.legendre.leggauss(_MEAN_SAMPLES)

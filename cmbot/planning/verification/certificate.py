@@ -20,7 +20,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.verification.nearest_approach import nearest_approach
-from cmbot.planning.verification.norm_bounds import NormBounds, norm_bounds
+from cmbot.planning.verification.norm_bounds import NormBounds, goal_sizes, norm_bounds
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
@@ -196,13 +196,18 @@ def certify(
         off, turned = work.at_via_points(via_points)
         # The compensation converges to a share of what is allowed in between.
         allowed = _AT_VIA_POINT if sag is None else options.max_tool_deviation_m
+        checks.append(
+            _largest(f"{expected}distance of the tool from its place at a via-point", *off, allowed, "m")
+        )
+        quantity, most = "tool tilt", task.cone
+        if most is None:
+            # Unlike a cone, which is what is prescribed, that is for what lies between via-points.
+            quantity, most = "tool rotation", float(np.deg2rad(options.max_tool_rotation_deg))
+            there = "rotation of the tool from its orientation at a via-point"
+            checks.append(_largest(there, *turned, _AT_VIA_POINT, "rad"))
         checks += [
-            _largest(f"{expected}distance of the tool from its place at a via-point", *off, allowed, "m"),
-            _largest(
-                "rotation of the tool from its orientation at a via-point", *turned, _AT_VIA_POINT, "rad"
-            ),
             _enclosed(f"{expected}tool deviation", deviation, options.max_tool_deviation_m, "m"),
-            _enclosed("tool rotation", rotation, np.deg2rad(options.max_tool_rotation_deg), "rad"),
+            _enclosed(quantity, rotation, most, "rad"),
             _enclosed(f"{expected}tool lag", lag, options.max_tool_lag_m, "m"),
         ]
         if task.max_speed is not None:
@@ -241,7 +246,7 @@ class _Work:
         self._efforts: Efforts = self._dynamics.efforts(q, v, a)
         self._p_WT, self._R_WT = Kinematics(robot).tool_poses(q)
         self._goals = task.path.poses(self._pieces.times.ravel())
-        self._goal_remainder, self._goal_rotation = _goal_sizes(task, self._pieces)
+        self._goal_remainder, self._goal_rotation = goal_sizes(task, self._pieces)
         self._unknown = np.zeros(len(self._pieces.start))
         if sag is not None:
             bent = sag.at(q).tool
@@ -360,12 +365,12 @@ class _Work:
         return self._highest(np.einsum("kij,kj->ki", J, v), _norm, remainder, _TOOL_RESOLUTION)
 
     def tool_rotation(self) -> Peak:
-        """Angle by which the tool misses what is prescribed of its orientation, rad."""
-        goal, keep = self._goals, self._task.keep
-        if keep == "position":
+        """Angle by which the tool misses what is prescribed of its orientation, rad: `ToolTask.rotation`."""
+        goal, task = self._goals, self._task
+        if task.keep == "position" and task.cone is None:
             return Peak(time=float(self._trajectory.t[0]), value=0.0, bound=0.0)
         # Both chords are 2 k sin(angle/2): of the axis as a vector, of the orientation as a matrix.
-        columns, k = (slice(2, 3), 1.0) if keep == "axis" else (slice(None), np.sqrt(2.0))
+        columns, k = (slice(None), np.sqrt(2.0)) if task.keep == "pose" else (slice(2, 3), 1.0)
         away = (self._R_WT - goal.rotation)[:, :, columns].reshape(len(self._R_WT), -1)
         size = self._bounds.tool_rotation + self._goal_rotation
         remainder = self._pieces.remainder(size) * np.sqrt(away.shape[1] / 3)
@@ -390,23 +395,6 @@ class _Work:
     def _point_remainder(self) -> FloatArray:
         remainder = self._pieces.remainder(self._bounds.tool_point)
         return np.asarray(remainder + self._goal_remainder + self._unknown)
-
-
-def _goal_sizes(task: ToolTask, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
-    """What interpolation misses (K,), m, of the timed tool point; bounds (K, R) of the timed rotation's norm.
-
-    A point on an arc and a rotation are exponentials of an angle that is a polynomial in time: on an ellipse
-    they grow with the exponential of its imaginary part.
-    """
-    times, at = pieces.times.ravel(), np.repeat(pieces.middle, pieces.times.shape[1])
-    angle, radius = task.path.arc_angle(times, at)
-    radius = radius.reshape(pieces.times.shape)[:, 0]
-    with np.errstate(over="ignore", invalid="ignore"):
-        growth = np.exp(pieces.imaginary(angle[:, None])[..., 0])
-        turn = np.exp(np.linalg.norm(pieces.imaginary(task.path.turn(times, at)), axis=2))
-        point = np.where(radius > 0, pieces.remainder(radius[:, None] * growth), 0.0)
-    # A constant has no remainder: nothing is added where the tool keeps its orientation.
-    return point, turn if task.path.turns else np.zeros_like(turn)
 
 
 def _norm(vectors: FloatArray, piece: IntArray) -> FloatArray:

@@ -43,7 +43,8 @@ class MotionMetrics:
     max_tool_deviation : float, m
         Largest distance of the tool point from the leg of its time.
     max_tool_rotation : float, rad
-        Largest angle by which the tool misses the prescribed orientation or axis.
+        Largest angle by which the tool misses the prescribed orientation or axis; the one in the middle of a
+        cone.
     max_tool_lag : float, m
         Largest distance of the tool point from its timed place, along the leg.
     limit_use : LimitUse

@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
-from cmbot.trajectory import Ellipses
+from cmbot.trajectory import Ellipses, Pieces
 
-__all__ = ["NormBounds", "norm_bounds"]
+__all__ = ["NormBounds", "goal_sizes", "norm_bounds"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -98,3 +99,20 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
             tool_velocity=velocity,
             tool_rotation=rotation,
         )
+
+
+def goal_sizes(task: ToolTask, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
+    """Return what interpolation misses of the timed point (K,), m, and bounds (K, R) of the timed rotation.
+
+    A point on an arc and a rotation are exponentials of an angle that is a polynomial in time: on an ellipse
+    they grow with the exponential of its imaginary part.
+    """
+    times, at = pieces.times.ravel(), np.repeat(pieces.middle, pieces.times.shape[1])
+    angle, radius = task.path.arc_angle(times, at)
+    radius = radius.reshape(pieces.times.shape)[:, 0]
+    with np.errstate(over="ignore", invalid="ignore"):
+        growth = np.exp(pieces.imaginary(angle[:, None])[..., 0])
+        turn = np.exp(np.linalg.norm(pieces.imaginary(task.path.turn(times, at)), axis=2))
+        point = np.where(radius > 0, pieces.remainder(radius[:, None] * growth), 0.0)
+    # A constant has no remainder: nothing is added where the tool keeps its orientation.
+    return point, turn if task.path.turns else np.zeros_like(turn)

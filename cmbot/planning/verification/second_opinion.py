@@ -24,9 +24,11 @@ from cmbot.planning.verification.scene_path import ScenePath
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import (
     SPEED_TOLERANCE,
+    AxisCone,
     Box,
     Capsule,
     Cylinder,
+    Keep,
     Mesh,
     PlannerOptions,
     Scene,
@@ -108,8 +110,10 @@ def second_opinion(
         X_WT[:3, 3], X_WT[:3, :3] = (pose[0] for pose in body.tool_poses(scene.posture[None]))
         path = ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3], stroke)
         checks += _path_checks(scene.timed_strokes(X_WT)[stroke], path, times)
+        keep = scene.each_stroke[stroke].keep
+        if isinstance(keep, AxisCone):
+            checks.append(_tilt_check(keep, path, body, times, motion[0]))
         if sag is None:
-            keep = scene.each_stroke[stroke].keep
             checks += _via_point_checks(keep, path, body, trajectory)
             checks += _speed_checks(scene, body, times, motion)
     return tuple(checks)
@@ -317,7 +321,7 @@ def _path_checks(stroke: Stroke, own: ScenePath, times: FloatArray) -> Iterator[
 
 
 def _via_point_checks(
-    keep: str, path: ScenePath, body: Multibody, trajectory: QuinticTrajectory
+    keep: Keep, path: ScenePath, body: Multibody, trajectory: QuinticTrajectory
 ) -> Iterator[Check]:
     """Whether the tool is at its timed pose at the via-points."""
     ends = trajectory.t[[0, -1]]
@@ -327,10 +331,18 @@ def _via_point_checks(
     p_timed, R_timed = path.poses(times)
     away = np.linalg.norm(p - p_timed, axis=1)
     yield _worst("distance of the tool from its timed via-point", times, away, _VIA_POINT, "m")
-    if keep == "position":
+    if keep not in ("pose", "axis"):
         return
     turned = _angles(R, R_timed) if keep == "pose" else _between(R[:, :, 2], R_timed[:, :, 2])
     yield _worst("turn of the tool at its via-point", times, turned, _VIA_POINT, "rad")
+
+
+def _tilt_check(cone: AxisCone, path: ScenePath, body: Multibody, times: FloatArray, q: FloatArray) -> Check:
+    """The angle between the tool's axis and that of the path against the scene's."""
+    # A trajectory is to end with its path: where it is longer, the path's end counts.
+    z, z_timed = (R[:, :, 2] for R in (body.tool_poses(q)[1], path.poses(times)[1]))
+    bound = np.radians(cone.axis_within_deg) * (1 + _LIMIT)
+    return _worst(f"tool tilt {_BY}", times, _between(z, z_timed), bound, "rad")
 
 
 def _speed_checks(

@@ -10,6 +10,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.validation import FileModel, counted, refusal
 from cmbot.scene.fields import Slug, exactly_one
+from cmbot.scene.path.kept import Keep
 from cmbot.scene.path.legs import Goal, Leg, Raster, Seconds, Speed, Waypoint
 from cmbot.scene.path.tool_path import SpeedProfile
 
@@ -41,8 +42,9 @@ class PathFile(FileModel):
 
     model_config = ConfigDict(serialize_by_alias=True)
 
-    keep: Literal["pose", "axis", "position"] = "pose"
-    """What the path prescribes of the tool."""
+    keep: Keep = "pose"
+    """What the path prescribes of the tool: its pose, its point and axis, its point alone, or with
+    ``{axis_within_deg: 10}`` its point and a cone for its axis; the cone is of ``cmbot-scene/2``."""
     start_pose: Annotated[Goal | None, Field(alias="from")] = None
     """Where the path begins, in place of the tool's pose in the start posture; of ``cmbot-scene/2``."""
     legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()

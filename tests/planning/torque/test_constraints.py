@@ -25,6 +25,7 @@ from cmbot.planning.torque.constraints import (
     ToolLag,
     ToolRotation,
     ToolSpeed,
+    ToolTilt,
 )
 from cmbot.robot import Dynamics, Efforts, Kinematics, Postures, Robot
 from cmbot.trajectory.quintic import QuinticTrajectory
@@ -126,6 +127,48 @@ def test_tool_rotation(corner: Corner, states: StateSamples, keep: Any) -> None:
         axes = np.arccos(np.clip(task.path.orientation[:, 2] @ R_WT[k][:, 2], -1, 1))
         assert value[k, 0] == pytest.approx((turn if keep == "pose" else axes) / 0.5 - 1, abs=1e-7)
     check_linearization(function, states, component[:, 0], 1e-3, 1e-6)
+
+
+@pytest.mark.parametrize("near", [False, True])
+def test_tool_tilt(corner: Corner, states: StateSamples, near: bool) -> None:
+    """The squared chord: at the cone it is 0, where the axes agree -1, and smooth there."""
+    robot, task, _ = corner
+    task, bound = replace(task, keep="position", cone=0.3), 0.3
+    if near:
+        q = np.deg2rad([-10.0, -90, 90, 0, 10, 50, 0]) + 1e-3 * states.q
+        states = StateSamples(states.t, q, states.v, states.a)
+    function = ToolTilt(Postures(robot), task, bound)
+    value, component = function.sample(states)
+    z = Kinematics(robot).tool_poses(states.q)[1][:, :, 2]
+    angle = np.arctan2(
+        np.linalg.norm(np.cross(z, task.path.orientation[:, 2]), axis=1), z @ task.path.orientation[:, 2]
+    )
+    np.testing.assert_allclose(value[:, 0], (np.sin(angle / 2) / np.sin(0.15)) ** 2 - 1, atol=1e-12)
+    np.testing.assert_array_equal(value[:, 0] > 0, angle > bound)
+    check_linearization(function, states, component[:, 0], 1e-3, 1e-7)
+    at = function.linearize(states, component[:, 0])
+    cuts = np.array([cut.value for cut in at.cuts])
+    assert cuts.shape == (8, N)
+    assert (cuts <= at.value + 1e-12).all()
+
+
+def test_a_tilt_out_of_the_cone_is_seen_from_its_middle(corner: Corner) -> None:
+    """There the squared chord has no slope; in every direction some cut says where the cone ends."""
+    robot, task, _ = corner
+    function = ToolTilt(Postures(robot), replace(task, keep="position", cone=0.2), 0.2)
+    q = np.deg2rad([[-10.0, -90, 90, 0, 10, 50, 0]])
+    at = function.linearize(StateSamples.at_rest(np.zeros(1), q), np.zeros(1, dtype=np.intp))
+    assert at.value[0] == pytest.approx(-1, abs=1e-12)
+    assert np.abs(at.d_q).max() < 1e-6
+    X_WT, J = Kinematics(robot).tool_jacobian(q[0])
+    for angle in np.linspace(0, 2 * np.pi, 24, endpoint=False):
+        # A move of the joints that turns the tool about an axis across its own.
+        turn = X_WT.rotation @ [np.cos(angle), np.sin(angle), 0.0]
+        dq = np.linalg.pinv(J) @ np.concatenate([np.zeros(3), turn])
+        predicted = max(float(cut.value[0] + 0.25 * cut.d_q[0] @ dq) for cut in at.cuts)
+        assert predicted > 0.25 / 0.2 * np.cos(np.pi / 8) * 2 - 2 - 1e-2 > 0
+        inside = max(float(cut.value[0] + 0.19 * cut.d_q[0] @ dq) for cut in at.cuts)
+        assert inside < 0
 
 
 def test_direction_cuts_of_the_tool_deviation(corner: Corner, rng: np.random.Generator) -> None:

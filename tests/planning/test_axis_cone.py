@@ -1,0 +1,161 @@
+"""A cone for the tool's axis: it is worth torque, is kept at all times, and is judged apart from the plan."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from forgeries import certified, changed_scene
+from plan_folders import edit
+from scipy.optimize import minimize
+from small_scenes import context_of, short_scene
+
+from cmbot import LimitViolation, load_plan, plan, save
+from cmbot.common.arrays import FloatArray
+from cmbot.planning import Plan, QuinticTrajectory
+from cmbot.planning.path.gradient_projection import follow_path
+from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.verification.second_opinion import second_opinion
+from cmbot.robot import Kinematics, ToolBatch
+from cmbot.scene import AxisCone, Scene
+
+CONE = np.radians(10)
+
+
+def scene_of(keep: Any, **planner: Any) -> Scene:
+    options = {"knots": "sliding"} | planner
+    return short_scene(format="cmbot-scene/2", tool_path={"keep": keep, "via_points": 6}, planner=options)
+
+
+@pytest.fixture(scope="module")
+def leaning() -> Plan:
+    return plan(scene_of({"axis_within_deg": 10}))
+
+
+def tilts(planned: Plan, x: QuinticTrajectory) -> FloatArray:
+    """Angles (N,), rad, between the tool's axis and that of the path, by their sine and cosine."""
+    R = Kinematics(planned.robot).tool_poses(x.evaluate(np.linspace(x.t[0], x.t[-1], 5001)))[1]
+    z, axis = R[:, :, 2], planned.task.path.orientation[:, 2]
+    return np.arctan2(np.linalg.norm(np.cross(z, axis), axis=1), z @ axis)
+
+
+def test_leaning_is_worth_torque(leaning: Plan) -> None:
+    # The global search holds the axis: with `keep: axis` no plan from this start rests below what it found.
+    assert leaning.figures.peak_static_guardrail_torque < 0.99 * leaning.choice.pinned
+    held = follow_path(context_of(scene_of("axis")), stop_at_obstacles=False)
+    np.testing.assert_allclose(leaning.baseline.q, held.q, rtol=0, atol=1e-12)
+
+
+def test_the_axis_stays_within_the_cone(leaning: Plan) -> None:
+    largest = tilts(leaning, leaning.trajectory).max()
+    assert 0.9 * CONE < largest <= CONE
+    (check,) = (each for each in leaning.certificate.checks if "tilt" in each.quantity)
+    assert (check.quantity, check.unit, check.bound) == ("tool tilt", "rad", pytest.approx(CONE))
+    assert largest - 1e-9 <= check.value <= largest + 1e-5
+    assert leaning.figures.max_tool_rotation == pytest.approx(largest, abs=1e-6)
+    assert not any("rotation" in each.quantity for each in leaning.certificate.checks)
+    off = Kinematics(leaning.robot).tool_poses(leaning.trajectory.q)[0] - leaning.task.path.position(
+        leaning.trajectory.t
+    )
+    assert np.abs(off).max() < 1e-9
+
+
+def test_the_lower_bound_is_that_of_the_cone(leaning: Plan) -> None:
+    bound, context = leaning.lower_bound, context_of(leaning.scene)
+    assert bound.kind == "estimated"
+    rests = context.objective.at_rest(context.postures.at(leaning.trajectory.evaluate(context.times)))
+    assert bound.value == bound.each[bound.via_point] <= rests[bound.via_point] * (1 + 1e-9)
+    assert bound.value < 0.99 * leaning.choice.free
+    # Descents of another kind find nothing below it at its via-point.
+    goal, limits = context.goals[[bound.via_point]], context.robot.limits
+    axis, least = goal.rotation[0, :, 2], np.cos(CONE)
+
+    def at(q: FloatArray) -> ToolBatch:
+        return context.postures.tool_at(q[None])
+
+    for q in leaning.trajectory.q[::3]:
+        found = minimize(
+            lambda q: context.objective.at_rest(context.postures.at(q[None]))[0] / bound.value,
+            q,
+            method="SLSQP",
+            bounds=list(zip(limits.lower, limits.upper, strict=True)),
+            constraints=[
+                {"type": "eq", "fun": lambda q: at(q).tool_point[0] - goal.point[0]},
+                {"type": "ineq", "fun": lambda q: at(q).tool_rotation[0, :, 2] @ axis - least},
+            ],
+        )
+        assert found.fun >= 1 - 1e-4
+
+
+def test_a_plan_that_rests_lower_lowers_an_estimate(leaning: Plan) -> None:
+    bound = leaning.lower_bound
+    found = np.full(len(bound.each), 0.9 * bound.value)
+    lowered = bound.met(found)
+    assert lowered.value == lowered.each[bound.via_point] == 0.9 * bound.value
+    assert lowered.value - lowered.error <= bound.value - bound.error + 1e-9
+    assert bound.met(2 * found) is bound
+    proven = replace(bound, kind="proven")
+    assert proven.met(found) is proven
+
+
+def test_it_is_verified_from_its_directory(leaning: Plan, tmp_path: Path) -> None:
+    save(leaning, tmp_path / "plan")
+    read = load_plan(tmp_path / "plan", verify=True)
+    assert read.scene.keep == AxisCone(axis_within_deg=10)
+    assert read.task.cone == pytest.approx(CONE)
+    assert any(each.quantity.startswith("tool tilt by a second") for each in read.certificate.checks)
+
+
+def test_a_forged_plan_that_leaves_the_cone_is_refused(leaning: Plan, tmp_path: Path) -> None:
+    """The tool point stays on its path; the hashes are right."""
+    save(leaning, tmp_path / "plan")
+
+    def narrowed(scene: dict[str, Any]) -> None:
+        scene["tool_path"]["keep"]["axis_within_deg"] = 9.9
+
+    edit(tmp_path / "plan", lambda data: changed_scene(data, narrowed, tmp_path / "plan"))
+    assert load_plan(tmp_path / "plan").task.cone == pytest.approx(np.radians(9.9))
+    with pytest.raises(LimitViolation, match=r"^tool tilt is 0\.174"):
+        load_plan(tmp_path / "plan", verify=True)
+
+
+def test_a_motion_out_of_the_cone_is_not_certified(leaning: Plan) -> None:
+    """Self-motion, with the tool point held, takes the axis out of its cone between two via-points."""
+    x, context = leaning.trajectory, context_of(leaning.scene)
+    t = np.sort(np.append(x.t, 0.5 * (x.t[3] + x.t[4])))
+    q, v, a = (np.array(each) for each in x.states(t))
+    at = context.postures.tool_at(q[4:5])
+    J, axis = at.jacobian[0], context.task.path.orientation[:, 2]
+    turn = np.cross(axis, at.tool_rotation[0, :, 2])
+    lean = np.linalg.pinv(J) @ np.concatenate([np.zeros(3), turn / np.linalg.norm(turn)])
+    moved, _ = project_onto_task(
+        context.postures, context.task, q[4:5] + 0.2 * lean, context.task.path.poses(t[4:5])
+    )
+    q[4] = moved[0]
+    forged = certified(leaning.scene, leaning, QuinticTrajectory(t=t, q=q, v=v, a=a))
+    tilt = next(check for check in forged.checks if check.quantity == "tool tilt")
+    assert not tilt.holds
+    assert tilt.value >= tilts(leaning, QuinticTrajectory(t=t, q=q, v=v, a=a)).max() - 1e-9
+
+
+def test_the_second_opinion_judges_the_cone_by_itself(leaning: Plan) -> None:
+    given: dict[str, Any] = {
+        "options": leaning.options,
+        "trajectory": leaning.trajectory,
+        "robot": leaning.robot,
+        "stroke": 0,
+    }
+    for degrees, expected in ((10, set()), (9, {"tool tilt by a second computation"})):
+        scene = replace(leaning.scene, keep=AxisCone(axis_within_deg=degrees))
+        checks = second_opinion(scene, **given)
+        assert {check.quantity for check in checks if not check.holds} == expected
+
+
+def test_fixed_via_points_hold_the_axis() -> None:
+    fixed = plan(scene_of({"axis_within_deg": 2}, knots="fixed"))
+    assert fixed.lower_bound is None
+    at = fixed.trajectory.evaluate(fixed.task.path.via_times(fixed.scene.via_points))
+    R = Kinematics(fixed.robot).tool_poses(at)[1]
+    assert np.abs(R[:, :, 2] - fixed.task.path.orientation[:, 2]).max() < 1e-9
+    assert tilts(fixed, fixed.trajectory).max() <= np.radians(2)
