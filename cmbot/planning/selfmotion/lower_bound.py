@@ -266,8 +266,7 @@ class _BranchAndBound:
         leans = task.on_axis.jacobian(at.tool_rotation, at.jacobian)[:, 3:] @ edges.transpose(0, 2, 1)
         _, rate, V = np.linalg.svd(leans)
         half = np.full(edges.shape[:2], self._spacing)
-        lean = half[:, : rate.shape[1]]
-        lean[:] = np.clip(task.cone / np.maximum(rate, _SLOWEST), lean, _LONGEST)
+        half[:, : rate.shape[1]] = np.minimum(task.cone / np.maximum(rate, _SLOWEST), _LONGEST)
         return V @ edges, half
 
     def _null_space(self, q: FloatArray) -> FloatArray:
