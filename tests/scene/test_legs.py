@@ -1,6 +1,7 @@
 """Legs, poses and waypoints of scene files: against a second computation, and their refusals."""
 
 import copy
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -77,16 +78,17 @@ profiles = st.fixed_dictionaries(
 
 
 def check_path(scene: Scene) -> None:
-    """The timed poses against the second computation of them."""
+    """The timed poses of every stroke against the second computation of them."""
     X_WT = np.eye(4)
     X_WT[:3, :3], X_WT[:3, 3] = Rotation.from_rotvec([0.3, -1.2, 0.5]).as_matrix(), WHERE
-    path, second = scene.timed_strokes(X_WT)[0].path, ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3])
-    times = np.unique(np.concatenate([np.linspace(0, path.duration, 301), path.breaks]))
-    p, R = second.poses(times)
-    poses = path.poses(times)
-    np.testing.assert_allclose(poses.point, p, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(np.broadcast_to(poses.rotation, R.shape), R, rtol=0, atol=1e-9)
-    np.testing.assert_allclose(path.via_times(60), second.via_times(), rtol=1e-9)
+    for number, stroke in enumerate(scene.timed_strokes(X_WT)):
+        path, second = stroke.path, ScenePath(scene, X_WT[:3, 3], X_WT[:3, :3], number)
+        times = np.unique(np.concatenate([np.linspace(0, path.duration, 301), path.breaks]))
+        p, R = second.poses(times)
+        poses = path.poses(times)
+        np.testing.assert_allclose(poses.point, p, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(np.broadcast_to(poses.rotation, R.shape), R, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(stroke.via_times, second.via_times(), rtol=1e-9)
 
 
 @settings(max_examples=60)
@@ -105,6 +107,55 @@ def test_timed_poses_are_those_of_a_second_computation(
         check_path(scene_of(legs=each, speed_profile=profile, **more))
     except SceneError as refused:
         assert "three points on a line" in refused.got or "no length" in refused.expected
+
+
+strokes = st.fixed_dictionaries(
+    {
+        "legs": st.lists(legs, min_size=1, max_size=3),
+        "backwards": st.booleans(),
+        "passes": st.integers(1, 3),
+        "speed_profile": profiles,
+        "via_points": st.just(60),
+    }
+)
+
+
+@settings(max_examples=30)
+@given(st.lists(strokes, min_size=1, max_size=3), goals, st.floats(0.01, 0.3))
+def test_strokes_follow_on_each_other_backwards_and_in_passes(
+    each: list[dict[str, Any]], begin: dict[str, Any], radius: float
+) -> None:
+    each[0] = {"from": begin, "blend_radius_m": radius, **each[0]}
+    data: dict[str, Any] = {**copy.deepcopy(SECOND), "tool_path": {"strokes": each}}
+    try:
+        scene = load_scene(data)
+        check_path(scene)
+    except SceneError as refused:
+        assert "three points on a line" in refused.got or "no length" in refused.expected
+        return
+    timed = scene.timed_strokes(np.eye(4))
+    assert [stroke.name for stroke in timed] == [f"stroke_{k + 1}" for k in range(len(each))]
+    for before, after in pairwise(timed):
+        # Without a start of its own a path begins where the one before ended: a stroke that is followed
+        # backwards is there after its first pass.
+        at = after.path.duration / (after.file.passes or 1) if after.file.backwards else 0.0
+        np.testing.assert_allclose(after.path.position([at])[0], before.path.end_pose[:3, 3], atol=1e-9)
+
+
+def test_a_path_back_is_the_path_in_reverse() -> None:
+    data: dict[str, Any] = copy.deepcopy(SECOND)
+    arc = {"arc": {"centre": [1.8, 0.9, -2], "axis": [1, 0, 0], "angle_deg": 70, "turns": True}, "seconds": 3}
+    line = {"by": [0, 0.2, 0.1], "seconds": 2}
+    data["tool_path"] = {"strokes": [{"legs": [arc, line]}, {"legs": [arc, line], "passes": 2}]}
+    X_WT = np.eye(4)
+    X_WT[:3, 3] = WHERE
+    once, twice = (stroke.path for stroke in load_scene(data).timed_strokes(X_WT))
+    t = np.linspace(0, once.duration, 200)
+    forth, back = once.poses(t), once.reversed().poses(once.duration - t)
+    np.testing.assert_allclose(back.point, forth.point, atol=1e-12)
+    np.testing.assert_allclose(back.rotation, forth.rotation, atol=1e-12)
+    assert twice.duration == pytest.approx(2 * once.duration)
+    np.testing.assert_allclose(twice.end_pose, once.end_pose, atol=1e-12)
 
 
 def waypoint_rows(rng: np.random.Generator, number: int = 7) -> FloatArray:

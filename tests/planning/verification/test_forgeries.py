@@ -196,7 +196,8 @@ def test_a_start_that_nothing_leads_to(triangle_plan: Plan, triangle_folder: Pat
         data["start"]["moved_deg"] = 0.0
         (work,) = data["segments"] = data["segments"][1:]
         work["begin"] = 0.0
-        data["planned"]["job"] = {key: value for key, value in data["planned"].items() if key != "job"}
+        own = {key: value for key, value in data["planned"].items() if key not in ("job", "free")}
+        data["planned"] |= {"job": own, "free": None}
 
     edit(triangle_folder, claim)
     put_job(triangle_folder, without_approach(triangle_plan).job)
