@@ -256,9 +256,7 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     if peak is None:
         yield f"Had it started {other}: no sequence of postures through the charts was found."
     else:
-        # The search holds an axis that may lean in the middle of its cone.
-        most = "" if plan.task.cone is None else "at most "
-        yield f"Had it started {other}, the peak at rest would be {most}{_value(objective, peak)}."
+        yield f"Had it started {other}, the peak at rest would be {_value(objective, peak)}."
 
 
 def _sequences(plan: Plan) -> Iterator[str]:

@@ -234,6 +234,9 @@ def _candidates(
     some = np.concatenate([neighbours, around], axis=1).reshape(-1, d)
     of = np.repeat(np.arange(n), _AROUND + 2)
     placed, reached = project_onto_task(context.postures, context.task, some, context.goals[of])
+    if context.task.cone is not None:
+        R_WT = context.postures.tool_at(placed).tool_rotation
+        reached &= context.task.rotation(R_WT, context.goals[of]) <= context.task.cone
     return [np.vstack([q[k : k + 1], placed[reached & (of == k)]]) for k in range(n)]
 
 

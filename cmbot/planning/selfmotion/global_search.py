@@ -4,8 +4,9 @@ Charts of self-motion at every via-point, and dynamic programming over them. The
 charts' spacing, and comes with a lower bound: at the via-point that sets it, no admissible posture has a
 smaller objective at rest. That is proven where `proof` can, and otherwise an estimate.
 
-Where the tool's axis may lean, charts and sequences hold it in the middle of its cone; the lower bound is
-that of all postures in the cone.
+Where the tool's axis may lean, charts hold it in the middle of its cone; sequences of their postures, and of
+leaning ones beside that of the lower bound, are refined in the cone. The lower bound is that of all postures
+in the cone.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import PathNotFound
@@ -29,6 +31,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
 )
 from cmbot.planning.selfmotion.lower_bound import find_lower_bound, with_proof
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
+from cmbot.scene import ToolPoses, shortest_turns
 
 __all__ = ["GlobalSearch", "GlobalSolution", "sequences_beside"]
 
@@ -100,7 +103,7 @@ class GlobalSearch:
         """Find the lower bound and the graph of charts, (M, d) each."""
         context = self._context
         self._each, lowest = self._bounded(each)
-        if self._wide:
+        if self._wide or self._leaning is not context:
             charts = charts_of(context, self._with_more(self._each, lowest))
             self._layers = [GraphLayer(context, chart) for chart in charts]
         self._allow(context.options.step_share)
@@ -138,7 +141,7 @@ class GlobalSearch:
             self.lower_bound = self._bound
         else:
             found = find_lower_bound(self._leaning, self._layers, sampler.spacing)
-            self.lower_bound, _ = with_proof(self._leaning, *found, sampler.coverage)
+            self.lower_bound, self._lowest_leaning = with_proof(self._leaning, *found, sampler.coverage)
         self._spacing = sampler.spacing
         return each, lowest
 
@@ -264,12 +267,12 @@ class GlobalSearch:
         context.reporter.step("choosing the postures of least torque")
         chosen = BottleneckDynamicProgram(context, layers, self._edges, starts).best()
         q = np.stack([layer.chart.q[k] for layer, k in zip(layers, chosen, strict=True)])
-        if self._wide:
+        if self._wide or self._leaning is not context:
             stays = start is not None
             # A start that stays is a lower bound as well.
             at_start = float(layers[0].chart.value[chosen[0]]) if stays else 0.0
-            bound = max(self._bound.value, at_start)
-            q = refine(context, q, self._steps, self._spacing, bound, self._winding, start_stays=stays)
+            bound = max(self.lower_bound.value, at_start)
+            q = refine(self._leaning, q, self._steps, self._spacing, bound, self._winding, start_stays=stays)
         unwound, beyond = self._unwound(q, start)
         if beyond.any():
             search, same = self._on_all_turns(int(beyond.argmax()))
@@ -280,13 +283,18 @@ class GlobalSearch:
     def _with_more(self, each: list[FloatArray], lowest: FloatArray) -> list[FloatArray]:
         """Add to coarse charts the finer ones of the whole pose, and sequences beside the posture `lowest`.
 
-        So freedom never raises the peak, and a sequence leads on from the scene's own posture.
+        Where the axis may lean, also sequences beside the leaning posture of the lower bound. So freedom
+        never raises the peak, and a sequence leads on from the scene's own posture.
         """
         context = self._context
         more = [sequences_beside(context, lowest, self._bound.via_point, self._spacing)]
         if context.robot.dof > _POSE and not context.reporter.expired():
             pose = replace(context, task=replace(context.task, keep="pose"))
             more.append(_sampled(SelfMotionSampler(pose), pose))
+        if self._leaning is not context:
+            k = self.lower_bound.via_point
+            goals = _leaned(context, self._lowest_leaning, k)
+            more.append(sequences_beside(context, self._lowest_leaning, k, self._spacing, goals))
         return [np.vstack(of_point) for of_point in zip(each, *more, strict=True)]
 
     def _unwound(self, q: FloatArray, start: FloatArray | None) -> tuple[FloatArray, BoolArray]:
@@ -355,16 +363,31 @@ def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[Float
     return sampler.along(context.goals, context.first[None], report)
 
 
+def _leaned(context: PlanningContext, posture: FloatArray, via_point: int) -> ToolPoses:
+    """Goals whose axis leans all along the path as the tool's does in a posture (d,) of a via-point."""
+    goals = context.goals
+    z = context.postures.tool_at(posture[None]).tool_rotation[:, :, 2] @ goals[via_point].rotation[0]
+    lean = Rotation.from_rotvec(shortest_turns(np.array([[0.0, 0.0, 1.0]]), z)[0])
+    return replace(goals, rotation=goals.rotation @ lean.as_matrix())
+
+
 def sequences_beside(
-    context: PlanningContext, posture: FloatArray, via_point: int, spacing: float
+    context: PlanningContext,
+    posture: FloatArray,
+    via_point: int,
+    spacing: float,
+    goals: ToolPoses | None = None,
 ) -> list[FloatArray]:
-    """Carry a posture (d,) of a via-point, and others within `spacing`, along the path: (m, d) at each."""
+    """Carry a posture (d,) of a via-point, and others within `spacing`, along the path: (m, d) at each.
+
+    They hold the tool at the `goals` of all via-points, by default those of the context.
+    """
     rng = np.random.default_rng(0)
     # The same offsets everywhere give sequences that run side by side.
     offsets = rng.normal(size=(_BESIDE, len(posture)))
     offsets *= spacing * rng.uniform(size=(_BESIDE, 1)) / np.linalg.norm(offsets, axis=1, keepdims=True)
     offsets = context.robot.metric.positions(offsets)
-    goals = context.goals
+    goals = context.goals if goals is None else goals
     each = [np.empty((0, len(posture))) for _ in range(len(goals))]
     for direction in (range(via_point, len(goals)), range(via_point - 1, -1, -1)):
         q = posture
