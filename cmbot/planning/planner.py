@@ -312,14 +312,17 @@ def _stroke_plan(attempt: Attempt, motion: _Motion, at: FloatArray | None, *, cu
         context.robot, context.task, context.clearances, path.t, path.motion(), clearance=path.clearance
     )
     baseline_figures = figures(context.robot, baseline)
-    sliding = guess.search is not None
+    bound = guess.lower_bound if guess.search is not None else None
+    if bound is not None and context.sag is None:
+        at_rest = context.objective.at_rest(context.postures.at(motion.optimised.via_points))
+        bound = bound.met(at_rest)
     objective = objective_metrics(
         context.objective,
         options,
         own=custom,
         baseline=(baseline_figures, baseline),
         planned=(motion.work.figures, motion.work.trajectory),
-        floor=guess.lower_bound.value if sliding else None,
+        floor=None if bound is None else bound.value,
     )
     return StrokePlan(
         name=context.stroke.name,
@@ -331,7 +334,7 @@ def _stroke_plan(attempt: Attempt, motion: _Motion, at: FloatArray | None, *, cu
         smallest_singular_value=float(path.singular_value.min()),
         passes=motion.optimised.passes,
         objective=objective,
-        lower_bound=guess.lower_bound if sliding else None,
+        lower_bound=bound,
         choice=guess.choice,
         compensation=motion.compensation,
         quieting=motion.quieting,
