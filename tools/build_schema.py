@@ -17,7 +17,18 @@ from pathlib import Path
 from scene_reference import reference_text
 
 from cmbot.common.validation import FileModel
-from cmbot.scene import ArcTo, Goal, Leg, PlannerOptions, Raster, SceneFile, SpeedProfile, Tool
+from cmbot.scene import (
+    ArcTo,
+    CylinderPatch,
+    FaceSelection,
+    Goal,
+    Leg,
+    PlannerOptions,
+    Raster,
+    SceneFile,
+    SpeedProfile,
+    Tool,
+)
 from cmbot.scene.scene import FORMAT
 
 _ROOT = Path(__file__).resolve().parent.parent
@@ -27,7 +38,8 @@ TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_f
 def schema_text() -> str:
     """Return the schema as the text of its file."""
     schema = SceneFile.model_json_schema()
-    kinds = [*subclasses(FileModel), ArcTo, Goal, Leg, Raster, SpeedProfile, Tool, PlannerOptions]
+    classes = (ArcTo, CylinderPatch, FaceSelection, Goal, Leg, Raster, SpeedProfile, Tool, PlannerOptions)
+    kinds = [*subclasses(FileModel), *classes]
     for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:
         (kind,) = (kind for kind in kinds if kind.__name__ == name)
         definition["description"] = inspect.getdoc(kind).partition("\n\nAttributes")[0]

@@ -38,6 +38,8 @@ _SECTIONS = {
     "Goal": "Poses: `to`, `from`",
     "ArcTo": "Arcs: `arc`",
     "Raster": "Rasters: `raster`",
+    "CylinderPatch": "Rasters over a cylinder: `raster.cylinder`",
+    "FaceSelection": "Rasters over faces of a mesh: `raster.faces`",
     "SpeedProfile": "`speed_profile`",
     "ObstacleFile": "`obstacles`",
     "GuardrailFile": "`guardrail`",

@@ -55,6 +55,7 @@ _OPTIONAL = (
     ("example-robot-data", "robots"),
     ("xacrodoc", "xacro"),
     ("distributed", "campaign"),
+    ("shapely", "surfaces"),
     ("mujoco", "test"),
     ("hypothesis", "test"),
 )

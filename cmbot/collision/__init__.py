@@ -2,7 +2,7 @@
 
 from cmbot.collision.clearance import RESOLUTION, Clearances, Nearest, Smallest
 from cmbot.collision.motion_bounds import raise_bounds, travel
-from cmbot.collision.shapes import PairedShapes, ShapePair, load_mesh
+from cmbot.collision.shapes import PairedShapes, ShapePair
 
 __all__ = [
     "RESOLUTION",
@@ -11,7 +11,6 @@ __all__ = [
     "PairedShapes",
     "ShapePair",
     "Smallest",
-    "load_mesh",
     "raise_bounds",
     "travel",
 ]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,30 +12,13 @@ import numpy as np
 import pinocchio as pin
 
 from cmbot.common.errors import SceneError
-from cmbot.common.input_files import LARGEST_MESH, read_input
-from cmbot.common.validation import shown
 from cmbot.robot import Robot, convex_hull, encloses_volume
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere
+from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_mesh
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["PairedShapes", "ShapePair", "coal_shapes", "load_mesh"]
-
-# The formats that trimesh reads without further packages.
-_FORMATS = ("glb", "obj", "off", "ply", "stl")
-_FARTHEST = 1e4  # m, as of any coordinate in a scene
-# The errors that its readers raise when a file is damaged.
-_DAMAGED = (
-    OSError,
-    ValueError,
-    LookupError,
-    TypeError,
-    AttributeError,
-    NameError,
-    ArithmeticError,
-    NotImplementedError,
-)
+__all__ = ["PairedShapes", "ShapePair", "coal_shapes"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,42 +129,6 @@ def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
             parts = load_mesh(path, name).split(only_watertight=False)
             return [(_hull(part, path, name), pin.SE3.Identity()) for part in parts]
     return [(geometry, pin.SE3.Identity())]
-
-
-def load_mesh(path: Path, name: str) -> trimesh.Trimesh:
-    """Load an obstacle's mesh file (GLB, OBJ, OFF, PLY or STL), in metres, without its colours.
-
-    Vertices that only differ in colour or normal become one: they would take the mesh apart.
-
-    Raises
-    ------
-    SceneError
-        When it cannot be read or has no volume.
-    """
-    key = f"obstacles[{name}].mesh"
-    suffix = path.suffix.lower().removeprefix(".")
-    if suffix not in _FORMATS:
-        raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)
-    # It takes a while to come, and few scenes have a mesh.
-    import trimesh
-
-    content = io.BytesIO(read_input(path, SceneError, kind="a mesh file", key=key, largest=LARGEST_MESH))
-    try:
-        # As a stream: a file's reader would also open what it names, such as materials.
-        with np.errstate(invalid="ignore"):  # vertices that are too far away are refused below
-            mesh = trimesh.load_mesh(content, file_type=suffix)
-            mesh.merge_vertices(merge_tex=True, merge_norm=True)
-        vertices = np.asarray(mesh.vertices, dtype=float)
-    except _DAMAGED as error:
-        raise SceneError(str(path), key, f"unreadable ({shown(str(error))})", "a mesh file") from error
-    if vertices.shape[1:] != (3,):
-        raise SceneError(str(path), key, f"vertices of shape {vertices.shape}", "three coordinates each")
-    if not (np.abs(vertices) <= _FARTHEST).all():
-        got, expected = "a mesh that is larger or not finite", f"vertices within {_FARTHEST:g} m"
-        raise SceneError(str(path), key, got, expected)
-    if len(mesh.faces) == 0 or not encloses_volume(vertices):
-        raise SceneError(str(path), key, "no volume", "a mesh with three dimensions")
-    return mesh
 
 
 def _hull(part: trimesh.Trimesh, path: Path, name: str) -> Any:

@@ -150,6 +150,11 @@ def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
             f"{stroke.file.in_words}, {path.lengths.sum():.3f} m in {path.duration:.6g} s, "
             f"keeps the tool's {stroke.file.keep}",
         )
+    for stroke in strokes:
+        if (covers := stroke.coverage) is not None:
+            left_out = f"{covers.left_out:.3g} m2" if covers.left_out else "none"
+            mesh = stroke.file.raster.mesh if stroke.file.raster is not None else ""
+            yield f"faces of {mesh}", f"{covers.area:.4g} m2, left out of them {left_out}"
     yield "via-points", " + ".join(str(len(stroke.via_times)) for stroke in strokes)
 
 

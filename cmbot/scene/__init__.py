@@ -1,11 +1,13 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
+from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.kept import AxisCone, Keep
-from cmbot.scene.path.legs import ArcTo, Goal, Leg, Raster
+from cmbot.scene.path.legs import ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import StrokeFile
+from cmbot.scene.path.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.path.tool_path import (
     ShiftedToolPath,
     SpeedProfile,
@@ -30,6 +32,8 @@ __all__ = [
     "Box",
     "Capsule",
     "Cylinder",
+    "CylinderPatch",
+    "FaceSelection",
     "Goal",
     "GuardrailFile",
     "Keep",
@@ -53,6 +57,7 @@ __all__ = [
     "guardrail_from_file",
     "guardrail_obstacles",
     "limits_text",
+    "load_mesh",
     "load_scene",
     "pose",
     "scene_from_file",

@@ -35,9 +35,11 @@ from cmbot.scene.guardrail import GuardrailFile
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.builder import PathSource, timed_path
+from cmbot.scene.path.face_rows import FaceRows
 from cmbot.scene.path.kept import AxisCone, Keep
-from cmbot.scene.path.legs import Goal, Leg, Raster
+from cmbot.scene.path.legs import Goal, Leg
 from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
+from cmbot.scene.path.raster import Raster
 from cmbot.scene.path.tool_path import SpeedProfile, ToolPath
 from cmbot.scene.tool import Tool
 
@@ -323,6 +325,8 @@ class Stroke:
     begins_elsewhere : bool
         Whether the arm has to be brought to its start: not the first one from the tool's pose in the scene's
         posture.
+    coverage : FaceRows or None
+        Of a raster over faces of a mesh.
     """
 
     name: str
@@ -330,6 +334,7 @@ class Stroke:
     file: StrokeFile
     path: ToolPath
     begins_elsewhere: bool
+    coverage: FaceRows | None = None
 
     @cached_property
     def via_times(self) -> FloatArray:
@@ -373,7 +378,7 @@ class Scene:
     waypoints : tuple or None
         In place of legs points, m, and unit quaternions (w, x, y, z) of the tool in W, (K, 7).
     raster : Raster or None
-        In place of legs rows over a rectangle.
+        In place of legs rows over a surface.
     seconds, speed_m_s : float or None
         Duration of the path through waypoints or of the raster, s, or the speed, m/s.
     blend_radius_m : float or None
@@ -458,12 +463,19 @@ class Scene:
         strokes = list[Stroke]()
         for k, file in enumerate(self.each_stroke):
             key = "tool_path" if self.strokes is None else f"tool_path.strokes[{k}]"
-            path = timed_path(file, PathSource(source=self.source, key=key, frames=self.frames), X_WT)
+            place = PathSource(source=self.source, key=key, frames=self.frames, obstacles=self.obstacles)
+            path, coverage = timed_path(file, place, X_WT)
             path = path.reversed() if file.backwards else path
             path = path.repeated(file.passes or 1)
-            elsewhere = file.has_start or k > 0
             strokes.append(
-                Stroke(name=str(file.name), key=key, file=file, path=path, begins_elsewhere=elsewhere)
+                Stroke(
+                    name=str(file.name),
+                    key=key,
+                    file=file,
+                    path=path,
+                    begins_elsewhere=file.has_start or k > 0,
+                    coverage=coverage,
+                )
             )
             X_WT = path.end_pose
         return tuple(strokes)

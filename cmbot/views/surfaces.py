@@ -17,10 +17,9 @@ from numpy.typing import ArrayLike
 from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
-from cmbot.collision import load_mesh
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import ModelError
-from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere
+from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Sphere, load_mesh
 
 __all__ = ["Surface", "creased", "merged", "obstacle_surface", "simplified", "tube", "visual_surface"]
 

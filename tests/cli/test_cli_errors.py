@@ -53,9 +53,12 @@ FILES = {
 BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     (
         "plan nosuch",
-        ("nosuch: no such file, expected a scene", "shipped scene (one of: gusset_plate, line, triangle)"),
+        (
+            "nosuch: no such file, expected a scene",
+            "shipped scene (one of: angle_steel, gusset_plate, line, pipe, triangle)",
+        ),
     ),
-    ("plan triangel", ("triangel: no such file", "shipped scene; did you mean triangle? (one of: gusset")),
+    ("plan triangel", ("triangel: no such file", "shipped scene; did you mean triangle? (one of: angle")),
     ("check triangel", ("triangel: no such file", "shipped scene; did you mean triangle?")),
     ("plan model.yaml", ("model.yaml:1: robot.model: got 'cmbto'", "; did you mean cmbot?")),
     (
@@ -65,7 +68,10 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("plan short.yaml -o empty.yaml/plan", ("empty.yaml/plan: got a place below ", "which is a file")),
     ("reproduce -o empty.yaml", ("empty.yaml/triangle: got a place below ", "which is a file")),
     ("plan short.yaml --set seconds=3", ("--set: seconds: got a key of the scene", "in the scene file")),
-    ("check nosuch.yaml", ("nosuch.yaml: no such file", "one of: gusset_plate, line, triangle")),
+    (
+        "check nosuch.yaml",
+        ("nosuch.yaml: no such file", "one of: angle_steel, gusset_plate, line, pipe, triangle"),
+    ),
     ("plan no_plan", ("no_plan: got a folder",)),
     ("plan broken.yaml", ("broken.yaml:2: got ", "expected valid YAML")),
     ("plan empty.yaml", ("empty.yaml: got an empty file", "a mapping")),

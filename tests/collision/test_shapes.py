@@ -15,10 +15,10 @@ from oracles.distances import between_hulls, capsule_of
 from robot_files import FLAT, write_flat_obj
 from robot_files import pose as pose_of
 
-from cmbot.collision import Clearances, load_mesh
+from cmbot.collision import Clearances
 from cmbot.common.errors import SceneError
 from cmbot.robot import Robot, convex_hull, encloses_volume
-from cmbot.scene import Box, Mesh, Obstacle, Shape, pose
+from cmbot.scene import Box, Mesh, Obstacle, Shape, load_mesh, pose
 
 FloatArray = NDArray[np.float64]
 X_WO = pose([0.6, 0.7, -1.2], [0.4, -0.8, 1.1])

@@ -219,6 +219,81 @@ def test_rasters_cover_their_rectangle(
     assert len(rows) == scene.raster.rows
 
 
+pipes = st.fixed_dictionaries(
+    {
+        "centre": vectors(),
+        "axis": st.one_of(st.just([0, 0, 1]), st.just([0, 1, 0]), vectors().map(unit)),
+        "radius": st.floats(0.05, 0.5),
+        "from_deg": st.floats(-170, 170).map(round),
+        "to_deg": st.floats(-170, 170).map(lambda x: round(x) + 0.5),
+        "length": st.floats(0.1, 1),
+        "rows": st.sampled_from(["along", "around"]),
+    }
+)
+
+
+@settings(max_examples=12)
+@given(pipes, st.floats(0.05, 0.5), st.floats(0, 0.3), frames, durations, st.booleans())
+def test_rasters_cover_their_cylinder(
+    pipe: dict[str, Any], spacing: float, stand_off: float, frame: str, time: dict[str, float], blended: bool
+) -> None:
+    raster = {"cylinder": pipe, "spacing_m": spacing, "stand_off_m": stand_off, "overscan_m": 0.02}
+    more = {"blend_radius_m": 0.02} if blended else {}
+    scene = scene_of(raster={**raster, "frame": frame}, **time, **more)
+    check_path(scene)
+    path = scene.timed_strokes(np.eye(4))[0].path
+    assert (len(path.seconds) == 1) == (blended or scene.raster.rows == 1)
+    X = {"world": np.eye(4), "tool": np.eye(4), "bracket": scene.frames["bracket"]}[frame]
+    axis, outer = np.array(pipe["axis"]) / np.linalg.norm(pipe["axis"]), pipe["radius"] + stand_off
+    fine = path.poses(np.unique(np.concatenate([path.leg_times, np.linspace(0, path.duration, 2001)])))
+    p = (fine.point - X[:3, 3]) @ X[:3, :3] - pipe["centre"]
+    z = p @ axis
+    across = p - z[:, None] * axis
+    np.testing.assert_allclose(np.linalg.norm(across, axis=1), outer, atol=1e-9)
+    np.testing.assert_allclose(fine.rotation[:, :, 2] @ X[:3, :3], -across / outer, atol=1e-9)
+    # The tool turns about the cylinder's axis alone, which keeps its place in the tool.
+    along = np.einsum("nji,j->ni", fine.rotation, X[:3, :3] @ axis)
+    np.testing.assert_allclose(along, np.tile(along[0], (len(along), 1)), atol=1e-9)
+    beyond = (0.02, 0.0) if pipe["rows"] == "along" else (0.0, 0.02)
+    np.testing.assert_allclose([z.min(), z.max()], [-0.5 * pipe["length"] - beyond[0], -z.min()], atol=1e-9)
+    zero = np.eye(3)[0 if np.degrees(np.arccos(min(abs(axis[2]), 1.0))) < 10 else 2]
+    zero = zero - (zero @ axis) * axis
+    angle = np.unwrap(np.arctan2(across @ np.cross(axis, zero), across @ zero))
+    angle += 2 * np.pi * np.round((np.radians(pipe["from_deg"]) - angle[0]) / (2 * np.pi))
+    ends = np.sort(np.radians([pipe["from_deg"], pipe["to_deg"]]))
+    ends += np.array([-1, 1]) * beyond[1] / pipe["radius"]
+    np.testing.assert_allclose([angle.min(), angle.max()], ends, atol=1e-9)
+    if not blended:
+        corners = (path.corners - X[:3, 3]) @ X[:3, :3] - pipe["centre"]
+        if pipe["rows"] == "around":
+            steps = np.abs(np.diff(corners @ axis)[1::2])
+        else:
+            steps = np.linalg.norm(path.rotations, axis=1)[1::2] * pipe["radius"]
+        assert steps.max(initial=0.0) <= spacing + 1e-6
+
+
+@pytest.mark.parametrize("more", [{}, {"blend_radius_m": 0.02}])
+@pytest.mark.parametrize("rows", ["along", "around"])
+def test_a_pipe_is_worked_on_to_and_fro(rows: str, more: dict[str, Any]) -> None:
+    raster = {**PIPE, "cylinder": {**PIPE["cylinder"], "rows": rows}}
+    scene = scene_of(raster=raster, speed_m_s=0.1, passes=2, **more)
+    check_path(scene)
+    path = scene.timed_strokes(np.eye(4))[0].path
+    np.testing.assert_allclose(path.end_pose[:3, 3], path.corners[0], atol=1e-9)
+    np.testing.assert_allclose(path.end_pose[:3, :3], path.orientation, atol=1e-9)
+
+
+def test_a_pipe_is_worked_on_all_round_without_a_row_twice() -> None:
+    scene = scene_of(
+        raster={**PIPE, "cylinder": {**PIPE["cylinder"], "from_deg": -90, "to_deg": 270}}, speed_m_s=0.1
+    )
+    path = scene.timed_strokes(np.eye(4))[0].path
+    rows = path.corners[::2] - path.corners[::2, 1:2] * [0, 1, 0]
+    assert scene.raster.rows == len(rows) == 13  # of 0.628 m around
+    assert len(np.unique(np.round(rows, 6), axis=0)) == 13
+    assert "13 rows over 0.188 m2 of a cylinder" in scene.each_stroke[0].in_words
+
+
 @pytest.mark.parametrize(
     "leg", [{"by": [0, 0.4, 0]}, {"arc": {"centre": [1.8, 0.9, -2], "axis": [1, 0, 0], "angle_deg": 70}}]
 )
@@ -233,9 +308,12 @@ def test_the_tool_cruises_at_the_speed_that_is_asked(leg: dict[str, Any]) -> Non
 
 
 @pytest.mark.parametrize("radius", [None, 0.05])
-def test_a_raster_is_covered_at_its_speed(radius: float | None) -> None:
+@pytest.mark.parametrize("surface", ["rectangle", "along", "around"])
+def test_a_raster_is_covered_at_its_speed(radius: float | None, surface: str) -> None:
     more = {} if radius is None else {"blend_radius_m": radius}
-    path = scene_of(raster=RASTER, speed_m_s=0.1, **more).timed_strokes(np.eye(4))[0].path
+    raster = {**PIPE, "cylinder": {**PIPE["cylinder"], "rows": surface}}
+    raster = RASTER if surface == "rectangle" else raster
+    path = scene_of(raster=raster, speed_m_s=0.1, **more).timed_strokes(np.eye(4))[0].path
     speed = np.linalg.norm(path.velocity(np.linspace(0, path.duration, 4001)), axis=1)
     assert speed.max() == pytest.approx(0.1, rel=1e-6)
 
@@ -258,6 +336,12 @@ def test_a_scene_changed_in_python_is_that_of_its_file(rng: np.random.Generator)
 
 WAYPOINTS = [[0, 0, k, 1, 0, 0, 0] for k in range(3)]
 RASTER = {"origin": [0, 0, 0], "u": [0, 0.2, 0], "v": [0.1, 0, 0], "spacing_m": 0.05, "stand_off_m": 0.1}
+CYLINDER = {"centre": [0, 0, 0], "axis": [0, 1, 0], "radius": 0.1, "length": 0.3}
+PIPE: dict[str, Any] = {
+    "cylinder": {**CYLINDER, "from_deg": 90, "to_deg": 150},
+    "spacing_m": 0.05,
+    "stand_off_m": 0.1,
+}
 BY = {"by": [0, 0.1, 0], "seconds": 1}
 
 
@@ -297,6 +381,28 @@ BY = {"by": [0, 0.1, 0], "seconds": 1}
         ),
         ({"raster": {**RASTER, "spacing_m": 1e-5}, "speed_m_s": 0.1}, "tool_path.raster.spacing_m", "500"),
         ({"raster": RASTER}, "tool_path", "exactly one of these"),
+        ({"raster": {**RASTER, **PIPE}, "speed_m_s": 0.1}, "tool_path.raster", "either origin, u and v, or"),
+        (
+            {"raster": {"spacing_m": 0.1, "stand_off_m": 0}, "speed_m_s": 0.1},
+            "tool_path.raster",
+            "or cylinder, or mesh, faces and along",
+        ),
+        (
+            {"raster": {**RASTER, "v": None}, "speed_m_s": 0.1},
+            "tool_path.raster.v",
+            "a value beside origin and u",
+        ),
+        (
+            {"raster": {**PIPE, "cylinder": {**CYLINDER, "from_deg": 90, "to_deg": 90}}, "seconds": 9},
+            "tool_path.raster.cylinder.to_deg",
+            "another angle than from_deg 90",
+        ),
+        (
+            {"raster": {**PIPE, "cylinder": {**CYLINDER, "from_deg": -90, "to_deg": 300}}, "seconds": 9},
+            "tool_path.raster.cylinder.to_deg",
+            "at most 360 from it",
+        ),
+        ({"raster": {**PIPE, "spacing_m": 1e-5}, "speed_m_s": 0.1}, "tool_path.raster.spacing_m", "500"),
         ({"legs": [BY], "speed_m_s": 0.1}, "tool_path.speed_m_s", "no such key beside legs"),
         ({"legs": [BY], "seconds": 3}, "tool_path.seconds", "no such key beside legs"),
         (

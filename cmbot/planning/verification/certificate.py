@@ -20,7 +20,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.verification.nearest_approach import nearest_approach
-from cmbot.planning.verification.norm_bounds import NormBounds, goal_sizes, norm_bounds
+from cmbot.planning.verification.norm_bounds import NormBounds, norm_bounds, timed_pose_bounds
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
@@ -246,7 +246,7 @@ class _Work:
         self._efforts: Efforts = self._dynamics.efforts(q, v, a)
         self._p_WT, self._R_WT = Kinematics(robot).tool_poses(q)
         self._goals = task.path.poses(self._pieces.times.ravel())
-        self._goal_remainder, self._goal_rotation = goal_sizes(task, self._pieces)
+        self._goal_remainder, self._goal_rotation = timed_pose_bounds(task.path, self._pieces)
         self._unknown = np.zeros(len(self._pieces.start))
         if sag is not None:
             bent = sag.at(q).tool

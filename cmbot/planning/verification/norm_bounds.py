@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.task import ToolTask
 from cmbot.robot import Robot
+from cmbot.scene import ToolPath
 from cmbot.trajectory import Ellipses, Pieces
 
-__all__ = ["NormBounds", "goal_sizes", "norm_bounds"]
+__all__ = ["NormBounds", "norm_bounds", "timed_pose_bounds"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,18 +101,33 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
         )
 
 
-def goal_sizes(task: ToolTask, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
-    """Return what interpolation misses of the timed point (K,), m, and bounds (K, R) of the timed rotation.
+def timed_pose_bounds(path: ToolPath, pieces: Pieces) -> tuple[FloatArray, FloatArray]:
+    """Return what interpolation misses (K,), m, of the timed tool point, and bounds (K, R) of the rotation.
 
+    The bounds are those of the norm of the timed orientation on the ellipses, zero where it is constant.
+
+    Parameters
+    ----------
+    path : ToolPath
+    pieces : Pieces
+        None of which has a break of the path inside.
+
+    Notes
+    -----
     A point on an arc and a rotation are exponentials of an angle that is a polynomial in time: on an ellipse
-    they grow with the exponential of its imaginary part.
+    they grow with the exponential of its imaginary part. Where an arc of radius r is rolled on a cylinder of
+    curvature k, the angle about that is k r times the sine of the arc's, whose imaginary part is no larger
+    than the hyperbolic sine of the arc's.
     """
     times, at = pieces.times.ravel(), np.repeat(pieces.middle, pieces.times.shape[1])
-    angle, radius = task.path.arc_angle(times, at)
-    radius = radius.reshape(pieces.times.shape)[:, 0]
-    with np.errstate(over="ignore", invalid="ignore"):
-        growth = np.exp(pieces.imaginary(angle[:, None])[..., 0])
-        turn = np.exp(np.linalg.norm(pieces.imaginary(task.path.turn(times, at)), axis=2))
-        point = np.where(radius > 0, pieces.remainder(radius[:, None] * growth), 0.0)
+    angle, radius = path.arc_angle(times, at)
+    radius, roll = radius.reshape(pieces.times.shape)[:, :1], path.roll(pieces.middle)[:, None]
+    rolled = roll > 0
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+        imaginary = pieces.imaginary(angle[:, None])[..., 0]
+        swing = np.linalg.norm(pieces.imaginary(path.turn(times, at)), axis=2)
+        turn = np.exp(swing + np.where(rolled, roll * radius * np.sinh(imaginary), 0.0))
+        size = radius * np.exp(imaginary) + np.where(rolled, turn / roll, 0.0)
+        point = np.where((radius > 0)[:, 0] | rolled[:, 0], pieces.remainder(size), 0.0)
     # A constant has no remainder: nothing is added where the tool keeps its orientation.
-    return point, turn if task.path.turns else np.zeros_like(turn)
+    return point, turn if path.turns else np.zeros_like(turn)

@@ -6,13 +6,15 @@ Rodrigues' formula, and what a profile covers is integrated from phases of const
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
-from cmbot.scene import ArcTo, Goal, Leg, Raster, Scene, SpeedProfile
+from cmbot.planning.verification.face_rows import face_rows
+from cmbot.scene import ArcTo, CylinderPatch, Goal, Leg, Mesh, Raster, Scene, SpeedProfile
 
 __all__ = ["ScenePath"]
 
@@ -30,6 +32,8 @@ class ScenePath:
     """
 
     def __init__(self, scene: Scene, p: FloatArray, R: FloatArray, number: int = 0) -> None:
+        shapes = ((each.name, each.shape, each.X_WO) for each in scene.obstacles)
+        self._meshes = {name: (shape.path, X) for name, shape, X in shapes if isinstance(shape, Mesh)}
         for file in scene.each_stroke[: number + 1]:
             self._file, self._frames = file, {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
             for name, frame in (scene.file.frames or {}).items():
@@ -53,9 +57,24 @@ class ScenePath:
             self._frames["tool"] = p, R
         if file.waypoints is not None:
             return self._add_spline(np.array(file.waypoints, dtype=float))
+        if file.raster is not None and file.raster.cylinder is not None:
+            return self._add_pipe(file.raster, file.raster.cylinder, R)
+        if file.raster is not None and file.raster.mesh is not None:
+            rows = self._face_rows(file.raster)
+            if any(len(points) > 2 for points, _ in rows):
+                return self._add_face_rows(rows, R)
+            (p, *_), (axis, *_) = rows[0]
+            R = self._goal(Goal(xyz=(0, 0, 0), axis=_three(axis)), R)[1]
+            ends = np.vstack([points for points, _ in rows])
+            return self._add_legs(p, R, self._timed_legs(np.diff(ends, axis=0)))
         legs = file.legs
         if file.raster is not None:
             p, R, legs = self._raster(file.raster, R)
+        return self._add_legs(p, R, legs)
+
+    def _add_legs(self, p: FloatArray, R: FloatArray, legs: Sequence[Leg]) -> tuple[FloatArray, FloatArray]:
+        """Put straight legs, arcs and pauses together, with rounded corners."""
+        file = self._file
         straight: list[FloatArray] = []
         given = cruising = 0.0
         for leg in legs:
@@ -157,11 +176,14 @@ class ScenePath:
             return p, R
         z = R_frame @ np.array(goal.axis) / np.linalg.norm(goal.axis)
         cross, cosine = np.cross(R[:, 2], z), float(R[:, 2] @ z)
-        if cosine < -1 + 1e-12:
+        sine = float(np.linalg.norm(cross))
+        if cosine < 0 and sine < 1e-12:
             cross = np.cross(R[:, 2], np.eye(3)[np.abs(R[:, 2]).argmin()])
             return p, _rodrigues(np.pi * cross / np.linalg.norm(cross)) @ R
         K = _skew(cross)
-        return p, (np.eye(3) + K + K @ K / (1 + cosine)) @ R
+        # 1 / (1 + cosine), which loses its digits near half a turn.
+        share = 1 / (1 + cosine) if cosine > 0 else (1 - cosine) / sine**2
+        return p, (np.eye(3) + K + share * K @ K) @ R
 
     def _arc(self, arc: ArcTo, p: FloatArray) -> tuple[_Points, FloatArray, float, float]:
         """Points by the share, the axis, the angle and the length of an arc from `p`."""
@@ -192,24 +214,126 @@ class ScenePath:
     def _raster(self, raster: Raster, R: FloatArray) -> tuple[FloatArray, FloatArray, tuple[Leg, ...]]:
         """Where a raster begins, and its rows and steps as legs."""
         p_frame, R_frame = self._frames[raster.frame]
-        u, v = R_frame @ np.array(raster.u), R_frame @ np.array(raster.v)
+        origin, *edges = map(np.array, raster.rectangle or ())
+        u, v = (R_frame @ edge for edge in edges)
         width, height = float(np.linalg.norm(u)), float(np.linalg.norm(v))
         out = np.cross(u / width, v / height)
         before = u * raster.overscan_m / width
-        p = p_frame + R_frame @ np.array(raster.origin) - before + raster.stand_off_m * out
+        p = p_frame + R_frame @ origin - before + raster.stand_off_m * out
         local = Goal(xyz=(0, 0, 0), axis=_three(-out))
         rows, ways = raster.rows, []
         for k in range(rows):
             ways.append((u + 2 * before) * (-1) ** k)
             if k < rows - 1:
                 ways.append(v / (rows - 1))
+        return p, self._goal(local, R)[1], self._timed_legs(ways)
+
+    def _timed_legs(self, ways: Sequence[FloatArray] | FloatArray) -> tuple[Leg, ...]:
+        """Straight legs of a raster."""
         total = sum(float(np.linalg.norm(way)) for way in ways)
         legs = []
         for way in ways:
             share = float(np.linalg.norm(way)) / total
             seconds = None if self._file.seconds is None else self._file.seconds * share
             legs.append(Leg(by=_three(way), seconds=seconds, speed_m_s=self._file.speed_m_s))
-        return p, self._goal(local, R)[1], tuple(legs)
+        return tuple(legs)
+
+    def _face_rows(self, raster: Raster) -> list[tuple[FloatArray, FloatArray]]:
+        """Rows over faces of a mesh, each with its points and axes."""
+        path, X_WM = self._meshes[str(raster.mesh)]
+        return face_rows(raster, path, X_WM, *self._frames[raster.frame])
+
+    def _add_face_rows(
+        self, rows: list[tuple[FloatArray, FloatArray]], R: FloatArray
+    ) -> tuple[FloatArray, FloatArray]:
+        """Rows on splines with straight steps between them, on which the tool turns."""
+        from scipy.interpolate import make_interp_spline
+        from scipy.spatial.transform import RotationSpline
+
+        legs: list[tuple[float, _Points, _Points]] = []
+
+        def turned(axis: FloatArray, R: FloatArray) -> FloatArray:
+            return self._goal(Goal(xyz=(0, 0, 0), axis=_three(axis)), R)[1]
+
+        R = turned(rows[0][1][0], R)
+        for k, (points, axes) in enumerate(rows):
+            if k > 0:
+                before, way, R_before = rows[k - 1][0][-1], points[0] - rows[k - 1][0][-1], R
+                R = turned(axes[0], R)
+                turn = Rotation.from_matrix(R @ R_before.T).as_rotvec()
+                legs.append(
+                    (
+                        float(np.linalg.norm(way)),
+                        partial(_straight, before, way),
+                        partial(_turning, turn, R_before),
+                    )
+                )
+            each = [R]
+            for axis in axes[1:]:
+                each.append(turned(axis, each[-1]))
+            steps = np.sqrt((np.diff(points, axis=0) ** 2).sum(axis=1))
+            at = np.append(0.0, np.cumsum(steps)) / steps.sum()
+            spline, orientations = (
+                make_interp_spline(at, points, k=3),
+                RotationSpline(at, Rotation.from_matrix(each)),
+            )
+            legs.append((_length(spline.derivative(), at), spline, partial(_matrices, orientations)))
+            R = each[-1]
+        file, total = self._file, sum(length for length, _, _ in legs)
+        for length, places, turns in legs:
+            share = None if file.seconds is None else file.seconds * length / total
+            self._legs.append((share or self._cruise(length, file.speed_m_s), places, turns))
+        return rows[-1][0][-1], R
+
+    def _add_pipe(self, raster: Raster, pipe: CylinderPatch, R: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Rows over a cylinder: turned and shifted from the pose at the beginning of the first one."""
+        p_frame, R_frame = self._frames[raster.frame]
+        axis = R_frame @ np.array(pipe.axis) / np.linalg.norm(pipe.axis)
+        centre, outer = p_frame + R_frame @ np.array(pipe.centre), pipe.radius + raster.stand_off_m
+        upright = np.degrees(np.arccos(np.abs(R_frame[:, 2] @ axis))) < 10
+        zero = np.cross(axis, np.cross(R_frame[:, 0 if upright else 2], axis))
+        zero /= np.linalg.norm(zero)
+        # Places as angle, rad, and way along the axis, m.
+        over, angle = raster.overscan_m, np.radians(pipe.to_deg - pipe.from_deg)
+        place = np.array([np.radians(pipe.from_deg), -0.5 * pipe.length])
+        row, step = np.array([0.0, pipe.length + 2 * over]), np.array([angle / raster.steps, 0.0])
+        place -= [0.0, over]
+        if pipe.rows == "around":
+            beyond = np.copysign(over / pipe.radius, angle)
+            row, step = np.array([angle + 2 * beyond, 0.0]), np.array([0.0, pipe.length / raster.steps])
+            place += [-beyond, over]
+        places = [place]
+        for k in range(raster.rows):
+            places.append(places[-1] + row * (-1) ** k)
+            if k < raster.rows - 1:
+                places.append(places[-1] + step)
+        out = _rodrigues(place[0] * axis) @ zero
+        p = centre + outer * out + place[1] * axis
+        R = self._goal(Goal(xyz=(0, 0, 0), axis=_three(-out)), R)[1]
+
+        def add(plane: _Points, seconds: float) -> None:
+            def turned(share: FloatArray) -> FloatArray:
+                return np.array([_rodrigues((x / outer - place[0]) * axis) for x in plane(share)[:, 0]])
+
+            def points(share: FloatArray) -> FloatArray:
+                along = (plane(share)[:, 1] - place[1])[:, None] * axis
+                return np.asarray(centre + turned(share) @ (p - centre) + along)
+
+            self._legs.append((seconds, points, lambda share: turned(share) @ R))
+
+        unrolled = np.array([[outer * around, along, 0.0] for around, along in places])
+        ways = np.diff(unrolled, axis=0)
+        lengths = np.linalg.norm(ways, axis=1)
+        file, total = self._file, float(lengths.sum())
+        if file.blend_radius_m is not None:
+            plane, length = _blended(unrolled, file.blend_radius_m)
+            add(plane, file.seconds or self._cruise(length, file.speed_m_s))
+        else:
+            for begin, way, length in zip(unrolled, ways, lengths, strict=False):
+                share = None if file.seconds is None else file.seconds * length / total
+                add(partial(_straight, begin, way), share or self._cruise(length, file.speed_m_s))
+        _, points, orientations = self._legs[-1]
+        return points(np.ones(1))[0], orientations(np.ones(1))[0]
 
     def _add_spline(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         from scipy.interpolate import make_interp_spline
@@ -224,6 +348,18 @@ class ScenePath:
         seconds = file.seconds or self._cruise(_length(spline.derivative(), at), file.speed_m_s)
         self._legs.append((seconds, spline, lambda share: orientations(share).as_matrix()))
         return points[-1], orientations(1.0).as_matrix()
+
+
+def _turning(turn: FloatArray, R: FloatArray, share: FloatArray) -> FloatArray:
+    return np.array([_rodrigues(s * turn) @ R for s in share])
+
+
+def _matrices(orientations: Callable[[FloatArray], Rotation], share: FloatArray) -> FloatArray:
+    return np.asarray(orientations(share).as_matrix())
+
+
+def _straight(begin: FloatArray, way: FloatArray, share: FloatArray) -> FloatArray:
+    return np.asarray(begin + share[:, None] * way)
 
 
 def _three(vector: FloatArray) -> tuple[float, float, float]:

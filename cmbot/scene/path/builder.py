@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,16 +11,21 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import shown
-from cmbot.scene.obstacles import pose
-from cmbot.scene.path.curves import Arc, Blend, Curve, Spline, rounded
-from cmbot.scene.path.legs import SHORTEST_LEG, ArcTo, Goal, Leg, Raster
+from cmbot.scene.mesh_file import load_mesh
+from cmbot.scene.obstacles import Mesh, Obstacle, pose
+from cmbot.scene.path.curves import Arc, Blend, Curve, Rolled, Spline, rounded
+from cmbot.scene.path.face_rows import FaceRows, rows_over_faces
+from cmbot.scene.path.legs import SHORTEST_LEG, ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import PathFile
+from cmbot.scene.path.raster import CylinderPatch, Raster
 from cmbot.scene.path.tool_path import ToolPath, shortest_turns
 
 __all__ = ["PathSource", "timed_path"]
 
 # Angle below which a turn is none, rad.
 _NO_TURN = 1e-12
+# Cosine of 10 degrees: the angle to the z axis below which a cylinder's angles count from the x axis.
+_UPRIGHT = 0.98480775
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,15 +38,18 @@ class PathSource:
         The scene's, and the path's in it, for messages.
     frames : mapping of str to (4, 4)
         Poses in W of the frames that the scene names.
+    obstacles : sequence of Obstacle
+        The scene's, of which rasters name meshes.
     """
 
     source: str
     key: str
     frames: Mapping[str, FloatArray]
+    obstacles: Sequence[Obstacle] = ()
 
 
-def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> ToolPath:
-    """Return the tool path that a file describes.
+def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> tuple[ToolPath, FaceRows | None]:
+    """Return the tool path that a file describes, and what rows over faces of a mesh cover.
 
     Parameters
     ----------
@@ -53,7 +61,10 @@ def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> ToolPath:
     Raises
     ------
     SceneError
-        When a leg has no length but a speed, three points are on a line, or a frame is not known.
+        When a leg has no length but a speed, three points are on a line, a frame is not known, or a mesh has
+        no such faces.
+    MissingExtra
+        When a raster is over faces of a mesh, and shapely is not installed.
     """
     builder = _PathBuilder(file, place, X_WT)
     if file.waypoints:
@@ -64,7 +75,7 @@ def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> ToolPath:
         builder.leg(leg, f"{place.key}.legs[{k}]")
     if file.blend_radius_m is not None:
         builder.blend(file.blend_radius_m)
-    return builder.path()
+    return builder.path(), builder.face_rows
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,6 +96,7 @@ class _PathBuilder:
     def __init__(self, file: PathFile, place: PathSource, X_WT: FloatArray) -> None:
         self._file, self._place = file, place
         self._frames: dict[str, FloatArray] = {"world": np.eye(4), "tool": X_WT, **place.frames}
+        self.face_rows = None if file.raster is None else self._face_rows(file.raster)
         self._point, self._R = X_WT[:3, 3], X_WT[:3, :3]
         if file.start_pose is not None:
             self._point, turn = self._at(file.start_pose, f"{place.key}.from")
@@ -135,37 +147,136 @@ class _PathBuilder:
 
     def raster(self, raster: Raster) -> None:
         """Add the rows of a raster and the steps between them."""
+        if raster.cylinder is not None:
+            self._pipe(raster, raster.cylinder)
+            return
+        if self.face_rows is not None:
+            self._rows(self.face_rows)
+            return
         u, v, _ = self._raster_axes(raster)
-        row = u * (np.linalg.norm(raster.u) + 2 * raster.overscan_m)
-        step = v * np.linalg.norm(raster.v) / (raster.rows - 1)
+        along, across = raster.sides
+        row, step = u * (along + 2 * raster.overscan_m), v * across / raster.steps
         moves = [row]
         for k in range(1, raster.rows):
             moves += [step, row if k % 2 == 0 else -row]
-        lengths, file = np.linalg.norm(moves, axis=1), self._file
-        if file.seconds is not None:
-            seconds = file.seconds * lengths / lengths.sum()
-        else:
-            key = f"{self._place.key}.speed_m_s"
-            seconds = np.array([self._seconds(None, file.speed_m_s, float(x), key) for x in lengths])
+        seconds = self._shared_seconds(np.linalg.norm(moves, axis=1))
         for by, duration in zip(moves, seconds, strict=True):
-            end = self._point + by
-            cruises, still = file.seconds is None, np.zeros(3)
+            end, still = self._point + by, np.zeros(3)
+            cruises = self._file.seconds is None
             part = _Part(end=end, turn=still, seconds=float(duration), blends=True, cruises=cruises)
             self._add(part)
 
+    def _pipe(self, raster: Raster, pipe: CylinderPatch) -> None:
+        """Add the rows over a cylinder and the steps between them."""
+        X_WC, radius = self._pipe_frame(raster, pipe), pipe.radius + raster.stand_off_m
+        axis, corners = X_WC[:3, 2], _pipe_corners(raster, pipe)
+        moves = np.diff(corners, axis=0)
+        lengths = np.linalg.norm(moves, axis=1)
+        seconds, blend = self._shared_seconds(lengths), self._file.blend_radius_m
+        if blend is not None:
+            plane = Blend(corners, blend)
+            # A given speed is that along the rounded corners.
+            shorter = plane.length / float(lengths.sum()) if self._file.seconds is None else 1.0
+            curve = Rolled(plane, X_WC, radius, self._R)
+            turn = (corners[-1, 0] - corners[0, 0]) / radius * axis
+            end = curve.position(np.ones(1))[0]
+            self._add(_Part(end=end, turn=turn, seconds=float(seconds.sum()) * shorter, curve=curve))
+            return
+        for (around, along, _), duration in zip(moves, seconds, strict=True):
+            angle = float(around / radius)
+            arc = Arc(X_WC[:3, 3], axis, self._point, angle) if angle else None
+            end = self._point + along * axis if arc is None else arc.position(np.ones(1))[0]
+            self._add(_Part(end=end, turn=angle * axis, seconds=float(duration), curve=arc))
+
+    def _rows(self, rows: FaceRows) -> None:
+        """Add the rows over faces of a mesh and the straight steps between them."""
+        parts, lengths, R = list[_Part](), list[float](), self._R
+        cruises = self._file.seconds is None
+
+        def add(end: FloatArray, turn: FloatArray, curve: Curve | None, length: float) -> None:
+            straight = curve is None and not turn.any()
+            part = _Part(end=end, turn=turn, seconds=0.0, curve=curve, blends=straight, cruises=cruises)
+            parts.append(part)
+            lengths.append(length)
+
+        point = self._point
+        for points, axes in zip(rows.points, rows.axes, strict=True):
+            if parts:
+                turn = _axis_turn(R, axes[0])
+                add(points[0], turn, None, float(np.linalg.norm(points[0] - point)))
+                R = _turned(turn, R)
+            curve, turn = None, np.zeros(3)
+            if len(points) > 2:
+                orientations = [R]
+                for axis in axes[1:]:
+                    orientations.append(_turned(_axis_turn(orientations[-1], axis), orientations[-1]))
+                curve = Spline(points, np.array(orientations))
+                turn = np.asarray(Rotation.from_matrix(orientations[-1] @ R.T).as_rotvec())
+            length = float(np.linalg.norm(points[-1] - points[0])) if curve is None else curve.length
+            add(points[-1], turn, curve, length)
+            point, R = points[-1], _turned(turn, R)
+        for part, seconds in zip(parts, self._shared_seconds(np.array(lengths)), strict=True):
+            self._add(replace(part, seconds=float(seconds)))
+
+    def _face_rows(self, raster: Raster) -> FaceRows | None:
+        """The rows of a raster over faces of a mesh."""
+        if raster.faces is None:
+            return None
+        key = f"{self._place.key}.raster"
+        each = self._place.obstacles
+        meshes = {one.name: (one.shape.path, one.X_WO) for one in each if isinstance(one.shape, Mesh)}
+        if raster.mesh not in meshes:
+            expected = "the name of an obstacle that is a mesh"
+            raise SceneError(self._place.source, f"{key}.mesh", shown(raster.mesh), expected, tuple(meshes))
+        path, X_WM = meshes[raster.mesh]
+
+        def refusal(name: str, got: str, expected: str) -> SceneError:
+            return SceneError(self._place.source, f"{key}.{name}", got, expected)
+
+        mesh, X_WF = load_mesh(path, raster.mesh), self._frame(raster.frame, key)
+        return rows_over_faces(raster, raster.faces, mesh, X_WM, X_WF, refusal)
+
     def _raster_start(self, raster: Raster) -> tuple[FloatArray, FloatArray]:
         """Tool point and orientation at the beginning of the first row."""
-        u, _, normal = self._raster_axes(raster)
-        X = self._frame(raster.frame, f"{self._place.key}.raster")
-        corner = X[:3, :3] @ np.array(raster.origin) + X[:3, 3]
+        if self.face_rows is not None:
+            point, normal = self.face_rows.points[0][0], -self.face_rows.axes[0][0]
+        elif raster.cylinder is not None:
+            X_WC, radius = self._pipe_frame(raster, raster.cylinder), raster.cylinder.radius
+            x, y, _ = _pipe_corners(raster, raster.cylinder)[0]
+            radius += raster.stand_off_m
+            normal = X_WC[:3, :3] @ [np.cos(x / radius), np.sin(x / radius), 0.0]
+            point = X_WC[:3, 3] + radius * normal + y * X_WC[:3, 2]
+        else:
+            u, _, normal = self._raster_axes(raster)
+            X = self._frame(raster.frame, f"{self._place.key}.raster")
+            corner = X[:3, :3] @ np.array(raster.origin) + X[:3, 3]
+            point = corner - raster.overscan_m * u + raster.stand_off_m * normal
         turn = shortest_turns(self._R[None, :, 2], -normal[None])[0]
-        return corner - raster.overscan_m * u + raster.stand_off_m * normal, _turned(turn, self._R)
+        return point, _turned(turn, self._R)
 
     def _raster_axes(self, raster: Raster) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Unit vectors in W along a row, to the next one, and out of the rectangle."""
         R = self._frame(raster.frame, f"{self._place.key}.raster")[:3, :3]
-        u, v = (R @ np.array(edge) / np.linalg.norm(edge) for edge in (raster.u, raster.v))
+        _, *edges = map(np.array, raster.rectangle or ())
+        u, v = (R @ edge / np.linalg.norm(edge) for edge in edges)
         return u, v, np.cross(u, v)
+
+    def _pipe_frame(self, raster: Raster, pipe: CylinderPatch) -> FloatArray:
+        """Pose in W of a cylinder: z along its axis, x where the angle is zero."""
+        X = self._frame(raster.frame, f"{self._place.key}.raster")
+        axis = np.array(pipe.axis) / np.linalg.norm(pipe.axis)
+        x = np.eye(3)[0 if abs(axis[2]) > _UPRIGHT else 2]
+        x = x - (x @ axis) * axis
+        x /= np.linalg.norm(x)
+        local = _matrix(np.array(pipe.centre), np.stack([x, np.cross(axis, x), axis], axis=1))
+        return np.asarray(X @ local)
+
+    def _shared_seconds(self, lengths: FloatArray) -> FloatArray:
+        """Durations (L,) of the legs of a raster, of lengths (L,)."""
+        if self._file.seconds is not None:
+            return np.asarray(self._file.seconds * lengths / lengths.sum())
+        key = f"{self._place.key}.speed_m_s"
+        return np.array([self._seconds(None, self._file.speed_m_s, float(x), key) for x in lengths])
 
     def blend(self, radius: float) -> None:
         """Make one leg of straight ones that follow each other without a turn of the tool."""
@@ -225,7 +336,7 @@ class _PathBuilder:
             turn = np.asarray(Rotation.from_matrix(R @ self._R.T).as_rotvec())
         elif goal.axis is not None:
             axis = X[:3, :3] @ (np.array(goal.axis) / np.linalg.norm(goal.axis))
-            turn = shortest_turns(self._R[None, :, 2], axis[None])[0]
+            turn = _axis_turn(self._R, axis)
         # The same orientation again is no turn, whatever rounding says.
         return point, turn if np.linalg.norm(turn) > _NO_TURN else np.zeros(3)
 
@@ -253,6 +364,32 @@ class _PathBuilder:
         rows = np.array(self._file.waypoints, dtype=float)
         orientations = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
         return rows[:, :3], orientations
+
+
+def _pipe_corners(raster: Raster, pipe: CylinderPatch) -> FloatArray:
+    """Ends (K, 3) of rows on the stand-off surface unrolled: x around the cylinder, y along it, m."""
+    begin, way, beyond = np.radians(pipe.from_deg), pipe.angle, raster.overscan_m
+    along = pipe.rows == "along"
+    if along:
+        row = np.array([-0.5 * pipe.length - beyond, 0.5 * pipe.length + beyond])
+        places = begin + way / raster.steps * np.arange(raster.rows)
+    else:
+        beyond *= np.sign(way) / pipe.radius
+        row = np.array([begin - beyond, begin + way + beyond])
+        places = pipe.length * (np.arange(raster.rows) / raster.steps - 0.5)
+    corners = np.zeros((2 * raster.rows, 3))
+    for k, place in enumerate(places):
+        both = corners[2 * k : 2 * k + 2]
+        both[:, 0 if along else 1] = place
+        both[:, 1 if along else 0] = row if k % 2 == 0 else row[::-1]
+    corners[:, 0] *= pipe.radius + raster.stand_off_m
+    return corners
+
+
+def _axis_turn(R: FloatArray, axis: FloatArray) -> FloatArray:
+    """The shortest rotation vector that leads the z axis of an orientation to another."""
+    turn = shortest_turns(R[None, :, 2], axis[None])[0]
+    return turn if np.linalg.norm(turn) > _NO_TURN else np.zeros(3)
 
 
 def _matrix(point: FloatArray, R: FloatArray) -> FloatArray:

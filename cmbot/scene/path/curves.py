@@ -1,4 +1,4 @@
-"""Curves that a leg of the tool path follows where it is not straight: circular arcs, splines, blended lines.
+"""Curves that a leg of the tool path follows where it is not straight: arcs, splines, blended lines.
 
 A curve is parametrised by the share of its length, from 0 to 1, that is covered. Between its breaks it is a
 polynomial in that share or a turn about an axis by an angle in proportion to it.
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import RotationSpline
 
-__all__ = ["Arc", "Blend", "Curve", "Spline", "rounded"]
+__all__ = ["Arc", "Blend", "Curve", "Rolled", "Spline", "rounded"]
 
 # Points of the Gauss rule that measures the length of a spline's piece.
 _GAUSS = 12
@@ -87,6 +87,14 @@ class Curve(ABC):
         They are polynomials of the share on every piece. None where the curve prescribes no orientation.
         """
         return None
+
+    def roll(self, at: FloatArray) -> FloatArray:
+        """Return curvatures (N,), 1/m, of the cylinder on which the plane of the shares `at` (N,) is rolled.
+
+        There `arc_angle` is that of an arc in the plane, on which the tool turns with the cylinder and `turn`
+        is zero. Zero where nothing is rolled.
+        """
+        return np.zeros(len(at))
 
 
 @dataclass(frozen=True, eq=False)
@@ -320,6 +328,90 @@ class Blend(Curve):
             scale = 1.0 / (self._ends[k + 1] - self._ends[k])
             values[here] = of(self._parts[k], (share[here] - self._ends[k]) * scale, scale)  # type: ignore[operator]
         return values
+
+
+@dataclass(frozen=True, eq=False)
+class Rolled(Curve):
+    """A curve in a plane that is rolled on a cylinder; the tool turns with the cylinder's surface.
+
+    Attributes
+    ----------
+    plane : Curve
+        With x around the cylinder and y along it, m.
+    X_WC : (4, 4)
+        The cylinder: z is its axis; where x and y are zero in the plane, the cylinder's x axis passes.
+    radius : float
+        Of the cylinder, m.
+    orientation : (3, 3)
+        R_WT where the curve begins.
+    """
+
+    plane: Curve
+    X_WC: FloatArray
+    radius: float
+    orientation: FloatArray
+
+    @property
+    def length(self) -> float:
+        """Length, m: rolling keeps it."""
+        return self.plane.length
+
+    @property
+    def breaks(self) -> FloatArray:
+        """Shares at which the pieces of the curve in the plane meet."""
+        return self.plane.breaks
+
+    @property
+    def curvature(self) -> float:
+        """Bound of the curvature, 1/m: that in the plane, and that of the cylinder square to it."""
+        return float(np.hypot(self.plane.curvature, 1.0 / self.radius))
+
+    @property
+    def turns(self) -> bool:
+        """It does."""
+        return True
+
+    def reversed(self) -> Rolled:
+        """Return the curve from its end to its start."""
+        turn = (self._angle(np.ones(1)) - self._angle(np.zeros(1))) * self.X_WC[:3, 2]
+        orientation = Rotation.from_rotvec(turn).as_matrix() @ self.orientation
+        return Rolled(self.plane.reversed(), self.X_WC, self.radius, orientation)
+
+    def position(self, share: FloatArray) -> FloatArray:
+        """Return points (N, 3), m."""
+        x, y, _ = self.plane.position(share).T
+        angle = x / self.radius
+        around = np.stack([self.radius * np.cos(angle), self.radius * np.sin(angle), y], axis=1)
+        return np.asarray(around @ self.X_WC[:3, :3].T + self.X_WC[:3, 3])
+
+    def slope(self, share: FloatArray) -> FloatArray:
+        """Return derivatives (N, 3), m."""
+        angle = self._angle(share)
+        x, y, _ = self.plane.slope(share).T
+        along = np.stack([-x * np.sin(angle), x * np.cos(angle), y], axis=1)
+        return np.asarray(along @ self.X_WC[:3, :3].T)
+
+    def rotation(self, share: FloatArray) -> FloatArray | None:
+        """Return orientations R_WT (N, 3, 3)."""
+        turned = self._angle(share) - self._angle(np.zeros(1))
+        R = Rotation.from_rotvec(turned[:, None] * self.X_WC[:3, 2]).as_matrix()
+        return np.asarray(R @ self.orientation)
+
+    def arc_angle(self, share: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the angles and radii of the arcs in the plane; zero on its lines."""
+        return self.plane.arc_angle(share, at)
+
+    def turn(self, share: FloatArray, at: FloatArray) -> FloatArray | None:
+        """Return rotation vectors (N, 3), rad, from where the plane's x is zero; on arcs in it, zero."""
+        on_line = self.plane.arc_angle(share, at)[1] == 0
+        return np.asarray(np.where(on_line, self._angle(share), 0.0)[:, None] * self.X_WC[:3, 2])
+
+    def roll(self, at: FloatArray) -> FloatArray:
+        """Return the curvature of the cylinder."""
+        return np.full(len(at), 1.0 / self.radius)
+
+    def _angle(self, share: FloatArray) -> FloatArray:
+        return np.asarray(self.plane.position(share)[:, 0] / self.radius)
 
 
 @dataclass(frozen=True, eq=False)

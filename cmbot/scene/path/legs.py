@@ -10,16 +10,24 @@ import numpy as np
 from pydantic import AfterValidator, Field
 
 from cmbot.common.errors import InputError
-from cmbot.common.validation import CheckedFields, refusal, shown
-from cmbot.scene.fields import Angle, Angles, Coordinate, Length, Slug, Vector, exactly_one, given_of
+from cmbot.common.validation import CheckedFields, refusal
+from cmbot.scene.fields import Angle, Angles, Coordinate, Slug, Vector, exactly_one, given_of
 
-__all__ = ["SHORTEST_LEG", "ArcTo", "Goal", "Leg", "Raster", "Seconds", "Speed", "Waypoint"]
+__all__ = [
+    "SHORTEST_LEG",
+    "ArcTo",
+    "Goal",
+    "Leg",
+    "LongVector",
+    "Seconds",
+    "Speed",
+    "UnitVector",
+    "Waypoint",
+]
 
 SHORTEST_LEG = 1e-6
 """m."""
 
-# Cosine of the angle between two edges that are at right angles, and rows of a raster at most.
-_SQUARE, _MOST_ROWS = 1e-6, 500
 # Axes are unit vectors up to what people round.
 _LENGTH_OF_AXIS = 1e-2
 # A unit quaternion up to what files round.
@@ -42,6 +50,7 @@ def _unit_vector(axis: Vector) -> Vector:
     return axis
 
 
+LongVector = Annotated[Vector, AfterValidator(_long_enough)]
 UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]
 
 
@@ -143,7 +152,7 @@ class Leg(CheckedFields):
         When a field is out of its bounds, or the leg shorter than a micrometre.
     """
 
-    by: Annotated[Vector, AfterValidator(_long_enough)] | None = None
+    by: LongVector | None = None
     to: Goal | None = None
     arc: ArcTo | None = None
     pause: Seconds | None = None
@@ -169,59 +178,6 @@ def _unit_quaternion(row: tuple[float, ...]) -> tuple[float, ...]:
     if abs(float(np.linalg.norm(row[3:])) - 1.0) > _LENGTH_OF_QUATERNION:
         raise refusal("x, y, z and a unit quaternion qw, qx, qy, qz", got=row)
     return row
-
-
-@dataclass(frozen=True, kw_only=True)
-class Raster(CheckedFields):
-    """Parallel rows over a rectangle, to and fro, with the tool square to it.
-
-    Attributes
-    ----------
-    origin : three floats
-        Corner of the rectangle at which the first row begins, m, in `frame`.
-    u, v : three floats
-        Edges from there, m, in `frame`, at right angles: rows run along `u`, the next one lies along `v`. The
-        tool's z axis points against ``u x v``.
-    spacing_m : float
-        Distance of two rows at most, m.
-    stand_off_m : float
-        Distance of the tool point from the rectangle, m.
-    overscan_m : float
-        By how much rows begin before the rectangle and end behind it, m.
-    frame : str
-        ``world``, ``tool`` or the name of one of `frames`.
-
-    Raises
-    ------
-    InputError
-        When a field is out of its bounds, or the edges are not at right angles.
-    """
-
-    origin: Vector
-    u: Annotated[Vector, AfterValidator(_long_enough)]
-    v: Annotated[Vector, AfterValidator(_long_enough)]
-    spacing_m: Length
-    stand_off_m: Annotated[float, Field(ge=0, le=100)]
-    overscan_m: Annotated[float, Field(ge=0, le=100)] = 0.0
-    frame: Slug = "world"
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        u, v = np.array(self.u), np.array(self.v)
-        if abs(float(u @ v)) > _SQUARE * float(np.linalg.norm(u) * np.linalg.norm(v)):
-            raise InputError("Raster", "v", shown(self.v), "an edge at right angles to u")
-        if self.rows > _MOST_ROWS:
-            raise InputError("Raster", "spacing_m", self.spacing_m, f"at most {_MOST_ROWS} rows")
-
-    @property
-    def rows(self) -> int:
-        """Number of rows."""
-        return int(np.ceil(float(np.linalg.norm(self.v)) / self.spacing_m - _SQUARE)) + 1
-
-    @property
-    def area(self) -> float:
-        """Area of the rectangle, m2."""
-        return float(np.linalg.norm(self.u) * np.linalg.norm(self.v))
 
 
 Waypoint = Annotated[

@@ -11,7 +11,8 @@ from pydantic import ConfigDict, Field, model_validator
 from cmbot.common.validation import FileModel, counted, refusal
 from cmbot.scene.fields import Slug, exactly_one
 from cmbot.scene.path.kept import Keep
-from cmbot.scene.path.legs import Goal, Leg, Raster, Seconds, Speed, Waypoint
+from cmbot.scene.path.legs import Goal, Leg, Seconds, Speed, Waypoint
+from cmbot.scene.path.raster import Raster
 from cmbot.scene.path.tool_path import SpeedProfile
 
 __all__ = [
@@ -54,15 +55,14 @@ class PathFile(FileModel):
     it passes without a stop, from the first to the last; in a file also the path of a CSV file with these
     columns, relative to it; of ``cmbot-scene/2``."""
     raster: Raster | None = None
-    """In place of `legs`, rows over a rectangle, with `blend_radius_m` without a stop; of
-    ``cmbot-scene/2``."""
+    """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop; of ``cmbot-scene/2``."""
     seconds: Seconds | None = None
     """Duration of the path through `waypoints` or of `raster`, s."""
     speed_m_s: Speed | None = None
     """In place of it the speed at which the tool cruises along them, m/s."""
     blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
-    """Radius by which corners between straight legs are rounded, m; left out, and where the way turns by
-    more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
+    """Radius by which corners between straight legs, and between the rows of a raster, are rounded, m; left
+    out, and where the way turns by more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
     speed_profile: SpeedProfile = SpeedProfile()
     """Left out: in ``cmbot-scene/2`` jerk_limited with a ramp of 0.25, which leaves less vibration; in
     ``cmbot-scene/1`` the paper's trapezoid."""
@@ -125,9 +125,11 @@ class PathFile(FileModel):
     @property
     def in_words(self) -> str:
         """What it is made of."""
+        if self.raster is not None and self.raster.mesh is not None:
+            return f"a raster over faces of {self.raster.mesh}"
         if self.raster is not None:
             rows, area = counted(self.raster.rows, "row"), f"{self.raster.area:.3g} m2"
-            return f"a raster of {rows} over {area}"
+            return f"a raster of {rows} over {area}{'' if self.raster.cylinder is None else ' of a cylinder'}"
         if self.waypoints is not None:
             return f"a spline through {counted(len(self.waypoints), 'waypoint')}"
         return counted(len(self.legs), "leg")

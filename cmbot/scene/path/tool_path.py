@@ -238,7 +238,8 @@ class ToolPath:
     def arc_angle(self, times: ArrayLike, at: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return angles (N,), rad, and radii (N,), m, of the arcs that the tool point is on.
 
-        Between two breaks the angle is a polynomial in time; both are zero where the tool point is one.
+        Between two breaks the angle is a polynomial in time; both are zero where the tool point is one. On
+        legs with a `roll` they are those of the curve in the plane.
         `at` (N,) are times between the breaks: they say which piece is meant, as two meet at a break.
         """
         angle, radius = np.zeros((2, len(np.asarray(times))))
@@ -259,6 +260,14 @@ class ToolPath:
             if prescribed is not None:
                 turn[which] = prescribed
         return turn
+
+    def roll(self, at: ArrayLike) -> FloatArray:
+        """Return curvatures (N,), 1/m, of the cylinders on which legs are rolled: see `Curve.roll`."""
+        leg, u = self._locate(at)
+        curvature = np.zeros(len(leg))
+        for which, curve in self._on_curves(leg):
+            curvature[which] = curve.roll(self.profile.share(u[which]))
+        return curvature
 
     def bend(self, start: FloatArray, end: FloatArray) -> FloatArray:
         """Return bounds (K,) on how far unit tangents between two times are from that in their middle."""

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
-from cmbot.scene.path.curves import Arc, Blend, Curve, Spline
+from cmbot.planning.verification.norm_bounds import timed_pose_bounds
+from cmbot.scene.path.curves import Arc, Blend, Curve, Rolled, Spline
 from cmbot.scene.path.tool_path import SpeedProfile, ToolPath
 from cmbot.trajectory import Pieces, QuinticTrajectory
 
@@ -33,7 +34,18 @@ def blend(rng: np.random.Generator) -> Blend:
     return Blend(np.cumsum(rng.normal(size=(5, 3)), axis=0), float(rng.uniform(0.01, 0.5)))
 
 
-CURVES = pytest.mark.parametrize("make", [arc, spline, blend])
+def rolled(rng: np.random.Generator) -> Rolled:
+    corners = np.cumsum(rng.normal(size=(5, 3)) * [1, 1, 0], axis=0)
+    X_WC = np.eye(4)
+    X_WC[:3, :3], X_WC[:3, 3] = Rotation.from_rotvec(rng.normal(size=3)).as_matrix(), rng.normal(size=3)
+    orientation = Rotation.from_rotvec(rng.normal(size=3)).as_matrix()
+    return Rolled(
+        Blend(corners, float(rng.uniform(0.01, 0.5))), X_WC, float(rng.uniform(0.2, 2.0)), orientation
+    )
+
+
+CURVES = pytest.mark.parametrize("make", [arc, spline, blend, rolled])
+FLAT = pytest.mark.parametrize("make", [arc, spline, blend])
 
 
 def path_of(curve: Curve, kind: str = "jerk_limited", turn: FloatArray | None = None) -> ToolPath:
@@ -101,7 +113,8 @@ def test_the_share_is_one_of_the_length(make: type, seed: int) -> None:
     fine = np.unique(np.concatenate([np.linspace(0, 1, 20_001), shares]))
     covered = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve.position(fine), axis=0), axis=1)))
     at = np.searchsorted(fine, shares)
-    np.testing.assert_allclose(covered[at] / covered[-1], shares, atol=5e-3 if make is spline else 1e-6)
+    atol = {spline: 5e-3, rolled: 1e-5}.get(make, 1e-6)
+    np.testing.assert_allclose(covered[at] / covered[-1], shares, atol=atol)
 
 
 @settings(max_examples=20)
@@ -160,7 +173,54 @@ def test_orientations_are_continuous_and_end_where_they_should(make: type, rng: 
     np.testing.assert_array_equal(held.position([0.0, 0.5]), np.tile(path.corners[0], (2, 1)))
 
 
+@settings(max_examples=20)
+@given(seed=seeds)
+def test_a_rolled_curve_is_on_its_cylinder_and_turns_with_it(seed: int) -> None:
+    curve = rolled(np.random.default_rng(seed))
+    local = (curve.position(FINE) - curve.X_WC[:3, 3]) @ curve.X_WC[:3, :3]
+    np.testing.assert_allclose(np.hypot(local[:, 0], local[:, 1]), curve.radius, rtol=1e-12)
+    flat = curve.plane.position(FINE)
+    np.testing.assert_allclose(local[:, 2], flat[:, 1], atol=1e-12)
+    around = np.unwrap(np.arctan2(local[:, 1], local[:, 0]))
+    np.testing.assert_allclose((around - around[0]) * curve.radius, flat[:, 0] - flat[0, 0], atol=1e-9)
+    # What points outwards at the start does so everywhere.
+    R, normals = curve.rotation(FINE), local * [1, 1, 0] @ curve.X_WC[:3, :3].T / curve.radius
+    in_tool = np.einsum("nji,nj->ni", R, normals)
+    np.testing.assert_allclose(in_tool, np.tile(in_tool[0], (len(R), 1)), atol=1e-12)
+    along = R.transpose(0, 2, 1) @ curve.X_WC[:3, 2]
+    np.testing.assert_allclose(along, np.tile(along[0], (len(R), 1)), atol=1e-12)
+
+
 @CURVES
+@pytest.mark.parametrize("halvings", [0, 2])
+def test_what_interpolation_misses_of_the_timed_pose_is_bounded(
+    make: type, halvings: int, rng: np.random.Generator
+) -> None:
+    """Also where it misses much."""
+    path = path_of(make(rng), turn=np.array([0.2, 0.1, -0.5]))
+    whole = np.array([0.0, path.duration])
+    at_rest = QuinticTrajectory(t=whole, q=np.zeros((2, 1)), v=np.zeros((2, 1)), a=np.zeros((2, 1)))
+    breaks = path.breaks
+    for _ in range(halvings):
+        breaks = np.sort(np.concatenate([breaks, 0.5 * (breaks[1:] + breaks[:-1])]))
+    pieces = Pieces.between(at_rest, breaks)
+    missed, size = timed_pose_bounds(path, pieces)
+    turned = pieces.remainder(size)
+    nodes = np.cos(np.pi * np.arange(13)[::-1] / 12)
+    fine = np.linspace(-1, 1, 101)
+    between = np.polynomial.chebyshev.chebvander(fine, 12) @ np.linalg.inv(
+        np.polynomial.chebyshev.chebvander(nodes, 12)
+    )
+    for k, (start, end) in enumerate(zip(pieces.start, pieces.end, strict=True)):
+        times = np.clip(start + 0.5 * (fine + 1) * (end - start), start + 1e-12, end - 1e-12)
+        at, now = path.poses(np.clip(pieces.times[k], start + 1e-12, end - 1e-12)), path.poses(times)
+        off = np.linalg.norm(between @ at.point - now.point, axis=1)
+        assert off.max() <= missed[k] + 1e-9
+        apart = between @ at.rotation.reshape(13, 9) - now.rotation.reshape(-1, 9)
+        assert np.linalg.norm(apart.reshape(-1, 3, 3), ord=2, axis=(1, 2)).max() <= turned[k] + 1e-9
+
+
+@FLAT
 def test_between_breaks_angles_and_turns_are_polynomials_that_say_where_the_tool_is(
     make: type, rng: np.random.Generator
 ) -> None:

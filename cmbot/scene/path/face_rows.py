@@ -1,0 +1,247 @@
+"""Rows over faces of a mesh: plane sections, clipped to the faces, with smoothed normals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import MissingExtra, SceneError
+from cmbot.common.validation import counted
+from cmbot.scene.path.raster import MOST_ROWS, FaceSelection, Raster
+
+if TYPE_CHECKING:
+    import trimesh
+
+__all__ = ["FLAT", "LEAST_NODES", "FaceRows", "rows_over_faces"]
+
+FLAT = 1e-4
+"""Height, m, up to which faces are taken as a plane."""
+LEAST_NODES = 5
+"""Of a row that is no straight line; otherwise they are half of the rows' spacing apart at most."""
+
+# Rounding of numbers of rows and nodes, lengths and heights below which there is none, m, and areas, m2.
+_WHOLE, _NO_LENGTH, _NO_AREA = 1e-6, 1e-9, 1e-12
+# Share by which areas of faces may differ from that of their union, and a cosine from its bound.
+_ROUNDING = 1e-9
+# Cosine of 80 degrees: the angle by which faces may be turned from their mean.
+_STEEPEST = 0.17365
+
+_Refusal = Callable[[str, str, str], SceneError]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FaceRows:
+    """Rows to and fro, and what they cover.
+
+    Attributes
+    ----------
+    points : tuple of (K, 3), m
+        Of each row the tool points, in W: its two ends where it is straight.
+    axes : tuple of (K, 3)
+        The tool's z axes there, in W.
+    area, left_out : float
+        Of the faces, and what of it is further than half the distance of two rows from all rows or beyond
+        their ends, m2.
+    """
+
+    points: tuple[FloatArray, ...]
+    axes: tuple[FloatArray, ...]
+    area: float
+    left_out: float
+
+
+def rows_over_faces(
+    raster: Raster,
+    faces: FaceSelection,
+    mesh: trimesh.Trimesh,
+    X_WM: FloatArray,
+    X_WF: FloatArray,
+    refusal: _Refusal,
+) -> FaceRows:
+    """Return the rows over some faces of a mesh.
+
+    Parameters
+    ----------
+    raster : Raster
+    faces : FaceSelection
+        The raster's.
+    mesh : Trimesh
+    X_WM, X_WF : (4, 4)
+        Poses in W of the mesh and of the raster's frame.
+    refusal : callable
+        What to raise, by a key below the raster's, what is there and what is expected.
+
+    Raises
+    ------
+    SceneError
+        When no face is chosen, faces hide each other, or rows are not each in one piece.
+    MissingExtra
+        When shapely is not installed.
+    """
+    shapely = _shapely()
+    chosen = _chosen(faces, mesh, X_WM, X_WF, refusal)
+    out = (chosen.area_faces[:, None] * chosen.face_normals).sum(axis=0)
+    out /= np.linalg.norm(out)
+    if (chosen.face_normals @ out).min() < _STEEPEST:
+        raise refusal("faces", "faces that are steep to each other", "faces within 80 degrees of their mean")
+    along = X_WF[:3, :3] @ np.array(raster.along)
+    along = along - (along @ out) * out
+    if np.linalg.norm(along) < _WHOLE:
+        raise refusal("along", "the direction of the faces' normal", "a direction across it")
+    along /= np.linalg.norm(along)
+    # In coordinates along the rows, across them and out of the faces.
+    E = np.stack([along, np.cross(out, along), out])
+    chosen.vertices = chosen.vertices @ E.T
+    triangles = shapely.polygons(chosen.triangles[:, :, :2])
+    region = shapely.union_all(triangles)
+    flat_areas = shapely.area(triangles)
+    if flat_areas.sum() > region.area * (1 + _WHOLE):
+        raise refusal("faces", "faces behind each other along their normal", "one layer: a box around it")
+    low, high = region.bounds[1], region.bounds[3]
+    count = max(int(np.ceil((high - low) / raster.spacing_m - _WHOLE)), 1)
+    if count > MOST_ROWS:
+        raise refusal("spacing_m", f"{raster.spacing_m:g}", f"at most {MOST_ROWS} rows")
+    pitch = (high - low) / count
+    places = low + (np.arange(count) + 0.5) * pitch
+    heights = chosen.triangles[:, :, 2].mean(axis=1)
+    level = float(np.average(heights, weights=chosen.area_faces))
+    is_flat = np.abs(chosen.triangles[:, :, 2] - level).max() <= FLAT
+    spans = _spans(region, places, raster.spacing_m if is_flat else _NO_LENGTH, refusal)
+    points, axes = list[FloatArray](), list[FloatArray]()
+    for k, (place, (begin, end)) in enumerate(zip(places, spans, strict=True)):
+        if is_flat:
+            surface = np.array([[begin, place, level], [end, place, level]])
+            normals = np.tile([0.0, 0.0, 1.0], (2, 1))
+        else:
+            surface, normals = _section(chosen, place, _nodes(begin, end, raster.spacing_m), refusal)
+        tool = surface + raster.stand_off_m * normals
+        tool, normals = _extended(tool, normals, raster.overscan_m)
+        way = 1 if k % 2 == 0 else -1
+        points.append((tool @ E)[::way])
+        axes.append((-normals @ E)[::way])
+    over = np.array([-raster.overscan_m, raster.overscan_m])
+    strips = [
+        shapely.box(begin, place - 0.5 * pitch, end, place + 0.5 * pitch)
+        for place, (begin, end) in zip(places, spans + over, strict=True)
+    ]
+    inside = shapely.area(shapely.intersection(triangles, shapely.union_all(strips)))
+    area = float(chosen.area_faces.sum())
+    left_out = area - float((inside / flat_areas * chosen.area_faces).sum())
+    return FaceRows(
+        points=tuple(points),
+        axes=tuple(axes),
+        area=area,
+        left_out=left_out if left_out > _WHOLE * area else 0.0,
+    )
+
+
+def _shapely() -> Any:
+    try:
+        import shapely
+    except ImportError as error:
+        raise MissingExtra("shapely", "surfaces") from error
+    return shapely
+
+
+def _chosen(
+    faces: FaceSelection, mesh: trimesh.Trimesh, X_WM: FloatArray, X_WF: FloatArray, refusal: _Refusal
+) -> trimesh.Trimesh:
+    """The chosen faces as a mesh in W."""
+    import trimesh
+
+    placed = trimesh.Trimesh(mesh.vertices @ X_WM[:3, :3].T + X_WM[:3, 3], mesh.faces, process=False)
+    normal = X_WF[:3, :3] @ (np.array(faces.normal) / np.linalg.norm(faces.normal))
+    corners = placed.triangles
+    across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sizes = np.linalg.norm(across, axis=1)
+    cosines = across @ normal / np.maximum(sizes, 2 * _NO_AREA)
+    inside = sizes > 2 * _NO_AREA
+    if faces.box is not None:
+        local = (corners - X_WF[:3, 3]) @ X_WF[:3, :3]
+        lower, upper = np.array(faces.box)
+        inside &= ((local >= lower - _NO_LENGTH) & (local <= upper + _NO_LENGTH)).all(axis=(1, 2))
+    found = inside & (cosines >= np.cos(np.radians(faces.within_deg)) - _ROUNDING)
+    if not found.any():
+        least = np.degrees(np.arccos(np.clip(cosines[inside].max(initial=-1.0), -1, 1)))
+        got = f"no face of {counted(len(corners), 'face')}"
+        if inside.any():
+            got += f", the nearest is {least:.3g} degrees away"
+        raise refusal("faces", got, "faces that are within_deg of normal and inside of the box")
+    chosen = trimesh.Trimesh(placed.vertices, placed.faces[found], process=False)
+    chosen.remove_unreferenced_vertices()
+    return chosen
+
+
+def _spans(region: Any, places: FloatArray, bridged: float, refusal: _Refusal) -> FloatArray:
+    """Where rows (N, 2) begin and end in a region; gaps up to `bridged` are passed on the way."""
+    shapely = _shapely()
+    low, _, high, _ = region.bounds
+    lines = shapely.linestrings([[[low - 1, place], [high + 1, place]] for place in places])
+    spans = np.empty((len(places), 2))
+    for k, pieces in enumerate(shapely.intersection(lines, region)):
+        parts = [part.bounds for part in shapely.get_parts(pieces) if part.length > _NO_LENGTH]
+        ends = np.array(sorted((part[0], part[2]) for part in parts)).reshape(-1, 2)
+        gaps = ends[1:, 0] - ends[:-1, 1]
+        number = len(ends) and 1 + int((gaps > bridged).sum())
+        if number != 1:
+            apart = f", {gaps.max():.3g} m apart" if number else ""
+            got = f"faces on which row {k + 1} is in {counted(number, 'piece')}{apart}"
+            expected = "faces that rows cross in one piece: a box around some, other rows (along)"
+            raise refusal("faces", got, expected)
+        spans[k] = ends[0, 0], ends[-1, 1]
+    return spans
+
+
+def _nodes(begin: float, end: float, spacing: float) -> FloatArray:
+    """Places (K,) of a row's points."""
+    number = max(int(np.ceil((end - begin) / (0.5 * spacing) - _WHOLE)) + 1, LEAST_NODES)
+    return np.linspace(begin, end, number)
+
+
+def _section(
+    chosen: trimesh.Trimesh, place: float, nodes: FloatArray, refusal: _Refusal
+) -> tuple[FloatArray, FloatArray]:
+    """Points (K, 3) of the section at a place, and unit normals (K, 3) that change linearly on each face."""
+    from trimesh import intersections
+    from trimesh.triangles import points_to_barycentric
+
+    ends, face = intersections.mesh_plane(  # type: ignore[no-untyped-call]
+        chosen, [0.0, 1.0, 0.0], [0.0, place, 0.0], return_faces=True
+    )
+    # trimesh takes vertices within 1e-8 m as on the plane: along their faces they are moved onto it.
+    slope = chosen.face_normals[face, 1] / chosen.face_normals[face, 2]
+    ends[:, :, 2] -= slope[:, None] * (place - ends[:, :, 1])
+    ends[:, :, 1] = place
+    both = np.repeat(face, 2)
+    corners, flat_ends = chosen.triangles[both], ends.reshape(-1, 3)
+    shares = points_to_barycentric(corners, flat_ends)  # type: ignore[no-untyped-call]
+    normals = np.einsum("nk,nkd->nd", shares, chosen.vertex_normals[chosen.faces[both]]).reshape(ends.shape)
+    order = np.argsort(ends[:, :, 0], axis=1)[:, :, None]
+    ends, normals = (np.take_along_axis(each, order, axis=1) for each in (ends, normals))
+    order = np.argsort(ends[:, :, 0].sum(axis=1))
+    ends, normals = ends[order], normals[order]
+    step = np.abs(ends[1:, 0, 2] - ends[:-1, 1, 2])
+    if step.max(initial=0.0) > FLAT:
+        got = f"faces with a step of {step.max():.3g} m"
+        raise refusal("faces", got, "faces that are connected along the rows: a box around some")
+    x, height = ends[:, :, 0].ravel(), ends[:, :, 2].ravel()
+    surface = np.stack([nodes, np.full(len(nodes), place), np.interp(nodes, x, height)], axis=1)
+    smooth = np.stack([np.interp(nodes, x, component) for component in normals.reshape(-1, 3).T], axis=1)
+    return surface, smooth / np.linalg.norm(smooth, axis=1, keepdims=True)
+
+
+def _extended(tool: FloatArray, normals: FloatArray, beyond: float) -> tuple[FloatArray, FloatArray]:
+    """A row that goes on straight at its ends, square to the normals there."""
+    if beyond == 0:
+        return tool, normals
+    ends = []
+    for k, way in ((0, -beyond), (-1, beyond)):
+        ahead = np.array([1.0, 0.0, 0.0]) - normals[k, 0] * normals[k]
+        ends.append(tool[k] + way * ahead / np.linalg.norm(ahead))
+    if len(tool) == 2:
+        return np.array(ends), normals
+    return np.vstack([ends[:1], tool, ends[1:]]), np.vstack([normals[:1], normals, normals[-1:]])
