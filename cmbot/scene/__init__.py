@@ -8,6 +8,7 @@ from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import StrokeFile
 from cmbot.scene.path.raster import CylinderPatch, FaceSelection, Raster
+from cmbot.scene.path.stroke import Stroke
 from cmbot.scene.path.tool_path import (
     ShiftedToolPath,
     SpeedProfile,
@@ -16,7 +17,7 @@ from cmbot.scene.path.tool_path import (
     share_out_segments,
     shortest_turns,
 )
-from cmbot.scene.scene import WORK, RobotSource, Scene, SceneFile, Stroke
+from cmbot.scene.scene import WORK, RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text

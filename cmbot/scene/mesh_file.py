@@ -11,7 +11,6 @@ import numpy as np
 from cmbot.common.errors import SceneError
 from cmbot.common.input_files import LARGEST_MESH, read_input
 from cmbot.common.validation import shown
-from cmbot.robot import encloses_volume
 
 if TYPE_CHECKING:
     import trimesh
@@ -48,8 +47,10 @@ def load_mesh(path: Path, name: str) -> trimesh.Trimesh:
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in _FORMATS:
         raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)
-    # It takes a while to come, and few scenes have a mesh.
+    # They take a while to come, and few scenes have a mesh.
     import trimesh
+
+    from cmbot.robot import encloses_volume
 
     content = io.BytesIO(read_input(path, SceneError, kind="a mesh file", key=key, largest=LARGEST_MESH))
     try:
