@@ -47,6 +47,8 @@ __all__ = ["plan"]
 
 # Slower legs are tried so often where velocities, accelerations or jerks are what fails.
 _TRIALS = 3
+# The scene's posture is planned from, too, where that may lower the peak of the job by more than this share.
+_WORTH_PLANNING = 1e-2
 # Peaks of two orders of strokes that differ by less are the same.
 _SAME_PEAK = 1.001
 
@@ -199,7 +201,8 @@ def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
     rest = _job_peak(
         context, Job(segments=tuple(each for each in motion.job.segments if each is not approach))
     )
-    if asked <= margin * max(pinned, rest, context.reached):
+    # No job from the scene's posture asks less than it does at rest.
+    if asked <= max(margin, 1 + _WORTH_PLANNING) * max(pinned, rest, context.reached):
         return attempt, motion
     context.reporter.stage("path")
     context.reporter.step("the approach asks more than the work; trying the scene's posture")

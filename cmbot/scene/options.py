@@ -39,8 +39,9 @@ class PlannerOptions:
         ``fixed``: they stay on the gradient-projection path (Chang 2021, Eq. (30) to the letter).
     start : str
         With sliding knots: ``free`` lets the arm first go to a better posture with the same tool pose, where
-        that lowers the peak by more than `gap_target` and the way there asks no more than the whole job from
-        the scene's posture; ``pinned`` keeps that posture as long as a path leads on from there.
+        that lowers the peak by more than `gap_target` and the way there asks no more, but for 1 %, than the
+        whole job from the scene's posture; ``pinned`` keeps that posture as long as a path leads on from
+        there.
     objective : str
         What is minimised; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
         ``sag``: the tool's displacement at rest by the elasticity of guardrail and links.
