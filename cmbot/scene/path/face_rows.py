@@ -209,13 +209,14 @@ def _section(
     from trimesh import intersections
     from trimesh.triangles import points_to_barycentric
 
+    # trimesh takes vertices within 1e-8 as on the plane: by these distances those within 1e-12 m.
     ends, face = intersections.mesh_plane(  # type: ignore[no-untyped-call]
-        chosen, [0.0, 1.0, 0.0], [0.0, place, 0.0], return_faces=True
+        chosen,
+        [0.0, 1.0, 0.0],
+        [0.0, place, 0.0],
+        return_faces=True,
+        cached_dots=1e4 * (chosen.vertices[:, 1] - place),
     )
-    # trimesh takes vertices within 1e-8 m as on the plane: along their faces they are moved onto it.
-    slope = chosen.face_normals[face, 1] / chosen.face_normals[face, 2]
-    ends[:, :, 2] -= slope[:, None] * (place - ends[:, :, 1])
-    ends[:, :, 1] = place
     both = np.repeat(face, 2)
     corners, flat_ends = chosen.triangles[both], ends.reshape(-1, 3)
     shares = points_to_barycentric(corners, flat_ends)  # type: ignore[no-untyped-call]
