@@ -104,7 +104,7 @@ class PlanningContext:
     @cached_property
     def goals(self) -> ToolPoses:
         """Timed poses of the tool at the via-points."""
-        return self.task.path.poses(self.times)
+        return self.task.goals(self.times)
 
     def path_not_found(
         self,

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import PathNotFound
@@ -33,6 +35,9 @@ SMOOTHER = 0.9
 # From rougher guesses hardly any trajectory leads on: their steps are halved so often at most, as long as the
 # peak at rest rises by no more than this share.
 _HOPELESS, _HALVINGS, _NEXT_TO_NOTHING = 4.0, 3, 1e-3
+# Directions in which the tool's axis leans where nothing is found in the middle of its cone, and how far, as
+# a share of the cone.
+_LEANS, _LEANING = 4, 0.7
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,8 +146,9 @@ def sliding_guess(
     options = context.options
     if search is None:
         _require_clear_start(context)
-        search = GlobalSearch(context)
-    free = solved(search, pinned=False, starts=starts)
+        search, free = _searched(context)
+    else:
+        free = solved(search, pinned=False, starts=starts)
     if pinned is None:
         pinned = solved(search, pinned=True)
     failures: tuple[PathNotFound, ...] = () if unreached is None else (unreached,)
@@ -184,6 +190,33 @@ def shifted_problem(context: PlanningContext, guess: InitialGuess, via_points: F
         context, placed, sliding=guess.search is not None, pinned=guess.search is not None and guess.pinned
     )
     return TorqueProblem(context, form, guess.lower_bound.value)
+
+
+def _searched(context: PlanningContext) -> tuple[GlobalSearch, GlobalSolution | PathNotFound]:
+    """The global search, and what it finds from any start.
+
+    Where the tool's axis may lean and nothing is found with it in the middle of its cone, it leans all along.
+    """
+    if context.task.cone is None:
+        search = GlobalSearch(context)
+        return search, solved(search, pinned=False)
+    failures: list[PathNotFound] = []
+    for lean in (None, *_leans(context.task.cone)):
+        if failures and context.reporter.expired():
+            break
+        try:
+            search = GlobalSearch(context, lean)
+            return search, search.solve(pinned=False)
+        except PathNotFound as failure:
+            failures.append(failure)
+            context.reporter.step("nothing found in the middle of the cone; leaning the tool's axis")
+    raise failures[0]
+
+
+def _leans(cone: float) -> Iterator[FloatArray]:
+    """Rotations (3, 3) in the tool's frame that lean its axis in several directions."""
+    for angle in np.arange(_LEANS) * (2 * np.pi / _LEANS):
+        yield Rotation.from_rotvec(_LEANING * cone * np.array([np.cos(angle), np.sin(angle), 0])).as_matrix()
 
 
 def _require_clear_start(context: PlanningContext) -> None:

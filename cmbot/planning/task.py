@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
@@ -38,12 +39,15 @@ class ToolTask:
     cone : float or None
         With ``position``: largest angle between the tool's axis and that of the path, rad. It is no task
         coordinate but an inequality. None: any.
+    lean : (3, 3) or None
+        With ``axis``: rotation in the tool's frame by which the axis leans from that of the path all along.
     """
 
     path: ToolPath
     keep: Literal["pose", "axis", "position"] = "pose"
     max_speed: float | None = None
     cone: float | None = None
+    lean: FloatArray | None = None
 
     def __post_init__(self) -> None:
         if self.keep not in ("pose", "axis", "position"):
@@ -96,6 +100,15 @@ class ToolTask:
     def on_axis(self) -> ToolTask:
         """The task of holding the axis in the middle of its cone; without a cone this one."""
         return self if self.cone is None else replace(self, keep="axis", cone=None)
+
+    def leaning(self, lean: FloatArray) -> ToolTask:
+        """Return the task of holding the axis where `lean` (3, 3) takes it from that of the path."""
+        return replace(self.on_axis, lean=lean)
+
+    def goals(self, times: ArrayLike) -> ToolPoses:
+        """Return the poses of the tool to hold at `times` (N,)."""
+        poses = self.path.poses(times)
+        return poses if self.lean is None else replace(poses, rotation=poses.rotation @ self.lean)
 
     @property
     def kept(self) -> str:

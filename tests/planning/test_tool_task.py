@@ -62,6 +62,9 @@ def test_a_cone_leaves_the_point_and_measures_the_axis(seed: int, tilt: float, r
     axis = task.on_axis
     assert (axis.keep, axis.cone, axis.dimension, axis.path) == ("axis", None, 5, task.path)
     assert axis.on_axis is axis
+    # An axis that leans is held where that takes it.
+    held = task.leaning(turn(np.array([0.0, 1.0, 0.0]), tilt))
+    assert missed(axis, held.goals([0.0]).rotation)[0] == pytest.approx(tilt, abs=1e-7)
     assert task.held_at_start().cone == task.cone
 
 

@@ -73,6 +73,9 @@ class GlobalSearch:
     Parameters
     ----------
     context : PlanningContext
+    lean : (3, 3), optional
+        Where the tool's axis may lean: rotation in the tool's frame by which charts hold it apart from the
+        middle of its cone.
 
     Attributes
     ----------
@@ -88,8 +91,10 @@ class GlobalSearch:
         When a via-point has no admissible posture: which one, and what excluded most postures there.
     """
 
-    def __init__(self, context: PlanningContext) -> None:
+    def __init__(self, context: PlanningContext, lean: FloatArray | None = None) -> None:
         self._leaning, self._context = context, context.on_axis
+        if lean is not None:
+            self._context = replace(context, task=context.task.leaning(lean))
         context = self._context
         # The charts have one turn of these joints; the edges between charts count their angles modulo a turn.
         self._winding = context.robot.limits.winding
@@ -293,7 +298,7 @@ class GlobalSearch:
             more.append(_sampled(SelfMotionSampler(pose), pose))
         if self._leaning is not context:
             k = self.lower_bound.via_point
-            goals = _leaned(context, self._lowest_leaning, k)
+            goals = _leaning_goals(self._leaning, self._lowest_leaning, k)
             more.append(sequences_beside(context, self._lowest_leaning, k, self._spacing, goals))
         return [np.vstack(of_point) for of_point in zip(each, *more, strict=True)]
 
@@ -363,12 +368,12 @@ def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[Float
     return sampler.along(context.goals, context.first[None], report)
 
 
-def _leaned(context: PlanningContext, posture: FloatArray, via_point: int) -> ToolPoses:
+def _leaning_goals(context: PlanningContext, posture: FloatArray, via_point: int) -> ToolPoses:
     """Goals whose axis leans all along the path as the tool's does in a posture (d,) of a via-point."""
-    goals = context.goals
-    z = context.postures.tool_at(posture[None]).tool_rotation[:, :, 2] @ goals[via_point].rotation[0]
+    goal = context.goals[via_point].rotation[0]
+    z = context.postures.tool_at(posture[None]).tool_rotation[:, :, 2] @ goal
     lean = Rotation.from_rotvec(shortest_turns(np.array([[0.0, 0.0, 1.0]]), z)[0])
-    return replace(goals, rotation=goals.rotation @ lean.as_matrix())
+    return context.task.leaning(lean.as_matrix()).goals(context.times)
 
 
 def sequences_beside(

@@ -203,7 +203,7 @@ class _BranchAndBound:
         edges = self._null_space(q)
         half = np.full(edges.shape[:2], self._spacing)
         if self._context.task.cone is not None:
-            edges, half = self._leaning(q, edges)
+            edges, half = self._leaning(q, edges, of, self._context.task.cone)
         if edges.shape[1] == 0:
             # Without self-motion there are no other postures.
             return best, np.where(best > incumbent, best * (1 - _ACCURACY), -np.inf)
@@ -257,16 +257,20 @@ class _BranchAndBound:
                 reach *= _SHORTER
         return best
 
-    def _leaning(self, q: FloatArray, edges: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _leaning(
+        self, q: FloatArray, edges: FloatArray, of: IntArray, cone: float
+    ) -> tuple[FloatArray, FloatArray]:
         """Edges turned so that the last ones do not lean the tool's axis; half lengths that reach its cone.
 
-        Postures `q` (M, n) are those of charts that hold the axis in the middle of the cone.
+        Postures `q` (M, n) at the via-points `of` (M,) are those of charts, which hold the axis somewhere in
+        it.
         """
         task, at = self._context.task, self._context.postures.tool_at(q)
         leans = task.on_axis.jacobian(at.tool_rotation, at.jacobian)[:, 3:] @ edges.transpose(0, 2, 1)
         _, rate, V = np.linalg.svd(leans)
         half = np.full(edges.shape[:2], self._spacing)
-        half[:, : rate.shape[1]] = np.minimum(task.cone / np.maximum(rate, _SLOWEST), _LONGEST)
+        away = cone + task.rotation(at.tool_rotation, self._goals[of])
+        half[:, : rate.shape[1]] = np.minimum(away[:, None] / np.maximum(rate, _SLOWEST), _LONGEST)
         return V @ edges, half
 
     def _null_space(self, q: FloatArray) -> FloatArray:

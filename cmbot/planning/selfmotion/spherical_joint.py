@@ -94,6 +94,8 @@ def wrist_chain(context: PlanningContext) -> WristChain | None:
     ``keep: pose``; with a wrist and a tool on its last axis also for ``keep: axis``.
     """
     robot, task = context.robot, context.task
+    if task.lean is not None:
+        return None
     n = robot.dof
     if n - 3 not in _INNER or task.keep == "position" or task.path.turns or robot.limits.prismatic.any():
         return None
