@@ -55,7 +55,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "plan nosuch",
         (
             "nosuch: no such file, expected a scene",
-            "shipped scene (one of: angle_steel, gusset_plate, line, pipe, triangle)",
+            "shipped scene (one of: angle_steel, bracket_faces, gusset_plate, line, pipe, triangle)",
         ),
     ),
     ("plan triangel", ("triangel: no such file", "shipped scene; did you mean triangle? (one of: angle")),
@@ -70,7 +70,10 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
     ("plan short.yaml --set seconds=3", ("--set: seconds: got a key of the scene", "in the scene file")),
     (
         "check nosuch.yaml",
-        ("nosuch.yaml: no such file", "one of: angle_steel, gusset_plate, line, pipe, triangle"),
+        (
+            "nosuch.yaml: no such file",
+            "one of: angle_steel, bracket_faces, gusset_plate, line, pipe, triangle",
+        ),
     ),
     ("plan no_plan", ("no_plan: got a folder",)),
     ("plan broken.yaml", ("broken.yaml:2: got ", "expected valid YAML")),

@@ -28,9 +28,10 @@ def box_of(scene, name):
 
 
 def test_the_shipped_scenes():
-    assert shipped_scenes() == ("angle_steel", "gusset_plate", "line", "pipe", "triangle")
+    assert shipped_scenes() == ("angle_steel", "bracket_faces", "gusset_plate", "line", "pipe", "triangle")
     with pytest.raises(
-        SceneError, match=r"no such file.*\(one of: angle_steel, gusset_plate, line, pipe, triangle\)"
+        SceneError,
+        match=r"no such file.*\(one of: angle_steel, bracket_faces, gusset_plate, line, pipe, triangle\)",
     ):
         load_scene("traingle")
 
