@@ -97,7 +97,9 @@ def _kind(value: dict[str, Any]) -> str:
     if value.get("type") == "array":
         fixed = value.get("prefixItems")
         if fixed or value.get("minItems") == value.get("maxItems"):
-            return f"{len(fixed) if fixed else value['minItems']} numbers"
+            number = len(fixed) if fixed else value["minItems"]
+            item = fixed[0] if fixed else value["items"]
+            return f"{number} lists of {_kind(item)}" if item.get("type") == "array" else f"{number} numbers"
         return f"list of {_kind(value['items'])}"
     if value.get("type") == "object":
         (of,) = value.get("patternProperties", {"": value.get("additionalProperties")}).values()

@@ -17,7 +17,7 @@ from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.planning import precheck_scene
-from cmbot.scene import Scene, Stroke
+from cmbot.scene import Scene, Stroke, update_file
 
 SPACING, STAND_OFF, OVERSCAN = 0.05, 0.1, 0.02
 RASTER = {
@@ -234,6 +234,15 @@ def test_faces_that_have_no_raster(
 def test_a_box_chooses_one_layer(tmp_path: Path) -> None:
     faces = {"normal": [0, 0, 1], "box": [[-1, -1, -0.1], [1, 1, 0.1]]}
     assert stroke_of(scene_of(tmp_path, layers(), faces=faces)).coverage.area == pytest.approx(0.04, rel=1e-5)
+
+
+def test_the_scene_of_a_file_is_the_same_again(tmp_path: Path) -> None:
+    scene = scene_of(tmp_path, HOLE)
+    again = load_scene(scene.file.as_data())
+    assert again.content_hash == scene.content_hash == update_file(scene).content_hash
+    assert again.raster == scene.raster
+    # The mesh is part of it.
+    assert scene_of(tmp_path, layers()).content_hash != scene.content_hash
 
 
 def test_without_shapely_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,7 +34,7 @@ class CylinderPatch(CheckedFields):
     axis : three floats
         Direction of its axis in that frame, a unit vector.
     radius : float
-        m.
+        Of its surface, m.
     from_deg, to_deg : float
         Angles about the axis between which it lies, by the right-hand rule. At 0 is the z axis of the frame,
         made square to the cylinder's; of a cylinder within 10 degrees of z the frame's x axis.
@@ -42,7 +42,7 @@ class CylinderPatch(CheckedFields):
         Along the axis, m.
     rows : str
         ``along`` the axis, the first at `from_deg`; or ``around`` it from `from_deg` to `to_deg`, the first
-        one at the end where the axis comes from.
+        one at the end from which the axis points away.
 
     Raises
     ------
