@@ -28,16 +28,25 @@ _LARGEST, _LARGEST_ANGLE = 1e4, 360.0
 
 def new(
     source: Annotated[
-        str, typer.Option("--from", metavar="URDF", help="A URDF, or the name of a robot such as panda.")
-    ],
+        str | None,
+        typer.Option("--from", metavar="URDF", help="A URDF, or the name of a robot such as panda."),
+    ] = None,
     tool_at: Annotated[
-        tuple[float, float, float],
+        tuple[float, float, float] | None,
         typer.Option(
             "--tool-at",
             metavar="X Y Z",
-            help="Tool point at the start, m, in the frame of the URDF's root link.",
+            help="With --from: tool point at the start, m, in the frame of the URDF's root link.",
         ),
-    ],
+    ] = None,
+    scene: Annotated[
+        str | None,
+        typer.Option(
+            "--from-scene",
+            metavar="SCENE",
+            help="In place of --from: a scene of cmbot-scene/1, to be written as cmbot-scene/2.",
+        ),
+    ] = None,
     rpy_deg: Annotated[
         tuple[float, float, float] | None,
         typer.Option("--rpy-deg", metavar="R P Y", help="Roll, pitch, yaw of the tool there; left out: any."),
@@ -64,6 +73,17 @@ def new(
     Example: [bold]cmbot new --from panda --tool-at 0.5 0 0.4 -o panda.yaml[/bold],
     then [bold]cmbot plan panda.yaml[/bold]
     """
+    if scene is not None:
+        of_robot: dict[str, object] = {"--from": source, "--tool-at": tool_at, "--rpy-deg": rpy_deg}
+        of_robot |= {"--base": base, "--tool": tool, "--package-dir": package_dir}
+        if given := [option for option, value in of_robot.items() if value]:
+            expected = "none with --from-scene, which has its own robot"
+            raise InputError(given[0], "", "a value", expected)
+        _migrate(scene, output, force=force, as_json=as_json, quiet=quiet)
+        return
+    if source is None or tool_at is None:
+        missing = "--from" if source is None else "--tool-at"
+        raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z, or --from-scene SCENE")
     path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
     _require_free(path, force)
     limits = path.with_name(f"{path.stem}.limits.yaml")
@@ -95,6 +115,21 @@ def new(
         for remark in robot.remarks:
             out.print(flat(remark))
         out.print(flat(f"Written: {', '.join(map(str, written))}. Plan it: cmbot plan {path}"))
+
+
+def _migrate(source: str, output: Path | None, *, force: bool, as_json: bool, quiet: bool) -> None:
+    """Write a scene of the first format in the second one."""
+    from cmbot.archive import write_file
+    from cmbot.scene import migrated
+
+    path = output if output is not None else Path(f"{_slug(Path(source).stem)}.yaml")
+    _require_free(path, force)
+    text = migrated(source, path, scene_folder() / "scene.schema.json")
+    write_file(path, text.encode())
+    if as_json:
+        print_json({"verb": "new", "files": [str(path)], "remarks": []})
+    elif not quiet:
+        out.print(flat(f"Written: {path}, which means the same. Plan it: cmbot plan {path}"))
 
 
 def _composed(

@@ -2,6 +2,7 @@
 
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
 from cmbot.scene.mesh_file import load_mesh
+from cmbot.scene.migration import migrated
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
 from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.kept import AxisCone, Keep
@@ -60,6 +61,7 @@ __all__ = [
     "limits_text",
     "load_mesh",
     "load_scene",
+    "migrated",
     "pose",
     "scene_from_file",
     "scene_text",

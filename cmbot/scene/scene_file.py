@@ -29,7 +29,7 @@ from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
 
-__all__ = ["load_scene", "scene_from_file", "shipped_scenes", "update_file"]
+__all__ = ["load_scene", "scene_from_file", "scene_path", "shipped_scenes", "update_file"]
 
 _LONGEST_SOURCE = 300
 _LARGEST_WAYPOINTS = 1_000_000
@@ -62,7 +62,7 @@ def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
     if isinstance(source, Mapping):
         name = "scene"
         return scene_from_file(validated(SceneFile, dict(source), name, SceneError), Path.cwd(), name)
-    path = _scene_path(source)
+    path = scene_path(source)
     with lines_named(path):
         data = read_yaml(path, SceneError)
         _require_model(data, path)
@@ -227,7 +227,8 @@ def _model(find: _Find, text: str) -> str | Path:
         raise
 
 
-def _scene_path(source: str | Path) -> Path:
+def scene_path(source: str | Path) -> Path:
+    """Return the path of a scene file, or of a shipped scene by its name; a `SceneError` without one."""
     names = shipped_scenes()
     if isinstance(source, str) and source in names:
         return scene_folder() / f"{source}.yaml"
