@@ -248,6 +248,8 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
             f"with {error} open{gap}."
         )
     yield from _sequences(plan)
+    if plan.several:
+        return  # each stroke has starts of its own
     other, peak = (
         ("in another posture (start: free)", plan.choice.free)
         if pinned
