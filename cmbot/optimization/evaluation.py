@@ -98,6 +98,11 @@ class NlpEvaluation:
         """Largest value of the objective at the constraints' times."""
         return float(self.at.value[self.constraints.family == OBJECTIVE].max())
 
+    @property
+    def violation_beside_peak(self) -> float:
+        """Largest violation of the constraints but for the bound on the objective, or 0."""
+        return float(self.at.value[self.constraints.family != OBJECTIVE].max(initial=0.0))
+
     @cached_property
     def values(self) -> NlpValues:
         """Values alone."""

@@ -55,7 +55,8 @@ class ExchangeOptions:
     nearly_met : float
         An attempt at the lower bound goes on where the solver stops with violations up to this.
     nearly_ended : float
-        Where it ended with violations up to this, the peak is minimised from there on.
+        Where it ended with violations up to this, but for that of its bound, the peak is minimised from there
+        on.
     attempt_steps : int
         It is given up after so many steps that do not halve violations beyond that.
     attempt_iterations : int
@@ -82,7 +83,7 @@ class ExchangeOptions:
     continuation: tuple[float, ...] = (1.0, 0.1, 1e-2, 1e-3)
     most_violations: int = 400
     nearly_met: float = 1e-3
-    nearly_ended: float = 1e-2
+    nearly_ended: float = 0.1
     attempt_steps: int = 6
     attempt_iterations: int = 25
     stalls: int = 3
@@ -228,9 +229,9 @@ class _Exchange:
         self._warm: SqpResult[NlpEvaluation] | None = None
 
     def end_attempt(self) -> None:
-        """Go on where an attempt ended, if nearly all is met there; otherwise start again."""
+        """Go on where an attempt ended, if nearly all but its bound is met there; otherwise start again."""
         last = self._warm
-        if last is None or last.iterate.values.violation > self._options.nearly_ended:
+        if last is None or last.iterate.violation_beside_peak > self._options.nearly_ended:
             self.restart()
             return
         self.form, self._warm = last.iterate.parametrization, None
