@@ -4,7 +4,6 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.baseline import BaselineSegment, combined_baseline
 from cmbot.planning.context import bending_arm, end_posture_of, robot_of, sag_of, strokes_of, task_of
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
@@ -22,16 +21,17 @@ from cmbot.planning.objectives import (
 )
 from cmbot.planning.path.gradient_projection import JointPath
 from cmbot.planning.path.start_posture import StartPosture, find_start
-from cmbot.planning.plan import Plan, Seconds, require_plan
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress
-from cmbot.planning.remarks import remarks
+from cmbot.planning.result.baseline import BaselineSegment, combined_baseline
+from cmbot.planning.result.plan import Plan, Seconds, require_plan
+from cmbot.planning.result.remarks import remarks
+from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, combined, objective_metrics
+from cmbot.planning.result.verdict import bound_use, during, tightest_check, verdict
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
-from cmbot.planning.stroke_plan import ObjectiveMetrics, Start, StrokePlan, combined, objective_metrics
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verdict import bound_use, during, tightest_check, verdict
 from cmbot.planning.verification.certificate import Certificate, Check, certify
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
 from cmbot.planning.verification.second_opinion import second_opinion

@@ -13,7 +13,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, LimitViolation, PathNotFound, PlanningError, remedy_for
 from cmbot.common.validation import checked_options, require_type
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.baseline import combined_baseline
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.failures import constraints_named, in_seconds, slower, slower_legs
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
@@ -26,7 +25,6 @@ from cmbot.planning.job import Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
-from cmbot.planning.plan import Plan, Seconds
 from cmbot.planning.precheck import (
     failures_explained,
     require_reasonable_size,
@@ -35,9 +33,11 @@ from cmbot.planning.precheck import (
     solver_of,
 )
 from cmbot.planning.progress import Progress, ProgressReporter
+from cmbot.planning.result.baseline import combined_baseline
+from cmbot.planning.result.plan import Plan, Seconds
+from cmbot.planning.result.stroke_plan import Start, StrokePlan, combined, objective_metrics
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.stroke_order import in_least_travel
-from cmbot.planning.stroke_plan import Start, StrokePlan, combined, objective_metrics
 from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.planning.verification.certificate import certify
 from cmbot.planning.verification.metrics import figures, measure

@@ -20,10 +20,10 @@ from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.path.gradient_projection import follow_path, self_motion_postures
 from cmbot.planning.path.projection import null_space, project_onto_task
+from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.selfmotion.reachability import out_of_reach
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.planning.selfmotion.spherical_joint import wrist_chain
-from cmbot.planning.stroke_plan import Start
 from cmbot.planning.torque.task_manifold import TaskManifold
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Dynamics

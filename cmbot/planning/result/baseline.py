@@ -13,7 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.planning.job import RETURN, SegmentMetrics, free_move_name, job_metrics
-from cmbot.planning.stroke_plan import StrokePlan
+from cmbot.planning.result.stroke_plan import StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.robot import Robot

@@ -9,9 +9,9 @@ import numpy as np
 from cmbot.common.validation import counted
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.job import RETURN
-from cmbot.planning.plan import Plan
-from cmbot.planning.stroke_plan import ObjectiveMetrics
-from cmbot.planning.verdict import verdict
+from cmbot.planning.result.plan import Plan
+from cmbot.planning.result.stroke_plan import ObjectiveMetrics
+from cmbot.planning.result.verdict import verdict
 from cmbot.robot import postures_in_words
 from cmbot.scene import STOW
 

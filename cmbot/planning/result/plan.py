@@ -13,10 +13,10 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
-from cmbot.planning.baseline import SAMPLE_STEP, BaselineSegment, baseline_job, joined_samples
 from cmbot.planning.context import bending_arm, end_posture_of, sag_of
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, job_metrics
-from cmbot.planning.stroke_plan import StrokePlan
+from cmbot.planning.result.baseline import SAMPLE_STEP, BaselineSegment, baseline_job, joined_samples
+from cmbot.planning.result.stroke_plan import StrokePlan
 from cmbot.planning.verification.certificate import Certificate
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
 from cmbot.robot import Robot
