@@ -109,9 +109,10 @@ def plan(
         reporter = ProgressReporter(progress, limit=options.time_limit_s)
         reporter.stage("path")
         context = build_context(scene, options, objective, reporter)
-        for stroke in context.strokes:
+        for number, stroke in enumerate(context.strokes):
             require_reasonable_size(scene, stroke, context.robot.dof, options)
             require_tool_speed(scene, stroke)
+            require_within_reach(context.at_stroke(number, scene, context.posture, 0.0, 0.0))
         made: list[tuple[Attempt, _Motion]] = []
         for number in range(len(context.strokes)):
             made.append(_stroke(_at_stroke(context, scene, number, made), automatic=automatic))
@@ -171,7 +172,6 @@ def _at_stroke(
 def _stroke(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
     """Plan a stroke and the free moves that go with it."""
     try:
-        require_within_reach(context)
         if context.stroke.begins_elsewhere:
             context = starting_at_path(context)
         return _search(context, automatic=automatic)

@@ -209,11 +209,14 @@ def failures_explained(scene: Scene) -> Iterator[None]:
 
 
 def beyond_reach(stroke: Stroke, robot: Robot) -> Iterator[tuple[str, float]]:
-    """Yield the legs whose ends the stretched arm does not reach: keys in a scene file, and distances, m.
+    """Yield the starts and the legs' ends that the stretched arm does not reach: keys, and distances, m.
 
     Distances are those from the arm's first joint. What lies between two ends within reach is within reach.
     """
     distances = np.linalg.norm(stroke.path.corners[1:] - robot.base_point, axis=1)
+    start = float(np.linalg.norm(stroke.path.corners[0] - robot.base_point))
+    if stroke.file.start_pose is not None and start > robot.reach * (1 + _ROUNDING):
+        yield f"{stroke.key}.from", start
     for k in np.flatnonzero(distances > robot.reach * (1 + _ROUNDING)):
         yield stroke.leg_key(int(k)), float(distances[k])
 
@@ -227,9 +230,10 @@ def require_within_reach(context: PlanningContext) -> None:
         remedy = "shorten the leg (lengths are in metres), or take another start posture"
         if context.stroke.begins_elsewhere:
             remedy = "move the tool path (lengths are in metres)"
+        what = "lies" if key.endswith(".from") else "ends"
         raise PathNotFound(
-            f"{key} ends {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out of "
-            f"reach (the arm with its tool stretched out is {robot.reach:.3f} m long); {remedy}",
+            f"{key} {what} {distance:.3f} m from the arm's first joint, {distance - robot.reach:.3f} m out "
+            f"of reach (the arm with its tool stretched out is {robot.reach:.3f} m long); {remedy}",
             time=time,
             progress=path.progress(time),
             # The stretched arm cannot move further out.
@@ -250,8 +254,16 @@ def _too_fast(tool: Tool, stroke: Stroke) -> Iterator[Finding]:
         return
     speeds = _speeds(path)
     for k in np.flatnonzero(speeds > most * (1 + _ROUNDING)):
+        key = stroke.leg_key(int(k)) if stroke.file.legs else stroke.key
+        if stroke.asked_speed(int(k)) is not None:
+            yield _warning(
+                f"{key}.speed_m_s",
+                f"{speeds[k]:.4g} m/s",
+                f"at most {most:g} m/s, as tool.max_speed_m_s says",
+            )
+            continue
         yield _warning(
-            f"{stroke.leg_key(int(k)) if stroke.file.legs else stroke.key}.seconds",
+            f"{key}.seconds",
             f"{path.seconds[k]:g} s, in which the tool reaches {speeds[k]:.4g} m/s",
             f"at least {_rounded_up(path.seconds[k] * speeds[k] / most)} s, for tool.max_speed_m_s {most:g}",
         )

@@ -11,7 +11,7 @@ from cmbot.planning.flexibility.vibration_suppression import VibrationSuppressio
 from cmbot.planning.job import RETURN
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
-from cmbot.planning.result.verdict import verdict
+from cmbot.planning.result.verdict import strays, verdict
 from cmbot.robot import postures_in_words
 from cmbot.scene import STOW
 
@@ -32,8 +32,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _start(plan)
     yield from _between(plan)
     yield from _return(plan)
-    if plan.baseline_figures.min_clearance < plan.options.safety_margin_m:
-        yield "The baseline breaks the safety margin: it is shown for comparison and is no plan."
+    yield from _baseline(plan)
     yield _gain(plan)
     yield from _nothing_gained(plan)
     yield from _lower_bound(plan)
@@ -144,6 +143,20 @@ def _start(plan: Plan) -> Iterator[str]:
                 f"The approach asks more of the {plan.scene.base_name} than baseline and work do; "
                 "start: pinned, or a start posture nearer to this one, spares it."
             )
+
+
+def _baseline(plan: Plan) -> Iterator[str]:
+    """What the baseline does that no plan may."""
+    clearance, shown = plan.baseline_job_figures.min_clearance, "it is shown for comparison and is no plan"
+    if clearance < 0:
+        yield f"The baseline collides (clearance {1e3 * clearance:.1f} mm): {shown}."
+    elif clearance < plan.options.safety_margin_m:
+        yield f"The baseline breaks the safety margin: {shown}."
+    if strays(plan):
+        yield (
+            f"The baseline leaves its path by up to {1e3 * plan.drift:.1f} mm, as near a singular posture it "
+            "cannot follow: what it asks there says little."
+        )
 
 
 def _between(plan: Plan) -> Iterator[str]:

@@ -12,10 +12,12 @@ from cmbot.planning.result.plan import Plan
 from cmbot.planning.verification.certificate import Check
 from cmbot.robot import Dynamics
 
-__all__ = ["bound_use", "during", "tightest_check", "verdict"]
+__all__ = ["bound_use", "during", "strays", "tightest_check", "verdict"]
 
 # Peaks that differ by less, as a share of them, are the same.
 _SAME = 1e-3
+# Times the tool deviation of a plan: a baseline that strays further follows another path.
+_STRAYS = 10.0
 
 
 def verdict(plan: Plan) -> str:
@@ -29,6 +31,8 @@ def verdict(plan: Plan) -> str:
     peak, before = (figures.peak_guardrail_torque for figures in (job.figures, plan.baseline_job_figures))
     text = f"The {base} must bear {peak:.1f} Nm over the whole job ({_where(plan)}), "
     text += _compared(peak, before)
+    if strays(plan):
+        text += f", which leaves its path by {1e3 * plan.drift:.0f} mm"
     if len(job.segments) > 1:
         work, other = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
         text += f"; the work alone {work:.1f} Nm (baseline {other:.1f} Nm)"
@@ -37,6 +41,11 @@ def verdict(plan: Plan) -> str:
         f"{text}. Tightest promise: {check.quantity} {during(segment, job)}, at {check.time:.1f} s, "
         f"{100 * bound_use(check):.0f} % of its bound."
     )
+
+
+def strays(plan: Plan) -> bool:
+    """Whether the baseline leaves its path by so much that its figures say little."""
+    return plan.drift > _STRAYS * plan.options.max_tool_deviation_m
 
 
 def tightest_check(job: Job) -> tuple[Segment, Check]:

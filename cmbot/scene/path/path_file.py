@@ -177,12 +177,18 @@ class ToolPathFile(PathFile):
             stroke if stroke.name else stroke.model_copy(update={"name": f"stroke_{k}"})
             for k, stroke in enumerate(self.strokes, start=1)
         )
-        taken = set[str](RESERVED)
+        taken = dict[str, int]()
         for k, stroke in enumerate(named):
-            if stroke.name in taken or FREE_MOVE.fullmatch(str(stroke.name)):
-                expected = f"a name that no other part of the job has (not {', '.join(RESERVED)}, free_1)"
-                raise refusal(expected, got=str(stroke.name), key=("strokes", k, "name"))
-            taken.add(str(stroke.name))
+            name = str(stroke.name)
+            if name in RESERVED or FREE_MOVE.fullmatch(name):
+                expected = (
+                    f"a name of its own: {', '.join(RESERVED)}, free_1, free_2, … are other parts of a job"
+                )
+                raise refusal(expected, got=name, key=("strokes", k, "name"))
+            if name in taken:
+                expected = f"another name: it is that of strokes[{taken[name]}]"
+                raise refusal(expected, got=name, key=("strokes", k, "name"))
+            taken[name] = k
         if (seconds := sum(stroke.given_seconds for stroke in named)) > LONGEST:
             expected = f"strokes of at most {LONGEST:,} s in all (10 h)"
             raise refusal(expected, got=f"{seconds:g} s", key=("strokes",))

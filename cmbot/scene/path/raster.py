@@ -178,6 +178,9 @@ class Raster(CheckedFields):
             _, u, v = map(np.array, self.rectangle)
             if abs(float(u @ v)) > _SQUARE * float(np.linalg.norm(u) * np.linalg.norm(v)):
                 raise InputError("Raster", "v", shown(self.v), "an edge at right angles to u")
+            if self.spacing_m > self.sides[1] * (1 + _SQUARE):
+                expected = f"at most the length of v, {self.sides[1]:g} m"
+                raise InputError("Raster", "spacing_m", self.spacing_m, expected)
         if self.rows > MOST_ROWS:
             raise InputError("Raster", "spacing_m", self.spacing_m, f"at most {MOST_ROWS} rows")
 

@@ -48,8 +48,17 @@ class Stroke:
         """Return the key of a leg of the timed path, as far as it has one of its own."""
         if not self.file.legs:
             return f"{self.key}.waypoints" if self.file.raster is None else f"{self.key}.raster"
+        return f"{self.key}.legs" if self.file.blend_radius_m else f"{self.key}.legs[{self._in_file(leg)}]"
+
+    def asked_speed(self, leg: int) -> float | None:
+        """Return the speed, m/s, that the scene asks for on a leg of the timed path; None: seconds."""
+        if not self.file.legs:
+            return self.file.speed_m_s
+        # What is blended has one time law for several legs.
+        return None if self.file.blend_radius_m else self.file.legs[self._in_file(leg)].speed_m_s
+
+    def _in_file(self, leg: int) -> int:
+        """The number in the file of a leg of the timed path, which may go back and in passes."""
         legs = len(self.file.legs)
         number, at = divmod(leg, legs)
-        if (number % 2 == 1) != self.file.backwards:
-            at = legs - 1 - at
-        return f"{self.key}.legs[{at}]" if self.file.blend_radius_m is None else f"{self.key}.legs"
+        return legs - 1 - at if (number % 2 == 1) != self.file.backwards else at

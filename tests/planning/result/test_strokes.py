@@ -149,16 +149,47 @@ def test_progress_and_remarks_name_the_strokes(strokes_plan: Plan) -> None:
 
 def test_a_stroke_that_cannot_be_planned_is_named() -> None:
     scene = strokes_scene()
-    far = scene.strokes[1].model_copy(
-        update={"start_pose": replace(scene.strokes[1].start_pose, xyz=(9.0, 0.0, 0.0))}
-    )
+    there, back = scene.strokes
+    # Within reach of the stretched arm, but not with a tool that points back at its base.
+    begin = replace(back.start_pose, xyz=(2.6, 0.7, -2.4), axis=(-0.8, 0.0, 0.6))
+    hard = back.model_copy(update={"start_pose": begin})
     told: list[str] = []
     with pytest.raises(PathNotFound, match="stroke back"):
         plan(
-            replace(scene, strokes=(scene.strokes[0], far)),
+            replace(scene, strokes=(there, hard)),
             progress=lambda progress: told.append(progress.sentence()),
         )
     assert any(sentence.startswith("there: ") for sentence in told)
+
+
+def test_a_stroke_out_of_reach_is_refused_before_any_is_planned() -> None:
+    scene = strokes_scene()
+    there, back = scene.strokes
+    far = back.model_copy(update={"start_pose": replace(back.start_pose, xyz=(9.0, 0.0, 0.0))})
+    told: list[str] = []
+    with pytest.raises(PathNotFound, match=r"tool_path.strokes\[1\].from lies 9\.014 m from") as caught:
+        plan(
+            replace(scene, strokes=(there, far)),
+            progress=lambda progress: told.append(progress.sentence()),
+        )
+    assert "move the tool path" in caught.value.reason
+    assert not any(sentence.startswith("there: ") for sentence in told)
+
+
+def test_a_speed_that_is_too_fast_is_named_as_it_was_given() -> None:
+    raster = {
+        "origin": [1.8, 0.6, -1.9],
+        "u": [0, 0.2, 0],
+        "v": [0, 0, -0.2],
+        "spacing_m": 0.1,
+        "stand_off_m": 0.1,
+    }
+    fast = {"raster": raster, "speed_m_s": 0.5}
+    scene = several(LEG, fast)
+    scene = replace(scene, tool=replace(scene.tool, max_speed_m_s=0.15))
+    with pytest.raises(SceneError) as caught:
+        plan(scene)
+    assert (caught.value.key, caught.value.got) == ("tool_path.strokes[1].speed_m_s", "0.5 m/s")
 
 
 def several(*strokes: dict[str, Any], **more: Any) -> Scene:
