@@ -29,7 +29,8 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     """Return the page's data, ready for JSON; `_Frames.motion` documents each motion.
 
     The work starts at time 0, the approach at ``start`` before it; the return comes after it until ``end``.
-    With `tracking`, and without a return, the arms rest after the work until then.
+    ``moves`` are the planned free moves between strokes: name, begin and end, s. With `tracking`, and without
+    a return, the arms rest after the work until then.
     """
     duration = work_seconds(plan)
     if tracking is not None:
@@ -51,6 +52,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "end": end,
         "base": plan.scene.base_name,
         "legTimes": _leg_times(plan).tolist(),
+        "moves": [[each.name, each.begin, each.end] for each in plan.work.segments if each.kind == "free"],
         "floor": plan.torque_floor,
         "floorName": floor_name(plan),
         "margin": plan.options.safety_margin_m,

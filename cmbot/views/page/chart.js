@@ -57,7 +57,7 @@ class Curve {
 let clips = 0;
 
 class Chart {
-  // `timeline`: start, end and legTimes of the page. `small`: without caption, ticks and marks.
+  // `timeline`: start, end, legTimes and moves of the page. `small`: without caption, ticks and marks.
   constructor(spec, timeline, onSeek, { small = false, name = spec.title } = {}) {
     Object.assign(this, { spec, timeline, small, name, zoomed: false, time: timeline.start });
     this.curves = spec.curves.map((source) => new Curve(source));
@@ -139,7 +139,7 @@ class Chart {
     const { start, legTimes, duration, end } = this.timeline, [low, high] = this.axis;
     const across = { x: this.x(start), width: this.x(end) - this.x(start) };
     const band = (name, from, to) => make("rect", { class: name, ...across, y: this.y(to), height: Math.max(this.y(from) - this.y(to), 0) }, inside);
-    const free = [["approach", start, 0], ["return", duration, this.timeline.return ? end : duration]].filter(([, from, to]) => from < to);
+    const free = [["approach", start, 0], ...this.timeline.moves, ["return", duration, this.timeline.return ? end : duration]].filter(([, from, to]) => from < to);
     for (const [, from, to] of free) make("rect", { class: "free-move", x: this.x(from), y: 0, width: this.x(to) - this.x(from), height: this.height }, inside);
     const [lower, upper] = this.spec.bounds;
     if (lower !== null && lower > low) band("beyond", low, Math.min(lower, high));
