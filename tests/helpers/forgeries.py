@@ -131,7 +131,12 @@ TIMES = "difference of the trajectory's times from the tool path's"
 
 
 def _tool(**entries: object) -> Callable[[dict[str, Any]], object]:
-    return lambda data: data.update(format="cmbot-scene/2", tool=entries)
+    def change(data: dict[str, Any]) -> None:
+        # What is left out means another speed profile in the second format.
+        data["tool_path"].setdefault("speed_profile", {"kind": "trapezoidal"})
+        data.update(format="cmbot-scene/2", tool=entries)
+
+    return change
 
 
 FORGERIES = (

@@ -96,9 +96,7 @@ def test_the_end_is_stationary(x: list[float], steepness: float) -> None:
     ended = solve_sqp(Ripples(np.array(x), steepness))
     if ended.status is not SqpStatus.CONVERGED:
         return
-    first = ended.iterate.model
-    model = replace(first, hessian=ended.iterate.hessian(ended.multipliers))
-    z = solve_qp(model, ended.penalty, 1.0).multipliers
+    first, z = ended.iterate.model, ended.multipliers
     assert z.min() >= 0
     assert z[first.in_epigraph].sum() == pytest.approx(1.0, abs=1e-6)
     np.testing.assert_allclose(first.gradient + first.jacobian.T @ z, 0, rtol=0, atol=1e-3)

@@ -162,7 +162,8 @@ def test_shares_add_up_and_follow_dhondt(seconds: list[float], more: int) -> Non
     for given_up, gaining in product(range(len(seconds)), repeat=2):
         if shares[given_up] > 1:
             shortest = seconds[given_up] / shares[given_up]
-            assert shortest >= seconds[gaining] / (shares[gaining] + 1)
+            # Durations that only rounding tells apart are the same.
+            assert shortest >= seconds[gaining] / (shares[gaining] + 1) * (1 - 1e-8)
 
 
 @given(durations, st.integers(0, 60))
