@@ -59,8 +59,6 @@ from cmbot.planning import (
     bending_arm,
     certify,
     certify_move,
-    combined,
-    combined_baseline,
     end_posture_of,
     figures,
     measure,
@@ -74,7 +72,7 @@ from cmbot.planning import (
     tool_lag,
 )
 from cmbot.robot import Kinematics, Robot
-from cmbot.scene import WORK, PlannerOptions, Scene, scene_from_file
+from cmbot.scene import PlannerOptions, Scene, scene_from_file
 
 __all__ = ["load_plan", "plan_data"]
 
@@ -138,8 +136,11 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
     tasks = [task_of(stroke, scene) for stroke in strokes]
     job = _job(file, trajectories, robot, tasks, source)
     require_fit(file, np.array(scene.posture), end, job, folder)
-    plan = Plan(
-        **_stroke_plans(file, contents["baseline.csv"], folder, robot, clearances, tasks),
+    table, names = str(folder / "baseline.csv"), [stroke.name for stroke in strokes]
+    t, motion = read_motion(contents["baseline.csv"], table, robot.dof)
+    plan = Plan.of(
+        _stroke_plans(file, names, tasks, robot, clearances, t, motion, table),
+        clearances,
         scene=scene,
         options=file.options,
         robot=robot,
@@ -149,6 +150,8 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         seconds=file.seconds,
     )
     if plan.several:
+        if not (_agree(plan.baseline.t, t) and _agree(plan.baseline.q, motion[0])):
+            raise ArchiveError(table, "", "other motions between the strokes", "the quickest straight ones")
         entries = StrokeEntries.model_validate(stroke_entries(plan, robot), from_attributes=True)
         require_combined(file, entries, str(source))
     return _verified(plan, file.baseline, clearances, source) if verify else plan
@@ -156,19 +159,19 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
 
 def _stroke_plans(
     file: PlanFile,
-    content: bytes,
-    folder: Path,
+    names: Sequence[str],
+    tasks: Sequence[ToolTask],
     robot: Robot,
     clearances: Clearances,
-    tasks: Sequence[ToolTask],
-) -> dict[str, Any]:
-    """The fields of a plan that are those of its strokes, by name, and with several strokes these."""
-    source = str(folder / "baseline.csv")
-    t, motion = read_motion(content, source, robot.dof)
+    t: FloatArray,
+    motion: Sequence[FloatArray],
+    source: str,
+) -> list[StrokePlan]:
+    """What is planned of each stroke, with its part of the baseline at times `t` (N,), from `source`."""
     if not file.strokes:
         require_times(t, tasks[0].path.duration, source, "the scene")
-        return vars(_stroke_plan(file, WORK, robot, tasks[0], clearances, t, motion))
-    several = []
+        return [_stroke_plan(file, names[0], robot, tasks[0], clearances, t, motion)]
+    strokes = []
     for entry, task in zip(file.strokes, tasks, strict=True):
         begin, end = entry.baseline_begin, entry.baseline_begin + task.path.duration
         room = _SAME_ZERO * max(end, 1.0)
@@ -177,17 +180,8 @@ def _stroke_plans(
             expected = f"rows from {begin:g} to {end:g} s ({entry.name})"
             raise ArchiveError(source, "t", "no row where a stroke begins or ends", expected)
         along = [array[rows] for array in motion]
-        several.append(_stroke_plan(entry, entry.name, robot, task, clearances, t[rows] - t[rows[0]], along))
-    baseline, measured = combined_baseline(robot, clearances, several)
-    if not (_agree(baseline.t, t) and _agree(baseline.q, motion[0])):
-        raise ArchiveError(source, "", "other motions between the strokes", "the quickest straight ones")
-    return {
-        **combined(several),
-        "name": WORK,
-        "baseline": baseline,
-        "baseline_figures": measured,
-        "several": tuple(several),
-    }
+        strokes.append(_stroke_plan(entry, entry.name, robot, task, clearances, t[rows] - t[rows[0]], along))
+    return strokes
 
 
 def _agree(got: FloatArray, expected: FloatArray) -> bool:

@@ -137,12 +137,10 @@ def stroke_entries(stroke: StrokePlan, robot: Robot) -> dict[str, object]:
 
 def _several(plan: Plan) -> Iterator[dict[str, object]]:
     """The entries of each of several strokes."""
-    first = plan.baseline_segment(plan.strokes[0].name)
+    begins = {each.name: each.begin for each in plan.baseline_segments}
     for stroke in plan.several:
-        part = plan.baseline_segment(stroke.name)
-        if first is not None and part is not None:
-            begin = part.begin - first.begin
-            yield {**stroke_entries(stroke, plan.robot), "name": stroke.name, "baseline_begin": begin}
+        begin = begins[stroke.name] - begins[plan.strokes[0].name]
+        yield {**stroke_entries(stroke, plan.robot), "name": stroke.name, "baseline_begin": begin}
 
 
 def _posture(q: FloatArray, robot: Robot) -> dict[str, tuple[float, ...]]:

@@ -24,10 +24,10 @@ from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
 from cmbot.planning.progress import Progress
-from cmbot.planning.result.baseline import BaselineSegment, combined_baseline
+from cmbot.planning.result.baseline import BaselineSegment
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
-from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, combined, objective_metrics
+from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
 from cmbot.planning.result.verdict import bound_use, during, tightest_check, verdict
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
@@ -78,8 +78,6 @@ __all__ = [
     "bound_use",
     "certify",
     "certify_move",
-    "combined",
-    "combined_baseline",
     "during",
     "end_posture_of",
     "figures",

@@ -33,15 +33,14 @@ from cmbot.planning.precheck import (
     solver_of,
 )
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.result.baseline import combined_baseline
 from cmbot.planning.result.plan import Plan, Seconds
-from cmbot.planning.result.stroke_plan import Start, StrokePlan, combined, objective_metrics
+from cmbot.planning.result.stroke_plan import Start, StrokePlan, objective_metrics
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.planning.verification.certificate import certify
 from cmbot.planning.verification.metrics import figures, measure
-from cmbot.scene import WORK, PlannerOptions, Scene
+from cmbot.scene import PlannerOptions, Scene
 
 __all__ = ["plan"]
 
@@ -165,7 +164,7 @@ def _at_stroke(
     if not made:
         return context
     before = made[-1][1].job.segments[-1]
-    reached = max(_job_peak(attempt.context, motion.job) for attempt, motion in made)
+    reached = max(_peak(attempt.context, motion.job.segments) for attempt, motion in made)
     return context.at_stroke(number, scene, before.trajectory.q[-1], before.end, reached)
 
 
@@ -197,10 +196,8 @@ def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
     pinned = None if guess.choice is None else guess.choice.pinned
     if approach is None or pinned is None or guess.failures or context.reporter.expired():
         return attempt, motion
-    asked, margin = _job_peak(context, motion.job), 1 + context.options.gap_target
-    rest = _job_peak(
-        context, Job(segments=tuple(each for each in motion.job.segments if each is not approach))
-    )
+    asked, margin = _peak(context, motion.job.segments), 1 + context.options.gap_target
+    rest = _peak(context, [each for each in motion.job.segments if each is not approach])
     # No job from the scene's posture asks less than it does at rest.
     if asked <= max(margin, 1 + _WORTH_PLANNING) * max(pinned, rest, context.reached):
         return attempt, motion
@@ -211,7 +208,7 @@ def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
         other, lighter = with_retries(replace(attempt, guess=stays), _certified_motion)
     except PlanningError:
         return attempt, motion
-    peak = _job_peak(other.context, lighter.job)
+    peak = _peak(other.context, lighter.job.segments)
     if margin * peak > asked:
         return attempt, motion
     unit = context.objective.unit
@@ -222,11 +219,11 @@ def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
     return replace(other, fallbacks=(*other.fallbacks, fallback)), lighter
 
 
-def _job_peak(context: PlanningContext, job: Job) -> float:
-    """The largest value of the objective over a job."""
+def _peak(context: PlanningContext, parts: Sequence[Segment]) -> float:
+    """The largest value of the objective over segments."""
     return max(
         largest_objective(context if segment.kind == "stroke" else context.tool_off, segment.trajectory)
-        for segment in job.segments
+        for segment in parts
     )
 
 
@@ -268,20 +265,14 @@ def _plan(scene: Scene, made: Sequence[tuple[Attempt, _Motion]], *, custom: bool
     for attempt, motion in made:
         strokes.append(_stroke_plan(attempt, motion, at, custom=custom))
         at = strokes[-1].baseline.q[-1]
-    several = tuple(strokes) if len(strokes) > 1 else ()
-    of_all = vars(strokes[0])
-    if several:
-        # The baseline from the first stroke to the last is that of the job but for its ends.
-        baseline, measured = combined_baseline(context.robot, context.clearances, several)
-        of_all = {"name": WORK, **combined(several), "baseline": baseline, "baseline_figures": measured}
     shares = [attempt.guess.search.step_share for attempt, _ in made if attempt.guess.search is not None]
-    return Plan(
-        **of_all,
+    return Plan.of(
+        strokes,
+        context.clearances,
         scene=_with_via_points(scene, [len(attempt.context.times) for attempt, _ in made]),
         options=replace(context.options, step_share=min(shares)) if shares else context.options,
         robot=context.robot,
         job=Job(segments=tuple(segment for _, motion in made for segment in motion.job.segments)),
-        several=several,
         sag=context.sag,
         fallbacks=tuple(_all_fallbacks(made)),
         seconds=Seconds(**context.reporter.seconds()),
@@ -404,7 +395,7 @@ def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | 
     if context.end_posture is None:
         return None
     context.reporter.step("planning the return")
-    work, allowed = before[-1], max(context.reached, _job_peak(context, Job(segments=before)))
+    work, allowed = before[-1], max(context.reached, _peak(context, before))
     return plan_return(context, work.trajectory.q[-1], begin=work.end, allowed=allowed)
 
 

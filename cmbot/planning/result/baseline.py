@@ -89,7 +89,6 @@ def baseline_job(
     off = robot.tool_off
 
     def move(name: str, goal: FloatArray, task: ToolTask) -> None:
-        nonlocal begin
         if np.abs(goal - at).max() <= SAME_POSTURE:
             return
         t, motion = quickest_straight(off.limits, at, goal, SAMPLE_STEP)

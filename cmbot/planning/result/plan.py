@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -15,12 +15,18 @@ from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
 from cmbot.planning.context import bending_arm, end_posture_of, sag_of
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, job_metrics
-from cmbot.planning.result.baseline import SAMPLE_STEP, BaselineSegment, baseline_job, joined_samples
-from cmbot.planning.result.stroke_plan import StrokePlan
+from cmbot.planning.result.baseline import (
+    SAMPLE_STEP,
+    BaselineSegment,
+    baseline_job,
+    combined_baseline,
+    joined_samples,
+)
+from cmbot.planning.result.stroke_plan import StrokePlan, combined
 from cmbot.planning.verification.certificate import Certificate
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
 from cmbot.robot import Robot
-from cmbot.scene import PlannerOptions, Scene
+from cmbot.scene import WORK, PlannerOptions, Scene
 from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["Plan", "Seconds", "require_plan"]
@@ -69,6 +75,23 @@ class Plan(StrokePlan):
     sag: Sag | None
     fallbacks: tuple[str, ...]
     seconds: Seconds
+
+    @classmethod
+    def of(cls, strokes: Sequence[StrokePlan], clearances: Clearances, *, robot: Robot, **own: Any) -> Plan:
+        """Return the plan of a job from what is planned of its strokes, and the other fields by name."""
+        if len(strokes) == 1:
+            return cls(**vars(strokes[0]), robot=robot, **own)
+        # The baseline from the first stroke to the last is that of the job but for its ends.
+        baseline, measured = combined_baseline(robot, clearances, strokes)
+        return cls(
+            **combined(strokes),
+            name=WORK,
+            baseline=baseline,
+            baseline_figures=measured,
+            several=tuple(strokes),
+            robot=robot,
+            **own,
+        )
 
     @property
     def strokes(self) -> tuple[StrokePlan, ...]:
@@ -189,14 +212,13 @@ class Plan(StrokePlan):
     def largest_torque_difference(self) -> tuple[float, float]:
         """Largest value over time of baseline's less planned torque norm, Nm, and when in the work, s."""
         largest, when = -np.inf, 0.0
-        for stroke in self.strokes:
-            segment = self.work.segment(stroke.name)
+        for stroke, segment in zip(self.strokes, self.work.strokes, strict=True):
             samples = self.segment_samples[stroke.name]
             baseline = np.linalg.norm(stroke.baseline.guardrail_torque, axis=1)
             planned = np.linalg.norm(samples.guardrail_torque, axis=1)
             difference = baseline - np.interp(stroke.baseline.t, samples.t, planned)
             k = int(difference.argmax())
-            if segment is not None and difference[k] > largest:
+            if difference[k] > largest:
                 largest, when = float(difference[k]), float(segment.begin + stroke.baseline.t[k])
         return largest, when
 

@@ -108,6 +108,14 @@ def test_a_saved_job_of_strokes_is_read_and_certified_anew(folder: Path, strokes
     assert len(read.job.certificate.checks) > len(strokes_plan.job.certificate.checks)
 
 
+def test_a_stroke_alone_keeps_its_name(tmp_path: Path) -> None:
+    scene = strokes_scene()
+    made = plan(replace(scene, strokes=scene.strokes[:1]))
+    read = load_plan(save(made, tmp_path / "plan"), verify=True)
+    assert [stroke.name for stroke in made.strokes] == [stroke.name for stroke in read.strokes] == ["there"]
+    assert read.summary() == made.summary()
+
+
 @pytest.mark.parametrize(
     ("change", "key"),
     [
