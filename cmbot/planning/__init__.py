@@ -9,7 +9,7 @@ from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import certify_move
 from cmbot.planning.initial_guess import Choice
-from cmbot.planning.job import APPROACH, RETURN, Job, Segment, SegmentMetrics, free_move_name, job_metrics
+from cmbot.planning.job import APPROACH, RETURN, Job, Segment, free_move_name, job_metrics
 from cmbot.planning.objectives import (
     Objective,
     PostureFunction,
@@ -64,7 +64,6 @@ __all__ = [
     "Samples",
     "Seconds",
     "Segment",
-    "SegmentMetrics",
     "SplineSpace",
     "Start",
     "StartPosture",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, Protocol
 
 import numpy as np
 
@@ -20,7 +20,7 @@ __all__ = [
     "RETURN",
     "Job",
     "Segment",
-    "SegmentMetrics",
+    "Timed",
     "free_move_name",
     "job_metrics",
     "join_trajectories",
@@ -87,19 +87,21 @@ class Segment:
         """Its figures, as certified."""
         return self.certificate.figures
 
+
+class Timed(Protocol):
+    """A part of a job with figures: a `Segment`, or one of the baseline."""
+
     @property
-    def metrics(self) -> SegmentMetrics:
-        """Its figures with what they are weighted by."""
-        return SegmentMetrics(figures=self.figures, seconds=self.duration, kind=self.kind)
+    def kind(self) -> Literal["stroke", "free"]:
+        """Whether the tool is on."""
 
+    @property
+    def duration(self) -> float:
+        """Its duration, s."""
 
-@dataclass(frozen=True, kw_only=True)
-class SegmentMetrics:
-    """The figures of a segment, its duration, s, and whether it is a ``stroke`` or ``free``."""
-
-    figures: MotionMetrics
-    seconds: float
-    kind: Literal["stroke", "free"]
+    @property
+    def figures(self) -> MotionMetrics:
+        """Its figures."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,17 +154,17 @@ class Job:
     @cached_property
     def figures(self) -> MotionMetrics:
         """The figures of all segments together; the tool's are those of the strokes."""
-        return job_metrics(segment.metrics for segment in self.segments)
+        return job_metrics(self.segments)
 
     @cached_property
     def stroke_figures(self) -> MotionMetrics:
         """The figures of the strokes together."""
-        return job_metrics(segment.metrics for segment in self.strokes)
+        return job_metrics(self.strokes)
 
     @cached_property
     def free_figures(self) -> MotionMetrics | None:
         """The figures of the free moves together; None without any."""
-        moves = [segment.metrics for segment in self.segments if segment.kind == "free"]
+        moves = [segment for segment in self.segments if segment.kind == "free"]
         return job_metrics(moves) if moves else None
 
     @cached_property
@@ -198,18 +200,18 @@ class Job:
                 yield segment, replace(check, time=segment.begin + check.time)
 
 
-def job_metrics(segments: Iterable[SegmentMetrics]) -> MotionMetrics:
+def job_metrics(segments: Iterable[Timed]) -> MotionMetrics:
     """Return the figures of segments one after the other.
 
     Parameters
     ----------
-    segments : iterable of SegmentMetrics
+    segments : iterable of Timed
         Where the tool is off, its place is no figure: of free moves alone those are 0.
     """
     segments = list(segments)
     each = [segment.figures for segment in segments]
     strokes = [segment.figures for segment in segments if segment.kind == "stroke"]
-    seconds = np.array([segment.seconds for segment in segments])
+    seconds = np.array([segment.duration for segment in segments])
     mean = np.average([figures.mean_guardrail_torque for figures in each], weights=seconds)
     rms = [figures.rms_guardrail_torque for figures in each if figures.rms_guardrail_torque is not None]
     use = {

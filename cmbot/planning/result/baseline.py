@@ -12,7 +12,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
-from cmbot.planning.job import RETURN, SegmentMetrics, free_move_name, job_metrics
+from cmbot.planning.job import RETURN, free_move_name, job_metrics
 from cmbot.planning.result.stroke_plan import StrokePlan
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, figures, measure
@@ -55,11 +55,6 @@ class BaselineSegment:
     def end(self) -> float:
         """When it ends on the clock of the baseline's job, s."""
         return self.begin + self.duration
-
-    @property
-    def metrics(self) -> SegmentMetrics:
-        """Its figures with what they are weighted by."""
-        return SegmentMetrics(figures=self.figures, seconds=self.duration, kind=self.kind)
 
 
 def baseline_job(
@@ -117,8 +112,7 @@ def combined_baseline(
     samples, _ = joined_samples(
         (segment.begin, segment.samples, segment.kind == "stroke") for segment in segments
     )
-    along = (segment.metrics for segment in segments if segment.kind == "stroke")
-    return samples, job_metrics(along)
+    return samples, job_metrics(segment for segment in segments if segment.kind == "stroke")
 
 
 def joined_samples(each: Iterable[tuple[float, Samples, bool]]) -> tuple[Samples, list[int]]:

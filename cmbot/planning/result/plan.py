@@ -125,12 +125,12 @@ class Plan(StrokePlan):
     @cached_property
     def baseline_job_figures(self) -> MotionMetrics:
         """Figures of the baseline over the whole job."""
-        return job_metrics(segment.metrics for segment in self.baseline_segments)
+        return job_metrics(self.baseline_segments)
 
     @cached_property
     def baseline_free_figures(self) -> MotionMetrics | None:
         """Figures of the baseline's free moves; None without any."""
-        moves = [segment.metrics for segment in self.baseline_segments if segment.kind == "free"]
+        moves = [segment for segment in self.baseline_segments if segment.kind == "free"]
         return job_metrics(moves) if moves else None
 
     @property
