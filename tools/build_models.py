@@ -189,12 +189,13 @@ def joint_limits() -> str:
 
 
 def elasticity() -> str:
-    """Return which links bend like which tubes, as YAML."""
+    """Return which links bend like which tubes, and how stiff the joints are, as YAML."""
     lines = [
         f"# {GENERATED.strip()}",
-        "# Assumptions of ours: aluminium tubes from joint to joint. The rest of the arm is rigid.",
+        "# Assumptions of ours: aluminium tubes from joint to joint, and drives as stiff as harmonic drives.",
+        "# The paper's joints are rigid: `robot: {joints: rigid}` in a scene. The rest of the arm is rigid.",
         "# The tube between joint 4 and the wrist is on link_5, which turns about the tube's own axis.",
-        "format: cmbot-elasticity/1",
+        "format: cmbot-elasticity/2",
         "links:",
     ]
     for name, tube in tables.TUBES.items():
@@ -207,6 +208,9 @@ def elasticity() -> str:
             f"    young_pa: {tables.YOUNG_PA}",
             f"    shear_pa: {tables.SHEAR_PA}",
         ]
+    lines.append("joints:")
+    for number, stiffness in enumerate(tables.JOINT_STIFFNESS, start=1):
+        lines.append(f"  joint_{number}: {{stiffness_nm_rad: {stiffness}}}")
     return "\n".join(lines) + "\n"
 
 

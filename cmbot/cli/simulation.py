@@ -43,7 +43,7 @@ def simulate(
         str, typer.Option("--initial", help="How the arm hangs at first: equilibrium, or undeformed.")
     ] = "equilibrium",
     stiffness: Annotated[
-        float, typer.Option("--stiffness", help="Factor on the stiffness of guardrail and links.")
+        float, typer.Option("--stiffness", help="Factor on the stiffness of guardrail, links and joints.")
     ] = 1.0,
     segments: Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")] = 1,
     force: Annotated[bool, typer.Option("--force", help="Replace tracking errors that are there.")] = False,
@@ -130,7 +130,7 @@ def _options(*, damping: float, initial: str, stiffness: float, segments: int) -
     from cmbot.common.validation import validated
 
     given = {"damping": damping, "initial": initial, "segments": segments}
-    factors = dict.fromkeys(("guardrail_factor", "link_factor"), stiffness)
+    factors = dict.fromkeys(("guardrail_factor", "link_factor", "joint_factor"), stiffness)
     try:
         return validated(cmbot.SimulationOptions, given | factors, "cmbot simulate", InputError)
     except InputError as error:

@@ -14,7 +14,7 @@ from scipy.linalg import block_diag
 from cmbot.common.arrays import FloatArray, IntArray, read_only
 from cmbot.common.validation import CheckedFields
 from cmbot.elastic.base import ElasticBase
-from cmbot.robot import Robot, external_forces
+from cmbot.robot import Robot, external_forces, turn_axis
 
 __all__ = ["ElasticArm", "ElasticOptions", "cut_inertia", "elastic_arm"]
 
@@ -29,7 +29,7 @@ _KEPT = 0.25
 
 @dataclass(frozen=True, kw_only=True)
 class ElasticOptions(CheckedFields):
-    """Segments of each link's tube, and factors on the stiffness of the guardrail and of the links.
+    """Segments of each link's tube, and factors on the stiffness of guardrail, links and joints.
 
     One segment is exact for the static deflection; more add the links' own vibration.
     """
@@ -37,6 +37,7 @@ class ElasticOptions(CheckedFields):
     segments: Annotated[int, Field(ge=1, le=50)] = 1
     guardrail_factor: Annotated[float, Field(gt=0)] = 1.0
     link_factor: Annotated[float, Field(gt=0)] = 1.0
+    joint_factor: Annotated[float, Field(gt=0)] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -44,8 +45,9 @@ class ElasticArm:
     """The arm as driven joints and springs. Its model must not be changed; its arrays are read-only.
 
     Every joint has one coordinate, m or rad, so a configuration is a vector. Elastic coordinates are first,
-    for an elastic base, three displacements along and three rotations about the axes of W; then for every
-    segment, base to tool, two deflections across the tube, the twist, and the slopes about the same two axes.
+    for an elastic base, three displacements along and three rotations about the axes of W; then base to tool
+    for every elastic joint the angle about its axis and, with a tilting stiffness, those about two others;
+    for every segment two deflections across the tube, the twist, and the slopes about the same two axes.
     """
 
     robot: Robot
@@ -55,6 +57,7 @@ class ElasticArm:
     driven: IntArray  # (n,), indices of the actuated joints' coordinates, in the order of `robot.joints`
     elastic: IntArray  # (f,), indices of the elastic coordinates
     stiffness: FloatArray  # (f, f), of the elastic coordinates, N/m, N/rad, Nm/rad
+    damping: FloatArray  # (f, f), Nms/rad: the joints' own
     added_mass: FloatArray  # (f, f), kg, kg m, kg m2: the guardrail's, at the foot; not in `model`
     tool_frame_id: int  # index of the tool frame in `model`
 
@@ -76,7 +79,10 @@ class ElasticArm:
 
 
 def elastic_arm(robot: Robot, base: ElasticBase | None, options: ElasticOptions | None = None) -> ElasticArm:
-    """Build the mechanism of a robot's joints, its tubes (`Robot.elasticity`) and its elastic base, if any.
+    """Build the mechanism of a robot's joints, drives, tubes and its elastic base, if any.
+
+    A drive that gives way (`Robot.joint_elasticity`) is a joint without drive about the same axis behind the
+    driven one; a bearing that tilts has two more, about axes across it. `Robot.elasticity` has the tubes.
 
     Every segment of a tube has five coordinates at its middle: with the stiffness 12 EI/L^3 of the two
     deflections, GJ/L of the twist and EI/L of the two slopes it is exactly the Euler-Bernoulli beam for loads
@@ -111,6 +117,7 @@ class _Builder:
         self.driven: list[int] = []
         self.elastic: list[int] = []
         self.blocks: list[FloatArray] = []
+        self.dampings: list[FloatArray] = []
 
     def add_base(self, base: ElasticBase) -> None:
         """Add the base's six elastic coordinates; the climbing mechanism moves with them."""
@@ -118,15 +125,30 @@ class _Builder:
             for axis in "xyz":
                 joint = getattr(pin, f"JointModel{letter}{axis.upper()}")()
                 self.elastic.append(self._add(joint, pin.SE3.Identity(), f"guardrail {kind} {axis}"))
-        self.blocks.append(self.options.guardrail_factor * base.stiffness)
+        self._add_springs(self.options.guardrail_factor * base.stiffness)
         self.add_inertia(self.robot.model.inertias[0])
 
     def add_driven(self, joint: int) -> None:
         """Add a joint of the robot."""
         model = self.robot.model
         placement = self.X_LB * model.jointPlacements[joint]
-        self.driven.append(self._add(model.joints[joint], placement, model.names[joint]))
+        name = model.names[joint]
+        self.driven.append(self._add(model.joints[joint], placement, name))
         self.X_LB = pin.SE3.Identity()
+        spring = self.robot.joint_elasticity.get(name)
+        if spring is None:
+            return
+        axes = _axes_along(turn_axis(model.joints[joint])).T
+        kinds, stiffness = ["windup"], [spring.stiffness]
+        if spring.tilting is not None:
+            kinds += ["tilt y", "tilt z"]
+            stiffness += [spring.tilting] * 2
+        for kind, axis in zip(kinds, axes, strict=False):
+            turning = pin.JointModelRevoluteUnaligned(axis)
+            self.elastic.append(self._add(turning, pin.SE3.Identity(), f"{name} {kind}"))
+        damping = np.zeros((len(kinds), len(kinds)))
+        damping[0, 0] = spring.damping
+        self._add_springs(self.options.joint_factor * np.diag(stiffness), damping)
 
     def add_inertia(self, inertia: Any) -> None:
         """Add an inertia, in the frame of the rigid body that the last joint carries, to that joint."""
@@ -153,7 +175,7 @@ class _Builder:
                 name = f"{link} segment {number} {coordinate}"
                 self.elastic.append(self._add(kind(), self.X_LB * X_JT, name))
                 self.X_LB = X_JT.inverse()
-            self.blocks.append(self.options.link_factor * stiffness)
+            self._add_springs(self.options.link_factor * stiffness)
             self.add_inertia(piece)
 
     def _pieces(self, joint: int, start: FloatArray, end: FloatArray, cuts: FloatArray) -> list[Any]:
@@ -172,7 +194,8 @@ class _Builder:
         frame = robot.model.frames[robot.tool_frame_id]
         tool = pin.Frame(frame.name, self.last, 0, self.X_LB * frame.placement, pin.FrameType.OP_FRAME)
         # Without blocks `block_diag` is (1, 0).
-        stiffness, added_mass = block_diag(*self.blocks).reshape(f, f), np.zeros((f, f))
+        stiffness, damping = (block_diag(*each).reshape(f, f) for each in (self.blocks, self.dampings))
+        added_mass = np.zeros((f, f))
         if base is not None:
             added_mass[:6, :6] = base.mass
         return ElasticArm(
@@ -183,9 +206,14 @@ class _Builder:
             driven=read_only(np.array(self.driven, dtype=np.intp)),
             elastic=read_only(np.array(self.elastic, dtype=np.intp)),
             stiffness=read_only(stiffness),
+            damping=read_only(damping),
             added_mass=read_only(added_mass),
             tool_frame_id=int(self.model.addFrame(tool)),
         )
+
+    def _add_springs(self, stiffness: FloatArray, damping: FloatArray | None = None) -> None:
+        self.blocks.append(stiffness)
+        self.dampings.append(np.zeros_like(stiffness) if damping is None else damping)
 
     def _add(self, joint: Any, placement: Any, name: str) -> int:
         self.last = self.model.addJoint(self.last, joint, placement, name)

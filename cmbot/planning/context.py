@@ -292,6 +292,7 @@ def robot_of(scene: Scene) -> Robot:
         # The scene holds the key that has to be changed.
         key = f"robot.{error.key}"
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
+    robot = robot if source.joints == "elastic" else robot.with_rigid_joints
     return replace(robot, tool_force=scene.tool.process_force_n)
 
 

@@ -6,7 +6,7 @@ from cmbot.robot.description.frames import arm_frames
 from cmbot.robot.description.mesh_file import locate_meshes
 from cmbot.robot.description.xml_file import parse_urdf, urdf_content
 from cmbot.robot.dynamics import Dynamics, Efforts, external_forces
-from cmbot.robot.elasticity import LinkTube
+from cmbot.robot.elasticity import JointElasticity, LinkTube
 from cmbot.robot.inspection import Finding, inspect_robot, inspect_urdf, overview
 from cmbot.robot.joint_kinds import (
     JointUnits,
@@ -15,6 +15,7 @@ from cmbot.robot.joint_kinds import (
     postures_in_words,
     prismatic_joints,
     slide_axes,
+    turn_axis,
 )
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch
 from cmbot.robot.limits import JointLimits
@@ -29,6 +30,7 @@ __all__ = [
     "Dynamics",
     "Efforts",
     "Finding",
+    "JointElasticity",
     "JointLimits",
     "JointUnits",
     "Kinematics",
@@ -56,5 +58,6 @@ __all__ = [
     "sampled_postures",
     "slide_axes",
     "srdf_text",
+    "turn_axis",
     "urdf_content",
 ]

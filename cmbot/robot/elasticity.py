@@ -1,13 +1,15 @@
-"""Links that bend: tubes, from a file beside the URDF.
+"""Links and joints that bend: tubes and springs, from a file beside the URDF.
 
-URDF does not describe elasticity, so an arm whose links bend has an elasticity file::
+URDF does not describe elasticity, so an arm that bends has an elasticity file::
 
-    format: cmbot-elasticity/1
+    format: cmbot-elasticity/2
     links:
       link_1: {start_m: [0, 0, 0], end_m: [0.83, 0, 0], outer_diameter_m: 0.1, wall_m: 0.004,
                young_pa: 70.0e+9, shear_pa: 26.0e+9}
+    joints:
+      joint_1: {stiffness_nm_rad: 1.0e+5, damping_nms_rad: 20, tilting_nm_rad: 5.0e+5}
 
-A link that is not named is rigid, and so are all links of a robot without the file.
+What is not named is rigid, and so is all of a robot without the file. ``cmbot-elasticity/1`` has links only.
 """
 
 from __future__ import annotations
@@ -23,14 +25,16 @@ from pydantic import ConfigDict, Field, model_validator
 from cmbot.common.errors import ModelError
 from cmbot.common.validation import FileModel, refusal, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
+from cmbot.robot.joint_kinds import prismatic_joints
 
-__all__ = ["LinkTube", "read_elasticity"]
+__all__ = ["JointElasticity", "LinkTube", "read_elasticity"]
 
 # The bounds keep every power of a length finite, and catch lengths in millimetres and moduli in gigapascals.
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
 Length = Annotated[float, Field(ge=1e-5, le=1e4)]
 Modulus = Annotated[float, Field(ge=1e3, le=1e13)]
 Point = tuple[Coordinate, Coordinate, Coordinate]
+TurningStiffness = Annotated[float, Field(ge=1e-3, le=1e13)]
 
 _SHORTEST = 1e-3  # m
 
@@ -78,20 +82,62 @@ class LinkTube:
         return self
 
 
+@dataclass(frozen=True, kw_only=True)
+class JointElasticity:
+    """What gives way in series with the drive of a joint that turns; a file's values are bounded.
+
+    Attributes
+    ----------
+    stiffness : float
+        Of the gear and the drive about the joint's axis, Nm/rad.
+    damping : float
+        Beside that stiffness, Nm s/rad.
+    tilting : float or None
+        Of the bearing about every axis across the joint's, Nm/rad; None: the bearing is rigid.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = FileModel.model_config
+
+    stiffness: Annotated[TurningStiffness, Field(alias="stiffness_nm_rad")]
+    damping: Annotated[float, Field(alias="damping_nms_rad", ge=0, le=1e9)] = 0.0
+    tilting: Annotated[TurningStiffness | None, Field(alias="tilting_nm_rad")] = None
+
+
 class _ElasticityFile(FileModel):
-    format: Literal["cmbot-elasticity/1"]
-    links: dict[str, LinkTube]
+    format: Literal["cmbot-elasticity/1", "cmbot-elasticity/2"]
+    links: dict[str, LinkTube] = Field(default_factory=dict)
+    joints: dict[str, JointElasticity] | None = None
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.format == "cmbot-elasticity/1" and self.joints is not None:
+            expected = "no such key in cmbot-elasticity/1: it goes with cmbot-elasticity/2"
+            raise refusal(expected, got="joints", key=("joints",))
+        return self
 
 
-def read_elasticity(path: Path, model: Any) -> dict[str, LinkTube]:
-    """Read the tubes of the links that move with the arm, by the links' names, in the order of its joints.
+def read_elasticity(path: Path, model: Any) -> tuple[dict[str, LinkTube], dict[str, JointElasticity]]:
+    """Read the tubes of the links and the springs of the joints that move, by name, in the joints' order.
 
-    A tube of a link that the arm's joints do not move is checked and left out.
+    What belongs to a link or a joint that does not move with the arm is checked and left out.
     """
     with lines_named(path):
-        return _tubes(
-            validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError), path, model
-        )
+        data = validated(_ElasticityFile, read_yaml(path, ModelError), str(path), ModelError)
+        return _tubes(data, path, model), _joints(data, path, model)
+
+
+def _joints(data: _ElasticityFile, path: Path, model: Any) -> dict[str, JointElasticity]:
+    given = data.joints or {}
+    kinds = (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    known = tuple(frame.name for frame in model.frames if frame.type in kinds and frame.name != "universe")
+    moving = list(model.names)[1:]
+    slides = prismatic_joints(model)
+    for name in given:
+        if name not in known:
+            raise ModelError(str(path), "joints", repr(name), "a joint of the URDF", known)
+        if name in moving and slides[moving.index(name)]:
+            raise ModelError(str(path), f"joints.{name}", "a joint that slides", "a joint that turns")
+    return {name: given[name] for name in moving if name in given}
 
 
 def _tubes(data: _ElasticityFile, path: Path, model: Any) -> dict[str, LinkTube]:

@@ -408,7 +408,7 @@ def overview(files: RobotFiles, root: ElementTree.Element) -> Iterator[tuple[str
     yield "SRDF", none if files.srdf is None else files.srdf.name
     if files.srdf is not None:
         yield "group states in it", _group_states(files.srdf)
-    yield "elasticity file", "none: no link bends" if files.elasticity is None else files.elasticity.name
+    yield "elasticity file", "none: nothing bends" if files.elasticity is None else files.elasticity.name
     yield "base frame", f"any link; the root is {next(link for link in links if link not in children)}"
     ends = [link for link in links if link not in parents]
     yield "tool frame", f"any link that joints move below it; at the ends: {', '.join(ends)}"

@@ -42,6 +42,13 @@ def slide_axes(model: Any) -> FloatArray:
     return axes
 
 
+def turn_axis(joint: Any) -> FloatArray:
+    """Return the direction (3,) of a pinocchio joint model that turns, in its own frame."""
+    data = joint.createData()
+    joint.calc(data, np.ones(joint.idx_q + joint.nq))
+    return np.asarray(data.S, dtype=np.float64).reshape(6)[3:]
+
+
 @dataclass(frozen=True, kw_only=True)
 class JointUnits:
     """Names of the units of one joint's position, its rates and its torque, which is a force where it slides.

@@ -68,7 +68,7 @@ def load_robot(
         Without disabled pairs, neighbouring links and those that are nearly always near are not checked
         against each other.
     elasticity : path, optional
-        Which links bend; default: the file beside the URDF with its name and the ending
+        Which links and joints bend; default: the file beside the URDF with its name and the ending
         ``.elasticity.yaml``, if there, else none does.
     mount : (4, 4), optional
         Pose of `base_frame` in W; default: the URDF's root link is W.
@@ -123,6 +123,7 @@ def load_robot(
         raise ModelError(str(urdf), "link.inertial.mass", got, f"an arm of at least {_LIGHTEST:g} kg")
     limited, assumed = joint_limits(arm, urdf, files.limits)
     beside = (file for file in (files.srdf, files.limits, files.elasticity) if file)
+    tubes, springs = ({}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
     contents = [content, *(read_input(file, ModelError) for file in beside)]
     return Robot(
         name=root.get("name", urdf.stem),
@@ -133,7 +134,8 @@ def load_robot(
         read_visual_model=lambda: placed(*made.read_visual()),
         limits=limited,
         group_states=made.group_states,
-        elasticity={} if files.elasticity is None else read_elasticity(files.elasticity, arm),
+        elasticity=tubes,
+        joint_elasticity=springs,
         base_frame=base_frame,
         tool_frame=tool_frame,
         payload=payload,

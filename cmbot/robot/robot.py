@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import counted
-from cmbot.robot.elasticity import LinkTube
+from cmbot.robot.elasticity import JointElasticity, LinkTube
 from cmbot.robot.joint_kinds import PostureMetric, slide_axes
 from cmbot.robot.limits import JointLimits
 
@@ -52,6 +52,8 @@ class Robot:
         Postures by the names that the SRDF gives them, such as ``stow``: where the arm is put away.
     elasticity : mapping of str to LinkTube
         By link, base to tool: those of the arm that bend; in `model` they are rigid. Empty: all are.
+    joint_elasticity : mapping of str to JointElasticity
+        By joint, base to tool: those that give way in series with their drives. Empty: all are rigid.
     base_frame, tool_frame : str
         Names of the arm's first and last frame; the tool point is the origin of `tool_frame`, the tool's
         axis its z axis.
@@ -75,6 +77,7 @@ class Robot:
     limits: JointLimits
     group_states: Mapping[str, FloatArray]
     elasticity: Mapping[str, LinkTube]
+    joint_elasticity: Mapping[str, JointElasticity]
     base_frame: str
     tool_frame: str
     payload: float
@@ -97,6 +100,11 @@ class Robot:
     def tool_off(self) -> Robot:
         """The same robot with its tool off: no force acts on it."""
         return replace(self, tool_force=_NO_FORCE) if self.pushed else self
+
+    @property
+    def with_rigid_joints(self) -> Robot:
+        """The same robot with joints that do not give way."""
+        return replace(self, joint_elasticity={}) if self.joint_elasticity else self
 
     @property
     def pushed(self) -> bool:

@@ -56,6 +56,8 @@ def migrated(source: str | Path, target: Path, schema: Path) -> str:
     given, default = tool_path.setdefault("speed_profile", {}), SpeedProfile()
     for key in ("kind", "ramp"):
         given.setdefault(key, getattr(default, key))
+    # Nor do their joints give way.
+    data.setdefault("robot", {}).setdefault("joints", "rigid")
     _move(data, path.parent, target.resolve().parent)
     text = io.StringIO()
     yaml.dump(data, text)

@@ -97,6 +97,10 @@ class PostureFile(FileModel):
         return self
 
 
+Joints = Literal["elastic", "rigid"]
+"""Whether joints give way as the robot's elasticity file says."""
+
+
 class RobotFile(FileModel):
     """Which robot: the shipped ``cmbot``, or any URDF with its frames, limits and mount."""
 
@@ -111,7 +115,10 @@ class RobotFile(FileModel):
     srdf: Text | None = None
     """Of another URDF: path of its SRDF, if there is one."""
     elasticity: Text | None = None
-    """Of another URDF: path of the file that says which of its links bend; left out: as beside the URDF."""
+    """Of another URDF: path of the file that says what of it bends; left out: as beside the URDF."""
+    joints: Joints | None = None
+    """Whether joints give way as the elasticity file says; left out: ``rigid``, as in the paper, in
+    ``cmbot-scene/1``, else ``elastic``."""
     package_dirs: Annotated[tuple[Text, ...], Field(max_length=100)] | None = None
     """Of another URDF: folders in which ``package://`` is sought first, relative to the scene file."""
     mount: MountFile | None = None
@@ -204,6 +211,11 @@ class SceneFile(FileModel):
         return self.model_dump(mode="json", exclude_none=True, by_alias=True)
 
     @property
+    def joints(self) -> Joints:
+        """Whether the robot's joints give way."""
+        return self.robot.joints or ("rigid" if self.format == "cmbot-scene/1" else "elastic")
+
+    @property
     def posture_key(self) -> str:
         """The key that has the posture, such as ``posture_deg`` or ``start.posture``."""
         if self.start is None:
@@ -253,6 +265,8 @@ class RobotSource(CheckedFields):
         Frames of the URDF: the mounted one, and the one that follows the tool path. None: the only choice.
     limits, srdf, elasticity : Path or None
         Joint limits, SRDF, elasticity file. None also where they lie beside the URDF.
+    joints : str
+        ``elastic``: they give way as the elasticity file says; or ``rigid``.
     package_dirs : tuple of Path or None
         Where ROS packages are sought first.
     mount_xyz, mount_rpy : tuple of float or None
@@ -274,6 +288,7 @@ class RobotSource(CheckedFields):
     mount_rpy: Vector | None
     tool_length: Length | None
     payload: Mass
+    joints: Joints = "elastic"
 
     @property
     def files(self) -> dict[str, Any]:

@@ -144,7 +144,7 @@ def scene_from_file(
     """
     find = partial(_found, base_folder, source)
     own = tuple(obstacle_from_file(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
-    guardrail, robot = guardrail_from_file(file.guardrail), _robot(file.robot, find)
+    guardrail, robot = guardrail_from_file(file.guardrail), _robot(file, find)
     return Scene(
         name=file.name,
         source=source,
@@ -190,6 +190,8 @@ def update_file(scene: Scene) -> Scene:
         data |= {"tool": plain(scene.tool, "Scene"), "format": FORMAT}
     if isinstance(scene.keep, AxisCone):
         data |= {"format": FORMAT}
+    if scene.robot.joints != scene.file.joints or data["format"] != scene.file.format:
+        data["robot"]["joints"] = scene.robot.joints
     file = validated(SceneFile, data, "Scene", SceneError)
     if file == scene.file:
         return replace(scene, obstacles=obstacles)
@@ -245,8 +247,9 @@ def scene_path(source: str | Path) -> Path:
     return path
 
 
-def _robot(file: RobotFile, find: _Find) -> RobotSource:
-    values = si_fields(file)
+def _robot(scene: SceneFile, find: _Find) -> RobotSource:
+    file = scene.robot
+    values = si_fields(file) | {"joints": scene.joints}
     for key in ("limits", "srdf", "elasticity"):
         if values[key] is not None:
             values[key] = find(values[key], f"robot.{key}")
@@ -294,6 +297,7 @@ def _robot_data(robot: RobotSource, file: RobotFile) -> dict[str, Any]:
         "tool_frame": robot.tool_frame,
         "tool_length_m": robot.tool_length,
         "payload_kg": robot.payload,
+        "joints": file.joints,
     }
     shipped = robot.model == "cmbot"
     data["model"] = file.model if shipped == (file.model == "cmbot") else str(robot.model)

@@ -32,8 +32,8 @@ class SimulationOptions:
         ``equilibrium``: the arm starts at rest, bent under its weight. ``undeformed``: it starts straight.
     segments : int
         Elastic joints per link tube.
-    guardrail_factor, link_factor : float
-        Of the stiffness of the guardrail and of the links.
+    guardrail_factor, link_factor, joint_factor : float
+        Of the stiffness of the guardrail, of the links and of the joints.
     payload_kg : float or None
         Point mass at the tool in place of the scene's; the motion stays the same.
     spectral_radius : float
@@ -52,6 +52,7 @@ class SimulationOptions:
     segments: Annotated[int, Field(ge=1, le=8)] = 1
     guardrail_factor: Factor = 1.0
     link_factor: Factor = 1.0
+    joint_factor: Factor = 1.0
     payload_kg: Annotated[float, Field(ge=0, le=1e4)] | None = None
     spectral_radius: Annotated[float, Field(ge=0, le=1)] = 0.8
     corrections: Annotated[int, Field(ge=1, le=10)] = 2

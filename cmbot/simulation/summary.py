@@ -142,9 +142,10 @@ def _decay(motion: MotionTracking) -> str:
 
 def _setting(options: SimulationOptions) -> str:
     start = "hanging in equilibrium" if options.initial == "equilibrium" else "undeformed, and let go"
-    guardrail, links, stiffness = options.guardrail_factor, options.link_factor, ""
-    if (guardrail, links) != (1.0, 1.0):
-        stiffness = f"stiffness times {guardrail:g} (guardrail) and {links:g} (links), "
+    guardrail, links, joints = options.guardrail_factor, options.link_factor, options.joint_factor
+    stiffness = ""
+    if (guardrail, links, joints) != (1.0, 1.0, 1.0):
+        stiffness = f"stiffness times {guardrail:g} (guardrail), {links:g} (links) and {joints:g} (joints), "
     return (
         f"Starts {start}; damping {100 * options.damping:g} % of critical for every mode in the first "
         f"posture, {stiffness}{counted(options.segments, 'segment')} a link, "

@@ -153,7 +153,7 @@ def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:
     if options.payload_kg is not None:
         source = replace(plan.scene.robot, payload=options.payload_kg)
         robot = robot_of(replace(plan.scene, robot=source))
-    shared = ("segments", "guardrail_factor", "link_factor")
+    shared = ("segments", "guardrail_factor", "link_factor", "joint_factor")
     elastic = ElasticOptions(**{name: getattr(options, name) for name in shared})
     arm = elastic_arm(robot, elastic_base(plan.scene.guardrail), elastic)
     if not len(arm.elastic):
@@ -211,7 +211,7 @@ def track_work(
         parts.append((PrescribedMotion.held(work.end, options.settle_s), arm.external_forces))
     motions, forces = zip(*parts, strict=True)
     integrator = GeneralizedAlpha(
-        ElasticSystem.of(arm, modes.damping(options.damping)),
+        ElasticSystem.of(arm, modes.damping(options.damping) + arm.damping),
         step=options.step_s,
         rho_inf=options.spectral_radius,
         corrections=options.corrections,

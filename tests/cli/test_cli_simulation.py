@@ -166,7 +166,7 @@ def test_options_reach_the_simulation(short_folder: Path) -> None:
     assert outcome.status == 0, outcome.err
     options = json.loads((short_folder / "tracking.json").read_text(encoding="utf-8"))["options"]
     changed = {"damping": 0.02, "initial": "undeformed", "segments": 2}
-    factors = {"guardrail_factor": 0.8, "link_factor": 0.8}
+    factors = {"guardrail_factor": 0.8, "link_factor": 0.8, "joint_factor": 0.8}
     assert options | changed | factors == options
     assert "Starts undeformed" in outcome.out
     _, table = rows_of(short_folder / "tracking.csv")

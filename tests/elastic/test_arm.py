@@ -1,5 +1,6 @@
 """The arm as driven joints and springs: beams in closed form, inertias kept, the rigid arm as its limit."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from robot_files import load_copy
 
 from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, cut_inertia
-from cmbot.robot import Kinematics, Robot
+from cmbot.robot import JointElasticity, Kinematics, Robot, turn_axis
 
 SEGMENTS = (1, 2, 5)
 HALF = np.array([0.5])
@@ -64,6 +65,11 @@ def test_a_cantilever_bends_as_a_beam(tmp_path: Path, segments: int, direction: 
 def test_any_arm_bends_as_a_chain_of_beams(tmp_path: Path, rng: np.random.Generator, segments: int) -> None:
     """By unit loads: the bending energy of every tube, integrated exactly over its length."""
     robot = random_robot(tmp_path, rng, 5)
+    springs = {
+        "joint_2": JointElasticity(stiffness=2e3),
+        "joint_5": JointElasticity(stiffness=5e3, tilting=1e4),
+    }
+    robot = replace(robot, joint_elasticity=springs)
     base = random_base(rng)
     q = rng.uniform(-2, 2, 5)
     data = robot.model.createData()
@@ -81,6 +87,14 @@ def test_any_arm_bends_as_a_chain_of_beams(tmp_path: Path, rng: np.random.Genera
         for x, w in zip((1 + points) / 2, weights / 2, strict=True):
             moment = _moved(tool - start - x * (end - start))[3:]
             expected += w * tube.length * moment.T @ flexibility @ moment
+    for joint, spring in springs.items():
+        X = data.oMi[robot.model.getJointId(joint)]
+        axis = X.rotation @ turn_axis(robot.model.joints[robot.model.getJointId(joint)])
+        turning = np.outer(axis, axis) / spring.stiffness
+        if spring.tilting is not None:
+            turning += (np.eye(3) - np.outer(axis, axis)) / spring.tilting
+        moment = _moved(tool - X.translation)[3:]
+        expected += moment.T @ turning @ moment
     got = compliance(make_arm(robot, base, segments=segments), q)
     np.testing.assert_allclose(got, expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
@@ -93,9 +107,15 @@ def _moved(arm: FloatArray) -> FloatArray:
 def test_stiffness_factors(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     base = random_base(rng)
     usual = make_arm(cmbot_robot, base).stiffness
-    other = make_arm(cmbot_robot, base, guardrail_factor=0.7, link_factor=1.3).stiffness
-    np.testing.assert_allclose(other[:6, :6], 0.7 * usual[:6, :6], rtol=1e-15)
-    np.testing.assert_allclose(other[6:, 6:], 1.3 * usual[6:, 6:], rtol=1e-15)
+    factors = {"guardrail_factor": 0.7, "link_factor": 1.3, "joint_factor": 2.0}
+    other = make_arm(cmbot_robot, base, **factors)
+    names = [other.model.names[int(k) + 1] for k in other.elastic]
+    kinds = [name.split()[0][:4] for name in names]
+    factor = np.array([{"guar": 0.7, "link": 1.3, "join": 2.0}[kind] for kind in kinds])
+    np.testing.assert_allclose(other.stiffness, factor[:, None] * usual, rtol=1e-14)
+    drives = np.diag(usual)[[kind == "join" for kind in kinds]]
+    np.testing.assert_array_equal(drives, [1e5, 1e5, 1e5, 5e4, 5e4, 2e4, 2e4])
+    assert not other.damping.any()
     np.testing.assert_array_equal(usual[:6, :6], base.stiffness)
     assert not usual[:6, 6:].any()
     assert (usual == usual.T).all()
@@ -190,7 +210,8 @@ def test_undeformed_it_is_the_rigid_arm(
     for robot in (cmbot_robot, *(random_robot(tmp_path / str(n), rng, n) for n in (3, 5, 7))):
         n = robot.dof
         arm = make_arm(robot, random_base(rng), segments=segments)
-        assert arm.model.nq == arm.model.nv == n + 6 + 5 * segments * len(robot.elasticity)
+        springs = 5 * segments * len(robot.elasticity) + len(robot.joint_elasticity)
+        assert arm.model.nq == arm.model.nv == n + 6 + springs
         q, v, a = rng.uniform(-2, 2, (3, n))
         u = np.zeros(len(arm.elastic))
         full = arm.configuration(q, u)
@@ -241,7 +262,7 @@ def test_order_of_the_coordinates(cmbot_robot: Robot, rng: np.random.Generator) 
 
 
 def test_rigid_hold_and_rigid_links(urdf_folder: Path, rng: np.random.Generator) -> None:
-    rigid, base = load_copy(urdf_folder), random_base(rng)
+    rigid, base = load_copy(urdf_folder).with_rigid_joints, random_base(rng)
     assert len(make_arm(rigid).elastic) == 0
     assert make_arm(rigid).stiffness.shape == (0, 0)
     np.testing.assert_array_equal(make_arm(rigid, base).stiffness, base.stiffness)
@@ -257,6 +278,7 @@ def test_rigid_hold_and_rigid_links(urdf_folder: Path, rng: np.random.Generator)
         ({"guardrail_factor": 0.0}, "guardrail_factor"),
         ({"link_factor": float("nan")}, "link_factor"),
         ({"link_factor": float("inf")}, "link_factor"),
+        ({"joint_factor": -1.0}, "joint_factor"),
     ],
 )
 def test_options_are_checked(options: dict[str, Any], key: str) -> None:

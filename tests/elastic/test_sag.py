@@ -77,7 +77,7 @@ def test_a_cantilever_under_its_own_weight(tmp_path: Path) -> None:
 def test_rigid_links_on_an_elastic_base(cmbot_robot: Robot, rng: np.random.Generator) -> None:
     """With rigid links and a stiff hold: weight and its torque about O0 on the hold's compliance."""
     base, factor = random_base(rng), 1e4
-    arm = make_arm(replace(cmbot_robot, elasticity={}), base, guardrail_factor=factor)
+    arm = make_arm(replace(cmbot_robot.with_rigid_joints, elasticity={}), base, guardrail_factor=factor)
     q = rng.uniform(-2, 2, (5, 7))
     states = Sag(arm).at(q)
     kinematics = Kinematics(cmbot_robot)
@@ -185,13 +185,13 @@ def test_states_are_independent(shipped_arm: ElasticArm, rng: np.random.Generato
         for name in ("u", "tool", "rotation", "d_tool"):
             np.testing.assert_array_equal(getattr(alone, name)[0], getattr(together, name)[k])
     none = sag.at(q[:0])
-    assert (none.u.shape, none.tool.shape, none.d_tool.shape) == ((0, 26), (0, 3), (0, 3, 7))
+    assert (none.u.shape, none.tool.shape, none.d_tool.shape) == ((0, 33), (0, 3), (0, 3, 7))
 
 
 def test_a_rigid_arm_does_not_sag(cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, (2, 7))
     for robot in (cmbot_robot, cantilever(tmp_path, length=1.0, mass=1.0)):
-        states = Sag(make_arm(replace(robot, elasticity={}))).at(q[:, : robot.dof])
+        states = Sag(make_arm(replace(robot.with_rigid_joints, elasticity={}))).at(q[:, : robot.dof])
         assert states.u.shape == (2, 0)
         assert states.d_tool.shape == (2, 3, robot.dof)
         for array in (states.tool, states.rotation, states.d_tool):
@@ -202,7 +202,8 @@ def test_a_rigid_arm_does_not_sag(cmbot_robot: Robot, tmp_path: Path, rng: np.ra
 def test_stiffer_sags_less(cmbot_robot: Robot, rng: np.random.Generator, factor: float) -> None:
     base, q = random_base(rng), rng.uniform(-2, 2, (1, 7))
     soft = Sag(make_arm(cmbot_robot, base)).at(q)
-    stiff = Sag(make_arm(cmbot_robot, base, guardrail_factor=factor, link_factor=factor)).at(q)
+    factors = {f"{part}_factor": factor for part in ("guardrail", "link", "joint")}
+    stiff = Sag(make_arm(cmbot_robot, base, **factors)).at(q)
     np.testing.assert_allclose(factor * stiff.u, soft.u, rtol=0, atol=0.1 * np.abs(soft.u).max())
     assert np.abs(stiff.tool).max() < 2 / factor * np.abs(soft.tool).max() + 1e-15
 

@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose
 from numpy.typing import NDArray
 
 from cmbot.elastic.arm import ElasticArm, cut_inertia
-from cmbot.robot import Robot
+from cmbot.robot import Robot, turn_axis
 
 FloatArray = NDArray[np.float64]
 AXES = np.eye(3)
@@ -34,6 +34,7 @@ class Twin:
         self.spec.option.gravity = robot.model.gravity.linear
         self.inertias: list[Any] = []
         self.names = iter(arm.model.names[1:])
+        self.drives: list[str] = []
         body = self.spec.worldbody
         if arm.base is not None:
             body = self._body(body, pin.SE3.Identity(), robot.model.inertias[0])
@@ -45,6 +46,7 @@ class Twin:
             pieces, frames = _pieces(arm, i, links.get(i))
             body = self._body(body, X * robot.model.jointPlacements[i], pieces[0])
             self._add_joints(body, HINGE, [_axis(robot, i)], DRIVEN_ARMATURE if timestep else 0.0)
+            self._add_drive(body, i, springs=timestep is not None)
             X = pin.SE3.Identity()
             for piece, X_JT in zip(pieces[1:], frames, strict=True):
                 body = self._body(body, X * X_JT, X_JT.actInv(piece))
@@ -87,6 +89,31 @@ class Twin:
         for axis in axes:
             body.add_joint(name=next(self.names), type=kind, axis=axis, armature=armature)
 
+    def _add_drive(self, body: Any, joint: int, *, springs: bool) -> None:
+        """Hinges without drive behind a driven one, with springs of their own, straight from the robot."""
+        robot = self.arm.robot
+        given = robot.joint_elasticity.get(robot.joints[joint - 1])
+        if given is None:
+            return
+        axis = _axis(robot, joint)
+        kinds = [(axis, given.stiffness, given.damping)]
+        if given.tilting is not None:
+            # Which two axes across the joint's are meant is the arm's choice.
+            first = self.arm.model.joints[self.arm.model.getJointId(f"{robot.joints[joint - 1]} tilt y")]
+            across = np.asarray(turn_axis(first))
+            assert abs(across @ axis) < 1e-12
+            kinds += [(across, given.tilting, 0.0), (np.cross(axis, across), given.tilting, 0.0)]
+        for direction, stiffness, damping in kinds:
+            name = next(self.names)
+            self.drives.append(name)
+            body.add_joint(
+                name=name,
+                type=HINGE,
+                axis=direction,
+                stiffness=stiffness if springs else 0.0,
+                damping=damping if springs else 0.0,
+            )
+
     def _add_push(self, force: tuple[float, ...]) -> None:
         """A motor that pushes the tool along its own axes: by 1 times its gear, whatever its control."""
         motor = self.spec.add_actuator(name="push", target=TOOL, trntype=mujoco.mjtTrn.mjTRN_SITE)
@@ -97,7 +124,9 @@ class Twin:
     def _add_springs(self) -> None:
         """Springs and masses that couple coordinates: fixed tendons along the matrices' eigenvectors."""
         names = [self.arm.model.names[int(joint) + 1] for joint in self.arm.elastic]
-        for kind, matrix in (("stiffness", self.arm.stiffness), ("armature", self.arm.added_mass)):
+        coupled = np.array([name not in self.drives for name in names])
+        held = np.where(coupled[:, None] & coupled, self.arm.stiffness, 0.0)
+        for kind, matrix in (("stiffness", held), ("armature", self.arm.added_mass)):
             for value, along in _directions(matrix):
                 tendon = self.spec.add_tendon(springlength=[0, 0], **{kind: value})
                 for name, share in zip(names, along, strict=True):

@@ -12,7 +12,7 @@ from fuzzing.workers import run_all
 
 
 def test_every_mutant_is_accepted_or_refused_in_one_line(tmp_path: Path) -> None:
-    words = ("--count", "70", "--seed", "2", "--workers", "1", "--output", str(tmp_path))
+    words = ("--count", "70", "--seed", "3", "--workers", "1", "--output", str(tmp_path))
     done = subprocess.run(
         [sys.executable, ROOT / "tools" / "fuzz.py", *words],
         env=environment(),

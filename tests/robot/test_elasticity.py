@@ -9,7 +9,7 @@ from robot_files import load_copy, replace
 
 from cmbot.common.errors import ModelError
 from cmbot.common.installation import model_folder
-from cmbot.robot import LinkTube, Robot
+from cmbot.robot import JointElasticity, LinkTube, Robot
 
 SHIPPED = model_folder() / "urdf" / "cmbot.elasticity.yaml"
 
@@ -54,6 +54,38 @@ def test_the_file_beside_the_urdf_is_found(urdf_folder: Path, cmbot_robot: Robot
     assert list(found.items()) == list(cmbot_robot.elasticity.items())
 
 
+def test_the_shipped_joints_give_way_as_assumed(cmbot_robot: Robot) -> None:
+    springs = cmbot_robot.joint_elasticity
+    assert tuple(springs) == cmbot_robot.joints
+    assert [spring.stiffness for spring in springs.values()] == [1e5, 1e5, 1e5, 5e4, 5e4, 2e4, 2e4]
+    assert {(spring.damping, spring.tilting) for spring in springs.values()} == {(0.0, None)}
+    assert cmbot_robot.with_rigid_joints.joint_elasticity == {}
+
+
+def test_springs_of_a_file(bending_folder: Path) -> None:
+    file = bending_folder / SHIPPED.name
+    replace(
+        file, "joint_3: {stiffness_nm_rad: 100000.0}", "joint_3: {stiffness_nm_rad: 3e+4, damping_nms_rad: 2}"
+    )
+    replace(
+        file,
+        "joint_1: {stiffness_nm_rad: 100000.0}",
+        "joint_1: {stiffness_nm_rad: 1e+5, tilting_nm_rad: 9e+5}",
+    )
+    replace(file, "  joint_2: {stiffness_nm_rad: 100000.0}\n", "")
+    springs = load_copy(bending_folder).joint_elasticity
+    assert list(springs) == ["joint_1", "joint_3", "joint_4", "joint_5", "joint_6", "joint_7"]
+    assert springs["joint_1"] == JointElasticity(stiffness=1e5, tilting=9e5)
+    assert springs["joint_3"] == JointElasticity(stiffness=3e4, damping=2.0)
+    assert list(load_copy(bending_folder, base_frame="link_4").joint_elasticity) == [
+        "joint_5", "joint_6", "joint_7"
+    ]  # fmt: skip
+    links_only = file.read_text(encoding="utf-8").partition("joints:\n")[0]
+    file.write_text(links_only.replace("elasticity/2", "elasticity/1"), encoding="utf-8")
+    assert load_copy(bending_folder).joint_elasticity == {}
+    assert list(load_copy(bending_folder).elasticity) == ["link_1", "link_2", "link_3", "link_5"]
+
+
 def test_a_file_elsewhere_comes_first_and_has_to_be_there(bending_folder: Path) -> None:
     other = bending_folder / "other.yaml"
     with pytest.raises(ModelError, match=r"other.yaml: .*no such file"):
@@ -76,7 +108,17 @@ def test_links_that_do_not_move_are_rigid(bending_folder: Path) -> None:
     [
         ("link_5:", "link_9:", "links", "a link of the URDF"),
         ("link_5:", "joint_5:", "links", "a link of the URDF"),
-        ("elasticity/1", "elasticity/2", "format", "cmbot-elasticity/1"),
+        ("elasticity/2", "elasticity/3", "format", "cmbot-elasticity/2"),
+        ("elasticity/2", "elasticity/1", "joints", "it goes with cmbot-elasticity/2"),
+        ("joint_7:", "joint_8:", "joints", "a joint of the URDF"),
+        (
+            "stiffness_nm_rad: 20000.0",
+            "stiffness_nm_rad: 0",
+            "joints.joint_6.stiffness_nm_rad",
+            "at least 0.001",
+        ),
+        ("stiffness_nm_rad: 20000.0", "damping_nms_rad: 1", "joints.joint_6.stiffness_nm_rad", "a value"),
+        ("stiffness_nm_rad: 50000.0", "stiffness: 1", "joints.joint_4.stiffness", "known key"),
         ("wall_m: 0.003", "wall_m: 0.041", "links.link_5.wall_m", "half of outer_diameter_m"),
         ("wall_m: 0.003", "wall_m: 0", "links.link_5.wall_m", "at least 1e-05"),
         ("    wall_m: 0.003\n", "", "links.link_5.wall_m", "a value"),

@@ -239,7 +239,8 @@ def _robot_files() -> Files:
         "arm.urdf": _urdf(),
         "arm.srdf": f'<robot name="arm">\n{state}{pairs}</robot>\n',
         "joint_limits.yaml": f"format: cmbot-joint-limits/1\njoints:\n{joints}",
-        "arm.elasticity.yaml": f"format: cmbot-elasticity/1\nlinks:\n  link_2: {tube}\n  link_3: {tube}\n",
+        "arm.elasticity.yaml": f"format: cmbot-elasticity/2\nlinks:\n  link_2: {tube}\n  link_3: {tube}\n"
+        "joints: {joint_2: {stiffness_nm_rad: 5.0e+4, damping_nms_rad: 1.0, tilting_nm_rad: 1.0e+5}}\n",
         "block.obj": block.export(file_type="obj"),
     }
     return {name: text.encode() for name, text in files.items()} | {
