@@ -8,7 +8,7 @@ The reading order::
     Plan           what came out, with its figures
     save, load_plan   a plan directory                    cmbot.archive
     simulate       what bends on the way                  cmbot.simulation
-    replay, report   the motion in a browser, and what it gains   cmbot.views
+    replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
 
 Names are imported when they are first used, so that ``import cmbot`` is quick.
 """
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.simulation import SimulationOptions, Tracking, simulate
-    from cmbot.views import plot, replay, report
+    from cmbot.views import plot, replay, report, show
 
 __all__ = [
     "ArchiveError",
@@ -71,6 +71,7 @@ __all__ = [
     "report",
     "save",
     "save_tracking",
+    "show",
     "simulate",
 ]
 
@@ -80,7 +81,7 @@ _ROOMS = {
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
     "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
-    "cmbot.views": ("plot", "replay", "report"),
+    "cmbot.views": ("plot", "replay", "report", "show"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

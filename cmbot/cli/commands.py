@@ -18,7 +18,7 @@ import typer.main
 import cmbot
 from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, flat, out
 from cmbot.cli.creation import new
-from cmbot.cli.inspection import check, doctor
+from cmbot.cli.inspection import check, doctor, scenes, schema
 from cmbot.cli.planning import plan
 from cmbot.cli.simulation import reproduce, simulate
 from cmbot.cli.views import replay, report
@@ -29,7 +29,6 @@ __all__ = ["app", "main"]
 app = typer.Typer(
     name="cmbot",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     help="Plan the motion of a robot arm that works from a base that bends.\n\n"
@@ -152,5 +151,5 @@ def _options(
     del debug, version
 
 
-for _verb in (plan, new, replay, report, simulate, reproduce, check, doctor):
+for _verb in (plan, new, replay, report, simulate, reproduce, check, scenes, schema, doctor):
     app.command()(_verb)

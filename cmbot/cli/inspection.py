@@ -14,7 +14,16 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 import cmbot
-from cmbot.cli.console import ExitStatus, JsonOption, QuietOption, flat, out, print_json, print_pairs
+from cmbot.cli.console import (
+    ExitStatus,
+    JsonOption,
+    QuietOption,
+    complete_scene,
+    flat,
+    out,
+    print_json,
+    print_pairs,
+)
 from cmbot.common.errors import InputError, SceneError
 from cmbot.common.installation import install_command, model_folder, scene_folder
 from cmbot.version import __version__
@@ -22,7 +31,7 @@ from cmbot.version import __version__
 if TYPE_CHECKING:
     from cmbot.robot import Finding
 
-__all__ = ["Symptom", "check", "doctor", "examine"]
+__all__ = ["Symptom", "check", "doctor", "examine", "scenes", "schema"]
 
 _ROBOT_SUFFIXES = (".urdf", ".xml", ".xacro")
 _SCENE_SUFFIXES = (".yaml", ".yml", ".json")
@@ -64,7 +73,11 @@ _OPTIONAL = (
 def check(
     file: Annotated[
         str,
-        typer.Argument(metavar="FILE", help="A URDF, a scene file, or a shipped scene's or a robot's name."),
+        typer.Argument(
+            metavar="FILE",
+            help="A URDF, a scene file, or a shipped scene's or a robot's name.",
+            autocompletion=complete_scene,
+        ),
     ],
     write_srdf: Annotated[
         Path | None,
@@ -191,6 +204,35 @@ def _is_file(path: Path) -> bool:
         return path.is_file()
     except OSError:  # a name that is too long
         return False
+
+
+def scenes(as_json: JsonOption = False) -> None:
+    """List the shipped scenes, each with what it is about.
+
+    Example: [bold]cmbot scenes[/bold]
+    """
+    from cmbot.scene import shipped_scenes
+
+    about = {name: _about(scene_folder() / f"{name}.yaml") for name in shipped_scenes()}
+    if as_json:
+        print_json({"verb": "scenes", "folder": str(scene_folder()), "scenes": about})
+        return
+    print_pairs(about)
+    out.print(f"Their files are in {flat(scene_folder())}; cmbot plan NAME plans one.")
+
+
+def _about(path: Path) -> str:
+    """Return the first sentence of a scene file's comments."""
+    comments = (line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# "))
+    return next((line[2:] for line in comments if "yaml-language-server" not in line), "")
+
+
+def schema() -> None:
+    """Print the JSON Schema of scene files, for editors and programs.
+
+    Example: [bold]cmbot schema > scene.schema.json[/bold]
+    """
+    out.print((scene_folder() / "scene.schema.json").read_text(encoding="utf-8"), end="")
 
 
 def doctor() -> None:

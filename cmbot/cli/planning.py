@@ -17,6 +17,7 @@ from cmbot.cli.console import (
     FiguresOption,
     JsonOption,
     QuietOption,
+    complete_scene,
     err,
     flat,
     out,
@@ -71,7 +72,12 @@ def _allowed(option: Mapping[str, Any]) -> str:
 
 def plan(
     scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help="A scene file, or the name of a shipped scene.")
+        str,
+        typer.Argument(
+            metavar="SCENE",
+            help="A scene file, or the name of a shipped scene.",
+            autocompletion=complete_scene,
+        ),
     ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Plan directory to write; out/NAME if left out.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -12,6 +13,7 @@ from threadpoolctl import threadpool_limits
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, LimitViolation, PathNotFound, PlanningError, remedy_for
 from cmbot.common.validation import checked_options, require_type
+from cmbot.common.watching import watched
 from cmbot.optimization import ExchangeReport
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.failures import constraints_named, in_seconds, slower, slower_legs
@@ -57,7 +59,7 @@ def plan(
     *,
     options: PlannerOptions | None = None,
     objective: WrenchFunction | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[Progress], None] | Literal[False] | None = None,
 ) -> Plan:
     """Plan the motion of a scene's arm.
 
@@ -76,7 +78,8 @@ def plan(
         wrenches (N, 6) to values (N,), never negative, and gradients (N, 6); see
         `cmbot.planning.WrenchFunction`. A plan directory holds its name only.
     progress : callable, optional
-        Called with a `Progress` as the work goes on.
+        Called with a `Progress` as the work goes on. Left out, that is shown on a terminal and in a notebook;
+        with False nowhere.
 
     Raises
     ------
@@ -96,7 +99,7 @@ def plan(
     """
     require_type(scene, Scene, "cmbot.plan", "scene", "a Scene, as cmbot.load_scene returns it")
     for key, value in (("objective", objective), ("progress", progress)):
-        if not (value is None or callable(value)):
+        if not (value is None or value is False or callable(value)):
             raise InputError("cmbot.plan", key, type(value).__name__, "something to call, or None")
     given = scene.planner if options is None else checked_options(PlannerOptions, options, "PlannerOptions")
     if scene.order == "best":
@@ -104,8 +107,12 @@ def plan(
     # The plan holds the solver that it was made with.
     automatic, options = given.solver == "auto", replace(given, solver=solver_of(given))
     # The matrices are small: more threads of linear algebra than one only wait for each other.
-    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
-        reporter = ProgressReporter(progress, limit=options.time_limit_s)
+    with (
+        threadpool_limits(limits=1, user_api="blas"),
+        watched(progress) as report,
+        failures_explained(scene),
+    ):
+        reporter = ProgressReporter(report, limit=options.time_limit_s)
         reporter.stage("path")
         context = build_context(scene, options, objective, reporter)
         for number, stroke in enumerate(context.strokes):
@@ -122,7 +129,7 @@ def _in_best_order(
     scene: Scene,
     options: PlannerOptions,
     objective: WrenchFunction | None,
-    progress: Callable[[Progress], None] | None,
+    progress: Callable[[Progress], None] | Literal[False] | None,
 ) -> Plan:
     """The plan in the order of least travel, or in the given one where the peak of that is lower.
 

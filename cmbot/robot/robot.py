@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.cards import card
 from cmbot.common.errors import InputError
 from cmbot.common.validation import counted
 from cmbot.robot.elasticity import JointElasticity, LinkTube
@@ -84,6 +85,31 @@ class Robot:
     content_hash: str
     tool_force: tuple[float, float, float] = _NO_FORCE
     remarks: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return (
+            f"<Robot {self.name}: {self.dof} joints, {self.arm_mass:.2f} kg moving, payload "
+            f"{self.payload:g} kg, tool {self.tool_frame}>"
+        )
+
+    def _repr_html_(self) -> str:
+        """Card in a notebook."""
+        limits, rows = self.limits, []
+        for i, joint in enumerate(self.joints):
+            units = limits.units(i, shown=True)
+            bounds = zip(
+                (limits.velocity, limits.acceleration), (units.velocity, units.acceleration), strict=True
+            )
+            rates = (f"{units.factor * bound[i]:.4g} {unit}" for bound, unit in bounds)
+            torque = f"{limits.torque[i]:.4g} {units.torque}"
+            rows.append((joint, limits.range_in_words(i), *rates, torque))
+        return card(
+            f"Robot {self.name}",
+            f"{self.dof} joints, {self.arm_mass:.2f} kg moving, payload {self.payload:g} kg, "
+            f"from {self.base_frame} to {self.tool_frame}",
+            rows,
+            ("joint", "range", "velocity", "acceleration", "effort"),
+        )
 
     @cached_property
     def visual_model(self) -> Any:

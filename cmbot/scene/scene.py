@@ -11,10 +11,12 @@ import numpy as np
 from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.cards import card
 from cmbot.common.validation import (
     CheckedFields,
     FileModel,
     check_fields,
+    counted,
     refusal,
     require_type,
     shown,
@@ -405,6 +407,23 @@ class Scene:
     planner: PlannerOptions
     file: SceneFile
     content_hash: str
+
+    def __repr__(self) -> str:
+        return f"<Scene {self.name}: {self._in_words}>"
+
+    def _repr_html_(self) -> str:
+        """Card in a notebook."""
+        rows = [(f"stroke {stroke.name}", f"keeps the tool's {stroke.keep}") for stroke in self.each_stroke]
+        rows.append(("stands on", self.base_name))
+        rows.append(("obstacles", ", ".join(obstacle.name for obstacle in self.obstacles) or "none"))
+        back = "stays" if self.return_to == "none" else f"returns to {self.return_to}"
+        rows.append(("after the work", back))
+        return card(f"Scene {self.name}", self._in_words, rows)
+
+    @property
+    def _in_words(self) -> str:
+        strokes, obstacles = len(self.each_stroke), len(self.obstacles)
+        return f"{self.robot.model}, {counted(strokes, 'stroke')}, {counted(obstacles, 'obstacle')}"
 
     @property
     def each_stroke(self) -> tuple[StrokeFile, ...]:

@@ -12,8 +12,10 @@ import pinocchio as pin
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.cards import card
 from cmbot.common.errors import InputError
 from cmbot.common.validation import checked_options
+from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
 from cmbot.elastic.modes import arm_modes
@@ -94,6 +96,25 @@ class Tracking:
     planned: MotionTracking
     seconds: float
 
+    def __repr__(self) -> str:
+        return f"<Tracking: {self._in_words}>"
+
+    def _repr_html_(self) -> str:
+        """Card in a notebook."""
+        rows = []
+        parts = {"error": "total", "at rest": "static", "vibration": "dynamic", "off its path": "path"}
+        for name, part in parts.items():
+            values = (1e3 * getattr(motion.metrics, part).rms[3] for _, motion in self.motions)
+            rows.append((f"{name}, RMS, mm", *(f"{value:.3f}" for value in values)))
+        return card("Tracking", self._in_words, rows, ("", "baseline", "planned"))
+
+    @property
+    def _in_words(self) -> str:
+        each = ", ".join(
+            f"{1e3 * motion.metrics.total.rms[3]:.2f} mm ({name})" for name, motion in self.motions
+        )
+        return f"RMS distance of the bent tool from the rigid one {each}"
+
     @property
     def motions(self) -> tuple[tuple[Literal["baseline", "planned"], MotionTracking], ...]:
         """Both motions with their names."""
@@ -104,7 +125,7 @@ def simulate(
     plan: Plan,
     options: SimulationOptions | None = None,
     *,
-    progress: Callable[[float], None] | None = None,
+    progress: Callable[[float], None] | Literal[False] | None = None,
 ) -> Tracking:
     """Simulate the elastic arm of a plan's scene under its baseline and under its planned motion.
 
@@ -117,7 +138,8 @@ def simulate(
     plan : Plan
     options : SimulationOptions, optional
     progress : callable, optional
-        Called repeatedly with the share of the simulated time that is done, 0 to 1.
+        Called repeatedly with the share of the simulated time that is done, 0 to 1. Left out, that is shown
+        on a terminal and in a notebook; with False nowhere.
 
     Raises
     ------
@@ -132,14 +154,14 @@ def simulate(
     options = checked_options(SimulationOptions, options, "SimulationOptions")
     started = time.perf_counter()
     # The matrices are too small for several threads of linear algebra.
-    with threadpool_limits(limits=1, user_api="blas"):
+    with threadpool_limits(limits=1, user_api="blas"), watched_share(progress, "simulating") as told:
         arm = elastic_arm_of(plan, options)
         works = PrescribedWork.baseline(plan), PrescribedWork.planned(plan)
         first, second = (work.duration + options.settle_s for work in works)
 
         def report(reached: float) -> None:
-            if progress is not None:
-                progress(reached / (first + second))
+            if told is not None:
+                told(reached / (first + second))
 
         baseline = track_work(arm, works[0], options, report)
         planned = track_work(arm, works[1], options, lambda t: report(first + t), plan.sag)

@@ -4,11 +4,13 @@ from cmbot.views.film import film
 from cmbot.views.plots import figure_files, plot, require_matplotlib
 from cmbot.views.replay import ReplayServer, replay, replay_page
 from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
+from cmbot.views.show import Shown, show
 
 __all__ = [
     "REPLAY",
     "REPORT",
     "ReplayServer",
+    "Shown",
     "figure_files",
     "film",
     "pages",
@@ -18,4 +20,5 @@ __all__ = [
     "report",
     "report_page",
     "require_matplotlib",
+    "show",
 ]

@@ -1,18 +1,21 @@
 """What ``cmbot check`` says of a URDF, of a scene, and of what is neither."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 from unittest.mock import Mock
 
 import numpy as np
 import pytest
-from command_line import ROOT, output, refusal, run, write_scene
+from command_line import ENTRY, ROOT, environment, output, refusal, run, write_scene
 from small_scenes import SHORT
 
 import cmbot
-from cmbot.common.installation import model_folder
+from cmbot.common.installation import model_folder, scene_folder
 from cmbot.planning.objectives import objective_of
 from cmbot.robot import Postures
+from cmbot.scene import shipped_scenes
 
 
 def values(out: str) -> dict[str, str]:
@@ -202,3 +205,34 @@ def test_what_is_neither_is_said_to_be_neither_and_a_slip_is_named(
     assert line.startswith(f"error: {path}:")
     assert line.removeprefix(f"error: {path}:").lstrip().startswith(words)
     assert line.endswith(end)
+
+
+def test_shipped_scenes_are_listed_with_what_they_are_about() -> None:
+    lines = output("scenes").splitlines()
+    assert [line.split()[0] for line in lines[:-1]] == list(shipped_scenes())
+    assert all(len(line.split(maxsplit=1)[1]) > 20 for line in lines)
+    data = json.loads(output("scenes", "--json"))
+    assert data["scenes"]["triangle"].startswith("The paper's first experiment")
+
+
+def test_the_schema_is_printed_as_it_is_shipped() -> None:
+    assert output("schema") == (scene_folder() / "scene.schema.json").read_text(encoding="utf-8")
+
+
+def test_a_shell_completes_scenes_verbs_and_options(tmp_path: Path) -> None:
+    (tmp_path / "tower.yaml").touch()
+
+    def completed(*words: str) -> list[str]:
+        given = {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
+        done = subprocess.run(
+            [sys.executable, "-c", ENTRY],
+            env=environment(_CMBOT_COMPLETE="complete_bash", **given),
+            cwd=tmp_path,
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return done.stdout.split()
+
+    assert completed("cmbot", "plan", "t") == ["tower.yaml", "triangle"]
+    assert completed("cmbot", "sc") == ["scenes", "schema"]

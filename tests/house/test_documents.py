@@ -22,6 +22,8 @@ ROOT = Path(__file__).resolve().parent.parent.parent
 IGNORED = {".git", ".venv", "out", "dist", "build", "__pycache__"}
 README, DOCS = ROOT / "README.md", ROOT / "docs"
 FENCE = re.compile(r"^```(\w*)\n(.*?)^```", flags=re.MULTILINE | re.DOTALL)
+# Options of the command itself.
+WHOLE = {"--help", "--install-completion", "--show-completion"}
 # Written in parts, so that this file passes its own test.
 REGISTRIES = ("pypi" + ".org", "python" + "hosted.org", "registry" + ".npmjs", "conda" + ".anaconda.org")
 WORKPLACES = ("/wo" + "rk/", "/tm" + "p/", "/ho" + "me/", "/ro" + "ot/")
@@ -92,11 +94,11 @@ def test_named_commands_exist() -> None:
     named = set()
     for document in DOCUMENTS:
         for verb, options in commands(document.read_text(encoding="utf-8")):
-            assert verb in {*verbs, "--help"}, f"cmbot {verb} in {name_of(document)}"
+            assert verb in {*verbs, *WHOLE}, f"cmbot {verb} in {name_of(document)}"
             known = {name for it in (verbs[verb].params if verb in verbs else ()) for name in it.opts}
-            assert set(options) <= known | {"--help"}, f"cmbot {verb} in {name_of(document)}"
+            assert set(options) <= known | WHOLE, f"cmbot {verb} in {name_of(document)}"
             named.add(verb)
-    assert named - {"--help"} == set(verbs), "a command that no document names"
+    assert named - WHOLE == set(verbs), "a command that no document names"
 
 
 def test_named_targets_paths_columns_and_code_exist() -> None:

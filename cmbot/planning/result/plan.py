@@ -11,6 +11,7 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.common.cards import card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
 from cmbot.planning.context import bending_arm, end_posture_of, sag_of
@@ -91,6 +92,24 @@ class Plan(StrokePlan):
             several=tuple(strokes),
             robot=robot,
             **own,
+        )
+
+    def __repr__(self) -> str:
+        return f"<Plan {self.scene.name}: {self._in_words}>"
+
+    def _repr_html_(self) -> str:
+        """Card in a notebook."""
+        return card(f"Plan of {self.scene.name}", self._in_words, self.rows(), ("", "baseline", "planned"))
+
+    @property
+    def _in_words(self) -> str:
+        each = (self.job.figures, self.figures, self.baseline_figures)
+        job, work, before = (figures.peak_guardrail_torque for figures in each)
+        checks = [check for segment in self.job.segments for check in segment.certificate.checks]
+        held = sum(check.holds for check in checks)
+        return (
+            f"peak torque on the {self.scene.base_name} {job:.1f} Nm in {self.job.duration:.1f} s, at work "
+            f"{work:.1f} Nm (baseline {before:.1f} Nm); {held} of {len(checks)} checks hold"
         )
 
     @property
