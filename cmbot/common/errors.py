@@ -168,31 +168,42 @@ _TIME = "more seconds for the legs"
 # What most often helps, by a word in the name of a constraint.
 _REMEDIES = (
     ("change of the shift", "a larger planner.max_tool_deviation_m, or planner.compensate: false"),
-    ("velocity", _TIME),
-    ("acceleration", _TIME),
-    (
-        "jerk",
-        f"{_TIME}, tool_path.speed_profile.kind jerk_limited or, where they are close, "
-        "fewer tool_path.via_points",
-    ),
+    ("jerk", "{time}{smoother}"),
+    ("velocity", "{time}"),
+    ("acceleration", "{time}"),
     ("torque of", "a lighter payload, another start posture or another place for the tool path"),
     ("joint torque", "a lighter payload, another start posture or another place for the tool path"),
     ("middle of its range", "another start posture or another place for the tool path"),
     ("position", "another start posture or another place for the tool path"),
-    ("tool deviation", "more tool_path.via_points or a larger planner.max_tool_deviation_m"),
-    ("tool rotation", "more tool_path.via_points or a larger planner.max_tool_rotation_deg"),
-    ("tool tilt", "a wider cone (tool_path.keep) or more tool_path.via_points"),
-    ("tool lag", "more tool_path.via_points or a larger planner.max_tool_lag_m"),
-    ("tool speed", "more tool_path.via_points, a speed_profile of kind jerk_limited or more seconds"),
+    ("tool deviation", "more {path}.via_points or a larger planner.max_tool_deviation_m"),
+    ("tool rotation", "more {path}.via_points or a larger planner.max_tool_rotation_deg"),
+    ("tool tilt", "a wider cone ({path}.keep) or more {path}.via_points"),
+    ("tool lag", "more {path}.via_points or a larger planner.max_tool_lag_m"),
+    ("tool speed", "more {path}.via_points or {time}"),
     ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),
 )
 
 
-def remedy_for(constraint: str) -> str:
-    """Return what most often helps where a constraint cannot be kept; empty where nothing is known to."""
+def remedy_for(
+    constraint: str, *, path: str = "tool_path", more_time: str = _TIME, smoother: str = ""
+) -> str:
+    """Return what most often helps where a constraint cannot be kept; empty where nothing is known to.
+
+    Parameters
+    ----------
+    constraint : str
+        Its name.
+    path : str
+        Key of the tool path's description.
+    more_time : str
+        What gives the joints more time along it.
+    smoother : str
+        What makes its time law smoother, to be appended to that.
+    """
     # A jump between segments is no limit of the joint whose derivatives it names.
     some = () if constraint.startswith("jump") else _REMEDIES
-    return next((what for name, what in some if name in constraint), "")
+    what = next((what for name, what in some if name in constraint), "")
+    return what.format(path=path, time=more_time, smoother=smoother)
 
 
 class PlanningError(CmbotError, RuntimeError):
@@ -255,6 +266,8 @@ class OptimisationFailed(PlanningError):
         The solver failed without a proof of infeasibility; another one may succeed.
     trajectory : object, optional
         The `QuinticTrajectory` that violates it.
+    remedy : str, optional
+        What may help; left out: what `remedy_for` says of the constraint.
     """
 
     def __init__(
@@ -265,6 +278,7 @@ class OptimisationFailed(PlanningError):
         violation: float,
         undecided: bool = False,
         trajectory: object = None,
+        remedy: str | None = None,
     ) -> None:
         self.reason = reason
         self.trajectory = trajectory
@@ -275,9 +289,11 @@ class OptimisationFailed(PlanningError):
             super().__init__(f"{reason}; every constraint is met, {constraint} with the least room")
             return
         text = f"{reason}; worst constraint: {constraint}, {violation:.2%} beyond its bound"
-        remedy = "a larger planner.time_limit_s" if "time was over" in reason else remedy_for(constraint)
-        known = not remedy or ("seconds" in remedy and "seconds" in reason)
-        super().__init__(text if known else f"{text}: {remedy} may help")
+        if remedy is None:
+            remedy = remedy_for(constraint)
+        if "time was over" in reason:
+            remedy = "a larger planner.time_limit_s"
+        super().__init__(f"{text}: {remedy} may help" if remedy else text)
 
 
 class LimitViolation(PlanningError):

@@ -1,4 +1,4 @@
-"""Failures: what is in the way by its name, and how many seconds the legs would need."""
+"""Failures: what is in the way by its name, and how many seconds, or which speed, the legs would need."""
 
 from __future__ import annotations
 
@@ -13,9 +13,10 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.context import PlanningContext
 from cmbot.robot import Dynamics
+from cmbot.scene import Stroke
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["constraints_named", "in_seconds", "slower", "slower_legs"]
+__all__ = ["constraints_named", "in_keys", "slower", "slower_legs"]
 
 # Samples per segment at which the nearest pair and the weakest joint are sought.
 _SAMPLES = 10
@@ -31,19 +32,21 @@ _MOST_LISTED = 3
 
 @contextmanager
 def constraints_named(context: PlanningContext) -> Iterator[None]:
-    """Name in an `OptimisationFailed` the link and obstacle, or the joint, of its worst constraint."""
+    """Name in an `OptimisationFailed` the link and obstacle, or the joint, of its worst constraint.
+
+    And what may help by the keys of the stroke that is planned.
+    """
     try:
         yield
     except OptimisationFailed as failure:
         name = _named(context, failure)
-        if name == failure.constraint:
-            raise
         raise OptimisationFailed(
             failure.reason,
             constraint=name,
             violation=failure.violation,
             undecided=failure.undecided,
             trajectory=failure.trajectory,
+            remedy=context.stroke.remedy_for(name),
         ) from failure
 
 
@@ -81,29 +84,50 @@ def slower_legs(context: PlanningContext, failure: PlanningError) -> FloatArray 
 
 
 def slower(context: PlanningContext, factors: FloatArray) -> PlanningContext:
-    """Return the context of legs that take longer by `factors` (L,), to round numbers of seconds.
+    """Return the context of legs that take longer by `factors` (L,), to round numbers of the scene's keys.
 
-    More than a few are slowed down as one.
+    More than a few, and those that share a key, are slowed down as one.
     """
-    path = context.task.path
-    if (factors > 1.0).sum() > _MOST_LISTED:
+    path, stroke = context.task.path, context.stroke
+    if (factors > 1.0).sum() > _MOST_LISTED or not _have_own_keys(stroke):
         factors = np.full(len(factors), factors.max())
-    seconds = np.array(
-        [_rounded_up(s) if f > 1 else s for s, f in zip(path.seconds * factors, factors, strict=True)]
-    )
+    seconds = path.seconds.copy()
+    for k in np.flatnonzero(factors > 1.0):
+        # A speed, or else the duration in the file, which the legs of a raster share.
+        speed = stroke.asked_speed(int(k))
+        if speed is not None:
+            seconds[k] *= speed / _rounded_down(speed / factors[k])
+        else:
+            own = float(path.seconds[k] if stroke.file.legs else stroke.file.seconds or path.seconds[k])
+            seconds[k] *= _rounded_up(own * factors[k]) / own
     path = replace(path, seconds=seconds)
     times = path.via_times(len(context.times))
     return replace(context, task=replace(context.task, path=path), times=times)
 
 
-def in_seconds(before: PlanningContext, after: PlanningContext) -> str:
-    """Say which legs take how many seconds after, and how many before."""
-    old, new = before.task.path.seconds, after.task.path.seconds
+def in_keys(before: PlanningContext, after: PlanningContext) -> str:
+    """Say by the keys of the scene which legs take longer after than before, and how long."""
+    stroke, old, new = before.stroke, before.task.path.seconds, after.task.path.seconds
     changed = np.flatnonzero(new > old)
-    if len(changed) > _MOST_LISTED:
-        return f"every leg in {float((new / old).max()):.2g} times its seconds"
-    legs = (f"leg {k + 1} in {new[k]:g} s instead of {old[k]:g} s" for k in changed)
-    return " and ".join(legs)
+    ratio = float((new / old).max())
+    if stroke.file.legs and (len(changed) > _MOST_LISTED or not _have_own_keys(stroke)):
+        return f"every leg of {stroke.key}.legs in {ratio:.2g} times its seconds"
+    words = list[str]()
+    for k in changed if stroke.file.legs else changed[:1]:
+        key = stroke.leg_key(int(k)) if stroke.file.legs else stroke.key
+        speed = stroke.asked_speed(int(k))
+        if speed is not None:
+            words.append(f"{key}.speed_m_s {speed * old[k] / new[k]:.3g} instead of {speed:g}")
+        else:
+            own = float(old[k] if stroke.file.legs else stroke.file.seconds or old[k])
+            words.append(f"{key}.seconds {own * new[k] / old[k]:.4g} instead of {own:g}")
+    return " and ".join(words)
+
+
+def _have_own_keys(stroke: Stroke) -> bool:
+    """Whether every leg of the timed path has an entry of its own in the scene."""
+    file = stroke.file
+    return bool(file.legs) and not file.blend_radius_m and (file.passes or 1) == 1
 
 
 def _factors(context: PlanningContext, trajectory: object) -> FloatArray:
@@ -133,3 +157,9 @@ def _rounded_up(seconds: float) -> float:
     """To two digits."""
     digit = 10.0 ** (np.floor(np.log10(seconds)) - 1)
     return float(round(np.ceil(seconds / digit - 1e-9) * digit, 9))
+
+
+def _rounded_down(speed: float) -> float:
+    """To two digits."""
+    digit = 10.0 ** (np.floor(np.log10(speed)) - 1)
+    return float(round(np.floor(speed / digit + 1e-9) * digit, 9))

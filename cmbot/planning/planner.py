@@ -11,12 +11,12 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError, LimitViolation, PathNotFound, PlanningError, remedy_for
+from cmbot.common.errors import InputError, LimitViolation, PathNotFound, PlanningError
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.optimization import ExchangeReport
 from cmbot.planning.context import PlanningContext, build_context
-from cmbot.planning.failures import constraints_named, in_seconds, slower, slower_legs
+from cmbot.planning.failures import constraints_named, in_keys, slower, slower_legs
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
@@ -236,7 +236,9 @@ def _peak(context: PlanningContext, parts: Sequence[Segment]) -> float:
 
 def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool) -> Iterator[str]:
     """What would help, and what was not tried."""
-    if isinstance(failure, LimitViolation) and (remedy := remedy_for(failure.quantity)):
+    if isinstance(failure, LimitViolation) and (
+        remedy := context.stroke.remedy_for(failure.quantity)
+    ):
         yield f"{remedy} may help"
     late = context.reporter.expired()
     if late and "the time" not in str(failure):
@@ -250,7 +252,7 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
         if factors is None:
             return
         tried = slower(tried, factors)
-        legs = in_seconds(context, tried)
+        legs = in_keys(context, tried)
         if not late:
             context.reporter.step(f"trying {legs}")
             try:

@@ -182,7 +182,7 @@ def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Itera
             "planner.axis_weights",
             f"[{weights}]: gravity has no torque about z, so only what the motion itself asks would be "
             "minimised, and slowly",
-            "a weight above 0 for x or y, as in [1, 1, 1]; or start: pinned and more seconds for the legs",
+            "a weight above 0 for x or y, as in [1, 1, 1]; or start: pinned and more time for the tool path",
         )
 
 

@@ -138,7 +138,7 @@ def more_via_points(failed: Attempt, failure: PlanningError, run: Run[Work]) -> 
         finer = replace(context, times=context.task.path.via_times(number))
         fallback = (
             f"With {count} via-points the tool strays from its path between them ({_told(failure)}): planned "
-            f"with tool_path.via_points {number} instead."
+            f"with {context.stroke.key}.via_points {number} instead."
         )
         try:
             guess = initial_guess(finer)

@@ -8,7 +8,7 @@ from small_scenes import context_of, problem_of, short_scene
 
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.failures import constraints_named, in_seconds, slower, slower_legs
+from cmbot.planning.failures import constraints_named, in_keys, slower, slower_legs
 from cmbot.trajectory import QuinticTrajectory
 
 LEGS = [{"by": [0, -0.1, 0], "seconds": seconds} for seconds in (4, 2, 4)]
@@ -71,16 +71,17 @@ def test_a_trajectory_slowed_down_so_keeps_the_limits(
     after = slower(hasty, factors)
     assert (after.task.path.seconds >= factors * path.seconds * (1 - 1e-12)).all()
     assert after.task.path.leg_times[-1] == pytest.approx(after.times[-1])
-    assert in_seconds(hasty, after).startswith(f"leg 1 in {after.task.path.seconds[0]:g} s instead of 0.8 s")
+    first = f"tool_path.legs[0].seconds {after.task.path.seconds[0]:g} instead of 0.8"
+    assert in_keys(hasty, after).startswith(first)
 
 
 def test_seconds_are_round_and_many_legs_are_one(context: PlanningContext) -> None:
     after = slower(context, np.array([1.0, 1.611, 1.0]))
-    assert in_seconds(context, after) == "leg 2 in 3.3 s instead of 2 s"
+    assert in_keys(context, after) == "tool_path.legs[1].seconds 3.3 instead of 2"
     many = context_of(short_scene(tool_path={"legs": 2 * LEGS, "via_points": 16}))
     after = slower(many, np.array([1.0, 1.1, 1.2, 1.3, 1.5, 1.0]))
     np.testing.assert_allclose(after.task.path.seconds, 1.5 * many.task.path.seconds)
-    assert in_seconds(many, after) == "every leg in 1.5 times its seconds"
+    assert in_keys(many, after) == "every leg of tool_path.legs in 1.5 times its seconds"
 
 
 def test_pairs_and_joints_of_constraints_are_named(
@@ -101,3 +102,40 @@ def test_pairs_and_joints_of_constraints_are_named(
         ):
             raise failed(constraint, trajectory)
         assert caught.value.trajectory is trajectory
+
+
+RASTER = {
+    "origin": [1.8, 0.7, -1.9],
+    "u": [0, -0.1, 0],
+    "v": [0, 0, -0.2],
+    "spacing_m": 0.1,
+    "stand_off_m": 0.1,
+}
+
+
+@pytest.mark.parametrize(
+    ("time", "more", "changed"),
+    [
+        ({"speed_m_s": 0.1}, "a lower {key}.speed_m_s", "{key}.speed_m_s 0.066 instead of 0.1"),
+        ({"seconds": 4}, "more {key}.seconds", "{key}.seconds 6 instead of 4"),
+    ],
+)
+def test_remedies_name_the_keys_of_the_stroke(time: dict[str, float], more: str, changed: str) -> None:
+    strokes = [{"name": name, "raster": RASTER, "via_points": 20, **time} for name in ("one", "two")]
+    scene = short_scene(format="cmbot-scene/2", tool_path={"strokes": strokes, "legs": (), "via_points": 50})
+    before = context_of(scene)
+    before = before.at_stroke(1, scene, before.posture, 0.0, 0.0)
+    key = "tool_path.strokes[1]"
+    with pytest.raises(OptimisationFailed) as caught, constraints_named(before):
+        raise failed("jerk of joint_1", None)
+    # Its speed profile is smooth already.
+    assert str(caught.value).endswith(f": {more.format(key=key)} may help")
+    with (
+        pytest.raises(OptimisationFailed, match=r"more tool_path.strokes\[1\].via_points or"),
+        constraints_named(before),
+    ):
+        raise failed("tool deviation", None)
+    # Its rows have no durations of their own.
+    after = slower(before, np.array([1.0, 1.0, 1.5, 1.0, 1.0]))
+    np.testing.assert_allclose(after.task.path.seconds / before.task.path.seconds, 1.5, rtol=0.02)
+    assert in_keys(before, after) == changed.format(key=key)

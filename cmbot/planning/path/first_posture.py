@@ -35,7 +35,7 @@ def starting_at_path(context: PlanningContext) -> PlanningContext:
         raise context.path_not_found(
             f"no posture that holds the tool where the path begins, at ({begin}) m, within the joint ranges, "
             f"clear of obstacles and strong enough was found in {_RESTARTS} attempts; move the start of the "
-            "path, or keep less of the pose (tool_path.keep)",
+            f"path, or keep less of the pose ({context.stroke.key}.keep)",
             context.posture,
         )
     away = context.robot.metric.lengths(found - context.posture)

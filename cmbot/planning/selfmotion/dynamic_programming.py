@@ -265,7 +265,7 @@ def blocked(
             opening = f"{place} is blocked"
         why = (
             f"{proven or found}; take another start posture, move the tool path, or keep "
-            "less of the pose (tool_path.keep)"
+            f"less of the pose ({context.stroke.key}.keep)"
         )
     elif not layer.admissible.any():
         why, pair = _inadmissible(context, layer)
@@ -276,7 +276,7 @@ def blocked(
         joint, pace = _slowest(context, layers, k, origins)
         why = (
             "its admissible postures, as far as they were found, are too far from those before for the "
-            f"velocity of {joint}; give the leg more seconds"
+            f"velocity of {joint}; {context.stroke.more_time} may help"
         )
     q = layer.chart.q if len(layer.chart.q) else layers[k - 1].chart.q
     return context.path_not_found(f"{opening}: {why}", q[0], context.times[k], pair, pace)

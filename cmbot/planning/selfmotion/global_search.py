@@ -361,7 +361,7 @@ def _sampled(sampler: SelfMotionSampler, context: PlanningContext) -> list[Float
             limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
             reason = (
                 f"the time, {limit}, was over when {done} of {total} via-points had been charted; take a "
-                "longer one, fewer tool_path.via_points or a larger planner.chart_spacing"
+                f"longer one, fewer {context.stroke.key}.via_points or a larger planner.chart_spacing"
             )
             raise context.path_not_found(reason, context.first)
 

@@ -44,8 +44,7 @@ def check_feasible(problem: TorqueProblem) -> None:
             share = _least_share(problem, least_jerk, bounds, joint, first, last)
             if share > 1.0:
                 raise OptimisationFailed(
-                    "the via-points are too far apart for the time between them: give the legs more seconds, "
-                    "a speed_profile of kind jerk_limited, or fewer via-points where these are close",
+                    "the via-points are too far apart for the time between them",
                     constraint=f"velocity, acceleration or jerk of {problem.joints[joint]}",
                     violation=share - 1.0,
                     trajectory=least_jerk,

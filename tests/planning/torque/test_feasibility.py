@@ -34,7 +34,7 @@ def refused(problem: TorqueProblem, message: str) -> OptimisationFailed:
 @pytest.mark.parametrize("seconds", [0.3, 1.0])
 def test_legs_that_are_too_fast_are_refused_at_once(seconds: float) -> None:
     problem = in_seconds(seconds)
-    failure = refused(problem, "give the legs more seconds")
+    failure = refused(problem, "too far apart for the time between them")
     assert failure.constraint.removeprefix("velocity, acceleration or jerk of ") in problem.joints
     assert failure.violation > 0.1
 
