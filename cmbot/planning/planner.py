@@ -236,9 +236,7 @@ def _peak(context: PlanningContext, parts: Sequence[Segment]) -> float:
 
 def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool) -> Iterator[str]:
     """What would help, and what was not tried."""
-    if isinstance(failure, LimitViolation) and (
-        remedy := context.stroke.remedy_for(failure.quantity)
-    ):
+    if isinstance(failure, LimitViolation) and (remedy := context.stroke.remedy_for(failure.quantity)):
         yield f"{remedy} may help"
     late = context.reporter.expired()
     if late and "the time" not in str(failure):

@@ -43,8 +43,8 @@ def remarks(plan: Plan) -> Iterator[str]:
     if objective.floor is not None and objective.floor <= _NOTHING * objective.baseline_peak:
         yield (
             "Gravity has no part in what was minimised: at rest that is 0 everywhere, so no posture was "
-            "chosen by it, and only the motion's own share could be lowered. More time for the tool path lowers "
-            "that; axis_weights with x or y above 0 count gravity's torque, too."
+            "chosen by it, and only the motion's own share could be lowered. More time for the tool path "
+            "lowers that; axis_weights with x or y above 0 count gravity's torque, too."
         )
     whole = plan.job.certificate
     checks, passes = len(whole.checks), counted(len(plan.passes), "pass", "passes")

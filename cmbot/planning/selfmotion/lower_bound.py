@@ -25,10 +25,13 @@ from cmbot.planning.selfmotion.sampler import Coverage
 
 __all__ = ["LowerBound", "find_lower_bound", "with_proof"]
 
+# What progress says of the search.
+_STEP = "finding the least torque at rest"
 # Accuracy of the bound, as a share of it, and halvings of a cell at most along each edge.
 _ACCURACY, _MOST_HALVINGS = 2e-6, 24
 # Via-points that are searched together where the self-motion is a curve; where it is wider they are searched
-# one by one, and this many cells are kept at most: the error includes the cells that are left out.
+# one by one, and this many cells are kept at most in two dimensions, the fewer the more there are: the error
+# includes the cells that are left out.
 _TOGETHER, _MOST_CELLS = 4, 200
 # Random descent where cells had to be left out: steps, tries in each, factor of their length.
 _STEPS, _TRIES, _SHORTER = 60, 40, 0.87
@@ -106,26 +109,57 @@ def find_lower_bound(
     each = np.array([layer.chart.value[k] for layer, k in zip(layers, best, strict=True)])
     postures = np.stack([layer.chart.q[k] for layer, k in zip(layers, best, strict=True)])
     search = _BranchAndBound(context, layers, spacing)
-    together = _TOGETHER if context.robot.dof - context.task.dimension == 1 else 1
-    bound = np.full(len(each), -np.inf)
-    order = np.argsort(-each)
-    # From the largest down, until the incumbent exceeds the values of all that are left, which only decrease.
-    incumbent = -np.inf
-    for first in range(0, len(order), together):
-        some = order[first : first + together]
-        # The bound at each via-point is one of the whole path, so the search may end early.
-        if each[some[0]] <= incumbent or (first > 0 and context.reporter.expired()):
-            break
-        # The search of these may close some of the others.
-        open_ = int((each[order[first:]] > incumbent).sum())
-        context.reporter.part("finding the least torque at rest", first, first + open_, at_most=True)
-        each[some], bound[some] = search.minimise(some, each[some], incumbent, postures)
-        incumbent = max(incumbent, float(each[some].max()))
+    is_wide = context.robot.dof - context.task.dimension > 1
+    bound = (_searched_one_by_one if is_wide else _searched_together)(context, search, each, postures)
     searched = np.flatnonzero(np.isfinite(bound))
     where = int(searched[each[searched].argmax()])
     # No objective is negative, whatever samples of a wide self-motion leave open.
     error = float(each[where] - max(bound.max(), 0.0))
     return LowerBound(value=float(each[where]), error=error, via_point=where, each=each), postures[where]
+
+
+def _searched_together(
+    context: PlanningContext, search: _BranchAndBound, each: FloatArray, postures: FloatArray
+) -> FloatArray:
+    """Lower the values `each` (n,) where they may set the bound, several at a time; bounds (n,) of them."""
+    bound = np.full(len(each), -np.inf)
+    order = np.argsort(-each)
+    # From the largest down, until the incumbent exceeds the values of all that are left, which only decrease.
+    incumbent = -np.inf
+    for first in range(0, len(order), _TOGETHER):
+        some = order[first : first + _TOGETHER]
+        # The bound at each via-point is one of the whole path, so the search may end early.
+        if each[some[0]] <= incumbent or (first > 0 and context.reporter.expired()):
+            break
+        # The search of these may close some of the others.
+        open_ = int((each[order[first:]] > incumbent).sum())
+        context.reporter.part(_STEP, first, first + open_, at_most=True)
+        each[some], bound[some] = search.minimise(some, each[some], incumbent, postures)
+        incumbent = max(incumbent, float(each[some].max()))
+    return bound
+
+
+def _searched_one_by_one(
+    context: PlanningContext, search: _BranchAndBound, each: FloatArray, postures: FloatArray
+) -> FloatArray:
+    """The same where the self-motion is wide: by descent, and by search only where that leaves the largest.
+
+    A descent costs a tenth of a search, and nearly always shows that a via-point does not set the bound.
+    """
+    bound, descended = np.full(len(each), -np.inf), np.zeros(len(each), dtype=np.bool_)
+    while True:
+        k = int(each.argmax())
+        searched = np.isfinite(bound)
+        if searched[k] or (searched.any() and context.reporter.expired()):
+            return bound
+        context.reporter.part(_STEP, int(descended.sum()), len(each), at_most=True)
+        if not descended[k]:
+            enough = float(each[descended].max(initial=-np.inf))
+            each[k] = search.descend(k, each[k], enough, postures)
+            descended[k] = each[k] > enough
+            continue
+        incumbent = float(each[searched].max(initial=-np.inf))
+        each[[k]], bound[[k]] = search.minimise(np.array([k]), each[[k]], incumbent, postures)
 
 
 def with_proof(
@@ -207,7 +241,7 @@ class _BranchAndBound:
         if edges.shape[1] == 0:
             # Without self-motion there are no other postures.
             return best, np.where(best > incumbent, best * (1 - _ACCURACY), -np.inf)
-        cells = _Cells(q, edges, half, of)
+        cells, most = _Cells(q, edges, half, of), _MOST_CELLS // max(edges.shape[1] - 1, 1)
         for _ in range(_MOST_HALVINGS * edges.shape[1]):
             cells = cells[self._in_range_somewhere(cells)]
             if len(cells.q) == 0:
@@ -221,7 +255,7 @@ class _BranchAndBound:
             cells, value, fall, lowest = cells[worth], value[worth], fall[worth], lowest[worth]
             best, possible = self._checked(cells, value, best, postures)
             worth = possible & (lowest < best[cells.of] * (1 - _ACCURACY)) & (best[cells.of] > incumbent)
-            keep = worth & _most_promising(cells.of, np.where(worth, lowest, np.inf))
+            keep = worth & _most_promising(cells.of, np.where(worth, lowest, np.inf), most)
             dropped = worth & ~keep
             np.minimum.at(left_out, cells.of[dropped], lowest[dropped])
             cells, lowest = cells[keep], lowest[keep]
@@ -235,27 +269,44 @@ class _BranchAndBound:
         bound = np.minimum(left_out, best * (1 - _ACCURACY))
         return best, np.where(best > incumbent, bound, -np.inf)
 
-    def _descended(self, best: FloatArray, postures: FloatArray, which: IntArray) -> FloatArray:
+    def descend(self, via_point: int, best: float, enough: float, postures: FloatArray) -> float:
+        """Lower the admissible value `best` of a via-point by descent, to `enough` at most.
+
+        From its own posture among `postures` (n, d), which is replaced, or those of its neighbours.
+        """
+        self._some = np.array([via_point])
+        self._goals = self._context.goals[self._some]
+        beside = postures[[k for k in (via_point - 1, via_point + 1) if 0 <= k < len(postures)]]
+        near, reached = self._placed(beside, np.zeros(len(beside), dtype=np.intp))
+        values = self._lowered(near[reached], 0, np.array([best]), postures)
+        return float(self._descended(values, postures, np.zeros(1, dtype=np.intp), enough)[0])
+
+    def _descended(
+        self, best: FloatArray, postures: FloatArray, which: IntArray, enough: float = -np.inf
+    ) -> FloatArray:
         """Values after random steps of decreasing length from the best postures known."""
         rng, best = np.random.default_rng(0), best.copy()
         for k in which:
             reach = self._spacing
             for _ in range(_STEPS):
-                if self._context.reporter.expired():
+                if self._context.reporter.expired() or best[k] <= enough:
                     break
                 q = postures[self._some[k]]
                 null = self._null_space(q[None])[0]
                 moves = reach * rng.uniform(size=(_TRIES, 1)) * rng.normal(size=(_TRIES, len(null))) @ null
                 placed, reached = self._placed(q + moves, np.full(_TRIES, k))
-                some = placed[reached]
-                value, _ = self._measured(some)
-                # Cells of no extent.
-                edges, half = np.zeros((len(some), 1, len(q))), np.zeros((len(some), 1))
-                better = value < best[k]
-                cells = _Cells(some, edges, half, np.full(len(some), k))[better]
-                best, _ = self._checked(cells, value[better], best, postures)
+                best = self._lowered(placed[reached], int(k), best, postures)
                 reach *= _SHORTER
         return best
+
+    def _lowered(self, q: FloatArray, k: int, best: FloatArray, postures: FloatArray) -> FloatArray:
+        """Values `best` (s,), that of `k` lowered to what admissible postures (N, d) have."""
+        value, _ = self._measured(q)
+        # Cells of no extent.
+        edges, half = np.zeros((len(q), 1, q.shape[1])), np.zeros((len(q), 1))
+        better = value < best[k]
+        cells = _Cells(q, edges, half, np.full(len(q), k))[better]
+        return self._checked(cells, value[better], best, postures)[0]
 
     def _leaning(
         self, q: FloatArray, edges: FloatArray, of: IntArray, cone: float
@@ -359,10 +410,10 @@ class _BranchAndBound:
         return _Cells(q, U @ V @ null, np.tile(half, (2, 1)), of)[reached]
 
 
-def _most_promising(of: IntArray, lowest: FloatArray) -> BoolArray:
-    """Which cells have one of the smallest finite `lowest` values at their via-point."""
+def _most_promising(of: IntArray, lowest: FloatArray, most: int) -> BoolArray:
+    """Which cells have one of the `most` smallest finite `lowest` values at their via-point."""
     keep = np.zeros(len(of), dtype=np.bool_)
     for k in np.unique(of):
         mine = np.flatnonzero((of == k) & np.isfinite(lowest))
-        keep[mine[np.argsort(lowest[mine])[:_MOST_CELLS]]] = True
+        keep[mine[np.argsort(lowest[mine])[:most]]] = True
     return keep

@@ -62,7 +62,9 @@ class Stroke:
     def more_time(self) -> str:
         """What gives the joints more time along it, by the keys that it has in the scene."""
         if not self.file.legs:
-            return f"more {self.key}.seconds" if self.file.speed_m_s is None else f"a lower {self.key}.speed_m_s"
+            return (
+                f"more {self.key}.seconds" if self.file.speed_m_s is None else f"a lower {self.key}.speed_m_s"
+            )
         moving = [leg for leg in self.file.legs if leg.pause is None]
         fast = sum(leg.speed_m_s is not None for leg in moving)
         more = {0: "more seconds", len(moving): "lower speeds"}.get(fast, "more seconds or lower speeds")

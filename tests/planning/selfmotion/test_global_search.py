@@ -113,7 +113,7 @@ def test_a_blocked_via_point_is_named_with_its_reason(changes: Any, message: str
 def test_joints_that_are_too_slow_are_named() -> None:
     slow = {"legs": [{"by": [0, -0.6, 0], "seconds": 0.3}], "via_points": 5}
     search = GlobalSearch(sliding(tool_path=slow, planner={"chart_spacing": 0.1}))
-    expected = r"as far as .* found, are too far from those before for the velocity of joint_\d; more seconds in"
+    expected = r"as far as .* found, are too far from those before for the velocity of joint_\d; more sec"
     with pytest.raises(PathNotFound, match=expected) as caught:
         search.solve(pinned=True)
     # So much slower, the next via-point is reached.
