@@ -179,6 +179,7 @@ _REMEDIES = (
     ("tool rotation", "more {path}.via_points or a larger planner.max_tool_rotation_deg"),
     ("tool tilt", "a wider cone ({path}.keep) or more {path}.via_points"),
     ("tool lag", "more {path}.via_points or a larger planner.max_tool_lag_m"),
+    ("process speed", "more {path}.via_points, longer leads or a larger {path}.speed_tolerance"),
     ("tool speed", "more {path}.via_points or {time}"),
     ("clearance", "another place for obstacles or tool path, or a lower planner.safety_margin_m"),
 )

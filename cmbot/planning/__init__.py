@@ -32,7 +32,8 @@ from cmbot.planning.result.verdict import bound_use, during, tightest_check, ver
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.certificate import Certificate, Check, certify
+from cmbot.planning.verification.certificate import Certificate, certify
+from cmbot.planning.verification.check import Check
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.trajectory import QuinticTrajectory, SplineSpace

@@ -317,4 +317,4 @@ def task_of(stroke: Stroke, scene: Scene) -> ToolTask:
     """Return what a stroke of a scene prescribes of the tool."""
     speed = scene.tool.max_speed_m_s
     most = None if speed is None else speed * (1 + SPEED_TOLERANCE)
-    return ToolTask.of(stroke.path, stroke.file.keep, most)
+    return ToolTask.of(stroke.path, stroke.file.keep, most, stroke.file.speed_tolerance)

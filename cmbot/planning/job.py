@@ -11,7 +11,8 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.certificate import Certificate, Check
+from cmbot.planning.verification.certificate import Certificate
+from cmbot.planning.verification.check import Check
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.trajectory import QuinticTrajectory
 

@@ -61,7 +61,14 @@ _FEW_VIA_POINTS = 100
 # proportion.
 _FINER, _MOST_VIA_POINTS = (2, 4), 300
 # Constraints that splines break between via-points, by words in their names.
-_BETWEEN_VIA_POINTS = ("tool deviation", "tool rotation", "tool tilt", "tool lag", "tool speed")
+_BETWEEN_VIA_POINTS = (
+    "tool deviation",
+    "tool rotation",
+    "tool tilt",
+    "tool lag",
+    "tool speed",
+    "process speed",
+)
 
 Work = TypeVar("Work")
 

@@ -39,6 +39,8 @@ class ToolTask:
     cone : float or None
         With ``position``: largest angle between the tool's axis and that of the path, rad. It is no task
         coordinate but an inequality. None: any.
+    speed_tolerance : float or None
+        By what share the tool's speed may miss that of the path's process parts. None: any.
     lean : (3, 3) or None
         With ``axis``: rotation in the tool's frame by which the axis leans from that of the path all along.
     """
@@ -48,6 +50,7 @@ class ToolTask:
     max_speed: float | None = None
     cone: float | None = None
     lean: FloatArray | None = None
+    speed_tolerance: float | None = None
 
     def __post_init__(self) -> None:
         if self.keep not in ("pose", "axis", "position"):
@@ -56,11 +59,13 @@ class ToolTask:
             raise InputError("ToolTask", "cone", self.cone, "None, or keep: position")
 
     @staticmethod
-    def of(path: ToolPath, keep: Keep, max_speed: float | None = None) -> ToolTask:
+    def of(
+        path: ToolPath, keep: Keep, max_speed: float | None = None, speed_tolerance: float | None = None
+    ) -> ToolTask:
         """Return the task of what a scene keeps of the tool along a path."""
         if isinstance(keep, str):
-            return ToolTask(path, keep, max_speed)
-        return ToolTask(path, "position", max_speed, keep.angle)
+            return ToolTask(path, keep, max_speed, speed_tolerance=speed_tolerance)
+        return ToolTask(path, "position", max_speed, keep.angle, speed_tolerance=speed_tolerance)
 
     def jacobian(self, R_WT: FloatArray, J: FloatArray) -> FloatArray:
         """Task rows (..., m, n) of tool Jacobians `J` (..., 6, n) at orientations `R_WT` (..., 3, 3)."""
@@ -94,7 +99,7 @@ class ToolTask:
 
     def held_at_start(self) -> ToolTask:
         """Return the task of holding the tool where this one starts."""
-        return replace(self, path=self.path.held(), max_speed=None)
+        return replace(self, path=self.path.held(), max_speed=None, speed_tolerance=None)
 
     @property
     def on_axis(self) -> ToolTask:

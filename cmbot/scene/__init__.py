@@ -10,9 +10,9 @@ from cmbot.scene.path.legs import ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import StrokeFile
 from cmbot.scene.path.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.path.stroke import Stroke
+from cmbot.scene.path.time_law import PiecewiseLaw, SpeedProfile
 from cmbot.scene.path.tool_path import (
     ShiftedToolPath,
-    SpeedProfile,
     ToolPath,
     ToolPoses,
     share_out_segments,
@@ -42,6 +42,7 @@ __all__ = [
     "Leg",
     "Mesh",
     "Obstacle",
+    "PiecewiseLaw",
     "PlannerOptions",
     "Raster",
     "RobotSource",

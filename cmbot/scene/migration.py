@@ -10,7 +10,7 @@ from typing import Any
 
 from cmbot.common.errors import SceneError
 from cmbot.common.input_files import read_input
-from cmbot.scene.path.tool_path import SpeedProfile
+from cmbot.scene.path.time_law import SpeedProfile
 from cmbot.scene.scene import FORMAT
 from cmbot.scene.scene_file import load_scene, scene_path
 

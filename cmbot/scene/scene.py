@@ -42,7 +42,7 @@ from cmbot.scene.path.legs import Goal, Leg
 from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
 from cmbot.scene.path.raster import Raster
 from cmbot.scene.path.stroke import Stroke
-from cmbot.scene.path.tool_path import SpeedProfile
+from cmbot.scene.path.time_law import SpeedProfile
 from cmbot.scene.tool import Tool
 
 __all__ = [
@@ -196,7 +196,8 @@ class SceneFile(FileModel):
             for name in ("base", "start", "return_", "tool", "frames")
             if getattr(self, name) is not None
         ]
-        newer = ("start_pose", "waypoints", "raster", "blend_radius_m", "passes", "strokes")
+        newer = ["start_pose", "waypoints", "raster", "blend_radius_m", "passes", "strokes"]
+        newer += ["speed_tolerance", "lead_in_m", "lead_out_m"]
         named = {name: field.alias or name for name, field in type(path).model_fields.items()}
         keys += [("tool_path", named[name]) for name in newer if getattr(path, name) is not None]
         keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
@@ -355,6 +356,10 @@ class Scene:
         In place of legs rows over a surface.
     seconds, speed_m_s : float or None
         Duration of the path through waypoints or of the raster, s, or the speed, m/s.
+    speed_tolerance : float or None
+        By what share the tool's speed may miss the process speed between the leads.
+    lead_in_m, lead_out_m : float or None
+        Lengths of the straight ways before and behind the path on which the tool speeds up and slows down.
     blend_radius_m : float or None
         By which the corners between straight legs are rounded.
     speed_profile : SpeedProfile
@@ -396,6 +401,9 @@ class Scene:
     raster: Raster | None = None
     seconds: float | None = None
     speed_m_s: float | None = None
+    speed_tolerance: float | None = None
+    lead_in_m: float | None = None
+    lead_out_m: float | None = None
     blend_radius_m: float | None = None
     speed_profile: SpeedProfile = field(default_factory=SpeedProfile)
     passes: int | None = None

@@ -109,6 +109,27 @@ def test_timed_poses_are_those_of_a_second_computation(
         assert "three points on a line" in refused.got or "no length" in refused.expected
 
 
+@settings(max_examples=20)
+@given(
+    legs,
+    goals,
+    st.sampled_from([{"lead_in_m": 0.07}, {"lead_out_m": 0.05}, {"lead_in_m": 0.04, "lead_out_m": 0.1}]),
+    profiles,
+    st.integers(1, 2),
+)
+def test_leads_are_those_of_a_second_computation(
+    leg: dict[str, Any], begin: dict[str, Any], leads: dict[str, Any], profile: dict[str, Any], passes: int
+) -> None:
+    try:
+        check_path(scene_of(legs=[leg], speed_profile=profile, passes=passes, **{"from": begin}, **leads))
+    except SceneError as refused:
+        assert (
+            "three points on a line" in refused.got
+            or "length" in refused.expected
+            or "moves" in refused.expected
+        )
+
+
 strokes = st.fixed_dictionaries(
     {
         "legs": st.lists(legs, min_size=1, max_size=3),

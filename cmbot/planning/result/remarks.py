@@ -32,6 +32,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _start(plan)
     yield from _between(plan)
     yield from _return(plan)
+    yield from _process_speed(plan)
     yield from _baseline(plan)
     yield _gain(plan)
     yield from _nothing_gained(plan)
@@ -188,6 +189,23 @@ def _return(plan: Plan) -> Iterator[str]:
         f"Return: after the work the arm goes to {where}{why} in {back.duration:.1f} s (tool off), "
         f"peak torque {peak:.2f} Nm, clearance {clearance:.1f} mm, certified."
     )
+
+
+def _process_speed(plan: Plan) -> Iterator[str]:
+    """How well the tool keeps the process speed, where the scene bounds that."""
+    for stroke, segment in zip(plan.strokes, plan.job.strokes, strict=True):
+        parts, tolerance = stroke.task.path.process_parts, stroke.task.speed_tolerance
+        kept = [check for check in segment.certificate.checks if "process speed" in check.quantity]
+        if tolerance is None or not len(parts) or not kept:
+            continue
+        of = f" of {stroke.name}" if plan.several else ""
+        slow, fast = parts[:, 2].min(), parts[:, 2].max()
+        speeds = f"{slow:.4g} m/s" if fast - slow < _NOTHING * fast else f"{slow:.4g} to {fast:.4g} m/s"
+        length = ((parts[:, 1] - parts[:, 0]) * parts[:, 2]).sum()
+        yield (
+            f"Process speed{of}: {speeds} on {length:.3f} m between the leads, kept within "
+            f"{100 * kept[0].value:.2f} % at all times (allowed: {100 * tolerance:g} %)."
+        )
 
 
 def _furthest(plan: Plan) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from cmbot.planning.context import end_posture_of
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.result.plan import Plan
-from cmbot.planning.verification.certificate import Check
+from cmbot.planning.verification.check import Check
 from cmbot.robot import Dynamics
 
 __all__ = ["bound_use", "during", "strays", "tightest_check", "verdict"]

@@ -17,6 +17,7 @@ from cmbot.scene import ToolPoses
 __all__ = [
     "ClearanceMargin",
     "JointTorque",
+    "ProcessSpeed",
     "ToolDeviation",
     "ToolLag",
     "ToolRotation",
@@ -235,6 +236,47 @@ class ToolSpeed:
         along = velocity / np.maximum(speed, _FLAT)[:, None] / self.bound**2
         d_q, d_v = (np.einsum("ki,kij->kj", along, by) for by in (by_q, tool.jacobian[:, :3]))
         return Linearization(speed - 1, d_q, d_v, np.zeros_like(d_q))
+
+
+@dataclass(frozen=True)
+class ProcessSpeed:
+    """Speed of the tool point within its bound of the process speed, as a share of that; above, then below.
+
+    Along the path it is not below, which is no weaker than that the speed is not, and linear in the rates.
+    """
+
+    postures: Postures
+    task: ToolTask
+    bound: float
+    name: str = "process speed"
+    components: int = 2
+
+    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
+        """Return (speed/asked - 1)/bound - 1 and (1 - speed along the path/asked)/bound - 1, (N, 2)."""
+        velocity = np.einsum("ijk,kj->ki", _tool(self.postures, states).leading_jacobian[:3], states.v)
+        per_speed, along = self._asked(states)
+        fast = np.linalg.norm(velocity, axis=1) * per_speed - 1
+        slow = 1 - np.einsum("ki,ki->k", velocity, along) * per_speed
+        value = np.where(per_speed[:, None] > 0, np.stack([fast, slow], axis=1) / self.bound, 0.0) - 1
+        return value, np.broadcast_to(np.arange(2), value.shape)
+
+    def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
+        """Linearize one of the two at each state."""
+        tool = _tool(self.postures, states)
+        velocity, by_q = tool.point_velocity(states.v)
+        per_speed, along = self._asked(states)
+        speed = np.maximum(np.linalg.norm(velocity, axis=1), _FLAT)[:, None]
+        factor = (per_speed / self.bound)[:, None]
+        direction = factor * np.where((component == 0)[:, None], velocity / speed, -along)
+        d_q, d_v = (np.einsum("ki,kij->kj", direction, by) for by in (by_q, tool.jacobian[:, :3]))
+        value = self.sample(states)[0][np.arange(len(component)), component]
+        return Linearization(value, d_q, d_v, np.zeros_like(d_q))
+
+    def _asked(self, states: StateSamples) -> tuple[FloatArray, FloatArray]:
+        """One over the process speed (N,), zero where there is none, and directions (N, 3) along the path."""
+        asked = self.task.path.process_speed(states.t)
+        per_speed = np.divide(1.0, asked, out=np.zeros_like(asked), where=asked > 0)
+        return per_speed, self.task.path.leg_directions(states.t)
 
 
 def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:

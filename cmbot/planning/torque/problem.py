@@ -22,6 +22,7 @@ from cmbot.planning.objectives import Objective
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
     JointTorque,
+    ProcessSpeed,
     ToolDeviation,
     ToolLag,
     ToolRotation,
@@ -87,6 +88,11 @@ class TorqueProblem:
             *([] if task.keep == "position" else [ToolRotation(postures, task, angle)]),
             *([] if task.cone is None else [ToolTilt(postures, task, task.cone * inside)]),
             *([] if task.max_speed is None else [ToolSpeed(postures, task.max_speed * inside)]),
+            *(
+                []
+                if task.speed_tolerance is None
+                else [ProcessSpeed(postures, task, task.speed_tolerance * inside)]
+            ),
         )
         nodes, weights = np.polynomial.legendre.leggauss(_MEAN_SAMPLES)
         h = np.diff(t)[:, None]

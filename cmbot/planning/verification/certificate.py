@@ -18,9 +18,11 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import LimitViolation
 from cmbot.elastic.sag import Sag
 from cmbot.planning.task import ToolTask
+from cmbot.planning.verification.check import Check
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.verification.nearest_approach import nearest_approach
 from cmbot.planning.verification.norm_bounds import NormBounds, norm_bounds, timed_pose_bounds
+from cmbot.planning.verification.process_speed import speed_deviation
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
@@ -44,35 +46,6 @@ _AT_VIA_POINT, _SAME_POSTURE, _SAME_DURATION = 1e-6, 1e-9, 1e-9
 _DERIVATIVES = ("velocity", "acceleration", "jerk")
 # A jump of a position is judged as a share of half a turn or of a metre.
 _HALF_TURN, _METRE = np.pi, 1.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Check:
-    """One promise of a plan: the worst value against its bound.
-
-    Attributes
-    ----------
-    quantity : str
-    time : float, s
-        Where the worst value is.
-    value, bound : float
-        The value is not passed at any time; where interpolation leaves a remainder, it is included.
-    unit : str
-    at_least : bool
-        The bound is a lower one.
-    """
-
-    quantity: str
-    time: float
-    value: float
-    bound: float
-    unit: str
-    at_least: bool = False
-
-    @property
-    def holds(self) -> bool:
-        """Whether the value keeps its bound; never true of a value that is not a number."""
-        return self.value >= self.bound if self.at_least else self.value <= self.bound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -212,6 +185,11 @@ def certify(
         ]
         if task.max_speed is not None:
             checks.append(_enclosed(f"{expected}tool speed", work.tool_speed(), task.max_speed, "m/s"))
+        if task.speed_tolerance is not None:
+            missed = work.process_speed()
+            checks.append(
+                _enclosed(f"{expected}deviation of the process speed", missed, task.speed_tolerance, "of it")
+            )
     guardrail, mean, rms, static = work.guardrail_torque()
     shares = [check.value / check.bound for check in (*rates, torque)]
     figures = MotionMetrics(
@@ -258,7 +236,8 @@ class _Work:
         of: NormBounds = norm_bounds(self._robot, pieces.ellipses)
         torque, turns = self._robot.limits.torque, ~self._robot.limits.prismatic
         scale = float((torque[turns] if turns.any() else torque).max())
-        speed = np.inf if self._task.max_speed is None else _TOOL_RESOLUTION
+        bounded = self._task.max_speed is not None or self._task.speed_tolerance is not None
+        speed = _TOOL_RESOLUTION if bounded else np.inf
         # Infinite where a torque bound is next to nothing: then no number of pieces suffices.
         with np.errstate(over="ignore", invalid="ignore"):
             shares = [
@@ -355,6 +334,15 @@ class _Work:
 
     def tool_speed(self) -> Peak:
         """Speed of the tool point, m/s."""
+        velocity, remainder = self._tool_velocity()
+        return self._highest(velocity, _norm, remainder, _TOOL_RESOLUTION)
+
+    def process_speed(self) -> Peak:
+        """By what share the tool's speed misses that of the process: `speed_deviation`."""
+        return speed_deviation(self._task.path, self._pieces, *self._tool_velocity())
+
+    def _tool_velocity(self) -> tuple[FloatArray, FloatArray]:
+        """Velocity of the tool point at the points of interpolation, m/s, and what that misses (K,)."""
         q, v, _ = self._pieces.states
         J = Kinematics(self._robot).tool_point_jacobians(q)[1]
         remainder = self._pieces.remainder(self._bounds.tool_velocity)
@@ -362,7 +350,7 @@ class _Work:
             bending = self._sag.at(q).d_tool
             J = J + bending
             remainder = remainder + self._pieces.estimated_remainder(np.einsum("kij,kj->ki", bending, v))
-        return self._highest(np.einsum("kij,kj->ki", J, v), _norm, remainder, _TOOL_RESOLUTION)
+        return np.einsum("kij,kj->ki", J, v), remainder
 
     def tool_rotation(self) -> Peak:
         """Angle by which the tool misses what is prescribed of its orientation, rad: `ToolTask.rotation`."""

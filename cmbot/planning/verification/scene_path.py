@@ -14,7 +14,15 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.verification.face_rows import face_rows
-from cmbot.scene import ArcTo, CylinderPatch, Goal, Leg, Mesh, Raster, Scene, SpeedProfile
+from cmbot.planning.verification.speed_laws import (
+    TimedLeg,
+    covered,
+    cruise_share,
+    led,
+    led_row,
+    reversed_leg,
+)
+from cmbot.scene import ArcTo, CylinderPatch, Goal, Leg, Mesh, Raster, Scene
 
 __all__ = ["ScenePath"]
 
@@ -38,9 +46,9 @@ class ScenePath:
             self._file, self._frames = file, {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
             for name, frame in (scene.file.frames or {}).items():
                 self._frames[name] = np.array(frame.xyz), _rpy(frame.rpy_deg)
-            # Of each leg: seconds, points and orientations by the share that is covered.
-            self._legs: list[tuple[float, _Points, _Points]] = []
-            p, R = self._follow(p, R)
+            self._legs: list[TimedLeg] = []
+            self._follow(p, R)
+            p, R = self._lead()
             if file.backwards:
                 p, R = self._turn_round()
             once = self._legs
@@ -78,7 +86,7 @@ class ScenePath:
         straight: list[FloatArray] = []
         given = cruising = 0.0
         for leg in legs:
-            seconds, points, orientations, end = self._leg(leg, p, R)
+            seconds, points, orientations, end, length = self._leg(leg, p, R)
             bends = file.blend_radius_m is not None and leg.pause is None and leg.arc is None
             bends = bends and bool(np.allclose(end[1], R, rtol=0, atol=1e-12))
             bends = bends and float(np.linalg.norm(end[0] - p)) >= 1e-6
@@ -94,41 +102,71 @@ class ScenePath:
             else:
                 straight = [p, end[0]] if bends else []
                 given, cruising = (seconds, 0.0) if leg.speed_m_s is None else (0.0, seconds)
-            self._legs.append((seconds, points, orientations))
+            cruises = given == 0 if straight else leg.speed_m_s is not None
+            self._legs.append(TimedLeg(seconds, points, orientations, length, cruises))
             p, R = end
         return p, R
 
     def _turn_round(self) -> tuple[FloatArray, FloatArray]:
         """Go through the legs from the last to the first; where the tool is after them."""
+        self._legs = [reversed_leg(leg) for leg in reversed(self._legs)]
+        return self._end()
 
-        def back(of: _Points) -> _Points:
-            return lambda share: of(1 - share)
+    def _lead(self) -> tuple[FloatArray, FloatArray]:
+        """Add leads; where the tool is after them."""
+        file, legs, last = self._file, self._legs, len(self._legs) - 1
+        if file.raster is not None and file.blend_radius_m is None:
+            if file.speed_tolerance is not None:
+                for k in range(0, last + 1, 2):
+                    legs[k] = led_row(legs[k], file.speed_profile, file.raster.overscan_m)
+            return self._end()
+        for k in {0, last}:
+            before = (file.lead_in_m or 0.0) if k == 0 else 0.0
+            after = (file.lead_out_m or 0.0) if k == last else 0.0
+            if before or after:
+                legs[k] = led(legs[k], file.speed_profile, before, after)
+        return self._end()
 
-        self._legs = [(each, back(points), back(turns)) for each, points, turns in reversed(self._legs)]
-        _, points, orientations = self._legs[-1]
-        return points(np.ones(1))[0], orientations(np.ones(1))[0]
+    def _end(self) -> tuple[FloatArray, FloatArray]:
+        """Where the tool is after the last leg."""
+        last = self._legs[-1]
+        return last.points(np.ones(1))[0], last.orientations(np.ones(1))[0]
+
+    def process_speeds(self, times: FloatArray) -> FloatArray:
+        """Speeds (N,), m/s, that the process has at times (N,), s; zero where there is none."""
+        speeds, end = np.zeros(len(times)), 0.0
+        for leg in self._legs:
+            if leg.phases is not None:
+                begin = end + leg.phases[0] * leg.seconds
+                inside = (times >= begin) & (times <= begin + leg.phases[1] * leg.seconds)
+                speeds[inside] = leg.speed
+            end += leg.seconds
+        return speeds
 
     def poses(self, times: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Tool points (N, 3), m, and orientations (N, 3, 3): at rest at the ends of each leg."""
-        ends = np.cumsum([seconds for seconds, _, _ in self._legs])
+        ends = np.cumsum([each.seconds for each in self._legs])
         leg = np.minimum(np.searchsorted(ends, times), len(ends) - 1)
         p, R = np.empty((len(times), 3)), np.empty((len(times), 3, 3))
         for k in np.unique(leg):
-            seconds, points, orientations = self._legs[k]
+            one = self._legs[k]
             here = leg == k
-            left = np.clip((ends[k] - times[here]) / seconds, 0.0, 1.0)
-            # A profile is symmetric in time: what is left is what its rest would cover from the start.
-            share = 1 - _covered(self._file.speed_profile, left)
-            p[here], R[here] = points(share), orientations(share)
+            left = np.clip((ends[k] - times[here]) / one.seconds, 0.0, 1.0)
+            # What is left is what the way back would cover from the start.
+            share = 1 - covered(reversed_leg(one), self._file.speed_profile, left)
+            p[here], R[here] = one.points(share), one.orientations(share)
         return p, R
 
     def via_times(self) -> FloatArray:
         """Times of the via-points (k,), s: the ends of the legs, and equal steps within each.
 
         Each leg has a segment; every further one goes to the leg whose segments are then the longest
-        (D'Hondt).
+        (D'Hondt). A leg with leads counts as three.
         """
-        seconds = np.array([each for each, _, _ in self._legs])
+        parts = list[float]()
+        for leg in self._legs:
+            parts += [share * leg.seconds for share in leg.phases or (1.0,)]
+        seconds = np.array(parts)
         segments = np.ones(len(seconds), dtype=np.intp)
         shares = np.round(seconds / seconds.sum(), _DIGITS)
         for _ in range(self._file.via_points - 1 - len(seconds)):
@@ -143,8 +181,8 @@ class ScenePath:
 
     def _leg(
         self, leg: Leg, p: FloatArray, R: FloatArray
-    ) -> tuple[float, _Points, _Points, tuple[FloatArray, FloatArray]]:
-        """Seconds, points, orientations and the pose at the end of a leg."""
+    ) -> tuple[float, _Points, _Points, tuple[FloatArray, FloatArray], float]:
+        """Seconds, points, orientations, the pose at the end and the length of a leg."""
         if leg.arc is not None:
             points, axis, angle, length = self._arc(leg.arc, p)
             turn = axis * angle if leg.arc.turns else np.zeros(3)
@@ -160,11 +198,12 @@ class ScenePath:
             return np.array([_rodrigues(s * turn) @ R for s in share])
 
         seconds = leg.pause or leg.seconds or self._cruise(length, leg.speed_m_s)
-        return seconds, points, orientations, (points(np.ones(1))[0], orientations(np.ones(1))[0])
+        pose = points(np.ones(1))[0], orientations(np.ones(1))[0]
+        return seconds, points, orientations, pose, length
 
     def _cruise(self, length: float, speed: float | None) -> float:
         """Seconds in which a leg is covered when the tool cruises at a speed between two ramps."""
-        return length / ((speed or np.nan) * float(_travelled(self._file.speed_profile, np.ones(1))[0]))
+        return length / ((speed or np.nan) * cruise_share(self._file.speed_profile))
 
     def _goal(self, goal: Goal, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """A pose in W, from the orientation `R` before."""
@@ -250,7 +289,7 @@ class ScenePath:
         from scipy.interpolate import make_interp_spline
         from scipy.spatial.transform import RotationSpline
 
-        legs: list[tuple[float, _Points, _Points]] = []
+        legs: list[tuple[float, _Points, _Points, tuple[float, float] | None]] = []
 
         def turned(axis: FloatArray, R: FloatArray) -> FloatArray:
             return self._goal(Goal(xyz=(0, 0, 0), axis=_three(axis)), R)[1]
@@ -266,6 +305,7 @@ class ScenePath:
                         float(np.linalg.norm(way)),
                         partial(_straight, before, way),
                         partial(_turning, turn, R_before),
+                        None,
                     )
                 )
             each = [R]
@@ -277,12 +317,14 @@ class ScenePath:
                 make_interp_spline(at, points, k=3),
                 RotationSpline(at, Rotation.from_matrix(each)),
             )
-            legs.append((_length(spline.derivative(), at), spline, partial(_matrices, orientations)))
+            edges = float(at[1]), float(1 - at[-2])
+            legs.append((_length(spline.derivative(), at), spline, partial(_matrices, orientations), edges))
             R = each[-1]
-        file, total = self._file, sum(length for length, _, _ in legs)
-        for length, places, turns in legs:
+        file, total = self._file, sum(length for length, *_ in legs)
+        for length, places, turns, at_ends in legs:
             share = None if file.seconds is None else file.seconds * length / total
-            self._legs.append((share or self._cruise(length, file.speed_m_s), places, turns))
+            seconds = share or self._cruise(length, file.speed_m_s)
+            self._legs.append(TimedLeg(seconds, places, turns, length, share is None, at_ends))
         return rows[-1][0][-1], R
 
     def _add_pipe(self, raster: Raster, pipe: CylinderPatch, R: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -311,7 +353,7 @@ class ScenePath:
         p = centre + outer * out + place[1] * axis
         R = self._goal(Goal(xyz=(0, 0, 0), axis=_three(-out)), R)[1]
 
-        def add(plane: _Points, seconds: float) -> None:
+        def add(plane: _Points, seconds: float, length: float) -> None:
             def turned(share: FloatArray) -> FloatArray:
                 return np.array([_rodrigues((x / outer - place[0]) * axis) for x in plane(share)[:, 0]])
 
@@ -319,7 +361,8 @@ class ScenePath:
                 along = (plane(share)[:, 1] - place[1])[:, None] * axis
                 return np.asarray(centre + turned(share) @ (p - centre) + along)
 
-            self._legs.append((seconds, points, lambda share: turned(share) @ R))
+            cruises = self._file.seconds is None
+            self._legs.append(TimedLeg(seconds, points, lambda share: turned(share) @ R, length, cruises))
 
         unrolled = np.array([[outer * around, along, 0.0] for around, along in places])
         ways = np.diff(unrolled, axis=0)
@@ -327,13 +370,12 @@ class ScenePath:
         file, total = self._file, float(lengths.sum())
         if file.blend_radius_m is not None:
             plane, length = _blended(unrolled, file.blend_radius_m)
-            add(plane, file.seconds or self._cruise(length, file.speed_m_s))
+            add(plane, file.seconds or self._cruise(length, file.speed_m_s), length)
         else:
             for begin, way, length in zip(unrolled, ways, lengths, strict=False):
                 share = None if file.seconds is None else file.seconds * length / total
-                add(partial(_straight, begin, way), share or self._cruise(length, file.speed_m_s))
-        _, points, orientations = self._legs[-1]
-        return points(np.ones(1))[0], orientations(np.ones(1))[0]
+                add(partial(_straight, begin, way), share or self._cruise(length, file.speed_m_s), length)
+        return self._end()
 
     def _add_spline(self, rows: FloatArray) -> tuple[FloatArray, FloatArray]:
         from scipy.interpolate import make_interp_spline
@@ -345,8 +387,10 @@ class ScenePath:
         spline = make_interp_spline(at, points, k=3)
         orientations = RotationSpline(at, Rotation.from_quat(rows[:, 3:], scalar_first=True))
         file = self._file
-        seconds = file.seconds or self._cruise(_length(spline.derivative(), at), file.speed_m_s)
-        self._legs.append((seconds, spline, lambda share: orientations(share).as_matrix()))
+        length, cruises = _length(spline.derivative(), at), file.seconds is None
+        seconds = file.seconds or self._cruise(length, file.speed_m_s)
+        turns = partial(_matrices, orientations)
+        self._legs.append(TimedLeg(seconds, spline, turns, length, cruises))
         return points[-1], orientations(1.0).as_matrix()
 
 
@@ -424,34 +468,6 @@ def _blended(corners: FloatArray, radius: float) -> tuple[_Points, float]:
         return p
 
     return points, float(ends[-1])
-
-
-def _covered(profile: SpeedProfile, u: FloatArray) -> FloatArray:
-    """Share of the length that is covered at share `u` of the time."""
-    return np.asarray(_travelled(profile, u) / _travelled(profile, np.ones(1)))
-
-
-def _travelled(profile: SpeedProfile, u: FloatArray) -> FloatArray:
-    """Length at share `u` of a time of 1 with a cruising speed of 1: phases of constant jerk, integrated."""
-    r = profile.ramp
-    # Duration, acceleration at the beginning and jerk of each phase.
-    phases = [(r, 1 / r, 0.0), (1 - 2 * r, 0.0, 0.0), (r, -1 / r, 0.0)]
-    if profile.kind == "jerk_limited":
-        jerk = 4 / r**2
-        phases = [
-            (r / 2, 0.0, jerk),
-            (r / 2, 2 / r, -jerk),
-            (1 - 2 * r, 0.0, 0.0),
-            (r / 2, 0.0, -jerk),
-            (r / 2, -2 / r, jerk),
-        ]
-    travelled, begin, speed = np.zeros_like(u), 0.0, 0.0
-    for duration, acceleration, jerk in phases:
-        x = np.clip(u - begin, 0.0, duration)
-        travelled += x * (speed + x * (acceleration / 2 + x * jerk / 6))
-        speed += duration * (acceleration + duration * jerk / 2)
-        begin += duration
-    return travelled
 
 
 def _rpy(rpy_deg: tuple[float, float, float]) -> FloatArray:

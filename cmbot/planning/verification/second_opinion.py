@@ -16,7 +16,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.sag import Sag
-from cmbot.planning.verification.certificate import Check
+from cmbot.planning.verification.check import Check
 from cmbot.planning.verification.convex_distance import ConvexShape, Proven, hull, smallest_distances
 from cmbot.planning.verification.multibody import Multibody, PlacedShape
 from cmbot.planning.verification.robot_files import mesh_parts, read_multibody
@@ -115,7 +115,7 @@ def second_opinion(
             checks.append(_tilt_check(keep, path, body, times, motion[0]))
         if sag is None:
             checks += _via_point_checks(keep, path, body, trajectory)
-            checks += _speed_checks(scene, body, times, motion)
+            checks += _speed_checks(scene, stroke, path, body, times, motion)
     return tuple(checks)
 
 
@@ -346,13 +346,19 @@ def _tilt_check(cone: AxisCone, path: ScenePath, body: Multibody, times: FloatAr
 
 
 def _speed_checks(
-    scene: Scene, body: Multibody, times: FloatArray, motion: list[FloatArray]
+    scene: Scene, stroke: int, path: ScenePath, body: Multibody, times: FloatArray, motion: list[FloatArray]
 ) -> Iterator[Check]:
     """The speed of the tool point against the scene's, with the tolerance that it has."""
+    speed = np.linalg.norm(body.tool_velocities(motion[0], motion[1]), axis=1)
     if scene.tool.max_speed_m_s is not None:
-        speed = np.linalg.norm(body.tool_velocities(motion[0], motion[1]), axis=1)
         bound = scene.tool.max_speed_m_s * (1 + SPEED_TOLERANCE) * (1 + _LIMIT)
         yield _worst(f"tool speed {_BY}", times, speed, bound, "m/s")
+    tolerance, asked = scene.each_stroke[stroke].speed_tolerance, path.process_speeds(times)
+    if tolerance is not None:
+        missed = np.where(asked > 0, np.abs(speed / np.where(asked > 0, asked, 1.0) - 1.0), 0.0)
+        yield _worst(
+            f"deviation of the process speed {_BY}", times, missed, tolerance * (1 + _LIMIT), "of it"
+        )
 
 
 def _angles(R: FloatArray, other: FloatArray) -> FloatArray:

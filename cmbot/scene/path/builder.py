@@ -13,11 +13,13 @@ from cmbot.common.errors import SceneError
 from cmbot.common.validation import shown
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.obstacles import Mesh, Obstacle, pose
-from cmbot.scene.path.curves import Arc, Blend, Curve, Rolled, Spline, rounded
+from cmbot.scene.path.curves import Arc, Blend, Curve, Line, Rolled, Spline, rounded
 from cmbot.scene.path.face_rows import FaceRows, rows_over_faces
+from cmbot.scene.path.leads import Extended
 from cmbot.scene.path.legs import SHORTEST_LEG, ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import PathFile
 from cmbot.scene.path.raster import CylinderPatch, Raster
+from cmbot.scene.path.time_law import ProcessPart, TimeLaw, law_with_leads
 from cmbot.scene.path.tool_path import ToolPath, shortest_turns
 
 __all__ = ["PathSource", "timed_path"]
@@ -110,15 +112,83 @@ class _PathBuilder:
 
     def path(self) -> ToolPath:
         """The legs that were put together."""
+        leads, file = self._leads(), self._file
+        if file.speed_tolerance is not None and file.lead_in_m and len(self._parts) > 1:
+            got = f"a path of {len(self._parts)} pieces, at whose ends the tool rests"
+            expected = "one piece: blend_radius_m, or a single leg"
+            raise SceneError(self._place.source, f"{self._place.key}.speed_tolerance", got, expected)
+        laws, process = dict[int, TimeLaw](), dict[int, ProcessPart]()
+        R = [self._start[1]]
+        for part in self._parts:
+            R.append(_turned(part.turn, R[-1]))
+        for k, (before, after) in leads.items():
+            self._parts[k], laws[k], process[k] = self._led(k, R[k], before, after)
         parts = self._parts
         return ToolPath(
             corners=np.vstack([self._start[0], *(part.end for part in parts)]),
             orientation=self._start[1],
             seconds=np.array([part.seconds for part in parts]),
-            profile=self._file.speed_profile,
+            profile=file.speed_profile,
             rotations=np.array([part.turn for part in parts]),
             curves={k: part.curve for k, part in enumerate(parts) if part.curve is not None},
+            laws=laws,
+            process=process,
         )
+
+    def _leads(self) -> dict[int, tuple[float, float]]:
+        """Lengths of the leads, m, of the parts that have any."""
+        file, last = self._file, len(self._parts) - 1
+        if file.raster is not None and file.blend_radius_m is None:
+            # Rows come first and every second time.
+            over = file.raster.overscan_m
+            return {} if file.speed_tolerance is None else dict.fromkeys(range(0, last + 1, 2), (over, over))
+        ends = {0: (file.lead_in_m or 0.0, 0.0)}
+        ends[last] = (ends.get(last, (0.0, 0.0))[0], file.lead_out_m or 0.0)
+        return {k: each for k, each in ends.items() if any(each)}
+
+    def _led(self, k: int, R: FloatArray, before: float, after: float) -> tuple[_Part, TimeLaw, ProcessPart]:
+        """Part k, which begins in orientation `R`, with its leads, its law and what is between the leads."""
+        part, file, ramp = self._parts[k], self._file, self._file.speed_profile.ramp
+        point = self._parts[k - 1].end if k else self._start[0]
+        way = part.end - point
+        length = float(np.linalg.norm(way)) if part.curve is None else part.curve.length
+        if length < SHORTEST_LEG:
+            name = "lead_in_m" if before else "lead_out_m"
+            got, expected = "a leg on which the tool point stays", "one along which it moves"
+            raise SceneError(self._place.source, f"{self._place.key}.{name}", got, expected)
+        ramps = (0.0 if before else ramp, 0.0 if after else ramp)
+        if file.raster is not None and file.blend_radius_m is None:
+            # The row has its leads already.
+            shares = (before / length, after / length)
+            if isinstance(part.curve, Spline):
+                shares = (float(part.curve.breaks[0]), 1.0 - float(part.curve.breaks[-1]))
+            law, (begin, end), whole = law_with_leads(file.speed_profile, *shares, ramps)
+            seconds = whole * part.seconds * (1 - ramp) if part.cruises else part.seconds
+            speed = whole * length / seconds
+        else:
+            speed = length / (part.seconds * (1 - (ramp if part.cruises else 0.5 * sum(ramps))))
+            if part.curve is None and not part.turn.any():
+                along = way / length
+                if before:
+                    self._start = (point - before * along, R)
+                part = replace(part, end=part.end + after * along)
+                shares = tuple(np.array([before, after]) / (before + length + after))
+            else:
+                inner = part.curve or Line(point, part.end)
+                curve = Extended(
+                    inner=inner, before=before, after=after, orientation=R, rotation_vector=part.turn
+                )
+                shares = (float(curve.ends[0]), 1.0 - float(curve.ends[1]))
+                ends, turned = curve.position(np.array([0.0, 1.0])), curve.rotation(np.array([0.0, 1.0]))
+                first, last = (R, R) if turned is None else turned
+                if before:
+                    self._start = (ends[0], first)
+                turn = np.asarray(Rotation.from_matrix(last @ first.T).as_rotvec())
+                part = replace(part, end=ends[1] if after else part.end, curve=curve, turn=turn)
+            law, (begin, end), whole = law_with_leads(file.speed_profile, *shares, ramps)
+            seconds = whole * length / (1 - sum(shares)) / speed
+        process = ProcessPart(begin=begin, end=end, length=speed * (end - begin) * seconds)
+        return replace(part, seconds=seconds), law, process
 
     def leg(self, leg: Leg, key: str) -> None:
         """Add a leg of the scene."""
@@ -143,7 +213,8 @@ class _PathBuilder:
         turn = Rotation.from_matrix(orientations[-1] @ orientations[0].T).as_rotvec()
         file = self._file
         seconds = self._seconds(file.seconds, file.speed_m_s, curve.length, f"{self._place.key}.speed_m_s")
-        self._add(_Part(end=points[-1], turn=turn, seconds=seconds, curve=curve))
+        cruises = file.speed_m_s is not None
+        self._add(_Part(end=points[-1], turn=turn, seconds=seconds, curve=curve, cruises=cruises))
 
     def raster(self, raster: Raster) -> None:
         """Add the rows of a raster and the steps between them."""
@@ -180,13 +251,16 @@ class _PathBuilder:
             curve = Rolled(plane, X_WC, radius, self._R)
             turn = (corners[-1, 0] - corners[0, 0]) / radius * axis
             end = curve.position(np.ones(1))[0]
-            self._add(_Part(end=end, turn=turn, seconds=float(seconds.sum()) * shorter, curve=curve))
+            whole, cruises = float(seconds.sum()) * shorter, self._file.seconds is None
+            self._add(_Part(end=end, turn=turn, seconds=whole, curve=curve, cruises=cruises))
             return
         for (around, along, _), duration in zip(moves, seconds, strict=True):
             angle = float(around / radius)
             arc = Arc(X_WC[:3, 3], axis, self._point, angle) if angle else None
             end = self._point + along * axis if arc is None else arc.position(np.ones(1))[0]
-            self._add(_Part(end=end, turn=angle * axis, seconds=float(duration), curve=arc))
+            cruises = self._file.seconds is None
+            part = _Part(end=end, turn=angle * axis, seconds=float(duration), curve=arc, cruises=cruises)
+            self._add(part)
 
     def _rows(self, rows: FaceRows) -> None:
         """Add the rows over faces of a mesh and the straight steps between them."""
@@ -289,7 +363,8 @@ class _PathBuilder:
                 curve = Blend(corners, radius)
                 shorter = curve.length / float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
                 seconds = sum(part.seconds * (shorter if part.cruises else 1.0) for part in group)
-                merged.append(replace(group[-1], seconds=seconds, curve=curve))
+                cruises = all(part.cruises for part in group)
+                merged.append(replace(group[-1], seconds=seconds, curve=curve, cruises=cruises))
             else:
                 merged.extend(group)
             point = group[-1].end if group else point

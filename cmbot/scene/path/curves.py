@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from scipy.interpolate import CubicSpline
     from scipy.spatial.transform import RotationSpline
 
-__all__ = ["Arc", "Blend", "Curve", "Rolled", "Spline", "rounded"]
+__all__ = ["Arc", "Blend", "Curve", "Line", "Rolled", "Spline", "rounded"]
 
 # Points of the Gauss rule that measures the length of a spline's piece.
 _GAUSS = 12
@@ -79,6 +79,10 @@ class Curve(ABC):
 
     def rotation(self, share: FloatArray) -> FloatArray | None:
         """Return orientations R_WT (N, 3, 3), where the curve prescribes them."""
+        return None
+
+    def rotation_rate(self, share: FloatArray) -> FloatArray | None:
+        """Return how fast the prescribed orientation turns, (N, 3), rad in W per share."""
         return None
 
     def turn(self, share: FloatArray, at: FloatArray) -> FloatArray | None:
@@ -232,6 +236,13 @@ class Spline(Curve):
         """Return orientations R_WT (N, 3, 3)."""
         return None if self._rotations is None else self._rotations(share).as_matrix()
 
+    def rotation_rate(self, share: FloatArray) -> FloatArray | None:
+        """Return how fast the tool turns, (N, 3), rad in W per share."""
+        if self._rotations is None:
+            return None
+        # SciPy's rates are along the axes that turn.
+        return np.asarray(self._rotations(share).apply(self._rotations(share, 1)))
+
     def turn(self, share: FloatArray, at: FloatArray) -> FloatArray | None:
         """Return rotation vectors (N, 3), rad, cubic in the share between two points."""
         if self._rotations is None or self.orientations is None:
@@ -282,9 +293,9 @@ class Blend(Curve):
             axis = np.cross(a, b) / np.linalg.norm(np.cross(a, b))
             first = corners[k] - cut * a
             centre = first + np.cross(axis, a) * cut / np.tan(0.5 * angle)
-            parts += [_Line(start, first), Arc(centre, axis, first, angle)]
+            parts += [Line(start, first), Arc(centre, axis, first, angle)]
             start = corners[k] + cut * b
-        return [*parts, _Line(start, corners[-1])]
+        return [*parts, Line(start, corners[-1])]
 
     @cached_property
     def _ends(self) -> FloatArray:
@@ -397,6 +408,10 @@ class Rolled(Curve):
         R = Rotation.from_rotvec(turned[:, None] * self.X_WC[:3, 2]).as_matrix()
         return np.asarray(R @ self.orientation)
 
+    def rotation_rate(self, share: FloatArray) -> FloatArray | None:
+        """Return how fast the tool turns, (N, 3), rad in W per share."""
+        return np.asarray(self.plane.slope(share)[:, :1] / self.radius * self.X_WC[:3, 2])
+
     def arc_angle(self, share: FloatArray, at: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the angles and radii of the arcs in the plane; zero on its lines."""
         return self.plane.arc_angle(share, at)
@@ -415,25 +430,32 @@ class Rolled(Curve):
 
 
 @dataclass(frozen=True, eq=False)
-class _Line(Curve):
+class Line(Curve):
+    """A straight line from `start` to `end`, m."""
+
     start: FloatArray
     end: FloatArray
 
     @property
     def length(self) -> float:
+        """Length, m."""
         return float(np.linalg.norm(self.end - self.start))
 
     @property
     def curvature(self) -> float:
+        """None, 1/m."""
         return 0.0
 
-    def reversed(self) -> _Line:
-        return _Line(self.end, self.start)
+    def reversed(self) -> Line:
+        """Return the line from its end to its start."""
+        return Line(self.end, self.start)
 
     def position(self, share: FloatArray) -> FloatArray:
+        """Return points (N, 3), m."""
         return np.asarray(self.start + share[:, None] * (self.end - self.start))
 
     def slope(self, share: FloatArray) -> FloatArray:
+        """Return derivatives (N, 3), m."""
         return np.broadcast_to(self.end - self.start, (len(share), 3))
 
 

@@ -13,7 +13,7 @@ from cmbot.scene.fields import Slug, exactly_one
 from cmbot.scene.path.kept import Keep
 from cmbot.scene.path.legs import Goal, Leg, Seconds, Speed, Waypoint
 from cmbot.scene.path.raster import Raster
-from cmbot.scene.path.tool_path import SpeedProfile
+from cmbot.scene.path.time_law import SpeedProfile
 
 __all__ = [
     "FREE_MOVE",
@@ -60,6 +60,17 @@ class PathFile(FileModel):
     """Duration of the path through `waypoints` or of `raster`, s."""
     speed_m_s: Speed | None = None
     """In place of it the speed at which the tool cruises along them, m/s."""
+    speed_tolerance: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
+    """By what share the tool's speed may miss the process speed, certified for all times between `lead_in_m`
+    and `lead_out_m`, on a path without a stop; in a raster whose rows are not blended on every row, where
+    `overscan_m` is the lead. The process speed is `speed_m_s`, or that at which the path is covered in its
+    seconds. Left out: any speed; of ``cmbot-scene/2``."""
+    lead_in_m: Annotated[float, Field(ge=1e-4, le=100)] | None = None
+    """Length, m, of a straight way before the path, along its tangent, on which the tool speeds up and turns
+    as at the path's start; its time comes on top. The tool is on there, too. Left out: it speeds up on the
+    path; of ``cmbot-scene/2``."""
+    lead_out_m: Annotated[float, Field(ge=1e-4, le=100)] | None = None
+    """Behind the path the same, for slowing down; of ``cmbot-scene/2``."""
     blend_radius_m: Annotated[float | None, Field(ge=1e-4, le=100)] = None
     """Radius by which corners between straight legs, and between the rows of a raster, are rounded, m; left
     out, and where the way turns by more than 150 degrees, the tool rests there; of ``cmbot-scene/2``."""
@@ -93,14 +104,32 @@ class PathFile(FileModel):
             if self.start_pose is not None:
                 expected = "no such key beside waypoints or a raster, where the path begins"
                 raise refusal(expected, got="a pose", key=("from",))
+        self._check_leads()
         passes = self.passes or 1
-        legs = len(self.legs) * passes
+        leads = sum(lead is not None for lead in (self.lead_in_m, self.lead_out_m))
+        legs = (len(self.legs) + leads) * passes
         if self.via_points <= legs:
-            expected = f"more than the {legs} legs" + (" of all passes" if passes > 1 else "")
+            expected = f"more than the {legs} legs"
+            expected += (" and leads" if leads else "") + (" of all passes" if passes > 1 else "")
             raise refusal(expected, got=self.via_points, key=("via_points",))
         if self.given_seconds > LONGEST:
             expected = f"legs of at most {LONGEST:,} s in all (10 h)"
             raise refusal(expected, got=f"{self.given_seconds:g} s", key=("legs",))
+
+    def _check_leads(self) -> None:
+        rests = self.raster is not None and self.blend_radius_m is None
+        for name in ("lead_in_m", "lead_out_m"):
+            if rests and getattr(self, name) is not None:
+                expected = "no such key: overscan_m is the lead of rows at whose ends the tool rests"
+                raise refusal(f"{expected}, blend_radius_m joins them", got="a value", key=(name,))
+        if self.speed_tolerance is None:
+            return
+        if rests and self.raster is not None and not self.raster.overscan_m:
+            expected = "an overscan, on which the tool speeds up and slows down, beside speed_tolerance"
+            raise refusal(expected, got="nothing", key=("raster", "overscan_m"))
+        for name in () if rests else ("lead_in_m", "lead_out_m"):
+            if getattr(self, name) is None:
+                raise refusal("a length beside speed_tolerance", got="nothing", key=(name,))
 
     def smooth_unless_given(self) -> Self:
         """Return the path with the speed profile of new scenes where it has none of its own."""
@@ -120,7 +149,7 @@ class PathFile(FileModel):
     @property
     def has_start(self) -> bool:
         """Whether it begins elsewhere than where the tool was before."""
-        return self.has_own_start
+        return self.has_own_start or self.lead_in_m is not None
 
     @property
     def in_words(self) -> str:

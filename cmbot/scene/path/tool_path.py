@@ -1,4 +1,4 @@
-"""The tool path: legs from the initial tool pose, each from rest to rest and timed by a speed profile."""
+"""The tool path: legs from the initial tool pose, each from rest to rest and timed by a law."""
 
 from __future__ import annotations
 
@@ -6,84 +6,28 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
 from heapq import heapify, heapreplace
-from typing import Annotated, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import CheckedFields
 from cmbot.scene.path.curves import Curve
+from cmbot.scene.path.time_law import ProcessPart, SpeedProfile, TimeLaw
 
-__all__ = ["ShiftedToolPath", "SpeedProfile", "ToolPath", "ToolPoses", "share_out_segments", "shortest_turns"]
+__all__ = ["ShiftedToolPath", "ToolPath", "ToolPoses", "share_out_segments", "shortest_turns"]
 
 _NO_LENGTH = 1e-300
 # Sines of angles below which a turn is none, and two unit vectors are parallel or opposite.
 _NO_TURN, _OPPOSITE = 1e-300, 1e-12
 # Points by which a curve is shown.
 _SHOWN = 41
+# Times nearer to each other than this share of the duration are the same.
+_SAME_TIME = 1e-9
 # Digits of the shares of the duration that legs have.
 _DIGITS = 9
-# Halvings that find when a share is covered.
-_HALVINGS = 60
-
-
-@dataclass(frozen=True, kw_only=True)
-class SpeedProfile(CheckedFields):
-    """How the tool speeds up and slows down along a leg: from rest to rest, symmetric in time.
-
-    Attributes
-    ----------
-    kind : str
-        ``trapezoidal``: constant acceleration in the ramps, as in the paper.
-        ``jerk_limited``: acceleration rises and falls linearly in the ramps, so jerk is bounded.
-    ramp : float
-        Share of a leg's duration spent speeding up, and again slowing down, 0.001 to 0.5.
-
-    Raises
-    ------
-    InputError
-        When `kind` is unknown or `ramp` is out of range.
-    """
-
-    kind: Literal["trapezoidal", "jerk_limited"] = "trapezoidal"
-    ramp: Annotated[float, Field(ge=1e-3, le=0.5)] = 0.2
-
-    def share(self, u: FloatArray) -> FloatArray:
-        """Share of the length covered at share `u` of the duration, both in [0, 1]."""
-        late = u > 0.5
-        x = np.where(late, 1 - u, u)
-        ramp = self.ramp * self._ramp_integral(np.minimum(x / self.ramp, 1.0))
-        covered = (ramp + np.maximum(x - self.ramp, 0.0)) / (1 - self.ramp)
-        return np.where(late, 1 - covered, covered)
-
-    def rate(self, u: FloatArray) -> FloatArray:
-        """Derivative of `share`: speed in units of length over duration."""
-        x = np.minimum(np.minimum(u, 1 - u) / self.ramp, 1.0)
-        return self._ramp(x) / (1 - self.ramp)
-
-    def time_share(self, share: FloatArray) -> FloatArray:
-        """Share of the duration at which shares (N,) of the length are covered: the inverse of `share`."""
-        low, high = np.zeros(len(share)), np.ones(len(share))
-        for _ in range(_HALVINGS):
-            middle = 0.5 * (low + high)
-            early = self.share(middle) < share
-            low, high = np.where(early, middle, low), np.where(early, high, middle)
-        return 0.5 * (low + high)
-
-    def _ramp(self, x: FloatArray) -> FloatArray:
-        """Share of the cruising speed reached at share x of a ramp."""
-        if self.kind == "trapezoidal":
-            return x
-        return np.where(x < 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
-
-    def _ramp_integral(self, x: FloatArray) -> FloatArray:
-        if self.kind == "trapezoidal":
-            return x**2 / 2
-        return np.where(x < 0.5, 2 * x**3 / 3, x - 0.5 + 2 * (1 - x) ** 3 / 3)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -132,6 +76,10 @@ class ToolPath:
         the share of the leg that is covered. None: it keeps its orientation.
     curves : mapping of int to Curve
         Those of the legs that are no straight lines.
+    laws : mapping of int to TimeLaw
+        Those of the legs that are not timed by `profile`.
+    process : mapping of int to ProcessPart
+        Of the legs that have a process speed between two leads.
     """
 
     corners: FloatArray
@@ -140,6 +88,8 @@ class ToolPath:
     profile: SpeedProfile
     rotations: FloatArray | None = None
     curves: Mapping[int, Curve] = field(default_factory=dict)
+    laws: Mapping[int, TimeLaw] = field(default_factory=dict)
+    process: Mapping[int, ProcessPart] = field(default_factory=dict)
 
     @cached_property
     def leg_times(self) -> FloatArray:
@@ -184,7 +134,7 @@ class ToolPath:
     def position(self, times: ArrayLike) -> FloatArray:
         """Return the tool point p_WT (N, 3), m, at `times` (N,)."""
         leg, u = self._locate(times)
-        share = self.profile.share(u)
+        share = self._share(leg, u)
         p = self.corners[leg] + share[:, None] * self._edges[leg]
         for which, curve in self._on_curves(leg):
             p[which] = curve.position(share[which])
@@ -199,7 +149,7 @@ class ToolPath:
         if not self.turns:
             return self.orientation[None]
         leg, u = self._locate(times)
-        share = self.profile.share(u)
+        share = self._share(leg, u)
         turn = Rotation.from_rotvec(share[:, None] * self._rotation_vectors[leg]).as_matrix()
         R = turn @ self._corner_rotations[leg]
         for which, curve in self._on_curves(leg):
@@ -218,22 +168,58 @@ class ToolPath:
     def velocity(self, times: ArrayLike) -> FloatArray:
         """Return the tool point's velocity (N, 3), m/s, at `times` (N,)."""
         leg, u = self._locate(times)
-        slope = self._edges[leg]
+        slope, share, rate = self._edges[leg], self._share(leg, u), self.profile.rate(u)
         for which, curve in self._on_curves(leg):
-            slope[which] = curve.slope(self.profile.share(u[which]))
-        return np.asarray((self.profile.rate(u) / self.seconds[leg])[:, None] * slope)
+            slope[which] = curve.slope(share[which])
+        for which, law in self._by_laws(leg):
+            rate[which] = law.rate(u[which])
+        return np.asarray((rate / self.seconds[leg])[:, None] * slope)
 
     @cached_property
     def breaks(self) -> FloatArray:
         """Times (B,), s, between which the timed pose is analytic: ends of legs, of ramps and of curves."""
-        ramp = self.profile.ramp
-        shares = [0.0, ramp, 1 - ramp, 1.0]
-        if self.profile.kind == "jerk_limited":
-            shares += [0.5 * ramp, 1 - 0.5 * ramp]
-        times = [(self.leg_times[:-1, None] + np.array(shares) * self.seconds[:, None]).ravel()]
-        for k, curve in self.curves.items():
-            times.append(self.leg_times[k] + self.profile.time_share(curve.breaks) * self.seconds[k])
+        times = list[FloatArray]()
+        for k, seconds in enumerate(self.seconds):
+            law = self._law(k)
+            shares = [law.breaks]
+            if k in self.curves:
+                shares.append(law.time_share(self.curves[k].breaks))
+            times += [self.leg_times[k] + each * seconds for each in shares]
         return np.unique(np.concatenate(times))
+
+    @cached_property
+    def process_parts(self) -> FloatArray:
+        """Where the tool has its process speed: times (P, 3), s, of beginnings and ends, and speeds, m/s."""
+        parts = [
+            (
+                self.leg_times[k] + part.begin * self.seconds[k],
+                self.leg_times[k] + part.end * self.seconds[k],
+                part.length / ((part.end - part.begin) * self.seconds[k]),
+            )
+            for k, part in sorted(self.process.items())
+        ]
+        return np.array(parts).reshape(-1, 3)
+
+    def process_speed(self, times: ArrayLike) -> FloatArray:
+        """Return the speeds (N,), m/s, that the process has at `times` (N,); zero where there is none."""
+        t, parts = np.asarray(times, dtype=np.float64), self.process_parts
+        if not len(parts):
+            return np.zeros(len(t))
+        near = _SAME_TIME * self.duration
+        k = np.clip(np.searchsorted(parts[:, 0] - near, t, side="right") - 1, 0, len(parts) - 1)
+        inside = (t >= parts[k, 0] - near) & (t <= parts[k, 1] + near)
+        return np.where(inside, parts[k, 2], 0.0)
+
+    @cached_property
+    def section_times(self) -> FloatArray:
+        """Times (S + 1,), s, at which there is a via-point in any case: ends of legs and of leads."""
+        if not self.process:
+            return self.leg_times
+        inside = np.clip(self.process_parts[:, :2].ravel(), 0.0, self.duration)
+        times = np.unique(np.concatenate([self.leg_times, inside]))
+        # A process part without leads ends where its leg does, but for rounding.
+        apart = np.append(np.diff(times) > _SAME_TIME * self.duration, True)
+        return np.asarray(times[apart])
 
     def arc_angle(self, times: ArrayLike, at: ArrayLike) -> tuple[FloatArray, FloatArray]:
         """Return angles (N,), rad, and radii (N,), m, of the arcs that the tool point is on.
@@ -252,9 +238,7 @@ class ToolPath:
         leg, _ = self._locate(at)
         if not self.turns:
             return np.zeros((len(leg), 3))
-        turn = np.asarray(
-            self.profile.share(self._share_of(times, leg))[:, None] * self._rotation_vectors[leg]
-        )
+        turn = np.asarray(self._share(leg, self._share_of(times, leg))[:, None] * self._rotation_vectors[leg])
         for which, curve, share, piece in self._curved(times, at):
             prescribed = curve.turn(share, piece)
             if prescribed is not None:
@@ -264,9 +248,9 @@ class ToolPath:
     def roll(self, at: ArrayLike) -> FloatArray:
         """Return curvatures (N,), 1/m, of the cylinders on which legs are rolled: see `Curve.roll`."""
         leg, u = self._locate(at)
-        curvature = np.zeros(len(leg))
+        curvature, share = np.zeros(len(leg)), self._share(leg, u)
         for which, curve in self._on_curves(leg):
-            curvature[which] = curve.roll(self.profile.share(u[which]))
+            curvature[which] = curve.roll(share[which])
         return curvature
 
     def bend(self, start: FloatArray, end: FloatArray) -> FloatArray:
@@ -275,7 +259,7 @@ class ToolPath:
         bound = np.zeros(len(start))
         for which, curve, share, _ in self._curved(middle, middle):
             leg, _ = self._locate(middle[which])
-            ends = (self.profile.share(self._share_of(t[which], leg)) for t in (start, end))
+            ends = (self._share(leg, self._share_of(t[which], leg)) for t in (start, end))
             furthest = np.max([np.abs(each - share) for each in ends], axis=0)
             angle = np.minimum(curve.curvature * curve.length * furthest, np.pi)
             bound[which] = 2 * np.sin(0.5 * angle)
@@ -286,30 +270,34 @@ class ToolPath:
         leg, u = self._locate([time])
         if not self.lengths.sum() > 0:
             return float(np.clip(time / self.duration, 0.0, 1.0))
-        covered = self.lengths[: leg[0]].sum() + self.profile.share(u)[0] * self.lengths[leg[0]]
+        covered = self.lengths[: leg[0]].sum() + self._share(leg, u)[0] * self.lengths[leg[0]]
         return float(covered / self.lengths.sum())
 
     def via_times(self, count: int) -> FloatArray:
         """Times t_j (count,) of the via-points: leg ends, and equal steps within each leg (Eq. (23)).
 
+        The ends of leads are among them, and the steps are equal between these.
+
         Raises
         ------
         InputError
-            When `count` cannot give every leg a segment.
+            When `count` cannot give every leg, or lead, a segment.
         """
-        segments = share_out_segments(self.seconds, count - 1)
+        ends = self.section_times
+        segments = share_out_segments(np.diff(ends) if self.process else self.seconds, count - 1)
         pieces = [
             np.linspace(start, end, m, endpoint=False)
-            for start, end, m in zip(self.leg_times[:-1], self.leg_times[1:], segments, strict=True)
+            for start, end, m in zip(ends[:-1], ends[1:], segments, strict=True)
         ]
-        return np.concatenate([*pieces, self.leg_times[-1:]])
+        return np.concatenate([*pieces, ends[-1:]])
 
     def leg_directions(self, times: ArrayLike) -> FloatArray:
         """Return unit vectors (N, 3) along the legs at `times`; zero for a leg of no length."""
         leg, u = self._locate(times)
         along = self._edges[leg] / np.maximum(self.lengths[leg], _NO_LENGTH)[:, None]
+        share = self._share(leg, u)
         for which, curve in self._on_curves(leg):
-            along[which] = curve.tangent(self.profile.share(u[which]))
+            along[which] = curve.tangent(share[which])
         return np.asarray(along)
 
     def is_curved(self, times: ArrayLike) -> BoolArray:
@@ -326,9 +314,9 @@ class ToolPath:
         leg, u = self._locate(times)
         edge, away = self._edges[leg], p - self.corners[leg]
         along = np.einsum("nd,nd->n", away, edge) / np.maximum(self.lengths[leg] ** 2, _NO_LENGTH)
-        offset = away - np.clip(along, 0.0, 1.0)[:, None] * edge
+        offset, shares = away - np.clip(along, 0.0, 1.0)[:, None] * edge, self._share(leg, u)
         for which, curve in self._on_curves(leg):
-            share = self.profile.share(u[which])
+            share = shares[which]
             away, tangent = p[which] - curve.position(share), curve.tangent(share)
             offset[which] = away - np.einsum("nd,nd->n", away, tangent)[:, None] * tangent
         return np.asarray(offset)
@@ -352,12 +340,21 @@ class ToolPath:
             seconds=self.seconds[::-1],
             rotations=None if self.rotations is None else -self.rotations[::-1],
             curves={last - k: curve.reversed() for k, curve in self.curves.items()},
+            laws={last - k: law.reversed() for k, law in self.laws.items()},
+            process={
+                last - k: replace(part, begin=1 - part.end, end=1 - part.begin)
+                for k, part in self.process.items()
+            },
         )
 
     def repeated(self, passes: int) -> ToolPath:
         """Return the path followed so many times, to and fro, from rest to rest each time."""
         each = [self if k % 2 == 0 else self.reversed() for k in range(passes)]
         legs = len(self.seconds)
+
+        def of_all(name: str) -> dict[int, Any]:
+            return {n * legs + k: x for n, path in enumerate(each) for k, x in getattr(path, name).items()}
+
         return replace(
             self,
             corners=np.vstack([self.corners[:1], *(path.corners[1:] for path in each)]),
@@ -365,13 +362,17 @@ class ToolPath:
             rotations=None
             if self.rotations is None
             else np.concatenate([path.rotations for path in each if path.rotations is not None]),
-            curves={n * legs + k: curve for n, path in enumerate(each) for k, curve in path.curves.items()},
+            curves=of_all("curves"),
+            laws=of_all("laws"),
+            process=of_all("process"),
         )
 
     def held(self) -> ToolPath:
         """Return the path of a tool that stays, for a second, where this one starts."""
         corners = np.repeat(self.corners[:1], 2, axis=0)
-        return replace(self, corners=corners, seconds=np.ones(1), rotations=None, curves={})
+        return replace(
+            self, corners=corners, seconds=np.ones(1), rotations=None, curves={}, laws={}, process={}
+        )
 
     def _locate(self, times: ArrayLike) -> tuple[IntArray, FloatArray]:
         """Leg (N,) and share of its duration (N,) at `times`; outside the path, its nearer end."""
@@ -382,6 +383,24 @@ class ToolPath:
     def _share_of(self, times: ArrayLike, leg: IntArray) -> FloatArray:
         """Share of the legs' durations (N,) at `times`; outside them, their nearer end."""
         return np.clip((np.asarray(times) - self.leg_times[leg]) / self.seconds[leg], 0.0, 1.0)
+
+    def _law(self, leg: int) -> TimeLaw:
+        """What a leg is timed by."""
+        return self.laws.get(leg, self.profile)
+
+    def _share(self, leg: IntArray, u: FloatArray) -> FloatArray:
+        """Shares of the legs' lengths (N,) at shares `u` (N,) of their durations."""
+        share = self.profile.share(u)
+        for which, law in self._by_laws(leg):
+            share[which] = law.share(u[which])
+        return share
+
+    def _by_laws(self, leg: IntArray) -> Iterator[tuple[IntArray, TimeLaw]]:
+        """Yield the laws by which some of the legs (N,) are timed, and which of these."""
+        for k, law in self.laws.items():
+            which = np.flatnonzero(leg == k)
+            if len(which):
+                yield which, law
 
     def _on_curves(self, leg: IntArray) -> Iterator[tuple[IntArray, Curve]]:
         """Yield the curves that some of the legs (N,) follow, and which of these."""
@@ -395,9 +414,9 @@ class ToolPath:
     ) -> Iterator[tuple[IntArray, Curve, FloatArray, FloatArray]]:
         """Yield which of the times (N,) `at` are on curved legs, the curve, and shares at both times."""
         leg, u = self._locate(at)
-        share = self.profile.share(self._share_of(times, leg))
+        share, there = self._share(leg, self._share_of(times, leg)), self._share(leg, u)
         for which, curve in self._on_curves(leg):
-            yield which, curve, share[which], self.profile.share(u[which])
+            yield which, curve, share[which], there[which]
 
 
 @dataclass(frozen=True, kw_only=True)

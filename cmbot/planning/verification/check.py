@@ -1,0 +1,36 @@
+"""A promise of a plan, judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Check"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Check:
+    """One promise of a plan: the worst value against its bound.
+
+    Attributes
+    ----------
+    quantity : str
+    time : float, s
+        Where the worst value is.
+    value, bound : float
+        The value is not passed at any time; where interpolation leaves a remainder, it is included.
+    unit : str
+    at_least : bool
+        The bound is a lower one.
+    """
+
+    quantity: str
+    time: float
+    value: float
+    bound: float
+    unit: str
+    at_least: bool = False
+
+    @property
+    def holds(self) -> bool:
+        """Whether the value keeps its bound; never true of a value that is not a number."""
+        return self.value >= self.bound if self.at_least else self.value <= self.bound

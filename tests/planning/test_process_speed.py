@@ -1,0 +1,98 @@
+"""The process speed: planned, certified for all times, and read back."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+from cmbot.archive import load_plan, save
+from cmbot.collision import Clearances
+from cmbot.common.errors import LimitViolation
+from cmbot.optimization import StateSamples
+from cmbot.planning import Plan, certify, plan, second_opinion
+from cmbot.planning.result.remarks import remarks
+from cmbot.planning.torque.constraints import ProcessSpeed
+from cmbot.robot import Kinematics, Postures
+
+TOLERANCE = 0.03
+QUANTITY = "deviation of the process speed"
+
+
+@pytest.fixture(scope="module")
+def steady_plan() -> Plan:
+    path = {
+        "legs": [{"to": {"frame": "tool", "xyz": [0.1, 0.2, 0], "rpy_deg": [0, 15, 0]}, "speed_m_s": 0.1}],
+        "speed_tolerance": TOLERANCE,
+        "lead_in_m": 0.03,
+        "lead_out_m": 0.04,
+        "via_points": 14,
+    }
+    return plan(short_scene(format="cmbot-scene/2", planner={"knots": "sliding"}, tool_path=path))
+
+
+def test_the_speed_is_kept_at_all_times(steady_plan: Plan) -> None:
+    (stroke,) = steady_plan.job.strokes
+    x, path = stroke.trajectory, stroke.task.path
+    t = np.linspace(0, x.duration, 20_001)
+    q, v, _ = x.states(t)
+    J = Kinematics(steady_plan.robot).tool_point_jacobians(q)[1]
+    asked = path.process_speed(t)
+    on = asked > 0
+    missed = np.abs(np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1)[on] / 0.1 - 1).max()
+    (check,) = (check for check in stroke.certificate.checks if check.quantity == QUANTITY)
+    assert missed <= check.value <= TOLERANCE == check.bound
+    assert missed == pytest.approx(check.value, rel=1e-3)
+    # 0.2236 m at 0.1 m/s between two leads.
+    assert on.mean() * x.duration == pytest.approx(np.hypot(0.1, 0.2) / 0.1, rel=1e-3)
+    told = " ".join(remarks(steady_plan))
+    assert "Process speed: 0.1 m/s on 0.224 m between the leads" in told
+    assert f"(allowed: {100 * TOLERANCE:g} %)" in told
+
+
+def test_another_speed_breaks_the_certificate(steady_plan: Plan) -> None:
+    (stroke,) = steady_plan.job.strokes
+    scene, robot = steady_plan.scene, steady_plan.robot
+    task = replace(stroke.task, speed_tolerance=1e-4)
+    clearances = Clearances(robot, scene.obstacles)
+    found = certify(
+        robot, task, stroke.trajectory, clearances, steady_plan.options, via_points=scene.via_points
+    )
+    with pytest.raises(LimitViolation, match=QUANTITY):
+        found.require()
+    broken = second_opinion(
+        replace(scene, speed_tolerance=1e-4), steady_plan.options, stroke.trajectory, robot=robot, stroke=0
+    )
+    assert [check.quantity for check in broken if not check.holds] == [f"{QUANTITY} by a second computation"]
+
+
+def test_it_is_read_back(steady_plan: Plan, tmp_path: Path) -> None:
+    again = load_plan(save(steady_plan, tmp_path / "plan"), verify=True)
+    assert (again.scene.speed_tolerance, again.scene.lead_in_m, again.scene.lead_out_m) == (
+        TOLERANCE,
+        0.03,
+        0.04,
+    )
+
+
+def test_the_constraint_is_linearized(steady_plan: Plan) -> None:
+    (stroke,) = steady_plan.job.strokes
+    function = ProcessSpeed(Postures(steady_plan.robot), stroke.task, TOLERANCE)
+    begin, end, _ = stroke.task.path.process_parts[0]
+    t = np.concatenate([[0.3 * begin], np.linspace(begin, end, 5)])
+    q, v, a = stroke.trajectory.states(t)
+    v = v * np.linspace(0.5, 1.5, len(t))[:, None]
+    step = 1e-6
+    for component in (0, 1):
+        each = np.full(len(t), component)
+        rows = function.linearize(StateSamples(t, q, v, a), each)
+        assert rows.value[0] == -1.0
+        for joint in range(q.shape[1]):
+            d = step * np.eye(q.shape[1])[joint]
+            for by, states in ((rows.d_q, (d, 0 * d)), (rows.d_v, (0 * d, d))):
+                ends = [
+                    function.sample(StateSamples(t, q + s * states[0], v + s * states[1], a))[0][:, component]
+                    for s in (1, -1)
+                ]
+                np.testing.assert_allclose(by[:, joint], (ends[0] - ends[1]) / (2 * step), atol=1e-4)
