@@ -30,8 +30,8 @@ __all__ = ["ElasticMotion", "ElasticSystem", "GeneralizedAlpha"]
 
 # Displacement, m or rad, beyond which the model of springs between rigid bodies is not valid.
 _MAX_DISPLACEMENT = 1.0
-# Steps between two reports of progress.
-_PROGRESS_STEPS = 100
+# Steps between two reports of progress, and between two trials of a second correction.
+_PROGRESS_STEPS, _RENEWED = 100, 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -75,11 +75,22 @@ class GeneralizedAlpha:
     """The integrator of one system; it owns working memory, so threads must not share it.
 
     No step is longer than `step`, s. `rho_inf` is the spectral radius at infinite frequency, 0 to 1: 1 damps
-    nothing. `corrections` is the number of Newton corrections a step.
+    nothing. `corrections` is the number of Newton corrections a step. With a `tolerance`, m or rad, all of
+    them are tried every few steps only; where a second one moves nothing by more than that, the steps until
+    then have one, with the mass matrix of the first of them.
     """
 
-    def __init__(self, system: ElasticSystem, *, step: float, rho_inf: float, corrections: int) -> None:
+    def __init__(
+        self,
+        system: ElasticSystem,
+        *,
+        step: float,
+        rho_inf: float,
+        corrections: int,
+        tolerance: float = 0.0,
+    ) -> None:
         self._system, self._step, self._corrections = system, step, corrections
+        self._tolerance = tolerance
         self._alpha_m = (2 * rho_inf - 1) / (rho_inf + 1)
         self._alpha_f = rho_inf / (rho_inf + 1)
         self._gamma = 0.5 + self._alpha_f - self._alpha_m
@@ -90,10 +101,10 @@ class GeneralizedAlpha:
             self._external = pin.StdVec_Force()
             self._external.extend([pin.Force.Zero()] * system.model.njoints)
         self._data = system.model.createData()
-        # Rows act on accelerations, displacements and rates, stacked in this order in `_state`.
+        # Rows act on accelerations, displacements and rates, stacked in this order.
         self._linear = np.hstack([system.added_mass, system.stiffness, system.damping])
-        self._state = np.zeros(3 * f)
-        self._q, self._v, self._a = np.zeros(n), np.zeros(n), np.zeros(n)
+        # Where these are among positions, rates and accelerations of all coordinates, in this order.
+        self._place = np.concatenate([2 * n + system.elastic, system.elastic, n + system.elastic])
         self._block = (system.elastic[:, None] * n + system.elastic).ravel()
         self._mass, self._force = np.empty((f, f)), np.empty(f)
 
@@ -145,60 +156,79 @@ class GeneralizedAlpha:
         h = motion.duration / steps
         t = np.linspace(0.0, motion.duration, steps + 1)
         joints, rates, accelerations = motion.states(t)
-        f = len(u)
-        us, vs, as_ = (np.empty((steps + 1, f)) for _ in range(3))
+        system, f = self._system, len(u)
         alpha_m, alpha_f, beta, gamma = self._alpha_m, self._alpha_f, self._beta, self._gamma
         share = (1 - alpha_f) / (1 - alpha_m)
         to_v, to_u = h * gamma * share, h**2 * beta * share
-        system = self._system
         tangent = system.added_mass + to_u * system.stiffness + to_v * system.damping
-        state = self._state
-        qdd, u1, v1 = state[:f], state[f : 2 * f], state[2 * f :]
-        qdd[:], u1[:], v1[:] = 0.0, u, v
-        self._prescribe(joints[0], rates[0], accelerations[0])
-        qdd += self._correction(system.added_mass, refactor=True)
-        a = qdd.copy()
-        us[0], vs[0], as_[0] = u1, v1, qdd
-        for k in range(1, steps + 1):
-            # The predictor keeps the acceleration.
-            a1 = (qdd - alpha_m * a) / (1 - alpha_m)
-            u1 += h * v1
-            u1 += h**2 * ((0.5 - beta) * a + beta * a1)
-            v1 += h * ((1 - gamma) * a + gamma * a1)
-            self._prescribe(joints[k], rates[k], accelerations[k])
-            for correction in range(self._corrections):
-                change = self._correction(tangent, refactor=correction == 0)
-                qdd += change
-                u1 += to_u * change
-                v1 += to_v * change
-                a1 += share * change
-            a = a1
-            us[k], vs[k], as_[k] = u1, v1, qdd
+        # Rows: acceleration, displacement, rate, auxiliary acceleration. The predictor keeps the first.
+        corrector = np.array([1.0, to_u, to_v, share])[:, None]
+        kept, last = 1 / (1 - alpha_m), -alpha_m / (1 - alpha_m)
+        predictor = np.array(
+            [
+                [1.0, 0.0, 0.0, 0.0],
+                [h**2 * beta * kept, 1.0, h, h**2 * (0.5 - beta + beta * last)],
+                [h * gamma * kept, 0.0, 1.0, h * (1 - gamma + gamma * last)],
+                [kept, 0.0, 0.0, last],
+            ]
+        )
+        # Acceleration, displacement and rate at every step.
+        states = np.empty((steps + 1, 3, f))
+        state = np.zeros((4, f))
+        state[1], state[2] = u, v
+        coordinates = self._coordinates(joints[:1], rates[:1], accelerations[:1])[0]
+        state[0] += self._correction(coordinates, state, system.added_mass, refactor=True)
+        state[3] = state[0]
+        states[0] = state[:3]
+        careful = self._tolerance == 0
+        for first in range(1, steps + 1, _PROGRESS_STEPS):
+            block = slice(first, first + _PROGRESS_STEPS)
+            prescribed = self._coordinates(joints[block], rates[block], accelerations[block])
+            for k, coordinates in enumerate(prescribed, start=first):
+                tried = k % _RENEWED == 0
+                state = predictor @ state
+                for correction in range(self._corrections if careful or tried else 1):
+                    renewed = correction == 0 and (careful or k % _RENEWED == 1)
+                    change = self._correction(coordinates, state, tangent, refactor=renewed)
+                    state += corrector * change
+                    if tried and correction == 1:
+                        careful = not to_u * np.abs(change).max(initial=0.0) < self._tolerance
+                states[k] = state[:3]
             # Also false for NaN.
-            if not abs(us[k]).max() < _MAX_DISPLACEMENT:
-                raise SimulationDiverged(time=start + float(t[k]), state=us[k].tolist())
-            if k % _PROGRESS_STEPS == 0:
-                progress(start + float(t[k]))
-        return ElasticMotion(t=start + t, joints=joints, u=us, v=vs, a=as_)
+            valid = np.abs(states[block, 1]).max(axis=1, initial=0.0) < _MAX_DISPLACEMENT
+            if not valid.all():
+                k = first + int(np.argmin(valid))
+                raise SimulationDiverged(time=start + float(t[k]), state=states[k, 1].tolist())
+            if len(prescribed) == _PROGRESS_STEPS:
+                progress(start + float(t[first + _PROGRESS_STEPS - 1]))
+        a, u, v = (np.ascontiguousarray(states[:, row]) for row in range(3))
+        return ElasticMotion(t=start + t, joints=joints, u=u, v=v, a=a)
 
-    def _prescribe(self, q: FloatArray, v: FloatArray, a: FloatArray) -> None:
-        driven = self._system.driven
-        self._q[driven], self._v[driven], self._a[driven] = q, v, a
+    def _coordinates(self, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
+        """Positions, rates and accelerations (N, 3 n) of all coordinates, the driven ones (N, d) set."""
+        n = self._system.model.nv
+        whole = np.zeros((len(q), 3, n))
+        for row, each in enumerate((q, v, a)):
+            whole[:, row, self._system.driven] = each
+        return whole.reshape(len(q), 3 * n)
 
-    def _correction(self, tangent: FloatArray, *, refactor: bool) -> FloatArray:
+    def _correction(
+        self, coordinates: FloatArray, state: FloatArray, tangent: FloatArray, *, refactor: bool
+    ) -> FloatArray:
         """Change of the accelerations (f,) by one Newton step with the matrix M_ff + `tangent`."""
-        system, state, f = self._system, self._state, len(self._force)
-        elastic = system.elastic
-        self._a[elastic], self._q[elastic], self._v[elastic] = state[:f], state[f : 2 * f], state[2 * f :]
+        system, n = self._system, self._system.model.nv
+        own = state[:3].reshape(-1)
+        coordinates[self._place] = own
+        q, v, a = coordinates[:n], coordinates[n : 2 * n], coordinates[2 * n :]
         if refactor:
-            M = pin.crba(system.model, self._data, self._q)
+            M = pin.crba(system.model, self._data, q)
             M.take(self._block, out=self._mass.reshape(-1), mode="clip")
             self._mass += tangent
             self._factor, failed = dpotrf(self._mass.T, overwrite_a=True, clean=False)
             if failed:  # not positive definite: the check of the next state raises, with its time
-                return np.full(f, np.nan)
-        force = pin.rnea(system.model, self._data, self._q, self._v, self._a, self._external)
-        force.take(elastic, out=self._force, mode="clip")
-        self._force += self._linear @ state
+                self._factor = np.full_like(self._mass, np.nan)
+        force = pin.rnea(system.model, self._data, q, v, a, self._external)
+        force.take(system.elastic, out=self._force, mode="clip")
+        self._force += self._linear @ own
         change, _ = dpotrs(self._factor, self._force)
         return np.asarray(-change)

@@ -39,7 +39,7 @@ class SimulationOptions:
     spectral_radius : float
         rho_inf of the generalized-alpha method: the factor by which a step damps what it cannot resolve.
     corrections : int
-        Newton corrections a step.
+        Newton corrections a step at most: steps in which a second one gains nothing have one.
     """
 
     __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)

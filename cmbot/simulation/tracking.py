@@ -38,6 +38,8 @@ __all__ = [
     "track_work",
 ]
 
+# Displacement, m or rad, by which a second correction of a step has to move something to be made.
+_TOLERANCE = 1e-8
 # Step, s, at which the sag is computed; the cubic spline between is within 3e-5 mm on the shipped scenes.
 _SAG_STEP = 0.02
 
@@ -237,6 +239,7 @@ def track_work(
         step=options.step_s,
         rho_inf=options.spectral_radius,
         corrections=options.corrections,
+        tolerance=_TOLERANCE,
     )
     bent = integrator.run(motions, start, np.zeros_like(start), progress, forces)
 
@@ -311,7 +314,7 @@ def _sag(arm: ElasticArm, motion: PrescribedMotion, t: FloatArray) -> FloatArray
 
     steps = max(int(np.ceil(motion.duration / _SAG_STEP * (1 - 1e-12))), 1)
     some = np.linspace(0.0, motion.duration, steps + 1)
-    tool = CubicSpline(some, Sag(arm).at(motion.states(some)[0]).tool)
+    tool = CubicSpline(some, Sag(arm).following(motion.states(some)[0]))
     return np.asarray(tool(np.minimum(t, motion.duration)))
 
 

@@ -188,10 +188,19 @@ def test_states_are_independent(shipped_arm: ElasticArm, rng: np.random.Generato
     assert (none.u.shape, none.tool.shape, none.d_tool.shape) == ((0, 33), (0, 3), (0, 3, 7))
 
 
+def test_postures_that_follow_on_one_another(shipped_arm: ElasticArm, rng: np.random.Generator) -> None:
+    """And those that do not."""
+    sag, ends = Sag(shipped_arm), rng.uniform(-2, 2, (2, 7))
+    for q in (np.linspace(*ends, 200), rng.uniform(-2, 2, (5, 7)), ends[:0]):
+        np.testing.assert_allclose(sag.following(q), sag.at(q).tool, rtol=0, atol=1e-8)
+
+
 def test_a_rigid_arm_does_not_sag(cmbot_robot: Robot, tmp_path: Path, rng: np.random.Generator) -> None:
     q = rng.uniform(-2, 2, (2, 7))
     for robot in (cmbot_robot, cantilever(tmp_path, length=1.0, mass=1.0)):
-        states = Sag(make_arm(replace(robot.with_rigid_joints, elasticity={}))).at(q[:, : robot.dof])
+        sag = Sag(make_arm(replace(robot.with_rigid_joints, elasticity={})))
+        states = sag.at(q[:, : robot.dof])
+        np.testing.assert_allclose(sag.following(q[:, : robot.dof]), 0, atol=1e-14)
         assert states.u.shape == (2, 0)
         assert states.d_tool.shape == (2, 3, robot.dof)
         for array in (states.tool, states.rotation, states.d_tool):

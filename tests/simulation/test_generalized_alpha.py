@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -120,6 +121,26 @@ def test_two_corrections_leave_nothing_to_a_third() -> None:
     two, three = (integrate(system, drive, step=0.002, corrections=n).u for n in (2, 3))
     coarse = integrate(system, drive, step=0.004, corrections=3).u
     assert np.abs(two - three).max() < 1e-3 * np.abs(coarse - three[::2]).max()
+
+
+def test_corrections_that_gain_nothing_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Within the tolerance, where it is slow; where it is quick, none is."""
+    count, rnea = [0], pin.rnea
+
+    def counted(*arguments: Any) -> Any:
+        count[0] += 1
+        return rnea(*arguments)
+
+    monkeypatch.setattr(pin, "rnea", counted)
+    system, found = soft_arm(), {}
+    for seconds, most in ((40.0, 1.3), (2.0, 2.1)):
+        drive, start = swinging(2, seconds), equilibrium(system, np.zeros(2))
+        for tolerance in (0.0, 1e-8):
+            count[0] = 0
+            options = {"step": 0.004, "rho_inf": 0.8, "corrections": 2, "tolerance": tolerance}
+            found[tolerance] = GeneralizedAlpha(system, **options).run([drive], start, 0 * start).u
+        assert count[0] < most * len(found[0.0])
+        assert np.abs(found[0.0] - found[1e-8]).max() < 1e-4
 
 
 def energy(system: ElasticSystem, q: FloatArray, v: FloatArray) -> FloatArray:

@@ -45,7 +45,7 @@ def test_mujoco_moves_the_tool_alike(
     still = np.zeros(len(arm.elastic))
     start = Sag(arm).at(driven.states([0.0])[0]).u[0] if initial == "equilibrium" else still
     system = ElasticSystem.of(arm, arm.damping)
-    integrator = GeneralizedAlpha(system, step=step, rho_inf=0.8, corrections=2)
+    integrator = GeneralizedAlpha(system, step=step, rho_inf=0.8, corrections=2, tolerance=1e-8)
     motion = integrator.run([driven], start, still)
     every = round(OUTPUT / step)
     ours = tool_points(arm, motion.joints[::every], motion.u[::every])
