@@ -48,6 +48,7 @@ _SECTIONS = {
     "SectionFile": "Sections of posts and rails",
     "MaterialFile": "`guardrail.material`",
     "FootFile": "`guardrail.foot`",
+    "HoldFile": "`guardrail.hold`",
     "PlannerOptions": "`planner`",
 }
 

@@ -170,6 +170,14 @@ def _require_figures(got: MetricsFile | None, expected: MotionMetrics, source: s
             _require_number(getattr(got, name), value, source, f"{key}.{name}")
     for name, value in vars(expected.limit_use).items():
         _require_number(getattr(got.limit_use, name), value, source, f"{key}.limit_use.{name}")
+    if got.adhesion_needed is None or expected.adhesion_needed is None:
+        if got.adhesion_needed is not expected.adhesion_needed:
+            raise ArchiveError(source, f"{key}.adhesion_needed", "null for a part", "null or figures for all")
+        return
+    for name, value in vars(expected.adhesion_needed).items():
+        if isinstance(value, float):
+            where = f"{key}.adhesion_needed.{name}"
+            _require_number(getattr(got.adhesion_needed, name), value, source, where)
 
 
 def _require_clearances(file: PlanFile, source: str) -> None:

@@ -38,7 +38,7 @@ __all__ = [
 
 _JOINT_COLUMNS = ("q", "v", "a", "j", "tau")
 _VECTORS = ("guardrail_torque", "guardrail_force", "tool")
-_CLEARANCE, _SEGMENT = "clearance", "segment"
+_CLEARANCE, _SEGMENT, _ADHESION = "clearance", "segment", "adhesion_needed"
 _ROS_POINT = (
     '{{"positions": [{}], "velocities": [{}], "accelerations": [{}], "effort": [{}], '
     '"time_from_start": {{"sec": {}, "nanosec": {}}}}}'
@@ -104,23 +104,34 @@ def columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
     return ("t", *joints, *vectors, _CLEARANCE, *expected)
 
 
-def job_columns(dof: int, *, compensated: bool = False) -> tuple[str, ...]:
-    """Return the columns' names of ``job.csv``: those of `columns`, and the segment's name."""
-    return (*columns(dof, compensated=compensated), _SEGMENT)
+def job_columns(dof: int, *, compensated: bool = False, feet: int = 0) -> tuple[str, ...]:
+    """Return the columns' names of ``job.csv``: those of `columns`, adhesion needed, the segment's name.
+
+    `feet` is the number of those with a flat contact: one column each.
+    """
+    return (*columns(dof, compensated=compensated), *_adhesion_columns(feet), _SEGMENT)
+
+
+def _adhesion_columns(feet: int) -> tuple[str, ...]:
+    return (_ADHESION,) if feet == 1 else tuple(f"{_ADHESION}_{foot}" for foot in range(1, feet + 1))
 
 
 def samples_csv(samples: Samples, source: str, labels: Sequence[str] | None = None) -> bytes:
     """Return samples as CSV: one row a sample, SI units, radians, world frame; `source` is for messages.
 
     Numbers have to be finite, but for a clearance that is infinite without obstacles. With `labels` (N,), the
-    names of segments, they are the last column.
+    names of segments, they are the last column, after the adhesion that the feet need.
     """
     vectors = (samples.guardrail_torque, samples.guardrail_force, samples.tool_point)
     joints = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
     expected = samples.expected_tool_point
-    more = () if expected is None else (expected,)
+    more = [] if expected is None else [expected]
+    names = columns(samples.q.shape[1], compensated=expected is not None)
+    if labels is not None and samples.adhesion_needed is not None:
+        names += _adhesion_columns(samples.adhesion_needed.shape[1])
+        more.append(samples.adhesion_needed)
     table = np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
-    return table_csv(columns(samples.q.shape[1], compensated=expected is not None), table, source, labels)
+    return table_csv(names, table, source, labels)
 
 
 def table_csv(

@@ -82,8 +82,8 @@ _SAME, _SAME_ZERO = 1e-6, 1e-9
 _ROWS_A_SECOND = 100.0
 # The baseline's free moves lead to other postures, and may take longer than the planned ones by so much.
 _SLOWER_BASELINE = 10.0
-# Cells of a table that a segment's name is as long as, at most.
-_LABEL = 5
+# Cells of a table that a segment's name is as long as, at most, and those of what two feet need.
+_LABEL, _FEET = 5, 2
 
 
 def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
@@ -255,7 +255,7 @@ def _contents(folder: Path, file: PlanFile, dof: int) -> dict[str, bytes]:
     contents = {}
     for name in names:
         motion, _, kind = name.partition(".")
-        rows, width = steps[motion], len(columns(dof, compensated=True)) + _LABEL
+        rows, width = steps[motion], len(columns(dof, compensated=True)) + _LABEL + _FEET
         largest = largest_knots(dof) if kind == "npz" else largest_table(rows, width)
         contents[name] = read_file(folder / name, largest)
     return contents
@@ -404,14 +404,14 @@ def _verify_objective(plan: Plan, stroke: StrokePlan, source: Path, key: str) ->
 def _require_same(stored: object, fresh: object, source: Path, key: str) -> None:
     """Refuse numbers of a dataclass, or of one in it, that differ from the new ones.
 
-    Files of earlier versions lack some.
+    Files of earlier versions lack some. Where a peak is reached twice, its time is not determined.
     """
     for field in fields(fresh):  # type: ignore[arg-type]
         got, value = getattr(stored, field.name), getattr(fresh, field.name)
+        if not (isinstance(value, float) or is_dataclass(value)) or got is None or field.name == "time":
+            continue
         if is_dataclass(value):
             _require_same(got, value, source, f"{key}.{field.name}")
-        elif not isinstance(value, float) or got is None:
-            continue
         elif not np.isclose(got, value, rtol=_SAME, atol=_SAME_ZERO):
             raise ArchiveError(str(source), f"{key}.{field.name}", got, f"{value:g}, as measured again")
 

@@ -25,6 +25,7 @@ from pydantic import (
 
 from cmbot.common.errors import PathNotFound
 from cmbot.common.validation import FileModel, refusal
+from cmbot.hold import AdhesionPeak
 from cmbot.planning import (
     APPROACH,
     Choice,
@@ -101,6 +102,8 @@ class MetricsFile(FileModel):
     max_tool_lag: NonNegative | None = None
     """None in older files."""
     limit_use: Annotated[LimitUse, _at_least_zero()]
+    adhesion_needed: Annotated[AdhesionPeak, _at_least_zero("peak", "time", "foot")] | None = None
+    """null where no foot has a flat contact, and in older files."""
 
 
 class CheckFile(FileModel):
@@ -121,6 +124,8 @@ class CertificateFile(FileModel):
     clearance_bound: OrInfinite
     guardrail_torque_bound: OrInfinite = math.inf
     """Unknown in older files."""
+    adhesion_bound: OrInfinite = math.inf
+    """null where no foot has a flat contact, and in older files."""
     checks: Annotated[tuple[CheckFile, ...], Field(min_length=1)]
 
 

@@ -165,12 +165,16 @@ class ArchiveError(InputError):
 
 
 _TIME = "more seconds for the legs"
+_HOLD = "planner.objective: hold, another stance or a foot that bears more"
 # What most often helps, by a word in the name of a constraint.
 _REMEDIES = (
     ("change of the shift", "a larger planner.max_tool_deviation_m, or planner.compensate: false"),
     ("jerk", "{time}{smoother}"),
     ("velocity", "{time}"),
     ("acceleration", "{time}"),
+    ("adhesion needed", _HOLD),
+    ("load of the clamp", _HOLD),
+    ("hold of the feet", _HOLD),
     ("torque of", "a lighter payload, another start posture or another place for the tool path"),
     ("joint torque", "a lighter payload, another start posture or another place for the tool path"),
     ("middle of its range", "another start posture or another place for the tool path"),

@@ -18,7 +18,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.task import ToolTask
-from cmbot.robot import Kinematics, Postures, Robot, load_robot
+from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses, pose
 
 __all__ = [
@@ -133,9 +133,21 @@ class PlanningContext:
         pair = self.clearances.pairs[int(np.bincount(nearest).argmax())]
         return pair.link, pair.other
 
+    def use_at_rest(self, at: PostureBatch) -> FloatArray:
+        """Return the largest shares (N,) of their bounds that joints and feet use at rest in N postures."""
+        use = (np.abs(at.joint_torque) / self.robot.limits.torque).max(axis=1)
+        holding = self.robot.holding
+        if holding is None or not holding.bounded:
+            return np.asarray(use)
+        wrench = np.hstack([at.guardrail_force, at.guardrail_torque])
+        return np.asarray(np.maximum(use, holding.share(wrench)[0]))
+
     def weakest_joint(self, q: FloatArray) -> str:
-        """Return the joint that at rest uses most of its torque in most of postures (N, n)."""
-        use = np.abs(self.postures.at(q).joint_torque) / self.robot.limits.torque
+        """Return the joint that at rest uses most of its torque in most of postures (N, n), or the feet."""
+        at = self.postures.at(q)
+        use = np.abs(at.joint_torque) / self.robot.limits.torque
+        if (self.use_at_rest(at) > use.max(axis=1)).mean() > 0.5:
+            return "a foot"
         return self.robot.joints[int(np.bincount(use.argmax(axis=1)).argmax())]
 
     def out_of_range(self, q: FloatArray) -> str:
@@ -192,6 +204,11 @@ def build_context(
     robot = robot_of(scene)
     strokes = strokes_of(scene, robot)
     posture = np.array(scene.posture)
+    if options.objective == "hold" and not (robot.holding and robot.holding.flat):
+        expected = (
+            "a foot on flat steel, for objective: hold: guardrail.bays and a member that is no round bar"
+        )
+        raise SceneError(scene.source, "guardrail", "none", expected)
     arm = bending_arm(scene, robot)
     sag = sag_of(scene, arm, options)
     objective = idle = objective_of(robot, options, own, posture, sag)
@@ -293,7 +310,7 @@ def robot_of(scene: Scene) -> Robot:
         key = f"robot.{error.key}"
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
     robot = robot if source.joints == "elastic" else robot.with_rigid_joints
-    return replace(robot, tool_force=scene.tool.process_force_n)
+    return replace(robot, tool_force=scene.tool.process_force_n, feet=scene.feet)
 
 
 def strokes_of(scene: Scene, robot: Robot) -> tuple[Stroke, ...]:

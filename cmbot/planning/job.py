@@ -10,6 +10,7 @@ from typing import Any, Literal, Protocol
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
+from cmbot.hold import AdhesionPeak
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate
 from cmbot.planning.verification.check import Check
@@ -97,6 +98,10 @@ class Timed(Protocol):
         """Whether the tool is on."""
 
     @property
+    def begin(self) -> float:
+        """When it begins on the job's clock, s."""
+
+    @property
     def duration(self) -> float:
         """Its duration, s."""
 
@@ -160,7 +165,7 @@ class Job:
     @cached_property
     def stroke_figures(self) -> MotionMetrics:
         """The figures of the strokes together."""
-        return job_metrics(self.strokes)
+        return job_metrics(self.strokes, begin=self.strokes[0].begin)
 
     @cached_property
     def free_figures(self) -> MotionMetrics | None:
@@ -192,6 +197,7 @@ class Job:
             figures=self.figures,
             clearance_bound=min(certificate.clearance_bound for certificate in each),
             guardrail_torque_bound=max(certificate.guardrail_torque_bound for certificate in each),
+            adhesion_bound=max(certificate.adhesion_bound for certificate in each),
         )
 
     def checks(self) -> Iterator[tuple[Segment, Check]]:
@@ -201,13 +207,15 @@ class Job:
                 yield segment, replace(check, time=segment.begin + check.time)
 
 
-def job_metrics(segments: Iterable[Timed]) -> MotionMetrics:
+def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
     """Return the figures of segments one after the other.
 
     Parameters
     ----------
     segments : iterable of Timed
         Where the tool is off, its place is no figure: of free moves alone those are 0.
+    begin : float, s
+        From which times are counted, on the job's clock.
     """
     segments = list(segments)
     each = [segment.figures for segment in segments]
@@ -231,7 +239,19 @@ def job_metrics(segments: Iterable[Timed]) -> MotionMetrics:
         max_tool_rotation=max((figures.max_tool_rotation for figures in strokes), default=0.0),
         max_tool_lag=max((figures.max_tool_lag for figures in strokes), default=0.0),
         limit_use=LimitUse(**use),
+        adhesion_needed=_largest_adhesion(segments, begin),
     )
+
+
+def _largest_adhesion(segments: Iterable[Timed], begin: float) -> AdhesionPeak | None:
+    """The largest of segments; None where one is not known."""
+    peaks = list[AdhesionPeak]()
+    for segment in segments:
+        needed = segment.figures.adhesion_needed
+        if needed is None:
+            return None
+        peaks.append(replace(needed, time=segment.begin - begin + needed.time))
+    return max(peaks, key=lambda each: each.peak)
 
 
 def join_trajectories(segments: Iterable[Segment]) -> QuinticTrajectory:

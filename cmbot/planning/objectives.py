@@ -238,6 +238,10 @@ def objective_of(
         if sag is None:
             raise InputError("objective_of", "sag", "nothing", "the predicted sag, for objective: sag")
         return PostureObjective(function=sag.length, name="sag", unit="m")
+    if options.objective == "hold":
+        if robot.holding is None or not robot.holding.flat:
+            raise InputError("objective_of", "robot.feet", "none on flat steel", "feet, for objective: hold")
+        return WrenchObjective(robot, robot.holding, name="hold", unit="N")
     point = np.zeros(3)
     if options.moment_about == "base":
         model = robot.model

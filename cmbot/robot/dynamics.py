@@ -57,6 +57,11 @@ class Efforts:
     guardrail_force: FloatArray
     guardrail_torque: FloatArray
 
+    @property
+    def guardrail_wrench(self) -> FloatArray:
+        """The wrench (N, 6), force then torque."""
+        return np.hstack([self.guardrail_force, self.guardrail_torque])
+
 
 @dataclass(frozen=True, kw_only=True)
 class EffortDerivatives:

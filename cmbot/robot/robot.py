@@ -15,6 +15,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.cards import card
 from cmbot.common.errors import InputError
 from cmbot.common.validation import counted
+from cmbot.hold import Foot, Holding
 from cmbot.robot.elasticity import JointElasticity, LinkTube
 from cmbot.robot.joint_kinds import PostureMetric, slide_axes
 from cmbot.robot.limits import JointLimits
@@ -65,6 +66,8 @@ class Robot:
         every torque of this robot; see `tool_off`.
     content_hash : str
         SHA-256 of URDF, SRDF, joint-limits and elasticity file.
+    feet : tuple of Foot
+        How it holds the guardrail; empty where it stands on something else.
     remarks : tuple of str
         What the files do not say and had to be assumed, a sentence each.
     """
@@ -84,6 +87,7 @@ class Robot:
     payload: float
     content_hash: str
     tool_force: tuple[float, float, float] = _NO_FORCE
+    feet: tuple[Foot, ...] = ()
     remarks: tuple[str, ...] = ()
 
     def __repr__(self) -> str:
@@ -216,6 +220,14 @@ class Robot:
         """Constant torque (3,) about O0 on the guardrail by the weight of `carrier_mass`, Nm."""
         inertia = self.model.inertias[0]
         return np.cross(inertia.lever, inertia.mass * self.model.gravity.linear)
+
+    @cached_property
+    def holding(self) -> Holding | None:
+        """What its feet bear; None without a foot that has a flat contact or bounds."""
+        if not any(foot.half is not None or foot.bounded for foot in self.feet):
+            return None
+        weight = self.carrier_mass * self.model.gravity.linear
+        return Holding(self.feet, np.hstack([weight, self.carrier_torque]))
 
     def posture(
         self,

@@ -1,6 +1,7 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
 from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
+from cmbot.scene.hold import HoldFile
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.migration import migrated
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
@@ -38,6 +39,7 @@ __all__ = [
     "FaceSelection",
     "Goal",
     "GuardrailFile",
+    "HoldFile",
     "Keep",
     "Leg",
     "Mesh",

@@ -22,10 +22,12 @@ from cmbot.elastic import (
     Rail,
     Section,
 )
+from cmbot.hold import Foot
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
+from cmbot.scene.hold import HoldFile, Holds, face_of, foot_on, held_member
 from cmbot.scene.obstacles import Box, Obstacle, pose
 
-__all__ = ["GuardrailFile", "guardrail_from_file", "guardrail_obstacles"]
+__all__ = ["GuardrailFile", "feet_of", "guardrail_from_file", "guardrail_obstacles"]
 
 _SECTIONS = ("angle", "bar")
 
@@ -142,6 +144,8 @@ class GuardrailFile(FileModel):
     post: PostFile = PostFile()
     rails: Annotated[tuple[RailFile, ...], Field(max_length=100)] = _RAILS
     foot: FootFile = FootFile()
+    hold: Holds | None = None
+    """How the feet hold; of ``cmbot-scene/2``; left out: welded."""
     material: MaterialFile = MaterialFile()
     stiffness: Matrix6 | None = None
     """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad); left out: the frame's."""
@@ -179,6 +183,7 @@ class GuardrailFile(FileModel):
         if self.bays > 0:
             self._check_rails()
             self._check_foot()
+        self._check_hold()
         if self.stiffness is not None:
             _check_positive_definite(self.stiffness, "stiffness")
         if self.mass is not None:
@@ -213,6 +218,30 @@ class GuardrailFile(FileModel):
         if offset != 0 and all(rail.height_m != 0 for rail in self.rails):
             expected = "0, as there is no rail at height 0 to hold"
             raise refusal(expected, got=offset, key=("foot", "offset_m"))
+
+    def _check_hold(self) -> None:
+        for hold in self.hold or ():
+            if hold.kind == "welded":
+                continue
+            member = held_member(guardrail_from_file(self))
+            if member is None:
+                expected = "welded, as there is no member to hold"
+                raise refusal(expected, got=hold.kind, key=("hold", "kind"))
+            if hold.kind == "magnet" and face_of(guardrail_from_file(self), member, "outer").width is None:
+                expected = f"clamp or welded, as {member} is a round bar"
+                raise refusal(expected, got=hold.kind, key=("hold", "kind"))
+        if self.hold is not None and len(self.hold) > 1:
+            raise refusal("one foot", got="a list of two", key=("hold",))
+
+
+def feet_of(file: GuardrailFile) -> tuple[Foot, ...]:
+    """Return the feet of a robot that holds a guardrail at the origin of W; none where there is no member."""
+    guardrail = guardrail_from_file(file)
+    member = held_member(guardrail)
+    if member is None:
+        return ()
+    holds = file.hold or (HoldFile(kind="welded"),)
+    return (foot_on(face_of(guardrail, member, "outer"), np.zeros(3), holds[0]),)
 
 
 def guardrail_from_file(file: GuardrailFile) -> Guardrail:

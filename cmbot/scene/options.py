@@ -44,7 +44,8 @@ class PlannerOptions:
         there.
     objective : str
         What is minimised; ``torque``: the norm of the torque on the guardrail (Chang 2021, Eq. (12));
-        ``sag``: the tool's displacement at rest by the elasticity of guardrail and links.
+        ``sag``: the tool's displacement at rest by the elasticity of guardrail and links; ``hold``: the
+        adhesion that the feet need, the largest of them.
     moment_about : str
         Of the torque. ``foot``: about O0, n_0. ``base``: about the origin of the arm's base frame, n_1
         without the lever of Eq. (12).
@@ -120,7 +121,7 @@ class PlannerOptions:
 
     knots: Literal["sliding", "fixed"] = "sliding"
     start: Literal["free", "pinned"] = "free"
-    objective: Literal["torque", "sag"] = "torque"
+    objective: Literal["torque", "sag", "hold"] = "torque"
     moment_about: Literal["foot", "base"] = "foot"
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: bool = False

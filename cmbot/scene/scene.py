@@ -22,6 +22,7 @@ from cmbot.common.validation import (
     shown,
 )
 from cmbot.elastic import Guardrail
+from cmbot.hold import Foot
 from cmbot.scene.fields import (
     Angles,
     Length,
@@ -33,7 +34,7 @@ from cmbot.scene.fields import (
     exactly_one,
     one_of_schema,
 )
-from cmbot.scene.guardrail import GuardrailFile
+from cmbot.scene.guardrail import GuardrailFile, feet_of
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.builder import PathSource, timed_path
@@ -204,6 +205,7 @@ class SceneFile(FileModel):
         if isinstance(path.keep, AxisCone):
             expected = "pose, axis or position in cmbot-scene/1: a cone goes with cmbot-scene/2"
             raise refusal(expected, got="a cone", key=("tool_path", "keep"))
+        keys += [("guardrail", "hold")] if self.guardrail.hold is not None else []
         for key in keys:
             got = "another leg than by and seconds" if key[1:2] == ("legs",) else str(key[-1])
             expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"
@@ -491,6 +493,12 @@ class Scene:
         if self.file.base is not None:
             return self.file.base.name
         return "guardrail" if self.on_guardrail else "base"
+
+    @cached_property
+    def feet(self) -> tuple[Foot, ...]:
+        """The feet that hold the guardrail; none of a robot that stands on something else."""
+        holds = self.on_guardrail or self.file.guardrail.hold is not None
+        return feet_of(self.file.guardrail) if holds else ()
 
     @property
     def on_guardrail(self) -> bool:

@@ -21,7 +21,14 @@ from cmbot.scene import PlannerOptions
 
 FIGURES = {
     *(f"{kind}_guardrail_torque" for kind in ("peak", "mean", "rms", "peak_static")),
-    *("min_clearance", "max_tool_deviation", "max_tool_rotation", "max_tool_lag", "limit_use"),
+    *(
+        "min_clearance",
+        "max_tool_deviation",
+        "max_tool_rotation",
+        "max_tool_lag",
+        "limit_use",
+        "adhesion_needed",
+    ),
 }
 
 
@@ -145,7 +152,8 @@ def test_tables_hold_the_samples_exactly(saved_triangle, triangle_plan, job_samp
         header, *rows = csv.reader(file)
     joints = [f"{letter}{i}" for letter in ("q", "v", "a", "j", "tau") for i in range(1, 8)]
     vectors = [f"{v}_{axis}" for v in ("guardrail_torque", "guardrail_force", "tool") for axis in "xyz"]
-    assert header == ["t", *joints, *vectors, "clearance", *(["segment"] if name == "job" else [])]
+    more = ["adhesion_needed", "segment"] if name == "job" else []
+    assert header == ["t", *joints, *vectors, "clearance", *more]
     if name == "job":
         begin = triangle_plan.job.strokes[0].begin
         expected = ["approach" if t <= begin else "work" for t in samples.t.tolist()]
@@ -153,7 +161,8 @@ def test_tables_hold_the_samples_exactly(saved_triangle, triangle_plan, job_samp
     table = np.array(rows, dtype=float)
     joints_and_torque = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
     wrench = (samples.guardrail_torque, samples.guardrail_force)
-    columns = (samples.t, *joints_and_torque, *wrench, samples.tool_point, samples.clearance)
+    needed = [samples.adhesion_needed] if name == "job" else []
+    columns = (samples.t, *joints_and_torque, *wrench, samples.tool_point, samples.clearance, *needed)
     np.testing.assert_array_equal(table, np.column_stack(columns))
     steps = np.diff(table[:, 0])
     assert (steps > 0).all()

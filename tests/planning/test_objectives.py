@@ -54,6 +54,7 @@ OBJECTIVES = {
     "base": (PlannerOptions(moment_about="base"),),
     "weighted": (PlannerOptions(moment_about="base", axis_weights=(0.5, 2.0, 0.0)),),
     "own": (PlannerOptions(), steep),
+    "hold": (PlannerOptions(objective="hold"),),
     "posture": "posture",
 }
 
@@ -62,7 +63,7 @@ OBJECTIVES = {
 def objective(request: pytest.FixtureRequest, cmbot_robot: Robot) -> Objective:
     if request.param == "posture":
         return PostureObjective(function=bent_elbow, name="elbow", unit="")
-    return objective_of(cmbot_robot, *request.param)
+    return objective_of(replace(cmbot_robot, feet=short_scene().feet), *request.param)
 
 
 def test_default_is_the_reported_torque(cmbot_robot: Robot, states: StateSamples) -> None:

@@ -159,11 +159,10 @@ def certify_move(
 
 def free_space(context: PlanningContext) -> FreeSpace:
     """Return the postures in which the arm can rest, with the objective there as their cost."""
-    limit = context.robot.limits.torque
 
     def cost(q: FloatArray) -> FloatArray:
         at = context.postures.at(q)
-        holds = (np.abs(at.joint_torque) <= limit).all(axis=1)
+        holds = context.use_at_rest(at) <= 1.0
         return np.where(holds, context.objective.at_rest(at), np.inf)
 
     return FreeSpace(context.robot, context.clearances, context.options.safety_margin_m, cost)
@@ -266,6 +265,9 @@ def _slowed(trial: QuinticTrajectory, seconds: float, begin: float) -> QuinticTr
 
 def _asked(context: PlanningContext, states: StateSamples, allowed: float) -> float:
     """The largest share of what is allowed that states ask of the objective and of the joints."""
-    torque = efforts_of(Dynamics(context.robot), states).joint_torque
-    use = float((np.abs(torque) / (_LIMIT_SHARE * context.robot.limits.torque)).max())
+    efforts, holding = efforts_of(Dynamics(context.robot), states), context.robot.holding
+    use = float((np.abs(efforts.joint_torque) / context.robot.limits.torque).max())
+    if holding is not None and holding.bounded:
+        use = max(use, float(holding.share(efforts.guardrail_wrench)[0].max()))
+    use /= _LIMIT_SHARE
     return max(use, float(context.objective.values(states).max()) / max(allowed, _NO_TORQUE))

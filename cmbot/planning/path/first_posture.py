@@ -50,6 +50,5 @@ def _admissible(context: PlanningContext, q: FloatArray) -> FloatArray:
     )
     placed = limits.turned_to_middle(placed[reached])
     placed = placed[limits.contain(placed)]
-    use = np.abs(context.postures.at(placed).joint_torque) / limits.torque
-    placed = placed[use.max(axis=1, initial=0.0) <= 1.0]
+    placed = placed[context.use_at_rest(context.postures.at(placed)) <= 1.0]
     return np.asarray(placed[~context.clearances.check_collision(placed, context.options.safety_margin_m)])

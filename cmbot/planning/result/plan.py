@@ -290,6 +290,8 @@ class Plan(StrokePlan):
             yield f"{name}, {unit}", left, right
             if name == _PEAK_AT_WORK:
                 yield from self._peaks_of_free_moves()
+        yield from _adhesions("adhesion needed, whole job, kN", job)
+        yield from _adhesions("adhesion needed at work, kN", work)
         duration = self.baseline_segments[-1].end
         yield "time of the whole job, s", f"{duration:.1f}", f"{self.job.duration:.1f}"
         for limit in ("velocity", "acceleration", "jerk", "torque"):
@@ -327,6 +329,14 @@ _ROWS = (
     ("largest tool deviation", "max_tool_deviation", "mm", 1e3, 3),
     ("largest tool rotation", "max_tool_rotation", "deg", float(np.rad2deg(1.0)), 3),
 )
+
+
+def _adhesions(name: str, motions: Sequence[MotionMetrics]) -> Iterator[tuple[str, str, str]]:
+    """The adhesion that the feet need of two motions; nothing where no foot sits on flat steel."""
+    needed = [motion.adhesion_needed for motion in motions]
+    if any(needed):
+        left, right = ("-" if each is None else f"{each.peak / 1e3:.2f} {each.mode}" for each in needed)
+        yield name, left, right
 
 
 def _sample_times(duration: float) -> FloatArray:

@@ -9,6 +9,7 @@ import numpy as np
 from cmbot.common.validation import counted
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.job import RETURN
+from cmbot.planning.result.holding import holding_remarks
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics
 from cmbot.planning.result.verdict import strays, verdict
@@ -37,6 +38,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield _gain(plan)
     yield from _nothing_gained(plan)
     yield from _lower_bound(plan)
+    yield from holding_remarks(plan)
     yield from plan.fallbacks
     yield from plan.robot.remarks
     yield from _bending(plan)
@@ -318,6 +320,8 @@ def _value(objective: ObjectiveMetrics, value: float, more_digits: int = 0) -> s
 def _objective(objective: ObjectiveMetrics) -> str:
     if objective.own:
         return objective.name
+    if objective.name == "hold":
+        return "the adhesion that the feet need"
     if objective.axis_weights is None:
         return f"the tool's {objective.name}"
     weights = ", ".join(f"{weight:g}" for weight in objective.axis_weights)

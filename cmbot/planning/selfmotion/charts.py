@@ -32,7 +32,7 @@ class Chart:
 
     q: FloatArray  # (M, n), rad and m
     value: FloatArray  # (M,), the objective at rest
-    joint_use: FloatArray  # (M,), largest static joint torque as a share of its bound
+    joint_use: FloatArray  # (M,), largest share of their bounds that joints and feet use at rest
     within: BoolArray  # (M,), which lie within the joint ranges; the others only connect them
 
 
@@ -44,7 +44,7 @@ def charts_of(context: PlanningContext, each: Sequence[FloatArray]) -> list[Char
         q = np.vstack(some)
         at = context.postures.at(q)
         value = context.objective.at_rest(at)
-        use = (np.abs(at.joint_torque) / limits.torque).max(axis=1)
+        use = context.use_at_rest(at)
         within = limits.contain(q)
         ends = np.cumsum([0, *(len(part) for part in some)])
         charts += [

@@ -290,11 +290,11 @@ def _inadmissible(context: PlanningContext, layer: GraphLayer) -> tuple[str, tup
     if near >= feeble and (pair := context.most_often_near(layer.chart.q[layer.too_near])) is not None:
         why = (
             f"{tried} {near} come within the safety margin, most often {pair[0]} and {pair[1]}, {feeble} "
-            "ask too much of a joint's torque; move obstacles or tool path, or lower planner.safety_margin_m"
+            "ask too much of a joint or foot; move obstacles or tool path, or lower planner.safety_margin_m"
         )
         return why, pair
     why = (
-        f"{tried} {feeble} ask too much of a joint's torque, most often of "
+        f"{tried} {feeble} ask too much of a joint or foot, most often of "
         f"{context.weakest_joint(layer.chart.q[weak])}, {near} come within the safety margin; "
         "move the tool path, or take a lighter payload"
     )
@@ -310,7 +310,7 @@ def _no_start(
     what = "the posture to start in"
     if weak.any():
         joint = context.weakest_joint(layer.chart.q[weak])
-        return f"{what} asks too much of the torque of {joint}; take another one, or a lighter payload", None
+        return f"{what} asks too much of {joint}; take another one, or a lighter payload", None
     if near.any() and (pair := context.most_often_near(layer.chart.q[near])) is not None:
         why = f"in {what} {pair[0]} and {pair[1]} come within the safety margin; take another start posture"
         return why, pair

@@ -359,7 +359,7 @@ class _BranchAndBound:
     def _measured(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Objective at rest and largest share of a joint torque's bound, (N,) each."""
         at = self._context.postures.at(q)
-        use = (np.abs(at.joint_torque) / self._context.robot.limits.torque).max(axis=1)
+        use = self._context.use_at_rest(at)
         return self._context.objective.at_rest(at), use
 
     def _checked(

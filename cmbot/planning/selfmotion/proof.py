@@ -432,7 +432,7 @@ class TorqueFloorProof:
         q = q[reached]
         at = context.postures.at(q)
         found = context.objective.at_rest(at)
-        good = limits.contain(q) & (found < value) & (np.abs(at.joint_torque) <= limits.torque).all(axis=1)
+        good = limits.contain(q) & (found < value) & (context.use_at_rest(at) <= 1.0)
         for k in np.flatnonzero(good)[np.argsort(found[good], kind="stable")]:
             if not context.clearances.check_collision(q[k : k + 1], context.options.safety_margin_m)[0]:
                 return q[k], float(found[k])

@@ -8,6 +8,7 @@ import numpy as np
 
 from cmbot.collision import Clearances, raise_bounds, travel
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
@@ -16,6 +17,7 @@ from cmbot.scene import ToolPoses
 
 __all__ = [
     "ClearanceMargin",
+    "FootHold",
     "JointTorque",
     "ProcessSpeed",
     "ToolDeviation",
@@ -62,6 +64,30 @@ class JointTorque:
         factor = np.where(component < n, 1.0, -1.0) / self.bound[joint]
         d_q, d_v, d_a = (factor[:, None] * d[k, 3 + joint] for d in (rows.d_q, rows.d_v, rows.d_a))
         return Linearization(factor * rows.value[k, 3 + joint] - 1, d_q, d_v, d_a)
+
+
+@dataclass(frozen=True)
+class FootHold:
+    """What the feet bear within their bounds; without bounds nothing."""
+
+    dynamics: Dynamics
+    holding: Holding
+    inside: float
+    name: str = "hold of the feet"
+    components: int = 1
+
+    def sample(self, states: StateSamples, threshold: float = -np.inf) -> tuple[FloatArray, IntArray]:
+        """Return share/bound - 1, (N, 1)."""
+        share, _ = self.holding.share(efforts_of(self.dynamics, states).guardrail_wrench)
+        value = share[:, None] / self.inside - 1
+        return value, np.zeros(value.shape, dtype=np.intp)
+
+    def linearize(self, states: StateSamples, component: IntArray) -> Linearization:
+        """Linearize the share."""
+        at = self.dynamics.wrench_derivatives(states.q, states.v, states.a)
+        share, gradient = self.holding.share(at.value)
+        by = (np.einsum("ki,kij->kj", gradient, d) / self.inside for d in (at.d_q, at.d_v, at.d_a))
+        return Linearization(share / self.inside - 1, *by)
 
 
 @dataclass(frozen=True)

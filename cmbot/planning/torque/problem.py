@@ -21,6 +21,7 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import Objective
 from cmbot.planning.torque.constraints import (
     ClearanceMargin,
+    FootHold,
     JointTorque,
     ProcessSpeed,
     ToolDeviation,
@@ -79,12 +80,14 @@ class TorqueProblem:
         self.bounds = _kinematic_bounds(robot, 1 - _EXACT_SHARE_IN_TOLERANCES * options.constraint_tolerance)
         inside = 1 - _SAMPLED_SHARE / options.samples_per_segment**2
         postures, task = context.postures, context.task
+        hold = robot.holding if robot.holding and robot.holding.bounded else None
         angle = np.deg2rad(options.max_tool_rotation_deg) * inside
         self.constraints: tuple[StateFunction, ...] = (
             JointTorque(Dynamics(robot), robot.limits.torque * inside),
             ToolDeviation(postures, task, options.max_tool_deviation_m * inside),
             ClearanceMargin(context.clearances, options.safety_margin_m + _CLEARANCE_ROOM),
             ToolLag(postures, task, options.max_tool_lag_m * inside),
+            *([] if hold is None else [FootHold(Dynamics(robot), hold, inside)]),
             *([] if task.keep == "position" else [ToolRotation(postures, task, angle)]),
             *([] if task.cone is None else [ToolTilt(postures, task, task.cone * inside)]),
             *([] if task.max_speed is None else [ToolSpeed(postures, task.max_speed * inside)]),

@@ -19,6 +19,7 @@ from cmbot.common.errors import LimitViolation
 from cmbot.elastic.sag import Sag
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.check import Check
+from cmbot.planning.verification.enclosed_hold import EnclosedHold
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.verification.nearest_approach import nearest_approach
 from cmbot.planning.verification.norm_bounds import NormBounds, norm_bounds, timed_pose_bounds
@@ -62,12 +63,15 @@ class Certificate:
         No distance is smaller than this at any time.
     guardrail_torque_bound : float, Nm
         The torque on the guardrail is nowhere larger: with the peak among the figures, an interval.
+    adhesion_bound : float, N
+        No foot needs more adhesion at any time; infinite where none has a flat contact.
     """
 
     checks: tuple[Check, ...]
     figures: MotionMetrics
     clearance_bound: float
     guardrail_torque_bound: float
+    adhesion_bound: float = np.inf
 
     @property
     def holds(self) -> bool:
@@ -84,7 +88,9 @@ class Certificate:
             bounds.append(
                 f"the torque on the {base} below {np.ceil(100 * self.guardrail_torque_bound) / 100:.2f} Nm"
             )
-        return " and ".join(bounds)
+        if np.isfinite(self.adhesion_bound):
+            bounds.append(f"the adhesion needed below {np.ceil(self.adhesion_bound / 10) / 100:.2f} kN")
+        return " and ".join([", ".join(bounds[:-1]), bounds[-1]] if bounds[1:] else bounds)
 
     def require(self) -> None:
         """Refuse a trajectory that breaks a promise.
@@ -191,6 +197,8 @@ def certify(
                 _enclosed(f"{expected}deviation of the process speed", missed, task.speed_tolerance, "of it")
             )
     guardrail, mean, rms, static = work.guardrail_torque()
+    hold = work.hold()
+    checks += () if hold is None else hold.checks()
     shares = [check.value / check.bound for check in (*rates, torque)]
     figures = MotionMetrics(
         peak_guardrail_torque=guardrail.value,
@@ -202,12 +210,14 @@ def certify(
         max_tool_rotation=rotation.value,
         max_tool_lag=lag.value,
         limit_use=LimitUse(velocity=shares[0], acceleration=shares[1], jerk=shares[2], torque=shares[3]),
+        adhesion_needed=None if hold is None else hold.needed,
     )
     return Certificate(
         checks=tuple(checks),
         figures=figures,
         clearance_bound=nearest.bound,
         guardrail_torque_bound=guardrail.bound,
+        adhesion_bound=np.inf if hold is None else hold.needed_bound,
     )
 
 
@@ -298,6 +308,13 @@ class _Work:
             float(np.sqrt(square)),
             self._highest(static, _norm, remainder, resolution).value,
         )
+
+    def hold(self) -> EnclosedHold | None:
+        """What the feet bear; None of a robot without any."""
+        if (holding := self._robot.holding) is None:
+            return None
+        wrench = self._efforts.guardrail_wrench
+        return EnclosedHold(holding, self._pieces, self._bounds, wrench, _TORQUE_RESOLUTION)
 
     def tool_deviation(self) -> Peak:
         """Distance of the tool point from the leg of its time, m; see `ToolPath.leg_offset`."""

@@ -10,6 +10,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
+from cmbot.hold import AdhesionPeak
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot
 
@@ -48,6 +49,9 @@ class MotionMetrics:
     max_tool_lag : float, m
         Largest distance of the tool point from its timed place, along the leg.
     limit_use : LimitUse
+    adhesion_needed : AdhesionPeak or None
+        Largest adhesion that a foot needs; None where no foot has a flat contact, and in plans of earlier
+        versions.
     """
 
     peak_guardrail_torque: float
@@ -59,6 +63,7 @@ class MotionMetrics:
     max_tool_rotation: float
     max_tool_lag: float
     limit_use: LimitUse
+    adhesion_needed: AdhesionPeak | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +87,8 @@ class Samples:
         Distance along that leg from its timed place.
     tool_rotation : (N,), rad
     clearance : (N,), m
+    adhesion_needed : (N, k), N, or None
+        That each foot with a flat contact needs; None without one.
     """
 
     t: FloatArray
@@ -98,6 +105,7 @@ class Samples:
     tool_lag: FloatArray
     tool_rotation: FloatArray
     clearance: FloatArray
+    adhesion_needed: FloatArray | None = None
 
 
 def measure(
@@ -130,6 +138,7 @@ def measure(
     p_WT, R_WT = Kinematics(robot).tool_poses(q)
     expected = None if sag is None else p_WT + sag.along(t, q)
     point = p_WT if expected is None else expected
+    holding = robot.holding
     return Samples(
         t=t,
         q=q,
@@ -145,6 +154,7 @@ def measure(
         tool_lag=tool_lag(task, t, point),
         tool_rotation=task.rotation(R_WT, task.path.poses(t)),
         clearance=clearances.smallest(q).distance if clearance is None else clearance,
+        adhesion_needed=holding.each(efforts.guardrail_wrench) if holding and holding.flat else None,
     )
 
 
@@ -169,7 +179,8 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
 
     torque = np.linalg.norm(samples.guardrail_torque, axis=1)
     static = Postures(robot).at(samples.q).guardrail_torque
-    duration = float(samples.t[-1] - samples.t[0])
+    duration, holding = float(samples.t[-1] - samples.t[0]), robot.holding
+    wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
     return MotionMetrics(
         peak_guardrail_torque=float(torque.max()),
         mean_guardrail_torque=float(np.trapezoid(torque, samples.t) / duration),
@@ -185,4 +196,5 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
             jerk=use(samples.j, limits.jerk),
             torque=use(samples.joint_torque, limits.torque),
         ),
+        adhesion_needed=holding.worst(wrench, samples.t) if holding and holding.flat else None,
     )

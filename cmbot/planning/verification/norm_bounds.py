@@ -26,6 +26,7 @@ class NormBounds:
     Attributes
     ----------
     joint_torque : (K, R, n), Nm, of joints that slide N
+    guardrail_force : (K, R), N
     guardrail_torque : (K, R), Nm
     tool_point : (K, R), m
     tool_velocity : (K, R), m/s
@@ -35,6 +36,7 @@ class NormBounds:
     """
 
     joint_torque: FloatArray
+    guardrail_force: FloatArray
     guardrail_torque: FloatArray
     tool_point: FloatArray
     tool_velocity: FloatArray
@@ -94,6 +96,7 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
             about = turn[..., i] * about + offset[..., i] * carried
         return NormBounds(
             joint_torque=joint_torque,
+            guardrail_force=carried,
             guardrail_torque=about,
             tool_point=point + rotation * tool,
             tool_velocity=velocity,

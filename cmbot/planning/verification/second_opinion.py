@@ -18,6 +18,7 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.sag import Sag
 from cmbot.planning.verification.check import Check
 from cmbot.planning.verification.convex_distance import ConvexShape, Proven, hull, smallest_distances
+from cmbot.planning.verification.foothold import hold_checks
 from cmbot.planning.verification.multibody import Multibody, PlacedShape
 from cmbot.planning.verification.robot_files import mesh_parts, read_multibody
 from cmbot.planning.verification.scene_path import ScenePath
@@ -97,9 +98,11 @@ def second_opinion(
         return (known,)
     times = _state_times(trajectory.t)
     motion = _motion(trajectory, times)
+    efforts = body.efforts(motion[0], motion[1], motion[2], tool_force)
     checks = [
         known,
-        *_effort_checks(body, robot, times, motion, tool_force),
+        *_effort_checks(body, robot, times, motion, efforts),
+        *hold_checks(scene, body, robot, times, efforts),
         *_pose_checks(body, robot, times, motion[0]),
         _limits_check(body, robot, times),
         *_bound_checks(body, trajectory, times, motion),
@@ -168,12 +171,12 @@ def _effort_checks(
     robot: Robot,
     times: FloatArray,
     motion: list[FloatArray],
-    tool_force: tuple[float, float, float],
+    efforts: tuple[FloatArray, FloatArray, FloatArray],
 ) -> Iterator[Check]:
     """What the package's dynamics differ by, and the joint torques against their bounds."""
     q, v, a, _ = motion
     theirs = Dynamics(robot).efforts(q, v, a)
-    tau, force, torque = body.efforts(q, v, a, tool_force)
+    tau, force, torque = efforts
     for name, own, other, unit in (
         ("joint torque", tau, theirs.joint_torque, "N" if body.slides.all() else "Nm"),
         ("guardrail force", force, theirs.guardrail_force, "N"),

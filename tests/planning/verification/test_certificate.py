@@ -316,6 +316,7 @@ def test_the_certificate_leans_on_nothing_that_made_the_plan() -> None:
         "cmbot.planning.verification.norm_bounds",
         "cmbot.planning.verification.process_speed",
         "cmbot.planning.verification.check",
+        "cmbot.planning.verification.enclosed_hold",
         "cmbot.planning.verification.metrics",
         "cmbot.planning.verification.nearest_approach",
         "cmbot.trajectory.enclosure",

@@ -1,0 +1,110 @@
+"""What the feet bear at all times: enclosures of convex functions of the wrench."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cached_property, partial
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.hold import AdhesionPeak, Holding
+from cmbot.planning.verification.check import Check
+from cmbot.planning.verification.norm_bounds import NormBounds
+from cmbot.trajectory import Peak, Pieces, highest
+
+__all__ = ["EnclosedHold"]
+
+
+@dataclass(frozen=True, eq=False)
+class EnclosedHold:
+    """What the feet bear along a trajectory.
+
+    Attributes
+    ----------
+    holding : Holding
+    pieces : Pieces
+        K of the trajectory.
+    bounds : NormBounds
+    wrench : (K (d + 1), 6), N and Nm
+        Of the moving arm on the guardrail, about O0 in W, at the Chebyshev points.
+    resolution : float
+        How far bounds may lie above what was found, as a share of the largest value.
+    """
+
+    holding: Holding
+    pieces: Pieces
+    bounds: NormBounds
+    wrench: FloatArray
+    resolution: float
+
+    @cached_property
+    def _adhesion(self) -> dict[int, Peak]:
+        """Of each foot with a flat contact, by its number, the adhesion that it needs, N."""
+        holding, peaks = self.holding, dict[int, Peak]()
+        for number in holding.flat:
+            remainder = holding.remainder(number, *self._remainders)
+            peaks[number] = self._enclosed(partial(holding.needed, number), remainder)
+        return peaks
+
+    @property
+    def needed(self) -> AdhesionPeak | None:
+        """The largest adhesion that a foot needs; None where none has a flat contact."""
+        if not self._adhesion:
+            return None
+        number, peak = max(self._adhesion.items(), key=lambda each: each[1].value)
+        wrench = self._at(peak.time)
+        mode = self.holding.mode(number, wrench)
+        return AdhesionPeak(peak=max(peak.value, 0.0), mode=mode, time=peak.time, foot=number + 1)
+
+    @property
+    def needed_bound(self) -> float:
+        """No foot needs more adhesion at any time, N; infinite where none has a flat contact."""
+        bounds = [max(peak.bound, 0.0) for peak in self._adhesion.values()]
+        return max(bounds, default=np.inf)
+
+    def checks(self) -> Iterator[Check]:
+        """Yield what each foot bears against what is known of it."""
+        for number, foot in enumerate(self.holding.feet):
+            which = f" of foot {number + 1}" if len(self.holding.feet) > 1 else ""
+            if foot.adhesion is not None:
+                peak = self._adhesion[number]
+                yield Check(
+                    quantity=f"adhesion needed{which}, safety {foot.safety:g}",
+                    time=peak.time,
+                    value=max(peak.bound, 0.0),
+                    bound=foot.adhesion / foot.safety,
+                    unit="N",
+                )
+            if foot.force is not None:
+                remainder = self.holding.use_remainder(number, *self._remainders)
+                peak = self._enclosed(partial(self.holding.use, number), remainder)
+                yield Check(
+                    quantity=f"load of the clamp{which}, safety {foot.safety:g}",
+                    time=peak.time,
+                    value=peak.bound,
+                    bound=1 / foot.safety,
+                    unit="of its bounds",
+                )
+
+    @cached_property
+    def _remainders(self) -> tuple[FloatArray, FloatArray]:
+        """What interpolation may miss of force and torque, (K,) each, N and Nm."""
+        pieces, of = self.pieces, self.bounds
+        return pieces.remainder(of.guardrail_force), pieces.remainder(of.guardrail_torque)
+
+    def _at(self, time: float) -> FloatArray:
+        """The wrench (6,) at a Chebyshev point near a time: where the peak is, up to the resolution."""
+        return np.asarray(self.wrench[int(np.abs(self.pieces.times.ravel() - time).argmin())])
+
+    def _enclosed(self, convex: Callable[[FloatArray], FloatArray], remainder: FloatArray) -> Peak:
+        """Enclose a convex function of wrenches (N, 6)."""
+
+        def values(points: FloatArray, piece: IntArray) -> FloatArray:
+            wrench = np.swapaxes(points, 1, 2)
+            return convex(wrench.reshape(-1, 6)).reshape(wrench.shape[:2])
+
+        resolution = self.resolution * float(np.abs(convex(self.wrench)).max())
+        control = self.pieces.control_points(self.wrench)
+        return highest(self.pieces, control, values, remainder, resolution)

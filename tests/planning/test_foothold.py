@@ -1,0 +1,145 @@
+"""Plans of a robot whose foot is a magnet: figures, checks, the objective hold, directories."""
+
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.archive import load_plan, save
+from cmbot.collision import Clearances
+from cmbot.common.errors import ArchiveError, LimitViolation, OptimisationFailed, PlanningError, SceneError
+from cmbot.planning import Plan, certify, plan, remarks
+from cmbot.planning.result.holding import emergency_stop
+from cmbot.planning.verification.foothold import hold_checks
+from cmbot.planning.verification.robot_files import read_multibody
+from cmbot.robot import Dynamics, Postures
+
+ADHESION = 100e3
+
+
+def magnet_scene(adhesion: float | None = ADHESION, **planner: Any) -> cmbot.Scene:
+    hold = {"kind": "magnet", "adhesion_n": adhesion} if adhesion else {"kind": "welded"}
+    changes = {"format": "cmbot-scene/2", "guardrail": {"hold": hold}, "planner": planner}
+    return short_scene(**changes, tool={"process_force_n": [0, 0, -100]})
+
+
+@pytest.fixture(scope="module")
+def held() -> Plan:
+    return plan(magnet_scene())
+
+
+def test_the_peak_is_that_of_dense_samples(held: Plan) -> None:
+    needed, certificate = held.figures.adhesion_needed, held.certificate
+    t = np.linspace(held.trajectory.t[0], held.trajectory.t[-1], 20_001)
+    wrench = Dynamics(held.robot).efforts(*held.trajectory.states(t)).guardrail_wrench
+    each = held.robot.holding.each(wrench)[:, 0]
+    assert needed.peak == pytest.approx(each.max(), rel=1e-5)
+    assert each.max() <= certificate.adhesion_bound <= 1.001 * each.max()
+    assert np.interp(needed.time, t, each) == pytest.approx(each.max(), rel=1e-5)
+
+
+def test_the_check_is_of_all_times_and_has_the_safety(held: Plan) -> None:
+    (check,) = (c for c in held.certificate.checks if c.quantity.startswith("adhesion needed"))
+    assert check.bound == ADHESION / 2
+    assert check.value == held.certificate.adhesion_bound
+
+
+def test_by_hand_at_rest(held: Plan) -> None:
+    """About the face's centre: the whole robot's weight, and the tool's force at its point."""
+    q = held.trajectory.q[:1]
+    model, contact = held.robot.model, held.robot.feet[0].centre
+    at = Postures(held.robot).at(q)
+    push = at.tool_rotation[0] @ [0, 0, -100.0]
+    masses = [*zip(at.centre[0], at.mass, strict=True)]
+    masses.append((model.inertias[0].lever, model.inertias[0].mass))
+    force = push + sum(mass for _, mass in masses) * np.array([0, 0, -9.81])
+    moment = np.cross(at.tool_point[0] - contact, push)
+    moment += sum(np.cross(point - contact, [0, 0, -9.81 * mass]) for point, mass in masses)
+    wrench = np.hstack([at.guardrail_force, at.guardrail_torque])
+    load = held.robot.holding.load(0, wrench)[0]
+    z, x, y = np.eye(3)[[2, 0, 1]]
+    np.testing.assert_allclose(load, [force @ z, force @ x, force @ y, moment @ z, moment @ x, moment @ y])
+
+
+def test_an_emergency_stop_asks_more(held: Plan) -> None:
+    stop = emergency_stop(held)
+    assert stop.peak > held.job.figures.adhesion_needed.peak
+
+
+def test_what_is_said(held: Plan) -> None:
+    (text,) = (each for each in remarks(held) if each.startswith("Hold:"))
+    assert re.search(r"safety 2, and has 100.00 kN; with 20 % less, 80.00 kN, it holds\.", text)
+    assert "In an emergency stop" in text
+    assert "adhesion needed, whole job, kN" in held.summary()
+    assert "and the adhesion needed below" in " ".join(remarks(held))
+
+
+def test_welded_says_that_it_says_nothing(short_plan: Plan) -> None:
+    (text,) = (each for each in remarks(short_plan) if each.startswith("Hold:"))
+    assert text.startswith("Hold: welded is assumed, so nothing here says whether the feet hold.")
+
+
+def test_the_directory(held: Plan, tmp_path: Path) -> None:
+    folder = save(held, tmp_path / "held")
+    lines = (folder / "job.csv").read_text().splitlines()
+    assert lines[0].endswith("clearance,adhesion_needed,segment")
+    column = [float(line.split(",")[-2]) for line in lines[1:]]
+    data = json.loads((folder / "plan.json").read_text())
+    assert data["planned"]["adhesion_needed"]["mode"] == "slip"
+    assert data["planned"]["job"]["adhesion_needed"]["peak"] == pytest.approx(max(column), rel=1e-4)
+    again = load_plan(folder, verify=True)
+    names = [check.quantity for check in again.certificate.checks]
+    assert "adhesion needed by a second computation" in names
+    data["planned"]["job"]["adhesion_needed"]["peak"] *= 0.9
+    (folder / "plan.json").write_text(json.dumps(data))
+    with pytest.raises(ArchiveError, match=r"planned\.job\.adhesion_needed\.peak"):
+        load_plan(folder)
+
+
+def test_the_second_computation_notices_another_contact(held: Plan) -> None:
+    foot = replace(held.robot.feet[0], half=(0.1, 0.1))
+    t = np.array([0.0])
+    efforts = (np.zeros((1, 7)), np.array([[0.0, 0, -600]]), np.array([[300.0, 100, 0]]))
+    body = read_multibody(held.scene.robot)
+    checks = {
+        good: [*hold_checks(held.scene, body, robot, t, efforts)]
+        for good, robot in ((True, held.robot), (False, replace(held.robot, feet=(foot,))))
+    }
+    assert checks[True][0].holds
+    assert not checks[False][0].holds
+
+
+def test_too_little_is_refused_with_the_figure() -> None:
+    with pytest.raises(OptimisationFailed, match=r"hold of the feet, .* planner.objective: hold"):
+        plan(magnet_scene(5000.0, knots="fixed"))
+    with pytest.raises(PlanningError, match="ask too much of a joint or foot"):
+        plan(magnet_scene(5000.0, knots="sliding"))
+
+
+def test_the_certificate_refuses_what_does_not_hold(held: Plan) -> None:
+    weak = replace(held.robot, feet=(replace(held.robot.feet[0], adhesion=5000.0),))
+    work = held.job.work.segments[0]
+    clearances = Clearances(held.robot, held.scene.obstacles)
+    certificate = certify(weak, work.task, work.trajectory, clearances, held.options, via_points=None)
+    with pytest.raises(LimitViolation, match="adhesion needed, safety 2"):
+        certificate.require()
+
+
+def test_the_objective_hold_needs_less(held: Plan) -> None:
+    made = plan(magnet_scene(None, knots="sliding", objective="hold"))
+    assert (made.objective.name, made.objective.unit) == ("hold", "N")
+    assert made.objective.planned_peak == pytest.approx(made.figures.adhesion_needed.peak, rel=1e-4)
+    assert made.figures.adhesion_needed.peak <= held.figures.adhesion_needed.peak
+    assert made.objective.planned_peak >= made.lower_bound.value * (1 - 1e-3)
+    assert made.torque_floor is None
+
+
+def test_the_objective_hold_needs_a_flat_contact() -> None:
+    with pytest.raises(SceneError, match="a foot on flat steel"):
+        plan(short_scene(guardrail={"bays": 0}, planner={"objective": "hold"}))
