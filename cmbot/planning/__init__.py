@@ -28,7 +28,7 @@ from cmbot.planning.result.baseline import BaselineSegment
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
-from cmbot.planning.result.verdict import bound_use, during, tightest_check, verdict
+from cmbot.planning.result.verdict import bound_use, during, promises, tightest_check, verdict
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.task import ToolTask
@@ -90,6 +90,7 @@ __all__ = [
     "plan",
     "precheck_options",
     "precheck_scene",
+    "promises",
     "remarks",
     "require_plan",
     "robot_of",

@@ -22,7 +22,8 @@ __all__ = [
     "floor_name",
     "joint_charts",
     "joint_quantities",
-    "work_seconds",
+    "work_begins",
+    "work_ends",
 ]
 
 MOST_POINTS = 1000  # of a curve in a large plot
@@ -46,7 +47,7 @@ _Part = tuple[float, Samples]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Curve:
-    """A quantity `y` (N,) of one motion, in the chart's unit, at times `t` (N,), s; the work starts at 0.
+    """A quantity `y` (N,) of one motion, in the chart's unit, at times `t` (N,) on the job's clock, s.
 
     A `thin` curve is part of another one.
     """
@@ -70,7 +71,7 @@ class Chart:
     bounds: tuple[float | None, float | None] = (None, None)  # values beyond them are not allowed
     marks: tuple[tuple[float, str], ...] = ()  # levels with their names
     note: str = ""  # explanation below the title
-    work_ends: float | None = None  # when the return begins, s, where its curves are shown
+    work: tuple[float, float | None] = (0.0, None)  # when it begins, s, and ends, where what follows is shown
     free: str = ""  # why the free moves have no curves
 
     def data(self, most: int = MOST_POINTS) -> dict[str, Any]:
@@ -88,8 +89,9 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
     yield _clearance(plan)
     yield _tool_deviation(plan)
     if tracking is not None:
-        yield from _tracking(tracking, _ERROR if plan.compensation is None else _COMPENSATED)
-        yield _off_path(tracking)
+        begin, note = work_begins(plan), _ERROR if plan.compensation is None else _COMPENSATED
+        yield from _tracking(tracking, begin, note)
+        yield _off_path(tracking, begin)
 
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:
@@ -164,7 +166,7 @@ def _torque(plan: Plan) -> Chart:
     bound = plan.torque_floor
     return Chart(
         key="torque",
-        work_ends=_work_ends(plan),
+        work=_work(plan),
         title=f"Torque on the {plan.scene.base_name}",
         unit="Nm",
         digits=1,
@@ -185,7 +187,7 @@ def _clearance(plan: Plan) -> Chart:
     lowest = min((float(curve.y.min()) for curve in curves), default=0.0)
     return Chart(
         key="clearance",
-        work_ends=_work_ends(plan),
+        work=_work(plan),
         title="Clearance",
         unit="mm",
         digits=1,
@@ -213,16 +215,16 @@ def _tool_deviation(plan: Plan) -> Chart:
     )
 
 
-def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
-    """Yield the tracking error along each axis, all to one scale."""
+def _tracking(tracking: Tracking, begin: float, note: str) -> Iterator[Chart]:
+    """Yield the tracking error along each axis, all to one scale; the work begins at `begin`, s."""
     motions = tracking.motions
     shown = np.vstack([each for _, motion in motions for each in (motion.error, motion.static)])
     middles = 0.5e3 * (shown.min(axis=0) + shown.max(axis=0))
     half = 0.5e3 * ROOM * float(np.ptp(shown, axis=0).max())
     for number, axis in enumerate("xyz"):
         middle = float(middles[number])
-        static = (Curve(motion=n, t=m.t, y=1e3 * m.static[:, number], thin=True) for n, m in motions)
-        total = (Curve(motion=n, t=m.t, y=1e3 * m.error[:, number]) for n, m in motions)
+        static = (Curve(motion=n, t=begin + m.t, y=1e3 * m.static[:, number], thin=True) for n, m in motions)
+        total = (Curve(motion=n, t=begin + m.t, y=1e3 * m.error[:, number]) for n, m in motions)
         yield Chart(
             key="tracking",
             title=f"Tracking error along {axis}",
@@ -235,13 +237,13 @@ def _tracking(tracking: Tracking, note: str) -> Iterator[Chart]:
         )
 
 
-def _off_path(tracking: Tracking) -> Chart:
+def _off_path(tracking: Tracking, begin: float) -> Chart:
     curves = []
     for name, motion in tracking.motions:
         off = 1e3 * np.linalg.norm(motion.path_error, axis=1)
         # NaN between strokes, where there is no path.
         at_work = np.isfinite(off)
-        curves.append(Curve(motion=name, t=motion.t[at_work], y=off[at_work]))
+        curves.append(Curve(motion=name, t=begin + motion.t[at_work], y=off[at_work]))
     return Chart(
         key="tracking",
         title="Elastic tool's distance from its path",
@@ -259,14 +261,14 @@ def _of_joint(name: str, joint: int, factor: float) -> Callable[[Samples], Float
 
 
 def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool = True) -> tuple[Curve, ...]:
-    """Return a quantity of both motions over the time since the work began, `free` moves included."""
+    """Return a quantity of both motions on the job's clock, `free` moves too; both begin to work at once."""
 
     def parts(segments: Sequence[Segment | BaselineSegment], sampled: Mapping[str, Samples]) -> list[_Part]:
-        begin = next(segment.begin for segment in segments if segment.kind == "stroke")
+        begin = next(segment.begin for segment in segments if segment.kind == "stroke") - work_begins(plan)
         shown = [segment for segment in segments if free or segment.kind == "stroke"]
         # Both arms return at the same time: the one whose work is done first waits.
         return [
-            (work_seconds(plan) if each.name == RETURN else each.begin - begin, sampled[each.name])
+            (work_ends(plan) if each.name == RETURN else each.begin - begin, sampled[each.name])
             for each in shown
         ]
 
@@ -281,13 +283,18 @@ def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool
     return curve("baseline", baseline), curve("planned", planned)
 
 
-def work_seconds(plan: Plan) -> float:
-    """Return how long the pages show the work: as long as the slower of both motions takes, s."""
-    return float(max(plan.samples.t[-1], plan.baseline.t[-1]))
+def work_begins(plan: Plan) -> float:
+    """Return when the work begins on the job's clock, s."""
+    return plan.job.strokes[0].begin
 
 
-def _work_ends(plan: Plan) -> float | None:
-    return work_seconds(plan) if plan.job.segment(RETURN) is not None else None
+def work_ends(plan: Plan) -> float:
+    """Return until when the pages show the work: until the slower of both motions is done, s."""
+    return work_begins(plan) + float(max(plan.samples.t[-1], plan.baseline.t[-1]))
+
+
+def _work(plan: Plan) -> tuple[float, float | None]:
+    return work_begins(plan), work_ends(plan) if plan.job.segment(RETURN) is not None else None
 
 
 def _highest(curves: Sequence[Curve]) -> float:

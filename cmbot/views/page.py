@@ -17,7 +17,7 @@ from typing import Any
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 
-__all__ = ["STAGE_SCRIPTS", "assemble", "draft_of", "pack", "write_page"]
+__all__ = ["STAGE_SCRIPTS", "assemble", "draft_of", "pack", "pack_exactly", "write_page"]
 
 STAGE_SCRIPTS = ("stage.js", "marks.js", "motions.js", "player.js")
 """The 3-D view and the time, shared by replay and report."""
@@ -76,6 +76,11 @@ def _cannot_write(path: Path, why: str) -> InputError:
 def pack(array: FloatArray) -> str:
     """Return an array for the scripts: little-endian float32 in base64."""
     return base64.b64encode(array.astype("<f4").tobytes()).decode("ascii")
+
+
+def pack_exactly(array: FloatArray) -> str:
+    """Return an array for the scripts: little-endian float64 in base64."""
+    return base64.b64encode(array.astype("<f8").tobytes()).decode("ascii")
 
 
 def _text(name: str) -> str:

@@ -12,7 +12,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, MissingExtra
 from cmbot.planning import Plan
 from cmbot.simulation import Tracking
-from cmbot.views.charts import Chart, charts, downsampled, joint_quantities
+from cmbot.views.charts import Chart, charts, downsampled, joint_quantities, work_begins
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -132,13 +132,13 @@ def _chart(chart: Chart) -> Figure:
         _forbidden(axes, upper, high)
     for level, name in chart.marks:
         axes.axhline(level, color="black", linewidth=0.8, linestyle="--", label=name)
-    outside = []
-    if any(curve.t[0] < 0 for curve in chart.curves):
-        axes.axvline(0.0, color="0.6", linewidth=0.6)
-        outside.append("the approach before 0")
-    if chart.work_ends is not None:
-        axes.axvline(chart.work_ends, color="0.6", linewidth=0.6)
-        outside.append(f"the return after {chart.work_ends:g}")
+    outside, (begin, end) = [], chart.work
+    if any(curve.t[0] < begin for curve in chart.curves):
+        axes.axvline(begin, color="0.6", linewidth=0.6)
+        outside.append(f"the approach before {begin:.1f}")
+    if end is not None:
+        axes.axvline(end, color="0.6", linewidth=0.6)
+        outside.append(f"the return after {end:.1f}")
     axes.set_xlabel(f"time, s ({', '.join(outside)})" if outside else "time, s")
     axes.set_ylabel(chart.unit)
     axes.set_title(chart.title, loc="left")
@@ -151,7 +151,7 @@ def _joints(plan: Plan) -> Figure:
     figure = _figure("joints", 8.0)
     quantities = joint_quantities(plan)
     grid = figure.subplots(len(quantities), 2, sharex=True, squeeze=False)
-    motions = (("baseline", plan.baseline), ("planned", plan.samples))
+    begin, motions = work_begins(plan), (("baseline", plan.baseline), ("planned", plan.samples))
     for column, (motion, samples) in enumerate(motions):
         grid[0, column].set_title(motion, loc="left")
         grid[-1, column].set_xlabel("time, s")
@@ -168,7 +168,7 @@ def _joints(plan: Plan) -> Figure:
                 t, y = downsampled(samples.t, shares[:, joint])
                 colour = _JOINT_COLOURS[joint % len(_JOINT_COLOURS)]
                 dashes = _DASHES[joint // len(_JOINT_COLOURS) % len(_DASHES)]
-                axes.plot(t, y, color=colour, linestyle=dashes, linewidth=0.9)
+                axes.plot(begin + t, y, color=colour, linestyle=dashes, linewidth=0.9)
     names = plan.robot.joints
     lines = grid[0, 1].get_lines()
     figure.align_ylabels(list(grid[:, 0]))
@@ -209,7 +209,7 @@ def _tracking_rows(
                 static = 1e3 * motion.static[:, number]
                 axes.plot(motion.t, static, color="black", linewidth=0.7, linestyle=":", label="static part")
             axes.axvline(motion.stop, color="0.6", linewidth=0.6)
-    rows[-1].set_xlabel("time after the stop, s" if after_stop else "time, s")
+    rows[-1].set_xlabel(f"time after the {'stop' if after_stop else 'work began'}, s")
     figure.align_ylabels(list(rows))
     _legend(figure, rows[0])
     return figure

@@ -97,7 +97,7 @@ def replay_html(plan: Plan, data: dict[str, Any]) -> str:
     return assemble(
         "replay.html",
         styles=("common.css", "replay.css"),
-        scripts=(*STAGE_SCRIPTS, "plot.js", "replay.js"),
+        scripts=(*STAGE_SCRIPTS, "downloads.js", "plot.js", "replay.js"),
         data=data,
         texts={"title": escape(plan.scene.name), "base": escape(plan.scene.base_name)},
     )

@@ -15,53 +15,77 @@ from cmbot.common.validation import require_type
 from cmbot.planning import APPROACH, RETURN, MotionMetrics, Plan, Samples, figures, measure
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
-from cmbot.views.charts import floor_name, work_seconds
+from cmbot.trajectory import QuinticTrajectory
+from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.meshcat_scene import reach, scene_commands
-from cmbot.views.page import pack
+from cmbot.views.page import pack, pack_exactly
 
 __all__ = ["replay_data"]
 
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
+# Directions all around, (200, 3), on a spiral over the sphere.
+_ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
+_HEIGHTS = np.linspace(-1, 1, 200)
+_DIRECTIONS = np.stack(
+    [
+        np.sqrt(1 - _HEIGHTS**2) * np.cos(_ANGLES),
+        np.sqrt(1 - _HEIGHTS**2) * np.sin(_ANGLES),
+        _HEIGHTS,
+    ],
+    axis=1,
+)
 
 
 def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     """Return the page's data, ready for JSON; `_Frames.motion` documents each motion.
 
-    The work starts at time 0, the approach at ``start`` before it; the return comes after it until ``end``.
-    ``moves`` are the planned free moves between strokes: name, begin and end, s. With `tracking`, and without
-    a return, the arms rest after the work until then.
+    All times are on the planned job's clock, on which the baseline begins to work when the planned motion
+    does: the work lasts from ``workStart`` to ``workEnd``. Before it, from ``start``, both arms approach, and
+    after it, until ``end``, they return; with `tracking`, and without a return, they rest until then.
+    ``moves`` are the planned free moves between strokes: name, begin and end, s.
     """
-    duration = work_seconds(plan)
     if tracking is not None:
         require_type(tracking, Tracking, "tracking", "", "a Tracking, as cmbot.simulate returns it")
-    end = duration if tracking is None else _end(plan, tracking)
+    begin, work_end = work_begins(plan), work_ends(plan)
+    other = plan.baseline_segment(APPROACH)
+    start = min(0.0, begin - (0.0 if other is None else other.duration))
+    end = work_end if tracking is None else begin + _end(plan, tracking)
     back = _return_seconds(plan)
     if back > 0:
-        end = duration + back
-    before = 0.0 if plan.approach is None else plan.approach.duration
-    step = max(FRAME_STEP, (before + end) * plan.robot.dof / MOST_POSES)
+        end = work_end + back
+    step = max(FRAME_STEP, (end - start) * plan.robot.dof / MOST_POSES)
     frames = _Frames(plan)
-    times = _frame_times(0.0, duration, step)
+    times = _frame_times(0.0, work_end - begin, step)
     planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
     return {
         "title": plan.scene.name,
         "robot": plan.robot.name,
-        "start": 0.0 - before,
-        "duration": duration,
+        "start": start,
+        "workStart": begin,
+        "workEnd": work_end,
         "end": end,
         "base": plan.scene.base_name,
         "legTimes": _leg_times(plan).tolist(),
-        "moves": [[each.name, each.begin, each.end] for each in plan.work.segments if each.kind == "free"],
+        "moves": [
+            [each.name, each.begin, each.end]
+            for each in plan.job.segments
+            if each.kind == "free" and each.name not in (APPROACH, RETURN)
+        ],
+        "segments": [[each.name, each.begin, each.end] for each in plan.job.segments],
+        "joints": list(plan.robot.joints),
+        "knots": _knots(plan.job.trajectory),
         "floor": plan.torque_floor,
         "floorName": floor_name(plan),
         "margin": plan.options.safety_margin_m,
         "links": _link_names(plan.robot),
-        "approach": _approach(plan, frames, step),
+        "approach": _approach(plan, frames, start, step) if start < begin else None,
         "planned": frames.motion(plan.samples, plan.figures, times, planned),
         "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, baseline),
         "return": _return(plan, frames, _frame_times(0.0, back, step)) if back > 0 else None,
-        "rest": None if back > 0 else _rest(plan, tracking, frames, _frame_times(duration, end, step)),
+        "rest": None
+        if back > 0
+        else _rest(plan, tracking, frames, _frame_times(work_end, end, step) - begin),
         "pairs": list(frames.pairs),
         "focus": _focus(plan),
         "reach": reach(plan.robot),
@@ -157,13 +181,13 @@ def _link_names(robot: Robot) -> list[str]:
 
 def _leg_times(plan: Plan) -> FloatArray:
     """Return the times at which legs begin and end, s, of several strokes those of the planned motion."""
-    begins = [segment.begin for segment in plan.work.strokes]
+    begins = [segment.begin for segment in plan.job.strokes]
     times = (begin + stroke.task.path.leg_times for begin, stroke in zip(begins, plan.strokes, strict=True))
     return np.unique(np.concatenate([*times]))
 
 
 def _end(plan: Plan, tracking: Tracking) -> float:
-    """When the simulation ends, s; an `InputError` with the tracking errors of another plan."""
+    """When the simulation of the work ends, s; an `InputError` with the tracking errors of another plan."""
     durations = {"planned": float(plan.samples.t[-1]), "baseline": float(plan.baseline.t[-1])}
     for name, motion in reversed(tracking.motions):
         duration = durations[name]
@@ -173,17 +197,20 @@ def _end(plan: Plan, tracking: Tracking) -> float:
     return float(max(*durations.values(), tracking.planned.t[-1], tracking.baseline.t[-1]))
 
 
-def _approach(plan: Plan, frames: _Frames, step: float) -> dict[str, Any] | None:
-    """Return the planned arm's approach; meanwhile the baseline's arm rests in its first posture."""
-    approach = plan.approach
-    if approach is None:
-        return None
-    times = _frame_times(0.0, approach.duration, step)
-    label = "approach along the self-motion" if approach.along_self_motion else "approach, tool off"
+def _approach(plan: Plan, frames: _Frames, start: float, step: float) -> dict[str, Any]:
+    """Return both arms' ways to the work, from `start`, s; each arrives when it begins, and rests before."""
+    planned, baseline = plan.approach, plan.baseline_segment(APPROACH)
+    times = _frame_times(start, work_begins(plan), step)
+    ends = times[[0, -1]]
+    along = planned is not None and planned.along_self_motion
     return {
-        "label": label,
-        "planned": frames.motion(plan.segment_samples[APPROACH], approach.figures, times),
-        "baseline": _still(plan, frames, plan.baseline.q[0], times[[0, -1]]),
+        "label": "approach along the self-motion" if along else "approach, tool off",
+        "planned": _still(plan, frames, plan.trajectory.q[0], ends)
+        if planned is None
+        else frames.motion(plan.segment_samples[APPROACH], planned.figures, times),
+        "baseline": _still(plan, frames, plan.baseline.q[0], ends)
+        if baseline is None
+        else frames.motion(baseline.samples, baseline.figures, times - times[-1] + baseline.duration),
     }
 
 
@@ -214,7 +241,12 @@ def _still(plan: Plan, frames: _Frames, q: FloatArray, times: FloatArray) -> dic
     posture, off = np.repeat(q[None], 2, axis=0), plan.robot.tool_off
     rates = np.zeros((3, *posture.shape))
     samples = measure(off, plan.task, frames.clearances, times, [posture, *rates])
-    return frames.motion(samples, figures(off, samples), times)
+    return frames.motion(samples, figures(off, samples), times) | {"still": True}
+
+
+def _knots(trajectory: QuinticTrajectory) -> dict[str, str]:
+    """Return the knots of the whole job: they define its quintics exactly."""
+    return {name: pack_exactly(getattr(trajectory, name)) for name in ("t", "q", "v", "a")}
 
 
 def _rest(plan: Plan, tracking: Tracking | None, frames: _Frames, times: FloatArray) -> dict[str, Any] | None:
@@ -229,7 +261,10 @@ def _rest(plan: Plan, tracking: Tracking | None, frames: _Frames, times: FloatAr
 
 
 def _focus(plan: Plan) -> dict[str, Any]:
-    """Return a ball (m, in W) about the foot, the path and the arm's joints, and the camera's azimuth."""
+    """Return points that the view shows (foot, path, the arm's joints), a ball about them, an azimuth.
+
+    All in W, m; of the points those that enclose the others along many directions.
+    """
     motions = [plan.samples.q, plan.baseline.q]
     motions += [segment.trajectory.q for segment in plan.job.segments if segment.kind == "free"]
     points = [np.zeros((1, 3)), plan.samples.tool_point, plan.baseline.tool_point]
@@ -238,7 +273,14 @@ def _focus(plan: Plan) -> dict[str, Any]:
     cloud = np.concatenate(points)
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     radius = max(float(np.linalg.norm(high - low)) / 2, 1e-3)
-    return {"centre": ((low + high) / 2).tolist(), "radius": radius, "azimuth": _azimuth(plan)}
+    # Those that are outermost along some direction decide what is seen.
+    outermost = np.unique((cloud @ _DIRECTIONS.T).argmax(axis=0))
+    return {
+        "centre": ((low + high) / 2).tolist(),
+        "radius": radius,
+        "points": cloud[outermost].tolist(),
+        "azimuth": _azimuth(plan),
+    }
 
 
 def _azimuth(plan: Plan) -> float:

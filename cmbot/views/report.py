@@ -17,9 +17,11 @@ from cmbot.planning import (
     Plan,
     bound_use,
     during,
+    promises,
     remarks,
     require_plan,
     tightest_check,
+    verdict,
 )
 from cmbot.robot import postures_in_words
 from cmbot.scene import ToolPath
@@ -40,6 +42,7 @@ _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
 
 Row = Sequence[str]
+State = Literal["plain", "good", "worse", "bad"]
 
 
 def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) -> None:
@@ -86,16 +89,16 @@ def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) ->
     plots = {
         "charts": [chart.data() for chart in charts(plan, tracking)],
         "jointCharts": [chart.data(MOST_SMALL_POINTS) for chart in joint_charts(plan)],
-        "joints": list(plan.robot.joints),
     }
     return assemble(
         "report.html",
         styles=("common.css", "report.css"),
-        scripts=(*STAGE_SCRIPTS, "chart.js", "report.js"),
+        scripts=(*STAGE_SCRIPTS, "downloads.js", "chart.js", "report.js"),
         data=data | plots,
         texts={
             "title": escape(plan.scene.name),
             "made": escape(f"Written by cmbot {__version__}."),
+            "verdict": _verdict(plan),
             "cards": "".join(map(_card, headlines(plan, tracking))),
             "motion": "the paper's motion" if plan.scene.on_guardrail else "the motion",
             "bending": "" if tracking is not None else " hidden",
@@ -106,13 +109,17 @@ def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) ->
 
 @dataclass(frozen=True, kw_only=True)
 class Headline:
-    """One card: a quantity of the planned motion, the baseline's value before it, a sentence, a verdict."""
+    """One card: a quantity of the planned motion, the baseline's value before it, a sentence, a verdict.
+
+    ``good`` is a gain on the baseline, ``worse`` a loss within the bounds, ``bad`` a broken bound, ``plain``
+    neither.
+    """
 
     title: str
     value: str
     detail: str
     before: str = ""
-    state: Literal["plain", "good", "bad"] = "plain"
+    state: State = "plain"
 
 
 def headlines(plan: Plan, tracking: Tracking | None) -> Iterator[Headline]:
@@ -142,18 +149,23 @@ def _peak_card(plan: Plan) -> Headline:
     for segment in plan.job.segments:
         if segment.kind == "free":
             detail += f"; {segment.figures.peak_guardrail_torque:.1f} Nm on {segment.in_words}"
-    state: Literal["plain", "good", "bad"] = "plain"
-    if after < before * (1 - _GAIN):
-        state = "good"
-    elif after > before * (1 + _GAIN):
-        state = "bad"
     return Headline(
         title=f"Peak {plan.scene.base_name} torque, whole job",
         before=f"{before:.1f}",
         value=f"{after:.1f} Nm",
         detail=detail,
-        state=state,
+        state=_compared(before, after, kept=True),
     )
+
+
+def _compared(before: float, after: float, *, kept: bool) -> State:
+    """Whether a value is a gain on the baseline's or a loss, the less the better, or not allowed."""
+    if not kept:
+        return "bad"
+    change = after - before
+    if abs(change) <= _GAIN * abs(before):
+        return "plain"
+    return "good" if change < 0 else "worse"
 
 
 def _lower_bound_card(plan: Plan) -> Headline:
@@ -194,24 +206,26 @@ def _clearance_card(plan: Plan) -> Headline:
     if value == inf:
         return Headline(title="Smallest clearance", value="–", detail="no pair of shapes can collide")
     always = floor(1e4 * plan.job.certificate.clearance_bound) / 10
+    before = plan.baseline_job_figures.min_clearance
     return Headline(
         title="Smallest clearance",
-        before=f"{1e3 * plan.baseline_job_figures.min_clearance:.1f}",
+        before=f"{1e3 * before:.1f}",
         value=f"{1e3 * value:.1f} mm",
         detail=f"rigid arm; margin {1e3 * margin:g} mm; above {always:.1f} mm at all times",
-        state="good" if value >= margin else "bad",
+        state=_compared(-before, -value, kept=value >= margin),
     )
 
 
 def _deviation_card(plan: Plan) -> Headline:
     value, bound = plan.figures.max_tool_deviation, plan.options.max_tool_deviation_m
     arm = "with the predicted sag" if plan.options.compensate else "rigid arm"
+    before = plan.baseline_figures.max_tool_deviation
     return Headline(
         title="Tool off its path",
-        before=f"{1e3 * plan.baseline_figures.max_tool_deviation:.2f}",
+        before=f"{1e3 * before:.2f}",
         value=f"{1e3 * value:.2f} mm",
         detail=f"{arm}; bound {1e3 * bound:g} mm",
-        state="good" if value <= bound else "bad",
+        state=_compared(before, value, kept=value <= bound),
     )
 
 
@@ -231,21 +245,25 @@ def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
         before=f"{before:.1f}",
         value=f"{after:.1f} mm",
         detail=detail,
-        state="good" if off <= bound else "plain",
+        # No gain where the bent tool leaves its path by more than it may.
+        state="plain" if off > bound and after < before else _compared(before, after, kept=True),
     )
 
 
 def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     """Yield the sections below the plots."""
-    yield _section("Remarks", _list(remarks(plan)), kind="wide")
+    # The verdict, which comes first of them, stands above.
+    yield _section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
     yield _section("Metrics", _table(plan.rows(), ("", "baseline", "planned")))
     elastic = list(_elastic(plan))
     if elastic:
         yield _section("Predicted sag and vibration", _table(elastic))
     several = {stroke.name for stroke in plan.several}
+    begins = {segment.name: segment.begin for segment in plan.job.segments}
     for name, certificate in certificates(plan).items():
         the = "" if name in several else "the "
-        yield _section(f"Certificate of {the}{name}", _check_table(certificate, plan.scene.base_name))
+        table = _check_table(certificate, plan.scene.base_name, begins[name])
+        yield _section(f"Certificate of {the}{name}", table)
     if tracking is not None:
         table = _table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
@@ -257,6 +275,13 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     yield _section("Versions", _table(_versions(plan), text_columns=2))
     if tracking is not None:
         yield _section("Options of the simulation", _table(_options(tracking.options), text_columns=2))
+
+
+def _verdict(plan: Plan) -> str:
+    """Return the line that comes first: whether every promise is kept, and what the base must bear."""
+    kept = all(check.holds for _, check in plan.job.checks())
+    words = f"<b>{escape(promises(plan))}</b> {escape(verdict(plan))}"
+    return f'<p id="verdict" class="{"good" if kept else "bad"}">{words}</p>'
 
 
 def _card(headline: Headline) -> str:
@@ -310,11 +335,12 @@ def _elastic(plan: Plan) -> Iterator[Row]:
         yield "residual amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
 
 
-def _check_table(certificate: Certificate, base: str) -> str:
+def _check_table(certificate: Certificate, base: str, begin: float) -> str:
+    """Return a table of checks, their times on the job's clock, on which the segment starts at `begin`, s."""
     rows = (
         (
             check.quantity,
-            f"{check.time:.2f}",
+            f"{begin + check.time:.2f}",
             f"{check.value:.4g}",
             f"{'≥' if check.at_least else '≤'} {check.bound:.4g}",
             check.unit,

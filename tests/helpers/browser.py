@@ -75,7 +75,7 @@ def next_frame(chrome: webdriver.Chrome) -> None:
 
 def require_quiet(chrome: webdriver.Chrome, page: Path) -> None:
     """The page shows no failure, reported no error, and asked for nothing but itself and data in it."""
-    chrome.execute_script("cmbotReplay.seek(5)")
+    chrome.execute_script("cmbotReplay.seek(cmbotReplay.workStart + 5)")
     next_frame(chrome)
     assert [entry for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"] == []
     events = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]

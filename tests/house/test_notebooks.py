@@ -55,7 +55,7 @@ def test_they_show_cards_pages_and_words(ran: dict[str, list[dict[str, str]]]) -
     assert page["text/html"].startswith('<iframe srcdoc="&lt;!DOCTYPE html&gt;')
     assert "tool lag" in checks["stdout"]
     assert "on the mast" in second[2]["text/plain"]
-    assert "posture_deg: got " in second[3]["stdout"]
+    assert "retrun: got " in second[3]["stdout"]
     assert "<strong>Tracking</strong>" in third[0]["text/html"]
     assert "allow-scripts" in third[2]["text/html"]
     assert "image/png" in third[3]

@@ -74,15 +74,15 @@ def test_the_torque_with_its_floor_and_the_approach(
 ) -> None:
     (axes,) = figures["guardrail_torque"].axes
     (baseline,), (planned,) = lines(axes, plots._BASELINE), lines(axes, plots._PLANNED)
-    samples, before = triangle_plan.baseline, triangle_plan.approach_samples
-    assert_drawn(baseline, samples.t, np.linalg.norm(samples.guardrail_torque, axis=1))
-    assert planned.get_xdata()[0] == pytest.approx(-before.t[-1])
-    after = np.asarray(planned.get_ydata())[np.asarray(planned.get_xdata()) >= 0]
+    samples, begin = triangle_plan.baseline, triangle_plan.approach.duration
+    assert_drawn(baseline, begin + samples.t, np.linalg.norm(samples.guardrail_torque, axis=1))
+    assert planned.get_xdata()[0] == 0
+    after = np.asarray(planned.get_ydata())[np.asarray(planned.get_xdata()) >= begin]
     assert after.max() == pytest.approx(triangle_plan.figures.peak_guardrail_torque, rel=1e-4)
     (bound,) = (line for line in axes.get_lines() if str(line.get_label()).startswith("lower bound"))
     assert set(bound.get_ydata()) == {triangle_plan.torque_floor}
     assert not forbidden(axes)
-    assert axes.get_xlabel() == "time, s (the approach before 0)"
+    assert axes.get_xlabel() == f"time, s (the approach before {begin:.1f})"
     without_floor = plot(short_plan)[0]
     assert [text.get_text() for text in without_floor.legends[0].get_texts()] == ["baseline", "planned"]
     assert without_floor.axes[0].get_xlabel() == "time, s"
@@ -100,7 +100,8 @@ def test_clearance_and_deviation_are_shaded_beyond_their_bounds(
     bound = 1e3 * options.max_tool_deviation_m
     assert forbidden(deviation) == [(pytest.approx(bound), pytest.approx(1.15 * bound))]
     (planned,) = lines(deviation, plots._PLANNED)
-    assert_drawn(planned, triangle_plan.samples.t, 1e3 * triangle_plan.samples.tool_deviation)
+    times = triangle_plan.approach.duration + triangle_plan.samples.t
+    assert_drawn(planned, times, 1e3 * triangle_plan.samples.tool_deviation)
 
 
 def test_joints_are_shares_of_their_bounds(figures: dict[str, Figure], triangle_plan: Plan) -> None:
@@ -119,7 +120,7 @@ def test_joints_are_shares_of_their_bounds(figures: dict[str, Figure], triangle_
             drawn = axes.get_lines()
             assert len(drawn) == dof
             for joint, line in enumerate(drawn):
-                assert_drawn(line, samples.t, values[:, joint])
+                assert_drawn(line, triangle_plan.approach.duration + samples.t, values[:, joint])
             low, high = axes.get_ylim()
             assert forbidden(axes) == [(1.0, pytest.approx(high)), (pytest.approx(low), -1.0)]
             assert high > max(1.0, abs(values).max())

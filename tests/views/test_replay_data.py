@@ -22,6 +22,11 @@ def data(triangle_plan: Plan) -> dict[str, Any]:
     return replay_data(triangle_plan)
 
 
+def work_times(data: dict[str, Any]) -> np.ndarray:
+    """Times of the frames of the work, from its beginning."""
+    return np.linspace(0, data["workEnd"] - data["workStart"], len(floats(data["planned"]["clearance"])))
+
+
 def placements(robot: Robot, q: np.ndarray) -> np.ndarray:
     working = robot.model.createData()
     pin.forwardKinematics(robot.model, working, q)
@@ -35,7 +40,7 @@ def shown(motion: dict[str, Any], frame: int) -> np.ndarray:
 
 def test_links_and_numbers_are_those_of_the_samples(data: dict[str, Any], triangle_plan: Plan) -> None:
     assert data["links"] == [f"link_{number}" for number in range(1, 8)]
-    assert data["duration"] == 20.0
+    assert (data["workStart"], data["workEnd"]) == (triangle_plan.approach.duration, data["segments"][-1][2])
     times = np.linspace(0, 20.0, 1001)
     for name, samples in (("planned", triangle_plan.samples), ("baseline", triangle_plan.baseline)):
         assert len(floats(data[name]["poses"], 7, 7)) == len(times)
@@ -52,7 +57,7 @@ def test_links_and_numbers_are_those_of_the_samples(data: dict[str, Any], triang
 def test_the_approach_leads_to_the_work_as_certified(data: dict[str, Any], triangle_plan: Plan) -> None:
     robot, approach, planned = triangle_plan.robot, triangle_plan.approach, data["approach"]["planned"]
     torque, clearance = floats(planned["torque"], 3), floats(planned["clearance"])
-    assert data["start"] == -approach.trajectory.duration
+    assert (data["start"], data["workStart"]) == (0.0, approach.trajectory.duration)
     np.testing.assert_allclose(shown(planned, 0), placements(robot, triangle_plan.scene.posture), atol=1e-5)
     np.testing.assert_allclose(shown(planned, -1), shown(data["planned"], 0), atol=1e-5)
     times = np.linspace(0.0, approach.trajectory.duration, len(clearance))
@@ -82,7 +87,8 @@ def test_the_approachs_label_is_its_kind_and_a_slow_one_has_no_more_frames(trian
     trajectory = triangle_plan.approach.trajectory
     slow = dataclasses.replace(trajectory, t=4 * trajectory.t, v=trajectory.v / 4, a=trajectory.a / 16)
     for along, label in ((True, "approach along the self-motion"), (False, "approach, tool off")):
-        data = replay_data(changed(triangle_plan, "approach", trajectory=slow, along_self_motion=along))
+        slower = changed(triangle_plan, "approach", trajectory=slow, along_self_motion=along)
+        data = replay_data(changed(slower, "work", begin=slow.duration))
         assert data["approach"]["label"] == label
         frames = [len(floats(part["planned"]["clearance"])) for part in (data["approach"], data)]
         assert 0.95 * MOST_POSES < 7 * sum(frames) <= MOST_POSES + 4 * 7
@@ -116,8 +122,8 @@ def test_the_error_is_that_of_the_simulation_from_where_the_tool_is_expected(
     triangle_plan: Plan, triangle_tracking: Tracking, compensated_short: tuple[Plan, Tracking]
 ) -> None:
     data = replay_data(triangle_plan, triangle_tracking)
-    assert data["end"] == pytest.approx(triangle_tracking.planned.t[-1])
-    times = np.linspace(0, data["duration"], len(floats(data["planned"]["clearance"])))
+    assert data["end"] == pytest.approx(data["workStart"] + triangle_tracking.planned.t[-1])
+    times = work_times(data)
     for name, motion in (("planned", triangle_tracking.planned), ("baseline", triangle_tracking.baseline)):
         expected = np.stack([np.interp(times, motion.t, e) for e in motion.error.T], axis=1)
         np.testing.assert_allclose(floats(data[name]["error"], 3), expected, atol=1e-8)
@@ -136,7 +142,7 @@ def test_works_of_several_strokes_may_differ_in_duration(
     strokes_plan: Plan, strokes_tracking: Tracking
 ) -> None:
     data = replay_data(strokes_plan, strokes_tracking)
-    times = np.linspace(0, data["duration"], len(floats(data["planned"]["clearance"])))
+    times = work_times(data)
     for name, motion in strokes_tracking.motions:
         expected = np.stack([np.interp(times, motion.t, e) for e in motion.error.T], axis=1)
         np.testing.assert_allclose(floats(data[name]["error"], 3), expected, atol=1e-8)
@@ -149,7 +155,7 @@ def test_works_of_several_strokes_may_differ_in_duration(
 
 def test_the_return_comes_after_the_work(returning_plan: Plan) -> None:
     data, back = replay_data(returning_plan), returning_plan.job.segments[-1]
-    assert data["end"] == pytest.approx(data["duration"] + back.duration)
+    assert data["end"] == pytest.approx(data["workEnd"] + back.duration)
     assert data["rest"] is None
     robot, phase = returning_plan.robot, data["return"]
     last = floats(phase["planned"]["poses"]).reshape(-1, robot.dof, 7)[-1]
@@ -161,7 +167,26 @@ def test_the_return_comes_after_the_work(returning_plan: Plan) -> None:
     np.testing.assert_allclose(poses[-2], poses[-1], atol=1e-6)
     assert phase["planned"]["peakTorque"] == back.figures.peak_guardrail_torque
     (torque,) = (chart for chart in charts(returning_plan, None) if chart.key == "torque")
-    assert [curve.t[-1] for curve in torque.curves] == pytest.approx(
-        [returning_plan.baseline.t[-1] + returning_plan.baseline_return.t[-1], data["end"]]
-    )
-    assert torque.work_ends == data["duration"]
+    ends = [data["workEnd"] + returning_plan.baseline_return.t[-1], data["end"]]
+    assert [curve.t[-1] for curve in torque.curves] == pytest.approx(ends)
+    assert torque.work == (data["workStart"], data["workEnd"])
+
+
+def test_the_baseline_approaches_too_and_both_begin_to_work_at_once(strokes_plan: Plan) -> None:
+    other = dataclasses.replace(strokes_plan.baseline_segments[1], name="approach", begin=0.0)
+    slow = dataclasses.replace(other, samples=dataclasses.replace(other.samples, t=other.samples.t * 100.0))
+    for approach in (other, slow):
+        plan = dataclasses.replace(strokes_plan)
+        work = [
+            dataclasses.replace(each, begin=each.begin + approach.duration)
+            for each in strokes_plan.baseline_segments
+        ]
+        plan.__dict__["baseline_segments"] = (approach, *work)
+        data = replay_data(plan)
+        begins = plan.job.strokes[0].begin
+        assert data["start"] == pytest.approx(min(0.0, begins - approach.duration))
+        poses = floats(data["approach"]["baseline"]["poses"], 7, 7)
+        assert np.abs(poses[0] - poses[-1]).max() > 0.01
+        torque = next(chart for chart in charts(plan, None) if chart.key == "torque")
+        first, planned = (curve.t[0] for curve in torque.curves)
+        assert (first, planned) == pytest.approx((begins - approach.duration, 0.0))

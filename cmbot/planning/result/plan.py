@@ -229,9 +229,9 @@ class Plan(StrokePlan):
 
     @property
     def largest_torque_difference(self) -> tuple[float, float]:
-        """Largest value over time of baseline's less planned torque norm, Nm, and when in the work, s."""
+        """Largest value over time of baseline's less planned torque norm, Nm, and when in the job, s."""
         largest, when = -np.inf, 0.0
-        for stroke, segment in zip(self.strokes, self.work.strokes, strict=True):
+        for stroke, segment in zip(self.strokes, self.job.strokes, strict=True):
             samples = self.segment_samples[stroke.name]
             baseline = np.linalg.norm(stroke.baseline.guardrail_torque, axis=1)
             planned = np.linalg.norm(samples.guardrail_torque, axis=1)

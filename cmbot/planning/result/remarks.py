@@ -229,7 +229,7 @@ def _gain(plan: Plan) -> str:
     return (
         f"Against the baseline, {whose} motion without optimisation: {peak} "
         f"{change:+z.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
-        f"at t = {time:.1f} s."
+        f"at {time:.1f} s."
     )
 
 

@@ -6,13 +6,14 @@ from math import inf
 
 import numpy as np
 
+from cmbot.common.validation import counted
 from cmbot.planning.context import end_posture_of
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.result.plan import Plan
 from cmbot.planning.verification.check import Check
 from cmbot.robot import Dynamics
 
-__all__ = ["bound_use", "during", "strays", "tightest_check", "verdict"]
+__all__ = ["bound_use", "during", "promises", "strays", "tightest_check", "verdict"]
 
 # Peaks that differ by less, as a share of them, are the same.
 _SAME = 1e-3
@@ -39,8 +40,35 @@ def verdict(plan: Plan) -> str:
     segment, check = tightest_check(job)
     return (
         f"{text}. Tightest promise: {check.quantity} {during(segment, job)}, at {check.time:.1f} s, "
-        f"{100 * bound_use(check):.0f} % of its bound."
+        f"{100 * bound_use(check):.0f} % of its bound{_room(check)}."
     )
+
+
+def promises(plan: Plan) -> str:
+    """Return in a sentence whether every promise is kept.
+
+    Parameters
+    ----------
+    plan : Plan
+    """
+    each = [check for _, check in plan.job.checks()]
+    broken = sum(not check.holds for check in each)
+    if broken:
+        return f"NOT SAFE: {broken} of {len(each)} promises {'is' if broken == 1 else 'are'} broken."
+    return f"Every promise is kept: {counted(len(each), 'check')} hold at all times."
+
+
+def _room(check: Check) -> str:
+    """How far a value is from its bound, in words, where its unit is a physical one."""
+    factor, unit = 1.0, check.unit
+    if unit.startswith("rad"):
+        factor, unit = float(np.rad2deg(1.0)), f"deg{unit.removeprefix('rad')}"
+    elif unit == "m":
+        factor, unit = 1e3, "mm"
+    elif unit.startswith("of "):
+        return ""
+    distance = f"{factor * abs(check.bound - check.value):.3g} {unit}"
+    return f" ({distance} left)" if check.holds else f" ({distance} beyond it)"
 
 
 def strays(plan: Plan) -> bool:

@@ -55,10 +55,22 @@ class Curve {
 }
 
 let clips = 0;
+const nameOf = (curve) => (curve.thin ? `${motionName(curve.motion)}, static part` : motionName(curve.motion));
+
+// One for all plots.
+function tooltip() {
+  let tip = document.getElementById("tip");
+  if (!tip) {
+    tip = document.createElement("div");
+    tip.id = "tip";
+    document.body.append(tip);
+  }
+  return tip;
+}
 
 class Chart {
   // `timeline`: start, end, legTimes and moves of the page. `small`: without caption, ticks and marks.
-  constructor(spec, timeline, onSeek, { small = false, name = spec.title } = {}) {
+  constructor(spec, timeline, onSeek, { small = false, name = spec.title, onOpen = null } = {}) {
     Object.assign(this, { spec, timeline, small, name, zoomed: false, time: timeline.start });
     this.curves = spec.curves.map((source) => new Curve(source));
     this.figure = document.createElement("figure");
@@ -66,11 +78,51 @@ class Chart {
     if (!small) this.addCaption();
     this.svg = make("svg", { role: "img" });
     this.figure.append(this.svg);
-    const seek = (event) => {
-      if (event.buttons & 1) onSeek(this.timeAt(event.clientX));
-    };
-    this.svg.addEventListener("pointerdown", (event) => { this.svg.setPointerCapture(event.pointerId); seek(event); });
-    this.svg.addEventListener("pointermove", seek);
+    this.connect(onSeek, onOpen);
+  }
+
+  // A click or a drag sets the time; a click in a small plot shows its joint large.
+  connect(onSeek, onOpen) {
+    const { svg } = this;
+    let from = null;
+    svg.addEventListener("pointerdown", (event) => {
+      svg.setPointerCapture(event.pointerId);
+      from = event.clientX;
+      if (!onOpen) onSeek(this.timeAt(event.clientX));
+    });
+    svg.addEventListener("pointermove", (event) => {
+      if (event.buttons & 1 && (!onOpen || Math.abs(event.clientX - from) > 4)) onSeek(this.timeAt(event.clientX));
+      this.hover(event);
+    });
+    svg.addEventListener("pointerup", (event) => {
+      if (onOpen && from !== null && Math.abs(event.clientX - from) <= 4) onOpen();
+      from = null;
+    });
+    for (const end of ["pointerleave", "pointercancel"]) svg.addEventListener(end, () => this.hover(null));
+  }
+
+  // Every curve's value at the pointer, beside it.
+  hover(event) {
+    const tip = tooltip();
+    tip.hidden = event === null;
+    this.pointed?.setAttribute("visibility", event === null ? "hidden" : "visible");
+    if (event === null) return;
+    const { start, end } = this.timeline, time = Math.min(Math.max(this.timeAt(event.clientX), start), end);
+    const lines = [[`t = ${seconds(time)} s`, ""]], { digits, unit } = this.spec;
+    for (const curve of [...this.curves].reverse()) {
+      const value = curve.at(time);
+      if (value !== null) lines.push([`${nameOf(curve)} ${value.toFixed(digits)} ${unit}`, curve.motion]);
+    }
+    tip.replaceChildren(...lines.map(([text, motion]) => {
+      const line = document.createElement("div");
+      line.textContent = text;
+      line.className = motion;
+      return line;
+    }));
+    for (const name of ["x1", "x2"]) this.pointed?.setAttribute(name, this.x(time).toFixed(1));
+    const left = Math.min(event.clientX + 14, window.innerWidth - tip.offsetWidth - 6);
+    const above = event.clientY - tip.offsetHeight - 12;
+    tip.style.transform = `translate(${Math.max(left, 4)}px, ${above > 4 ? above : event.clientY + 18}px)`;
   }
 
   addCaption() {
@@ -129,6 +181,7 @@ class Chart {
     this.drawGround(inside, svg);
     for (const curve of this.curves) this.drawCurve(curve, inside);
     this.drawMarks(inside, svg);
+    this.pointed = make("line", { class: "pointed", y1: top, y2: this.height - bottom, visibility: "hidden" }, svg);
     this.cursor = make("line", { class: "cursor", y1: top, y2: this.height - bottom }, svg);
     this.dots = this.curves.filter((c) => !c.thin).map((c) => [c, make("circle", { class: `dot ${c.motion}`, r: small ? 2.2 : 3.5 }, inside)]);
     if (small) this.drawCorners(svg);
@@ -136,10 +189,10 @@ class Chart {
   }
 
   drawGround(inside, svg) {
-    const { start, legTimes, duration, end } = this.timeline, [low, high] = this.axis;
+    const { start, legTimes, workStart, workEnd, end } = this.timeline, [low, high] = this.axis;
     const across = { x: this.x(start), width: this.x(end) - this.x(start) };
     const band = (name, from, to) => make("rect", { class: name, ...across, y: this.y(to), height: Math.max(this.y(from) - this.y(to), 0) }, inside);
-    const free = [["approach", start, 0], ...this.timeline.moves, ["return", duration, this.timeline.return ? end : duration]].filter(([, from, to]) => from < to);
+    const free = [["approach", start, workStart], ...this.timeline.moves, ["return", workEnd, this.timeline.return ? end : workEnd]].filter(([, from, to]) => from < to);
     for (const [, from, to] of free) make("rect", { class: "free-move", x: this.x(from), y: 0, width: this.x(to) - this.x(from), height: this.height }, inside);
     const [lower, upper] = this.spec.bounds;
     if (lower !== null && lower > low) band("beyond", low, Math.min(lower, high));
@@ -220,7 +273,7 @@ class Chart {
     const { unit, digits } = this.spec;
     const said = this.curves.filter((curve) => !curve.thin).map((curve) => {
       const [low, high] = curve.extent.map((value) => value.toFixed(digits));
-      return `${curve.motion} from ${low} to ${high} ${unit}`;
+      return `${motionName(curve.motion)} from ${low} to ${high} ${unit}`;
     });
     return `${this.name}: ${said.join(", ")}`;
   }
@@ -246,7 +299,7 @@ class Chart {
     this.values.replaceChildren(...this.dots.map(([curve]) => {
       const value = curve.at(time), part = document.createElement("span");
       part.className = curve.motion;
-      part.textContent = `${curve.motion} ${value === null ? "–" : `${value.toFixed(digits)} ${unit}`}`;
+      part.textContent = `${motionName(curve.motion)} ${value === null ? "–" : `${value.toFixed(digits)} ${unit}`}`;
       return part;
     }).reverse());
   }

@@ -1,5 +1,4 @@
 // Marks in the 3-D view: the smallest clearance as a line, and the tool's deflection, magnified.
-const COLOURS = { planned: 0xe0560f, baseline: 0x2f6fb7, near: 0xb8860b, tooNear: 0xd00000 };
 
 class Marks {
   constructor(stage, data) {

@@ -5,6 +5,7 @@ class Motion {
     this.links = links;
     for (const name of ["poses", "torque", "clearance", "near", "pair", "tool"]) this[name] = floats(source[name]);
     this.error = source.error === null ? null : floats(source.error);
+    this.still = source.still ?? false;
     this.peakTorque = source.peakTorque;
     this.minClearance = source.minClearance;
     this.norms = this.clearance.map((_, k) => Math.hypot(...this.torque.subarray(3 * k, 3 * k + 3)));
@@ -63,14 +64,17 @@ class Motion {
   }
 }
 
+// What a motion is called.
+const NAMES = {};
+const motionName = (motion) => NAMES[motion] ?? motion;
+
 // A part of the timeline in which each arm has one motion.
 class Phase {
   // `free`: the name of a free move, with the tool off.
   constructor(start, end, source, links, free = "") {
     Object.assign(this, { start, end, free, label: source.label ?? "" });
-    this.motions = {
-      planned: new Motion(source.planned, links), baseline: new Motion(source.baseline, links) };
-    this.peak = Math.max(source.planned.peakTorque, source.baseline.peakTorque);
+    this.motions = Object.fromEntries(MOTIONS.map((name) => [name, new Motion(source[name], links)]));
+    this.peak = Math.max(...MOTIONS.map((name) => source[name].peakTorque));
   }
 
   share(time) {
@@ -83,9 +87,10 @@ class Phase {
 }
 
 function phasesOf(data) {
-  const links = data.links.length, phases = [new Phase(0, data.duration, data, links)];
-  if (data.approach) phases.unshift(new Phase(data.start, 0, data.approach, links, "approach"));
-  if (data.return) phases.push(new Phase(data.duration, data.end, data.return, links, "return"));
-  else if (data.rest) phases.push(new Phase(data.duration, data.end, data.rest, links));
+  const links = data.links.length, { start, workStart, workEnd, end } = data;
+  const phases = [new Phase(workStart, workEnd, data, links)];
+  if (data.approach) phases.unshift(new Phase(start, workStart, data.approach, links, "approach"));
+  if (data.return) phases.push(new Phase(workEnd, end, data.return, links, "return"));
+  else if (data.rest) phases.push(new Phase(workEnd, end, data.rest, links));
   return phases;
 }

@@ -1,11 +1,12 @@
-// Sets arms and numbers for a time, and plays. The work starts at time 0, the approach before it. `onTime` is called
-// with every new time.
+// Sets arms and numbers for a time on the job's clock, and plays. `onTime` is called with every new time.
+const TURN = Math.PI / 36;  // of the view by a key
+
 class Player {
   constructor(data, onTime) {
     this.data = data;
     this.stage = new Stage(data);
     this.phases = phasesOf(data);
-    this.work = this.phases.find((phase) => phase.start === 0);
+    this.work = this.phases.find((phase) => phase.start === data.workStart && !phase.free);
     this.peak = Math.max(...this.phases.map((phase) => phase.peak), data.floor ?? 0);
     this.stage.peak = this.peak;
     this.ui = Object.fromEntries([...document.querySelectorAll("[id]")].map((element) => [element.id, element]));
@@ -13,10 +14,10 @@ class Player {
     this.playing = false;
     this.ui.scrub.min = data.start;
     this.ui.scrub.max = data.end;
-    this.ui.bending.hidden = !this.work.motions.planned.error;
+    this.ui.bending.hidden = !this.work.motions[MOTIONS[0]].error;
     this.connect();
     this.magnify(Number(this.ui.deflection.value));
-    this.seek(0);
+    this.seek(data.start);
   }
 
   connect() {
@@ -24,6 +25,7 @@ class Player {
     ui.play.addEventListener("click", () => (this.playing ? this.pause() : this.play()));
     ui.scrub.addEventListener("input", () => this.seek(Number(ui.scrub.value)));
     ui.reset.addEventListener("click", () => stage.resetView());
+    ui.more.addEventListener("click", () => ui.more.setAttribute("aria-expanded", ui.bar.classList.toggle("open")));
     ui.compare.addEventListener("change", () => this.compare(ui.compare.value));
     ui.arrow.addEventListener("change", () => { stage.withArrow = ui.arrow.checked; stage.redraw(); });
     ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
@@ -39,7 +41,7 @@ class Player {
   }
 
   magnify(factor) {
-    if (!this.work.motions.planned.error) return;
+    if (!this.work.motions[MOTIONS[0]].error) return;
     this.ui.factor.textContent = factor ? `× ${factor}` : "off";
     this.stage.marks.setFactor(factor, this.work.motions);
     if (this.time !== undefined) this.seek(this.time);
@@ -48,6 +50,10 @@ class Player {
   onKey(event) {
     const { target, key } = event;
     if (event.ctrlKey || event.altKey || event.metaKey || target.tagName === "SELECT") return;
+    if (target === this.stage.view && this.onViewKey(key, event.shiftKey)) {
+      event.preventDefault();
+      return;
+    }
     const step = event.shiftKey ? 1 : 0.1;
     const onControl = target.tagName === "BUTTON" || target.type === "checkbox";
     const times = { ArrowLeft: this.time - step, ArrowRight: this.time + step, Home: this.data.start, End: this.data.end };
@@ -57,12 +63,31 @@ class Player {
     event.preventDefault();
   }
 
+  // Keys of the 3-D view, when it has the focus: arrows turn, with Shift they shift, + and - zoom, 0 shows all.
+  onViewKey(key, shifted) {
+    const { stage } = this, arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
+    if (key in arrows) {
+      const [right, up] = arrows[key];
+      if (shifted) stage.shift(0.05 * right, 0.05 * up);
+      else stage.turn(TURN * right, -TURN * up);
+    } else if (key === "+" || key === "=") stage.approach(1 / 1.15);
+    else if (key === "-") stage.approach(1.15);
+    else if (key === "0") stage.resetView();
+    else return false;
+    return true;
+  }
+
+  // The phase at a time, and how much of it is over.
+  at(time) {
+    const phase = this.phases.findLast((candidate) => time >= candidate.start) ?? this.phases[0];
+    return [phase, Math.min(Math.max(phase.share(time), 0), 1)];
+  }
+
   seek(time) {
     const { data, stage } = this;
     if (!Number.isFinite(time)) return;
     this.time = Math.min(Math.max(time, data.start), data.end);
-    const phase = this.phases.findLast((candidate) => this.time >= candidate.start);
-    const moment = phase.share(this.time);
+    const [phase, moment] = this.at(this.time);
     for (const [name, motion] of Object.entries(phase.motions)) this.showMotion(name, motion, moment);
     const words = [data.robot, phase.label, `${(phase.end - phase.start).toFixed(1)} s`];
     this.put("subtitle", words.filter(Boolean).join(", "));
@@ -83,7 +108,7 @@ class Player {
     this.put(`${name}-peak`, newtonMetres(motion.peakTorque));
     this.putClearance(`${name}-clearance`, motion.clearanceAt(moment));
     this.putClearance(`${name}-closest`, motion.minClearance);
-    if (name === "planned") {
+    if (name === MOTIONS[0]) {
       const where = near ? this.data.pairs[near.pair] : "";
       this.put("near-label", near ? `${millimetres(near.distance)}, ${where}` : "");
     }
@@ -100,7 +125,7 @@ class Player {
 
   play() {
     if (this.playing) return;
-    if (this.time >= this.data.end) this.seek(0);
+    if (this.time >= this.data.end) this.seek(this.data.start);
     this.setPlaying(true);
     let last = performance.now();
     const advance = (now) => {
@@ -129,9 +154,9 @@ class Player {
   placeLabels(part) {
     const { ui, stage } = this, { left, top, wide, motion } = part;
     ui[`half-${motion}`].style.transform = `translate(${left + wide - 10}px, ${top + 10}px) translateX(-100%)`;
-    if (motion !== "planned") return;
-    const near = stage.marks.near.planned;
-    this.put("torque-label", newtonMetres(stage.torque.planned.length()));
+    if (motion !== MOTIONS[0]) return;
+    const near = stage.marks.near[motion];
+    this.put("torque-label", newtonMetres(stage.torque[motion].length()));
     this.placeLabel(ui["torque-label"], stage.arrow.tip, part, stage.withArrow);
     this.placeLabel(ui["near-label"], near.from.clone().lerp(near.to, 0.5), part, near.on, 34);
   }
@@ -155,7 +180,8 @@ function start(begin) {
     const data = JSON.parse(document.getElementById("replay-data").textContent), player = begin(data);
     window.cmbotReplay = {
       start: data.start,
-      duration: data.duration,
+      workStart: data.workStart,
+      workEnd: data.workEnd,
       end: data.end,
       links: data.links,
       get time() { return player.time; },
@@ -166,6 +192,9 @@ function start(begin) {
       compare: (how) => player.compare(how),
       resetView: () => player.stage.resetView(),
       draw: () => player.stage.render(),
+      csv: () => player.downloads.csv(),
+      ros: () => player.downloads.ros(),
+      get camera() { return [...player.stage.viewer.camera.position.toArray(), ...player.stage.viewer.controls.target.toArray()]; },
       pose: (link, arm = "planned") => player.stage.pose(arm, data.links.indexOf(link)),
     };
   } catch (error) {

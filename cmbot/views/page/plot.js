@@ -37,7 +37,8 @@ class TorquePlot {
     this.line([[this.x(this.data.start), this.y(0)], [this.x(this.data.end), this.y(0)]], this.colour("line"), 1);
     for (const phase of this.phases) this.drawPhase(phase);
     this.drawLowerBound();
-    this.text(`Torque on the ${this.data.base}, 0 to ${newtonMetres(this.peak)}`, this.x(0) + 6, this.height - 8);
+    const title = `Torque on the ${this.data.base}, 0 to ${newtonMetres(this.peak)}`;
+    this.text(title, this.x(this.data.workStart) + 6, this.height - 8);
     this.upright(now, this.colour("ink"), 1.5);
   }
 
@@ -51,9 +52,9 @@ class TorquePlot {
   }
 
   drawPhase(phase) {
-    for (const [name, wide] of [["baseline", 1.5], ["planned", 2]]) {
-      if (name === "baseline" && phase.start < 0) continue;  // it has no approach
-      const { norms } = phase.motions[name];
+    for (const name of [...MOTIONS].reverse()) {
+      const { norms, still } = phase.motions[name], wide = name === MOTIONS[0] ? 2 : 1.5;
+      if (still) continue;  // it has no approach or no return
       const point = (norm, k) => [this.x(phase.timeOf(k / (norms.length - 1))), this.y(norm)];
       this.line(Array.from(norms, point), this.colour(name), wide);
     }
@@ -61,13 +62,13 @@ class TorquePlot {
 
   // Lower bound of the peak torque during the work.
   drawLowerBound() {
-    const { floor, floorName, duration } = this.data;
+    const { floor, floorName, workStart, workEnd } = this.data;
     if (floor === null) return;
     this.pen.setLineDash([5, 4]);
-    this.line([[this.x(0), this.y(floor)], [this.x(duration), this.y(floor)]], this.colour("ink"), 1);
+    this.line([[this.x(workStart), this.y(floor)], [this.x(workEnd), this.y(floor)]], this.colour("ink"), 1);
     this.pen.setLineDash([]);
     if (this.height < 50) return;  // no room for its label
-    const label = `${floorName} ${newtonMetres(floor)}`, right = this.x(duration) - 4;
+    const label = `${floorName} ${newtonMetres(floor)}`, right = this.x(workEnd) - 4;
     this.text(label, right - this.pen.measureText(label).width, this.y(floor) + 12);
   }
 

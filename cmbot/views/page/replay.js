@@ -12,5 +12,6 @@ start((data) => {
   window.addEventListener("resize", redraw);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   plot.draw(player.time);
+  player.downloads = new Downloads(player);
   return player;
 });

@@ -1,6 +1,6 @@
 // The report page: plots beside the view, all at one time; for the printer the view becomes stills.
 start((data) => {
-  const charts = [];
+  const charts = [], large = [];
   let player;
   const seek = (time) => player.seek(time);
 
@@ -16,24 +16,51 @@ start((data) => {
   function addJoints() {
     const grid = document.getElementById("joint-grid"), joints = data.joints.length;
     const quantities = data.jointCharts.filter((_, k) => k % joints === 0);
-    const cell = (name, text) => {
-      const element = document.createElement("div");
+    const cell = (name, text, kind = "div") => {
+      const element = document.createElement(kind);
       element.className = name;
       element.textContent = text;
       grid.append(element);
+      return element;
     };
     grid.style.setProperty("--quantities", quantities.length);
     cell("corner", "");
     for (const { title, unit } of quantities) cell("heading", `${title}, ${unit}`);
     return data.joints.flatMap((joint, row) => {
-      cell("joint", joint);
+      const onOpen = () => openJoint(row);
+      const name = cell("joint", joint, "button");
+      name.type = "button";
+      name.addEventListener("click", onOpen);
       return quantities.map((quantity, column) => {
         const spec = data.jointCharts[column * joints + row];
-        const chart = new Chart(spec, data, seek, { small: true, name: `${quantity.title} of ${joint}` });
+        const chart = new Chart(spec, data, seek, { small: true, name: `${quantity.title} of ${joint}`, onOpen });
         grid.append(chart.figure);
         return chart;
       });
     });
+  }
+
+  // One joint's plots, large; the same joint again closes them.
+  let opened = null;
+  function openJoint(row) {
+    const place = document.getElementById("joint-large"), joints = data.joints.length;
+    for (const chart of large.splice(0)) charts.splice(charts.indexOf(chart), 1);
+    place.replaceChildren();
+    opened = opened === row ? null : row;
+    place.hidden = opened === null;
+    if (opened === null) return;
+    for (const spec of data.jointCharts.filter((_, k) => k % joints === row)) {
+      large.push(new Chart({ ...spec, title: `${spec.title} of ${data.joints[row]}` }, data, seek));
+    }
+    const close = document.createElement("button");
+    close.type = "button";
+    close.textContent = "Close";
+    close.addEventListener("click", () => openJoint(row));
+    place.append(close, ...large.map((chart) => chart.figure));
+    charts.push(...large);
+    for (const chart of large) chart.draw();
+    player.seek(player.time);
+    place.scrollIntoView({ block: "nearest" });
   }
 
   // Beside the plots the view fills the window down to the bar.
@@ -73,8 +100,8 @@ start((data) => {
   const STILL = [440, 500], PLOT = 690, SMALL_PLOT = 112;
   window.addEventListener("beforeprint", () => {
     const now = player.time, stills = document.getElementById("stills");
-    const { legTimes, duration } = data;
-    const times = legTimes.length > 2 && legTimes.length <= 5 ? legTimes : [0, duration / 2, duration];
+    const { legTimes, workStart, workEnd } = data;
+    const times = legTimes.length > 2 && legTimes.length <= 5 ? legTimes : [workStart, (workStart + workEnd) / 2, workEnd];
     player.pause();
     for (const chart of charts) chart.draw(chart.small ? SMALL_PLOT : PLOT);
     const giveBack = player.stage.borrowSize(...STILL);
@@ -90,5 +117,6 @@ start((data) => {
     player.seek(now);
   });
   window.addEventListener("afterprint", drawAll);
+  player.downloads = new Downloads(player);
   return player;
 });

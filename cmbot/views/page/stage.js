@@ -5,7 +5,9 @@ const { THREE } = MeshCat;
 const bytesOf = (text) => Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 const floats = (text) => new Float32Array(bytesOf(text).buffer);
 const degrees = (angle) => (angle * 180) / Math.PI;
+// Names of the motions, that which is drawn whole first; a page of several plans has others.
 const MOTIONS = ["planned", "baseline"];
+const COLOURS = { planned: 0xe0560f, baseline: 0x2f6fb7, near: 0xb8860b, tooNear: 0xd00000 };
 const HALF_ANGLE = Math.tan(Math.PI / 10);  // tangent of half the fitted field of view
 
 class Stage {
@@ -15,10 +17,11 @@ class Stage {
     this.viewer = new MeshCat.Viewer(this.view);
     this.viewer.gui.domElement.remove();
     for (const command of data.commands) this.viewer.handle_command_bytearray(bytesOf(command));
-    this.arms = { planned: data.links.map((_, i) => this.node("robot", String(i + 1))) };
-    this.arms.baseline = this.addGhost();
+    const [first, ...others] = MOTIONS;
+    this.arms = { [first]: data.links.map((_, i) => this.node("robot", String(i + 1))) };
+    this.ghosts = others.map((name) => this.addGhost(name));
     this.arrow = this.addArrow();
-    this.torque = { planned: new THREE.Vector3(), baseline: new THREE.Vector3() };
+    this.torque = Object.fromEntries(MOTIONS.map((name) => [name, new THREE.Vector3()]));
     this.marks = new Marks(this, data);
     this.compare = "ghost";
     this.withArrow = true;
@@ -87,15 +90,17 @@ class Stage {
     this.redraw();
   }
 
-  // The parts of the view and the motion in each: two parts divide its longer side.
+  // The parts of the view and the motion in each: they divide its longer side.
   get parts() {
     const [wide, high] = [this.view.clientWidth || 1, this.view.clientHeight || 1];
-    const whole = { motion: "planned", left: 0, top: 0, wide, high };
+    const whole = { motion: MOTIONS[0], left: 0, top: 0, wide, high };
     if (!this.beside) return [whole];
-    const [w, h] = [Math.floor(wide / 2), Math.floor(high / 2)];
-    return wide > high
-      ? [{ ...whole, wide: w }, { ...whole, motion: "baseline", left: w, wide: wide - w }]
-      : [{ ...whole, high: h }, { ...whole, motion: "baseline", top: h, high: high - h }];
+    const count = MOTIONS.length, edge = (side, k) => Math.floor((side * k) / count);
+    const along = (side, k) => [edge(side, k), edge(side, k + 1) - edge(side, k)];
+    return MOTIONS.map((motion, k) => {
+      const [from, size] = along(wide > high ? wide : high, k);
+      return wide > high ? { ...whole, motion, left: from, wide: size } : { ...whole, motion, top: from, high: size };
+    });
   }
 
   render() {
@@ -116,35 +121,35 @@ class Stage {
     viewer.needs_render = false;
   }
 
-  // Draw with the arm in the pose of one motion. The baseline's own picture uses the planned arm's shapes.
+  // Draw with the arm in the pose of one motion. The picture of another one uses the first arm's shapes.
   posed(motion, draw) {
-    const { planned, baseline } = this.arms;
-    const borrowed = motion === "baseline" ? planned.map((link) => [link.position.clone(), link.quaternion.clone()]) : [];
+    const whole = this.arms[MOTIONS[0]], own = this.arms[motion];
+    const borrowed = own === whole ? [] : whole.map((link) => [link.position.clone(), link.quaternion.clone()]);
     borrowed.forEach((_, i) => {
-      planned[i].position.copy(baseline[i].position);
-      planned[i].quaternion.copy(baseline[i].quaternion);
+      whole[i].position.copy(own[i].position);
+      whole[i].quaternion.copy(own[i].quaternion);
     });
-    this.ghost.visible = this.compare === "ghost";
+    for (const ghost of this.ghosts) ghost.visible = this.compare === "ghost";
     this.marks.show(motion, this.compare);
     this.arrow.group.visible = this.withArrow;
     this.drawTorque(this.torque[motion]);
     draw();
     borrowed.forEach(([position, quaternion], i) => {
-      planned[i].position.copy(position);
-      planned[i].quaternion.copy(quaternion);
+      whole[i].position.copy(position);
+      whole[i].quaternion.copy(quaternion);
     });
   }
 
-  // The ghost shares the planned arm's shapes. It is drawn twice, first into the depth buffer only, so that no shape
+  // A ghost shares the first arm's shapes. It is drawn twice, first into the depth buffer only, so that no shape
   // shows through another; with an offset in depth, so that it vanishes where both arms coincide.
-  addGhost() {
+  addGhost(name) {
     const behind = { polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4 };
     const depth = new THREE.MeshBasicMaterial({ colorWrite: false, ...behind });
     const tint = new THREE.MeshLambertMaterial({
-      color: 0x2f6fb7, transparent: true, opacity: 0.4, depthWrite: false, ...behind });
-    this.ghost = new THREE.Group();
-    this.world.add(this.ghost);
-    return this.arms.planned.map((link) => {
+      color: COLOURS[name], transparent: true, opacity: 0.4, depthWrite: false, ...behind });
+    const ghost = new THREE.Group();
+    this.world.add(ghost);
+    this.arms[name] = this.arms[MOTIONS[0]].map((link) => {
       const twin = new THREE.Group();
       for (const [order, material] of [[1, depth], [2, tint]]) {
         const copy = link.clone(true);
@@ -155,9 +160,10 @@ class Stage {
         });
         twin.add(copy);
       }
-      this.ghost.add(twin);
+      ghost.add(twin);
       return twin;
     });
+    return ghost;
   }
 
   // A torque is drawn as an arrow with two heads along its axis, from the foot.
@@ -212,24 +218,66 @@ class Stage {
     sun.shadow.radius = 3;
   }
 
-  // Centre the focus in the first part of the view, above the bar where that covers it.
+  // Show the arm and its path as large as fits into what nothing covers of the first part of the view.
   resetView() {
-    const { centre, radius, azimuth } = this.data.focus;
-    const { camera, controls } = this.viewer;
-    const [{ wide: width, high: height }] = this.parts, box = this.view.getBoundingClientRect();
-    const bar = document.getElementById("bar").getBoundingClientRect();
-    const covered = bar.height > 0 ? Math.max(box.top + height - bar.top, 0) : 0;
-    const free = Math.max(height - covered, 0.3 * height);
-    this.fitted = height;
-    const metresPerPixel = (2 * 1.05 * radius) / Math.min(free, width);
-    const distance = (metresPerPixel * height) / (2 * HALF_ANGLE);
-    const toCamera = (x, y, z) => new THREE.Vector3(x, z, -y);  // the camera's up is y
-    const target = toCamera(...centre).add(new THREE.Vector3(0, -0.5 * (height - free) * metresPerPixel, 0));
-    const outward = toCamera(Math.cos(azimuth), Math.sin(azimuth), 0.24).setLength(distance);
-    controls.target.copy(target);
+    const { points, radius, azimuth } = this.data.focus, { camera, controls } = this.viewer;
+    const [{ wide, high }] = this.parts, [above, below] = this.covered(high);
+    const toCamera = ([x, y, z]) => new THREE.Vector3(x, z, -y);  // the camera's up is y
+    const outward = toCamera([Math.cos(azimuth), Math.sin(azimuth), 0.24]).normalize();
+    const right = new THREE.Vector3(0, 1, 0).cross(outward).normalize(), up = outward.clone().cross(right);
+    // A point is seen where |x - X| <= (D - z) s: of all points the outermost give the least distance D.
+    const pixel = (2 * HALF_ANGLE) / high, side = 0.5 * wide * pixel;
+    const top = (0.5 * high - above) * pixel, bottom = (0.5 * high - below) * pixel;
+    const places = points.map((point) => toCamera(point)).map((p) => [p.dot(right), p.dot(up), p.dot(outward)]);
+    const most = (value) => Math.max(...places.map(value));
+    const room = 0.09 * this.data.reach;  // links have a thickness
+    const [east, west] = [most(([x, , z]) => x + side * z), most(([x, , z]) => side * z - x)].map((value) => value + room);
+    const [north, south] = [most(([, y, z]) => y + top * z), most(([, y, z]) => bottom * z - y)].map((value) => value + room);
+    const distance = Math.max((east + west) / (2 * side), (north + south) / (top + bottom));
+    const across = (east - west) / 2, height = (north - top * distance + bottom * distance - south) / 2;
+    const near = most(([, , z]) => z) - radius;  // the middle of the depth is what the view turns about
+    controls.target.copy(right.clone().multiplyScalar(across)).addScaledVector(up, height).addScaledVector(outward, near);
+    this.fitted = high;
     camera.near = 0.01 * distance;
     camera.far = 100 * distance;
-    camera.position.copy(target).add(outward);
+    camera.position.copy(controls.target).addScaledVector(outward, distance - near);
+    controls.update();
+    this.redraw();
+  }
+
+  // How much of the view the card covers from above, where it is about as wide, and the bar from below, px.
+  covered(high) {
+    const box = this.view.getBoundingClientRect(), bar = document.getElementById("bar").getBoundingClientRect();
+    const card = document.getElementById("card")?.getBoundingClientRect();
+    const above = card && card.width > 0.55 * box.width ? Math.max(card.bottom - box.top, 0) : 0;
+    const below = bar.height > 0 ? Math.max(box.bottom - bar.top, 0) : 0;
+    const share = Math.min(1, (0.7 * high) / Math.max(above + below, 1));
+    return [share * above, share * below];
+  }
+
+  // Turn the camera about its target, rad, or move it there by a factor of the distance, or both aside, in shares of it.
+  turn(azimuth, elevation) {
+    const { camera, controls } = this.viewer;
+    const at = new THREE.Spherical().setFromVector3(camera.position.clone().sub(controls.target));
+    at.theta += azimuth;
+    at.phi = Math.min(Math.max(at.phi + elevation, 0.02), Math.PI - 0.02);
+    camera.position.copy(controls.target).add(new THREE.Vector3().setFromSpherical(at));
+    controls.update();
+    this.redraw();
+  }
+
+  approach(factor) {
+    const { camera, controls } = this.viewer;
+    camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
+    controls.update();
+    this.redraw();
+  }
+
+  shift(right, up) {
+    const { camera, controls } = this.viewer, distance = camera.position.distanceTo(controls.target);
+    const by = new THREE.Vector3(right * distance, up * distance, 0).applyQuaternion(camera.quaternion);
+    camera.position.add(by);
+    controls.target.add(by);
     controls.update();
     this.redraw();
   }

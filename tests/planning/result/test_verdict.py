@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from plan_folders import changed, without_approach
 
@@ -19,7 +20,8 @@ def test_the_posture_in_which_the_arm_begins_decides_on_the_triangle(triangle_pl
         f"The guardrail must bear {peak:.1f} Nm over the whole job "
         "(at rest in the posture in which the arm begins), as much as the baseline; "
         f"the work alone {work:.1f} Nm (baseline {baseline:.1f} Nm). Tightest promise: {check.quantity} "
-        f"on the approach, at {check.time:.1f} s, {use:.0f} % of its bound."
+        f"on the approach, at {check.time:.1f} s, {use:.0f} % of its bound "
+        f"({np.rad2deg(check.bound - check.value):.3g} deg/s left)."
     )
 
 
