@@ -25,7 +25,7 @@ from rich.console import Console
 from suite import tables
 from suite.scenes import scene_name
 
-from cmbot.campaign import Job, JobResult, JobStatus, run_jobs
+from cmbot.campaigns import Task, TaskResult, TaskStatus, run_tasks
 from cmbot.common.errors import CmbotError
 
 FORMAT = "cmbot-suite/1"
@@ -35,7 +35,7 @@ _SUITE = ROOT / "benchmarks" / "suite"
 _MAKERS = ("arms.py", "scenes.py", "task.py", "world.py")
 _PACKAGES = ("pin", "coal", "numpy", "scipy", "piqp")
 # What planning does not run.
-_NOT_PLANNING = ("archive", "campaign", "cli", "reproduction", "simulation", "views")
+_NOT_PLANNING = ("archive", "campaigns", "cli", "reproduction", "simulation", "views")
 
 
 def suite_run(
@@ -46,20 +46,20 @@ def suite_run(
     names = [scene_name(seed, number) for seed, number in numbered]
     folders = {name: output.resolve() / "scenes" / name for name in names}
 
-    def told(result: JobResult) -> None:
+    def told(result: TaskResult) -> None:
         if not result.resumed:
             verdict = result.value.get("status", "") if isinstance(result.value, dict) else ""
             console.print(f"{result.name}: {result.error or verdict or result.status}", style="dim")
 
-    def run(kind: str, jobs: list[Job]) -> dict[str, JobResult]:
-        console.print(f"{kind}: {len(jobs)}")
-        found = run_jobs(jobs, output / kind, workers=workers, fresh=again, report=told)
+    def run(kind: str, tasks: list[Task]) -> dict[str, TaskResult]:
+        console.print(f"{kind}: {len(tasks)}")
+        found = run_tasks(tasks, output / kind, workers=workers, fresh=again, report=told)
         return {result.name: result for result in found}
 
     made = run(
         "make",
         [
-            _job(
+            _task(
                 "make", name, {"seed": seed, "number": number, "folder": str(folders[name])}, _hash(_makers())
             )
             for name, (seed, number) in zip(names, numbered, strict=True)
@@ -72,12 +72,12 @@ def suite_run(
     judge = _hash([_SUITE / "judge.py"])
     searched = run(
         "oracle",
-        [_job("oracle", name, {"folder": str(folders[name])}, contents[name], oracle) for name in there],
+        [_task("oracle", name, {"folder": str(folders[name])}, contents[name], oracle) for name in there],
     )
     planned = run(
         "plan",
         [
-            _job("plan", name, {"folder": str(folders[name])}, contents[name], oracle, planner, judge)
+            _task("plan", name, {"folder": str(folders[name])}, contents[name], oracle, planner, judge)
             for name in there
         ],
     )
@@ -88,12 +88,12 @@ def suite_run(
     return {"format": FORMAT, "tuning_seed": seeds[0], "scenes": rows}
 
 
-# Of jobs without an answer.
+# Of tasks without an answer.
 _ENDS = {
-    JobStatus.RAISED: "untyped exception",
-    JobStatus.CRASHED: "crash",
-    JobStatus.TIMED_OUT: "hang",
-    JobStatus.DONE: "no answer",
+    TaskStatus.RAISED: "untyped exception",
+    TaskStatus.CRASHED: "crash",
+    TaskStatus.TIMED_OUT: "hang",
+    TaskStatus.DONE: "no answer",
 }
 _FUNCTIONS = {
     "make": "suite.scenes:make_scene",
@@ -102,8 +102,8 @@ _FUNCTIONS = {
 }
 
 
-def _job(kind: str, name: str, arguments: dict[str, Any], *inputs: str) -> Job:
-    return Job(
+def _task(kind: str, name: str, arguments: dict[str, Any], *inputs: str) -> Task:
+    return Task(
         name=name,
         function=_FUNCTIONS[kind],
         arguments=arguments,
@@ -112,7 +112,7 @@ def _job(kind: str, name: str, arguments: dict[str, Any], *inputs: str) -> Job:
     )
 
 
-def _row(made: JobResult, searched: JobResult | None, planned: JobResult | None) -> dict[str, Any]:
+def _row(made: TaskResult, searched: TaskResult | None, planned: TaskResult | None) -> dict[str, Any]:
     """Everything that is known of a scene."""
     row: dict[str, Any] = dict(made.value or {"make_error": made.error})
     for key, result in (("oracle", searched), ("plan", planned)):

@@ -14,7 +14,7 @@ from suite import judge, oracle, scenes, tables
 from suite.task import TimedPath, read_scene, world_of
 from suite.world import World
 
-from cmbot.campaign import Job, JobResult, JobStatus
+from cmbot.campaigns import Task, TaskResult, TaskStatus
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, robot_of, strokes_of, task_of
@@ -161,7 +161,7 @@ WALL = {"name": "wall", "box": [0.3, 0.02, 0.3], "xyz": [1.8154, 0.6796, -2.0628
 
 
 def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Two scenes up to the table; the jobs in this process, as dask has its own test."""
+    """Two scenes up to the table; the tasks in this process, as dask has its own test."""
 
     def make(seed: int, number: int, folder: str) -> dict[str, Any]:
         # One that is planned in a moment, and one whose path ends at a wall.
@@ -173,14 +173,14 @@ def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
     calls = {"make_scene": make, "find_paths": oracle.find_paths, "plan_scene": judge.plan_scene}
 
-    def here(jobs: list[Job], *_: object) -> list[JobResult]:
-        values = [calls[job.function.partition(":")[2]](**job.arguments) for job in jobs]
+    def here(tasks: list[Task], *_: object) -> list[TaskResult]:
+        values = [calls[task.function.partition(":")[2]](**task.arguments) for task in tasks]
         return [
-            JobResult(name=job.name, key=job.key, status=JobStatus.DONE, value=value)
-            for job, value in zip(jobs, values, strict=True)
+            TaskResult(name=task.name, key=task.key, status=TaskStatus.DONE, value=value)
+            for task, value in zip(tasks, values, strict=True)
         ]
 
-    monkeypatch.setattr("cmbot.campaign.runner._run", here)
+    monkeypatch.setattr("cmbot.campaigns.runner._run", here)
     # Its end would be this process's.
     monkeypatch.setattr(judge.resource, "setrlimit", lambda *_: None)
     console = Console(quiet=True)

@@ -1,4 +1,4 @@
-"""What the jobs of the campaign's tests call: in processes of their own."""
+"""What the tasks of the campaign's tests call: in processes of their own."""
 
 import os
 import time

@@ -1,7 +1,7 @@
-"""The process of one job, ``python -m cmbot.campaign TASK ANSWER``, and the call that runs it.
+"""The process of one task, ``python -m cmbot.campaigns TASK ANSWER``, and the call that runs it.
 
-A job may hang or abort in compiled code, so nothing of it runs in the process that waits. TASK is a JSON file
-with the job; ANSWER is written with what the function returns or raises.
+A task may hang or abort in compiled code, so nothing of it runs in the process that waits. TASK is a JSON file
+with the task; ANSWER is written with what the function returns or raises.
 """
 
 from __future__ import annotations
@@ -22,50 +22,50 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from cmbot.campaign.job import Job, JobResult, JobStatus
+from cmbot.campaigns.task import Task, TaskResult, TaskStatus
 
 __all__ = ["answer_task", "run_in_child"]
 
-# Matrices are small, and every worker has a job: more threads of linear algebra only wait for each other.
+# Matrices are small, and every worker has a task: more threads of linear algebra only wait for each other.
 _ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 # Characters of standard error that are kept.
 _DETAILS = 4000
 
 
-def run_in_child(job: Job, path: Sequence[str] = ()) -> JobResult:
-    """Run one job in a fresh process, and wait for its end.
+def run_in_child(task: Task, path: Sequence[str] = ()) -> TaskResult:
+    """Run one task in a fresh process, and wait for its end.
 
     Parameters
     ----------
-    job : Job
+    task : Task
     path : sequence of str
         Folders that the process imports from; left out: those of this one.
     """
-    with tempfile.TemporaryDirectory(prefix="cmbot-job-") as folder:
+    with tempfile.TemporaryDirectory(prefix="cmbot-task-") as folder:
         task, answer, log = (Path(folder, name) for name in ("task.json", "answer.json", "stderr"))
-        content = {"function": job.function, "arguments": dict(job.arguments), "limit": job.time_limit}
+        content = {"function": task.function, "arguments": dict(task.arguments), "limit": task.time_limit}
         task.write_text(json.dumps(content), encoding="utf-8")
         begin = time.perf_counter()
         with log.open("wb") as errors:
             status, timed_out, usage = _waited_for(
-                [sys.executable, "-m", "cmbot.campaign", str(task), str(answer)],
+                [sys.executable, "-m", "cmbot.campaigns", str(task), str(answer)],
                 _ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, path or sys.path))},
                 errors,
-                job.time_limit,
+                task.time_limit,
             )
         seconds = time.perf_counter() - begin
         details = log.read_text(encoding="utf-8", errors="replace")[-_DETAILS:]
         found = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
     ended: dict[str, Any]
     if timed_out:
-        ended = {"status": JobStatus.TIMED_OUT, "error": f"killed after {job.time_limit:g} s"}
+        ended = {"status": TaskStatus.TIMED_OUT, "error": f"killed after {task.time_limit:g} s"}
     elif found and status == ("error" in found):
-        ended = {"status": JobStatus.RAISED if status else JobStatus.DONE, **found}
+        ended = {"status": TaskStatus.RAISED if status else TaskStatus.DONE, **found}
     else:
-        ended = {"status": JobStatus.CRASHED, "error": _end_of(status)}
-    return JobResult(
-        name=job.name,
-        key=job.key,
+        ended = {"status": TaskStatus.CRASHED, "error": _end_of(status)}
+    return TaskResult(
+        name=task.name,
+        key=task.key,
         details=details if ended.get("error") else "",
         seconds=seconds,
         cpu_seconds=usage.ru_utime + usage.ru_stime,
@@ -118,19 +118,19 @@ def _end_of(status: int) -> str:
 
 
 def answer_task(task: str, answer: str) -> None:
-    """Run the job of the file `task` in this process, and write the file `answer`."""
+    """Run the task of the file `task` in this process, and write the file `answer`."""
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    job = json.loads(Path(task).read_text(encoding="utf-8"))
-    # The system's own clock ends a job that hangs in compiled code, also where no parent is left to kill it.
-    signal.alarm(math.ceil(job["limit"]) + 5)
+    task = json.loads(Path(task).read_text(encoding="utf-8"))
+    # The system's own clock ends a task that hangs in compiled code, also where no parent is left to kill it.
+    signal.alarm(math.ceil(task["limit"]) + 5)
 
     def record(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
         sys.__excepthook__(kind, error, trace)
         _write(answer, {"error": f"{kind.__name__}: {error}"})
 
     sys.excepthook = record
-    module, _, name = job["function"].partition(":")
-    value = getattr(importlib.import_module(module), name)(**job["arguments"])
+    module, _, name = task["function"].partition(":")
+    value = getattr(importlib.import_module(module), name)(**task["arguments"])
     _write(answer, {"value": value})
 
 

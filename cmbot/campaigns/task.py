@@ -1,4 +1,4 @@
-"""A job of a campaign, and what became of it."""
+"""A task of a campaign, and what became of it."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from typing import Any
 
 from cmbot.common.errors import InputError, one_line
 
-__all__ = ["Job", "JobResult", "JobStatus"]
+__all__ = ["Task", "TaskResult", "TaskStatus"]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,99}")
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
-class JobStatus(StrEnum):
-    """How a job ended."""
+class TaskStatus(StrEnum):
+    """How a task ended."""
 
     DONE = "done"
     """The function returned."""
@@ -32,13 +32,13 @@ class JobStatus(StrEnum):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Job:
+class Task:
     """A call of a function in a process of its own.
 
     Attributes
     ----------
     name : str
-        Of the job and of its result file: letters, digits, ``.``, ``-`` and ``_``; unique in its campaign.
+        Of the task and of its result file: letters, digits, ``.``, ``-`` and ``_``; unique in its campaign.
     function : str
         ``package.module:name`` of a function that a fresh process can import. It returns JSON data.
     arguments : mapping
@@ -64,15 +64,15 @@ class Job:
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
             expected = "1 to 100 letters, digits, ., - and _, beginning with a letter or digit"
-            raise InputError("Job", "name", repr(self.name), expected)
+            raise InputError("Task", "name", repr(self.name), expected)
         if not _FUNCTION.fullmatch(self.function):
-            raise InputError("Job", "function", repr(self.function), "package.module:name")
+            raise InputError("Task", "function", repr(self.function), "package.module:name")
         if not self.time_limit > 0:
-            raise InputError("Job", "time_limit", self.time_limit, "a positive number of seconds")
+            raise InputError("Task", "time_limit", self.time_limit, "a positive number of seconds")
         try:
             json.dumps(dict(self.arguments), allow_nan=False)
         except (TypeError, ValueError) as error:
-            raise InputError("Job", "arguments", f"no JSON data ({error})", "JSON data") from error
+            raise InputError("Task", "arguments", f"no JSON data ({error})", "JSON data") from error
 
     @property
     def key(self) -> str:
@@ -83,14 +83,14 @@ class Job:
 
 
 @dataclass(frozen=True, kw_only=True)
-class JobResult:
-    """What became of a job.
+class TaskResult:
+    """What became of a task.
 
     Attributes
     ----------
     name, key : str
-        Of the job.
-    status : JobStatus
+        Of the task.
+    status : TaskStatus
     value : JSON data
         What the function returned; None where it did not.
     error : str
@@ -105,7 +105,7 @@ class JobResult:
 
     name: str
     key: str
-    status: JobStatus
+    status: TaskStatus
     value: Any = None
     error: str = ""
     details: str = ""
@@ -114,5 +114,5 @@ class JobResult:
     resumed: bool = False
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "status", JobStatus(self.status))
+        object.__setattr__(self, "status", TaskStatus(self.status))
         object.__setattr__(self, "error", one_line(self.error))
