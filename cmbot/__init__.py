@@ -9,6 +9,7 @@ The reading order::
     save, load_plan   a plan directory                    cmbot.archive
     simulate       what bends on the way                  cmbot.simulation
     replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
+    campaign       many scenes on many processes          cmbot.campaigns
 
 Names are imported when they are first used, so that ``import cmbot`` is quick.
 """
@@ -35,6 +36,7 @@ from cmbot.version import __version__
 
 if TYPE_CHECKING:
     from cmbot.archive import load_plan, load_tracking, save, save_tracking
+    from cmbot.campaigns import Campaign, campaign
     from cmbot.planning import Plan, QuinticTrajectory, plan
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
@@ -43,6 +45,7 @@ if TYPE_CHECKING:
 
 __all__ = [
     "ArchiveError",
+    "Campaign",
     "CmbotError",
     "InputError",
     "LimitViolation",
@@ -61,6 +64,7 @@ __all__ = [
     "SimulationOptions",
     "Tracking",
     "__version__",
+    "campaign",
     "load_plan",
     "load_robot",
     "load_scene",
@@ -77,6 +81,7 @@ __all__ = [
 
 _ROOMS = {
     "cmbot.archive": ("load_plan", "load_tracking", "save", "save_tracking"),
+    "cmbot.campaigns": ("Campaign", "campaign"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),

@@ -2,12 +2,14 @@
 
 from cmbot.archive.folder import add_file, claim, require_free, write_file
 from cmbot.archive.motion_files import columns
+from cmbot.archive.names import PLAN_FILE
 from cmbot.archive.reading import load_plan, plan_data
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
-from cmbot.archive.writing import save
+from cmbot.archive.writing import resolved_file, save
 
 __all__ = [
+    "PLAN_FILE",
     "add_file",
     "claim",
     "columns",
@@ -17,6 +19,7 @@ __all__ = [
     "plan_data",
     "require_free",
     "require_no_tracking",
+    "resolved_file",
     "save",
     "save_tracking",
     "tracking_json",

@@ -22,7 +22,7 @@ from cmbot.robot import Robot
 from cmbot.scene import Mesh, Scene, SceneFile, scene_from_file, update_file
 from cmbot.version import versions
 
-__all__ = ["save", "stroke_entries"]
+__all__ = ["resolved_file", "save", "stroke_entries"]
 
 
 def save(
@@ -73,7 +73,7 @@ def save(
 
 def _plan_json(plan: Plan, contents: Mapping[str, bytes]) -> bytes:
     given = update_file(plan.scene)
-    scene = _resolved(given)
+    scene = resolved_file(given)
     entries = {
         "format": FORMAT,
         "status": "certified" if plan.job.certificate.holds else "a promise is broken",
@@ -156,7 +156,7 @@ def _segment(segment: Segment) -> dict[str, object]:
     return {**vars(segment.figures), **entries, "seconds": segment.duration}
 
 
-def _resolved(scene: Scene) -> SceneFile:
+def resolved_file(scene: Scene) -> SceneFile:
     """Return the scene's content with absolute paths, so that it can be read back from anywhere."""
     # The scene's own obstacles come before the guardrail's members.
     shapes = [obstacle.shape for obstacle in scene.obstacles[: len(scene.file.obstacles)]]

@@ -1,6 +1,21 @@
-"""Many independent tasks on several processes: resumable, each in a process of its own."""
+"""Many scenes planned on several processes: resumable, each in a process of its own."""
 
-from cmbot.campaigns.task import Task, TaskResult, TaskStatus
+from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
+from cmbot.campaigns.run import OVERVIEW, RESULTS, Campaign, CampaignProgress, campaign
 from cmbot.campaigns.runner import run_tasks
+from cmbot.campaigns.task import Task, TaskResult, TaskStatus
 
-__all__ = ["Task", "TaskResult", "TaskStatus", "run_tasks"]
+__all__ = [
+    "OVERVIEW",
+    "RESULTS",
+    "Campaign",
+    "CampaignFile",
+    "CampaignProgress",
+    "Entry",
+    "Task",
+    "TaskResult",
+    "TaskStatus",
+    "campaign",
+    "read_campaign",
+    "run_tasks",
+]

@@ -1,7 +1,8 @@
-"""The process of one task, ``python -m cmbot.campaigns TASK ANSWER``, and the call that runs it.
+"""The process of one task, and the call that waits for it.
 
-A task may hang or abort in compiled code, so nothing of it runs in the process that waits. TASK is a JSON file
-with the task; ANSWER is written with what the function returns or raises.
+A task may hang or abort in compiled code, so nothing of it runs in the process that waits. Its process is
+forked from a server that has imported what the task's function needs (``multiprocessing``'s ``forkserver``):
+a task does not pay for imports.
 """
 
 from __future__ import annotations
@@ -9,57 +10,58 @@ from __future__ import annotations
 import importlib
 import json
 import math
+import multiprocessing
 import os
 import resource
 import signal
-import subprocess
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
+from contextlib import ExitStack
+from multiprocessing.connection import wait
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
+from cmbot.common.errors import CmbotError
 
-__all__ = ["answer_task", "run_in_child"]
+__all__ = ["run_in_child"]
 
-# Matrices are small, and every worker has a task: more threads of linear algebra only wait for each other.
-_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+_CONTEXT = multiprocessing.get_context("forkserver")
 # Characters of standard error that are kept.
 _DETAILS = 4000
 
 
-def run_in_child(task: Task, path: Sequence[str] = ()) -> TaskResult:
-    """Run one task in a fresh process, and wait for its end.
+def run_in_child(task: Task) -> TaskResult:
+    """Run one task in a process of its own, and wait for its end.
 
-    Parameters
-    ----------
-    task : Task
-    path : sequence of str
-        Folders that the process imports from; left out: those of this one.
+    Raises
+    ------
+    CmbotError
+        In a daemonic process, which may start no other: of dask, whose worker is then to be configured.
     """
+    if multiprocessing.current_process().daemon:
+        expected = "False: set DASK_DISTRIBUTED__WORKER__DAEMON=False where the worker is started"
+        raise CmbotError(f"dask: distributed.worker.daemon: got True, expected {expected}")
+    # The first task of a worker starts its server, and those of a campaign have one function.
+    _CONTEXT.set_forkserver_preload(["__main__", task.function.partition(":")[0]])
     with tempfile.TemporaryDirectory(prefix="cmbot-task-") as folder:
-        task, answer, log = (Path(folder, name) for name in ("task.json", "answer.json", "stderr"))
-        content = {"function": task.function, "arguments": dict(task.arguments), "limit": task.time_limit}
-        task.write_text(json.dumps(content), encoding="utf-8")
+        answer, log = Path(folder, "answer.json"), Path(folder, "stderr")
         begin = time.perf_counter()
-        with log.open("wb") as errors:
-            status, timed_out, usage = _waited_for(
-                [sys.executable, "-m", "cmbot.campaigns", str(task), str(answer)],
-                _ONE_THREAD | {"PYTHONPATH": os.pathsep.join(filter(None, path or sys.path))},
-                errors,
-                task.time_limit,
-            )
+        process = _CONTEXT.Process(target=_answer, args=(task, str(answer), str(log)))
+        process.start()
+        timed_out = _waited_for(process, task.time_limit)
         seconds = time.perf_counter() - begin
-        details = log.read_text(encoding="utf-8", errors="replace")[-_DETAILS:]
+        status = process.exitcode
+        details = log.read_text(encoding="utf-8", errors="replace")[-_DETAILS:] if log.exists() else ""
         found = json.loads(answer.read_text(encoding="utf-8")) if answer.exists() else {}
     ended: dict[str, Any]
     if timed_out:
         ended = {"status": TaskStatus.TIMED_OUT, "error": f"killed after {task.time_limit:g} s"}
-    elif found and status == ("error" in found):
+    elif found and bool(status) == ("error" in found):
         ended = {"status": TaskStatus.RAISED if status else TaskStatus.DONE, **found}
     else:
         ended = {"status": TaskStatus.CRASHED, "error": _end_of(status)}
@@ -68,78 +70,63 @@ def run_in_child(task: Task, path: Sequence[str] = ()) -> TaskResult:
         key=task.key,
         details=details if ended.get("error") else "",
         seconds=seconds,
-        cpu_seconds=usage.ru_utime + usage.ru_stime,
         **ended,
     )
 
 
-def _waited_for(
-    command: list[str], environment: Mapping[str, str], errors: Any, limit: float
-) -> tuple[int, bool, resource.struct_rusage]:
-    """Exit status of a command (negative: a signal), whether it was killed at `limit`, s, what it used."""
-    timed_out = threading.Event()
-    # The pipe to its standard input closes when this process ends, however that happens.
-    process = subprocess.Popen(
-        command,
-        env={**os.environ, **environment},
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=errors,
-        start_new_session=True,
-    )
-
-    def kill() -> None:
-        timed_out.set()
-        os.killpg(process.pid, signal.SIGKILL)
-
-    timer = threading.Timer(limit, kill)
-    timer.start()
+def _waited_for(process: BaseProcess, limit: float) -> bool:
+    """Whether a process was killed, with all that it has started, at its time limit, s."""
     try:
-        # It keeps its process number until `wait4`: the timer cannot hit another process.
-        os.waitid(os.P_PID, process.pid, os.WEXITED | os.WNOWAIT)
+        process.join(limit)
+        return process.is_alive()
     finally:
-        timer.cancel()
-        timer.join()
-        if not timed_out.is_set():
-            # What it has left behind in its session, and itself where the wait was interrupted.
-            os.killpg(process.pid, signal.SIGKILL)
-        _, status, usage = os.wait4(process.pid, 0)
-        process.returncode = os.waitstatus_to_exitcode(status)
-        if process.stdin is not None:
-            process.stdin.close()
-    return process.returncode, timed_out.is_set(), usage
+        if process.pid is not None and process.is_alive():
+            # Its group is there when it has begun; before that there is nothing but itself.
+            try:
+                os.killpg(process.pid, signal.SIGKILL)
+            except ProcessLookupError:
+                process.kill()
+        process.join()
 
 
-def _end_of(status: int) -> str:
-    if status >= 0:
+def _end_of(status: int | None) -> str:
+    if status is None or status >= 0:
         return f"exit status {status} without an answer"
     known = {number.value: number.name for number in signal.Signals}
     return f"signal {known.get(-status, -status)}"
 
 
-def answer_task(task: str, answer: str) -> None:
-    """Run the task of the file `task` in this process, and write the file `answer`."""
+def _answer(task: Task, answer: str, log: str) -> None:
+    """Run a task in this process, and write the file `answer`, and to `log` what it says of errors."""
+    os.setsid()
+    errors = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)
+    os.dup2(errors, 2)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    task = json.loads(Path(task).read_text(encoding="utf-8"))
     # The system's own clock ends a task that hangs in compiled code, also where no parent is left to kill it.
-    signal.alarm(math.ceil(task["limit"]) + 5)
+    signal.alarm(math.ceil(task.time_limit) + 5)
+    if task.memory_limit is not None:
+        resource.setrlimit(resource.RLIMIT_AS, (task.memory_limit, task.memory_limit))
 
-    def record(kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
-        sys.__excepthook__(kind, error, trace)
-        _write(answer, {"error": f"{kind.__name__}: {error}"})
+    def record(kind: type[BaseException] | None, error: BaseException | None, _: object) -> None:
+        if kind is not None:
+            _write(answer, {"error": f"{kind.__name__}: {error}"})
 
-    sys.excepthook = record
-    module, _, name = task["function"].partition(":")
-    value = getattr(importlib.import_module(module), name)(**task["arguments"])
+    module, _, name = task.function.partition(":")
+    with ExitStack() as end:
+        end.push(record)
+        value = getattr(importlib.import_module(module), name)(**task.arguments, **task.unkeyed)
     _write(answer, {"value": value})
 
 
 def _end_with_parent() -> None:
-    # Not by sys.stdin, whose lock the interpreter wants when it ends.
-    os.read(0, 1)
-    os.kill(os.getpid(), signal.SIGKILL)
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os.killpg(0, signal.SIGKILL)
 
 
 def _write(answer: str, content: Mapping[str, Any]) -> None:
-    text = json.dumps(content, allow_nan=False)
+    use = resource.getrusage(resource.RUSAGE_SELF)
+    text = json.dumps({**content, "cpu_seconds": use.ru_utime + use.ru_stime}, allow_nan=False)
     Path(answer).write_text(text, encoding="utf-8")

@@ -4,21 +4,35 @@ from __future__ import annotations
 
 import importlib
 import json
-import sys
+import logging
+import signal
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import asdict, replace
+from multiprocessing import resource_tracker
 from pathlib import Path
 from typing import Any
 
 from cmbot.campaigns.child import run_in_child
 from cmbot.campaigns.task import Task, TaskResult, TaskStatus
-from cmbot.common.errors import InputError, MissingExtra
+from cmbot.common.errors import CmbotError, InputError, MissingExtra
 
-__all__ = ["run_tasks"]
+__all__ = ["require_dask", "run_tasks"]
 
 _FORMAT = "cmbot-task/1"
+_SETTINGS = {
+    # Workers start processes of their own.
+    "distributed.worker.daemon": False,
+    # A task whose worker dies is tried again by `run_tasks`, which counts.
+    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.worker-saturation": 1.0,
+    "distributed.nanny.pre-spawn-environ": {
+        "DASK_LOGGING__DISTRIBUTED": "critical",
+        # Matrices are small, and every worker has a task: more threads only wait for each other.
+        **dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"),
+    },
+}
 
 
 def run_tasks(
@@ -27,7 +41,9 @@ def run_tasks(
     *,
     workers: int = 1,
     scheduler: str | None = None,
+    attempts: int = 1,
     fresh: bool = False,
+    accept: Callable[[TaskResult], bool] | None = None,
     report: Callable[[TaskResult], None] | None = None,
 ) -> tuple[TaskResult, ...]:
     """Run tasks on several processes; each writes its result as ``NAME.json`` when it ends.
@@ -44,8 +60,12 @@ def run_tasks(
         Processes on this machine, each with one task at a time. They and their scheduler listen on 127.0.0.1.
     scheduler : str, optional
         Address of a running dask scheduler, whose workers are used instead; they see the same files.
+    attempts : int
+        How often a task is tried that crashes, hangs or finds no memory.
     fresh : bool
         Run every task, whatever files are there.
+    accept : callable, optional
+        Whether a result that is there holds; left out: all do.
     report : callable, optional
         Called with each result, as the tasks end; those that are not run come first.
 
@@ -78,36 +98,47 @@ def run_tasks(
     left = []
     for task in tasks:
         known = None if fresh else _known(directory, task)
-        if known is None:
+        if known is None or (accept is not None and not accept(known)):
             left.append(task)
         else:
             ended(known)
     if left:
-        for result in _run(left, workers, scheduler):
+        for result in _run(left, workers, scheduler, attempts):
             _store(directory, result)
             ended(result)
     return tuple(found[task.name] for task in tasks)
 
 
-def _run(tasks: Sequence[Task], workers: int, scheduler: str | None) -> Iterator[TaskResult]:
+def _run(tasks: Sequence[Task], workers: int, scheduler: str | None, attempts: int) -> Iterator[TaskResult]:
     """Yield results as the tasks end."""
-    distributed = _distributed()
+    distributed = require_dask()
     with _client(distributed, min(workers, len(tasks)), scheduler) as client:
-        path = [str(Path(folder).resolve()) for folder in sys.path]
-        # Earlier tasks first; a worker that dies with a task is not tried again.
-        futures = {
-            client.submit(
-                run_in_child, task, path, key=f"{task.name}-{task.key}", pure=False, retries=0
-            ): task
-            for task in tasks
-        }
-        for future in distributed.as_completed(futures):
-            task = futures[future]
+        futures = dict[Any, tuple[Task, int]]()
+
+        def submit(task: Task, attempt: int) -> Any:
+            # One group of tasks, which the scheduler keeps to itself until a worker is free.
+            key = ("task", task.name, task.key, attempt)
+            # Of equal priorities the earlier is first.
+            future = client.submit(run_in_child, task, key=key, pure=False, retries=0, priority=-attempt)
+            futures[future] = task, attempt
+            return future
+
+        ends = distributed.as_completed([submit(task, 1) for task in tasks])
+        for future in ends:
+            task, attempt = futures.pop(future)
             if future.status == "finished":
-                yield future.result()
+                result = replace(future.result(), attempts=attempt)
+            elif isinstance(error := future.exception(), CmbotError):
+                raise error
             else:
-                error = f"no worker finished it ({future.exception()})"
-                yield TaskResult(name=task.name, key=task.key, status=TaskStatus.CRASHED, error=error)
+                text = f"no worker finished it ({error})"
+                result = TaskResult(
+                    name=task.name, key=task.key, status=TaskStatus.CRASHED, error=text, attempts=attempt
+                )
+            if result.worth_a_retry and attempt < attempts:
+                ends.add(submit(task, attempt + 1))
+            else:
+                yield result
 
 
 @contextmanager
@@ -120,11 +151,33 @@ def _client(distributed: Any, workers: int, scheduler: str | None) -> Iterator[A
     local = {"host": "127.0.0.1", "dashboard_address": "127.0.0.1:0"}
     # A task's memory is its child's, which the worker does not see.
     options = {"n_workers": workers, "threads_per_worker": 1, "processes": True, "memory_limit": 0}
-    with distributed.LocalCluster(**local, **options) as cluster, distributed.Client(cluster) as client:
+    with ExitStack() as ends:
+        with _ctrl_c_later():
+            ends.enter_context(importlib.import_module("dask").config.set(_SETTINGS))
+            # What goes wrong is in the results.
+            logging.getLogger("distributed").setLevel(logging.CRITICAL)
+            cluster = ends.enter_context(distributed.LocalCluster(**local, **options))
+            client = ends.enter_context(distributed.Client(cluster))
         yield client
 
 
-def _distributed() -> Any:
+@contextmanager
+def _ctrl_c_later() -> Iterator[None]:
+    """Hold Ctrl-C back; threads and processes that are started in the meantime never see it.
+
+    A terminal sends it to the workers, too, each of which would print a traceback.
+    """
+    # When it starts, it lets the signal through again.
+    resource_tracker.ensure_running()
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def require_dask() -> Any:
+    """Return the module ``distributed``; a `MissingExtra` where it is not installed."""
     try:
         return importlib.import_module("distributed")
     except ImportError as error:

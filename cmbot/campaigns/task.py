@@ -12,10 +12,17 @@ from typing import Any
 
 from cmbot.common.errors import InputError, one_line
 
-__all__ = ["Task", "TaskResult", "TaskStatus"]
+__all__ = ["Task", "TaskResult", "TaskStatus", "require_task_name"]
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._\-]{0,99}")
 _FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+def require_task_name(name: str, source: str, key: str) -> None:
+    """Refuse, with an `InputError`, a name that no task's file can have."""
+    if not _NAME.fullmatch(name):
+        expected = "1 to 100 letters, digits, ., - and _, beginning with a letter or digit"
+        raise InputError(source, key, repr(name), expected)
 
 
 class TaskStatus(StrEnum):
@@ -43,32 +50,38 @@ class Task:
         ``package.module:name`` of a function that a fresh process can import. It returns JSON data.
     arguments : mapping
         Keyword arguments of the function, as JSON data.
+    unkeyed : mapping
+        Further ones, on which the result does not depend: where it is written.
     inputs : mapping of str to str
         What else the result depends on, such as hashes of files by their names.
     time_limit : float, s
         Wall time after which the process is killed.
+    memory_limit : int or None, byte
+        Of the process's address space; what it asks for beyond that is refused.
 
     Raises
     ------
     InputError
-        When the name or the function's name is not possible, the arguments are no JSON data, or the time
-        limit is not positive.
+        When the name or the function's name is not possible, the arguments are no JSON data, or a limit is
+        not positive.
     """
 
     name: str
     function: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
+    unkeyed: Mapping[str, Any] = field(default_factory=dict)
     inputs: Mapping[str, str] = field(default_factory=dict)
     time_limit: float = 600.0
+    memory_limit: int | None = None
 
     def __post_init__(self) -> None:
-        if not _NAME.fullmatch(self.name):
-            expected = "1 to 100 letters, digits, ., - and _, beginning with a letter or digit"
-            raise InputError("Task", "name", repr(self.name), expected)
+        require_task_name(self.name, "Task", "name")
         if not _FUNCTION.fullmatch(self.function):
             raise InputError("Task", "function", repr(self.function), "package.module:name")
         if not self.time_limit > 0:
             raise InputError("Task", "time_limit", self.time_limit, "a positive number of seconds")
+        if self.memory_limit is not None and not self.memory_limit > 0:
+            raise InputError("Task", "memory_limit", self.memory_limit, "a positive number of bytes, or None")
         try:
             json.dumps(dict(self.arguments), allow_nan=False)
         except (TypeError, ValueError) as error:
@@ -98,7 +111,9 @@ class TaskResult:
     details : str
         End of what the process wrote to standard error, with the traceback of an exception.
     seconds, cpu_seconds : float, s
-        Wall and processor time of the whole process.
+        Wall time, and processor time of its process without imports; the second is 0 where it gave no answer.
+    attempts : int
+        How often it was tried.
     resumed : bool
         Read from its file, not run in this call.
     """
@@ -111,7 +126,15 @@ class TaskResult:
     details: str = ""
     seconds: float = 0.0
     cpu_seconds: float = 0.0
+    attempts: int = 1
     resumed: bool = False
+
+    @property
+    def worth_a_retry(self) -> bool:
+        """Whether another attempt may end otherwise: it crashed, hung or found no memory."""
+        if self.status is TaskStatus.RAISED:
+            return self.error.startswith("MemoryError")
+        return self.status is not TaskStatus.DONE
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "status", TaskStatus(self.status))

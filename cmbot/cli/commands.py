@@ -16,6 +16,7 @@ import typer
 import typer.main
 
 import cmbot
+from cmbot.cli.campaign import campaign
 from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, flat, out
 from cmbot.cli.creation import new
 from cmbot.cli.inspection import check, doctor, scenes, schema
@@ -151,5 +152,8 @@ def _options(
     del debug, version
 
 
-for _verb in (plan, new, replay, report, simulate, reproduce, check, scenes, schema, doctor):
+for _verb in (
+    *(plan, campaign, new, replay, report, simulate, reproduce),
+    *(check, scenes, schema, doctor),
+):
     app.command()(_verb)

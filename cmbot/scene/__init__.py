@@ -20,7 +20,14 @@ from cmbot.scene.path.tool_path import (
     shortest_turns,
 )
 from cmbot.scene.scene import WORK, RobotSource, Scene, SceneFile
-from cmbot.scene.scene_file import load_scene, scene_from_file, shipped_scenes, update_file
+from cmbot.scene.scene_file import (
+    load_scene,
+    scene_from_data,
+    scene_from_file,
+    scene_path,
+    shipped_scenes,
+    update_file,
+)
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
@@ -66,7 +73,9 @@ __all__ = [
     "load_scene",
     "migrated",
     "pose",
+    "scene_from_data",
     "scene_from_file",
+    "scene_path",
     "scene_text",
     "share_out_segments",
     "shipped_scenes",

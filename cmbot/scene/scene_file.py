@@ -29,7 +29,7 @@ from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
 
-__all__ = ["load_scene", "scene_from_file", "scene_path", "shipped_scenes", "update_file"]
+__all__ = ["load_scene", "scene_from_data", "scene_from_file", "scene_path", "shipped_scenes", "update_file"]
 
 _LONGEST_SOURCE = 300
 _LARGEST_WAYPOINTS = 1_000_000
@@ -64,33 +64,58 @@ def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
         return scene_from_file(validated(SceneFile, dict(source), name, SceneError), Path.cwd(), name)
     path = scene_path(source)
     with lines_named(path):
-        data = read_yaml(path, SceneError)
-        _require_model(data, path)
-        _read_waypoints(data, path)
-        return scene_from_file(validated(SceneFile, data, str(path), SceneError), path.parent, str(path))
+        return scene_from_data(read_yaml(path, SceneError), path.parent, str(path))
 
 
-def _require_model(data: Mapping[str, Any], path: Path) -> None:
+def scene_from_data(data: Mapping[str, Any], folder: Path, source: str) -> Scene:
+    """Return the scene of a scene file's content, in which relative paths start at `folder`.
+
+    Parameters
+    ----------
+    data : mapping
+        As `cmbot.common.yaml_reader.read_yaml` returns it.
+    folder : Path
+    source : str
+        Where it came from, for messages.
+
+    Raises
+    ------
+    SceneError, MissingExtra
+        As `load_scene`.
+    """
+    _require_model(data, folder, source)
+    data = _with_waypoints(data, folder, source)
+    return scene_from_file(validated(SceneFile, data, source, SceneError), folder, source)
+
+
+def _require_model(data: Mapping[str, Any], folder: Path, source: str) -> None:
     """Refuse a URDF that is missing before the keys that go with one."""
     robot = data.get("robot")
     model = robot.get("model") if isinstance(robot, dict) else None
     if isinstance(model, str) and model not in ("", "cmbot"):
-        _model(partial(_found, path.parent, str(path)), model)
+        _model(partial(_found, folder, source), model)
 
 
-def _read_waypoints(data: Mapping[str, Any], path: Path) -> None:
-    """Put the rows of CSV files of waypoints where a scene names them, in place."""
-    tool_path = data.get("tool_path")
-    if not isinstance(tool_path, dict):
-        return
-    strokes = tool_path.get("strokes")
-    paths = {"tool_path": tool_path}
-    if isinstance(strokes, list):
-        paths |= {f"tool_path.strokes[{k}]": stroke for k, stroke in enumerate(strokes)}
-    for key, entry in paths.items():
-        if isinstance(entry, dict) and isinstance(entry.get("waypoints"), str):
-            source = _found(path.parent, str(path), entry["waypoints"], f"{key}.waypoints")
-            entry["waypoints"] = _waypoints(source)
+def _with_waypoints(data: Mapping[str, Any], folder: Path, source: str) -> dict[str, Any]:
+    """The content with the rows of CSV files of waypoints where it names them."""
+
+    def with_rows(entry: Any, key: str) -> Any:
+        if not isinstance(entry, dict) or not isinstance(entry.get("waypoints"), str):
+            return entry
+        return {
+            **entry,
+            "waypoints": _waypoints(_found(folder, source, entry["waypoints"], f"{key}.waypoints")),
+        }
+
+    data = dict(data)
+    tool_path = with_rows(data.get("tool_path"), "tool_path")
+    if isinstance(tool_path, dict) and isinstance(tool_path.get("strokes"), list):
+        each = enumerate(tool_path["strokes"])
+        tool_path = {
+            **tool_path,
+            "strokes": [with_rows(stroke, f"tool_path.strokes[{k}]") for k, stroke in each],
+        }
+    return data if tool_path is None else data | {"tool_path": tool_path}
 
 
 def _waypoints(source: Path) -> list[list[float]]:

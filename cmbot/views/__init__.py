@@ -1,6 +1,7 @@
 """What people see of a plan: the replay and the report as pages, the film, the plots."""
 
 from cmbot.views.film import film
+from cmbot.views.page import assemble_plain
 from cmbot.views.plots import figure_files, plot, require_matplotlib
 from cmbot.views.replay import ReplayServer, replay, replay_page
 from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
@@ -11,6 +12,7 @@ __all__ = [
     "REPORT",
     "ReplayServer",
     "Shown",
+    "assemble_plain",
     "figure_files",
     "film",
     "pages",

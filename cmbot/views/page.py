@@ -17,7 +17,15 @@ from typing import Any
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 
-__all__ = ["STAGE_SCRIPTS", "assemble", "draft_of", "pack", "pack_exactly", "write_page"]
+__all__ = [
+    "STAGE_SCRIPTS",
+    "assemble",
+    "assemble_plain",
+    "draft_of",
+    "pack",
+    "pack_exactly",
+    "write_page",
+]
 
 STAGE_SCRIPTS = ("stage.js", "marks.js", "motions.js", "player.js")
 """The 3-D view and the time, shared by replay and report."""
@@ -33,14 +41,26 @@ def assemble(
     `template`, `styles` and `scripts` name resources. `data`, for the scripts, becomes JSON. `texts` gives
     further fields of the template as HTML, in which text from files is escaped.
     """
-    code = {"viewer": _viewer_script(), "scripts": "".join(map(_text, scripts))}
+    parts = {"viewer": _viewer_script(), "view": _text("view.html"), "controls": _text("controls.html")}
+    return _filled(template, styles, scripts, data, {**texts, **parts})
+
+
+def assemble_plain(
+    template: str, *, styles: Sequence[str], scripts: Sequence[str], data: Any, texts: Mapping[str, str]
+) -> str:
+    """Return an HTML page as `assemble` does, without the 3-D viewer."""
+    return _filled(template, styles, scripts, data, texts)
+
+
+def _filled(
+    template: str, styles: Sequence[str], scripts: Sequence[str], data: Any, texts: Mapping[str, str]
+) -> str:
+    code = "".join(map(_text, scripts))
     return Template(_text(template)).substitute(
         texts,
-        **code,
-        policy=_policy(*code.values()),
+        scripts=code,
+        policy=_policy(code, *filter(None, [texts.get("viewer")])),
         style="".join(map(_text, styles)),
-        view=_text("view.html"),
-        controls=_text("controls.html"),
         data=_inline_json(data),
     )
 

@@ -77,7 +77,7 @@ def require_quiet(chrome: webdriver.Chrome, page: Path) -> None:
     """The page shows no failure, reported no error, and asked for nothing but itself and data in it."""
     chrome.execute_script("cmbotReplay.seek(cmbotReplay.workStart + 5)")
     next_frame(chrome)
-    assert [entry for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"] == []
+    assert severe_messages(chrome) == []
     events = [json.loads(entry["message"])["message"] for entry in chrome.get_log("performance")]
     asked = {e["params"]["request"]["url"] for e in events if e["method"] == "Network.requestWillBeSent"}
     asked |= {e["params"]["url"] for e in events if e["method"] == "Network.webSocketCreated"}
@@ -85,12 +85,17 @@ def require_quiet(chrome: webdriver.Chrome, page: Path) -> None:
     assert chrome.find_elements("id", "failure") == []
 
 
+def severe_messages(chrome: webdriver.Chrome) -> list[str]:
+    """The errors on the page's console since it was opened."""
+    return [entry["message"] for entry in chrome.get_log("browser") if entry["level"] == "SEVERE"]
+
+
 def ask(chrome: webdriver.Chrome, expression: str) -> Any:
 
     return chrome.execute_script(f"return {expression}")
 
 
-def slide(chrome: webdriver.Chrome, slider: str, value: float) -> None:
+def slide(chrome: webdriver.Chrome, slider: str, value: float | str) -> None:
     """Move a slider of a page as a person would."""
     chrome.execute_script(
         """const slider = document.getElementById(arguments[0]);

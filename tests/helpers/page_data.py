@@ -19,7 +19,8 @@ def floats(packed: str, *shape: int) -> np.ndarray:
 
 def data_of(text: str) -> dict[str, Any]:
 
-    found = re.search(r'<script type="application/json" id="replay-data">(.*?)</script>', text, re.DOTALL)
+    pattern = r'<script type="application/json" id="(?:replay-)?data">(.*?)</script>'
+    found = re.search(pattern, text, re.DOTALL)
     assert found
     data: dict[str, Any] = json.loads(found[1])
     return data

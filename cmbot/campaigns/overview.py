@@ -1,0 +1,75 @@
+"""The overview of a campaign as one offline page: counts, a map along the rail, histograms, a table."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from cmbot.version import __version__
+from cmbot.views import REPORT, assemble_plain
+
+__all__ = ["overview_page"]
+
+# A reason is cut after so many characters; the table of results has it whole.
+_LONGEST_REASON = 200
+# Significant digits of a figure.
+_DIGITS = 6
+
+
+def overview_page(name: str, rows: Sequence[Mapping[str, Any]], directory: Path) -> str:
+    """Return the page.
+
+    Parameters
+    ----------
+    name : str
+        Of the campaign.
+    rows : sequence of mapping
+        As `result_row` returns them.
+    directory : Path
+        The campaign's folder: reports that are there are linked.
+    """
+    ends = Counter(row["ended"] for row in rows)
+    counts = ", ".join(f"{number:,} {escape(end)}" for end, number in ends.most_common())
+    return assemble_plain(
+        "overview.html",
+        styles=("common.css", "overview.css"),
+        scripts=("overview.js",),
+        data=_columns(rows, directory),
+        texts={
+            "title": escape(name),
+            "counts": f"{len(rows):,} jobs: {counts}",
+            "made": f"Made by cmbot {__version__}.",
+        },
+    )
+
+
+def _columns(rows: Sequence[Mapping[str, Any]], directory: Path) -> dict[str, list[Any]]:
+    """What the page shows of each job, column by column: that is shorter than row by row."""
+    return {
+        "name": [row["name"] for row in rows],
+        "at": [_short(row["at_m"]) for row in rows],
+        "ended": [row["ended"] for row in rows],
+        "reason": [str(row["reason"])[:_LONGEST_REASON] for row in rows],
+        "baseline": [_short(row.get("baseline_job.peak_guardrail_torque")) for row in rows],
+        "planned": [_short(row.get("planned_job.peak_guardrail_torque")) for row in rows],
+        "workBaseline": [_short(row.get("baseline_work.peak_guardrail_torque")) for row in rows],
+        "workPlanned": [_short(row.get("planned_work.peak_guardrail_torque")) for row in rows],
+        "clearance": [_short(row.get("planned_job.min_clearance")) for row in rows],
+        "duration": [_short(row.get("duration")) for row in rows],
+        "seconds": [_short(row["seconds"]) for row in rows],
+        "link": [_link(row["plan"], directory) for row in rows],
+    }
+
+
+def _link(place: str | None, directory: Path) -> str | None:
+    if place is None:
+        return None
+    report = f"{place}/{REPORT}"
+    return report if (directory / report).is_file() else f"{place}/"
+
+
+def _short(value: float | None) -> float | None:
+    return None if value is None else float(f"{value:.{_DIGITS}g}")

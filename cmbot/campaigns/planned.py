@@ -1,0 +1,65 @@
+"""What the process of a campaign's job does: it plans a scene and writes a plan directory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from cmbot.archive import save
+from cmbot.common.errors import CmbotError, PlanningError
+from cmbot.planning import plan, remarks, verdict
+from cmbot.scene import load_scene
+
+__all__ = ["PLAN_SCENE", "plan_scene"]
+
+PLAN_SCENE = f"{__name__}:plan_scene"
+"""Name of the function for a `Task`."""
+
+
+def plan_scene(scene: Mapping[str, object], directory: str, *, pages: bool = False) -> dict[str, Any]:
+    """Plan a scene and write its plan directory, in place of one that is there.
+
+    Parameters
+    ----------
+    scene : mapping
+        Content of a scene file with absolute paths.
+    directory : str
+    pages : bool
+        Whether replay and report are written, too.
+
+    Returns
+    -------
+    dict
+        JSON data: ``ended``, which is ``planned``, ``no plan`` or ``refused``; the figures of the first, the
+        ``reason`` of the others.
+    """
+    try:
+        planned = plan(load_scene(scene))
+    except PlanningError as error:
+        return {"ended": "no plan", "reason": str(error)}
+    except CmbotError as error:
+        return {"ended": "refused", "reason": str(error)}
+    added = {}
+    if pages:
+        from cmbot.views import pages as pages_of
+
+        added = pages_of(planned)
+    save(planned, directory, force=True, added=added)
+    figures = {
+        "baseline_work": planned.baseline_figures,
+        "baseline_job": planned.baseline_job_figures,
+        "planned_work": planned.figures,
+        "planned_job": planned.job.figures,
+    }
+    return {
+        "ended": "planned",
+        "verdict": verdict(planned),
+        "remarks": list(remarks(planned)),
+        "duration": planned.job.duration,
+        "torque_floor": planned.torque_floor,
+        "torque_floor_kind": planned.torque_floor_kind,
+        "gap_to_floor": planned.gap_to_floor,
+        "planning_seconds": planned.seconds.total,
+        **{name: asdict(each) for name, each in figures.items()},
+    }

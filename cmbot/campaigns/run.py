@@ -1,0 +1,196 @@
+"""A campaign: many scenes planned on several processes, and a table of what came out."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cmbot.archive import PLAN_FILE, claim, json_bytes, resolved_file, write_file
+from cmbot.campaigns.campaign_file import CampaignFile, Entry, read_campaign
+from cmbot.campaigns.overview import overview_page
+from cmbot.campaigns.planned import PLAN_SCENE
+from cmbot.campaigns.results import parquet, plan_place, result_row
+from cmbot.campaigns.runner import require_dask, run_tasks
+from cmbot.campaigns.task import Task, TaskResult
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import given_path
+from cmbot.planning import robot_of
+from cmbot.scene import RobotSource, Scene
+from cmbot.version import versions
+
+__all__ = ["OVERVIEW", "RESULTS", "Campaign", "CampaignProgress", "campaign"]
+
+OVERVIEW, RESULTS, _MARK, _TASKS = "index.html", "results.parquet", "campaign.json", "jobs"
+_RESULT_FORMAT = "cmbot-campaign-result/1"
+_ATTEMPTS = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class CampaignProgress:
+    """How far a campaign is.
+
+    Attributes
+    ----------
+    done, total : int
+        Jobs; those that were up to date count as done.
+    resumed : int
+        Of those done, the ones that were up to date.
+    ends : mapping of str to int
+        How many ended how.
+    """
+
+    done: int
+    total: int
+    resumed: int
+    ends: Mapping[str, int]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Campaign:
+    """What a campaign came to.
+
+    Attributes
+    ----------
+    name : str
+    directory : Path
+        With ``results.parquet``, ``index.html`` and the plan directories.
+    rows : tuple of mapping
+        A row for each job, as in the table: ``name``, ``ended``, ``reason``, ``plan``, figures.
+    seconds : float, s
+        Wall time of this call.
+    """
+
+    name: str
+    directory: Path
+    rows: tuple[Mapping[str, Any], ...]
+    seconds: float
+
+    @property
+    def ends(self) -> Counter[str]:
+        """How many jobs ended how, the most frequent first."""
+        return Counter(dict(Counter(str(row["ended"]) for row in self.rows).most_common()))
+
+
+def campaign(
+    file: str | Path,
+    output: str | Path | None = None,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    pages: bool = False,
+    again: bool = False,
+    progress: Callable[[CampaignProgress], None] | None = None,
+) -> Campaign:
+    """Plan many scenes; go on where an earlier call stopped.
+
+    A job whose scene, robot and versions are those of its result is not planned again, however it ended. One
+    that crashes, hangs or finds no memory costs itself alone; it is tried twice.
+
+    Parameters
+    ----------
+    file : str or Path
+        A campaign file, a CSV table of jobs, or a folder of scene files.
+    output : str or Path, optional
+        The campaign's folder; left out: ``out/NAME``.
+    workers : int
+        Processes on this machine.
+    scheduler : str, optional
+        Address of a dask scheduler, whose workers are used instead; they see the same files.
+    pages : bool
+        Write replay and report of every plan.
+    again : bool
+        Plan those again that were not planned.
+    progress : callable, optional
+        Called with a `CampaignProgress` as jobs end.
+
+    Raises
+    ------
+    InputError
+        When the campaign, a scene or a robot in it is wrong: nothing is planned then.
+    ArchiveError
+        When the folder holds something else, another process is writing there, or the system refuses.
+    MissingExtra
+        When dask or pyarrow is not installed.
+    """
+    begin = time.perf_counter()
+    given, entries = read_campaign(file)
+    require_dask()
+    name = str(given.name)
+    directory = Path("out") / name if output is None else given_path(output, "campaign", "output", "a folder")
+    tasks = _tasks(given, entries, directory, pages=pages)
+    ends, resumed = Counter[str](), 0
+
+    def report(result: TaskResult) -> None:
+        nonlocal resumed
+        value = result.value if isinstance(result.value, dict) else {}
+        ends[str(value.get("ended") or result.status)] += 1
+        resumed += result.resumed
+        if progress is not None:
+            progress(CampaignProgress(done=ends.total(), total=len(tasks), resumed=resumed, ends=dict(ends)))
+
+    with claim(directory):
+        _require_own(directory)
+        write_file(directory / _MARK, json_bytes({"format": _RESULT_FORMAT, "name": name}))
+        found = run_tasks(
+            tasks,
+            directory / _TASKS,
+            workers=workers,
+            scheduler=scheduler,
+            attempts=_ATTEMPTS,
+            accept=partial(_is_whole, directory=directory, again=again),
+            report=report,
+        )
+        rows = tuple(
+            result_row(entry, result, plan_place(entry.name))
+            for entry, result in zip(entries, found, strict=True)
+        )
+        write_file(directory / RESULTS, parquet(rows))
+        write_file(directory / OVERVIEW, overview_page(name, rows, directory).encode())
+    return Campaign(name=name, directory=directory, rows=rows, seconds=time.perf_counter() - begin)
+
+
+def _tasks(given: CampaignFile, entries: Sequence[Entry], directory: Path, *, pages: bool) -> list[Task]:
+    known = {name: version for name, version in versions().items() if name != "python"}
+    robots = _Robots()
+    return [
+        Task(
+            name=entry.name,
+            function=PLAN_SCENE,
+            arguments={"scene": resolved_file(entry.scene).as_data(), "pages": pages},
+            unkeyed={"directory": str(directory.resolve() / plan_place(entry.name))},
+            inputs={**known, "scene": entry.scene.content_hash, "robot": robots.hash_of(entry.scene)},
+            time_limit=given.time_limit_s,
+            memory_limit=given.memory_limit_mb * 1_000_000,
+        )
+        for entry in entries
+    ]
+
+
+class _Robots:
+    """Hashes of robots, each loaded once."""
+
+    def __init__(self) -> None:
+        self._hashes = dict[RobotSource, str]()
+
+    def hash_of(self, scene: Scene) -> str:
+        if scene.robot not in self._hashes:
+            self._hashes[scene.robot] = robot_of(scene).content_hash
+        return self._hashes[scene.robot]
+
+
+def _require_own(directory: Path) -> None:
+    """Refuse a folder that holds something else than a campaign."""
+    if directory.is_dir() and any(directory.iterdir()) and not (directory / _MARK).is_file():
+        expected = "a new folder, or that of a campaign, which goes on"
+        raise ArchiveError(str(directory), "", "a folder with other files in it", expected)
+
+
+def _is_whole(result: TaskResult, directory: Path, *, again: bool) -> bool:
+    """Whether a result of an earlier call holds: its plan is there, or it has none and that is taken."""
+    planned = isinstance(result.value, dict) and result.value.get("ended") == "planned"
+    return (directory / plan_place(result.name) / PLAN_FILE).is_file() if planned else not again

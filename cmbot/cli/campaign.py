@@ -1,0 +1,115 @@
+"""The verb of the command line that plans many scenes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cmbot.cli.console import (
+    ConsoleProgress,
+    ExitStatus,
+    JsonOption,
+    QuietOption,
+    err,
+    flat,
+    out,
+    print_json,
+)
+from cmbot.common.errors import InputError
+
+if TYPE_CHECKING:
+    from cmbot.campaigns import Campaign, CampaignProgress
+
+__all__ = ["campaign"]
+
+# Reasons that are printed at the end.
+_MOST_REASONS = 5
+
+
+def campaign(
+    file: Annotated[
+        Path,
+        typer.Argument(metavar="FILE", help="A campaign file, a CSV table of jobs, or a folder of scenes."),
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME if left out.")
+    ] = None,
+    workers: Annotated[int, typer.Option("--workers", help="Processes on this machine.")] = 1,
+    scheduler: Annotated[
+        str | None,
+        typer.Option("--scheduler", metavar="ADDRESS", help="Use the workers of this dask scheduler."),
+    ] = None,
+    pages: Annotated[bool, typer.Option("--pages", help="Write replay and report of every plan.")] = False,
+    again: Annotated[
+        bool, typer.Option("--again", help="Plan those again that were not planned before.")
+    ] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> ExitStatus:
+    """Plan many scenes, each in a process of its own; go on where an earlier call stopped.
+
+    Exit status 3 where a job was not planned.
+
+    Example: [bold]cmbot campaign bridge.yaml --workers 2[/bold]
+    """
+    if not workers >= 1:
+        raise InputError("--workers", "", workers, "a whole number from 1 on")
+    import cmbot
+
+    with ConsoleProgress(quiet=quiet) as console:
+        console.stage("reading the scenes")
+
+        def told(progress: CampaignProgress) -> None:
+            # What was up to date took no time.
+            done, total = progress.done - progress.resumed, progress.total - progress.resumed
+            console.stage(_sentence(progress), done / max(total, 1))
+
+        try:
+            done = cmbot.campaign(
+                file,
+                output,
+                workers=workers,
+                scheduler=scheduler,
+                pages=pages,
+                again=again,
+                progress=told,
+            )
+        except KeyboardInterrupt:
+            if not quiet:
+                err.print("stopped; the same command goes on from here")
+            raise
+    planned = done.ends["planned"]
+    if as_json:
+        print_json(
+            {
+                "verb": "campaign",
+                "directory": str(done.directory),
+                "jobs": len(done.rows),
+                "ends": dict(done.ends),
+                "seconds": done.seconds,
+            }
+        )
+    elif not quiet:
+        _print(done)
+    return ExitStatus.DONE if planned == len(done.rows) else ExitStatus.NO_PLAN
+
+
+def _sentence(progress: CampaignProgress) -> str:
+    others = [f"{number} {end}" for end, number in progress.ends.items() if end != "planned"]
+    return ", ".join([f"planning: {progress.done} of {progress.total}", *others])
+
+
+def _print(done: Campaign) -> None:
+    from cmbot.campaigns import OVERVIEW, RESULTS
+
+    counts = ", ".join(f"{number} {end}" for end, number in done.ends.items())
+    out.print(f"{flat(done.name)}: {len(done.rows)} jobs in {done.seconds:.1f} s: {counts}.")
+    failed = [row for row in done.rows if row["ended"] != "planned"]
+    for row in failed[:_MOST_REASONS]:
+        out.print(flat(f"{row['name']}: {row['ended']}: {row['reason']}"))
+    if len(failed) > _MOST_REASONS:
+        out.print(f"… and {len(failed) - _MOST_REASONS} more.")
+    out.print(f"Table: {flat(done.directory / RESULTS)}.")
+    out.print(f"Look at it: open {flat(done.directory / OVERVIEW)} in a browser.")

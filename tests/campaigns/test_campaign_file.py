@@ -1,0 +1,104 @@
+"""What a campaign file, its table or a folder of scenes asks for, and how each mistake is named."""
+
+from copy import deepcopy
+from pathlib import Path
+
+import pytest
+from ruamel.yaml import YAML
+from small_scenes import SHORT
+
+from cmbot.campaigns import Entry, read_campaign
+from cmbot.common.errors import InputError, SceneError
+
+HEAD = "format: cmbot-campaign/1\nscene: short.yaml\n"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    with (tmp_path / "short.yaml").open("w", encoding="utf-8") as file:
+        YAML().dump(deepcopy(SHORT), file)
+    return tmp_path
+
+
+def entries(folder: Path, text: str, **others: str) -> tuple[Entry, ...]:
+    for name, content in others.items():
+        (folder / f"{name}.csv").write_text(content, encoding="utf-8")
+    (folder / "all.yaml").write_text(text, encoding="utf-8")
+    return read_campaign(folder / "all.yaml")[1]
+
+
+def test_jobs_are_variants_of_a_scene(folder: Path) -> None:
+    text = f"""{HEAD}set: {{robot.payload_kg: 1, planner.samples_per_segment: 20}}
+jobs:
+  - {{name: a, at_m: 2.5}}
+  - {{name: b, set: {{robot.payload_kg: 2, "tool_path.legs[0].by[1]": -0.2}}}}
+  - {{name: c, scene: triangle}}
+table: more.csv
+"""
+    table = "name,at_m,robot.payload_kg,tool_path.legs[0].seconds\nd,4,3.5,\n\ne,,, 5\n"
+    a, b, c, d, e = entries(folder, text, more=table)
+    assert [each.name for each in (a, b, c, d, e)] == [each.scene.name for each in (a, b, c, d, e)]
+    assert [each.scene.robot.payload for each in (a, b, c, d, e)] == [1, 2, 1, 3.5, 1]
+    assert [each.at_m for each in (a, b, c, d, e)] == [2.5, None, None, 4, None]
+    assert a.scene.legs[0].by == (0, -0.3, 0)
+    assert b.scene.legs[0].by == (0, -0.2, 0)
+    assert len(c.scene.legs) == 3
+    # An empty cell leaves what the scene has.
+    assert [d.scene.legs[0].seconds, e.scene.legs[0].seconds] == [4, 5]
+    assert all(each.scene.planner.samples_per_segment == 20 for each in (a, b, c, d, e))
+    assert len({each.scene.content_hash for each in (a, b, c, d, e)}) == 5
+
+
+def test_a_folder_and_a_table_alone_are_campaigns(folder: Path) -> None:
+    file, (only,) = read_campaign(folder)
+    assert (file.name, only.name) == (folder.name, "short")
+    (folder / "jobs.csv").write_text("name,scene\none,short.yaml\ntwo,line\n", encoding="utf-8")
+    file, found = read_campaign(folder / "jobs.csv")
+    assert (file.name, [each.name for each in found]) == ("jobs", ["one", "two"])
+
+
+WRONG = {
+    "jobs: [{name: a, set: {robot.payload_kg: -1}}]": (
+        r"all.yaml:3: jobs\[0\].set.robot.payload_kg: got -1, expected .*0"
+    ),
+    "jobs: [{name: a}, {name: a}]": r"all.yaml:3: jobs\[1\].name: got 'a', expected a name that no other",
+    "jobs: [{name: a/b}]": r"jobs\[0\].name: got 'a/b', expected 1 to 100 letters",
+    "jobs: [{name: a, set: {robot.payload: 1}}]": r"jobs\[0\].set.robot.payload: .*payload_kg",
+    "jobs: [{name: a, set: {'tool_path.legs[1].seconds': 1}}]": r"got item 1 of a list of 1",
+    "jobs: [{name: a, set: {'tool_path.via_points.x': 1}}]": r"got a key x of no block",
+    "jobs: [{name: a, set: {'tool_path..x': 1}}]": r"got no key, expected a key of the scene file",
+    "jobs: [{name: a, set: {name: b}}]": r"got no key, expected a key of the scene file",
+    "jobs: [{name: a, scene: nowhere}]": r"jobs\[0\].scene: nowhere: no such file|no such",
+    "jobs: []": r"got none of them, expected one of jobs, table and folder",
+    "job: [{name: a}]": r"job: .*jobs",
+    "folder: nowhere": r"folder: no such folder 'nowhere'",
+    "table: nowhere.csv": r"nowhere.csv: no such file",
+    "table: t.csv\n# 1\n": r"t.csv:1: got 'naam,at_m', expected a line of different columns, among them name",
+    "table: t.csv\n# 2\n": r"t.csv:3: got 1 cells, expected 2 as in line 1",
+    "table: t.csv\n# 3\n": r"t.csv:2: robot.payload_kg: got 'much', expected a number",
+    "table: t.csv\n# 4\n": r"t.csv:2: at_m: got 'near', expected a number",
+}
+TABLES = {
+    "1": "naam,at_m\n",
+    "2": "name,at_m\na,1\nb\n",
+    "3": "name,robot.payload_kg\na,much\n",
+    "4": "name,at_m\na,near\n",
+}
+
+
+@pytest.mark.parametrize("text", WRONG)
+def test_what_is_wrong_is_named_by_its_place(folder: Path, text: str) -> None:
+    number = text.partition("# ")[2].strip()
+    with pytest.raises(InputError, match=WRONG[text]) as caught:
+        entries(folder, f"{HEAD}{text}\n", **({"t": TABLES[number]} if number else {}))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_template_that_is_wrong_is_not_the_jobs_fault(folder: Path) -> None:
+    with (folder / "short.yaml").open("a", encoding="utf-8") as file:
+        file.write("more: 1\n")
+    with pytest.raises(SceneError, match=r"jobs\[0\].scene: more: "):
+        entries(folder, f"{HEAD}jobs: [{{name: a}}]\n")
+    (folder / "jobs.csv").write_text("name\nx\n", encoding="utf-8")
+    with pytest.raises(InputError, match=r"jobs.csv:1: got no column scene"):
+        read_campaign(folder / "jobs.csv")
