@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from cmbot.planning import Plan
     from cmbot.simulation import Tracking
 
-__all__ = ["claimed_plan", "plot_files", "replay", "report", "require_plots"]
+__all__ = ["claimed_plan", "compare", "plot_files", "replay", "report", "require_plots"]
 
 PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
@@ -85,10 +85,8 @@ def report(
 
     Example: [bold]cmbot report out/triangle[/bold]
     """
-    # Path.exists raises for names that no file can have.
-    if html is not None and os.path.exists(html) and not force:  # noqa: PTH110
-        raise InputError(str(html), "", "a file that is already there", "a new file, or --force")
     if html is not None:
+        _require_new(html, force)
         loaded = cmbot.load_plan(directory)
         cmbot.report(loaded, html=html, tracking=cmbot.load_tracking(loaded, directory))
         out.print(f"Written to {flat(html)}.")
@@ -99,6 +97,36 @@ def report(
         page = report_page(loaded, cmbot.load_tracking(loaded, directory))
         written = _add(directory, REPORT, page)
     out.print(f"Written to {flat(written)}.")
+
+
+def compare(
+    directories: Annotated[
+        list[Path], typer.Argument(metavar="DIR DIR...", help="Plan directories of one arm, 2 to 6.")
+    ],
+    html: Annotated[Path, typer.Option("--html", help="Page to write.")] = Path("compare.html"),
+    force: Annotated[bool, typer.Option("--force", help="Replace the page if it is there.")] = False,
+) -> None:
+    """Write a page that shows several plans together: overlaid in 3-D and in plots, figures side by side.
+
+    Example: [bold]cmbot compare out/triangle out/pinned --html compare.html[/bold]
+    """
+    _require_new(html, force)
+    from cmbot.views import compare_page, write_page
+
+    names = [flat(directory.resolve().name) for directory in directories]
+    # Folders of the same name are told apart by their paths.
+    shown = [
+        name if names.count(name) == 1 else flat(path) for name, path in zip(names, directories, strict=True)
+    ]
+    page = compare_page(dict(zip(shown, map(cmbot.load_plan, directories), strict=True)))
+    write_page(html, page)
+    out.print(f"Written to {flat(html)}.")
+
+
+def _require_new(page: Path, force: bool) -> None:
+    # Path.exists raises for names that no file can have.
+    if os.path.exists(page) and not force:  # noqa: PTH110
+        raise InputError(str(page), "", "a file that is already there", "a new file, or --force")
 
 
 @contextmanager

@@ -1,7 +1,8 @@
 """What people see of a plan: the replay and the report as pages, the film, the plots."""
 
+from cmbot.views.compare import compare_page
 from cmbot.views.film import film
-from cmbot.views.page import assemble_plain
+from cmbot.views.page import assemble_plain, write_page
 from cmbot.views.plots import figure_files, plot, require_matplotlib
 from cmbot.views.replay import ReplayServer, replay, replay_page
 from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
@@ -13,6 +14,7 @@ __all__ = [
     "ReplayServer",
     "Shown",
     "assemble_plain",
+    "compare_page",
     "figure_files",
     "film",
     "pages",
@@ -23,4 +25,5 @@ __all__ = [
     "report_page",
     "require_matplotlib",
     "show",
+    "write_page",
 ]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ __all__ = [
     "downsampled",
     "floor_meaning",
     "floor_name",
+    "joint_axes",
     "joint_charts",
     "joint_quantities",
     "work_begins",
@@ -40,7 +42,6 @@ _NOT_SIMULATED = "not simulated"
 # What the quantities of joints that slide are called.
 _OF_SLIDING = {"angle": "position", "torque": "force"}
 
-Motion = Literal["planned", "baseline"]
 # When it begins, s after the work, and its samples.
 _Part = tuple[float, Samples]
 
@@ -52,7 +53,7 @@ class Curve:
     A `thin` curve is part of another one.
     """
 
-    motion: Motion
+    motion: str
     t: FloatArray
     y: FloatArray
     thin: bool = False
@@ -96,28 +97,47 @@ def charts(plan: Plan, tracking: Tracking | None) -> Iterator[Chart]:
 
 def joint_charts(plan: Plan) -> Iterator[Chart]:
     """Yield the small plots, quantity by quantity, each with one chart a joint; in deg or m."""
+    for chart_of, name, joint, factor in joint_axes(plan):
+        yield chart_of(_curves(plan, _of_joint(name, joint, factor)))
+
+
+def joint_axes(plan: Plan) -> Iterator[tuple[Callable[[tuple[Curve, ...]], Chart], str, int, float]]:
+    """Yield of each small plot what makes it, the attribute of `Samples`, the joint, the unit's factor."""
     kinds = ("position", "velocity", "acceleration", "jerk", "torque")
     for (title, name, lower, upper), kind in zip(joint_quantities(plan), kinds, strict=True):
         for joint in range(plan.robot.dof):
             units = plan.robot.limits.units(joint, shown=True)
             factor = 1.0 if kind == "torque" else units.factor
-            curves = _curves(plan, _of_joint(name, joint, factor))
-            low, high = factor * float(lower[joint]), factor * float(upper[joint])
-            finite = bool(np.isfinite([low, high]).all())
-            if finite:
-                room = 0.5 * (ROOM - 1) * (high - low)
-                axis = (low - room, high + room)
-            else:
-                axis = (min(float(c.y.min()) for c in curves), max(float(c.y.max()) for c in curves))
-            yield Chart(
-                key="joint",
+            make = partial(
+                _joint_chart,
                 title=_OF_SLIDING.get(title, title) if plan.robot.limits.prismatic[joint] else title,
                 unit=getattr(units, kind),
                 digits=1 if units.position == "deg" else 3,
-                curves=curves,
-                axis=axis,
-                bounds=(low, high) if finite else (None, None),
+                low=factor * float(lower[joint]),
+                high=factor * float(upper[joint]),
             )
+            yield make, name, joint, factor
+
+
+def _joint_chart(
+    curves: tuple[Curve, ...], *, title: str, unit: str, digits: int, low: float, high: float
+) -> Chart:
+    """Return a small plot whose axis reaches from bound to bound, where there are bounds."""
+    finite = bool(np.isfinite([low, high]).all())
+    if finite:
+        room = 0.5 * (ROOM - 1) * (high - low)
+        axis = (low - room, high + room)
+    else:
+        axis = (min(float(c.y.min()) for c in curves), max(float(c.y.max()) for c in curves))
+    return Chart(
+        key="joint",
+        title=title,
+        unit=unit,
+        digits=digits,
+        curves=curves,
+        axis=axis,
+        bounds=(low, high) if finite else (None, None),
+    )
 
 
 def joint_quantities(plan: Plan) -> tuple[tuple[str, str, FloatArray, FloatArray], ...]:
@@ -276,7 +296,7 @@ def _curves(plan: Plan, quantity: Callable[[Samples], FloatArray], *, free: bool
     others = {segment.name: segment.samples for segment in plan.baseline_segments}
     baseline = parts(plan.baseline_segments, others)
 
-    def curve(motion: Motion, parts: list[_Part]) -> Curve:
+    def curve(motion: str, parts: list[_Part]) -> Curve:
         t = np.concatenate([start + samples.t for start, samples in parts])
         return Curve(motion=motion, t=t, y=np.concatenate([quantity(samples) for _, samples in parts]))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.meshcat_scene import reach, scene_commands
 from cmbot.views.page import pack, pack_exactly
 
-__all__ = ["replay_data"]
+__all__ = ["Frames", "focus_of", "frame_times", "link_names", "replay_data"]
 
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
@@ -38,7 +39,7 @@ _DIRECTIONS = np.stack(
 
 
 def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
-    """Return the page's data, ready for JSON; `_Frames.motion` documents each motion.
+    """Return the page's data, ready for JSON; `Frames.motion` documents each motion.
 
     All times are on the planned job's clock, on which the baseline begins to work when the planned motion
     does: the work lasts from ``workStart`` to ``workEnd``. Before it, from ``start``, both arms approach, and
@@ -55,8 +56,8 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     if back > 0:
         end = work_end + back
     step = max(FRAME_STEP, (end - start) * plan.robot.dof / MOST_POSES)
-    frames = _Frames(plan)
-    times = _frame_times(0.0, work_end - begin, step)
+    frames = Frames(plan)
+    times = frame_times(0.0, work_end - begin, step)
     planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
     return {
         "title": plan.scene.name,
@@ -78,29 +79,34 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "floor": plan.torque_floor,
         "floorName": floor_name(plan),
         "margin": plan.options.safety_margin_m,
-        "links": _link_names(plan.robot),
+        "links": link_names(plan.robot),
         "approach": _approach(plan, frames, start, step) if start < begin else None,
         "planned": frames.motion(plan.samples, plan.figures, times, planned),
         "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, baseline),
-        "return": _return(plan, frames, _frame_times(0.0, back, step)) if back > 0 else None,
-        "rest": None
-        if back > 0
-        else _rest(plan, tracking, frames, _frame_times(work_end, end, step) - begin),
+        "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
+        "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
         "pairs": list(frames.pairs),
-        "focus": _focus(plan),
+        "focus": focus_of(plan, [plan]),
         "reach": reach(plan.robot),
         "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(plan)],
     }
 
 
-class _Frames:
-    """Samples motions for the page; `pairs` maps the names of the near pairs so far to their numbers."""
+class Frames:
+    """Samples motions for the page.
 
-    def __init__(self, plan: Plan) -> None:
+    Parameters
+    ----------
+    plan : Plan
+    pairs : dict of str to int, optional
+        The names of near pairs of shapes so far with their numbers; others are added.
+    """
+
+    def __init__(self, plan: Plan, pairs: dict[str, int] | None = None) -> None:
         self._robot = plan.robot
         self._near = plan.options.avoidance_distance_m
         self.clearances = Clearances(plan.robot, plan.scene.obstacles)
-        self.pairs: dict[str, int] = {}
+        self.pairs = {} if pairs is None else pairs
 
     def motion(
         self,
@@ -149,7 +155,7 @@ class _Frames:
         return points, pairs
 
 
-def _frame_times(start: float, end: float, step: float) -> FloatArray:
+def frame_times(start: float, end: float, step: float) -> FloatArray:
     """Return equally spaced times from `start` to `end`, at most `step` apart."""
     return np.linspace(start, end, max(int(np.ceil((end - start) / step)), 1) + 1)
 
@@ -170,7 +176,7 @@ def _poses(robot: Robot, q: FloatArray) -> FloatArray:
     return poses
 
 
-def _link_names(robot: Robot) -> list[str]:
+def link_names(robot: Robot) -> list[str]:
     """Return the name of the link that each joint of the arm moves: its frame is the joint's."""
     bodies = [frame for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
     return [
@@ -197,10 +203,10 @@ def _end(plan: Plan, tracking: Tracking) -> float:
     return float(max(*durations.values(), tracking.planned.t[-1], tracking.baseline.t[-1]))
 
 
-def _approach(plan: Plan, frames: _Frames, start: float, step: float) -> dict[str, Any]:
+def _approach(plan: Plan, frames: Frames, start: float, step: float) -> dict[str, Any]:
     """Return both arms' ways to the work, from `start`, s; each arrives when it begins, and rests before."""
     planned, baseline = plan.approach, plan.baseline_segment(APPROACH)
-    times = _frame_times(start, work_begins(plan), step)
+    times = frame_times(start, work_begins(plan), step)
     ends = times[[0, -1]]
     along = planned is not None and planned.along_self_motion
     return {
@@ -221,7 +227,7 @@ def _return_seconds(plan: Plan) -> float:
     return max(each)
 
 
-def _return(plan: Plan, frames: _Frames, times: FloatArray) -> dict[str, Any]:
+def _return(plan: Plan, frames: Frames, times: FloatArray) -> dict[str, Any]:
     """Return both arms' returns; the one that is there first rests."""
     planned, baseline = plan.job.segment(RETURN), plan.baseline_return
     ends, off = times[[0, -1]], plan.robot.tool_off
@@ -236,7 +242,7 @@ def _return(plan: Plan, frames: _Frames, times: FloatArray) -> dict[str, Any]:
     }
 
 
-def _still(plan: Plan, frames: _Frames, q: FloatArray, times: FloatArray) -> dict[str, Any]:
+def _still(plan: Plan, frames: Frames, q: FloatArray, times: FloatArray) -> dict[str, Any]:
     """Return an arm that rests in a posture (n,), its tool off, between two `times` (2,)."""
     posture, off = np.repeat(q[None], 2, axis=0), plan.robot.tool_off
     rates = np.zeros((3, *posture.shape))
@@ -249,7 +255,7 @@ def _knots(trajectory: QuinticTrajectory) -> dict[str, str]:
     return {name: pack_exactly(getattr(trajectory, name)) for name in ("t", "q", "v", "a")}
 
 
-def _rest(plan: Plan, tracking: Tracking | None, frames: _Frames, times: FloatArray) -> dict[str, Any] | None:
+def _rest(plan: Plan, tracking: Tracking | None, frames: Frames, times: FloatArray) -> dict[str, Any] | None:
     """Return both arms after the stop: their joints rest while the elastic parts vibrate."""
     if tracking is None or times[-1] <= times[0]:
         return None
@@ -260,15 +266,16 @@ def _rest(plan: Plan, tracking: Tracking | None, frames: _Frames, times: FloatAr
     }
 
 
-def _focus(plan: Plan) -> dict[str, Any]:
+def focus_of(plan: Plan, plans: Sequence[Plan]) -> dict[str, Any]:
     """Return points that the view shows (foot, path, the arm's joints), a ball about them, an azimuth.
 
     All in W, m; of the points those that enclose the others along many directions.
     """
-    motions = [plan.samples.q, plan.baseline.q]
-    motions += [segment.trajectory.q for segment in plan.job.segments if segment.kind == "free"]
-    points = [np.zeros((1, 3)), plan.samples.tool_point, plan.baseline.tool_point]
-    points += [stroke.task.path.outline() for stroke in plan.strokes]
+    motions = [plan.baseline.q]
+    motions += [segment.trajectory.q for each in plans for segment in each.job.segments]
+    points = [np.zeros((1, 3)), plan.baseline.tool_point]
+    points += [each.samples.tool_point for each in plans]
+    points += [stroke.task.path.outline() for each in plans for stroke in each.strokes]
     points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3].reshape(-1, 3) for q in motions]
     cloud = np.concatenate(points)
     low, high = cloud.min(axis=0), cloud.max(axis=0)

@@ -32,7 +32,7 @@ from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
 
-__all__ = ["REPLAY", "REPORT", "headlines", "pages", "report", "report_page"]
+__all__ = ["REPLAY", "REPORT", "headlines", "pages", "report", "report_page", "section", "table"]
 
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
@@ -100,7 +100,7 @@ def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) ->
             "made": escape(f"Written by cmbot {__version__}."),
             "verdict": _verdict(plan),
             "cards": "".join(map(_card, headlines(plan, tracking))),
-            "motion": "the paper's motion" if plan.scene.on_guardrail else "the motion",
+            "key": _key(plan),
             "bending": "" if tracking is not None else " hidden",
             "sections": "".join(_sections(plan, tracking)),
         },
@@ -253,35 +253,41 @@ def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
 def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     """Yield the sections below the plots."""
     # The verdict, which comes first of them, stands above.
-    yield _section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
-    yield _section("Metrics", _table(plan.rows(), ("", "baseline", "planned")))
+    yield section("Remarks", _list(list(remarks(plan))[1:]), kind="wide")
+    yield section("Metrics", table(plan.rows(), ("", "baseline", "planned")))
     elastic = list(_elastic(plan))
     if elastic:
-        yield _section("Predicted sag and vibration", _table(elastic))
+        yield section("Predicted sag and vibration", table(elastic))
     several = {stroke.name for stroke in plan.several}
     begins = {segment.name: segment.begin for segment in plan.job.segments}
     for name, certificate in certificates(plan).items():
         the = "" if name in several else "the "
-        table = _check_table(certificate, plan.scene.base_name, begins[name])
-        yield _section(f"Certificate of {the}{name}", table)
+        checks = _check_table(certificate, plan.scene.base_name, begins[name])
+        yield section(f"Certificate of {the}{name}", checks)
     if tracking is not None:
-        table = _table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
+        errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
-        yield _section("Simulation", table + sentences, kind="long")
-    yield _section("Scene", _table(_scene(plan), text_columns=2))
+        yield section("Simulation", errors + sentences, kind="long")
+    yield section("Scene", table(_scene(plan), text_columns=2))
     headings = _MIXED_HEADINGS if plan.robot.limits.prismatic.any() else _JOINT_HEADINGS
-    yield _section("Joints", _table(_joints(plan), headings))
-    yield _section("Options", _table(_options(plan.options), text_columns=2))
-    yield _section("Versions", _table(_versions(plan), text_columns=2))
+    yield section("Joints", table(_joints(plan), headings))
+    yield section("Options", table(_options(plan.options), text_columns=2))
+    yield section("Versions", table(_versions(plan), text_columns=2))
     if tracking is not None:
-        yield _section("Options of the simulation", _table(_options(tracking.options), text_columns=2))
+        yield section("Options of the simulation", table(_options(tracking.options), text_columns=2))
+
+
+def _key(plan: Plan) -> str:
+    motion = "the paper's motion" if plan.scene.on_guardrail else "the motion"
+    words = f"baseline: {motion}, not optimised"
+    return f'<i class="swatch planned"></i>planned <i class="swatch baseline"></i>{escape(words)}'
 
 
 def _verdict(plan: Plan) -> str:
     """Return the line that comes first: whether every promise is kept, and what the base must bear."""
     kept = all(check.holds for _, check in plan.job.checks())
     words = f"<b>{escape(promises(plan))}</b> {escape(verdict(plan))}"
-    return f'<p id="verdict" class="{"good" if kept else "bad"}">{words}</p>'
+    return f'<p class="verdict {"good" if kept else "bad"}">{words}</p>'
 
 
 def _card(headline: Headline) -> str:
@@ -293,7 +299,7 @@ def _card(headline: Headline) -> str:
     )
 
 
-def _section(title: str, content: str, *, kind: Literal["", "wide", "long"] = "") -> str:
+def section(title: str, content: str, *, kind: Literal["", "wide", "long"] = "") -> str:
     """Return a section; a wide one spans both columns, a long one may be split between printed pages."""
     return f'<section class="{f"part {kind}".rstrip()}"><h2>{escape(title)}</h2>{content}</section>'
 
@@ -302,7 +308,7 @@ def _list(sentences: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
 
 
-def _table(rows: Iterable[Row], headings: Row = ("", ""), *, text_columns: int = 1) -> str:
+def table(rows: Iterable[Row], headings: Row = ("", ""), *, text_columns: int = 1) -> str:
     """Return a table: columns of text, then columns of numbers."""
     kinds = ["text" if number < text_columns else "number" for number in range(len(headings))]
     head = "".join(
@@ -351,7 +357,7 @@ def _check_table(certificate: Certificate, base: str, begin: float) -> str:
     )
     bound = f"At all times {certificate.at_all_times(base)}."
     headings = ("check", "at, s", "value", "bound", "unit", "use", "holds")
-    return _table(rows, headings) + f"<p>{escape(bound)}</p>"
+    return table(rows, headings) + f"<p>{escape(bound)}</p>"
 
 
 def _scene(plan: Plan) -> Iterator[Row]:

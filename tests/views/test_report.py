@@ -39,7 +39,7 @@ def test_every_figure_check_and_remark_is_in_it(
         assert check.quantity.replace("'", "&#x27;") in cells
     said, *others = remarks(triangle_plan)
     assert (
-        f'<p id="verdict" class="good"><b>Every promise is kept: 22 checks hold at all times.</b> {said}</p>'
+        f'<p class="verdict good"><b>Every promise is kept: 22 checks hold at all times.</b> {said}</p>'
         in text
     )
     for remark in others:
@@ -170,7 +170,7 @@ def test_a_broken_bound_of_the_work_or_the_approach_is_shown(triangle_plan: Plan
     assert clearance.state == "bad"
     text = report_page(plan)
     assert ">NO</td>" in text
-    assert '<p id="verdict" class="bad"><b>NOT SAFE: 1 of 22 promises is broken.</b>' in text
+    assert '<p class="verdict bad"><b>NOT SAFE: 1 of 22 promises is broken.</b>' in text
     approach = triangle_plan.approach
     plan = changed(triangle_plan, "approach", certificate=broken(approach.certificate))
     certified, number = list(headlines(plan, None))[2], len(approach.certificate.checks)

@@ -260,7 +260,7 @@ class Chart {
     const top = bound === null || this.zoomed ? high : bound;
     make("text", { class: "corner", x: 2, y: 10 }, svg, shortened(top));
     make("text", { class: "corner", x: 2, y: this.height - 2 }, svg, bound === null || this.zoomed ? shortened(low) : shortened(bounds[0]));
-    if (bound === null) return;
+    if (bound === null || this.curves.length > 2) return;
     const uses = make("text", { class: "corner", x: this.width - 2, y: 10, "text-anchor": "end" }, svg);
     for (const [k, curve] of [...this.curves].reverse().entries()) {
       const share = curve.use(bounds);

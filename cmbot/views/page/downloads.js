@@ -35,6 +35,9 @@ class Downloads {
   constructor(player) {
     const { data } = player;
     this.player = player;
+    document.getElementById("save-png").addEventListener("click", () => this.save(player.stage.still(), "view.png"));
+    for (const kind of ["csv", "ros"]) document.getElementById(`save-${kind}`).hidden = !data.knots;
+    if (!data.knots) return;
     this.knots = new Knots(data.knots, data.joints.length);
     const end = this.knots.t.at(-1), count = Math.floor((end / STEP) * (1 + 1e-12));
     this.times = Array.from({ length: count + 1 }, (_, k) => k * STEP);
@@ -48,7 +51,6 @@ class Downloads {
         setTimeout(() => URL.revokeObjectURL(url), 10000);
       });
     }
-    document.getElementById("save-png").addEventListener("click", () => this.save(player.stage.still(), "view.png"));
   }
 
   save(address, name) {

@@ -66,6 +66,12 @@ class Motion {
 
 // What a motion is called.
 const NAMES = {};
+function nameMotions({ motions, names }) {
+  if (!motions) return;
+  MOTIONS.splice(0, MOTIONS.length, ...motions);
+  Object.assign(NAMES, names);
+  document.getElementById("others").textContent = "Other plans";
+}
 const motionName = (motion) => NAMES[motion] ?? motion;
 
 // A part of the timeline in which each arm has one motion.

@@ -6,6 +6,7 @@ class Player {
     this.data = data;
     this.stage = new Stage(data);
     this.phases = phasesOf(data);
+    for (const name of MOTIONS) this.addHalf(name);
     this.work = this.phases.find((phase) => phase.start === data.workStart && !phase.free);
     this.peak = Math.max(...this.phases.map((phase) => phase.peak), data.floor ?? 0);
     this.stage.peak = this.peak;
@@ -31,6 +32,13 @@ class Player {
     ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
     window.addEventListener("keydown", (event) => this.onKey(event));
     stage.onDrawn = (part) => this.placeLabels(part);
+  }
+
+  // The name of a motion in its part of the view.
+  addHalf(name) {
+    const label = document.createElement("span");
+    Object.assign(label, { id: `half-${name}`, className: `half ${name}`, hidden: true, textContent: motionName(name) });
+    this.stage.view.append(label);
   }
 
   compare(how) {
@@ -177,7 +185,9 @@ const millimetres = (value) => (Number.isFinite(value) ? `${(1000 * value).toFix
 // Start a page: `begin` makes a player of the data. Tests and the film control the page by `cmbotReplay`.
 function start(begin) {
   try {
-    const data = JSON.parse(document.getElementById("replay-data").textContent), player = begin(data);
+    const data = JSON.parse(document.getElementById("replay-data").textContent);
+    nameMotions(data);
+    const player = begin(data);
     window.cmbotReplay = {
       start: data.start,
       workStart: data.workStart,

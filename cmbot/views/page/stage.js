@@ -7,7 +7,8 @@ const floats = (text) => new Float32Array(bytesOf(text).buffer);
 const degrees = (angle) => (angle * 180) / Math.PI;
 // Names of the motions, that which is drawn whole first; a page of several plans has others.
 const MOTIONS = ["planned", "baseline"];
-const COLOURS = { planned: 0xe0560f, baseline: 0x2f6fb7, near: 0xb8860b, tooNear: 0xd00000 };
+const COLOURS = { planned: 0xe0560f, baseline: 0x2f6fb7, near: 0xb8860b, tooNear: 0xd00000,
+  plan_2: 0x2f6fb7, plan_3: 0x18794e, plan_4: 0x7b2cbf, plan_5: 0xb28600, plan_6: 0x00838f };
 const HALF_ANGLE = Math.tan(Math.PI / 10);  // tangent of half the fitted field of view
 
 class Stage {

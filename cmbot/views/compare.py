@@ -1,0 +1,176 @@
+"""Several plans on one page: overlaid in 3-D and in plots, their figures side by side."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterator, Mapping
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.planning import Plan, Samples, promises, verdict
+from cmbot.version import __version__
+from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
+from cmbot.views.meshcat_scene import reach, scene_commands
+from cmbot.views.page import STAGE_SCRIPTS, assemble
+from cmbot.views.replay_data import FRAME_STEP, MOST_POSES, Frames, focus_of, frame_times, link_names
+from cmbot.views.report import section, table
+
+__all__ = ["MOST_PLANS", "compare_page"]
+
+MOST_PLANS = 6
+
+# The motion that is drawn whole, then the ghosts.
+_KEYS = ("planned", *(f"plan_{number}" for number in range(2, MOST_PLANS + 1)))
+
+
+def compare_page(plans: Mapping[str, Plan]) -> str:
+    """Return an HTML page that shows several plans of one arm together, on the clock of their jobs.
+
+    Like `report_page`, it opens no connection and runs only its own two scripts. The surroundings are those
+    of the first plan.
+
+    Parameters
+    ----------
+    plans : mapping of str to Plan
+        2 to 6 plans by what the page calls them.
+
+    Raises
+    ------
+    InputError
+        When there are fewer or more, or their arms differ in links or joints.
+    ModelError, SceneError
+        When a shape cannot be drawn.
+    """
+    _require_alike(plans)
+    keys = dict(zip(_KEYS, plans, strict=False))
+    first = next(iter(plans.values()))
+    return assemble(
+        "report.html",
+        styles=("common.css", "report.css"),
+        scripts=(*STAGE_SCRIPTS, "downloads.js", "chart.js", "report.js"),
+        data=_data(first, dict(zip(keys, plans.values(), strict=True)), keys),
+        texts={
+            "title": "Plans compared",
+            "made": escape(f"Written by cmbot {__version__}."),
+            "verdict": "".join(_verdict(name, plan) for name, plan in plans.items()),
+            "cards": "",
+            "key": " ".join(f'<i class="swatch {key}"></i>{escape(name)}' for key, name in keys.items()),
+            "bending": " hidden",
+            "sections": section("Figures", table(_rows(plans), ("", *plans)), kind="wide"),
+        },
+    )
+
+
+def _require_alike(plans: Mapping[str, Plan]) -> None:
+    if not 2 <= len(plans) <= MOST_PLANS:
+        raise InputError("compare", "plans", len(plans), f"2 to {MOST_PLANS} different plans")
+    (first, plan), *others = plans.items()
+    for name, other in others:
+        if (link_names(other.robot), other.robot.joints) != (link_names(plan.robot), plan.robot.joints):
+            raise InputError(
+                "compare", name, f"an arm {other.robot.name}", f"that of {first}, {plan.robot.name}"
+            )
+
+
+def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> dict[str, Any]:
+    """Return the page's data: one phase, in which each plan's whole job is a motion."""
+    end = max(plan.job.duration for plan in plans.values())
+    times = frame_times(0.0, end, max(FRAME_STEP, end * first.robot.dof / MOST_POSES))
+    pairs = dict[str, int]()
+    motions = {
+        key: Frames(plan, pairs).motion(plan.job_samples[0], plan.job.figures, times)
+        for key, plan in plans.items()
+    }
+    small = [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)]
+    return motions | {
+        "motions": list(motions),
+        "names": dict(names),
+        "title": "Plans compared",
+        "robot": first.robot.name,
+        "base": first.scene.base_name,
+        **{"start": 0.0, "workStart": 0.0, "workEnd": end, "end": end},
+        **{"legTimes": [], "moves": [], "floor": None, "floorName": ""},
+        **{"approach": None, "return": None, "rest": None},
+        "margin": min(plan.options.safety_margin_m for plan in plans.values()),
+        "links": link_names(first.robot),
+        "joints": list(first.robot.joints),
+        "pairs": list(pairs),
+        "focus": focus_of(first, list(plans.values())),
+        "reach": reach(first.robot),
+        "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(first)],
+        "charts": [chart.data() for chart in _charts(first, plans)],
+        "jointCharts": small,
+    }
+
+
+def _charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:
+    torque = _curves(plans, lambda samples: np.linalg.norm(samples.guardrail_torque, axis=1))
+    clearance = _curves(plans, lambda samples: 1e3 * samples.clearance)
+    shown = tuple(curve for curve in clearance if np.isfinite(curve.y).all())
+    margin, bound = 1e3 * first.options.safety_margin_m, 1e3 * first.options.max_tool_deviation_m
+    yield Chart(
+        key="torque",
+        title=f"Torque on the {first.scene.base_name}",
+        unit="Nm",
+        digits=1,
+        curves=torque,
+        axis=(0.0, ROOM * max(float(curve.y.max()) for curve in torque)),
+    )
+    yield Chart(
+        key="clearance",
+        title="Clearance",
+        unit="mm",
+        digits=1,
+        curves=shown,
+        axis=(
+            min([0.0, *(float(curve.y.min()) for curve in shown)]),
+            ROOM * max([2 * margin, *(float(curve.y.max()) for curve in shown)]),
+        ),
+        bounds=(margin, None),
+        marks=((margin, f"margin {margin:g} mm"),),
+    )
+    yield Chart(
+        key="deviation",
+        title="Tool's distance from its path, along the strokes",
+        unit="mm",
+        digits=3,
+        curves=_curves(plans, lambda samples: 1e3 * samples.tool_deviation, strokes=True),
+        axis=(0.0, 1.15 * bound),
+        bounds=(None, bound),
+        marks=((bound, f"bound {bound:g} mm"),),
+    )
+
+
+def _joint_charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:
+    for of, name, joint, factor in joint_axes(first):
+        yield of(_curves(plans, lambda s, name=name, i=joint, by=factor: by * getattr(s, name)[:, i]))  # type: ignore[misc]
+
+
+def _curves(
+    plans: Mapping[str, Plan], quantity: Callable[[Samples], FloatArray], *, strokes: bool = False
+) -> tuple[Curve, ...]:
+    """Return a quantity of each plan on its job's clock; the first plan's curve is drawn last."""
+    curves = []
+    for key, plan in plans.items():
+        samples, segments = plan.job_samples
+        work = {segment.name for segment in plan.job.strokes}
+        kept = np.array([not strokes or name in work for name in segments])
+        curves.append(Curve(motion=key, t=samples.t[kept], y=np.asarray(quantity(samples))[kept]))
+    return tuple(reversed(curves))
+
+
+def _verdict(name: str, plan: Plan) -> str:
+    kept = all(check.holds for _, check in plan.job.checks())
+    words = f"<b>{escape(name)}.</b> {escape(promises(plan))} {escape(verdict(plan))}"
+    return f'<p class="verdict {"good" if kept else "bad"}">{words}</p>'
+
+
+def _rows(plans: Mapping[str, Plan]) -> Iterator[tuple[str, ...]]:
+    """Yield the figures of all plans, one a row, as far as any has them."""
+    figures = [{name: planned for name, _, planned in plan.rows()} for plan in plans.values()]
+    for name in dict.fromkeys(name for each in figures for name in each):
+        yield name, *(each.get(name, "-") for each in figures)

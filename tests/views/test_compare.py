@@ -1,0 +1,85 @@
+"""Several plans on one page, with and without a browser."""
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from browser import ask, open_page, require_quiet
+from command_line import output, refusal
+from page_data import data_of, floats, without_shapes
+from selenium.webdriver import Chrome
+
+from cmbot.archive import save
+from cmbot.common.errors import InputError
+from cmbot.planning import Plan
+from cmbot.views import compare_page
+
+
+@pytest.fixture(scope="module")
+def text(short_plan: Plan, strokes_plan: Plan) -> str:
+    return compare_page({"<short>": without_shapes(short_plan), "strokes": without_shapes(strokes_plan)})
+
+
+def test_each_plan_is_a_motion_on_its_jobs_clock(text: str, short_plan: Plan, strokes_plan: Plan) -> None:
+    data = data_of(text)
+    assert (data["motions"], data["end"]) == (["planned", "plan_2"], strokes_plan.job.duration)
+    for key, plan in (("planned", short_plan), ("plan_2", strokes_plan)):
+        poses = floats(data[key]["poses"], 7, 7)
+        times = np.linspace(0, data["end"], len(poses))
+        q = plan.job.trajectory.evaluate(np.minimum(times, plan.job.duration), 0)
+        made = plan.robot.model.createData()
+        for k in range(0, len(poses), 200):
+            pin.forwardKinematics(plan.robot.model, made, q[k])
+            np.testing.assert_allclose(poses[k, -1, :3], made.oMi[plan.robot.dof].translation, atol=1e-3)
+    torque = data["charts"][0]["curves"]
+    assert [curve["motion"] for curve in torque] == ["plan_2", "planned"]  # the first is drawn last
+    peak = strokes_plan.job.figures.peak_guardrail_torque
+    assert floats(torque[0]["y"]).max() == pytest.approx(peak, rel=1e-3)
+
+
+def test_verdicts_and_figures_stand_side_by_side(text: str, short_plan: Plan, strokes_plan: Plan) -> None:
+    assert "<b>&lt;short&gt;.</b> Every promise is kept" in text
+    row = re.search(r"<th[^>]*>peak torque at work, Nm</th>(.*?)</tr>", text)
+    assert row is not None
+    values = [float(value) for value in re.findall(r">([\d.]+)<", row[1])]
+    peaks = [plan.figures.peak_guardrail_torque for plan in (short_plan, strokes_plan)]
+    assert values == pytest.approx(peaks, abs=0.01)
+
+
+@pytest.mark.browser
+def test_it_shows_every_plan(chrome: Chrome, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "compare.html"
+    path.write_text(text, encoding="utf-8")
+    open_page(chrome, path)
+    require_quiet(chrome, path)
+    chrome.execute_script("cmbotReplay.compare('beside')")
+    assert [label.text for label in chrome.find_elements("css selector", ".half")] == ["<short>", "strokes"]
+    tools = [ask(chrome, f"cmbotReplay.pose('link_7', '{arm}')") for arm in ("planned", "plan_2")]
+    assert tools[0] != pytest.approx(tools[1], abs=1e-3)
+    assert not chrome.find_element("id", "save-csv").is_displayed()
+
+
+def test_what_is_refused(short_plan: Plan, saved_short: Path, tmp_path: Path) -> None:
+    model = short_plan.robot.model.copy()
+    model.names[1] = "shoulder"
+    other = replace(short_plan, robot=replace(short_plan.robot, model=model))
+    with pytest.raises(InputError, match="compare: b: got an arm cmbot, expected that of a, cmbot"):
+        compare_page({"a": short_plan, "b": other})
+    with pytest.raises(InputError, match="got 1, expected 2 to 6 different plans"):
+        compare_page({"a": short_plan})
+    page = tmp_path / "page.html"
+    page.touch()
+    assert "already there" in refusal("compare", saved_short, saved_short, "--html", page)
+
+
+def test_the_command_names_plans_by_their_folders(
+    short_plan: Plan, saved_short: Path, tmp_path: Path
+) -> None:
+    for folder in ("one", "two"):
+        save(without_shapes(short_plan), tmp_path / folder)
+    page = tmp_path / "page.html"
+    assert output("compare", tmp_path / "one", tmp_path / "two", "--html", page) == f"Written to {page}.\n"
+    assert data_of(page.read_text(encoding="utf-8"))["names"] == {"planned": "one", "plan_2": "two"}
