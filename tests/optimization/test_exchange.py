@@ -127,9 +127,8 @@ def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solve
         lower.run(problem.context.options.smoothing_weight, bound=0.999 * found.peak_bound, attempt=True)
 
 
-@both_solvers
-def test_when_the_time_is_over_the_best_feasible_trajectory_is_the_result(solver: str) -> None:
-    problem = unattainable(solver=solver)
+def test_when_the_time_is_over_the_best_feasible_trajectory_is_the_result() -> None:
+    problem = unattainable(solver="sqp")
     options = exchange_options(problem)
     whole = minimize_peak(problem, options)
     assert whole.complete

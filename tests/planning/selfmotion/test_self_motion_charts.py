@@ -97,14 +97,14 @@ def test_the_oracle_holds_the_pose(cmbot_robot: Robot, rng: np.random.Generator)
 
 
 def test_charts_are_complete_against_the_closed_form(cmbot_robot: Robot, rng: np.random.Generator) -> None:
-    """On 200 random tool poses every posture of the closed form has one of the chart beside it.
+    """On 80 random tool poses every posture of the closed form has one of the chart beside it.
 
     Also those on stubs between two joint limits that are shorter than the spacing: there the chart's posture
     beside it lies beyond the range.
     """
     limits, spacing = cmbot_robot.limits, 0.2
     total = 0
-    for q in rng.uniform(limits.lower, limits.upper, (200, 7)):
+    for q in rng.uniform(limits.lower, limits.upper, (80, 7)):
         task = task_at(cmbot_robot, q)
         start = task.path.poses([0.0])
         chart = first_chart(context_for(cmbot_robot, task, spacing, seeds=200), q[None])
@@ -112,7 +112,7 @@ def test_charts_are_complete_against_the_closed_form(cmbot_robot: Robot, rng: np
         if len(oracle):
             assert distance_on_circle(chart.q, oracle).max() < 1.5 * spacing
             total += len(oracle)
-    assert total > 20_000
+    assert total > 8_000
 
 
 @pytest.mark.parametrize(("keep", "spacing"), [("pose", SPACING), ("axis", 0.5)])
