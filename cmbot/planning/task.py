@@ -85,7 +85,11 @@ class ToolTask:
 
     def error(self, X_WT: Any, goal: ToolPoses) -> FloatArray:
         """Task coordinates (m,) from `X_WT` to a goal, one pose."""
-        return np.asarray(self.errors(X_WT.translation[None], X_WT.rotation[None], goal)[0])
+        if self.keep != "pose":
+            return np.asarray(self.errors(X_WT.translation[None], X_WT.rotation[None], goal)[0])
+        # In a quarter of the time of a batch of one.
+        turn = pin.log3(goal.rotation[0] @ X_WT.rotation.T)
+        return np.concatenate([goal.point[0] - X_WT.translation, turn])
 
     def errors(self, p_WT: FloatArray, R_WT: FloatArray, goals: ToolPoses) -> FloatArray:
         """Task coordinates (N, m) from N tool poses to the goals, one each or one for all."""
