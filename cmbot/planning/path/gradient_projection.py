@@ -190,8 +190,8 @@ def _away_smoothly(clearances: Clearances, q: FloatArray, d_s: float, metric: Po
 def _away_from(near: Nearest, metric: PostureMetric) -> FloatArray:
     """J_C+ u: the joint rates that move the arm's nearest point straight away from the other one."""
     J = metric.positions(near.jacobian)
-    # By the three eigenvalues of J J^T, in a tenth of the time of a least-squares solver. The first links move
-    # in fewer directions.
+    # By the eigenvalues of J J^T: that takes half the time of a least-squares solver. The first links move in
+    # fewer directions than three.
     squares, Q = np.linalg.eigh(J @ J.T)
     there = squares > _RANK**2 * squares[-1]
     return np.asarray(J.T @ (Q[:, there] @ ((Q[:, there].T @ near.direction) / squares[there])))

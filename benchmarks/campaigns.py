@@ -1,0 +1,73 @@
+"""How many jobs a campaign plans in a minute, and what a second process adds.
+
+    python benchmarks/campaigns.py                     # 40 jobs, with one process and with two
+    python benchmarks/campaigns.py --jobs 1000 --workers 2
+
+The jobs are variants of the triangle and the line with other payloads and first legs, from a seed. Each is
+planned with its certificate for all times and written as a plan directory, without pages. Wall times are
+those of this machine; what a second process adds is a ratio of one run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+import numpy as np
+from measure import machine
+from rich.console import Console
+from rich.table import Table
+
+import cmbot
+
+FORMAT = "cmbot-campaign/1"
+
+
+def variants(jobs: int, seed: int) -> dict[str, object]:
+    """Return a campaign file's content: every other job is a line."""
+    rng = np.random.default_rng(seed)
+    entries = []
+    for k in range(jobs):
+        payload, longer = rng.uniform(0.0, 3.0), rng.uniform(1.0, 1.3)
+        scene, seconds = ("triangle", 10.0) if k % 2 == 0 else ("line", 20.0)
+        values = {
+            "robot.payload_kg": round(payload, 3),
+            "tool_path.legs[0].seconds": round(seconds * longer, 2),
+        }
+        entries.append({"name": f"job_{k:05}", "at_m": 0.5 * k, "scene": scene, "set": values})
+    return {"format": FORMAT, "name": "benchmark", "jobs": entries}
+
+
+def main() -> None:
+    """Run the campaign with each number of processes; print rates and what more of them add."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--jobs", type=int, default=40)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--workers", type=int, nargs="+", default=[1, 2])
+    arguments = parser.parse_args()
+    console, first = Console(), None
+    system = machine()
+    console.print(f"{system}")
+    table = Table(
+        "processes", "jobs", "planned", "s", "jobs a minute", "cpu s a job", "of the first, a process"
+    )
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder, "campaign.yaml")
+        # JSON is YAML.
+        file.write_text(json.dumps(variants(arguments.jobs, arguments.seed)), encoding="utf-8")
+        for workers in arguments.workers:
+            done = cmbot.campaign(file, Path(folder, f"with_{workers}"), workers=workers)
+            rate = 60 * len(done.rows) / done.seconds
+            first = first or rate / workers
+            cpu = np.mean([row["cpu_seconds"] for row in done.rows])
+            table.add_row(
+                *(str(workers), str(len(done.rows)), str(done.ends["planned"]), f"{done.seconds:.1f}"),
+                *(f"{rate:.1f}", f"{cpu:.2f}", f"{rate / workers / first:.0%}"),
+            )
+    console.print(table)
+
+
+if __name__ == "__main__":
+    main()
