@@ -23,6 +23,7 @@ from cmbot.scene import (
     FaceSelection,
     Goal,
     Leg,
+    LegLaw,
     PlannerOptions,
     Raster,
     SceneFile,
@@ -38,7 +39,8 @@ TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_f
 def schema_text() -> str:
     """Return the schema as the text of its file."""
     schema = SceneFile.model_json_schema()
-    classes = (ArcTo, CylinderPatch, FaceSelection, Goal, Leg, Raster, SpeedProfile, Tool, PlannerOptions)
+    paths = (ArcTo, CylinderPatch, FaceSelection, Goal, Leg, LegLaw, Raster, SpeedProfile)
+    classes = (*paths, Tool, PlannerOptions)
     kinds = [*subclasses(FileModel), *classes]
     for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:
         (kind,) = (kind for kind in kinds if kind.__name__ == name)

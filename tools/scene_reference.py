@@ -41,6 +41,7 @@ _SECTIONS = {
     "CylinderPatch": "Rasters over a cylinder: `raster.cylinder`",
     "FaceSelection": "Rasters over faces of a mesh: `raster.faces`",
     "SpeedProfile": "`speed_profile`",
+    "LegLaw": "Laws of legs with `seconds: auto`: `time_laws`",
     "ObstacleFile": "`obstacles`",
     "GuardrailFile": "`guardrail`",
     "PostFile": "`guardrail.post`",

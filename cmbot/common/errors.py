@@ -175,6 +175,7 @@ _REMEDIES = (
     ("adhesion needed", _HOLD),
     ("load of the clamp", _HOLD),
     ("hold of the feet", _HOLD),
+    ("torque on the base", "a larger {path}.max_base_torque_nm or another place for the tool path"),
     ("torque of", "a lighter payload, another start posture or another place for the tool path"),
     ("joint torque", "a lighter payload, another start posture or another place for the tool path"),
     ("middle of its range", "another start posture or another place for the tool path"),

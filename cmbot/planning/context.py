@@ -334,4 +334,5 @@ def task_of(stroke: Stroke, scene: Scene) -> ToolTask:
     """Return what a stroke of a scene prescribes of the tool."""
     speed = scene.tool.max_speed_m_s
     most = None if speed is None else speed * (1 + SPEED_TOLERANCE)
-    return ToolTask.of(stroke.path, stroke.file.keep, most, stroke.file.speed_tolerance)
+    task = ToolTask.of(stroke.path, stroke.file.keep, most, stroke.file.speed_tolerance)
+    return replace(task, max_base_torque=stroke.file.max_base_torque_nm)

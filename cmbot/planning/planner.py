@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -39,6 +39,7 @@ from cmbot.planning.result.plan import Plan, Seconds
 from cmbot.planning.result.stroke_plan import Start, StrokePlan, objective_metrics
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.stroke_order import in_least_travel
+from cmbot.planning.timing.shortest_time import in_shortest_time
 from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.planning.verification.certificate import certify
 from cmbot.planning.verification.metrics import figures, measure
@@ -190,6 +191,11 @@ def _stroke(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Mot
 
 
 def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
+    if context.task.path.open_legs:
+        work = in_shortest_time(
+            context, _certified_motion, lambda motion: motion.work.trajectory, automatic=automatic
+        )
+        return _lighter(*work)
     first = Attempt(context=context, guess=initial_guess(context), automatic=automatic)
     return _lighter(*with_retries(first, _certified_motion))
 
@@ -244,6 +250,8 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
         yield f"then the time, {limit}, was over"
     if "the time was over" in str(failure):
         return  # what is not met yet says nothing of the legs
+    if context.task.path.open_legs:
+        return  # ever longer times were tried
     tried = context
     for _ in range(_TRIALS):
         factors = slower_legs(tried, failure)
@@ -276,7 +284,7 @@ def _plan(scene: Scene, made: Sequence[tuple[Attempt, _Motion]], *, custom: bool
     return Plan.of(
         strokes,
         context.clearances,
-        scene=_with_via_points(scene, [len(attempt.context.times) for attempt, _ in made]),
+        scene=_as_planned(scene, [attempt.context for attempt, _ in made]),
         options=replace(context.options, step_share=min(shares)) if shares else context.options,
         robot=context.robot,
         job=Job(segments=tuple(segment for _, motion in made for segment in motion.job.segments)),
@@ -286,17 +294,19 @@ def _plan(scene: Scene, made: Sequence[tuple[Attempt, _Motion]], *, custom: bool
     )
 
 
-def _with_via_points(scene: Scene, counts: Sequence[int]) -> Scene:
-    """The scene with the number of via-points that each stroke was planned with."""
-    given = [stroke.via_points for stroke in scene.each_stroke]
-    if list(counts) == given:
+def _as_planned(scene: Scene, contexts: Sequence[PlanningContext]) -> Scene:
+    """The scene with the number of via-points and the time laws that each stroke was planned with."""
+    changes: list[dict[str, Any]] = [{} for _ in contexts]
+    for stroke, context, changed in zip(scene.each_stroke, contexts, changes, strict=True):
+        if len(context.times) != stroke.via_points:
+            changed["via_points"] = len(context.times)
+        if context.stroke.file.time_laws != stroke.time_laws:
+            changed["time_laws"] = context.stroke.file.time_laws
+    if not any(changes):
         return scene
     if scene.strokes is None:
-        return replace(scene, via_points=counts[0])
-    strokes = (
-        stroke.model_copy(update={"via_points": count})
-        for stroke, count in zip(scene.strokes, counts, strict=True)
-    )
+        return replace(scene, **changes[0])
+    strokes = (each.model_copy(update=new) for each, new in zip(scene.strokes, changes, strict=True))
     return replace(scene, strokes=tuple(strokes))
 
 

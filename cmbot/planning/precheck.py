@@ -147,7 +147,7 @@ def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
         name = "tool path" if len(strokes) == 1 else f"stroke {stroke.name}"
         yield (
             name,
-            f"{stroke.file.in_words}, {path.lengths.sum():.3f} m in {path.duration:.6g} s, "
+            f"{stroke.file.in_words}, {path.lengths.sum():.3f} m in {_seconds(path)}, "
             f"keeps the tool's {stroke.file.keep}",
         )
     for stroke in strokes:
@@ -156,6 +156,14 @@ def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
             mesh = stroke.file.raster.mesh if stroke.file.raster is not None else ""
             yield f"faces of {mesh}", f"{covers.area:.4g} m2, left out of them {left_out}"
     yield "via-points", " + ".join(str(len(stroke.via_times)) for stroke in strokes)
+
+
+def _seconds(path: ToolPath) -> str:
+    """How long a path takes, in words."""
+    if not path.open_legs:
+        return f"{path.duration:.6g} s"
+    given = sum(seconds for k, seconds in enumerate(path.seconds) if k not in path.open_legs)
+    return "the shortest time" + (f" and {given:.6g} s" if given else "")
 
 
 def _return(scene: Scene, robot: Robot) -> Iterator[tuple[str, str]]:

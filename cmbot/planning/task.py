@@ -41,6 +41,8 @@ class ToolTask:
         coordinate but an inequality. None: any.
     speed_tolerance : float or None
         By what share the tool's speed may miss that of the path's process parts. None: any.
+    max_base_torque : float or None
+        Largest torque on the base, Nm. None: any.
     lean : (3, 3) or None
         With ``axis``: rotation in the tool's frame by which the axis leans from that of the path all along.
     """
@@ -51,6 +53,7 @@ class ToolTask:
     cone: float | None = None
     lean: FloatArray | None = None
     speed_tolerance: float | None = None
+    max_base_torque: float | None = None
 
     def __post_init__(self) -> None:
         if self.keep not in ("pose", "axis", "position"):
@@ -103,7 +106,8 @@ class ToolTask:
 
     def held_at_start(self) -> ToolTask:
         """Return the task of holding the tool where this one starts."""
-        return replace(self, path=self.path.held(), max_speed=None, speed_tolerance=None)
+        free = replace(self, max_speed=None, speed_tolerance=None, max_base_torque=None)
+        return replace(free, path=self.path.held())
 
     @property
     def on_axis(self) -> ToolTask:

@@ -11,6 +11,7 @@ from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.cards import card
+from cmbot.common.errors import SceneError
 from cmbot.common.validation import (
     FileModel,
     check_fields,
@@ -36,7 +37,7 @@ from cmbot.scene.path.legs import Goal, Leg
 from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
 from cmbot.scene.path.raster import Raster
 from cmbot.scene.path.stroke import Stroke
-from cmbot.scene.path.time_law import SpeedProfile
+from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.robot_entry import Joints, MountFile, RobotFile, RobotSource
 from cmbot.scene.tool import Tool
 
@@ -139,7 +140,7 @@ class SceneFile(FileModel):
             if getattr(self, name) is not None
         ]
         newer = ["start_pose", "waypoints", "raster", "blend_radius_m", "passes", "strokes"]
-        newer += ["speed_tolerance", "lead_in_m", "lead_out_m"]
+        newer += ["speed_tolerance", "lead_in_m", "lead_out_m", "max_base_torque_nm", "time_laws"]
         named = {name: field.alias or name for name, field in type(path).model_fields.items()}
         keys += [("tool_path", named[name]) for name in newer if getattr(path, name) is not None]
         keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
@@ -250,8 +251,14 @@ class Scene:
         In place of legs points, m, and unit quaternions (w, x, y, z) of the tool in W, (K, 7).
     raster : Raster or None
         In place of legs rows over a surface.
-    seconds, speed_m_s : float or None
-        Duration of the path through waypoints or of the raster, s, or the speed, m/s.
+    seconds : float, "auto" or None
+        Duration of the path through waypoints or of the raster, s.
+    speed_m_s : float or None
+        Or the speed, m/s.
+    max_base_torque_nm : float or None
+        With ``auto``: the largest torque on the base that the motion may ask.
+    time_laws : tuple of LegLaw or None
+        What planning found with ``auto``.
     speed_tolerance : float or None
         By what share the tool's speed may miss the process speed between the leads.
     lead_in_m, lead_out_m : float or None
@@ -295,8 +302,10 @@ class Scene:
     legs: tuple[Leg, ...] = ()
     waypoints: tuple[tuple[float, ...], ...] | None = None
     raster: Raster | None = None
-    seconds: float | None = None
+    seconds: float | Literal["auto"] | None = None
     speed_m_s: float | None = None
+    max_base_torque_nm: float | None = None
+    time_laws: tuple[LegLaw, ...] | None = None
     speed_tolerance: float | None = None
     lead_in_m: float | None = None
     lead_out_m: float | None = None
@@ -358,10 +367,22 @@ class Scene:
         strokes = list[Stroke]()
         for k, file in enumerate(self.each_stroke):
             key = "tool_path" if self.strokes is None else f"tool_path.strokes[{k}]"
-            place = PathSource(source=self.source, key=key, frames=self.frames, obstacles=self.obstacles)
+            place = PathSource(
+                source=self.source,
+                key=key,
+                frames=self.frames,
+                obstacles=self.obstacles,
+                max_speed=self.tool.max_speed_m_s,
+            )
             path, coverage = timed_path(file, place, X_WT)
             path = path.reversed() if file.backwards else path
             path = path.repeated(file.passes or 1)
+            if file.time_laws is not None:
+                found = sorted(law.leg for law in file.time_laws)
+                if found != sorted(path.open_legs):
+                    expected = f"one for each leg with seconds: auto: {sorted(path.open_legs)}"
+                    raise SceneError(self.source, f"{key}.time_laws", f"laws of legs {found}", expected)
+                path = path.timed(file.time_laws)
             strokes.append(
                 Stroke(
                     name=str(file.name),

@@ -495,7 +495,7 @@ def test_frames_have_names_of_their_own() -> None:
 
 def test_in_python_too() -> None:
     with pytest.raises(InputError, match="exactly one of these keys"):
-        Leg(by=(0, 1, 0))
+        Leg(by=(0, 1, 0), seconds=1.0, speed_m_s=0.1)
     with pytest.raises(InputError, match="via and to"):
         ArcTo(via=(0, 0, 1))
     with pytest.raises(InputError, match="at most one"):

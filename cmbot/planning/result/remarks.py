@@ -33,6 +33,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _start(plan)
     yield from _between(plan)
     yield from _return(plan)
+    yield from _shortest_time(plan)
     yield from _process_speed(plan)
     yield from _baseline(plan)
     yield _gain(plan)
@@ -191,6 +192,23 @@ def _return(plan: Plan) -> Iterator[str]:
         f"Return: after the work the arm goes to {where}{why} in {back.duration:.1f} s (tool off), "
         f"peak torque {peak:.2f} Nm, clearance {clearance:.1f} mm, certified."
     )
+
+
+def _shortest_time(plan: Plan) -> Iterator[str]:
+    """How long legs take whose seconds were to be found."""
+    for file, segment in zip(plan.scene.each_stroke, plan.job.strokes, strict=True):
+        if not file.time_laws:
+            continue
+        of = f" of {segment.name}" if plan.several else ""
+        legs = "the leg" if len(file.time_laws) == 1 else f"{len(file.time_laws)} legs"
+        seconds, use = sum(law.duration for law in file.time_laws), segment.figures.limit_use
+        most = "" if file.max_base_torque_nm is None else f" and {file.max_base_torque_nm:g} Nm on the base"
+        yield (
+            f"Shortest time{of}: {legs} in {seconds:.4g} s, along the joint path that was found, within the "
+            f"limits{most}; used are {100 * use.velocity:.0f} % of a velocity, "
+            f"{100 * use.acceleration:.0f} % of an acceleration, {100 * use.jerk:.0f} % of a jerk, "
+            f"{100 * use.torque:.0f} % of a torque."
+        )
 
 
 def _process_speed(plan: Plan) -> Iterator[str]:

@@ -199,6 +199,8 @@ def certify(
     guardrail, mean, rms, static = work.guardrail_torque()
     hold = work.hold()
     checks += () if hold is None else hold.checks()
+    if task.max_base_torque is not None:
+        checks.append(_enclosed("torque on the base", guardrail, task.max_base_torque, "Nm"))
     shares = [check.value / check.bound for check in (*rates, torque)]
     figures = MotionMetrics(
         peak_guardrail_torque=guardrail.value,

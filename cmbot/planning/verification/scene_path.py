@@ -18,9 +18,11 @@ from cmbot.planning.verification.speed_laws import (
     TimedLeg,
     covered,
     cruise_share,
+    found,
     led,
     led_row,
     reversed_leg,
+    with_seconds,
 )
 from cmbot.scene import ArcTo, CylinderPatch, Goal, Leg, Mesh, Raster, Scene
 
@@ -43,7 +45,7 @@ class ScenePath:
         shapes = ((each.name, each.shape, each.X_WO) for each in scene.obstacles)
         self._meshes = {name: (shape.path, X) for name, shape, X in shapes if isinstance(shape, Mesh)}
         for file in scene.each_stroke[: number + 1]:
-            self._file, self._frames = file, {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
+            self._file, self._frames = with_seconds(file), {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
             for name, frame in (scene.file.frames or {}).items():
                 self._frames[name] = np.array(frame.xyz), _rpy(frame.rpy_deg)
             self._legs: list[TimedLeg] = []
@@ -56,6 +58,8 @@ class ScenePath:
                 p, R = self._turn_round()
                 once = [*once, *self._legs]
             self._legs = once
+            for law in file.time_laws or ():
+                self._legs[law.leg] = found(self._legs[law.leg], law)
 
     def _follow(self, p: FloatArray, R: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Put the legs together; where the tool is after them."""
@@ -95,7 +99,7 @@ class ScenePath:
                 straight.append(end[0])
                 points, length = _blended(np.array(straight), file.blend_radius_m or 0.0)
                 sides = float(np.linalg.norm(np.diff(straight, axis=0), axis=1).sum())
-                given += leg.seconds or 0.0
+                given += leg.given_seconds
                 cruising += 0.0 if leg.speed_m_s is None else seconds
                 # A given speed is that along the rounded corners.
                 seconds = given + cruising * length / sides
@@ -197,7 +201,7 @@ class ScenePath:
         def orientations(share: FloatArray) -> FloatArray:
             return np.array([_rodrigues(s * turn) @ R for s in share])
 
-        seconds = leg.pause or leg.seconds or self._cruise(length, leg.speed_m_s)
+        seconds = leg.given_seconds or self._cruise(length, leg.speed_m_s)
         pose = points(np.ones(1))[0], orientations(np.ones(1))[0]
         return seconds, points, orientations, pose, length
 
@@ -273,7 +277,7 @@ class ScenePath:
         legs = []
         for way in ways:
             share = float(np.linalg.norm(way)) / total
-            seconds = None if self._file.seconds is None else self._file.seconds * share
+            seconds = None if self._file.given_time is None else self._file.given_time * share
             legs.append(Leg(by=_three(way), seconds=seconds, speed_m_s=self._file.speed_m_s))
         return tuple(legs)
 
@@ -322,7 +326,7 @@ class ScenePath:
             R = each[-1]
         file, total = self._file, sum(length for length, *_ in legs)
         for length, places, turns, at_ends in legs:
-            share = None if file.seconds is None else file.seconds * length / total
+            share = None if file.given_time is None else file.given_time * length / total
             seconds = share or self._cruise(length, file.speed_m_s)
             self._legs.append(TimedLeg(seconds, places, turns, length, share is None, at_ends))
         return rows[-1][0][-1], R
@@ -361,7 +365,7 @@ class ScenePath:
                 along = (plane(share)[:, 1] - place[1])[:, None] * axis
                 return np.asarray(centre + turned(share) @ (p - centre) + along)
 
-            cruises = self._file.seconds is None
+            cruises = self._file.given_time is None
             self._legs.append(TimedLeg(seconds, points, lambda share: turned(share) @ R, length, cruises))
 
         unrolled = np.array([[outer * around, along, 0.0] for around, along in places])
@@ -370,10 +374,10 @@ class ScenePath:
         file, total = self._file, float(lengths.sum())
         if file.blend_radius_m is not None:
             plane, length = _blended(unrolled, file.blend_radius_m)
-            add(plane, file.seconds or self._cruise(length, file.speed_m_s), length)
+            add(plane, file.given_time or self._cruise(length, file.speed_m_s), length)
         else:
             for begin, way, length in zip(unrolled, ways, lengths, strict=False):
-                share = None if file.seconds is None else file.seconds * length / total
+                share = None if file.given_time is None else file.given_time * length / total
                 add(partial(_straight, begin, way), share or self._cruise(length, file.speed_m_s), length)
         return self._end()
 
@@ -387,8 +391,8 @@ class ScenePath:
         spline = make_interp_spline(at, points, k=3)
         orientations = RotationSpline(at, Rotation.from_quat(rows[:, 3:], scalar_first=True))
         file = self._file
-        length, cruises = _length(spline.derivative(), at), file.seconds is None
-        seconds = file.seconds or self._cruise(length, file.speed_m_s)
+        length, cruises = _length(spline.derivative(), at), file.given_time is None
+        seconds = file.given_time or self._cruise(length, file.speed_m_s)
         turns = partial(_matrices, orientations)
         self._legs.append(TimedLeg(seconds, spline, turns, length, cruises))
         return points[-1], orientations(1.0).as_matrix()

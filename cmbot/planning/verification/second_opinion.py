@@ -101,7 +101,14 @@ def second_opinion(
     efforts = body.efforts(motion[0], motion[1], motion[2], tool_force)
     checks = [
         known,
-        *_effort_checks(body, robot, times, motion, efforts),
+        *_effort_checks(
+            body,
+            robot,
+            times,
+            motion,
+            efforts,
+            None if stroke is None else scene.each_stroke[stroke].max_base_torque_nm,
+        ),
         *hold_checks(scene, body, robot, times, efforts),
         *_pose_checks(body, robot, times, motion[0]),
         _limits_check(body, robot, times),
@@ -172,8 +179,9 @@ def _effort_checks(
     times: FloatArray,
     motion: list[FloatArray],
     efforts: tuple[FloatArray, FloatArray, FloatArray],
+    most_on_base: float | None,
 ) -> Iterator[Check]:
-    """What the package's dynamics differ by, and the joint torques against their bounds."""
+    """What the package's dynamics differ by, and the torques against their bounds."""
     q, v, a, _ = motion
     theirs = Dynamics(robot).efforts(q, v, a)
     tau, force, torque = efforts
@@ -185,6 +193,9 @@ def _effort_checks(
         quantity = f"difference of the {name} {_FROM}"
         bound = max(_EFFORTS * float(np.abs(own).max()), _LEAST_EFFORT)
         yield _worst(quantity, times, np.abs(own - other).max(axis=1), bound, unit)
+    if most_on_base is not None:
+        size, bound = np.linalg.norm(torque, axis=1), most_on_base * (1 + _LIMIT)
+        yield _worst(f"torque on the base {_BY}", times, size, bound, "Nm")
     quantity = f"torque of {{}} {_BY}"
     yield _joint_check(body, quantity, times, np.abs(tau), body.bounds.torque, ("Nm", "N"))
 

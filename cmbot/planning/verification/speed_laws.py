@@ -6,15 +6,17 @@ A lead is the tangent where its leg begins or ends, by differences of points bey
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
-from cmbot.scene import SpeedProfile
+from cmbot.scene import LegLaw, SpeedProfile, StrokeFile
 
-__all__ = ["TimedLeg", "covered", "cruise_share", "led", "led_row", "reversed_leg"]
+__all__ = ["TimedLeg", "covered", "cruise_share", "found", "led", "led_row", "reversed_leg", "with_seconds"]
 
 _Points = Callable[[FloatArray], FloatArray]
 # Step of the differences, as a share of the leg: exact for what is cubic beyond its ends.
@@ -32,6 +34,7 @@ class TimedLeg(NamedTuple):
     edges: tuple[float, float] | None = None  # shares of its overscan, where these are not its lengths'
     phases: tuple[float, float, float] | None = None  # shares of ramps and process in its time, with leads
     speed: float = 0.0  # of the process, m/s
+    law: LegLaw | None = None
 
 
 def led(leg: TimedLeg, profile: SpeedProfile, before: float, after: float) -> TimedLeg:
@@ -89,11 +92,31 @@ def reversed_leg(leg: TimedLeg) -> TimedLeg:
         return lambda share: of(1 - share)
 
     phases = None if leg.phases is None else (leg.phases[2], leg.phases[1], leg.phases[0])
-    return leg._replace(points=back(leg.points), orientations=back(leg.orientations), phases=phases)
+    law = (
+        None if leg.law is None else replace(leg.law, seconds=leg.law.seconds[::-1], jerk=leg.law.jerk[::-1])
+    )
+    return leg._replace(points=back(leg.points), orientations=back(leg.orientations), phases=phases, law=law)
+
+
+def found(leg: TimedLeg, law: LegLaw) -> TimedLeg:
+    """Return a leg in the time that was found for it."""
+    return leg._replace(seconds=float(np.sum(law.seconds)), law=law)
+
+
+def with_seconds(file: StrokeFile) -> StrokeFile:
+    """Return a stroke with some seconds where these were to be found: its laws have the right ones."""
+    legs = tuple(replace(leg, seconds=1.0) if leg.seconds == "auto" else leg for leg in file.legs)
+    seconds = 1.0 if file.seconds == "auto" else file.seconds
+    return file.model_copy(update={"legs": legs, "seconds": seconds})
 
 
 def covered(leg: TimedLeg, profile: SpeedProfile, u: FloatArray) -> FloatArray:
     """Return the shares of a leg's length that are covered at shares `u` (N,) of its time."""
+    if leg.law is not None:
+        ends = np.append(0.0, np.cumsum(leg.law.seconds))
+        times = np.append(u * ends[-1], ends[-1])
+        shares = make_interp_spline(ends, leg.law.jerk, k=1).antiderivative(3)(times)
+        return np.asarray(shares[:-1] / shares[-1])
     phases = leg.phases or (profile.ramp, 1 - 2 * profile.ramp, profile.ramp)
     return np.asarray(_travelled(profile, phases, u) / _travelled(profile, phases, np.ones(1)))
 

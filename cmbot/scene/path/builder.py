@@ -16,11 +16,12 @@ from cmbot.scene.obstacles import Mesh, Obstacle, pose
 from cmbot.scene.path.curves import Arc, Blend, Curve, Line, Rolled, Spline, rounded
 from cmbot.scene.path.face_rows import FaceRows, rows_over_faces
 from cmbot.scene.path.leads import Extended
-from cmbot.scene.path.legs import SHORTEST_LEG, ArcTo, Goal, Leg
+from cmbot.scene.path.legs import AUTO, SHORTEST_LEG, ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import PathFile
 from cmbot.scene.path.raster import CylinderPatch, Raster
 from cmbot.scene.path.time_law import ProcessPart, TimeLaw, law_with_leads
-from cmbot.scene.path.tool_path import ToolPath, shortest_turns
+from cmbot.scene.path.tool_path import ToolPath
+from cmbot.scene.path.tool_poses import shortest_turns
 
 __all__ = ["PathSource", "timed_path"]
 
@@ -28,6 +29,9 @@ __all__ = ["PathSource", "timed_path"]
 _NO_TURN = 1e-12
 # Cosine of 10 degrees: the angle to the z axis below which a cylinder's angles count from the x axis.
 _UPRIGHT = 0.98480775
+# First guesses of speeds where the shortest time is to be found, m/s and rad/s, and of a duration, s; as a
+# share of the tool's largest speed.
+_FIRST_SPEED, _FIRST_TURN, _FIRST_SECONDS, _FIRST_SHARE = 0.05, 0.1, 2.0, 0.5
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -42,12 +46,15 @@ class PathSource:
         Poses in W of the frames that the scene names.
     obstacles : sequence of Obstacle
         The scene's, of which rasters name meshes.
+    max_speed : float or None
+        Of the tool point, m/s: seconds that are to be found begin slower.
     """
 
     source: str
     key: str
     frames: Mapping[str, FloatArray]
     obstacles: Sequence[Obstacle] = ()
+    max_speed: float | None = None
 
 
 def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> tuple[ToolPath, FaceRows | None]:
@@ -90,6 +97,7 @@ class _Part:
     curve: Curve | None = None
     blends: bool = False
     cruises: bool = False  # at a speed that is given
+    open: bool = False  # its seconds are to be found
 
 
 class _PathBuilder:
@@ -133,6 +141,7 @@ class _PathBuilder:
             curves={k: part.curve for k, part in enumerate(parts) if part.curve is not None},
             laws=laws,
             process=process,
+            open_legs=frozenset(k for k, part in enumerate(parts) if part.open or file.seconds == AUTO),
         )
 
     def _leads(self) -> dict[int, tuple[float, float]]:
@@ -201,10 +210,10 @@ class _PathBuilder:
             end, turn, curve = self._arc(leg.arc, f"{key}.arc")
         length = float(np.linalg.norm(end - self._point)) if curve is None else curve.length
         straight = curve is None and length >= SHORTEST_LEG and not turn.any()
-        seconds = leg.pause or self._seconds(leg.seconds, leg.speed_m_s, length, f"{key}.speed_m_s")
-        cruises = leg.speed_m_s is not None
-        part = _Part(end=end, turn=turn, seconds=seconds, curve=curve, blends=straight, cruises=cruises)
-        self._add(part)
+        open_, turned = leg.seconds == AUTO, float(np.linalg.norm(turn))
+        seconds = leg.pause or self._seconds(leg.seconds, leg.speed_m_s, length, f"{key}.speed_m_s", turned)
+        part = _Part(end=end, turn=turn, seconds=seconds, curve=curve, blends=straight, open=open_)
+        self._add(replace(part, cruises=leg.speed_m_s is not None))
 
     def spline(self) -> None:
         """Add the spline through the scene's waypoints."""
@@ -347,6 +356,8 @@ class _PathBuilder:
 
     def _shared_seconds(self, lengths: FloatArray) -> FloatArray:
         """Durations (L,) of the legs of a raster, of lengths (L,)."""
+        if self._file.seconds == AUTO:
+            return np.array([self._first_seconds(float(x), 0.0) for x in lengths])
         if self._file.seconds is not None:
             return np.asarray(self._file.seconds * lengths / lengths.sum())
         key = f"{self._place.key}.speed_m_s"
@@ -363,8 +374,8 @@ class _PathBuilder:
                 curve = Blend(corners, radius)
                 shorter = curve.length / float(np.linalg.norm(np.diff(corners, axis=0), axis=1).sum())
                 seconds = sum(part.seconds * (shorter if part.cruises else 1.0) for part in group)
-                cruises = all(part.cruises for part in group)
-                merged.append(replace(group[-1], seconds=seconds, curve=curve, cruises=cruises))
+                cruises, open_ = all(part.cruises for part in group), any(part.open for part in group)
+                merged.append(replace(group[-1], seconds=seconds, curve=curve, cruises=cruises, open=open_))
             else:
                 merged.extend(group)
             point = group[-1].end if group else point
@@ -387,7 +398,17 @@ class _PathBuilder:
         self._parts.append(part)
         self._point, self._R = part.end, _turned(part.turn, self._R)
 
-    def _seconds(self, seconds: float | None, speed: float | None, length: float, key: str) -> float:
+    def _first_seconds(self, length: float, turn: float) -> float:
+        """A first guess of seconds that are to be found."""
+        most = self._place.max_speed
+        speed = _FIRST_SPEED if most is None else min(_FIRST_SPEED, _FIRST_SHARE * most)
+        return max(length / speed, turn / _FIRST_TURN, _FIRST_SECONDS)
+
+    def _seconds(
+        self, seconds: float | str | None, speed: float | None, length: float, key: str, turn: float = 0.0
+    ) -> float:
+        if seconds == AUTO:
+            return self._first_seconds(length, turn)
         if seconds is not None or speed is None:
             return float(seconds or 0.0)
         if length < SHORTEST_LEG:

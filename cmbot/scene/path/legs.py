@@ -4,22 +4,24 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import AfterValidator, Field
+from pydantic import AfterValidator, Field, GetPydanticSchema, PlainSerializer, WrapValidator
 
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, refusal
 from cmbot.scene.fields import Angle, Angles, Coordinate, Slug, Vector, exactly_one, given_of
 
 __all__ = [
+    "AUTO",
     "SHORTEST_LEG",
     "ArcTo",
     "Goal",
     "Leg",
     "LongVector",
     "Seconds",
+    "SecondsOrAuto",
     "Speed",
     "UnitVector",
     "Waypoint",
@@ -32,6 +34,9 @@ SHORTEST_LEG = 1e-6
 _LENGTH_OF_AXIS = 1e-2
 # A unit quaternion up to what files round.
 _LENGTH_OF_QUATERNION = 1e-3
+
+AUTO: Literal["auto"] = "auto"
+"""Seconds that are to be found."""
 
 Seconds = Annotated[float, Field(ge=1e-3, le=36_000)]
 Speed = Annotated[float, Field(ge=1e-5, le=100)]
@@ -49,6 +54,22 @@ def _unit_vector(axis: Vector) -> Vector:
         raise refusal("a unit vector", got=axis)
     return axis
 
+
+def _auto_or_seconds(value: Any, seconds: Any) -> Any:
+    """The word, or what `seconds` makes of a number: one error, where a union would have two."""
+    return value if value == AUTO else seconds(value)
+
+
+SecondsOrAuto = Annotated[
+    float | Literal["auto"],
+    GetPydanticSchema(
+        lambda _, handler: handler(
+            Annotated[Seconds, WrapValidator(_auto_or_seconds), PlainSerializer(lambda value: value)]
+        ),
+        lambda schema, handler: {"anyOf": [handler(schema), {"const": AUTO, "type": "string"}]},
+    ),
+]
+"""A duration, or ``auto``."""
 
 LongVector = Annotated[Vector, AfterValidator(_long_enough)]
 UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]
@@ -141,8 +162,8 @@ class Leg(CheckedFields):
         In place of it an arc.
     pause : float or None
         In place of it seconds in which the tool waits.
-    seconds : float or None
-        Duration, s.
+    seconds : float, "auto" or None
+        Duration, s; ``auto``: the shortest within the limits, of ``cmbot-scene/2``.
     speed_m_s : float or None
         In place of it the speed at which the tool cruises, m/s; the ramps come on top.
 
@@ -156,22 +177,34 @@ class Leg(CheckedFields):
     to: Goal | None = None
     arc: ArcTo | None = None
     pause: Seconds | None = None
-    seconds: Seconds | None = None
+    seconds: SecondsOrAuto | None = None
     speed_m_s: Speed | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
         exactly_one(self, ("by", "to", "arc", "pause"))
         if self.pause is None:
-            exactly_one(self, ("seconds", "speed_m_s"))
+            # Without either it has the seconds of the path, which may be found.
+            if self.seconds is not None or self.speed_m_s is not None:
+                exactly_one(self, ("seconds", "speed_m_s"))
         elif self.seconds is not None or self.speed_m_s is not None:
             key = "seconds" if self.seconds is not None else "speed_m_s"
             raise InputError("Leg", key, "a value", "no such key beside pause, which says how long")
 
     @property
+    def is_timed(self) -> bool:
+        """Whether it has a time of its own."""
+        return any(each is not None for each in (self.pause, self.seconds, self.speed_m_s))
+
+    @property
+    def given_seconds(self) -> float:
+        """Seconds that are given, s: 0 where they follow from a speed, or are to be found."""
+        return self.seconds if isinstance(self.seconds, float) else self.pause or 0.0
+
+    @property
     def is_plain(self) -> bool:
         """Whether it is a displacement in so many seconds, all that ``cmbot-scene/1`` knows."""
-        return self.by is not None and self.seconds is not None
+        return self.by is not None and self.seconds is not None and self.seconds != AUTO
 
 
 def _unit_quaternion(row: tuple[float, ...]) -> tuple[float, ...]:

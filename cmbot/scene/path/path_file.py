@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.validation import FileModel, counted, refusal
-from cmbot.scene.fields import Slug, exactly_one
+from cmbot.scene.fields import Slug
 from cmbot.scene.path.kept import Keep
-from cmbot.scene.path.legs import Goal, Leg, Seconds, Speed, Waypoint
+from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, Waypoint
 from cmbot.scene.path.raster import Raster
-from cmbot.scene.path.time_law import SpeedProfile
+from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 
 __all__ = [
     "FREE_MOVE",
@@ -38,6 +39,9 @@ FREE_MOVE = re.compile(r"free_\d+")
 """Names of the free moves between strokes."""
 
 
+_TIMES = ("seconds", "speed_m_s")
+
+
 class PathFile(FileModel):
     """A path of the tool."""
 
@@ -56,8 +60,16 @@ class PathFile(FileModel):
     columns, relative to it; of ``cmbot-scene/2``."""
     raster: Raster | None = None
     """In place of `legs`, rows over a surface, with `blend_radius_m` without a stop; of ``cmbot-scene/2``."""
-    seconds: Seconds | None = None
-    """Duration of the path through `waypoints` or of `raster`, s."""
+    seconds: SecondsOrAuto | None = None
+    """Duration of the path through `waypoints` or of `raster`, s; ``auto``: the shortest within the limits of
+    joints and tool, of ``cmbot-scene/2``, there also for all legs that have no time of their own, and beside
+    `strokes` for all strokes."""
+    max_base_torque_nm: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    """With ``seconds: auto``: the largest torque on the base, Nm, that the motion may ask with the tool on;
+    left out: any; of ``cmbot-scene/2``."""
+    time_laws: Annotated[tuple[LegLaw, ...], Field(max_length=2000)] | None = None
+    """How legs with ``seconds: auto`` are covered, as planning found it: in the scenes of plans. Left out: it
+    is searched."""
     speed_m_s: Speed | None = None
     """In place of it the speed at which the tool cruises along them, m/s."""
     speed_tolerance: Annotated[float, Field(ge=1e-4, le=0.5)] | None = None
@@ -86,24 +98,57 @@ class PathFile(FileModel):
     @model_validator(mode="after")
     def _check(self) -> Self:
         self._check_path()
+        self._check_times()
         return self
+
+    def _check_times(self, at: tuple[str | int, ...] = ()) -> None:
+        """Every leg, or the whole path, has one time; ``seconds: auto`` is that of legs that have none."""
+        if not self.legs:
+            if (self.seconds is None) == (self.speed_m_s is None):
+                got = "none" if self.seconds is None else "seconds and speed_m_s"
+                raise refusal("exactly one of these keys", got=got, key=at, choices=_TIMES)
+        else:
+            for name in _TIMES:
+                if getattr(self, name) not in (None, AUTO):
+                    expected = "no such key beside legs, which have their own"
+                    raise refusal(expected, got="a value", key=(*at, name))
+            for k, leg in enumerate(self.legs):
+                if not leg.is_timed and self.seconds != AUTO:
+                    where = (*at, "legs", k)
+                    raise refusal("exactly one of these keys", got="none", key=where, choices=_TIMES)
+        if self.seconds == AUTO and self.legs:
+            legs = (leg if leg.is_timed else replace(leg, seconds=AUTO) for leg in self.legs)
+            object.__setattr__(self, "legs", tuple(legs))
+            object.__setattr__(self, "seconds", None)
+        for name in ("max_base_torque_nm", "time_laws"):
+            if not self.is_open and getattr(self, name) is not None:
+                raise refusal("no such key without seconds: auto", got="a value", key=(*at, name))
+        for name in ("speed_tolerance", "lead_in_m", "lead_out_m"):
+            if self.is_open and getattr(self, name) is not None:
+                expected = "no such key beside seconds: auto, which has no constant speed"
+                raise refusal(expected, got="a value", key=(*at, name))
+
+    @property
+    def given_time(self) -> float | None:
+        """Its seconds; None where they are to be found, or follow from a speed or from legs."""
+        return self.seconds if isinstance(self.seconds, float) else None
+
+    @property
+    def is_open(self) -> bool:
+        """Whether seconds of it are to be found."""
+        return self.seconds == AUTO or any(leg.seconds == AUTO for leg in self.legs)
 
     def _check_path(self) -> None:
         given = [name for name in ("legs", "waypoints", "raster") if getattr(self, name)]
         if len(given) != 1:
             got = " and ".join(given) or "neither"
             raise refusal("either legs, waypoints or a raster", got=got, key=("legs",))
-        for name in ("seconds", "speed_m_s"):
-            if self.legs and getattr(self, name) is not None:
-                raise refusal("no such key beside legs, which have their own", got="a value", key=(name,))
         if self.waypoints is not None and self.blend_radius_m is not None:
             expected = "no such key beside waypoints, which have no corners"
             raise refusal(expected, got="a value", key=("blend_radius_m",))
-        if not self.legs:
-            exactly_one(self, ("seconds", "speed_m_s"))
-            if self.start_pose is not None:
-                expected = "no such key beside waypoints or a raster, where the path begins"
-                raise refusal(expected, got="a pose", key=("from",))
+        if not self.legs and self.start_pose is not None:
+            expected = "no such key beside waypoints or a raster, where the path begins"
+            raise refusal(expected, got="a pose", key=("from",))
         self._check_leads()
         passes = self.passes or 1
         leads = sum(lead is not None for lead in (self.lead_in_m, self.lead_out_m))
@@ -139,7 +184,7 @@ class PathFile(FileModel):
     @property
     def given_seconds(self) -> float:
         """Duration of the legs that have one, in all passes, s."""
-        return (self.passes or 1) * sum(leg.seconds or leg.pause or 0.0 for leg in self.legs)
+        return (self.passes or 1) * sum(leg.given_seconds for leg in self.legs)
 
     @property
     def has_own_start(self) -> bool:
@@ -172,6 +217,12 @@ class StrokeFile(PathFile):
     backwards: bool = False
     """Whether the path is followed from its end to its start."""
 
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        # Its time may be that of all strokes.
+        self._check_path()
+        return self
+
     @property
     def has_start(self) -> bool:
         """Whether it begins elsewhere than where the tool was before."""
@@ -194,10 +245,13 @@ class ToolPathFile(PathFile):
     def _check(self) -> Self:
         if self.strokes is None:
             self._check_path()
+            self._check_times()
             if self.order is not None:
                 raise refusal("no such key without strokes", got=self.order, key=("order",))
             return self
         for name, field in PathFile.model_fields.items():
+            if self.seconds == AUTO and name in ("seconds", "max_base_torque_nm"):
+                continue
             if getattr(self, name) != field.default:
                 expected = "no such key beside strokes, which have their own"
                 raise refusal(expected, got="a value", key=(field.alias or name,))
@@ -206,6 +260,12 @@ class ToolPathFile(PathFile):
             stroke if stroke.name else stroke.model_copy(update={"name": f"stroke_{k}"})
             for k, stroke in enumerate(self.strokes, start=1)
         )
+        if self.seconds == AUTO:
+            named = tuple(self._in_auto_time(stroke) for stroke in named)
+            object.__setattr__(self, "seconds", None)
+            object.__setattr__(self, "max_base_torque_nm", None)
+        for k, stroke in enumerate(named):
+            stroke._check_times(("strokes", k))
         taken = dict[str, int]()
         for k, stroke in enumerate(named):
             name = str(stroke.name)
@@ -225,6 +285,15 @@ class ToolPathFile(PathFile):
         if self.order == "best":
             self._check_order(named)
         return self
+
+    def _in_auto_time(self, stroke: StrokeFile) -> StrokeFile:
+        """A stroke with the time of all strokes where it has none of its own."""
+        most = stroke.max_base_torque_nm or self.max_base_torque_nm
+        if stroke.speed_m_s is not None or isinstance(stroke.seconds, float):
+            return stroke
+        if stroke.legs and all(leg.is_timed and leg.seconds != AUTO for leg in stroke.legs):
+            return stroke
+        return stroke.model_copy(update={"seconds": AUTO, "max_base_torque_nm": most})
 
     def _check_order(self, strokes: Sequence[StrokeFile]) -> None:
         if len(strokes) > MOST_ORDERED:

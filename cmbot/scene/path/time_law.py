@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Protocol
 
 import numpy as np
 from pydantic import Field
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields
 
-__all__ = ["PiecewiseLaw", "ProcessPart", "SpeedProfile", "TimeLaw", "law_with_leads"]
+__all__ = ["LegLaw", "PiecewiseLaw", "ProcessPart", "SpeedProfile", "TimeLaw", "law_with_leads"]
 
+_Duration = Annotated[float, Field(gt=0, le=36_000)]
 # Halvings that find when a share is covered.
 _HALVINGS = 60
 
@@ -144,6 +146,80 @@ class PiecewiseLaw:
         for column in coefficients.T[::-1]:
             value = value * x + column[phase]
         return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class LegLaw(CheckedFields):
+    """The law of a leg with ``seconds: auto``, as planning found it.
+
+    Attributes
+    ----------
+    leg : int
+        Its number along the timed path, in all passes, from 0; legs that are blended are one.
+    seconds : tuple of float
+        Durations of its phases, s.
+    jerk : tuple of float
+        Third derivative of the share of the leg that is covered, 1/s^3, where phases begin and at the end;
+        in between it is linear. The leg begins at rest.
+
+    Raises
+    ------
+    InputError
+        When a field is out of its bounds, or there is not one jerk more than phases.
+    """
+
+    leg: Annotated[int, Field(ge=0)]
+    seconds: Annotated[tuple[_Duration, ...], Field(min_length=1, max_length=1000)]
+    jerk: Annotated[tuple[float, ...], Field(min_length=2, max_length=1001)]
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if len(self.jerk) != len(self.seconds) + 1:
+            raise InputError("LegLaw", "jerk", f"{len(self.jerk)} numbers", f"{len(self.seconds) + 1}")
+        if not self._covered > 0:
+            raise InputError("LegLaw", "jerk", "a law that leads back", "one that leads forward")
+
+    @property
+    def duration(self) -> float:
+        """Of the leg, s."""
+        return sum(self.seconds)
+
+    @property
+    def law(self) -> PiecewiseLaw:
+        """The law over shares of the duration."""
+        whole = self.duration
+        scale = whole ** np.arange(5.0) / self._covered
+        terms = np.array([each for each, _ in self._phases]) * scale
+        breaks = np.append(0.0, np.cumsum(self.seconds)) / whole
+        breaks[-1] = 1.0
+        return PiecewiseLaw(breaks=breaks, coefficients=terms)
+
+    def slowed(self, factor: float) -> LegLaw:
+        """Return the law that takes so many times as long."""
+        return replace(
+            self,
+            seconds=tuple(factor * each for each in self.seconds),
+            jerk=tuple(each / factor**3 for each in self.jerk),
+        )
+
+    @property
+    def _covered(self) -> float:
+        """What is covered in the end: one, but for rounding."""
+        return self._phases[-1][1]
+
+    @property
+    def _phases(self) -> list[tuple[list[float], float]]:
+        """Of each phase the coefficients by powers of the time since it began, and the share at its end."""
+        share = speed = acceleration = 0.0
+        phases = []
+        for h, begin, end in zip(self.seconds, self.jerk[:-1], self.jerk[1:], strict=True):
+            slope = (end - begin) / h
+            terms = [share, speed, acceleration / 2, begin / 6, slope / 24]
+            share = sum(term * h**power for power, term in enumerate(terms))
+            speed += h * (acceleration + h * (begin / 2 + h * slope / 6))
+            acceleration += h * (begin + h * slope / 2)
+            phases.append((terms, share))
+        return phases
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,47 +15,18 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.scene.path.curves import Curve
-from cmbot.scene.path.time_law import ProcessPart, SpeedProfile, TimeLaw
+from cmbot.scene.path.time_law import LegLaw, ProcessPart, SpeedProfile, TimeLaw
+from cmbot.scene.path.tool_poses import ToolPoses
 
-__all__ = ["ShiftedToolPath", "ToolPath", "ToolPoses", "share_out_segments", "shortest_turns"]
+__all__ = ["ShiftedToolPath", "ToolPath", "share_out_segments"]
 
 _NO_LENGTH = 1e-300
-# Sines of angles below which a turn is none, and two unit vectors are parallel or opposite.
-_NO_TURN, _OPPOSITE = 1e-300, 1e-12
 # Points by which a curve is shown.
 _SHOWN = 41
 # Times nearer to each other than this share of the duration are the same.
 _SAME_TIME = 1e-9
 # Digits of the shares of the duration that legs have.
 _DIGITS = 9
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ToolPoses:
-    """Poses of the tool in W.
-
-    Attributes
-    ----------
-    point : (N, 3), m
-    rotation : (N, 3, 3), or (1, 3, 3) where all have the same
-        R_WT.
-    """
-
-    point: FloatArray
-    rotation: FloatArray
-
-    def __len__(self) -> int:
-        return len(self.point)
-
-    def __getitem__(self, which: IntArray | BoolArray | slice | int) -> ToolPoses:
-        """Return some of the poses; of one index, that one."""
-        chosen = slice(which, which + 1 or None) if isinstance(which, int | np.integer) else which
-        rotation = self.rotation if len(self.rotation) == 1 else self.rotation[chosen]
-        return ToolPoses(point=self.point[chosen], rotation=rotation)
-
-    def __iter__(self) -> Iterator[ToolPoses]:
-        """Yield the poses one by one."""
-        return (self[k] for k in range(len(self)))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -80,6 +51,8 @@ class ToolPath:
         Those of the legs that are not timed by `profile`.
     process : mapping of int to ProcessPart
         Of the legs that have a process speed between two leads.
+    open_legs : frozenset of int
+        Legs whose seconds are to be found: those here are a first guess.
     """
 
     corners: FloatArray
@@ -90,6 +63,7 @@ class ToolPath:
     curves: Mapping[int, Curve] = field(default_factory=dict)
     laws: Mapping[int, TimeLaw] = field(default_factory=dict)
     process: Mapping[int, ProcessPart] = field(default_factory=dict)
+    open_legs: frozenset[int] = frozenset()
 
     @cached_property
     def leg_times(self) -> FloatArray:
@@ -345,6 +319,7 @@ class ToolPath:
                 last - k: replace(part, begin=1 - part.end, end=1 - part.begin)
                 for k, part in self.process.items()
             },
+            open_legs=frozenset(last - k for k in self.open_legs),
         )
 
     def repeated(self, passes: int) -> ToolPath:
@@ -365,14 +340,36 @@ class ToolPath:
             curves=of_all("curves"),
             laws=of_all("laws"),
             process=of_all("process"),
+            open_legs=frozenset(n * legs + k for n, path in enumerate(each) for k in path.open_legs),
         )
+
+    def timed(self, laws: Sequence[LegLaw]) -> ToolPath:
+        """Return the path with the legs' seconds as they were found."""
+        seconds = self.seconds.copy()
+        for each in laws:
+            seconds[each.leg] = each.duration
+        return replace(
+            self,
+            seconds=seconds,
+            laws={**self.laws, **{each.leg: each.law for each in laws}},
+            open_legs=self.open_legs - {each.leg for each in laws},
+        )
+
+    def leg_shares(self, times: ArrayLike) -> tuple[IntArray, FloatArray]:
+        """Return the legs (N,) at `times` (N,), and the shares (N,) of their lengths that are covered."""
+        leg, u = self._locate(times)
+        return leg, self._share(leg, u)
+
+    def times_at(self, leg: int, shares: FloatArray) -> FloatArray:
+        """Return the times (N,), s, at which shares (N,) of a leg's length are covered."""
+        times = self.leg_times[leg] + self._law(leg).time_share(shares) * self.seconds[leg]
+        return np.asarray(times)
 
     def held(self) -> ToolPath:
         """Return the path of a tool that stays, for a second, where this one starts."""
         corners = np.repeat(self.corners[:1], 2, axis=0)
-        return replace(
-            self, corners=corners, seconds=np.ones(1), rotations=None, curves={}, laws={}, process={}
-        )
+        plain = replace(self, laws={}, process={}, open_legs=frozenset())
+        return replace(plain, corners=corners, seconds=np.ones(1), rotations=None, curves={})
 
     def _locate(self, times: ArrayLike) -> tuple[IntArray, FloatArray]:
         """Leg (N,) and share of its duration (N,) at `times`; outside the path, its nearer end."""
@@ -470,15 +467,3 @@ def share_out_segments(seconds: Sequence[float] | FloatArray, segments: int) -> 
         shares[leg] += 1
         heapreplace(longest, (-float(seconds[leg]) / (shares[leg] + 1), leg))
     return shares
-
-
-def shortest_turns(z: FloatArray, z_goal: FloatArray) -> FloatArray:
-    """Return shortest rotation vectors (N, 3) from unit vectors `z` (N, 3) to others, (N, 3) or (1, 3)."""
-    cross, cosine = np.cross(z, z_goal), (z * z_goal).sum(axis=1)
-    sine = np.linalg.norm(cross, axis=1)
-    vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
-    for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
-        # Half a turn about any axis across z.
-        across = np.cross(z[k], np.eye(3)[np.abs(z[k]).argmin()])
-        vectors[k] = np.pi * across / np.linalg.norm(across)
-    return np.asarray(vectors)

@@ -1,0 +1,161 @@
+"""Joint paths of legs, and what bounds a motion along them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.interpolate import BSpline, CubicSpline, make_lsq_spline
+
+from cmbot.common.errors import LimitViolation
+from cmbot.planning.context import PlanningContext
+from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.timing.law_search import Bounded, shortest_law
+from cmbot.robot import Dynamics, Kinematics, Robot
+from cmbot.scene import SPEED_TOLERANCE, LegLaw
+from cmbot.trajectory import QuinticTrajectory
+
+__all__ = ["LegPath", "bounds_along", "leg_paths", "shortest_laws"]
+
+# Pieces of the spline that a joint path is, and points a piece at which it is put onto the task.
+_FEWEST_PIECES, _MOST_PIECES, _POINTS = 12, 40, 3
+# Points a piece, and in all at least, at which torques and the tool's speed are computed.
+_FINE, _FINEST = 6, 240
+# Shares of the bounds that laws may use: splines through some points of a law's motion swing a little about
+# it.
+_VELOCITY, _ACCELERATION, _JERK, _TORQUE, _BASE_TORQUE, _TOOL_SPEED = 0.995, 0.99, 0.97, 0.98, 0.995, 0.999
+# Phases of a law, for each segment of the splines that follow it and in all: they have about as many numbers.
+_PHASES, _FEWEST_PHASES, _MOST_PHASES = 2, 12, 60
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LegPath:
+    """The joints along a leg.
+
+    Attributes
+    ----------
+    leg : int
+    q : BSpline
+        Postures (n,) by the share of the leg's length.
+    segments : int
+        Of the splines on the leg.
+    """
+
+    leg: int
+    q: BSpline
+    segments: int
+
+
+def leg_paths(
+    context: PlanningContext, legs: Sequence[int], trajectory: QuinticTrajectory
+) -> tuple[LegPath, ...]:
+    """Return the joint paths of legs that a trajectory of a context follows, put onto the task."""
+    path, times = context.task.path, context.times
+    found = []
+    for leg in legs:
+        begin, end = path.leg_times[leg : leg + 2]
+        segments = int(((times > begin + 1e-9 * path.duration) & (times <= end + 1e-9 * path.duration)).sum())
+        pieces = int(np.clip(segments, _FEWEST_PIECES, _MOST_PIECES))
+        shares = np.linspace(0.0, 1.0, _POINTS * pieces + 1)
+        at = path.times_at(leg, shares)
+        rough = trajectory.evaluate(at)
+        # Where the tool hardly moves, at the ends, self-motion is steep in the share: that is smoothed.
+        knots = np.concatenate([np.zeros(6), np.linspace(0.0, 1.0, pieces + 1)[1:-1], np.ones(6)])
+        smooth = make_lsq_spline(shares, rough, knots, k=5)(shares)
+        smooth[[0, -1]] = rough[[0, -1]]
+        q, _ = project_onto_task(context.postures, context.task, smooth, context.task.goals(at), steps=30)
+        found.append(LegPath(leg=leg, q=make_lsq_spline(shares, q, knots, k=5), segments=segments))
+    return tuple(found)
+
+
+def bounds_along(
+    robot: Robot, q: BSpline, max_speed: float | None = None, max_base_torque: float | None = None
+) -> list[Bounded]:
+    """Return what bounds a motion along a joint path: joints, torques, the tool's speed, the base's torque.
+
+    Parameters
+    ----------
+    robot : Robot
+        Its tool on.
+    q : BSpline
+        Postures (n,) by the share.
+    max_speed : float, optional
+        Of the tool point, m/s.
+    max_base_torque : float, optional
+        Nm.
+    """
+    limits, first, second, third = robot.limits, *(q.derivative(k) for k in (1, 2, 3))
+    bounded = [
+        Bounded(order=1, terms=(first,), bound=_VELOCITY * limits.velocity),
+        Bounded(order=2, terms=(first, second), bound=_ACCELERATION * limits.acceleration),
+        Bounded(
+            order=3,
+            terms=(first, BSpline(second.t, 3 * second.c, second.k), third),
+            bound=_JERK * limits.jerk,
+        ),
+    ]
+    s = np.linspace(0.0, 1.0, max(_FINE * (len(np.unique(q.t)) - 1), _FINEST) + 1)
+    still, along, bend = np.zeros_like(q(s)), first(s), second(s)
+    each = [Dynamics(robot).efforts(q(s), v, a) for v, a in ((still, still), (still, along), (along, bend))]
+    on_base = None if max_base_torque is None else np.array([_BASE_TORQUE * max_base_torque])
+    for name, bound, norm in (
+        ("joint_torque", _TORQUE * limits.torque, False),
+        ("guardrail_torque", on_base, True),
+    ):
+        if bound is None:
+            continue
+        rest, speeding, turning = (getattr(efforts, name) for efforts in each)
+        terms = (CubicSpline(s, speeding - rest), CubicSpline(s, turning - rest))
+        bounded.append(Bounded(order=2, terms=terms, bound=bound, offset=CubicSpline(s, rest), norm=norm))
+    if max_speed is not None:
+        J = Kinematics(robot).tool_point_jacobians(q(s))[1]
+        velocity = CubicSpline(s, np.einsum("kij,kj->ki", J, along))
+        bounded.append(
+            Bounded(order=1, terms=(velocity,), bound=np.array([_TOOL_SPEED * max_speed]), norm=True)
+        )
+    return bounded
+
+
+def shortest_laws(context: PlanningContext, paths: Sequence[LegPath]) -> Iterator[LegLaw]:
+    """Yield the shortest laws along joint paths within a context's limits.
+
+    Raises
+    ------
+    LimitViolation
+        Where the arm asks more of the base, or of a joint, at rest than it may.
+    """
+    task = context.task
+    max_speed = None if task.max_speed is None else task.max_speed / (1 + SPEED_TOLERANCE)
+    for each in paths:
+        phases = int(np.clip(_PHASES * each.segments, _FEWEST_PHASES, _MOST_PHASES))
+        bounded = bounds_along(context.robot, each.q, max_speed, task.max_base_torque)
+        _, jerk, seconds = shortest_law(bounded, phases)
+        if not np.isfinite(seconds):
+            raise _too_heavy(context, each)
+        yield LegLaw(
+            leg=each.leg,
+            seconds=(seconds / phases,) * phases,
+            jerk=tuple(float(x) for x in jerk / seconds**3),
+        )
+
+
+def _too_heavy(context: PlanningContext, path: LegPath) -> LimitViolation:
+    """The error of a leg on which no motion is slow enough."""
+    shares = np.linspace(0.0, 1.0, 201)
+    efforts = Dynamics(context.robot).static_efforts(path.q(shares))
+    time = float(context.task.path.leg_times[path.leg])
+    most = context.task.max_base_torque
+    asked = float(np.linalg.norm(efforts.guardrail_torque, axis=1).max())
+    if most is not None and asked >= _BASE_TORQUE * most:
+        return LimitViolation("torque on the base at rest", time=time, value=asked, bound=most, unit="Nm")
+    use = np.abs(efforts.joint_torque) / context.robot.limits.torque
+    joint = int(use.max(axis=0).argmax())
+    bound = float(context.robot.limits.torque[joint])
+    return LimitViolation(
+        f"torque of {context.robot.joints[joint]} at rest",
+        time=time,
+        value=float(use.max()) * bound,
+        bound=bound,
+        unit=context.robot.limits.units(joint).torque,
+    )

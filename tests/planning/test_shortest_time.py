@@ -1,0 +1,172 @@
+"""``seconds: auto``: the shortest law along a path, against closed forms and copp, and a plan in its time."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.interpolate import make_interp_spline
+from small_scenes import short_scene
+
+from cmbot import load_scene
+from cmbot.archive import load_plan, save
+from cmbot.common.errors import LimitViolation, SceneError
+from cmbot.planning import Plan, plan, second_opinion
+from cmbot.planning.result.remarks import remarks
+from cmbot.planning.timing.law_search import Bounded, shortest_law
+from cmbot.planning.timing.leg_paths import bounds_along
+from cmbot.robot import Dynamics, Robot
+from cmbot.scene import LegLaw
+
+LEG = {"by": [0, -0.3, 0]}
+
+
+def straight(size: float, *bounds: float) -> list[Bounded]:
+    """A straight way of one joint, with bounds of its rates."""
+    s = np.linspace(0, 1, 20)
+    way = make_interp_spline(s, size * s[:, None], k=5)
+    first, second, third = (way.derivative(k) for k in (1, 2, 3))
+    terms = ((first,), (first, second), (first, second, third))
+    return [Bounded(order=k + 1, terms=terms[k], bound=np.array([bound])) for k, bound in enumerate(bounds)]
+
+
+def test_a_straight_way_takes_what_its_closed_form_says() -> None:
+    # Bounded in its jerk alone, bang-bang in four parts; jerk that has to grow takes a little longer.
+    _, jerk, seconds = shortest_law(straight(2.0, 1e3, 1e3, 4.0), 60)
+    least = (32 * 2.0 / 4.0) ** (1 / 3)
+    assert least < seconds < 1.02 * least
+    assert jerk[0] == jerk[-1] == 0
+    # Bounded in its velocity, it cruises.
+    _, _, seconds = shortest_law(straight(10.0, 1.0, 1e3, 20.0), 80)
+    least = 10.0 + 2 * np.sqrt(1.0 / 20.0)
+    assert least < seconds < 1.03 * least
+
+
+def test_a_law_keeps_what_bounds_it(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    n = cmbot_robot.dof
+    q = make_interp_spline(np.linspace(0, 1, 6), np.cumsum(0.2 * rng.normal(size=(6, n)), axis=0), k=5)
+    still = Dynamics(cmbot_robot).static_efforts(q(np.linspace(0, 1, 50)))
+    most = 1.02 * float(np.linalg.norm(still.guardrail_torque, axis=1).max())
+    limits = replace(cmbot_robot.limits, torque=1.3 * np.abs(still.joint_torque).max(axis=0) + 5)
+    robot = replace(cmbot_robot, limits=limits)
+    free = shortest_law(bounds_along(robot, q), 30)[2]
+    law, jerk, seconds = shortest_law(bounds_along(robot, q, 0.3, most), 30)
+    assert seconds > free
+    u = np.linspace(0, 1, 2001)
+    s = law.share(u)
+    assert (np.diff(s) >= 0).all()
+    # Derivatives by time, of the share and of the posture.
+    each = LegLaw(leg=0, seconds=(seconds / 30,) * 30, jerk=tuple(jerk / seconds**3)).law
+    np.testing.assert_allclose(each.share(u), s, rtol=0, atol=1e-12)
+    rate = law.rate(u) / seconds
+    speeding = np.gradient(rate, u * seconds, edge_order=2)
+    v = q(s, 1) * rate[:, None]
+    a = q(s, 2) * (rate**2)[:, None] + q(s, 1) * speeding[:, None]
+    assert (np.abs(v) <= limits.velocity).all()
+    assert (np.abs(a) <= limits.acceleration).all()
+    efforts = Dynamics(robot).efforts(q(s), v, a)
+    assert (np.abs(efforts.joint_torque) <= limits.torque).all()
+    assert np.linalg.norm(efforts.guardrail_torque, axis=1).max() <= most
+    # Without a way to rest within them there is no law.
+    assert shortest_law(bounds_along(robot, q, 0.3, 0.9 * most), 30)[2] == np.inf
+
+
+def test_it_is_near_copp_and_above_toppra(cmbot_robot: Robot, rng: np.random.Generator) -> None:
+    pytest.importorskip("copp_py")
+    pytest.importorskip("toppra")
+    import time_laws
+
+    q = make_interp_spline(np.linspace(0, 1, 6), np.cumsum(0.2 * rng.normal(size=(6, 7)), axis=0), k=5)
+    seconds = shortest_law(bounds_along(cmbot_robot, q)[:3], 60)[2]
+    copp = time_laws.copp_seconds(q, cmbot_robot.limits)
+    assert 0.99 * copp < seconds < 1.05 * copp
+    assert time_laws.toppra_seconds(q, cmbot_robot.limits) < copp
+
+
+@pytest.fixture(scope="module")
+def quick_plan() -> Plan:
+    path = {"legs": [LEG, {"pause": 0.5}], "seconds": "auto", "max_base_torque_nm": 500, "via_points": 26}
+    tool = {"max_speed_m_s": 1.0}
+    return plan(short_scene(format="cmbot-scene/2", tool=tool, tool_path=path))
+
+
+def test_a_plan_in_the_shortest_time(quick_plan: Plan) -> None:
+    (law,) = quick_plan.scene.time_laws or ()
+    assert law.leg == 0
+    assert quick_plan.trajectory.duration == pytest.approx(law.duration + 0.5)
+    assert quick_plan.certificate.holds
+    quantities = {check.quantity for check in quick_plan.certificate.checks}
+    assert {"torque on the base", "tool speed"} <= quantities
+    assert quick_plan.figures.limit_use.jerk > 0.9
+    assert f"Shortest time: the leg in {law.duration:.4g} s" in " ".join(remarks(quick_plan))
+
+
+def test_planned_times_are_near_copp(quick_plan: Plan) -> None:
+    pytest.importorskip("copp_py")
+    pytest.importorskip("toppra")
+    import time_laws
+
+    times = time_laws.compared(quick_plan)
+    assert times.toppra < times.copp < times.planned < 1.05 * times.copp
+
+
+def test_it_is_read_back_and_planned_again_in_that_time(quick_plan: Plan, tmp_path: Path) -> None:
+    again = load_plan(save(quick_plan, tmp_path / "plan"), verify=True)
+    assert again.scene.time_laws == quick_plan.scene.time_laws
+    (stroke,) = again.scene.timed_strokes(np.eye(4))
+    assert not stroke.path.open_legs
+    less = replace(quick_plan.scene, max_base_torque_nm=100.0)
+    checks = second_opinion(less, quick_plan.options, quick_plan.trajectory, robot=quick_plan.robot, stroke=0)
+    assert [check.quantity for check in checks if not check.holds] == [
+        "torque on the base by a second computation"
+    ]
+
+
+def test_a_base_that_bears_too_little_at_rest() -> None:
+    path = {"legs": [LEG], "seconds": "auto", "max_base_torque_nm": 100, "via_points": 12}
+    with pytest.raises(LimitViolation, match=r"torque on the base at rest is .* the bound is 100 Nm"):
+        plan(short_scene(format="cmbot-scene/2", tool_path=path))
+
+
+def scene_of(**tool_path: Any) -> Any:
+    return short_scene(format="cmbot-scene/2", tool_path=tool_path)
+
+
+def test_auto_is_spread_over_legs_and_strokes() -> None:
+    scene = scene_of(legs=[LEG, {"pause": 1.0}, {**LEG, "speed_m_s": 0.1}], seconds="auto")
+    assert [leg.seconds for leg in scene.legs] == ["auto", None, None]
+    assert load_scene(scene.file.as_data()).content_hash == scene.content_hash
+    begin = {"xyz": [1.8, 0.7, -2.0]}
+    strokes = [{"legs": [LEG]}, {"from": begin, "legs": [{**LEG, "seconds": 3}]}]
+    data = scene.file.as_data() | {
+        "tool_path": {"strokes": strokes, "seconds": "auto", "max_base_torque_nm": 400}
+    }
+    first, second = load_scene(data).each_stroke
+    assert (first.legs[0].seconds, first.max_base_torque_nm) == ("auto", 400)
+    assert (second.legs[0].seconds, second.max_base_torque_nm) == (3.0, None)
+
+
+LAW = {"leg": 0, "seconds": [1.0, 1.0], "jerk": [0.0, 1.0, 0.0]}
+
+
+@pytest.mark.parametrize(
+    ("tool_path", "words"),
+    [
+        ({"legs": [{**LEG, "seconds": "soon"}]}, "legs\\[0\\].seconds: got 'soon', expected a number"),
+        ({"legs": [LEG]}, "legs\\[0\\]: got none, expected exactly one of these keys"),
+        ({"legs": [{**LEG, "seconds": 2}], "max_base_torque_nm": 400}, "no such key without seconds: auto"),
+        ({"legs": [LEG], "seconds": "auto", "lead_in_m": 0.1}, "no such key beside seconds: auto"),
+        ({"legs": [LEG], "seconds": "auto", "time_laws": [{**LAW, "leg": 1}]}, "laws of legs \\[1\\]"),
+        ({"legs": [LEG], "seconds": "auto", "time_laws": [{**LAW, "jerk": [0.0, 1.0]}]}, "jerk"),
+        ({"legs": [LEG], "seconds": "auto", "time_laws": [{**LAW, "jerk": [0.0, -1.0, 0.0]}]}, "leads back"),
+    ],
+)
+def test_refusals(tool_path: dict[str, Any], words: str) -> None:
+    with pytest.raises(SceneError, match=words):
+        scene_of(**tool_path).timed_strokes(np.eye(4))
+
+
+def test_the_first_format_does_not_know_it() -> None:
+    with pytest.raises(SceneError, match="it goes with cmbot-scene/2"):
+        short_scene(tool_path={"legs": [{**LEG, "seconds": "auto"}]})
