@@ -93,14 +93,23 @@ class Frame:
 
     def condense(self, node: int) -> Condensed:
         """Condense the frame to `node`, which is not fixed."""
+        shapes, K = self._condensed(node)
+        M = shapes.T @ (self.mass @ shapes)
+        return Condensed(stiffness=K, mass=(M + M.T) / 2)
+
+    def shapes(self, node: int) -> FloatArray:
+        """Displacements and rotations (k, 6, 6) of all nodes by those of `node`, for loads at that one."""
+        moved = np.vstack([self._condensed(node)[0], np.zeros(6)])
+        return np.asarray(moved[self._free_index])  # the last row, for -1, is that of fixed nodes
+
+    def _condensed(self, node: int) -> tuple[FloatArray, FloatArray]:
+        """Static displacements (f, 6) by unit displacements of a node, and the stiffness there."""
         index = self.coordinates(node)
         loads = np.zeros((self.stiffness.shape[0], 6))
         loads[index, np.arange(6)] = 1.0
         shapes = self._factor.solve(loads)
         K = _inverse(shapes[index])
-        shapes = shapes @ K
-        M = shapes.T @ (self.mass @ shapes)
-        return Condensed(stiffness=K, mass=(M + M.T) / 2)
+        return shapes @ K, K
 
     def frequencies(self, count: int) -> FloatArray:
         """Lowest natural frequencies, Hz: see `natural_frequencies`."""

@@ -15,6 +15,7 @@ from cmbot.simulation.summary import (
 from cmbot.simulation.tracking import (
     MotionTracking,
     Tracking,
+    elastic_arm_of,
     expected_tool,
     motion_tracking,
     simulate,
@@ -31,6 +32,7 @@ __all__ = [
     "SimulationOptions",
     "Statistics",
     "Tracking",
+    "elastic_arm_of",
     "expected_tool",
     "motion_tracking",
     "off_path",

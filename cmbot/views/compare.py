@@ -13,6 +13,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan, Samples, promises, verdict
 from cmbot.version import __version__
+from cmbot.views.bending import Bending
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
 from cmbot.views.meshcat_scene import reach, scene_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble
@@ -82,9 +83,10 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
     times = frame_times(0.0, end, max(FRAME_STEP, end * first.robot.dof / MOST_POSES))
     pairs = dict[str, int]()
     motions = {
-        key: Frames(plan, pairs).motion(plan.job_samples[0], plan.job.figures, times)
+        key: Frames(plan, pairs).motion(plan.job_samples[0], plan.job.figures, times, on=_strokes(plan))
         for key, plan in plans.items()
     }
+    bending = Bending.of(first, None)
     small = [chart.data(MOST_SMALL_POINTS) for chart in _joint_charts(first, plans)]
     return motions | {
         "motions": list(motions),
@@ -98,6 +100,7 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "margin": min(plan.options.safety_margin_m for plan in plans.values()),
         "links": link_names(first.robot),
         "joints": list(first.robot.joints),
+        "bending": None if bending is None else bending.data(),
         "pairs": list(pairs),
         "focus": focus_of(first, list(plans.values())),
         "reach": reach(first.robot),
@@ -105,6 +108,10 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "charts": [chart.data() for chart in _charts(first, plans)],
         "jointCharts": small,
     }
+
+
+def _strokes(plan: Plan) -> list[tuple[float, float]]:
+    return [(segment.begin, segment.end) for segment in plan.job.strokes]
 
 
 def _charts(first: Plan, plans: Mapping[str, Plan]) -> Iterator[Chart]:

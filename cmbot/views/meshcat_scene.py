@@ -25,6 +25,7 @@ MOST_OBSTACLE_FACES = 12_000
 """With these, and `MOST_POSES` of `replay_data`, a page stays below 5 MB for any scene."""
 
 SHORTEST_REACH = 0.05  # m
+RAIL_PIECE = 0.15  # between two cross-sections of a rail, m
 CREASE = np.deg2rad(35.0)  # edges with a larger angle are shaded as sharp
 
 CONCRETE, STEEL, WORKPIECE, PATH = 0xC2BDB3, 0x7D8C99, 0x2F9E8F, 0x7B2CBF
@@ -45,7 +46,7 @@ def scene_commands(plan: Plan) -> list[bytes]:
     """Return packed meshcat commands, for `MeshCat.Viewer.handle_command_bytearray`.
 
     The shapes of joint i (pinocchio's index; 0: the fixed base) are below ``/robot/i``, in the joint's frame;
-    ``/bridge`` and ``/path`` are in W. No name from a file is used.
+    ``/rails``, ``/bridge`` and ``/path`` are in W. No name from a file is used.
     """
     commands: list[Command] = [
         {"type": "set_property", "path": f"/{hidden}", "property": "visible", "value": False}
@@ -76,13 +77,17 @@ def _robot(robot: Robot) -> Iterator[Command]:
 
 def _bridge(scene: Scene) -> Iterator[Command]:
     rails = {obstacle.name for obstacle in guardrail_obstacles(scene.guardrail)}
-    surfaces = simplified([obstacle_surface(obstacle) for obstacle in scene.obstacles], MOST_OBSTACLE_FACES)
+    others = [obstacle for obstacle in scene.obstacles if obstacle.name not in rails]
+    surfaces = simplified([obstacle_surface(obstacle) for obstacle in others], MOST_OBSTACLE_FACES)
     groups: dict[int, list[Surface]] = {}
-    for obstacle, surface in zip(scene.obstacles, surfaces, strict=True):
-        colour = STEEL if obstacle.name in rails else WORKPIECE if obstacle.workpiece else CONCRETE
-        groups.setdefault(colour, []).append(surface)
+    for obstacle, surface in zip(others, surfaces, strict=True):
+        groups.setdefault(WORKPIECE if obstacle.workpiece else CONCRETE, []).append(surface)
     for number, (colour, group) in enumerate(groups.items()):
         yield _set_mesh(f"/bridge/{number}", group, colour, shininess=10)
+    # Rails have vertices along them, to be bent.
+    bars = [obstacle_surface(obstacle, RAIL_PIECE) for obstacle in scene.obstacles if obstacle.name in rails]
+    if bars:
+        yield _set_mesh("/rails", bars, STEEL, shininess=10)
 
 
 def _set_mesh(

@@ -13,10 +13,21 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import require_type
-from cmbot.planning import APPROACH, RETURN, MotionMetrics, Plan, Samples, figures, measure
+from cmbot.planning import (
+    APPROACH,
+    RETURN,
+    BaselineSegment,
+    MotionMetrics,
+    Plan,
+    Samples,
+    Segment,
+    figures,
+    measure,
+)
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.trajectory import QuinticTrajectory
+from cmbot.views.bending import Bending, Intervals
 from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.meshcat_scene import reach, scene_commands
 from cmbot.views.page import pack, pack_exactly
@@ -25,6 +36,7 @@ __all__ = ["Frames", "focus_of", "frame_times", "link_names", "replay_data"]
 
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
+_ALWAYS: Intervals = ((0.0, np.inf),)
 # Directions all around, (200, 3), on a spiral over the sphere.
 _ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
 _HEIGHTS = np.linspace(-1, 1, 200)
@@ -56,7 +68,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
     if back > 0:
         end = work_end + back
     step = max(FRAME_STEP, (end - start) * plan.robot.dof / MOST_POSES)
-    frames = Frames(plan)
+    frames = Frames(plan, tracking=tracking)
     times = frame_times(0.0, work_end - begin, step)
     planned, baseline = (None, None) if tracking is None else (tracking.planned, tracking.baseline)
     return {
@@ -81,10 +93,13 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "margin": plan.options.safety_margin_m,
         "links": link_names(plan.robot),
         "approach": _approach(plan, frames, start, step) if start < begin else None,
-        "planned": frames.motion(plan.samples, plan.figures, times, planned),
-        "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, baseline),
+        "planned": frames.motion(plan.samples, plan.figures, times, planned, _on(plan.job.segments)),
+        "baseline": frames.motion(
+            plan.baseline, plan.baseline_figures, times, baseline, _on(plan.baseline_segments)
+        ),
         "return": _return(plan, frames, frame_times(0.0, back, step)) if back > 0 else None,
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
+        "bending": None if frames.bending is None else frames.bending.data(),
         "pairs": list(frames.pairs),
         "focus": focus_of(plan, [plan]),
         "reach": reach(plan.robot),
@@ -100,11 +115,16 @@ class Frames:
     plan : Plan
     pairs : dict of str to int, optional
         The names of near pairs of shapes so far with their numbers; others are added.
+    tracking : Tracking, optional
+        Of that plan.
     """
 
-    def __init__(self, plan: Plan, pairs: dict[str, int] | None = None) -> None:
+    def __init__(
+        self, plan: Plan, pairs: dict[str, int] | None = None, tracking: Tracking | None = None
+    ) -> None:
         self._robot = plan.robot
         self._near = plan.options.avoidance_distance_m
+        self.bending = Bending.of(plan, tracking)
         self.clearances = Clearances(plan.robot, plan.scene.obstacles)
         self.pairs = {} if pairs is None else pairs
 
@@ -114,17 +134,23 @@ class Frames:
         metrics: MotionMetrics,
         times: FloatArray,
         tracking: MotionTracking | None = None,
+        on: Intervals = (),
     ) -> dict[str, Any]:
         """Return a motion at `times` (F,), ready for JSON; arrays are packed, in W and SI units.
 
         ``poses`` (F, n, 7) are those of the arm's joint frames, as position and quaternion x, y, z, w;
         ``near`` (F, 6) the nearest points on the arm and on the other shape, ``pair`` (F,) an index into
         `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool point, with its predicted sag
-        where that is compensated; ``error`` (F, 3) the tracking error from there, null without `tracking`.
+        where that is compensated; ``error`` (F, 3) the tracking error from there, null without `tracking`;
+        ``q`` (F, n) the joint positions and ``u`` (F, f) the elastic coordinates, null where nothing bends,
+        with the tool `on` in these intervals; ``load`` (F, n) the joints' torques as shares of their bounds.
         After its last sample the motion rests there.
         """
         q = _resampled(times, samples.t, samples.q)
         near, pair = self._nearest(q)
+        dynamic = None if tracking is None else _resampled(times, tracking.t, tracking.dynamic)
+        u = None if self.bending is None else self.bending.coordinates(times, q, dynamic, on)
+        load = np.abs(_resampled(times, samples.t, samples.joint_torque)) / self._robot.limits.torque
         expected = samples.expected_tool_point
         tool = (
             Kinematics(self._robot).tool_poses(q)[0]
@@ -137,6 +163,9 @@ class Frames:
             "clearance": pack(np.interp(times, samples.t, samples.clearance)),
             "near": pack(near),
             "pair": pack(pair),
+            "q": pack(q),
+            "u": None if u is None else pack(u),
+            "load": pack(load),
             "tool": pack(tool),
             "error": None if tracking is None else pack(_resampled(times, tracking.t, tracking.error)),
             "peakTorque": metrics.peak_guardrail_torque,
@@ -261,9 +290,16 @@ def _rest(plan: Plan, tracking: Tracking | None, frames: Frames, times: FloatArr
         return None
     return {
         "label": "after the stop",
-        "planned": frames.motion(plan.samples, plan.figures, times, tracking.planned),
-        "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, tracking.baseline),
+        "planned": frames.motion(plan.samples, plan.figures, times, tracking.planned, _ALWAYS),
+        "baseline": frames.motion(plan.baseline, plan.baseline_figures, times, tracking.baseline, _ALWAYS),
     }
+
+
+def _on(segments: Sequence[Segment | BaselineSegment]) -> list[tuple[float, float]]:
+    """Return when the tool is on, s, from the beginning of the work."""
+    strokes = [segment for segment in segments if segment.kind == "stroke"]
+    begin = strokes[0].begin
+    return [(segment.begin - begin, segment.end - begin) for segment in strokes]
 
 
 def focus_of(plan: Plan, plans: Sequence[Plan]) -> dict[str, Any]:

@@ -25,6 +25,7 @@ __all__ = ["Surface", "creased", "merged", "obstacle_surface", "simplified", "tu
 
 SECTIONS, RINGS = 32, 16  # of a round solid: about its axis, and of a ball from pole to pole
 TUBE_SECTIONS = 12  # about the axis of a tube
+_MOST_PIECES = 400  # of a box that is cut
 SMALLEST_CELL = 1e-4  # share of the largest extent, in `simplified`
 
 # A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
@@ -85,11 +86,11 @@ def visual_surface(shape: Any, source: str) -> Surface:
     return surface.moved(shape.placement.homogeneous)
 
 
-def obstacle_surface(obstacle: Obstacle) -> Surface:
-    """Return an obstacle in W; its mesh file is read again."""
+def obstacle_surface(obstacle: Obstacle, piece: float = np.inf) -> Surface:
+    """Return an obstacle in W; its mesh file is read again. A box has a cross-section every `piece`, m."""
     match obstacle.shape:
         case Box(size=size):
-            surface = box(size)
+            surface = bar(size, piece)
         case Cylinder(radius=radius, length=length):
             surface = cylinder(radius, length)
         case Capsule(radius=radius, length=length):
@@ -105,6 +106,28 @@ def obstacle_surface(obstacle: Obstacle) -> Surface:
 def box(size: ArrayLike) -> Surface:
     """Return a box about the origin with the edges `size` (3,), m."""
     return Surface(_CORNERS * np.asarray(size), _SIDES[:, [0, 1, 2, 0, 2, 3]].reshape(-1, 3))
+
+
+def bar(size: ArrayLike, piece: float) -> Surface:
+    """Return a box with cross-sections along its longest edge, at most `piece`, m, apart."""
+    edges = np.asarray(size, dtype=float)
+    along = int(edges.argmax())
+    count = int(np.clip(np.ceil(edges[along] / piece), 1, _MOST_PIECES))
+    y, z = (along + 1) % 3, (along + 2) % 3
+    corners = np.zeros((4, 3))
+    corners[:, y], corners[:, z] = (
+        0.5 * edges[y] * np.array([-1, 1, 1, -1]),
+        0.5 * edges[z] * np.array([-1, -1, 1, 1]),
+    )
+    vertices = np.repeat(corners[None], count + 1, axis=0)
+    vertices[..., along] = np.linspace(-0.5, 0.5, count + 1)[:, None] * edges[along]
+    index = np.arange(4 * (count + 1)).reshape(count + 1, 4)
+    low, beside = index[:-1], np.roll(index, -1, axis=1)[:-1]
+    above, across = index[1:], np.roll(index, -1, axis=1)[1:]
+    sides = [(low, beside, across), (low, across, above)]
+    ends = [index[0, [0, 3, 2]], index[0, [0, 2, 1]], index[-1, [0, 1, 2]], index[-1, [0, 2, 3]]]
+    faces = [np.stack(three, axis=-1).reshape(-1, 3) for three in sides]
+    return Surface(vertices.reshape(-1, 3), np.concatenate([*faces, np.array(ends)]).astype(np.intp))
 
 
 def cylinder(radius: float, length: float, *, sections: int = SECTIONS) -> Surface:

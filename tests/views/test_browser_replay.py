@@ -24,6 +24,7 @@ def shown(chrome: Chrome, replay_file: Path) -> Chrome:
     """The browser with the page open at the work's beginning, paused."""
     if chrome.current_url != replay_file.as_uri():
         open_page(chrome, replay_file)
+    slide(chrome, "deflection", 0)  # the rigid arm
     chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(cmbotReplay.workStart)")
     return chrome
 

@@ -71,7 +71,7 @@ def test_the_robot_is_drawn_whole_in_its_colours(triangle_plan: Plan) -> None:
 
 def test_the_bridge_is_drawn_where_it_stands(triangle_plan: Plan) -> None:
     meshes = drawn(triangle_plan)
-    bridge = {k: mesh for k, (mesh,) in enumerate(meshes[f"bridge/{n}"] for n in range(3))}
+    bridge = {k: mesh for k, (mesh,) in enumerate(meshes[name] for name in ("bridge/0", "bridge/1", "rails"))}
     slab, workpiece, rails = bridge.values()
     assert len({mesh.metadata["color"] for mesh in bridge.values()}) == 3
     np.testing.assert_allclose(slab.bounds, [[-2, -1.4, -1.12], [4, -0.2, -1.0]], atol=1e-6)

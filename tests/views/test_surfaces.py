@@ -10,6 +10,7 @@ from cmbot.robot import Robot
 from cmbot.views.surfaces import (
     Surface,
     ball,
+    bar,
     box,
     capsule,
     cone,
@@ -34,13 +35,14 @@ def solid(surface: Surface) -> trimesh.Trimesh:
     ("surface", "volume", "extents"),
     [
         (box(SIZE), 0.024, SIZE),
+        (bar(SIZE, 0.05), 0.024, SIZE),
         (cylinder(0.1, 0.4), np.pi * 0.1**2 * 0.4, (0.2, 0.2, 0.4)),
         (cone(0.1, 0.4), np.pi * 0.1**2 * 0.4 / 3, (0.2, 0.2, 0.4)),
         (ball(0.1), 4 / 3 * np.pi * 0.1**3, (0.2, 0.2, 0.2)),
         (capsule(0.1, 0.4), np.pi * 0.1**2 * 0.4 + 4 / 3 * np.pi * 0.1**3, (0.2, 0.2, 0.6)),
         (hull(np.vstack([CORNERS, 0.3 * CORNERS])), 0.024, SIZE),
     ],
-    ids=("box", "cylinder", "cone", "ball", "capsule", "hull"),
+    ids=("box", "bar", "cylinder", "cone", "ball", "capsule", "hull"),
 )
 def test_solids_are_closed_and_as_large_as_they_should_be(
     surface: Surface, volume: float, extents: np.ndarray

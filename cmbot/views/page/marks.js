@@ -84,6 +84,7 @@ class Marks {
   show(motion, compare) {
     for (const name of MOTIONS) {
       const wanted = name === motion || compare === "ghost";
+      // Nearest points are those of the rigid arm.
       this.near[name].group.visible = wanted && this.near[name].on;
       this.bent[name].group.visible = wanted && this.bent[name].on && this.factor > 0;
       this.bent[name].trace.visible = wanted && this.factor > 0;

@@ -3,7 +3,8 @@
 class Motion {
   constructor(source, links) {
     this.links = links;
-    for (const name of ["poses", "torque", "clearance", "near", "pair", "tool"]) this[name] = floats(source[name]);
+    for (const name of ["poses", "torque", "clearance", "near", "pair", "tool", "q", "load"]) this[name] = floats(source[name]);
+    this.u = source.u === null ? null : floats(source.u);
     this.error = source.error === null ? null : floats(source.error);
     this.still = source.still ?? false;
     this.peakTorque = source.peakTorque;
@@ -34,6 +35,12 @@ class Motion {
     const [frame, share] = this.between(moment);
     const v = [0, 1].map((k) => new THREE.Vector3().fromArray(values, width * (frame + k) + first));
     return v[0].lerp(v[1], share);
+  }
+
+  // Interpolated numbers of a frame.
+  numbersAt(values, moment) {
+    const [frame, share] = this.between(moment), width = values.length / this.norms.length, start = frame * width;
+    return Float64Array.from({ length: width }, (_, i) => (1 - share) * values[start + i] + share * values[start + width + i]);
   }
 
   torqueAt(moment) {

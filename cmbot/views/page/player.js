@@ -15,7 +15,8 @@ class Player {
     this.playing = false;
     this.ui.scrub.min = data.start;
     this.ui.scrub.max = data.end;
-    this.ui.bending.hidden = !this.work.motions[MOTIONS[0]].error;
+    this.ui.bending.hidden = !data.bending;
+    if (!data.bending?.simulated) this.ui.bending.title = "Arm and rails bent by their static deflection, magnified; cmbot simulate adds vibration";
     this.connect();
     this.magnify(Number(this.ui.deflection.value));
     this.seek(data.start);
@@ -29,6 +30,7 @@ class Player {
     ui.more.addEventListener("click", () => ui.more.setAttribute("aria-expanded", ui.bar.classList.toggle("open")));
     ui.compare.addEventListener("change", () => this.compare(ui.compare.value));
     ui.arrow.addEventListener("change", () => { stage.withArrow = ui.arrow.checked; stage.redraw(); });
+    ui.colours.addEventListener("change", () => { stage.loads.on = ui.colours.value === "load"; this.seek(this.time); });
     ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
     window.addEventListener("keydown", (event) => this.onKey(event));
     stage.onDrawn = (part) => this.placeLabels(part);
@@ -49,8 +51,9 @@ class Player {
   }
 
   magnify(factor) {
-    if (!this.work.motions[MOTIONS[0]].error) return;
+    if (!this.stage.bending) return;
     this.ui.factor.textContent = factor ? `× ${factor}` : "off";
+    this.stage.bending.factor = factor;
     this.stage.marks.setFactor(factor, this.work.motions);
     if (this.time !== undefined) this.seek(this.time);
   }
@@ -109,6 +112,8 @@ class Player {
   showMotion(name, motion, moment) {
     const { stage } = this, near = motion.nearAt(moment);
     stage.arms[name].forEach((link, index) => motion.place(link, index, moment));
+    stage.bending?.place(name, motion, moment);
+    if (name === MOTIONS[0]) stage.loads.show(motion.numbersAt(motion.load, moment));
     stage.torque[name] = motion.torqueAt(moment);
     stage.marks.setNear(name, near);
     stage.marks.setBent(name, motion.toolAt(moment), motion.errorAt(moment));
@@ -201,6 +206,7 @@ function start(begin) {
       pause: () => player.pause(),
       compare: (how) => player.compare(how),
       resetView: () => player.stage.resetView(),
+      stage: player.stage,
       draw: () => player.stage.render(),
       csv: () => player.downloads.csv(),
       ros: () => player.downloads.ros(),

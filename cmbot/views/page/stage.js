@@ -24,6 +24,8 @@ class Stage {
     this.arrow = this.addArrow();
     this.torque = Object.fromEntries(MOTIONS.map((name) => [name, new THREE.Vector3()]));
     this.marks = new Marks(this, data);
+    this.bending = data.bending && new Bending(this, data.bending);
+    this.loads = new LoadColours(this);
     this.compare = "ghost";
     this.withArrow = true;
     this.addLight();
@@ -130,11 +132,19 @@ class Stage {
       whole[i].position.copy(own[i].position);
       whole[i].quaternion.copy(own[i].quaternion);
     });
+    if (borrowed.length && this.bending) {
+      this.bending.shape(MOTIONS[0], motion);
+      this.bending.shapeBase(motion);
+    }
     for (const ghost of this.ghosts) ghost.visible = this.compare === "ghost";
     this.marks.show(motion, this.compare);
     this.arrow.group.visible = this.withArrow;
     this.drawTorque(this.torque[motion]);
     draw();
+    if (borrowed.length && this.bending) {
+      this.bending.shape(MOTIONS[0], MOTIONS[0]);
+      this.bending.shapeBase(MOTIONS[0]);
+    }
     borrowed.forEach(([position, quaternion], i) => {
       whole[i].position.copy(position);
       whole[i].quaternion.copy(quaternion);

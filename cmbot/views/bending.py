@@ -1,0 +1,162 @@
+"""How the arm and its guardrail bend, as the pages draw it: a chain of joints, tubes, the frame of beams."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from cmbot.common.arrays import FloatArray
+from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.base import guardrail_frame
+from cmbot.elastic.sag import Sag
+from cmbot.planning import Plan, bending_arm
+from cmbot.simulation import Tracking, elastic_arm_of
+from cmbot.views.page import pack
+
+__all__ = ["Bending"]
+
+# Least time between two equilibria, s; the page interpolates.
+_STEP = 0.2
+
+Intervals = Sequence[tuple[float, float]]
+
+
+class Bending:
+    """The elastic arm of a plan, and its elastic coordinates along motions.
+
+    At rest they are those of equilibrium. In vibration they are, beside it, those of least energy that put
+    the tool where the simulation has it.
+    """
+
+    def __init__(self, arm: ElasticArm, plan: Plan, *, simulated: bool) -> None:
+        self._arm = arm
+        self._plan = plan
+        self._simulated = simulated
+
+    @classmethod
+    def of(cls, plan: Plan, tracking: Tracking | None) -> Bending | None:
+        """Return that of a plan, as it was simulated where it was; None where nothing bends."""
+        if tracking is not None:
+            return cls(elastic_arm_of(plan, tracking.options), plan, simulated=True)
+        arm = bending_arm(plan.scene, plan.robot)
+        return None if arm is None else cls(arm, plan, simulated=False)
+
+    def data(self) -> dict[str, Any]:
+        """Return the chain, ready for JSON.
+
+        ``joints``: pose of the joint's frame in the one before, axis (linear, angular), and whether it is
+        driven, with the index among the driven or the elastic ones. ``links``: of each link of the robot the
+        joints whose frames carry its beginning and its end, the pose of the link's frame in the latter, and
+        the ends of its tube. ``base``: the joint that carries the foot; -1 where it is rigid.
+        """
+        return {
+            "simulated": self._simulated,
+            "joints": list(self._joints()),
+            "links": list(self._links()),
+            "base": 5 if self._arm.base is not None else -1,
+            "frame": self._frame(),
+        }
+
+    def coordinates(
+        self, t: FloatArray, q: FloatArray, dynamic: FloatArray | None = None, on: Intervals = ()
+    ) -> FloatArray:
+        """Return the elastic coordinates (N, f), m and rad, in postures `q` (N, n) at times `t` (N,), s.
+
+        `dynamic` (N, 3), m, is the tool's displacement in W beside its sag; the tool is `on` in intervals.
+        """
+        every = max(int(_STEP / max(float(np.diff(t).max(initial=_STEP)), 1e-9)), 1)
+        some = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
+        if np.ptp(q, axis=0).max(initial=0.0) == 0.0:
+            some = some[:1]
+        at_work = np.zeros(len(t), dtype=bool)
+        for begin, end in on:
+            at_work |= (t >= begin) & (t <= end)
+        arms = [self._arm.tool_off]
+        if self._arm.robot.pushed and at_work.any():
+            arms.append(self._arm)
+        found = [Sag(arm).equilibria(q[some])[:2] for arm in arms]
+        coarse = np.where(at_work[some, None], found[-1][0], found[0][0])
+        u = _between(t, t[some], coarse)
+        if len(arms) > 1:  # the force sets in at once
+            on_u, off_u = (_between(t, t[some], each[0]) for each in reversed(found))
+            u = np.where(at_work[:, None], on_u, off_u)
+        if dynamic is not None:
+            shapes = self._shapes(q[some], found[0][0], found[0][1])
+            spread = _between(t, t[some], shapes.reshape(len(some), -1)).reshape(len(t), -1, 3)
+            u = u + np.einsum("kfi,ki->kf", spread, np.nan_to_num(dynamic))
+        return u
+
+    def _shapes(self, q: FloatArray, u: FloatArray, tangent: FloatArray) -> FloatArray:
+        """Elastic coordinates (K, f, 3) of least energy for displacements of the tool along x, y and z."""
+        arm, data = self._arm, self._arm.model.createData()
+        shapes = np.empty((len(q), len(arm.elastic), 3))
+        for k, configuration in enumerate(arm.configuration(q, u)):
+            world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+            J = pin.computeFrameJacobian(arm.model, data, configuration, arm.tool_frame_id, world)
+            J = J.reshape(6, -1)[:3, arm.elastic]
+            softened = np.linalg.solve(tangent[k], J.T)
+            shapes[k] = softened @ np.linalg.pinv(J @ softened)
+        return shapes
+
+    def _joints(self) -> Iterator[dict[str, Any]]:
+        arm, model = self._arm, self._arm.model
+        data = model.createData()
+        pin.computeJointJacobians(model, data, np.zeros(model.nq))
+        driven = {int(index): number for number, index in enumerate(arm.driven)}
+        elastic = {int(index): number for number, index in enumerate(arm.elastic)}
+        for joint in range(1, model.njoints):
+            place = int(model.joints[joint].idx_v)
+            J = pin.getJointJacobian(model, data, joint, pin.ReferenceFrame.LOCAL).reshape(6, -1)
+            yield {
+                "pose": _pose(model.jointPlacements[joint]),
+                "axis": J[:, place].tolist(),
+                "driven": place in driven,
+                "index": driven.get(place, elastic.get(place, 0)),
+            }
+
+    def _links(self) -> Iterator[dict[str, Any]]:
+        arm, robot = self._arm, self._arm.robot
+        model, rigid = arm.model, robot.model
+        # Joints of the chain that drive, and where the chain ends.
+        driving = [model.getJointId(name) for name in robot.joints] + [model.njoints]
+        tubes = {
+            rigid.frames[rigid.getFrameId(link)].parentJoint: (rigid.frames[rigid.getFrameId(link)], tube)
+            for link, tube in robot.elasticity.items()
+        }
+        for number in range(1, rigid.njoints):
+            first, following = driving[number - 1 : number + 1]
+            end = following - 1
+            start = next((k for k in range(first + 1, following) if " segment " in model.names[k]), following)
+            if following < model.njoints:
+                X = model.jointPlacements[following] * rigid.jointPlacements[number + 1].inverse()
+            else:
+                tool = model.frames[arm.tool_frame_id].placement
+                X = tool * rigid.frames[robot.tool_frame_id].placement.inverse()
+            frame, tube = tubes.get(number, (None, None))
+            ends = None
+            if frame is not None and tube is not None:
+                ends = [*frame.placement.act(np.array(tube.start)), *frame.placement.act(np.array(tube.end))]
+            yield {"start": start - 2, "end": end - 1, "pose": _pose(X), "tube": ends}
+
+    def _frame(self) -> dict[str, Any] | None:
+        """The guardrail's beams, and how its nodes move with the foot; None where its form is not known."""
+        guardrail = self._plan.scene.guardrail
+        if self._arm.base is None or guardrail.stiffness is not None or not guardrail.post_positions:
+            return None
+        frame, foot = guardrail_frame(guardrail)
+        return {
+            "nodes": pack(frame.nodes),
+            "shapes": pack(frame.shapes(foot)),
+            "members": [[member.start, member.end] for member in frame.members],
+        }
+
+
+def _between(t: FloatArray, at: FloatArray, values: FloatArray) -> FloatArray:
+    return np.stack([np.interp(t, at, column) for column in values.T], axis=1)
+
+
+def _pose(X: Any) -> list[float]:
+    return [float(value) for value in pin.SE3ToXYZQUAT(X)]
