@@ -1,6 +1,7 @@
 """Plan directories: written whole or not at all, checked when they are read."""
 
 from cmbot.archive.folder import add_file, claim, require_free, write_file
+from cmbot.archive.mcap_file import export_mcap
 from cmbot.archive.motion_files import columns
 from cmbot.archive.names import PLAN_FILE
 from cmbot.archive.reading import load_plan, plan_data
@@ -13,6 +14,7 @@ __all__ = [
     "add_file",
     "claim",
     "columns",
+    "export_mcap",
     "json_bytes",
     "load_plan",
     "load_tracking",

@@ -65,6 +65,7 @@ _OPTIONAL = (
     ("xacrodoc", "xacro"),
     ("distributed", "campaign"),
     ("shapely", "surfaces"),
+    ("mcap-ros2-support", "ros"),
     ("mujoco", "test"),
     ("hypothesis", "test"),
 )

@@ -18,8 +18,11 @@ if TYPE_CHECKING:
     from cmbot.planning import Plan
     from cmbot.simulation import Tracking
 
-__all__ = ["claimed_plan", "compare", "plot_files", "replay", "report", "require_plots"]
+__all__ = ["claimed_plan", "compare", "export", "plot_files", "replay", "report", "require_plots"]
 
+# Seconds of motion in a second of a GIF.
+_GIF_SPEED = 4.0
+_LONGEST_SIZE = 12
 PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
 
@@ -32,15 +35,30 @@ def replay(
     video: Annotated[
         Path | None, typer.Option("--video", help="Film it instead, such as FILE.mp4; takes minutes.")
     ] = None,
+    gif: Annotated[
+        Path | None, typer.Option("--gif", help="Film it as a small GIF instead, four times as fast.")
+    ] = None,
+    fps: Annotated[
+        int | None, typer.Option("--fps", help="Frames a second of a film; 30, of a GIF 10.")
+    ] = None,
+    size: Annotated[
+        str | None, typer.Option("--size", metavar="WxH", help="Of a film; 1280x720, of a GIF 640x360.")
+    ] = None,
 ) -> None:
     """Write a page that replays a plan in any browser, without a network.
 
     Example: [bold]cmbot replay out/triangle --html triangle.html[/bold]
     """
-    given = [name for name, value in (("--html", html), ("--serve", serve), ("--video", video)) if value]
+    kinds = (("--html", html), ("--serve", serve), ("--video", video), ("--gif", gif))
+    given = [name for name, value in kinds if value]
     if len(given) > 1:
         got = "both" if len(given) == 2 else "all"
         raise InputError("cmbot replay", ", ".join(given), got, "one of them")
+    filmed = video or gif
+    shape = _size(size or ("640x360" if gif else "1280x720"))
+    for name, value in (("--fps", fps), ("--size", size)):
+        if value is not None and filmed is None:
+            raise InputError("cmbot replay", name, str(value), "it with --video or --gif")
     from cmbot.views import REPLAY, ReplayServer, film, replay_page
 
     if not given:
@@ -63,11 +81,28 @@ def replay(
                 server.wait()
             except KeyboardInterrupt:
                 return
-    elif video is not None:
+    elif filmed is not None:
+        if gif is not None and gif.suffix.lower() != ".gif":
+            raise InputError("cmbot replay", "--gif", str(gif), "a file whose name ends with .gif")
         with ConsoleProgress() as progress:
-            progress.stage("filming")
-            film(page, video, progress=lambda share: progress.stage(f"filming, {100 * share:.0f} %"))
-        out.print(f"Written to {flat(video)}.")
+            progress.stage("filming", 0.0)
+            film(
+                page,
+                filmed,
+                speed=_GIF_SPEED if gif else 1.0,
+                fps=fps or (10 if gif else 30),
+                size=shape,
+                progress=lambda share: progress.stage("filming", share),
+            )
+        out.print(f"Written to {flat(filmed)}.")
+
+
+def _size(text: str) -> tuple[int, int]:
+    """Width and height from text such as 1280x720."""
+    width, times, height = text.partition("x")
+    if not (times and width.isdecimal() and height.isdecimal() and len(text) < _LONGEST_SIZE):
+        raise InputError("cmbot replay", "--size", flat(text), "width and height, such as 1280x720")
+    return int(width), int(height)
 
 
 def report(
@@ -121,6 +156,24 @@ def compare(
     page = compare_page(dict(zip(shown, map(cmbot.load_plan, directories), strict=True)))
     write_page(html, page)
     out.print(f"Written to {flat(html)}.")
+
+
+def export(
+    directory: PlanArgument,
+    mcap: Annotated[
+        Path, typer.Option("--mcap", metavar="FILE", help="MCAP file of ROS 2 messages to write.")
+    ],
+    force: Annotated[bool, typer.Option("--force", help="Replace the file if it is there.")] = False,
+) -> None:
+    """Write a plan for other programs: the whole job as ROS 2 messages, for Foxglove and RViz.
+
+    Example: [bold]cmbot export out/triangle --mcap triangle.mcap[/bold]
+    """
+    _require_new(mcap, force)
+    from cmbot.archive import export_mcap
+
+    export_mcap(cmbot.load_plan(directory), mcap)
+    out.print(f"Written to {flat(mcap)}.")
 
 
 def _require_new(page: Path, force: bool) -> None:

@@ -17,7 +17,7 @@ from cmbot.robot.joint_kinds import (
     slide_axes,
     turn_axis,
 )
-from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch
+from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch, link_poses
 from cmbot.robot.limits import JointLimits
 from cmbot.robot.loading import load_robot, srdf_text
 from cmbot.robot.robot import Robot
@@ -48,6 +48,7 @@ __all__ = [
     "inspect_robot",
     "inspect_urdf",
     "joint_units",
+    "link_poses",
     "load_robot",
     "locate_meshes",
     "overview",

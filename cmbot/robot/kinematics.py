@@ -18,7 +18,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.robot.joint_kinds import prismatic_joints
 from cmbot.robot.robot import Robot
 
-__all__ = ["Chain", "Kinematics", "PostureBatch", "Postures", "ToolBatch"]
+__all__ = ["Chain", "Kinematics", "PostureBatch", "Postures", "ToolBatch", "link_poses"]
 
 # Postures are evaluated in blocks of this size, whose arrays fit the processor's cache.
 _BLOCK = 512
@@ -358,3 +358,18 @@ class Kinematics:
         # pinocchio leaves the universe's inertia out: this is the arm's centre of mass alone.
         J = pin.jacobianCenterOfMass(model, data, q)
         return data.com[0].copy(), J.copy()
+
+
+def link_poses(robot: Robot, q: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
+    """Return the names of all L links and their poses in W at postures `q` (N, n).
+
+    Poses (N, L, 7) are positions, m, and quaternions x, y, z, w.
+    """
+    model, data = robot.model, robot.model.createData()
+    links = [k for k, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY]
+    poses = np.empty((len(q), len(links), 7))
+    for i, q_i in enumerate(q):
+        pin.framesForwardKinematics(model, data, q_i)
+        for j, link in enumerate(links):
+            poses[i, j] = pin.SE3ToXYZQUAT(data.oMf[link])
+    return tuple(model.frames[link].name for link in links), poses

@@ -18,8 +18,13 @@ from cmbot.views.page import draft_of, write_page
 
 __all__ = ["film"]
 
-FRAME_RATE = 25
+FRAME_RATE = 30
 SIZE = (1280, 720)
+MOST_RATE, LEAST_SIDE, MOST_SIDE = 120, 120, 3840
+# A palette of the film's own colours: GIF has 256 at most.
+_GIF = (
+    "split[a][b];[a]palettegen=max_colors=128:stats_mode=diff[p];[b][p]paletteuse=dither=bayer:bayer_scale=4"
+)
 _EXTRA = "video"
 # A container's root has no sandbox; SwiftShader draws WebGL without a graphics card; no network is needed.
 _ARGUMENTS = (
@@ -41,6 +46,8 @@ def film(
     path: str | Path,
     *,
     speed: float = 1.0,
+    fps: int = FRAME_RATE,
+    size: tuple[int, int] = SIZE,
     progress: Callable[[float], None] = lambda _: None,
 ) -> None:
     """Film a replay page from its start to its end.
@@ -50,9 +57,14 @@ def film(
     page : str
         HTML, from `replay_page`.
     path : str or Path
-        Video to write, in the format of its suffix, such as ``.mp4``. It appears whole or not at all.
+        Video to write, in the format of its suffix, such as ``.mp4`` or ``.gif``. It appears whole or not at
+        all.
     speed : float
         Seconds of motion in a second of video.
+    fps : int
+        Frames a second, 1 to 120.
+    size : two ints
+        Width and height, px, even numbers from 120 to 3840.
     progress : callable
         Called with the share that has been filmed, after every tenth.
 
@@ -61,16 +73,22 @@ def film(
     MissingExtra
         When selenium, Chromium with its driver, or ffmpeg is not installed.
     InputError
-        When `speed` is not above 0, or the video cannot be written.
+        When `speed`, `fps` or `size` is out of its bounds, or the video cannot be written.
     """
     path = Path(path)
     if not (np.isfinite(speed) and speed > 0):
         raise InputError("film", "speed", speed, "a number above 0")
+    if not 1 <= fps <= MOST_RATE:
+        raise InputError("film", "fps", fps, f"a whole number from 1 to {MOST_RATE}")
+    if not all(LEAST_SIDE <= side <= MOST_SIDE and side % 2 == 0 for side in size):
+        raise InputError(
+            "film", "size", f"{size[0]}x{size[1]}", f"even numbers from {LEAST_SIDE} to {MOST_SIDE}"
+        )
     encoder = _program("ffmpeg", ("ffmpeg",), "apt-get install ffmpeg")
     browser = _program("chromium", _BROWSERS, "apt-get install chromium chromium-driver")
     driver = _program("chromedriver", ("chromedriver",), "apt-get install chromium-driver")
-    with draft_of(path) as draft, _opened(page, browser, driver) as chrome:
-        _encode(encoder, draft, str(path), _frames(chrome, speed, progress))
+    with draft_of(path) as draft, _opened(page, browser, driver, size) as chrome:
+        _encode(encoder, draft, str(path), fps, _frames(chrome, speed, fps, progress))
 
 
 def _program(name: str, names: tuple[str, ...], command: str) -> str:
@@ -81,7 +99,7 @@ def _program(name: str, names: tuple[str, ...], command: str) -> str:
 
 
 @contextmanager
-def _opened(page: str, browser: str, driver: str) -> Iterator[Any]:
+def _opened(page: str, browser: str, driver: str, size: tuple[int, int]) -> Iterator[Any]:
     """Open a page without its controls in a new browser."""
     try:
         from selenium import webdriver
@@ -96,30 +114,33 @@ def _opened(page: str, browser: str, driver: str) -> Iterator[Any]:
             options.add_argument(argument)
         chrome = webdriver.Chrome(options=options, service=webdriver.ChromeService(driver))
         try:
-            width, height = SIZE
+            width, height = size
             screen = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": False}
             chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", screen)
             chrome.get(place.as_uri())
-            chrome.execute_script("document.body.classList.add('film'); cmbotReplay.resetView()")
+            chrome.execute_script("document.body.classList.add('film'); cmbotReplay.still()")
             yield chrome
         finally:
             chrome.quit()
 
 
-def _frames(chrome: Any, speed: float, progress: Callable[[float], None]) -> Iterator[bytes]:
+def _frames(chrome: Any, speed: float, fps: int, progress: Callable[[float], None]) -> Iterator[bytes]:
     start, end = chrome.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
-    count = max(int(np.ceil((end - start) / speed * FRAME_RATE)), 1) + 1
+    count = max(int(np.ceil((end - start) / speed * fps)), 1) + 1
+    options = {"format": "jpeg", "quality": 92, "optimizeForSpeed": True}
     for k, time in enumerate(np.linspace(start, end, count)):
         chrome.execute_script("cmbotReplay.seek(arguments[0]); cmbotReplay.draw()", float(time))
-        shot = chrome.execute_cdp_cmd("Page.captureScreenshot", {"format": "jpeg", "quality": 92})
+        shot = chrome.execute_cdp_cmd("Page.captureScreenshot", options)
         yield base64.b64decode(shot["data"])
         if (10 * k) // count > (10 * (k - 1)) // count:
             progress(k / count)
 
 
-def _encode(encoder: str, draft: Path, target: str, frames: Iterator[bytes]) -> None:
+def _encode(encoder: str, draft: Path, target: str, fps: int, frames: Iterator[bytes]) -> None:
     words = [encoder, "-loglevel", "error", "-nostdin", "-f", "image2pipe", "-c:v", "mjpeg"]
-    words += ["-framerate", str(FRAME_RATE), "-i", "-", "-pix_fmt", "yuv420p", "-movflags", "+faststart"]
+    words += ["-framerate", str(fps), "-i", "-"]
+    gif = draft.suffix.lower() == ".gif"
+    words += ["-vf", _GIF] if gif else ["-pix_fmt", "yuv420p", "-movflags", "+faststart"]
     with tempfile.TemporaryFile() as messages:
         process = subprocess.Popen([*words, str(draft.absolute())], stdin=subprocess.PIPE, stderr=messages)
         try:

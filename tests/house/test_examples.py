@@ -110,3 +110,12 @@ def test_report(tmp_path: Path) -> None:
     assert written >= {"guardrail_torque.pdf", "joints.pdf", "tracking_error.pdf"}
     assert "peak torque on the guardrail" in text
     assert text.endswith("tracking errors, too: True\n")
+
+
+def test_send_to_a_robot(tmp_path: Path) -> None:
+    text = run("07_send_to_a_robot.py", tmp_path)
+    assert numbers(r"^starts in: (.+) rad$", text.replace(",", ""))[:2] == pytest.approx(
+        [math.radians(-10), math.radians(-90)], abs=1e-4
+    )
+    assert "401 points in 4.00 s" in text
+    assert text.endswith("nothing is sent\n")

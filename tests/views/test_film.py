@@ -8,9 +8,11 @@ from contextlib import nullcontext
 from importlib import import_module
 from io import BytesIO
 from pathlib import Path
+from typing import Any
 
 import pytest
 from browser import programs
+from command_line import refusal
 from page_data import without_shapes
 from PIL import Image
 
@@ -44,10 +46,23 @@ def test_what_is_missing_is_named(
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("speed", [0.0, -1.0, float("nan")])
-def test_a_speed_that_is_none(tmp_path: Path, speed: float) -> None:
-    with pytest.raises(InputError, match="film: speed"):
-        film("<p>page</p>", tmp_path / "film.mp4", speed=speed)
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        *(("speed", speed) for speed in (0.0, -1.0, float("nan"))),
+        *(("fps", fps) for fps in (0, 121)),
+        *(("size", size) for size in ((1280, 721), (100, 100), (640, 4000))),
+    ],
+)
+def test_what_no_film_can_be(tmp_path: Path, name: str, value: Any) -> None:
+    with pytest.raises(InputError, match=f"film: {name}"):
+        film("<p>page</p>", tmp_path / "film.mp4", **{name: value})
+
+
+def test_options_of_a_film_are_checked_on_the_command_line(saved_short: Path) -> None:
+    assert "--fps: got 10, expected it with --video" in refusal("replay", saved_short, "--fps", "10")
+    assert "--size: got big" in refusal("replay", saved_short, "--video", "a.mp4", "--size", "big")
+    assert "ends with .gif" in refusal("replay", saved_short, "--gif", "film.mp4")
 
 
 @pytest.mark.browser
@@ -58,11 +73,11 @@ def test_it_films_from_start_to_end_or_says_what_ffmpeg_refuses(
     picture = BytesIO()
     Image.new("RGB", (64, 64)).save(picture, "JPEG")
     page, path, shares = replay_page(without_shapes(short_plan)), tmp_path / "film.mp4", []
-    film(page, path, speed=40.0, progress=shares.append)
+    film(page, path, speed=40.0, fps=25, size=(320, 180), progress=shares.append)
     words = ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json"]
     done = subprocess.run([*words, str(path)], capture_output=True, text=True, check=True)
     (stream,) = json.loads(done.stdout)["streams"]
-    assert (stream["width"], stream["height"]) == (1280, 720)
+    assert (stream["width"], stream["height"]) == (320, 180)
     assert int(stream["nb_read_frames"]) == 4  # 4 s, forty times as fast, 25 a second, with both ends
     assert shares == sorted(shares)
     # No browser is needed to be refused.
@@ -72,4 +87,7 @@ def test_it_films_from_start_to_end_or_says_what_ffmpeg_refuses(
         with pytest.raises(InputError, match="a refusal of ffmpeg") as caught:
             film(page, tmp_path / place)
         assert caught.value.source == str(tmp_path / place)
-    assert list(tmp_path.iterdir()) == [path]
+    # A GIF by its suffix.
+    film(page, gif := tmp_path / "film.gif")
+    assert gif.read_bytes().startswith(b"GIF89a")
+    assert set(tmp_path.iterdir()) == {path, gif}

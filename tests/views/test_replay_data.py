@@ -174,7 +174,8 @@ def test_the_return_comes_after_the_work(returning_plan: Plan) -> None:
 
 def test_the_baseline_approaches_too_and_both_begin_to_work_at_once(strokes_plan: Plan) -> None:
     other = dataclasses.replace(strokes_plan.baseline_segments[1], name="approach", begin=0.0)
-    slow = dataclasses.replace(other, samples=dataclasses.replace(other.samples, t=other.samples.t * 100.0))
+    longer = (strokes_plan.job.strokes[0].begin + 2.0) / other.duration
+    slow = dataclasses.replace(other, samples=dataclasses.replace(other.samples, t=longer * other.samples.t))
     for approach in (other, slow):
         plan = dataclasses.replace(strokes_plan)
         work = [

@@ -206,6 +206,7 @@ function start(begin) {
       pause: () => player.pause(),
       compare: (how) => player.compare(how),
       resetView: () => player.stage.resetView(),
+      still: () => player.stage.holdStill(),
       stage: player.stage,
       draw: () => player.stage.render(),
       csv: () => player.downloads.csv(),

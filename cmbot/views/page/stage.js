@@ -299,6 +299,13 @@ class Stage {
     return [left + (0.5 + 0.5 * p.x) * wide, top + (0.5 - 0.5 * p.y) * high];
   }
 
+  // For a film: shadows and pictures are drawn on demand only, not by the viewer's own loop.
+  holdStill() {
+    this.resetView();
+    this.viewer.needs_render = false;
+    this.viewer.set_dirty = () => {};
+  }
+
   // The picture as it is now, as the address of a PNG.
   still() {
     return this.viewer.capture_image();

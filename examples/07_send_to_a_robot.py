@@ -1,0 +1,91 @@
+"""Send a planned job to a robot that runs ROS 2.
+
+A plan directory has the whole job as a ROS ``trajectory_msgs/JointTrajectory``, ``job.ros.json``. This makes
+the goal of a ``control_msgs/FollowJointTrajectory`` action of it, and sends it where ROS is installed:
+``python 07_send_to_a_robot.py out/triangle /arm_controller``. Without ROS, or without a controller, it shows
+the goal. The arm has to stand in the posture that it prints first.
+"""
+
+import json
+import sys
+from pathlib import Path
+
+import cmbot
+
+# The fields of control_msgs/action/FollowJointTrajectory, its goal.
+GOAL = """trajectory_msgs/JointTrajectory trajectory
+JointTolerance[] path_tolerance
+JointTolerance[] goal_tolerance
+builtin_interfaces/Duration goal_time_tolerance"""
+
+
+def goal_of(folder: Path, *, tolerance: float = 0.01) -> dict:
+    """The goal of the whole job; at its end every joint may be off by `tolerance`, rad."""
+    trajectory = json.loads((folder / "job.ros.json").read_text(encoding="utf-8"))
+    bounds = [{"name": joint, "position": tolerance} for joint in trajectory["joint_names"]]
+    goal = {
+        "trajectory": trajectory,
+        "path_tolerance": [],
+        "goal_tolerance": bounds,
+        "goal_time_tolerance": {"sec": 1, "nanosec": 0},
+    }
+    if list(goal) != [line.split()[1] for line in GOAL.splitlines()]:
+        raise ValueError("the goal has other fields than the action's definition")
+    return goal
+
+
+def send(goal: dict, controller: str) -> None:
+    """Send a goal to a controller of ros2_control, and wait for its end."""
+    import rclpy
+    from control_msgs.action import FollowJointTrajectory
+    from rclpy.action import ActionClient
+    from rosidl_runtime_py import set_message_fields
+
+    rclpy.init()
+    node = rclpy.create_node("cmbot_job")
+    client = ActionClient(node, FollowJointTrajectory, f"{controller}/follow_joint_trajectory")
+    client.wait_for_server()
+    message = FollowJointTrajectory.Goal()
+    set_message_fields(message, goal)
+    sent = client.send_goal_async(message)
+    rclpy.spin_until_future_complete(node, sent)
+    done = sent.result().get_result_async()
+    rclpy.spin_until_future_complete(node, done)
+    print(done.result().result.error_string or "done")
+    rclpy.shutdown()
+
+
+def short_plan(folder: Path) -> Path:
+    """Plan a small job, for this example to have one."""
+    scene = {
+        "format": "cmbot-scene/2",
+        "name": "short",
+        "start": {"posture_deg": [-10, -90, 90, 0, 10, 50, 0]},
+        "tool_path": {"legs": [{"by": [0, -0.3, 0], "seconds": 4}], "via_points": 8},
+        "planner": {"knots": "fixed", "path_step_s": 0.02},
+    }
+    return cmbot.save(cmbot.plan(cmbot.load_scene(scene)), folder / "short")
+
+
+def main(folder: Path, controller: str = "") -> None:
+    """Show the goal, and send it where a controller is named."""
+    goal = goal_of(folder)
+    points = goal["trajectory"]["points"]
+    print("joints:", ", ".join(goal["trajectory"]["joint_names"]))
+    print("starts in:", ", ".join(f"{angle:.4f}" for angle in points[0]["positions"]), "rad")
+    last = points[-1]["time_from_start"]
+    print(f"{len(points)} points in {last['sec'] + 1e-9 * last['nanosec']:.2f} s")
+    if controller:
+        send(goal, controller)
+    else:
+        print("no controller named: nothing is sent")
+
+
+if __name__ == "__main__":
+    if len(sys.argv) > 1:
+        main(Path(sys.argv[1]), *sys.argv[2:3])
+    else:
+        import tempfile
+
+        with tempfile.TemporaryDirectory() as temporary:
+            main(short_plan(Path(temporary)))

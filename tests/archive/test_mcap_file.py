@@ -1,0 +1,89 @@
+"""A plan as an MCAP file, read back by other code: what is in it is the planned job."""
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from command_line import output, refusal
+from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
+
+from cmbot.archive import export_mcap
+from cmbot.common.errors import InputError, MissingExtra
+from cmbot.planning import Plan
+from cmbot.robot import Kinematics
+
+Messages = dict[str, list[tuple[float, Any]]]
+
+
+@pytest.fixture(scope="module")
+def messages(strokes_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Messages:
+    path = tmp_path_factory.mktemp("bag") / "strokes.mcap"
+    export_mcap(strokes_plan, path)
+    found: Messages = {}
+    with AnyReader([path]) as reader:
+        for connection, time, raw in reader.messages():
+            message = reader.deserialize(raw, connection.msgtype)
+            found.setdefault(connection.topic, []).append((1e-9 * time, message))
+    return found
+
+
+def test_the_trajectory_is_the_whole_job(messages: Messages, strokes_plan: Plan) -> None:
+    ((time, message),) = messages["/joint_trajectory"]
+    samples, _ = strokes_plan.job_samples
+    assert time == 0
+    assert tuple(message.joint_names) == strokes_plan.robot.joints
+    rows = ("positions", "q"), ("velocities", "v"), ("accelerations", "a"), ("effort", "joint_torque")
+    for name, attribute in rows:
+        values = np.array([getattr(point, name) for point in message.points])
+        np.testing.assert_array_equal(values, getattr(samples, attribute))
+    times = [p.time_from_start.sec + 1e-9 * p.time_from_start.nanosec for p in message.points]
+    np.testing.assert_allclose(times, samples.t, atol=1e-9)
+
+
+def test_links_and_wrench_are_those_of_the_plan(messages: Messages, strokes_plan: Plan) -> None:
+    samples, _ = strokes_plan.job_samples
+    assert len(messages["/tf"]) == len(messages["/joint_states"]) == len(messages["/base_wrench"])
+    assert messages["/tf"][-1][0] == pytest.approx(strokes_plan.job.duration)
+    for number in (0, 300, -1):
+        time, message = messages["/tf"][number]
+        k = int(np.argmin(np.abs(samples.t - time)))
+        tool = strokes_plan.robot.tool_frame
+        (found,) = (each.transform for each in message.transforms if each.child_frame_id == tool)
+        X = Kinematics(strokes_plan.robot).tool_pose(samples.q[k])
+        place = [getattr(found.translation, axis) for axis in "xyz"]
+        np.testing.assert_allclose(place, X.translation, atol=1e-9)
+        turn = Rotation.from_quat([getattr(found.rotation, axis) for axis in "xyzw"])
+        np.testing.assert_allclose(turn.as_matrix(), X.rotation, atol=1e-9)
+        assert {each.header.frame_id for each in message.transforms} == {"world"}
+        torque = messages["/base_wrench"][number][1].wrench.torque
+        expected = samples.guardrail_torque[k]
+        np.testing.assert_allclose([torque.x, torque.y, torque.z], expected)
+        np.testing.assert_array_equal(messages["/joint_states"][number][1].position, samples.q[k])
+
+
+def test_markers_show_obstacles_and_paths(messages: Messages, strokes_plan: Plan) -> None:
+    ((_, message),) = messages["/markers"]
+    names = [marker.ns for marker in message.markers]
+    expected = [obstacle.name for obstacle in strokes_plan.scene.obstacles]
+    assert names == [*expected, "path there", "path back"]
+    assert len({marker.id for marker in message.markers}) == len(names)
+    path = strokes_plan.strokes[0].task.path.outline()
+    points = np.array([[point.x, point.y, point.z] for point in message.markers[-2].points])
+    np.testing.assert_allclose(points, path)
+
+
+def test_what_is_refused(
+    short_plan: Plan, saved_short: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "short.mcap"
+    assert output("export", saved_short, "--mcap", path) == f"Written to {path}.\n"
+    assert "already there" in refusal("export", saved_short, "--mcap", path)
+    with pytest.raises(InputError, match=r"cmbot\.export_mcap: plan"):
+        export_mcap(str(saved_short), path)  # type: ignore[arg-type]
+    monkeypatch.setitem(sys.modules, "mcap_ros2.writer", None)
+    with pytest.raises(MissingExtra, match=r"mcap-ros2-support is not installed; run: pip install .*ros"):
+        export_mcap(short_plan, tmp_path / "other.mcap")
+    assert list(tmp_path.iterdir()) == [path]
