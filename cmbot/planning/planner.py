@@ -39,7 +39,6 @@ from cmbot.planning.result.plan import Plan, Seconds
 from cmbot.planning.result.stroke_plan import Start, StrokePlan, objective_metrics
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.stroke_order import in_least_travel
-from cmbot.planning.timing.shortest_time import in_shortest_time
 from cmbot.planning.torque import Optimised, optimise, segments
 from cmbot.planning.verification.certificate import certify
 from cmbot.planning.verification.metrics import figures, measure
@@ -192,6 +191,9 @@ def _stroke(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Mot
 
 def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
     if context.task.path.open_legs:
+        # Imported where needed: SciPy's splines and linear programs take a while to load.
+        from cmbot.planning.timing.shortest_time import in_shortest_time
+
         work = in_shortest_time(
             context, _certified_motion, lambda motion: motion.work.trajectory, automatic=automatic
         )

@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
@@ -113,6 +112,9 @@ def with_seconds(file: StrokeFile) -> StrokeFile:
 def covered(leg: TimedLeg, profile: SpeedProfile, u: FloatArray) -> FloatArray:
     """Return the shares of a leg's length that are covered at shares `u` (N,) of its time."""
     if leg.law is not None:
+        # Imported where needed: it takes a while to load, and few paths need it.
+        from scipy.interpolate import make_interp_spline
+
         ends = np.append(0.0, np.cumsum(leg.law.seconds))
         times = np.append(u * ends[-1], ends[-1])
         shares = make_interp_spline(ends, leg.law.jerk, k=1).antiderivative(3)(times)
