@@ -213,13 +213,18 @@ def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
         return attempt, motion
     asked, margin = _peak(context, motion.job.segments), 1 + context.options.gap_target
     rest = _peak(context, [each for each in motion.job.segments if each is not approach])
-    # No job from the scene's posture asks less than it does at rest.
-    if asked <= max(margin, 1 + _WORTH_PLANNING) * max(pinned, rest, context.reached):
+    off = context.tool_off
+    idle = off.objective.at_rest(off.postures.at(np.stack([context.posture, context.first])))
+    before = float(idle.max())
+    # No job from the scene's posture asks less than it does at rest, before the tool is on or then.
+    if asked <= max(margin, 1 + _WORTH_PLANNING) * max(pinned, rest, before, context.reached):
         return attempt, motion
     context.reporter.stage("path")
     context.reporter.step("the approach asks more than the work; trying the scene's posture")
     try:
         stays = sliding_guess(context, search=guess.search, stay=True)
+        if np.array_equal(*(each.problem.parametrization.via_points for each in (stays, guess))):
+            return attempt, motion
         other, lighter = with_retries(replace(attempt, guess=stays), _certified_motion)
     except PlanningError:
         return attempt, motion

@@ -99,8 +99,9 @@ class PlannerOptions:
     samples_per_segment : int
         Samples per spline segment at which nonlinear constraints are checked for violations.
     smoothing_weight : float
-        Weight rho of half the mean squared jerk (in units of its bounds) beside half the mean square of the
-        objective (in units of its peak at the initial guess): decides between motions of nearly equal torque.
+        Weight rho of half the mean squared jerk (in units of its bounds, or of 20 /s2 times the velocity's
+        where that is less) beside half the mean square of the objective (in units of its peak at the initial
+        guess): decides between motions of nearly equal torque.
     peak_tolerance : float
         The peak may exceed the least that was found attainable, its lower bound where that is, by this share;
         the mean square is minimised below that.

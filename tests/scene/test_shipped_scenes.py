@@ -28,11 +28,9 @@ def box_of(scene, name):
 
 
 def test_the_shipped_scenes():
-    assert shipped_scenes() == ("angle_steel", "bracket_faces", "gusset_plate", "line", "pipe", "triangle")
-    with pytest.raises(
-        SceneError,
-        match=r"no such file.*\(one of: angle_steel, bracket_faces, gusset_plate, line, pipe, triangle\)",
-    ):
+    names = ("angle_steel", "bracket_faces", "gusset_plate", "line", "panda_sanding", "pipe", "triangle")
+    assert shipped_scenes() == names
+    with pytest.raises(SceneError, match=rf"no such file.*\(one of: {', '.join(names)}\)"):
         load_scene("traingle")
 
 

@@ -30,7 +30,7 @@ _LEAST, _MOST = 100, 200
 _CLOSER = 0.5
 # It ends where a step promises no more than this share of the objective, or so many steps gain no more than
 # that share together: a plan's peak and mean matter to a thousandth.
-_ACCURACY, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 2e-4
+_ACCURACY, _STALL_STEPS, _STALL_GAIN = 5e-5, 4, 5e-4
 
 
 @dataclass(frozen=True, kw_only=True)

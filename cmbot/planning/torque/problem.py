@@ -43,6 +43,9 @@ _SAMPLED_SHARE = 0.5
 _EXACT_SHARE_IN_TOLERANCES = 10.0
 # The same room for the clearance, m, and what the certificate's bound may fall short of the distance.
 _CLEARANCE_ROOM = 1e-5 + RESOLUTION
+# Jerks up to this times the velocity limit, 1/s2, are the most that smoothing counts as one: what is assumed
+# of arms whose jerk limits are not known.
+_ORDINARY_JERK = 20.0
 # Gauss points per segment at which the mean square of the torque is taken.
 _MEAN_SAMPLES = 3
 
@@ -134,7 +137,9 @@ def parametrization_through(
         All but the first.
     """
     limits = context.robot.limits
-    bounds = np.stack([limits.velocity, limits.acceleration, limits.jerk])
+    # Jerk bounds far above what the work asks would leave smoothing without weight: splines would swing.
+    jerk = np.minimum(limits.jerk, _ORDINARY_JERK * limits.velocity)
+    bounds = np.stack([limits.velocity, limits.acceleration, jerk])
     splines = SparseSplines(SplineSpace(context.times), bounds)
     manifold = TaskManifold(context.postures, context.task, context.goals)
     return Parametrization(
