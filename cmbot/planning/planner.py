@@ -223,7 +223,8 @@ def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
     context.reporter.step("the approach asks more than the work; trying the scene's posture")
     try:
         stays = sliding_guess(context, search=guess.search, stay=True)
-        if np.array_equal(*(each.problem.parametrization.via_points for each in (stays, guess))):
+        here, there = (each.problem.parametrization.via_points for each in (stays, guess))
+        if np.array_equal(here, there):
             return attempt, motion
         other, lighter = with_retries(replace(attempt, guess=stays), _certified_motion)
     except PlanningError:

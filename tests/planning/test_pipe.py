@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cmbot import load_scene, plan
-from cmbot.planning import Plan
+from cmbot.planning import Plan, remarks
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics
 
@@ -35,6 +35,12 @@ def test_the_tool_covers_the_pipe_square_to_it(job: Plan) -> None:
     nearest = np.linalg.norm(places[:, None] - unrolled[None, ::4], axis=2).min(axis=1)
     assert nearest.max() <= raster.spacing_m / 2 + 2e-3
     assert [segment.name for segment in job.job.segments] == ["approach", "work", "return"]
+    area = np.radians(pipe.to_deg - pipe.from_deg) * pipe.radius * pipe.length
+    assert job.coverage["work"] == pytest.approx((abs(area), 0.0))
+    assert f"{abs(area):.4f}" in job.summary().split("area covered of")[1]
+    covered = [sentence for sentence in remarks(job) if sentence.startswith("Coverage: ")]
+    assert len(covered) == 1
+    assert covered[0].endswith("no place is left out.")
 
 
 def test_a_second_opinion_agrees(job: Plan) -> None:

@@ -14,7 +14,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.cards import card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
-from cmbot.planning.context import bending_arm, end_posture_of, sag_of
+from cmbot.planning.context import bending_arm, end_posture_of, sag_of, strokes_of
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, job_metrics
 from cmbot.planning.result.baseline import (
     SAMPLE_STEP,
@@ -272,6 +272,15 @@ class Plan(StrokePlan):
         baseline = self.baseline_figures.peak_static_guardrail_torque
         return 1.0 - self.figures.peak_static_guardrail_torque / baseline
 
+    @cached_property
+    def coverage(self) -> dict[str, tuple[float, float]]:
+        """Of each stroke that is a raster the area of its surface and what of that is left out, m2.
+
+        See `Stroke.areas`; the tool is within its tolerances all along, or there would be no plan.
+        """
+        each = {stroke.name: stroke.areas for stroke in strokes_of(self.scene, self.robot)}
+        return {name: areas for name, areas in each.items() if areas is not None}
+
     def summary(self) -> str:
         """Return the figures as an aligned table of plain text."""
         rows = [("", "baseline", "planned"), *self.rows()]
@@ -292,6 +301,11 @@ class Plan(StrokePlan):
                 yield from self._peaks_of_free_moves()
         yield from _adhesions("adhesion needed, whole job, kN", job)
         yield from _adhesions("adhesion needed at work, kN", work)
+        if self.coverage:
+            area, left_out = (sum(values) for values in zip(*self.coverage.values(), strict=True))
+            # The baseline follows the same rows.
+            covered = f"{area - left_out:.4f}"
+            yield f"area covered of {area:.4g} m2, m2", covered, covered
         duration = self.baseline_segments[-1].end
         yield "time of the whole job, s", f"{duration:.1f}", f"{self.job.duration:.1f}"
         for limit in ("velocity", "acceleration", "jerk", "torque"):

@@ -35,6 +35,7 @@ def remarks(plan: Plan) -> Iterator[str]:
     yield from _return(plan)
     yield from _shortest_time(plan)
     yield from _process_speed(plan)
+    yield from _coverage(plan)
     yield from _baseline(plan)
     yield _gain(plan)
     yield from _nothing_gained(plan)
@@ -147,6 +148,21 @@ def _start(plan: Plan) -> Iterator[str]:
                 f"The approach asks more of the {plan.scene.base_name} than baseline and work do; "
                 "start: pinned, or a start posture nearer to this one, spares it."
             )
+
+
+def _coverage(plan: Plan) -> Iterator[str]:
+    """What rasters cover, and what they leave out."""
+    if not plan.coverage:
+        return
+    covered = ", ".join(
+        f"{area - left_out:.4g} of {area:.4g} m2{f' ({name})' if plan.several else ''}"
+        for name, (area, left_out) in plan.coverage.items()
+    )
+    missing = sum(left_out for _, left_out in plan.coverage.values())
+    left = "no place is left out"
+    if missing:
+        left = f"{missing:.3g} m2 are left out, beyond the rows' ends or too far beside them"
+    yield f"Coverage: {covered}, within half the distance of two rows; {left}."
 
 
 def _baseline(plan: Plan) -> Iterator[str]:

@@ -40,6 +40,17 @@ class Stroke:
     begins_elsewhere: bool
     coverage: FaceRows | None = None
 
+    @property
+    def areas(self) -> tuple[float, float] | None:
+        """Area, m2, of the surface that a raster goes over, and what of it its rows leave out; else None.
+
+        A place is left out where it is further than half the distance of two rows from all of them, or beyond
+        their ends. Rows over rectangles and cylinders leave nothing out.
+        """
+        if self.coverage is not None:
+            return self.coverage.area, self.coverage.left_out
+        return None if self.file.raster is None else (self.file.raster.area, 0.0)
+
     @cached_property
     def via_times(self) -> FloatArray:
         """Times of its via-points (k,), s."""
