@@ -50,6 +50,8 @@ _SECTIONS = {
     "MaterialFile": "`guardrail.material`",
     "FootFile": "`guardrail.foot`",
     "HoldFile": "`guardrail.hold`",
+    "StanceFile": "`guardrail.stance`",
+    "FootholdFile": "`guardrail.stance.foot_1`, `foot_2`",
     "PlannerOptions": "`planner`",
 }
 

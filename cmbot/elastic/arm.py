@@ -121,10 +121,14 @@ class _Builder:
 
     def add_base(self, base: ElasticBase) -> None:
         """Add the base's six elastic coordinates; the climbing mechanism moves with them."""
+        to_foot = pin.SE3(np.eye(3), np.array(self.robot.foot_point))
+        placement = to_foot
         for kind, letter in (("displacement", "P"), ("turn", "R")):
             for axis in "xyz":
                 joint = getattr(pin, f"JointModel{letter}{axis.upper()}")()
-                self.elastic.append(self._add(joint, pin.SE3.Identity(), f"guardrail {kind} {axis}"))
+                self.elastic.append(self._add(joint, placement, f"guardrail {kind} {axis}"))
+                placement = pin.SE3.Identity()
+        self.X_LB = to_foot.inverse()
         self._add_springs(self.options.guardrail_factor * base.stiffness)
         self.add_inertia(self.robot.model.inertias[0])
 

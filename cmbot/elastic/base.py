@@ -1,4 +1,4 @@
-"""The elastic base: the guardrail's frame of beams, condensed to the foot at the origin of W."""
+"""The elastic base: the guardrail's frame of beams, condensed to the feet, which the robot joins rigidly."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cmbot.elastic.beam import SectionConstants, section_constants
 from cmbot.elastic.frame import Frame, Member
 from cmbot.elastic.guardrail import Guardrail
 
-__all__ = ["ElasticBase", "GuardrailFrame", "elastic_base", "guardrail_frame"]
+__all__ = ["ElasticBase", "GuardrailFrame", "elastic_base", "guardrail_frame", "rigid_motion", "shares"]
 
 # Joints closer than this are merged, m: far below a section's width, and a beam much shorter than its
 # neighbours would cost digits, as stiffness grows with the inverse third power of length.
@@ -29,7 +29,7 @@ _MODES = 6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ElasticBase:
-    """Stiffness and mass at the foot: at the origin of W, in W, linear then angular; arrays are read-only.
+    """Stiffness and mass that the robot feels at O0, in W, linear then angular; arrays are read-only.
 
     Attributes
     ----------
@@ -48,7 +48,7 @@ class ElasticBase:
 
 
 def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
-    """Return the stiffness at the foot: the given one, else that of the guardrail's frame.
+    """Return the stiffness at O0: the given one, else that of the guardrail's frame under the feet.
 
     Returns
     -------
@@ -66,8 +66,46 @@ def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
     if not guardrail.post_positions:
         return None
     made = guardrail_frame(guardrail)
-    condensed = made.frame.condense(made.foot)
-    return _base(condensed.stiffness, condensed.mass, made.frame.frequencies(_MODES))
+    condensed, G = made.frame.condense(*made.feet), rigid_motion(guardrail)
+    K, M = (G.T @ matrix @ G for matrix in condensed)
+    return _base(K, M, made.frame.frequencies(_MODES))
+
+
+def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:
+    """Return what of a wrench of the robot each foot bears: (6, 6) each, both wrenches about O0 in W.
+
+    The robot is rigid between its feet and was put there without preload. Its rigid motion minimises the
+    elastic energy of the frame; what the feet bear is linear in the wrench, and adds up to it.
+
+    Parameters
+    ----------
+    guardrail : Guardrail
+        That has posts, where there are two feet.
+
+    Raises
+    ------
+    InputError
+        When there is no frame for the guardrail, or its stiffness is ill-conditioned.
+    """
+    if len(guardrail.footholds) == 1:
+        return (np.eye(6),)
+    made, G = guardrail_frame(guardrail), rigid_motion(guardrail)
+    K = made.frame.condense(*made.feet).stiffness
+    borne = K @ G @ np.linalg.inv(G.T @ K @ G)
+    parts = (slice(6 * k, 6 * k + 6) for k in range(len(guardrail.footholds)))
+    return tuple(G[part].T @ borne[part] for part in parts)
+
+
+def rigid_motion(guardrail: Guardrail) -> FloatArray:
+    """Return the displacements (6 k, 6) of the feet's nodes by the rigid motion of the robot, that of O0."""
+    rows = []
+    for point in guardrail.footholds:
+        x, y, z = np.subtract(point, guardrail.foot_point)
+        G = np.eye(6)
+        # A rotation moves a point by its cross product with the lever.
+        G[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+        rows.append(G)
+    return np.vstack(rows)
 
 
 def _base(stiffness: FloatArray, mass: FloatArray, frequencies: FloatArray) -> ElasticBase:
@@ -80,10 +118,15 @@ def _base(stiffness: FloatArray, mass: FloatArray, frequencies: FloatArray) -> E
 
 
 class GuardrailFrame(NamedTuple):
-    """The frame of a guardrail; `foot` is the node at the origin of W."""
+    """The frame of a guardrail; `feet` are the nodes that the feet hold, foot 1 first."""
 
     frame: Frame
-    foot: int
+    feet: tuple[int, ...]
+
+    @property
+    def foot(self) -> int:
+        """The node that foot 1 holds."""
+        return self.feet[0]
 
 
 class _Segment(NamedTuple):
@@ -106,7 +149,7 @@ def guardrail_frame(guardrail: Guardrail, *, beams: int = _BEAMS_PER_SEGMENT) ->
     many as make its beams no longer. The static stiffness does not depend on it, mass and frequencies do.
     """
     places = _places_along(guardrail)
-    levels = _levels(guardrail, held=min(abs(x) for x in guardrail.post_positions) <= _SAME_PLACE)
+    levels = _levels(guardrail)
     segments = list(_segments(guardrail, places, levels))
     longest = max(math.dist(segment.start, segment.end) for segment in segments) / beams
     numbers: dict[tuple[float, float], int] = {}
@@ -131,7 +174,8 @@ def guardrail_frame(guardrail: Guardrail, *, beams: int = _BEAMS_PER_SEGMENT) ->
         members=tuple(members),
         fixed=tuple(numbers[x, levels[0]] for x, has_post in places if has_post),
     )
-    return GuardrailFrame(frame=frame, foot=numbers[0.0, 0.0])
+    feet = tuple(numbers[x, _nearest(levels, z)] for x, _, z in guardrail.footholds)
+    return GuardrailFrame(frame=frame, feet=feet)
 
 
 def _places_along(guardrail: Guardrail) -> tuple[tuple[float, bool], ...]:
@@ -140,16 +184,18 @@ def _places_along(guardrail: Guardrail) -> tuple[tuple[float, bool], ...]:
     if not posts or any(not after - before > _SAME_PLACE for before, after in pairwise(posts)):
         expected = "one or more, ascending, more than a millimetre apart"
         raise _refusal("post_positions", posts, expected)
-    if not posts[0] - _SAME_PLACE <= 0 <= posts[-1] + _SAME_PLACE:
+    held = [x for x, _, _ in guardrail.footholds]
+    if not all(posts[0] - _SAME_PLACE <= x <= posts[-1] + _SAME_PLACE for x in held):
         raise _refusal("post_positions", posts, "posts on both sides of the foot, or one at it")
-    places = {(0.0 if abs(x) <= _SAME_PLACE else x): True for x in posts}
-    places.setdefault(0.0, False)
+    places = {next((h for h in held if abs(x - h) <= _SAME_PLACE), x): True for x in posts}
+    for x in held:
+        places.setdefault(x, False)
     if guardrail.rails:
         return tuple(sorted(places.items()))
-    return ((0.0, places[0.0]),)
+    return tuple(sorted((x, places[x]) for x in set(held)))
 
 
-def _levels(guardrail: Guardrail, *, held: bool) -> tuple[float, ...]:
+def _levels(guardrail: Guardrail) -> tuple[float, ...]:
     """The z of all joints, ascending: first the clamp, last the top."""
     post, rails = guardrail.post, guardrail.rails
     low, high = post.clamp, post.top
@@ -157,11 +203,18 @@ def _levels(guardrail: Guardrail, *, held: bool) -> tuple[float, ...]:
         if not low - _SAME_PLACE <= rail.height <= high + _SAME_PLACE:
             expected = f"a height from {low} to {high}, on the posts"
             raise _refusal(f"rails[{index}].height", rail.height, expected)
-    if not low + _SAME_PLACE < 0 <= high + _SAME_PLACE:
-        raise _refusal("post", f"{low} to {high}", "posts that pass height 0, where the foot holds")
-    if not held and all(abs(rail.height) > _SAME_PLACE for rail in rails):
-        raise _refusal("rails", [rail.height for rail in rails], "a rail at height 0, or the foot at a post")
-    levels = [low, 0.0]
+    for x, _, z in guardrail.footholds:
+        if not low + _SAME_PLACE < z <= high + _SAME_PLACE:
+            raise _refusal("post", f"{low} to {high}", f"posts that pass height {z:g}, where the foot holds")
+        at_post = any(abs(x - post) <= _SAME_PLACE for post in guardrail.post_positions)
+        heights = [rail.height for rail in rails]
+        if not at_post and all(abs(height - z) > _SAME_PLACE for height in heights):
+            expected = f"a rail at height {z:g}, or the foot at a post"
+            raise _refusal("rails", heights, expected)
+    levels = [low]
+    for z in (z for _, _, z in guardrail.footholds):
+        if all(abs(z - level) > _SAME_PLACE for level in levels):
+            levels.append(z)
     for height in (*(rail.height for rail in rails), high):
         if all(abs(height - level) > _SAME_PLACE for level in levels):
             levels.append(height)
@@ -178,9 +231,13 @@ def _segments(
             yield _Segment(start=(x, low), end=(x, high), section=section, first_axis=(c, s, 0.0))
     for rail in guardrail.rails:
         section, c, s = section_constants(rail.section), math.cos(rail.roll), math.sin(rail.roll)
-        z = min(levels, key=lambda level: abs(level - rail.height))
+        z = _nearest(levels, rail.height)
         for (left, _), (right, _) in pairwise(places):
             yield _Segment(start=(left, z), end=(right, z), section=section, first_axis=(0.0, c, s))
+
+
+def _nearest(levels: tuple[float, ...], height: float) -> float:
+    return min(levels, key=lambda level: abs(level - height))
 
 
 def _refusal(key: str, got: object, expected: str) -> InputError:

@@ -43,10 +43,10 @@ class Member:
 
 
 class Condensed(NamedTuple):
-    """A frame condensed to one of its nodes: linear then angular, in W, SI.
+    """A frame condensed to k of its nodes, one after the other: linear then angular, in W, SI.
 
-    The stiffness (6, 6) is exact for loads at the node; the mass (6, 6) is Guyan's, of the static deflections
-    under loads at the node.
+    The stiffness (6 k, 6 k) is exact for loads at the nodes; the mass (6 k, 6 k) is Guyan's, of the static
+    deflections under loads at the nodes.
     """
 
     stiffness: FloatArray
@@ -91,22 +91,23 @@ class Frame:
             raise _refusal("node", node, f"one of the {len(self.nodes)} nodes that is not fixed")
         return np.asarray(self._free_index[node])
 
-    def condense(self, node: int) -> Condensed:
-        """Condense the frame to `node`, which is not fixed."""
-        shapes, K = self._condensed(node)
+    def condense(self, *nodes: int) -> Condensed:
+        """Condense the frame to `nodes`, which are not fixed and differ."""
+        shapes, K = self._condensed(*nodes)
         M = shapes.T @ (self.mass @ shapes)
         return Condensed(stiffness=K, mass=(M + M.T) / 2)
 
-    def shapes(self, node: int) -> FloatArray:
-        """Displacements and rotations (k, 6, 6) of all nodes by those of `node`, for loads at that one."""
-        moved = np.vstack([self._condensed(node)[0], np.zeros(6)])
+    def shapes(self, *nodes: int) -> FloatArray:
+        """Displacements and rotations (k, 6, 6 m) of all nodes by those of m `nodes`, for loads at these."""
+        moved = self._condensed(*nodes)[0]
+        moved = np.vstack([moved, np.zeros(moved.shape[1])])
         return np.asarray(moved[self._free_index])  # the last row, for -1, is that of fixed nodes
 
-    def _condensed(self, node: int) -> tuple[FloatArray, FloatArray]:
-        """Static displacements (f, 6) by unit displacements of a node, and the stiffness there."""
-        index = self.coordinates(node)
-        loads = np.zeros((self.stiffness.shape[0], 6))
-        loads[index, np.arange(6)] = 1.0
+    def _condensed(self, *nodes: int) -> tuple[FloatArray, FloatArray]:
+        """Static displacements (f, 6 m) by unit displacements of m nodes, and the stiffness there."""
+        index = np.concatenate([self.coordinates(node) for node in nodes])
+        loads = np.zeros((self.stiffness.shape[0], len(index)))
+        loads[index, np.arange(len(index))] = 1.0
         shapes = self._factor.solve(loads)
         K = _inverse(shapes[index])
         return shapes @ K, K
@@ -240,7 +241,7 @@ def _factorised(stiffness: sparse.csc_array) -> SuperLU:
 
 
 def _inverse(compliance: FloatArray) -> FloatArray:
-    """Exactly symmetric inverse (6, 6) of a compliance that is positive definite and nearly symmetric."""
+    """Exactly symmetric inverse of a compliance that is positive definite and nearly symmetric."""
     if not np.all(np.diag(compliance) > 0):
         raise _ill_conditioned()
     scale = np.sqrt(np.diag(compliance))
@@ -252,7 +253,7 @@ def _inverse(compliance: FloatArray) -> FloatArray:
         factor = linalg.cho_factor((scaled + scaled.T) / 2, lower=True)
     except linalg.LinAlgError as error:
         raise _ill_conditioned() from error
-    inverse = linalg.cho_solve(factor, np.eye(6)) / scale[:, None] / scale
+    inverse = linalg.cho_solve(factor, np.eye(len(scaled))) / scale[:, None] / scale
     return np.asarray((inverse + inverse.T) / 2)
 
 

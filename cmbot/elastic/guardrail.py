@@ -84,7 +84,7 @@ class GuardrailMaterial:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Guardrail:
-    """A row of posts with rails; the foot holds it at the origin of W.
+    """A row of posts with rails, and where the feet hold it.
 
     Attributes
     ----------
@@ -94,10 +94,14 @@ class Guardrail:
     rails : tuple of Rail
     material : GuardrailMaterial
     stiffness : array or None
-        (6, 6), at the origin of W, in W, linear then angular (N/m, N/rad, Nm/rad), in place of the frame's
+        (6, 6), at O0, in W, linear then angular (N/m, N/rad, Nm/rad), in place of the frame's
         own; read-only. None: the frame's, and without posts the hold is rigid.
     mass : array or None
         (6, 6), moves with the foot beside a given `stiffness`; read-only. None: no such mass.
+    foot_point : three floats, m
+        O0 in W, the origin of foot 1.
+    footholds : tuple of three floats, m
+        Points in W on the axes of the members that the feet hold, foot 1 first.
     """
 
     post_positions: tuple[float, ...]
@@ -106,3 +110,5 @@ class Guardrail:
     material: GuardrailMaterial
     stiffness: FloatArray | None
     mass: FloatArray | None
+    foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    footholds: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)

@@ -301,7 +301,12 @@ def robot_of(scene: Scene) -> Robot:
         mount = pose(source.mount_xyz, source.mount_rpy)
     try:
         robot = load_robot(
-            **source.files, mount=mount, tool_length=source.tool_length, payload=source.payload
+            **source.files,
+            mount=mount,
+            tool_length=source.tool_length,
+            payload=source.payload,
+            root=None if source.stance is None else source.stance.root,
+            locked=None if source.stance is None else source.stance.locked,
         )
     except ModelError as error:
         if error.key not in ("base_frame", "tool_frame"):

@@ -92,7 +92,7 @@ class WeightedMoment:
     Parameters
     ----------
     point : (3,), m
-        In W: O0 for n_0, the origin of the arm's base frame for n_1.
+        From O0 along the axes of W: zero for n_0, the origin of the arm's base frame for n_1.
     weights : (3,)
         Of the components along x, y and z of W; none negative, one at least positive.
     """
@@ -245,7 +245,8 @@ def objective_of(
     point = np.zeros(3)
     if options.moment_about == "base":
         model = robot.model
-        point = np.array(model.frames[model.getFrameId(robot.base_frame)].placement.translation)
+        base = np.array(model.frames[model.getFrameId(robot.base_frame)].placement.translation)
+        point = base - np.array(robot.foot_point)
     moment = WeightedMoment(point, np.array(options.axis_weights))
     return WrenchObjective(robot, moment, name=options.objective, unit="Nm")
 

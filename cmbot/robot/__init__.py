@@ -1,6 +1,7 @@
 """The robot: its model from a URDF, its kinematics and its dynamics."""
 
 from cmbot.robot.arm_model import convex_hull, encloses_volume
+from cmbot.robot.climber import CLIMBING_JOINTS, Climber
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames
 from cmbot.robot.description.mesh_file import locate_meshes
@@ -24,9 +25,11 @@ from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import MOST_FAR, NEAR, sampled_postures
 
 __all__ = [
+    "CLIMBING_JOINTS",
     "MOST_FAR",
     "NEAR",
     "Chain",
+    "Climber",
     "Dynamics",
     "Efforts",
     "Finding",

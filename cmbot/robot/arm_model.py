@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,22 +65,26 @@ def arm_model(
     *,
     srdf: str,
     package_dirs: Sequence[Path] = (),
+    locked: Mapping[str, float],
 ) -> ArmModel:
     """Build the model and the shapes of an arm: only its joints move.
 
     `root` is the content of `urdf` and is modified; `semantics` is that of the SRDF, whose name `srdf` is for
-    messages. Its group states are where the other joints are locked, default zero; the pairs that it disables
+    messages. Its group states are where the other joints are locked, default zero, but for those that
+    `locked` has, rad or m; the pairs that it disables
     do not collide. Where it disables none, those of neighbouring joints do not, nor those that `near_pairs`
     finds always near.
     """
     require_independent(root, base_frame, tool_frame, str(urdf))
     full, collision = build_model(urdf, root, package_dirs)
     moving = _chain(full, str(urdf), base_frame, tool_frame)
-    locked = [i for i in range(1, full.njoints) if i not in moving]
+    others = [i for i in range(1, full.njoints) if i not in moving]
     stance, absent = _stance(full, srdf, semantics)
+    for name, value in locked.items():
+        stance[full.joints[full.getJointId(name)].idx_q] = value
 
     def reduced(shapes: Any) -> tuple[Any, Any]:
-        model, (shapes,) = pin.buildReducedModel(full, [shapes], locked, stance)
+        model, (shapes,) = pin.buildReducedModel(full, [shapes], others, stance)
         _require_extent(model, shapes, str(urdf))
         return model, shapes
 

@@ -91,6 +91,7 @@ class Dynamics:
         self.robot = robot
         self._pool = pin.ModelPool(robot.floating_model, 1)
         self._data = robot.model.createData()
+        self._foot_point = np.array(robot.foot_point)
         self._external = external_forces(robot.model, robot.tool_frame_id, robot.tool_force)
 
     @cached_property
@@ -100,7 +101,7 @@ class Dynamics:
     def efforts(self, q: FloatArray, v: FloatArray, a: FloatArray) -> Efforts:
         """Evaluate joint torques and guardrail wrench."""
         N, n = q.shape
-        # The free-flyer is held at W: position zero with identity quaternion, no velocity, no acceleration.
+        # The free-flyer is held at O0: position zero with identity quaternion, no velocity, no acceleration.
         q_f, v_f, a_f = np.zeros((N, 7 + n)), np.zeros((N, 6 + n)), np.zeros((N, 6 + n))
         q_f[:, 6] = 1.0
         q_f[:, 7:], v_f[:, 6:], a_f[:, 6:] = q, v, a
@@ -132,6 +133,11 @@ class Dynamics:
             d_q[k, 3:], d_v[k, 3:], d_a[k, 3:] = rows
             d_q[k, :3], d_v[k, :3], d_a[k, :3] = dF_dq, dF_dv, dF_da
             value[k, :3], value[k, 3:] = data.of[1].angular, data.tau
+            if self._foot_point.any():
+                # From the origin of W to O0.
+                value[k, :3] -= np.cross(self._foot_point, data.of[1].linear)
+                for part, of in ((d_q, data.dFdq), (d_v, data.dFdv), (d_a, data.dFda)):
+                    part[k, :3] -= np.cross(self._foot_point, of[:3], axisb=0, axisc=0)
         for array in (value, d_q, d_v, d_a):
             array[:, :3] *= -1.0
         return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)
@@ -151,6 +157,8 @@ class Dynamics:
             value[k] = data.of[1].vector
             d_q[k], d_v[k], d_a[k] = dF_dq, dF_dv, dF_da
         for array in (value, d_q, d_v, d_a):
+            if self._foot_point.any():
+                array[..., 3:] -= np.cross(self._foot_point, array[..., :3])
             array *= -1.0
         d_q, d_v, d_a = (array.transpose(0, 2, 1) for array in (d_q, d_v, d_a))
         return EffortDerivatives(value=value, d_q=d_q, d_v=d_v, d_a=d_a)

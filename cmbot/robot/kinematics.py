@@ -114,6 +114,8 @@ class ToolBatch:
         Which joints slide.
     tool_force : (3,), N
         That acts on the tool, along its axes; zero with the tool off.
+    foot_point : (3,), m
+        O0.
     """
 
     q: FloatArray
@@ -123,6 +125,7 @@ class ToolBatch:
     origin: FloatArray
     prismatic: BoolArray
     tool_force: FloatArray
+    foot_point: FloatArray
 
     def point_velocity(self, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Velocity of the tool point (N, 3), m/s, at joint rates `v` (N, n), and its derivatives by position.
@@ -145,7 +148,7 @@ class ToolBatch:
     @property
     def push_torque(self) -> FloatArray:
         """Its torque (N, 3) about O0, Nm."""
-        return np.asarray(np.cross(self.tool_point, self.push))
+        return np.asarray(np.cross(self.tool_point - self.foot_point, self.push))
 
     @property
     def torque_against_push(self) -> FloatArray:
@@ -198,6 +201,8 @@ class PostureBatch(ToolBatch):
     def guardrail_torque(self) -> FloatArray:
         """Static torque (N, 3) on the guardrail about O0, Nm."""
         moment = np.tensordot(self.mass, self.centre.transpose(1, 2, 0), axes=1)
+        if self.foot_point.any():
+            moment = moment - self.mass.sum() * self.foot_point[:, None]
         torque = np.asarray((pin.skew(self.gravity).T @ moment).T)
         return torque + self.push_torque if self.tool_force.any() else torque
 
@@ -248,6 +253,7 @@ class Postures:
         self._mass = np.array([body.mass for body in bodies])
         self._gravity = np.array(robot.model.gravity.linear)
         self._tool_force = np.array(robot.tool_force)
+        self._foot_point = np.array(robot.foot_point)
         self.bend = 0.5 * max(robot.reach, _ROTATION_BEND)
         self.metric = robot.metric
 
@@ -295,6 +301,7 @@ class Postures:
             "origin": origin.transpose(2, 0, 1),
             "prismatic": self.metric.prismatic,
             "tool_force": self._tool_force,
+            "foot_point": self._foot_point,
         }
 
 

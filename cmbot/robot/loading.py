@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import ModelError
 from cmbot.common.input_files import read_input
 from cmbot.common.validation import hint
@@ -40,6 +41,8 @@ def load_robot(
     srdf: str | Path | None = None,
     elasticity: str | Path | None = None,
     mount: ArrayLike | None = None,
+    root: ArrayLike | None = None,
+    locked: Mapping[str, float] | None = None,
     tool_length: float | None = None,
     payload: float = 0.0,
     package_dirs: Sequence[str | Path] = (),
@@ -72,6 +75,10 @@ def load_robot(
         ``.elasticity.yaml``, if there, else none does.
     mount : (4, 4), optional
         Pose of `base_frame` in W; default: the URDF's root link is W.
+    root : (4, 4), optional
+        In place of `mount` the pose of the URDF's root link in W: there is O0, where foot 1 holds.
+    locked : mapping of str to float, optional
+        Positions, rad or m, of joints that are not the arm's, in place of the SRDF's.
     tool_length : float, optional
         Distance of the tool point from the flange along its z axis, m; default: as in the URDF.
     payload : float
@@ -91,27 +98,39 @@ def load_robot(
     """
     files = robot_files(model, srdf=srdf, limits=limits, elasticity=elasticity, package_dirs=package_dirs)
     urdf, packages = files.urdf, files.package_dirs
-    content, root = _read(urdf, packages)
+    content, described = _read(urdf, packages)
     semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF", packages)
     # Frames can be sought only in a tree, and which links move is known only with the frames.
-    _refuse_errors(urdf, inspect_urdf(root, moving=()))
+    _refuse_errors(urdf, inspect_urdf(described, moving=()))
     base_frame, tool_frame = arm_frames(
-        root,
+        described,
         semantics,
         files.base_frame if base_frame is None else base_frame,
         files.tool_frame if tool_frame is None else tool_frame,
         str(urdf),
     )
-    _refuse_errors(urdf, inspect_inertias(root, moving_links(root, base_frame)))
+    _refuse_errors(urdf, inspect_inertias(described, moving_links(described, base_frame)))
     made = arm_model(
-        urdf, root, semantics, base_frame, tool_frame, srdf=str(files.srdf), package_dirs=packages
+        urdf,
+        described,
+        semantics,
+        base_frame,
+        tool_frame,
+        srdf=str(files.srdf),
+        package_dirs=packages,
+        locked=locked or {},
     )
     X_WB = None if mount is None else _pose(mount)
+    X_WR = None if root is None else _pose(root, "root")
+    foot_point = np.zeros(3) if X_WR is None else np.array(X_WR.translation)
 
     def placed(model: Any, shapes: Any) -> Any:
         """Shapes on the mount and with the tool's length; the model is changed, too."""
         if X_WB is not None:
-            _move_root(model, shapes, base_frame, X_WB)
+            X_UB = model.frames[model.getFrameId(base_frame)].placement
+            _move_root(model, shapes, X_WB * X_UB.inverse())
+        if X_WR is not None:
+            _move_root(model, shapes, X_WR)
         if tool_length is not None:
             set_tool_length(model, shapes, tool_frame, tool_length, source=str(urdf))
         return shapes
@@ -126,10 +145,10 @@ def load_robot(
     tubes, springs = ({}, {}) if files.elasticity is None else read_elasticity(files.elasticity, arm)
     contents = [content, *(read_input(file, ModelError) for file in beside)]
     return Robot(
-        name=root.get("name", urdf.stem),
+        name=described.get("name", urdf.stem),
         urdf=urdf.resolve(),
         model=arm,
-        floating_model=_on_free_flyer(arm),
+        floating_model=_on_free_flyer(arm, foot_point),
         collision_model=collision,
         read_visual_model=lambda: placed(*made.read_visual()),
         limits=limited,
@@ -140,6 +159,7 @@ def load_robot(
         tool_frame=tool_frame,
         payload=payload,
         content_hash=hashlib.sha256(b"\0".join(contents)).hexdigest(),
+        foot_point=tuple(foot_point.tolist()),
         remarks=(*assumed, *made.remarks),
     )
 
@@ -183,9 +203,8 @@ def _read(urdf: Path, package_dirs: Sequence[Path]) -> tuple[bytes, ElementTree.
         raise
 
 
-def _move_root(model: Any, shapes: Any, base_frame: str, X_WB: Any) -> None:
-    """Place `base_frame` at `X_WB` in W by moving everything that is fixed to the universe."""
-    X_WU = X_WB * model.frames[model.getFrameId(base_frame)].placement.inverse()
+def _move_root(model: Any, shapes: Any, X_WU: Any) -> None:
+    """Move everything that is fixed to the universe by `X_WU`."""
     for i in range(1, model.njoints):
         if model.parents[i] == 0:
             model.jointPlacements[i] = X_WU * model.jointPlacements[i]
@@ -198,28 +217,29 @@ def _move_root(model: Any, shapes: Any, base_frame: str, X_WB: Any) -> None:
             shape.placement = X_WU * shape.placement
 
 
-def _pose(mount: ArrayLike) -> Any:
+def _pose(mount: ArrayLike, key: str = "mount") -> Any:
     expected = "a pose: a 4 x 4 matrix of a rotation, a position and the last row 0 0 0 1"
     try:
         X = np.array(mount, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ModelError("load_robot", "mount", repr(mount), expected) from error
+        raise ModelError("load_robot", key, repr(mount), expected) from error
     if X.shape == (4, 4) and np.isfinite(X).all() and (X[3] == [0, 0, 0, 1]).all():
         R = X[:3, :3]
         if np.abs(R @ R.T - np.eye(3)).max() <= 1e-9 and np.linalg.det(R) > 0:
             return pin.SE3(X)
-    raise ModelError("load_robot", "mount", X.tolist(), expected)
+    raise ModelError("load_robot", key, X.tolist(), expected)
 
 
-def _on_free_flyer(model: Any) -> Any:
-    """Return `model` below a massless free-flyer at W."""
+def _on_free_flyer(model: Any, point: FloatArray) -> Any:
+    """Return `model` below a massless free-flyer at `point` (3,), with the axes of W."""
     name = "guardrail"
     while model.existFrame(name):
         name += "_"
     floating = pin.Model()
-    root = floating.addJoint(0, pin.JointModelFreeFlyer(), pin.SE3.Identity(), name)
+    X_WO = pin.SE3(np.eye(3), point)
+    root = floating.addJoint(0, pin.JointModelFreeFlyer(), X_WO, name)
     floating.addJointFrame(root)
-    floating = pin.appendModel(floating, model, floating.getFrameId(name), pin.SE3.Identity())
+    floating = pin.appendModel(floating, model, floating.getFrameId(name), X_WO.inverse())
     floating.inertias[root] = pin.Inertia.Zero()
     floating.gravity = model.gravity
     return floating

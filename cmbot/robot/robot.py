@@ -1,4 +1,4 @@
-"""The robot: a working arm, all other joints locked, placed in the world frame of the foot."""
+"""The robot: a working arm, all other joints locked, placed in the world frame of the bridge."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _NO_FORCE = (0.0, 0.0, 0.0)
 class Robot:
     """An arm on its base, ready for planning. Its pinocchio models must not be changed.
 
-    World frame W = O0: at the foot's contact with the guardrail; x along the guardrail, y outward, z up.
+    World frame W: fixed to the bridge; x along the guardrail, y outward, z up. O0 is where foot 1 holds.
 
     Attributes
     ----------
@@ -42,8 +42,8 @@ class Robot:
     model : pinocchio.Model
         The arm, fixed base, universe = W. ``model.inertias[0]`` is that of everything that does not move.
     floating_model : pinocchio.Model
-        The same arm below a massless free-flyer at W: held still, the first six rows of its inverse dynamics
-        are the wrench that the base exerts on the arm, and their derivatives are exact.
+        The same arm below a massless free-flyer at O0, with the axes of W: held still, the first six rows of
+        its inverse dynamics are the wrench that the base exerts on the arm, and their derivatives are exact.
     collision_model : pinocchio.GeometryModel
         Collision shapes and the pairs of them that may collide.
     read_visual_model : callable
@@ -66,6 +66,8 @@ class Robot:
         every torque of this robot; see `tool_off`.
     content_hash : str
         SHA-256 of URDF, SRDF, joint-limits and elasticity file.
+    foot_point : three floats, m
+        O0 in W: where foot 1 holds. The wrench on the guardrail is about it.
     feet : tuple of Foot
         How it holds the guardrail; empty where it stands on something else.
     remarks : tuple of str
@@ -87,6 +89,7 @@ class Robot:
     payload: float
     content_hash: str
     tool_force: tuple[float, float, float] = _NO_FORCE
+    foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     feet: tuple[Foot, ...] = ()
     remarks: tuple[str, ...] = ()
 
@@ -219,7 +222,8 @@ class Robot:
     def carrier_torque(self) -> FloatArray:
         """Constant torque (3,) about O0 on the guardrail by the weight of `carrier_mass`, Nm."""
         inertia = self.model.inertias[0]
-        return np.cross(inertia.lever, inertia.mass * self.model.gravity.linear)
+        lever = inertia.lever - np.array(self.foot_point)
+        return np.cross(lever, inertia.mass * self.model.gravity.linear)
 
     @cached_property
     def holding(self) -> Holding | None:

@@ -6,6 +6,7 @@ All coordinates are in W, whose origin is where the foot holds: x along the guar
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Annotated, Self, cast
 
 import numpy as np
@@ -21,11 +22,13 @@ from cmbot.elastic import (
     Post,
     Rail,
     Section,
+    shares,
 )
 from cmbot.hold import Foot
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
-from cmbot.scene.hold import HoldFile, Holds, face_of, foot_on, held_member
+from cmbot.scene.hold import Face, HoldFile, Holds, face_of, foot_on, held_member
 from cmbot.scene.obstacles import Box, Obstacle, pose
+from cmbot.scene.stance import StanceFile, axis_point, foothold_face, foothold_pose
 
 __all__ = ["GuardrailFile", "feet_of", "guardrail_from_file", "guardrail_obstacles"]
 
@@ -146,6 +149,9 @@ class GuardrailFile(FileModel):
     foot: FootFile = FootFile()
     hold: Holds | None = None
     """How the feet hold; of ``cmbot-scene/2``; left out: welded."""
+    stance: StanceFile | None = None
+    """Where the feet hold, in place of `foot`, which then says where W is: at that post. Of
+    ``cmbot-scene/2``, with ``model: cmbot``."""
     material: MaterialFile = MaterialFile()
     stiffness: Matrix6 | None = None
     """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad); left out: the frame's."""
@@ -183,6 +189,8 @@ class GuardrailFile(FileModel):
         if self.bays > 0:
             self._check_rails()
             self._check_foot()
+        if self.stance is not None:
+            self._check_stance(self.stance)
         self._check_hold()
         if self.stiffness is not None:
             _check_positive_definite(self.stiffness, "stiffness")
@@ -219,33 +227,81 @@ class GuardrailFile(FileModel):
             expected = "0, as there is no rail at height 0 to hold"
             raise refusal(expected, got=offset, key=("foot", "offset_m"))
 
-    def _check_hold(self) -> None:
-        for hold in self.hold or ():
-            if hold.kind == "welded":
+    def _check_stance(self, stance: StanceFile) -> None:
+        each = [("foot_1", stance.foot_1), ("foot_2", stance.foot_2)]
+        for name, place in each:
+            if place is None:
                 continue
-            member = held_member(guardrail_from_file(self))
-            if member is None:
+            if place.member not in self.member_names:
+                choices = self.member_names
+                key = ("stance", name, "member")
+                raise refusal("a rail or post", got=shown(place.member), key=key, choices=choices)
+            face = face_of(_without_feet(self), place.member, place.face)
+            if place.along_m > face.ends[1] - face.ends[0]:
+                expected = f"at most the member's length, {face.ends[1] - face.ends[0]:g}"
+                raise refusal(expected, got=place.along_m, key=("stance", name, "along_m"))
+            clamped = face.axes[0, 2] and face.ends[0] + place.along_m <= self.post.clamp_m
+            if clamped and self.stiffness is None:
+                expected = f"above clamp_m, {self.post.clamp_m - face.ends[0]:g} along the post"
+                raise refusal(expected, got=place.along_m, key=("stance", name, "along_m"))
+        if stance.foot_2 is not None and self.stiffness is not None:
+            raise refusal("free, beside a given stiffness", got="a place", key=("stance", "foot_2"))
+
+    def _check_hold(self) -> None:
+        places = _held_faces(self)
+        if self.hold is not None and len(self.hold) > max(len(places), 1):
+            raise refusal("one foot", got="a list of two", key=("hold",))
+        for hold, held in zip(self.hold or (), [*places, None], strict=False):
+            if hold.kind != "welded" and held is None:
                 expected = "welded, as there is no member to hold"
                 raise refusal(expected, got=hold.kind, key=("hold", "kind"))
-            if hold.kind == "magnet" and face_of(guardrail_from_file(self), member, "outer").width is None:
-                expected = f"clamp or welded, as {member} is a round bar"
+            if hold.kind == "magnet" and held is not None and held[0].width is None:
+                expected = "clamp or welded, as the foot holds a round bar"
                 raise refusal(expected, got=hold.kind, key=("hold", "kind"))
-        if self.hold is not None and len(self.hold) > 1:
-            raise refusal("one foot", got="a list of two", key=("hold",))
+
+
+def _held_faces(file: GuardrailFile) -> list[tuple[Face, FloatArray]]:
+    """The face of each foot, and where on the member's axis it holds, (3,), m, in W."""
+    guardrail = _without_feet(file)
+    if file.stance is None:
+        member = held_member(guardrail)
+        return [] if member is None else [(face_of(guardrail, member, "outer"), np.zeros(3))]
+    places = (file.stance.foot_1, file.stance.foot_2)
+    return [
+        (foothold_face(guardrail, place), axis_point(guardrail, place))
+        for place in places
+        if place is not None
+    ]
 
 
 def feet_of(file: GuardrailFile) -> tuple[Foot, ...]:
-    """Return the feet of a robot that holds a guardrail at the origin of W; none where there is no member."""
-    guardrail = guardrail_from_file(file)
-    member = held_member(guardrail)
-    if member is None:
+    """Return the feet of a robot that holds a guardrail; none where there is no member.
+
+    Two feet that are described once are alike.
+    """
+    guardrail, holds = guardrail_from_file(file), file.hold or (HoldFile(kind="welded"),)
+    faces = _held_faces(file)
+    if not faces:
         return ()
-    holds = file.hold or (HoldFile(kind="welded"),)
-    return (foot_on(face_of(guardrail, member, "outer"), np.zeros(3), holds[0]),)
+    each = shares(guardrail)
+    return tuple(
+        foot_on(face, point, holds[min(k, len(holds) - 1)], np.array(guardrail.foot_point), each[k])
+        for k, (face, point) in enumerate(faces)
+    )
 
 
 def guardrail_from_file(file: GuardrailFile) -> Guardrail:
     """Return the guardrail that a scene file describes, in SI units and radians."""
+    guardrail = _without_feet(file)
+    if file.stance is None:
+        return guardrail
+    foot_1 = foothold_pose(guardrail, file.stance.foot_1)[:3, 3]
+    footholds = (tuple(point.tolist()) for _, point in _held_faces(file))
+    return replace(guardrail, foot_point=tuple(foot_1.tolist()), footholds=tuple(footholds))
+
+
+def _without_feet(file: GuardrailFile) -> Guardrail:
+    """The guardrail, held at the origin of W."""
     first = -(file.foot_post - 1) * file.post_spacing_m - file.foot.offset_m
     count = file.bays + 1 if file.bays else 0
     return Guardrail(

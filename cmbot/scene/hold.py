@@ -146,17 +146,19 @@ def _half_and_width(section: Section) -> tuple[float, float | None]:
     return section.diameter / 2, None
 
 
-def foot_on(face: Face, at: FloatArray, hold: HoldFile, share: FloatArray | None = None) -> Foot:
+def foot_on(face: Face, at: FloatArray, hold: HoldFile, foot_point: FloatArray, share: FloatArray) -> Foot:
     """Return the foot whose plate is centred on a face; its contact is what lies on the face.
 
     Parameters
     ----------
     face : Face
     at : (3,), m
-        On the member's axis, in W; O0 is there for foot 1.
+        On the member's axis, in W.
     hold : HoldFile
-    share : (6, 6), optional
-        Of the whole wrench about O0; left out: all of it, and O0 is `at`.
+    foot_point : (3,), m
+        O0 in W.
+    share : (6, 6)
+        Of the whole wrench about O0.
     """
     along, _, out = face.axes
     place = float(along @ at)
@@ -168,7 +170,7 @@ def foot_on(face: Face, at: FloatArray, hold: HoldFile, share: FloatArray | None
         low = high = 0.0
     return Foot(
         kind=hold.kind,
-        centre=read_only(face.depth * out + float(low + high) / 2 * along),
+        centre=read_only(at - foot_point + face.depth * out + float(low + high) / 2 * along),
         axes=face.axes,
         half=half,
         friction=hold.friction,
@@ -176,7 +178,7 @@ def foot_on(face: Face, at: FloatArray, hold: HoldFile, share: FloatArray | None
         adhesion=hold.adhesion_n,
         force=hold.force_n,
         moment=hold.moment_nm,
-        share=read_only(np.eye(6) if share is None else share),
+        share=read_only(share),
     )
 
 

@@ -10,6 +10,7 @@ from pydantic import Field, GetPydanticSchema, model_validator
 
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.scene.fields import Angles, Length, Mass, Text, Vector
+from cmbot.scene.stance import Stance
 
 __all__ = ["Joints", "MountFile", "RobotFile", "RobotSource"]
 
@@ -90,6 +91,8 @@ class RobotSource(CheckedFields):
         m; None: as in the model.
     payload : float
         Point mass at the tool, kg.
+    stance : Stance or None
+        Where the shipped robot stands; None: on the post at the origin of W.
     """
 
     model: Annotated[str | Path, _AS_TEXT]
@@ -104,6 +107,7 @@ class RobotSource(CheckedFields):
     tool_length: Length | None
     payload: Mass
     joints: Joints = "elastic"
+    stance: Stance | None = None
 
     @property
     def files(self) -> dict[str, Any]:

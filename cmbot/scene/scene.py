@@ -124,6 +124,9 @@ class SceneFile(FileModel):
             raise refusal("a value, this key is required", got="nothing", key=("posture_deg",))
         if self.posture_deg is not None and self.start is not None:
             raise refusal("no such key beside posture_deg", got="start", key=("start",))
+        if self.guardrail.stance is not None and self.robot.model != "cmbot":
+            expected = "no such key with a URDF of one's own, whose mount says where it stands"
+            raise refusal(expected, got="stance", key=("guardrail", "stance"))
         taken = set(self.guardrail.member_names)
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:
@@ -147,7 +150,8 @@ class SceneFile(FileModel):
         if isinstance(path.keep, AxisCone):
             expected = "pose, axis or position in cmbot-scene/1: a cone goes with cmbot-scene/2"
             raise refusal(expected, got="a cone", key=("tool_path", "keep"))
-        keys += [("guardrail", "hold")] if self.guardrail.hold is not None else []
+        newer = [name for name in ("hold", "stance") if getattr(self.guardrail, name) is not None]
+        keys += [("guardrail", name) for name in newer]
         for key in keys:
             got = "another leg than by and seconds" if key[1:2] == ("legs",) else str(key[-1])
             expected = "no such key in cmbot-scene/1: it goes with cmbot-scene/2"

@@ -26,6 +26,7 @@ from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
 from cmbot.scene.path.kept import AxisCone
 from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
+from cmbot.scene.stance import resolved_stance
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
 
@@ -170,6 +171,8 @@ def scene_from_file(
     find = partial(_found, base_folder, source)
     own = tuple(obstacle_from_file(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
     guardrail, robot = guardrail_from_file(file.guardrail), _robot(file, find)
+    if file.guardrail.stance is not None:
+        robot = replace(robot, stance=resolved_stance(file.guardrail.stance, guardrail, source))
     return Scene(
         name=file.name,
         source=source,

@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.base import guardrail_frame
+from cmbot.elastic.base import guardrail_frame, rigid_motion
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, bending_arm
 from cmbot.simulation import Tracking, elastic_arm_of
@@ -146,10 +146,10 @@ class Bending:
         guardrail = self._plan.scene.guardrail
         if self._arm.base is None or guardrail.stiffness is not None or not guardrail.post_positions:
             return None
-        frame, foot = guardrail_frame(guardrail)
+        frame, feet = guardrail_frame(guardrail)
         return {
             "nodes": pack(frame.nodes),
-            "shapes": pack(frame.shapes(foot)),
+            "shapes": pack(frame.shapes(*feet) @ rigid_motion(guardrail)),
             "members": [[member.start, member.end] for member in frame.members],
         }
 

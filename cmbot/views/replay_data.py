@@ -79,6 +79,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "workEnd": work_end,
         "end": end,
         "base": plan.scene.base_name,
+        "foot": list(plan.robot.foot_point),
         "legTimes": _leg_times(plan).tolist(),
         "moves": [
             [each.name, each.begin, each.end]
@@ -309,7 +310,7 @@ def focus_of(plan: Plan, plans: Sequence[Plan]) -> dict[str, Any]:
     """
     motions = [plan.baseline.q]
     motions += [segment.trajectory.q for each in plans for segment in each.job.segments]
-    points = [np.zeros((1, 3)), plan.baseline.tool_point]
+    points = [np.array([plan.robot.foot_point]), plan.baseline.tool_point]
     points += [each.samples.tool_point for each in plans]
     points += [stroke.task.path.outline() for each in plans for stroke in each.strokes]
     points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3].reshape(-1, 3) for q in motions]
@@ -331,7 +332,7 @@ def _azimuth(plan: Plan) -> float:
 
     The torque of a weight is perpendicular to the arm, so both are visible.
     """
-    x, y, _ = plan.samples.tool_point.mean(axis=0)
+    x, y, _ = plan.samples.tool_point.mean(axis=0) - np.array(plan.robot.foot_point)
     arm = np.arctan2(y, x)
     outside = np.pi / 2
     return float(min((arm - np.pi / 4, arm + np.pi / 4), key=lambda angle: abs(angle - outside)))

@@ -17,7 +17,7 @@ from scipy import linalg, sparse
 
 from cmbot.common.errors import InputError
 from cmbot.elastic import ElasticBase, Guardrail, elastic_base
-from cmbot.elastic.base import guardrail_frame
+from cmbot.elastic.base import guardrail_frame, shares
 from cmbot.elastic.beam import section_constants
 from cmbot.elastic.frame import Condensed, natural_frequencies
 from cmbot.scene import load_scene
@@ -257,6 +257,28 @@ def test_between_posts_the_foot_holds_a_rail() -> None:
     found = guardrail(foot={"offset_m": 0.5})
     refused("rails", found, rails=found.rails[1:])
     refused("rails", found, rails=())
+
+
+@pytest.mark.parametrize("lever", [0.35, 1.75])
+def test_two_alike_feet_share_alike(lever: float) -> None:
+    """Two posts without rails: each bears half of a force in the middle, and what rigid bars would."""
+    posts = (-lever, lever)
+    feet = tuple((x, 0.0, 0.0) for x in posts)
+    found = replace(guardrail(rails=()), post_positions=posts, footholds=feet)
+    first, second = shares(found)
+    np.testing.assert_allclose(first + second, np.eye(6), atol=1e-9)
+    np.testing.assert_allclose(np.diag(first[:3, :3]), 0.5, atol=1e-9)
+    # Far apart they bear a moment about y as a couple of vertical forces; a post is stiff along itself.
+    couple = first[2, 4] * -lever * -2
+    assert 0.9 < couple < 1.0 + 1e-9
+
+
+def test_a_foot_on_next_to_nothing_bears_nothing() -> None:
+    thread = rail("thread", section={"bar": 1e-4}, height_m=-0.5)
+    feet = ((0.0, 0.0, 0.0), (0.5, 0.0, -0.5))
+    first, second = shares(replace(guardrail(rails=(thread,)), footholds=feet))
+    np.testing.assert_allclose(first, np.eye(6), atol=1e-2)
+    np.testing.assert_allclose(second, np.zeros((6, 6)), atol=1e-2)
 
 
 def positive_definite(seed: int) -> FloatArray:

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +15,7 @@ from numpy.typing import NDArray
 from oracles.beams import angle_cantilever, angle_outline, polygon
 from Pynite import FEModel3D
 
-from cmbot.elastic import AngleSection, BarSection, Guardrail, elastic_base
+from cmbot.elastic import AngleSection, BarSection, Guardrail, elastic_base, shares
 
 FloatArray = NDArray[np.float64]
 
@@ -43,13 +45,20 @@ def add_section(made: FEModel3D, section: AngleSection | BarSection) -> str:
     return name
 
 
-def compliance(made: FEModel3D, node: str) -> FloatArray:
-    """Compliance (6, 6) at a node: six load cases of one newton or newton metre."""
-    for load in LOADS:
-        made.add_node_load(node, load, 1.0, case=load)
-        made.add_load_combo(load, {load: 1.0})
+def compliance(made: FEModel3D, *nodes: str) -> FloatArray:
+    """Compliance (6 k, 6 k) at nodes: load cases of one newton or newton metre."""
+    cases = [(node, load) for node in nodes for load in LOADS]
+    for node, load in cases:
+        made.add_node_load(node, load, 1.0, case=f"{node} {load}")
+        made.add_load_combo(f"{node} {load}", {f"{node} {load}": 1.0})
     made.analyze_linear(check_stability=False)
-    return np.array([[getattr(made.nodes[node], d)[load] for load in LOADS] for d in DISPLACEMENTS])
+    return np.array(
+        [
+            [getattr(made.nodes[node], d)[f"{at} {load}"] for at, load in cases]
+            for node in nodes
+            for d in DISPLACEMENTS
+        ]
+    )
 
 
 def support(made: FEModel3D, node: str) -> None:
@@ -83,8 +92,9 @@ def pynite_compliance(found: Guardrail) -> FloatArray:
     """The guardrail in PyNite, drawn by itself: one member from joint to joint."""
     made = model()
     post = found.post
-    levels = sorted({post.clamp, 0.0, post.top, *(rail.height for rail in found.rails)})
-    places = sorted({0.0, *found.post_positions})
+    held = [(x, z) for x, _, z in found.footholds]
+    levels = sorted({post.clamp, post.top, *(rail.height for rail in found.rails), *(z for _, z in held)})
+    places = sorted({*found.post_positions, *(x for x, _ in held)})
 
     def add(points: Sequence[tuple[float, float]], section: str, rotation: float) -> None:
         for x, z in points:
@@ -100,7 +110,7 @@ def pynite_compliance(found: Guardrail) -> FloatArray:
     for rail in found.rails:
         points = [(x, rail.height) for x in places]
         add(points, add_section(made, rail.section), math.degrees(rail.roll) + RAIL)
-    return compliance(made, "0.0 0.0")
+    return compliance(made, *(f"{x} {z}" for x, z in held))
 
 
 @pytest.mark.parametrize(
@@ -115,3 +125,35 @@ def test_all_entries_of_the_compliance(found: Guardrail) -> None:
     base = elastic_base(found)
     assert base is not None
     assert relative_difference(np.linalg.inv(base.stiffness), pynite_compliance(found)) < 1e-9
+
+
+def two_feet(*points: tuple[float, float], **keys: Any) -> Guardrail:
+    """A guardrail held at two points (x, z); O0 is a little before the first."""
+    footholds = tuple((x, 0.0, z) for x, z in points)
+    return replace(guardrail(**keys), foot_point=(points[0][0], 0.006, points[0][1]), footholds=footholds)
+
+
+@pytest.mark.parametrize(
+    "found",
+    [
+        pytest.param(two_feet((0.0, 0.0), (0.0, -0.6)), id="one above the other on a post"),
+        pytest.param(two_feet((0.0, 0.0), (0.22, -0.80)), id="post and bottom rail"),
+        pytest.param(two_feet((0.4, 0.0), (1.1, -0.45), post={"roll_deg": 25.0}), id="two rails"),
+    ],
+)
+def test_two_feet_share_a_wrench_as_in_pynite(found: Guardrail) -> None:
+    """The robot joins the feet rigidly: Lagrange's multipliers are what each bears about its own point."""
+    levers = [np.subtract(point, found.foot_point) for point in found.footholds]
+    G = np.vstack([np.block([[np.eye(3), -skew(p)], [np.zeros((3, 3)), np.eye(3)]]) for p in levers])
+    C = pynite_compliance(found)
+    system = np.block([[C, -G], [G.T, np.zeros((6, 6))]])
+    forces = np.linalg.solve(system, np.vstack([np.zeros((12, 6)), np.eye(6)]))[:12]
+    each = [G[part].T @ forces[part] for part in (slice(0, 6), slice(6, 12))]
+    scale = np.array([1.0] * 3 + [0.3] * 3)  # newtons beside newton metres, over a distance of the feet
+    for got, expected in zip(shares(found), each, strict=True):
+        assert np.abs((got - expected) / scale[:, None] * scale).max() < 1e-9
+
+
+def skew(p: FloatArray) -> FloatArray:
+    """Matrix (3, 3) of the cross product with a vector."""
+    return np.array([[0, -p[2], p[1]], [p[2], 0, -p[0]], [-p[1], p[0], 0]])

@@ -143,3 +143,47 @@ def test_the_objective_hold_needs_less(held: Plan) -> None:
 def test_the_objective_hold_needs_a_flat_contact() -> None:
     with pytest.raises(SceneError, match="a foot on flat steel"):
         plan(short_scene(guardrail={"bays": 0}, planner={"objective": "hold"}))
+
+
+@pytest.fixture(scope="module")
+def away() -> Plan:
+    """At another post than that at the origin of the world."""
+    return plan(away_scene({"foot_1": {"member": "post_4", "along_m": 1.10}}))
+
+
+def away_scene(stance: Any) -> cmbot.Scene:
+    hold = {"kind": "magnet", "adhesion_n": ADHESION}
+    changes = {"format": "cmbot-scene/2", "guardrail": {"hold": hold, "stance": stance}}
+    return short_scene(**changes, tool={"process_force_n": [0, 0, -100]})
+
+
+def test_elsewhere_on_the_bridge_all_is_the_same(held: Plan, away: Plan, tmp_path: Path) -> None:
+    one, other = held.figures, away.figures
+    for name in ("peak_guardrail_torque", "mean_guardrail_torque", "peak_static_guardrail_torque"):
+        assert getattr(other, name) == pytest.approx(getattr(one, name), rel=1e-6)
+    assert other.adhesion_needed.peak == pytest.approx(one.adhesion_needed.peak, rel=1e-6)
+    assert away.samples.tool_point[0, 0] == pytest.approx(held.samples.tool_point[0, 0] + 1.75)
+    again = load_plan(save(away, tmp_path / "away"), verify=True)
+    assert again.robot.foot_point == pytest.approx((1.75, 0, 0), abs=1e-12)
+
+
+def test_a_plan_on_two_feet(tmp_path: Path) -> None:
+    # So near to each other that the base hangs nearly as on one.
+    feet = {"foot_1": 3.5, "foot_2": 3.665}
+    rail = {"member": "top_rail", "turn_deg": 180}
+    stance = {foot: {**rail, "along_m": along} for foot, along in feet.items()}
+    legs = [{"by": [0, -0.05, 0], "seconds": 2}]
+    made = plan(replace_path(away_scene(stance), legs))
+    folder = save(made, tmp_path / "two")
+    header = (folder / "job.csv").read_text().splitlines()[0]
+    assert header.endswith("clearance,adhesion_needed_1,adhesion_needed_2,segment")
+    quantities = [check.quantity for check in load_plan(folder, verify=True).certificate.checks]
+    for foot in (1, 2):
+        assert f"adhesion needed of foot {foot}, safety 2" in quantities
+        assert f"adhesion needed of foot {foot} by a second computation" in quantities
+    assert made.figures.adhesion_needed.foot in (1, 2)
+
+
+def replace_path(scene: cmbot.Scene, legs: list[dict[str, Any]]) -> cmbot.Scene:
+    data = scene.file.as_data()
+    return cmbot.load_scene(data | {"tool_path": {"legs": legs, "via_points": 6}})

@@ -71,7 +71,7 @@ def test_what_is_refused(hold: Any, message: str) -> None:
 
 def test_a_round_bar_takes_no_magnet() -> None:
     with pytest.raises(
-        SceneError, match=r"guardrail.hold.kind: got magnet, expected clamp or welded, as only"
+        SceneError, match=r"guardrail.hold.kind: got magnet, expected clamp or welded, as the"
     ):
         scene({"kind": "magnet"}, rails=[BAR], foot={"offset_m": 0.5})
 

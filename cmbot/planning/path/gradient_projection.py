@@ -161,7 +161,8 @@ def _gradient(
     if options.centre_of_gravity_weight > 0:
         centre, J_c = kinematics.centre_of_mass(q)
         # Only the horizontal lever makes a torque about the foot.
-        gradient -= options.centre_of_gravity_weight * (metric.positions(J_c)[:2].T @ centre[:2])
+        lever = centre[:2] - np.array(kinematics.robot.foot_point[:2])
+        gradient -= options.centre_of_gravity_weight * (metric.positions(J_c)[:2].T @ lever)
     return gradient
 
 

@@ -389,7 +389,8 @@ class TorqueFloorProof:
         """The objective (N,) at rest and its derivatives (N, n), the force on the tool as on the task."""
         goal = self._context.goals[via_point]
         push = goal.rotation[0] @ self._context.robot.tool_force
-        constant = np.concatenate([push, np.cross(goal.point[0], push)])
+        lever = goal.point[0] - np.array(self._context.robot.foot_point)
+        constant = np.concatenate([push, np.cross(lever, push)])
         value, gradient = self._function(np.hstack([at.guardrail_force, at.guardrail_torque]) + constant)
         # The torque's derivative is the moved first moment crossed with gravity.
         return value, np.einsum("kij,kj->ki", cross(self._moved(at), at.gravity), gradient[:, 3:])

@@ -138,9 +138,9 @@ class Multibody:
     ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Joint torques (N, n), Nm (of joints that slide forces, N), and the arm's wrench on the guardrail.
 
-        That is the force and the torque (N, 3) of what moves, at O0 in W, N and Nm. Newton's and Euler's
-        equations give each body's force and moment about O0; a joint bears the sum over all bodies from it
-        on, the guardrail the sum over all that move. What acts on the tool takes its share off.
+        That is the force and the torque (N, 3) of what moves, about the origin of W, N and Nm. Newton's and
+        Euler's equations give each body's force and moment about it; a joint bears the sum over all bodies
+        from it on, the guardrail the sum over all that move. What acts on the tool takes its share off.
 
         Parameters
         ----------

@@ -57,7 +57,10 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
     mass = [float(body.mass) for body in bodies]
     lever = [float(np.linalg.norm(body.lever)) for body in bodies]
     inertia = [float(np.linalg.norm(body.inertia, 2)) for body in bodies]
-    fixed = [float(np.linalg.norm(X.translation)) for X in model.jointPlacements][1:]
+    steps = [np.array(X.translation) for X in model.jointPlacements][1:]
+    fixed = [float(np.linalg.norm(step)) for step in steps]
+    # The torque is about O0, the point in W.
+    to_foot = float(np.linalg.norm(steps[0] - np.array(robot.foot_point)))
     armature, slides = np.broadcast_to(model.armature, n), robot.limits.prismatic
     with np.errstate(over="ignore", invalid="ignore"):
         turn = np.exp(np.where(slides, 0.0, on.turn))
@@ -93,7 +96,10 @@ def norm_bounds(robot: Robot, on: Ellipses) -> NormBounds:
             # From here on in the frame of the joint before, about its origin.
             beyond = offset[..., i] + turn[..., i] * beyond
             carried = turn[..., i] * carried
-            about = turn[..., i] * about + offset[..., i] * carried
+            arm = np.asarray(offset[..., i])
+            if i == 0:
+                arm = to_foot + np.where(slides[0], on.q[..., 0], 0.0)
+            about = turn[..., i] * about + arm * carried
         return NormBounds(
             joint_torque=joint_torque,
             guardrail_force=carried,

@@ -6,7 +6,7 @@ is not looked for again.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -88,7 +88,10 @@ def _read(source: RobotSource, files: RobotFiles) -> Multibody:
     )
     # Nor is where a mesh lies.
     locate_meshes(urdf, root, files.package_dirs)
-    tree = _Tree(root, semantics, base, tool)
+    stance = source.stance
+    tree = _Tree(root, semantics, base, tool, {} if stance is None else stance.locked)
+    if stance is not None:
+        tree.move(stance.root)
     if source.mount_xyz is not None and source.mount_rpy is not None:
         tree.move(_pose(source.mount_xyz, source.mount_rpy) @ np.linalg.inv(tree.placed[base][1]))
     X_JT, flange, ratio = tree.placed[tool][1], tree.parents[tool], 1.0
@@ -123,7 +126,7 @@ def _read(source: RobotSource, files: RobotFiles) -> Multibody:
 class _Tree:
     """The links of a URDF, each placed in the frame of the arm's joint that carries it."""
 
-    def __init__(self, robot: Any, semantics: Any, base: str, tool: str) -> None:
+    def __init__(self, robot: Any, semantics: Any, base: str, tool: str, locked: Mapping[str, float]) -> None:
         self.links = {link.get("name"): link for link in robot.findall("link")}
         self.joints = {joint.get("name"): joint for joint in robot.findall("joint")}
         self.above = {joint.find("child").get("link"): joint for joint in self.joints.values()}
@@ -132,6 +135,7 @@ class _Tree:
             entry.get("name"): float(entry.get("value"))
             for entry in (() if semantics is None else semantics.findall("group_state/joint"))
         }
+        self.locked.update(locked)
         fixed = self._movable_above(base)
         self.chain = [name for name in self._movable_above(tool) if name not in fixed]
         self.step = [np.eye(4)] * len(self.chain)

@@ -98,7 +98,11 @@ def second_opinion(
         return (known,)
     times = _state_times(trajectory.t)
     motion = _motion(trajectory, times)
-    efforts = body.efforts(motion[0], motion[1], motion[2], tool_force)
+    tau, force, torque = body.efforts(motion[0], motion[1], motion[2], tool_force)
+    stance = scene.robot.stance
+    if stance is not None:
+        torque = torque - np.cross(stance.foot, force)
+    efforts = tau, force, torque
     checks = [
         known,
         *_effort_checks(

@@ -93,7 +93,10 @@ class Bending {
         begin.decompose(this.stage.arms[name][i].position, this.stage.arms[name][i].quaternion, none);
         return begin.clone().invert().multiply(tip);
       });
-      this.foot[name] = { pose: frames[this.source.base] ?? new THREE.Matrix4(), u };
+      // At rest the base's frame is at O0, its shapes where they are in W.
+      const back = new THREE.Matrix4().makeTranslation(...this.stage.data.foot.map((x) => -x));
+      const base = frames[this.source.base];
+      this.foot[name] = { pose: base ? base.clone().multiply(back) : new THREE.Matrix4(), u };
     } else {
       this.tips[name] = links.map(() => new THREE.Matrix4());
       this.foot[name] = { pose: new THREE.Matrix4(), u: null };

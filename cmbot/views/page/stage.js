@@ -190,6 +190,7 @@ class Stage {
     const heads = [0, 1].map(() => part(new THREE.ConeGeometry(1.5 * thick, 5 * thick, 24)));
     const group = new THREE.Group();
     group.add(shaft, ...heads);
+    group.position.set(...this.data.foot);
     this.world.add(group);
     return { group, shaft, heads, thick, material, tip: new THREE.Vector3() };
   }
@@ -205,7 +206,7 @@ class Stage {
     heads[0].position.z = length - 2.5 * thick;
     heads[1].position.z = length - 6.5 * thick;
     material.color.setHSL(0.13 * Math.pow(1 - Math.min(share, 1), 0.6), 0.95, 0.47);
-    tip.copy(direction).multiplyScalar(length);
+    tip.copy(direction).multiplyScalar(length).add(group.position);
   }
 
   addLight() {

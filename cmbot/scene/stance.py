@@ -1,0 +1,206 @@
+"""Where the feet hold: the ``guardrail.stance:`` block, and the climber's posture that follows from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import Field, GetPydanticSchema, PlainSerializer, WrapValidator, model_validator
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
+from cmbot.elastic import Guardrail
+from cmbot.scene.fields import Coordinate, Slug, Vector
+from cmbot.scene.hold import FACES, Face, face_of
+
+__all__ = [
+    "FootholdFile",
+    "Stance",
+    "StanceFile",
+    "axis_point",
+    "foothold_face",
+    "foothold_pose",
+    "resolved_stance",
+]
+
+# From the foot's frame to its plate, m: the frame lies on the centre line of the post that is held.
+_PLATE = 0.0375
+_QUARTERS = (0.0, 90.0, 180.0, 270.0, -90.0, -180.0, -270.0)
+# How far a given climber may miss the place of foot 2, m and rad.
+_MISSED = 1e-4
+Joint = Annotated[float, Field(ge=-360, le=360)]
+
+
+class FootholdFile(FileModel):
+    """Where a foot holds."""
+
+    member: Slug
+    """A rail by its name, or a post: ``post_1``, …"""
+    along_m: Annotated[Coordinate, Field(ge=0)]
+    """How far along the member, from its lower end or from the first post, m."""
+    face: Literal["outer", "inner", "left", "right", "top", "bottom"] = "outer"
+    """Side of the member; left and right are those of posts, top and bottom those of rails."""
+    turn_deg: float = 0.0
+    """By which the foot is turned about the face's normal, a multiple of 90; at 0 its z axis is along the
+    member."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.turn_deg not in _QUARTERS:
+            raise refusal("a multiple of 90 within a turn", got=self.turn_deg, key=("turn_deg",))
+        kind = "post" if self.member.startswith("post_") else "rail"
+        if self.face not in FACES[kind]:
+            choices = tuple(FACES[kind])
+            raise refusal(f"a face of a {kind}", got=shown(self.face), key=("face",), choices=choices)
+        return self
+
+
+def _place_or_free(value: Any, place: Any) -> Any:
+    """Nothing for ``free``, or what `place` makes of a mapping: one error, not those of a union."""
+    if value == "free" or value is None:
+        return None
+    if isinstance(value, dict | FootholdFile):
+        return place(value)
+    raise refusal("where the foot holds, or free", got=shown(value))
+
+
+def _json_schema(schema: Any, handler: Any) -> dict[str, Any]:
+    # The mapping first: messages name its keys.
+    return {"anyOf": [handler(schema), {"enum": ["free"], "type": "string"}]}
+
+
+PlaceOrFree = Annotated[
+    FootholdFile | None,
+    GetPydanticSchema(
+        lambda _, handler: handler(
+            Annotated[
+                FootholdFile,
+                WrapValidator(_place_or_free),
+                PlainSerializer(lambda place: "free" if place is None else place.model_dump()),
+            ]
+        ),
+        _json_schema,
+    ),
+]
+
+
+class StanceFile(FileModel):
+    """Where the feet hold the guardrail; the arm's base goes with the climbing joints."""
+
+    foot_1: FootholdFile
+    """O0 is where this foot holds."""
+    foot_2: PlaceOrFree = None
+    """``free``: it holds nothing."""
+    climber_deg: tuple[Joint, Joint, Joint, Joint, Joint] | None = None
+    """Angles of the climbing joints, foot 1 to foot 2. Left out: with foot 2 free the working stance, turned
+    so that the base hangs; else that of the postures with foot 2 in place in which it hangs most nearly."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Stance(CheckedFields):
+    """Where the robot stands.
+
+    Attributes
+    ----------
+    foot : three floats, m
+        O0, the origin of foot 1 in W.
+    rotation : three times three floats
+        Rows of the rotation of foot 1 in W; its y axis points out of the steel.
+    climber : five floats, rad
+        Angles of the climbing joints.
+    """
+
+    foot: Vector
+    rotation: tuple[Vector, Vector, Vector]
+    climber: tuple[Coordinate, Coordinate, Coordinate, Coordinate, Coordinate]
+
+    @classmethod
+    def of(cls, X: FloatArray, angles: FloatArray) -> Stance:
+        """Return it from the pose (4, 4) of foot 1 and the angles (5,), rad."""
+        rows: Any = tuple(tuple(row) for row in X[:3, :3].tolist())
+        return cls(foot=tuple(X[:3, 3].tolist()), rotation=rows, climber=tuple(angles.tolist()))
+
+    @property
+    def root(self) -> FloatArray:
+        """Pose (4, 4) of foot 1 in W."""
+        X = np.eye(4)
+        X[:3, :3], X[:3, 3] = self.rotation, self.foot
+        return X
+
+    @property
+    def locked(self) -> dict[str, float]:
+        """The climbing joints' angles, rad, by their names."""
+        return {f"climb_{number}": angle for number, angle in enumerate(self.climber, start=1)}
+
+
+def foothold_face(guardrail: Guardrail, place: FootholdFile) -> Face:
+    """Return the face that a foot holds."""
+    return face_of(guardrail, place.member, place.face)
+
+
+def axis_point(guardrail: Guardrail, place: FootholdFile) -> FloatArray:
+    """Return where on its axis a foot holds a member, (3,), m, in W."""
+    face = foothold_face(guardrail, place)
+    point = (face.ends[0] + place.along_m) * face.axes[0]
+    if face.axes[0, 2]:
+        point[0] = guardrail.post_positions[int(place.member.removeprefix("post_")) - 1]
+    else:
+        (point[2],) = (rail.height for rail in guardrail.rails if rail.name == place.member)
+    return np.asarray(point)
+
+
+def foothold_pose(guardrail: Guardrail, place: FootholdFile) -> FloatArray:
+    """Return the pose (4, 4) in W of a foot that holds there."""
+    face = foothold_face(guardrail, place)
+    along, _, out = face.axes
+    turn = np.radians(place.turn_deg)
+    z = np.round(np.cos(turn)) * along + np.round(np.sin(turn)) * np.cross(out, along)
+    X = np.eye(4)
+    X[:3, :3] = np.column_stack([np.cross(out, z), out, z])
+    X[:3, 3] = axis_point(guardrail, place) + (face.depth - _PLATE) * out
+    return X
+
+
+def resolved_stance(file: StanceFile, guardrail: Guardrail, source: str) -> Stance:
+    """Return where the robot stands: both feet, and the climber's posture.
+
+    Raises
+    ------
+    SceneError
+        When the climber reaches no such stance.
+    """
+    # Not above: scenes without a stance are read without pinocchio.
+    from cmbot.robot import Climber
+
+    climber, X = Climber(), foothold_pose(guardrail, file.foot_1)
+    goal = None if file.foot_2 is None else np.linalg.inv(X) @ foothold_pose(guardrail, file.foot_2)
+    key = "guardrail.stance"
+    if file.climber_deg is not None:
+        angles = np.radians(file.climber_deg)
+        for k in np.flatnonzero((angles < climber.lower) | (angles > climber.upper))[:1]:
+            low, high = (np.degrees(bound[k]) for bound in (climber.lower, climber.upper))
+            expected = f"an angle from {low:.1f} to {high:.1f} deg"
+            raise SceneError(source, f"{key}.climber_deg[{k}]", file.climber_deg[k], expected)
+        if goal is not None and (off := float(np.abs(climber.poses(angles)[0] - goal).max())) > _MISSED:
+            got, expected = f"a posture that misses foot_2 by {off:.3g} m or rad", "one that reaches it"
+            raise SceneError(source, f"{key}.climber_deg", got, expected)
+    elif goal is None:
+        hanging = climber.hanging(X[:3, :3])
+        if hanging is None:
+            expected = "a foot on which the arm's base can hang (another turn_deg), or climber_deg"
+            raise SceneError(source, f"{key}.foot_1", shown(file.foot_1.model_dump()), expected)
+        angles = hanging
+    else:
+        found = climber.reaching(goal)
+        if not found:
+            expected = "a place that the climber reaches from foot_1, on a face with the same normal"
+            raise SceneError(source, f"{key}.foot_2", shown(file.foot_2 and file.foot_2.member), expected)
+        angles = min(found, key=lambda each: _uprightness(X @ climber.poses(each)[1], X[:3, 1]))
+    return Stance.of(X, angles)
+
+
+def _uprightness(X_WB: FloatArray, out: FloatArray) -> float:
+    """Least where the base, its z axis down, hangs on the outer side of the feet."""
+    return float(X_WB[2, 2]) + (0.0 if X_WB[:3, 3] @ out > 0 else 10.0)
