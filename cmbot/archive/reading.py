@@ -368,13 +368,19 @@ def _certified(plan: Plan, number: int, clearances: Clearances) -> Certificate:
         stroke, sag = [each.name for each in plan.job.strokes].index(segment.name), plan.sag
         # Where it follows on a segment, that they join has been checked.
         rests_there = number == 0 and (options.knots == "sliding" or plan.scene.begins_elsewhere)
+        number_of_via_points = plan.scene.each_stroke[stroke].via_points
+        if not isinstance(number_of_via_points, int):
+            expected = "a number, as plans have it"
+            raise ArchiveError(
+                plan.scene.source, "scene.tool_path.via_points", number_of_via_points, expected
+            )
         certificate = certify(
             robot,
             segment.task,
             trajectory,
             clearances,
             options,
-            via_points=plan.scene.each_stroke[stroke].via_points,
+            via_points=number_of_via_points,
             start=before if rests_there else None,
             sag=sag,
         )

@@ -317,7 +317,7 @@ def oversized(stroke: Stroke, joints: int, options: PlannerOptions) -> Finding |
         return None
     slides = max(joints - task_dimension(stroke.file.keep), 0) if options.knots == "sliding" else 0
     # `SplineSpace.dimension` unknowns a joint, and the slides.
-    count = stroke.file.via_points
+    count = stroke.via_points
     unknowns = (count - SUPPORT) * joints + count * slides
     if solver == "sqp" or unknowns <= MOST_UNKNOWNS:
         return None

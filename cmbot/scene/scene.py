@@ -33,11 +33,12 @@ from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.builder import PathSource, timed_path
 from cmbot.scene.path.kept import AxisCone, Keep
-from cmbot.scene.path.legs import Goal, Leg
+from cmbot.scene.path.legs import AUTO, Goal, Leg
 from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
 from cmbot.scene.path.raster import Raster
 from cmbot.scene.path.stroke import Stroke
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
+from cmbot.scene.path.via_point_count import automatic_via_points
 from cmbot.scene.robot_entry import Joints, MountFile, RobotFile, RobotSource
 from cmbot.scene.tool import Tool
 
@@ -147,6 +148,8 @@ class SceneFile(FileModel):
         named = {name: field.alias or name for name, field in type(path).model_fields.items()}
         keys += [("tool_path", named[name]) for name in newer if getattr(path, name) is not None]
         keys += [("tool_path", "legs", k) for k, leg in enumerate(path.legs) if not leg.is_plain]
+        if path.via_points == AUTO:
+            keys.append(("tool_path", "via_points"))
         if isinstance(path.keep, AxisCone):
             expected = "pose, axis or position in cmbot-scene/1: a cone goes with cmbot-scene/2"
             raise refusal(expected, got="a cone", key=("tool_path", "keep"))
@@ -272,7 +275,7 @@ class Scene:
     speed_profile : SpeedProfile
     passes : int or None
         How often the path is followed, to and fro.
-    via_points : int
+    via_points : int or "auto"
         In all, with the ends of the legs.
     strokes : tuple of StrokeFile or None
         In place of all from `keep` to here: several paths with the tool on.
@@ -316,7 +319,7 @@ class Scene:
     blend_radius_m: float | None = None
     speed_profile: SpeedProfile = field(default_factory=SpeedProfile)
     passes: int | None = None
-    via_points: int = 50
+    via_points: int | Literal["auto"] = 50
     strokes: tuple[StrokeFile, ...] | None = None
     order: Literal["given", "best"] | None = None
     obstacles: tuple[Obstacle, ...]
@@ -387,12 +390,17 @@ class Scene:
                     expected = f"one for each leg with seconds: auto: {sorted(path.open_legs)}"
                     raise SceneError(self.source, f"{key}.time_laws", f"laws of legs {found}", expected)
                 path = path.timed(file.time_laws)
+            number = file.via_points
+            if not isinstance(number, int):
+                deviation = self.planner.max_tool_deviation_m
+                number = automatic_via_points(path, deviation, file.speed_tolerance)
             strokes.append(
                 Stroke(
                     name=str(file.name),
                     key=key,
                     file=file,
                     path=path,
+                    via_points=number,
                     begins_elsewhere=file.has_start or k > 0,
                     coverage=coverage,
                 )

@@ -13,6 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.planning.verification.face_rows import face_rows
 from cmbot.planning.verification.speed_laws import (
     TimedLeg,
@@ -173,7 +174,10 @@ class ScenePath:
         seconds = np.array(parts)
         segments = np.ones(len(seconds), dtype=np.intp)
         shares = np.round(seconds / seconds.sum(), _DIGITS)
-        for _ in range(self._file.via_points - 1 - len(seconds)):
+        number = self._file.via_points
+        if not isinstance(number, int):
+            raise InputError("second_opinion", "via_points", number, "a number, as in the scene of a plan")
+        for _ in range(number - 1 - len(seconds)):
             segments[np.argmax(shares / (segments + 1))] += 1
         ends = np.cumsum(seconds)
         begins = np.concatenate([[0.0], ends[:-1]])

@@ -24,6 +24,7 @@ __all__ = [
     "SecondsOrAuto",
     "Speed",
     "UnitVector",
+    "ViaPoints",
     "Waypoint",
 ]
 
@@ -55,21 +56,36 @@ def _unit_vector(axis: Vector) -> Vector:
     return axis
 
 
-def _auto_or_seconds(value: Any, seconds: Any) -> Any:
-    """The word, or what `seconds` makes of a number: one error, where a union would have two."""
-    return value if value == AUTO else seconds(value)
+def _auto_or_number(value: Any, number: Any) -> Any:
+    """The word, or what `number` makes of a number: one error, where a union would have two."""
+    return value if value == AUTO else number(value)
 
 
 SecondsOrAuto = Annotated[
     float | Literal["auto"],
     GetPydanticSchema(
         lambda _, handler: handler(
-            Annotated[Seconds, WrapValidator(_auto_or_seconds), PlainSerializer(lambda value: value)]
+            Annotated[Seconds, WrapValidator(_auto_or_number), PlainSerializer(lambda value: value)]
         ),
         lambda schema, handler: {"anyOf": [handler(schema), {"const": AUTO, "type": "string"}]},
     ),
 ]
 """A duration, or ``auto``."""
+
+ViaPoints = Annotated[
+    int | Literal["auto"],
+    GetPydanticSchema(
+        lambda _, handler: handler(
+            Annotated[
+                Annotated[int, Field(ge=5, le=20000)],
+                WrapValidator(_auto_or_number),
+                PlainSerializer(lambda value: value),
+            ]
+        ),
+        lambda schema, handler: {"anyOf": [handler(schema), {"const": AUTO, "type": "string"}]},
+    ),
+]
+"""A number of via-points, or ``auto``."""
 
 LongVector = Annotated[Vector, AfterValidator(_long_enough)]
 UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]

@@ -12,7 +12,7 @@ from pydantic import ConfigDict, Field, model_validator
 from cmbot.common.validation import FileModel, counted, refusal
 from cmbot.scene.fields import Slug
 from cmbot.scene.path.kept import Keep
-from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, Waypoint
+from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints, Waypoint
 from cmbot.scene.path.raster import Raster
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 
@@ -92,8 +92,10 @@ class PathFile(FileModel):
     passes: Annotated[int, Field(ge=1, le=100)] | None = None
     """How often the path is followed, to and fro, without leaving it; left out: once; of
     ``cmbot-scene/2``."""
-    via_points: Annotated[int, Field(ge=5, le=20000)] = 50
-    """Via-points in all; the ends of the legs are among them."""
+    via_points: ViaPoints = 50
+    """Via-points in all; the ends of the legs are among them. ``auto``: as many as the path's length, turns,
+    bends, ramps and time ask for, and its tolerances, of ``cmbot-scene/2``; beside `strokes` for all strokes
+    without a number."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -153,7 +155,7 @@ class PathFile(FileModel):
         passes = self.passes or 1
         leads = sum(lead is not None for lead in (self.lead_in_m, self.lead_out_m))
         legs = (len(self.legs) + leads) * passes
-        if self.via_points <= legs:
+        if isinstance(self.via_points, int) and self.via_points <= legs:
             expected = f"more than the {legs} legs"
             expected += (" and leads" if leads else "") + (" of all passes" if passes > 1 else "")
             raise refusal(expected, got=self.via_points, key=("via_points",))
@@ -252,6 +254,8 @@ class ToolPathFile(PathFile):
         for name, field in PathFile.model_fields.items():
             if self.seconds == AUTO and name in ("seconds", "max_base_torque_nm"):
                 continue
+            if self.via_points == AUTO and name == "via_points":
+                continue
             if getattr(self, name) != field.default:
                 expected = "no such key beside strokes, which have their own"
                 raise refusal(expected, got="a value", key=(field.alias or name,))
@@ -264,6 +268,14 @@ class ToolPathFile(PathFile):
             named = tuple(self._in_auto_time(stroke) for stroke in named)
             object.__setattr__(self, "seconds", None)
             object.__setattr__(self, "max_base_torque_nm", None)
+        if self.via_points == AUTO:
+            named = tuple(
+                stroke
+                if "via_points" in stroke.model_fields_set
+                else stroke.model_copy(update={"via_points": AUTO})
+                for stroke in named
+            )
+            object.__setattr__(self, "via_points", type(self).model_fields["via_points"].default)
         for k, stroke in enumerate(named):
             stroke._check_times(("strokes", k))
         taken = dict[str, int]()

@@ -26,6 +26,8 @@ class Stroke:
     file : StrokeFile
         Its description.
     path : ToolPath
+    via_points : int
+        In all, with the ends of the legs.
     begins_elsewhere : bool
         Whether the arm has to be brought to its start: not the first one from the tool's pose in the scene's
         posture.
@@ -37,6 +39,7 @@ class Stroke:
     key: str
     file: StrokeFile
     path: ToolPath
+    via_points: int
     begins_elsewhere: bool
     coverage: FaceRows | None = None
 
@@ -54,7 +57,7 @@ class Stroke:
     @cached_property
     def via_times(self) -> FloatArray:
         """Times of its via-points (k,), s."""
-        return self.path.via_times(self.file.via_points)
+        return self.path.via_times(self.via_points)
 
     def leg_key(self, leg: int) -> str:
         """Return the key of a leg of the timed path, as far as it has one of its own."""
