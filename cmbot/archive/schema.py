@@ -165,6 +165,11 @@ class SuppressionFile(FileModel):
     before: NonNegative
     after: NonNegative
     share: Share
+    stiffness: tuple[NonNegative, ...] = ()
+    """Empty, as all that follows, in files of before it was simulated."""
+    load_kg: tuple[float, ...] = ()
+    swing_without: tuple[NonNegative, ...] = ()
+    swing_with: tuple[NonNegative, ...] = ()
 
     def made(self) -> VibrationSuppression:
         """Return it as the planner has it."""

@@ -71,6 +71,25 @@ class ElasticArm:
         """The same arm with its tool off: no force acts on it."""
         return replace(self, robot=self.robot.tool_off) if self.robot.pushed else self
 
+    def softened(self, factor: float, load: float = 0.0) -> ElasticArm:
+        """Return the same arm with all its stiffness times `factor`, and `load` kg more at its tool."""
+        options = replace(
+            self.options,
+            guardrail_factor=factor * self.options.guardrail_factor,
+            link_factor=factor * self.options.link_factor,
+            joint_factor=factor * self.options.joint_factor,
+        )
+        robot = self.robot
+        if load:
+            model = robot.model.copy()
+            frame = model.frames[robot.tool_frame_id]
+            inertia = pin.Inertia(abs(load), frame.placement.translation, np.zeros((3, 3)))
+            joint = frame.parentJoint
+            body = model.inertias[joint]
+            model.inertias[joint] = body + inertia if load > 0 else body - inertia
+            robot = replace(robot, model=model, payload=robot.payload + load)
+        return elastic_arm(robot, self.base, options)
+
     def configuration(self, q: FloatArray, u: FloatArray) -> FloatArray:
         """Join joint angles (..., n) and elastic coordinates (..., f) to configurations (..., n + f)."""
         joined = np.empty((*q.shape[:-1], self.model.nq))

@@ -6,7 +6,7 @@ Read `program`, what is to be solved, then `exchange`, how: `separation` finds v
 
 from cmbot.optimization.constraint_set import OBJECTIVE, ConstraintSet, Violation
 from cmbot.optimization.exchange import ExchangeOptions, ExchangeReport, Result, minimize_peak
-from cmbot.optimization.least_distance import LeastChange, least_distance
+from cmbot.optimization.least_distance import nearest
 from cmbot.optimization.linearization import linearize
 from cmbot.optimization.program import KinematicBound, Linearization, Program, StateFunction, StateSamples
 from cmbot.optimization.qp import piqp_module
@@ -19,7 +19,6 @@ __all__ = [
     "ExchangeOptions",
     "ExchangeReport",
     "KinematicBound",
-    "LeastChange",
     "Linearization",
     "Program",
     "Result",
@@ -30,8 +29,8 @@ __all__ = [
     "StateSamples",
     "Violation",
     "find_violations",
-    "least_distance",
     "linearize",
     "minimize_peak",
+    "nearest",
     "piqp_module",
 ]

@@ -28,18 +28,22 @@ __all__ = [
     "reproduce",
 ]
 
-# Of the stiffness of guardrail and links, with which a compensated plan is simulated.
+# Of the stiffness of guardrail and links, with which plans are simulated.
 FACTORS = (1.0, 0.9, 1.1, 0.8, 1.2, 0.7, 1.3)
 QUICK_FACTORS = (1.0, 0.7, 1.3)  # the modelled stiffness and the extremes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Run:
-    """One plan and its simulations: started in static equilibrium, and released undeformed."""
+    """One plan and its simulations: started in static equilibrium, and released undeformed.
+
+    `others` start in equilibrium with another stiffness than the modelled one.
+    """
 
     plan: Plan
     equilibrium: Tracking
     undeformed: Tracking
+    others: tuple[Tracking, ...] = ()
 
     @property
     def torque_difference(self) -> float:
@@ -65,7 +69,7 @@ class Experiment:
     fixed: Run | None  # with fixed via-points, the paper's Eq. (30); None where there is no such plan
     why_not: str  # why there is none
     compensated: Variant  # with the predicted sag compensated, simulated with several stiffnesses
-    unsuppressed: Variant  # without vibration suppression
+    unsuppressed: Variant  # without vibration suppression, simulated with several stiffnesses
     least_sag: Variant | None  # the sag as the objective in place of the torque; None where left out
 
 
@@ -93,7 +97,7 @@ def reproduce(
         Every run is also simulated with ``initial="undeformed"``.
     factors : sequence of float
         Of the stiffness of guardrail and links together, in place of the options', with which the
-        compensated plan and the baseline are simulated.
+        baseline, the sliding plan, the compensated and the unsuppressed one are simulated.
     least_sag : bool
         Plan with the sag as the objective, too.
     on_step : callable, optional
@@ -112,12 +116,13 @@ def reproduce(
     starts = (options, replace(options, initial="undeformed"))
     stiffnesses = tuple(replace(options, guardrail_factor=x, link_factor=x) for x in factors)
     # Plans and simulations: sliding, fixed, compensated, unsuppressed, of least sag.
-    total = len(PAPER) * (3 + 3 + (1 + len(stiffnesses)) + 2 + 2 * least_sag)
+    others = tuple(each for each in stiffnesses if each.guardrail_factor != 1.0)
+    total = len(PAPER) * (3 + len(others) + 3 + 2 * (1 + len(stiffnesses)) + 2 * least_sag)
     bench = _Bench(on_step=on_step or (lambda *_: None), progress=progress, total=total)
     experiments = []
     for paper in PAPER:
         scene = load_scene(paper.scene)
-        sliding = bench.run(scene, "sliding via-points", starts, scene.planner)
+        sliding = bench.run(scene, "sliding via-points", (*starts, *others), scene.planner)
         variant = partial(bench.variant, scene)
         fixed = variant("fixed via-points", starts, knots="fixed")
         experiments.append(
@@ -127,7 +132,7 @@ def reproduce(
                 fixed=None if fixed.plan is None else _released(fixed.plan, fixed.trackings),
                 why_not=fixed.why_not,
                 compensated=variant("sag compensation", stiffnesses, compensate=True),
-                unsuppressed=variant("no vibration suppression", (options,), quiet_modes=0),
+                unsuppressed=variant("no vibration suppression", stiffnesses, quiet_modes=0),
                 least_sag=variant("least sag", (options,), objective="sag") if least_sag else None,
             )
         )
@@ -135,8 +140,8 @@ def reproduce(
 
 
 def _released(planned: Plan, trackings: tuple[Tracking, ...]) -> Run:
-    equilibrium, undeformed = trackings
-    return Run(plan=planned, equilibrium=equilibrium, undeformed=undeformed)
+    equilibrium, undeformed, *others = trackings
+    return Run(plan=planned, equilibrium=equilibrium, undeformed=undeformed, others=tuple(others))
 
 
 def reduction(without: FloatArray, planned: FloatArray) -> FloatArray:

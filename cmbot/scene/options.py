@@ -56,6 +56,11 @@ class PlannerOptions:
     quiet_modes : int
         With sliding knots: number of elastic modes, the slowest first, that are brought to rest at the ends
         of the legs. Splines cannot follow modes much faster than their segments.
+    quiet_stiffness_share : float
+        By which share of the modelled one all stiffness may be more or less: the largest amplitude over all
+        that is what falls.
+    quiet_payload_kg : float
+        By how much the payload may be more or less than modelled, kg.
     avoidance : str
         ``smooth``: the clearance gradient is multiplied by ``1 - d/d_s``, so it fades in, and blends from one
         near pair to the next. ``switch``: Chang 2021, Eq. (17) to the letter; joint rates jump.
@@ -127,6 +132,8 @@ class PlannerOptions:
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: bool = False
     quiet_modes: Annotated[int, Field(ge=0, le=10)] = 2
+    quiet_stiffness_share: Annotated[float, Field(ge=0, le=0.9)] = 0.3
+    quiet_payload_kg: Annotated[float, Field(ge=0, le=100)] = 1.0
     avoidance: Literal["smooth", "switch"] = "smooth"
     avoidance_distance_m: Annotated[float, Field(ge=1e-4, le=10)] = 0.15
     avoidance_gain: Annotated[float, Field(ge=0, le=1000)] = 2.0

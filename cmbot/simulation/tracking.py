@@ -18,11 +18,11 @@ from cmbot.common.validation import checked_options
 from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
+from cmbot.elastic.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, ToolTask, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
-from cmbot.simulation.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.simulation.metrics import ErrorMetrics, error_metrics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork

@@ -331,14 +331,17 @@ def _elastic(plan: Plan) -> Iterator[Row]:
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
         yield "change of the shift in the last round, mm", f"{1e3 * compensation.last_change:.3f}"
     if suppression is not None:
-        shares = suppression.shares
         yield "suppressed elastic modes", str(suppression.modes)
-        yield "applied share of the correction", f"{100 * suppression.share:.4g} %"
-        if len(set(shares)) > 1:
-            yield "leg ends with the whole correction", f"{shares.count(1.0)} of {len(shares)}"
-            yield "leg ends without correction", f"{shares.count(0.0)}"
-        yield "residual amplitude at the tool without it, mm", f"{1e3 * suppression.before:.4f}"
-        yield "residual amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
+        yield "their amplitudes at the ends of the legs are less by", f"{100 * suppression.share:.4g} %"
+        if 0 < suppression.shares.count(0.0) < len(suppression.shares):
+            yield "leg ends without a change", f"{suppression.shares.count(0.0)}"
+        yield "largest amplitude at the tool without it, mm", f"{1e3 * suppression.before:.4f}"
+        yield "largest amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
+        each = (suppression.stiffness, suppression.load_kg, suppression.swing_without, suppression.swing_with)
+        for factor, load, without, with_it in zip(*each, strict=True):
+            at = f"stiffness times {factor:g}" + (f", {load:g} kg more" if load else "")
+            swings = f"{1e3 * without:.3f}, {1e3 * with_it:.3f}"
+            yield f"swing after the stop without it, and as planned, mm: {at}", swings
 
 
 def _check_table(certificate: Certificate, base: str, begin: float) -> str:

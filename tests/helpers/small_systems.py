@@ -10,8 +10,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.optimize import root
 
+from cmbot.elastic.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.simulation import PrescribedMotion
-from cmbot.simulation.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 
 FloatArray = NDArray[np.float64]
 

@@ -17,12 +17,12 @@ from cmbot.archive import load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError, PlanningError, SceneError
 from cmbot.elastic.arm import elastic_arm
+from cmbot.elastic.generalized_alpha import ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, certify, plan, precheck_scene
 from cmbot.robot import Dynamics, Kinematics, Robot
 from cmbot.scene import PlannerOptions, Scene, Tool
 from cmbot.simulation import PrescribedMotion
-from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
 
 FORCE = (20.0, 0.0, -60.0)
 GRAVITY = 9.81

@@ -66,7 +66,9 @@ def run_of(found: Tracking, plan_: Any = None) -> Run:
 
 
 def suppressed(share: float = 1.0) -> Any:
-    return SimpleNamespace(quieting=SimpleNamespace(modes=2, share=share, before=1e-4, after=2e-6))
+    return SimpleNamespace(
+        quieting=SimpleNamespace(modes=2, share=share, shares=(share,), before=1e-4, after=2e-6)
+    )
 
 
 def sagging(sag: Any) -> Any:
@@ -209,52 +211,44 @@ def experiment_of(planned: Run, compensated: Variant = NONE, unsuppressed: Varia
     )
 
 
-def resting(planned, unsuppressed, other=(1, 1, 1, 1), *, plan_=None, before=(100, 50, 10, 120)):
-    """The goal of rest, from what is left after the stop of each."""
-    first, second, third = (
-        tracking(motion([1, 1, 1], rest=before), motion([1, 1, 1], rest=after), factor)
-        for after, factor in ((planned, 1.0), (unsuppressed, 1.0), (other, 1.3))
-    )
+def swinging(size: float, factor: float, baseline: float) -> Any:
+    rests = ([1, 1, 1, each] for each in (baseline, size))
+    return tracking(*(motion([1, 1, 1], rest=rest) for rest in rests), factor)
+
+
+def resting(planned: dict[float, float], unsuppressed: dict[float, float], plan_: Any = None) -> Any:
+    """The goal of rest, from the largest distances after the stop, mm, by the stiffness."""
+    first, *others = (swinging(size, factor, 120) for factor, size in planned.items())
     silent: Any = SimpleNamespace(quieting=None)
-    return rest_goal(
-        experiment_of(
-            run_of(first, plan_ or suppressed()),
-            compensated=Variant(plan=suppressed(), trackings=(third,), why_not=""),
-            unsuppressed=Variant(plan=silent, trackings=(second,), why_not=""),
-        )
+    trackings = tuple(swinging(size, factor, 120) for factor, size in unsuppressed.items())
+    run = replace(run_of(first, plan_ or suppressed()), others=tuple(others))
+    return rest_goal(experiment_of(run, unsuppressed=Variant(plan=silent, trackings=trackings, why_not="")))
+
+
+def test_the_largest_swing_over_all_stiffnesses_counts() -> None:
+    table = resting({1.0: 4.0, 0.7: 6.0, 1.3: 2.0}, {1.0: 10.0, 0.7: 20.0, 1.3: 4.0})
+    assert [row.setting.split()[-1] for row in table.rows] == ["0.7", "1", "1.3", "them"]
+    assert table.rows[1].values == pytest.approx((120, 10, 4, 40))
+    assert table.rows[-1].values == pytest.approx((120, 20, 6, 30))
+    assert (table.rows[-1].goal, table.rows[-1].holds) == ("share: at most 40", True)
+    assert "At stiffness times 0.7 to 1.3 the tool swings through at most 6.0000 mm" in table.remarks[0]
+    assert table.remarks[0].endswith("30.0 % of what it would without suppression. The goal holds.")
+    (verdict,) = verdicts(table)
+    assert verdict == (
+        "after the stop, over all stiffnesses, at most 40 % of the unsuppressed swing",
+        "30.0 %",
+        True,
     )
 
 
-def test_rest_is_a_share_of_the_baselines() -> None:
-    table = resting((4, 1, 0.5, 4.8), (30, 10, 0.1, 36), (50, 25, 5, 60))
-    first, second, third = table.rows
-    assert first.values == pytest.approx((4, 2, 5, 4))
-    assert (first.goal, first.holds) == ("at most 5", True)
-    assert (second.setting, second.holds) == ("no compensation, quiet_modes: 0", False)
-    assert (third.setting, third.goal, third.holds) == ("compensation, stiffness times 1.3", "", None)
-    assert "4.8000 mm instead of 120.0000 mm (largest distance), 4.00 %" in table.remarks[0]
-    assert "along no axis more than 5.00 %: the goal holds" in table.remarks[0]
-    assert verdicts(table) == [("after the stop at most 5 % of the vibration left", "5.0 %", True)]
-    assert "30.0000 of 100.000 mm (x), 10.0000 of 50.000 mm (y), 36.0000 of 120.000" in table.remarks[1]
-    assert table.remarks[1].endswith("No mode was suppressed.")
-    assert "up to 50.0 % is left, 60.000 of 120.000 mm, at stiffness times 1.3" in table.remarks[2]
-    assert "about 1.14 times the frequencies" in table.remarks[2]
-
-
-@pytest.mark.parametrize(
-    ("plan_", "cause"),
-    [
-        (suppressed(0.5), "Only the share 0.5 of the correction kept all bounds"),
-        (suppressed(), "The prediction for the 2 suppressed modes is 0.0040 mm"),
-    ],
-)
-def test_why_the_tool_does_not_rest(plan_: Any, cause: str) -> None:
-    table = resting((4, 1, 0.6, 4.8), (1, 1, 0.1, 1), plan_=plan_)
-    assert table.rows[0].holds is False
-    assert [verdict.holds for verdict in table.verdicts] == [False]
-    assert "the goal does not hold" in table.remarks[0]
-    assert "0.6000 of 10.000 mm (z)" in table.remarks[1]
-    assert cause in table.remarks[1]
+def test_a_plan_that_swings_says_why() -> None:
+    worse = {1.0: 4.0, 0.7: 9.0}, {1.0: 1.0, 0.7: 20.0}
+    table = resting(*worse)
+    assert (table.rows[-1].holds, table.verdicts[0].holds) == (False, False)
+    assert len(table.remarks) == 1
+    assert resting(*worse, SimpleNamespace(quieting=None)).remarks[1] == "No mode was suppressed."
+    unchanged = SimpleNamespace(quieting=SimpleNamespace(shares=(0.0, 0.0)))
+    assert resting(*worse, unchanged).remarks[1].startswith("No change is made")
 
 
 def test_without_a_simulated_rest_there_is_no_goal_of_it() -> None:

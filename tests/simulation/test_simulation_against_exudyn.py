@@ -13,10 +13,10 @@ from small_motions import tool_points
 
 from cmbot.elastic import ElasticBase
 from cmbot.elastic.arm import ElasticOptions, elastic_arm
+from cmbot.elastic.generalized_alpha import ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.sag import Sag
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import PrescribedMotion
-from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
 
 FloatArray = NDArray[np.float64]
 DIAMETER, WALL, LENGTH, DENSITY, PAYLOAD = 0.04, 0.002, 0.9, 2700.0, 2.0

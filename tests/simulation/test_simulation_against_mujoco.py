@@ -9,9 +9,9 @@ import pytest
 from elastic_in_mujoco import Twin
 from small_motions import arm_on_its_guardrail, swing, tool_points
 
+from cmbot.elastic.generalized_alpha import ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.sag import Sag
 from cmbot.robot import JointElasticity, Kinematics, Robot
-from cmbot.simulation.generalized_alpha import ElasticSystem, GeneralizedAlpha
 
 OUTPUT = 0.02
 NONE, FORCE = (0.0, 0.0, 0.0), (40.0, -60.0, -300.0)

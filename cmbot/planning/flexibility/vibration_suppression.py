@@ -15,6 +15,7 @@ that every window is a small problem of its own.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -26,14 +27,15 @@ from cmbot.elastic.arm import ElasticArm
 from cmbot.optimization import (
     OBJECTIVE,
     ConstraintSet,
-    LeastChange,
     Separation,
     find_violations,
-    least_distance,
     linearize,
+    nearest,
 )
-from cmbot.planning.flexibility.leg_vibration import LegVibration
+from cmbot.planning.flexibility.leg_vibration import LegVibration, Uncertainty, tool_amplitudes
+from cmbot.planning.flexibility.simulated_rest import swing_at_rest
 from cmbot.planning.torque import Optimised, TorqueProblem
+from cmbot.scene import PlannerOptions
 from cmbot.trajectory import SUPPORT, QuinticTrajectory, SplineSpace
 
 __all__ = ["Leg", "VibrationSuppression", "Window", "legs_by_window", "suppress_vibration"]
@@ -44,10 +46,29 @@ _ROUNDS, _MOST_SITES = 12, 400
 _INSIDE = 1.0
 # Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
 _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
-# Most segments of a window of several legs; windows with fewer than the second number take one more leg.
-_MOST, _FEWEST = 64, 12
+# The largest swing is to fall to this share; an amplitude of the tool below the second number, m, is rest.
+_WORTH, _AT_REST = 0.6, 2e-6
+# What the prediction misses, as a share of the stiffness.
+_MARGIN = 0.02
+# Longer paths, s, and more modes are predicted in fewer cases.
+_LONG, _MANY = 60.0, 3
 # By how much times may miss their knots, s.
 _SAME_TIME = 1e-9
+# Time before the end of a leg in which vibration was excited that still counts, s.
+_KEPT = 20.0 + _SAME_TIME
+# Most segments of a window of several legs; windows with fewer than the second number take one more leg.
+_MOST, _FEWEST = 64, 12
+# Legs with a smaller amplitude than this share of the largest are as good as at rest.
+_LOUD = 0.3
+# By how much more may be left where another leg of the window follows at once.
+_PASSING = 2.0
+# Weight of the mean squared jerk, in units of its bounds, beside the squares of amplitudes, in those before.
+_JERK_WEIGHT = 100.0
+# Times per segment at which the jerk is compared with the largest before, by what share of its bound it may
+# exceed that, and how often at most it is compared.
+_JERKS, _MORE_JERK, _JERK_ROUNDS = 5, 1e-3, 8
+# Iterations of Lawson's algorithm, without bounds and within them, and the least weight of a case.
+_REWEIGHTINGS, _BOUND_REWEIGHTINGS, _LEAST_WEIGHT = 40, 6, 1e-6
 
 Leg = tuple[int, int]
 """First and last knot of a leg."""
@@ -62,54 +83,127 @@ class VibrationSuppression:
     modes : int
         Number of the slowest modes that are brought to rest.
     shares : tuple of float
-        For each leg, of the change that would take all of their vibration at its end away; 0 where every
-        change broke a bound. Short legs that follow on one another have theirs in common.
+        For each leg, by which the largest amplitude of the tool at its end falls, as predicted; 0 where every
+        change broke a bound, or where none is made. Short legs that follow on one another have theirs in
+        common.
     before, after : float, m
         Amplitude of the tool that these modes leave at the end of the motion, as predicted, without and with
-        the change.
+        the change: the largest over what stiffness and load may be.
+    stiffness, load_kg : tuple of float
+        What was simulated: factors on all stiffness, and how much more the tool carries than modelled.
+    swing_without, swing_with : tuple of float, m
+        Largest distance between two positions of the tool after the stop, simulated for each of these. Where
+        the largest of them does not fall by two fifths, the change is not made, and all shares are 0.
     """
 
     modes: int
     shares: tuple[float, ...]
     before: float
     after: float
+    stiffness: tuple[float, ...] = ()
+    load_kg: tuple[float, ...] = ()
+    swing_without: tuple[float, ...] = ()
+    swing_with: tuple[float, ...] = ()
 
     @property
     def share(self) -> float:
         """Mean of the legs' shares."""
         return sum(self.shares) / len(self.shares)
 
+    @property
+    def at_rest(self) -> bool:
+        """Whether the tool hardly swings anyway."""
+        return self.before < _AT_REST
+
+    @property
+    def worth_it(self) -> bool:
+        """Whether the largest swing that was simulated falls far enough for the change to be made."""
+        return max(self.swing_with, default=0.0) <= _WORTH * max(self.swing_without, default=np.inf)
+
 
 def suppress_vibration(
     arm: ElasticArm, problem: TorqueProblem, optimised: Optimised
 ) -> tuple[Optimised, VibrationSuppression | None]:
-    """Bring the first elastic modes to rest at the ends of the legs.
+    """Bring the first elastic modes to rest at the ends of the legs, whatever stiffness and load may be.
 
-    The trajectory goes on keeping the bounds of `problem`; where no change keeps them, it stays what it was.
-    So it does, and nothing is said of its vibration, where the time is over before that is predicted.
+    The trajectory goes on keeping the bounds of `problem`; where no change keeps them, or none lowers the
+    largest swing that is simulated, it stays what it was. So it does, and nothing is said of its vibration,
+    where the time is over before that is known.
     """
     context, trajectory, t = problem.context, optimised.trajectory, problem.space.t
-    modes = context.options.quiet_modes
-    groups = legs_by_window(problem.space, context.task.path.leg_times)
+    options, reporter = context.options, context.reporter
+    leg_times = context.task.path.leg_times
+    uncertainty = _uncertainty(options, arm.robot.payload, float(t[-1] - t[0]))
+    groups = legs_by_window(problem.space, leg_times)
     windows = [Window(problem, group) for group in groups]
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
-    for window, (first, last) in context.reporter.each("predicting the vibration of every leg", ends):
-        if context.reporter.expired():
+    for window, (first, last) in reporter.each("predicting the vibration of every leg", ends):
+        if reporter.expired():
             return optimised, None
-        leg = LegVibration(arm, trajectory, t[first], t[last], modes)
+        # What is left of the legs before is still there, but for that of long ago.
+        earlier = [time for time in leg_times if window.start <= time + _SAME_TIME < t[first]]
+        start = min([t[first], *(time for time in earlier if t[last] - time <= _KEPT)])
+        leg = LegVibration(arm, trajectory, float(start), t[last], options.quiet_modes, uncertainty)
         window.bring_to_rest(leg, trajectory)
-    context.reporter.step("bringing the slowest vibrations to rest")
-    changed, shares = _Search(problem, trajectory, windows).changed()
-    before, after = (leg.tool_amplitude(leg.vibration(x)) for x in (trajectory, changed))
-    return (
-        replace(optimised, trajectory=changed),
-        VibrationSuppression(
-            modes=modes,
-            shares=tuple(share for share, group in zip(shares, groups, strict=True) for _ in group),
-            before=before,
-            after=after,
-        ),
+    reporter.step("bringing the slowest vibrations to rest")
+    search = _Search(problem, trajectory, windows)
+    changed, shares = search.changed()
+    amplitudes = [windows[-1].amplitudes(X)[-1] for X in search.last_change()]
+    before, after = (float(each.max()) for each in amplitudes)
+    if before < _AT_REST:
+        changed, shares = trajectory, [0.0] * len(windows)
+    cases = _simulated(uncertainty, amplitudes)
+    swings: list[tuple[float, float]] = []
+    for factor, load in reporter.each("simulating the swing after the stop", cases):
+        if reporter.expired():
+            return optimised, None
+        loaded = arm.softened(factor, load)
+        without = swing_at_rest(loaded, trajectory, leg_times)
+        swings.append((without, swing_at_rest(loaded, changed, leg_times) if any(shares) else without))
+    done = VibrationSuppression(
+        modes=options.quiet_modes,
+        shares=tuple(share for share, group in zip(shares, groups, strict=True) for _ in group),
+        before=before,
+        after=after,
+        stiffness=tuple(factor for factor, _ in cases),
+        load_kg=tuple(load for _, load in cases),
+        swing_without=tuple(without for without, _ in swings),
+        swing_with=tuple(swing for _, swing in swings),
     )
+    if not done.worth_it:
+        return optimised, replace(done, shares=(0.0,) * len(done.shares), after=done.before)
+    return replace(optimised, trajectory=changed), done
+
+
+def _uncertainty(options: PlannerOptions, payload: float, duration: float) -> Uncertainty:
+    """What stiffness and load may be, as the options say; on long paths and for many modes in fewer cases."""
+    share, more = options.quiet_stiffness_share, options.quiet_payload_kg
+    wide = share + _MARGIN
+    few = duration > _LONG or options.quiet_modes > _MANY
+    factors = tuple(np.linspace(1 - wide, 1 + wide, 13 if few else 25).round(6).tolist()) if share else (1.0,)
+    loads = () if few else tuple(load for load in (more, -min(more, payload)) if load)
+    # Stiffness and load, one at a time.
+    return Uncertainty(loads=(0.0, *loads), factors=(factors, *[(1.0,)] * len(loads)))
+
+
+def _simulated(uncertainty: Uncertainty, amplitudes: Sequence[FloatArray]) -> list[tuple[float, float]]:
+    """Factors on the stiffness, and loads, kg, for which the swing after the stop is simulated.
+
+    What is modelled, the largest load with that, and where the predicted `amplitudes` (C,) are the largest.
+    """
+    cases = uncertainty.cases
+    chosen = {(1.0, load) for load in uncertainty.loads[:2]} | {
+        cases[int(each.argmax())] for each in amplitudes
+    }
+    return sorted(chosen)
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change X (s, d) of coefficients, and the share by which the largest amplitude falls, as predicted."""
+
+    x: FloatArray
+    share: float
 
 
 @dataclass(frozen=True)
@@ -141,6 +235,11 @@ class _Search:
         self._here, self._broken = trajectory, 0.0
         self._held = self._held_here()
 
+    def last_change(self) -> tuple[FloatArray, FloatArray]:
+        """No change of the last window's coefficients (s, d), and the one that was found."""
+        own = self._X[self._windows[-1].coefficients]
+        return np.zeros_like(own), own
+
     def changed(self) -> tuple[QuinticTrajectory, list[float]]:
         """Return the changed trajectory, and the share of each window's change that it took."""
         unfit = ~self._hopeless
@@ -159,6 +258,7 @@ class _Search:
                     self._X[own], self._shares[k] = share * whole[own], share * shares[k]
                 unfit = self._unfit() & (self._shares > 0)
         if self._broken > self._allowed:
+            self._X[:] = 0.0
             return self._given, [0.0] * len(self._windows)
         return self._here, [float(share) for share in self._shares]
 
@@ -249,35 +349,134 @@ class Window:
         self._factor = np.linalg.cholesky(gram) if len(self.coefficients) else gram
         self._conditions: list[FloatArray] = []
         self._vibration: list[FloatArray] = []
+        self._cases = 1
+        self._wanted: _Wanted | None = None
 
     def bring_to_rest(self, leg: LegVibration, trajectory: QuinticTrajectory) -> None:
         """Take the vibration away that `trajectory` leaves at the end of one of the legs."""
         snap = (self._space.design(leg.times, 4) @ self._basis).T
-        self._conditions += [snap @ leg.weights[:, c] for c in range(leg.weights.shape[1])]
+        m, conditions, n = leg.weights.shape
+        found = snap @ leg.weights.reshape(m, conditions * n)
+        self._conditions.append(found.reshape(-1, conditions, n).transpose(1, 0, 2))
         self._vibration.append(leg.vibration(trajectory))
+        self._cases, self._given = leg.cases, trajectory
 
-    def change(self, rows: sparse.csr_array, room: FloatArray) -> LeastChange | None:
-        """Change the coefficients, X (s, d), with the least jerk; None where no change keeps to the room.
+    @property
+    def conditions(self) -> tuple[list[FloatArray], list[FloatArray]]:
+        """For each leg derivatives (C 2r, s, d) of the vibration by the coefficients, and itself (C 2r,)."""
+        return self._conditions, self._vibration
+
+    def amplitudes(self, X: FloatArray) -> FloatArray:
+        """Largest amplitudes of the tool, m, at the end of every leg (legs, C), as changed by `X` (s, d)."""
+        each = zip(self._conditions, self._vibration, strict=True)
+        return np.array([tool_amplitudes(v + np.einsum("csd,sd->c", E, X), self._cases) for E, v in each])
+
+    def change(self, rows: sparse.csr_array, room: FloatArray) -> Change | None:
+        """Change the coefficients, X (s, d), for the least of the largest amplitudes, and for little jerk.
 
         `rows` (K, (n - 4) d) are derivatives of what is bounded by all coefficients, the joints of each in
-        turn; `room` (K,) is by how much these may grow.
+        turn; `room` (K,) is by how much these may grow. None where no change keeps to the room, or helps.
         """
         s, d = len(self.coefficients), len(self._jerk)
         if s == 0:
             return None
+        if self._wanted is None:
+            self._wanted = _Wanted(self)
         own = rows[:, (self.coefficients[:, None] * d + np.arange(d)).ravel()].toarray()
-        E = self._whitened(np.stack(self._conditions))
-        found = least_distance(
-            E, -np.concatenate(self._vibration), self._whitened(own.reshape(-1, s, d)), room
-        )
-        if found is None:
+        C, best = self.whitened(own.reshape(-1, s, d)), None
+        weight = self._wanted.weight
+        for _ in range(_BOUND_REWEIGHTINGS):
+            y, factor = self._wanted.least_squares(weight)
+            found = self._without_more_jerk(y, factor, C, room)
+            if found is None:
+                break
+            largest = self._wanted.relative(found)
+            if best is None or largest.max() < best[0]:
+                best = largest.max(), found
+            if found is y:
+                break
+            weight = _reweighted(weight, largest)
+        if best is None:
             return None
-        X = linalg.solve_triangular(self._factor, found.x.reshape(s, d), lower=True, trans="T") * self._jerk
-        return LeastChange(X, found.share)
+        X = linalg.solve_triangular(self._factor, best[1].reshape(s, d), lower=True, trans="T") * self._jerk
+        before, after = (self.amplitudes(x).max() for x in (0 * X, X))
+        return Change(X, float(1 - after / before)) if after < before else None
 
-    def _whitened(self, rows: FloatArray) -> FloatArray:
+    def _without_more_jerk(
+        self, y: FloatArray, factor: FloatArray, C: FloatArray, room: FloatArray
+    ) -> FloatArray | None:
+        """The point nearest to `y` that keeps to the room, and to the largest jerk there was.
+
+        Where the jerk would be larger, that is forbidden and the point sought again.
+        """
+        s, d = len(self.coefficients), len(self._jerk)
+        knots = self._space.t[self.coefficients[0] : self.coefficients[-1] + SUPPORT + 1]
+        times = np.linspace(knots[:-1], knots[1:], _JERKS, axis=1).ravel()
+        rows = linalg.solve_triangular(
+            self._factor, (self._space.design(times, 3) @ self._basis).toarray().T, lower=True
+        ).T
+        jerk = self._given.evaluate(times, 3) / self._jerk
+        most = np.abs(jerk).max() + _MORE_JERK
+        for _ in range(_JERK_ROUNDS):
+            found = nearest(y, factor, C, room)
+            if found is None:
+                return None
+            changed = jerk + rows @ found.reshape(s, d)
+            at, joint = np.nonzero(np.abs(changed) > most + _MORE_JERK)
+            if not len(at):
+                break
+            sign = np.sign(changed[at, joint])
+            more = np.zeros((len(at), s, d))
+            more[np.arange(len(at)), :, joint] = sign[:, None] * rows[at]
+            C = np.concatenate([C, more.reshape(len(at), s * d)])
+            room = np.append(room, most - sign * jerk[at, joint])
+        return found
+
+    def whitened(self, rows: FloatArray) -> FloatArray:
         """Derivatives (K, s d) by y from those (K, s, d) by X."""
         k, s, d = rows.shape
         by_number = rows.transpose(1, 0, 2).reshape(s, k * d)
         y = linalg.solve_triangular(self._factor, by_number, lower=True).reshape(s, k, d) * self._jerk
         return np.asarray(y.transpose(1, 0, 2).reshape(k, s * d))
+
+
+class _Wanted:
+    """What the splines of a window would best do without bounds: the least of the largest amplitudes.
+
+    By Lawson's algorithm: least squares, in which an amplitude's weight grows while it is large.
+    """
+
+    def __init__(self, window: Window) -> None:
+        conditions, vibration = window.conditions
+        before = window.amplitudes(np.zeros(conditions[0].shape[1:]))
+        # Every leg is to come to rest by the same share, but for those that nearly do so anyway.
+        scale = np.maximum(before.max(axis=1), _LOUD * before.max())
+        scale[:-1] *= _PASSING
+        size = np.repeat(scale, [len(v) for v in vibration])
+        self._E = window.whitened(np.concatenate(conditions)) / size[:, None]
+        self._v, self._groups = np.concatenate(vibration) / size, before.size
+        self._rows = len(size) // before.size
+        gram, weight, best = self._E @ self._E.T, np.ones(before.size), np.inf
+        for _ in range(_REWEIGHTINGS):
+            softened = np.diag(_JERK_WEIGHT / np.repeat(weight, self._rows))
+            largest = tool_amplitudes(
+                self._v - gram @ np.linalg.solve(gram + softened, self._v), self._groups
+            )
+            if largest.max() < best:
+                best, self.weight = largest.max(), weight
+            weight = _reweighted(weight, largest)
+
+    def relative(self, y: FloatArray) -> FloatArray:
+        """Amplitudes with a change `y` (s d,), as shares of the largest of before."""
+        return tool_amplitudes(self._v + self._E @ y, self._groups)
+
+    def least_squares(self, weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """The change y (s d,) of the least weighted squares and jerk, and a factor of its metric."""
+        W = np.repeat(weight, self._rows)
+        factor = np.linalg.cholesky((self._E.T * W) @ self._E + _JERK_WEIGHT * np.eye(self._E.shape[1]))
+        return -linalg.cho_solve((factor, True), self._E.T @ (W * self._v)), factor
+
+
+def _reweighted(weight: FloatArray, largest: FloatArray) -> FloatArray:
+    """Weights that grow with amplitudes, of mean 1."""
+    return np.maximum(weight * largest / (weight @ largest) * len(weight), _LEAST_WEIGHT)

@@ -81,34 +81,49 @@ def _bending(plan: Plan) -> Iterator[str]:
 
 def _suppression(done: VibrationSuppression, base: str) -> str:
     modes = "slowest vibration" if done.modes == 1 else f"{done.modes} slowest vibrations"
-    swing = f"they would leave the tool swinging by {1e3 * done.before:.4f} mm to either side"
+    what = f"Vibration suppression: the {modes} of {base} and links "
+    if done.at_rest:
+        return f"{what}{'is' if done.modes == 1 else 'are'} next to none at the ends of the legs anyway."
+    if not done.worth_it and done.swing_with != done.swing_without:
+        return (
+            f"{what}{'is left as it is' if done.modes == 1 else 'are left as they are'}: the change that was "
+            f"tried makes the largest swing hardly smaller. {_swings(done)}"
+        )
     if not any(done.shares):
         return (
-            f"Vibration suppression: the {modes} of {base} and links could not be brought to rest at the "
-            "ends of the legs: no change of the motion that was tried keeps every bound. "
-            f"As predicted, {swing}."
+            f"{what}could not be brought to rest at the ends of the legs: no change of the motion that was "
+            f"tried keeps every bound. {_swings(done)}"
         )
-    brought = ("is " if done.modes == 1 else "are ") + ("" if 1.0 in done.shares else "in part ")
     return (
-        f"Vibration suppression: the {modes} of {base} and links {brought}brought to rest at the ends of "
-        f"{_suppressed_legs(done.shares)}, by how the joints move; as predicted, {swing} without that, and "
-        f"by {1e3 * done.after:.4f} mm with it. This assumes that the modelled stiffness is exact."
+        f"{what}{'is' if done.modes == 1 else 'are'} made {100 * done.share:.0f} % smaller at the ends of "
+        f"{_suppressed_legs(done.shares)}, by how the joints move. {_swings(done)}"
     )
 
 
+def _swings(done: VibrationSuppression) -> str:
+    """What the tool swings through after the stop, for all that was simulated."""
+    if not done.stiffness:
+        return (
+            f"As predicted, they would leave the tool swinging by {1e3 * done.before:.4f} mm to either side "
+            f"without that, and by {1e3 * done.after:.4f} mm with it."
+        )
+    cases = []
+    each = (done.stiffness, done.load_kg, done.swing_without, done.swing_with)
+    for factor, load, without, with_it in zip(*each, strict=True):
+        at = f"at {factor:g} times the stiffness" if not load else f"with {load:g} kg more at the tool"
+        cases.append(f"{1e3 * with_it:.3f} mm instead of {1e3 * without:.3f} {at}")
+    return f"After the stop the tool swings through, as simulated, {'; '.join(cases)}."
+
+
 def _suppressed_legs(shares: tuple[float, ...]) -> str:
-    """Name the legs whose ends are at rest, those in part, and the others."""
-    legs, whole, none = len(shares), shares.count(1.0), shares.count(0.0)
-    part = legs - whole - none
-    first = whole or part
-    if first == legs:
+    """Name the legs whose vibration is suppressed, and the others."""
+    legs, none = len(shares), shares.count(0.0)
+    if not none:
         return "the legs"
-    words = f"{first} of the {legs} legs"
-    if whole and part:
-        words += f", in part at those of {part}"
-    if none:
-        words += f", and at those of {none} not, where no change that was tried keeps every bound"
-    return words
+    return (
+        f"{legs - none} of the {legs} legs, and not at those of {none}, where no change that was tried keeps "
+        "every bound"
+    )
 
 
 def _start(plan: Plan) -> Iterator[str]:

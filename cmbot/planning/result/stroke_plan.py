@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -152,6 +152,7 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
     choices = [stroke.choice for stroke in strokes if stroke.choice is not None]
     compensations = [stroke.compensation for stroke in strokes if stroke.compensation is not None]
     quieted = [stroke.quieting for stroke in strokes if stroke.quieting is not None]
+    loudest = max(quieted, key=lambda each: max(each.swing_without, default=0.0), default=None)
     return {
         "task": strokes[0].task,
         "start": strokes[0].start,
@@ -173,13 +174,14 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
         )
         if compensations
         else None,
-        "quieting": VibrationSuppression(
+        "quieting": replace(
+            loudest,
             modes=max(each.modes for each in quieted),
             shares=tuple(share for each in quieted for share in each.shares),
             before=max(each.before for each in quieted),
             after=max(each.after for each in quieted),
         )
-        if quieted
+        if loudest is not None
         else None,
     }
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from cmbot.planning.flexibility import leg_vibration
 
-CARRIERS, JOINTS, MODES, STEPS = 4, 3, 2, 1203
+CARRIERS, JOINTS, MODES = 4, 3, 2
 
 
 def positive(rng: np.random.Generator, count: int, scale: float) -> np.ndarray:
@@ -14,28 +14,35 @@ def positive(rng: np.random.Generator, count: int, scale: float) -> np.ndarray:
 
 
 def test_backwards_is_the_transpose_of_forwards(rng: np.random.Generator) -> None:
-    """Over more steps than are worked out at a time, none of them equally long."""
-    grid = np.linspace(0.0, 2.0, 9)
-    M, K = positive(rng, 9, 1.0), positive(rng, 9, 900.0)
-    KB = rng.normal(size=(9, CARRIERS, JOINTS))
-    edges = np.sort(np.concatenate([[0.0, 2.0], rng.uniform(0.0, 2.0, STEPS - 1)]))
-    times, steps = 0.5 * (edges[1:] + edges[:-1]), np.diff(edges)
+    """In blocks of steps, none of them equally long; the second of two cases is another system."""
+    counts = np.array([40, 1, 25, 300])
+    steps = rng.uniform(1e-3, 5e-3, 4)
+    M, K = positive(rng, 4, 1.0), positive(rng, 4, 900.0)
+    KB = rng.normal(size=(4, CARRIERS, JOINTS))
     momenta, omega = rng.normal(size=(CARRIERS, MODES)), np.array([20.0, 35.0])
-    weights = leg_vibration._weights(grid, M, K, KB, times, steps, momenta, omega)
-    assert weights.shape == (STEPS, 2 * MODES, JOINTS)
-    assert STEPS > 2 * leg_vibration._TOGETHER
+    M, K, KB, momenta, omega = (np.stack([x, 1.5 * x]) for x in (M, K, KB, momenta, omega))
+    weights = leg_vibration._weights(M, K, KB, steps, counts, momenta, omega)
+    assert weights.shape == (2, counts.sum(), 2 * MODES, JOINTS)
 
-    snap = rng.normal(size=(STEPS, JOINTS))
-    z, one = np.zeros(2 * CARRIERS), np.eye(2 * CARRIERS)
-    for t, h, s in zip(times, steps, snap, strict=True):
-        at = int(np.searchsorted(grid, t)) - 1
-        b = (t - grid[at]) / (grid[at + 1] - grid[at])
-        M_t, K_t, KB_t = ((1 - b) * X[at] + b * X[at + 1] for X in (M, K, KB))
-        G = np.linalg.solve(M_t, K_t)
-        A = np.block([[np.zeros_like(G), np.eye(CARRIERS)], [-G, -2 * leg_vibration._DAMPING / omega[0] * G]])
-        force = np.concatenate([np.zeros(CARRIERS), KB_t @ s])
-        z = np.linalg.solve(one - h / 2 * A, (one + h / 2 * A) @ z + h * force)
-    y, rate = np.split(z, 2)
-    expected = np.concatenate([momenta.T @ y, momenta.T @ rate / omega])
-    found = np.einsum("kcj,kj->c", weights, snap)
-    np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+    snap = rng.normal(size=(counts.sum(), JOINTS))
+    for case in range(2):
+        z, one = np.zeros(2 * CARRIERS), np.eye(2 * CARRIERS)
+        for s, block in zip(snap, np.repeat(np.arange(4), counts), strict=True):
+            h, G = steps[block], np.linalg.solve(M[case, block], K[case, block])
+            damped = -2 * leg_vibration._DAMPING / omega[case, 0] * G
+            A = np.block([[np.zeros_like(G), np.eye(CARRIERS)], [-G, damped]])
+            force = np.concatenate([np.zeros(CARRIERS), KB[case, block] @ s])
+            z = np.linalg.solve(one - h / 2 * A, (one + h / 2 * A) @ z + h * force)
+        y, rate = np.split(z, 2)
+        expected = np.concatenate([momenta[case].T @ y, momenta[case].T @ rate / omega[case]])
+        found = np.einsum("kcj,kj->c", weights[case], snap)
+        np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
+
+
+def test_blocks_end_at_every_knot() -> None:
+    np.testing.assert_allclose(leg_vibration._refined(np.array([0.0, 0.2, 0.25]), 0.1), [0, 0.1, 0.2, 0.25])
+
+
+def test_amplitudes_of_modes_that_coincide() -> None:
+    vibration = np.array([3.0, 0.0, 4.0, 1.0, 0.0, 2.0, 0.0, 0.0])
+    np.testing.assert_allclose(leg_vibration.tool_amplitudes(vibration, 2), [6.0, 2.0])

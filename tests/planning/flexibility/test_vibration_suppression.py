@@ -16,9 +16,9 @@ from small_scenes import short_scene
 from cmbot.archive import load_plan, save
 from cmbot.archive.schema import SuppressionFile
 from cmbot.common.arrays import FloatArray
-from cmbot.optimization.least_distance import LeastChange
 from cmbot.planning import Plan, plan, planner, remarks
-from cmbot.planning.flexibility.vibration_suppression import Window, legs_by_window
+from cmbot.planning.flexibility import vibration_suppression
+from cmbot.planning.flexibility.vibration_suppression import Change, Window, legs_by_window
 from cmbot.planning.progress import ProgressReporter
 from cmbot.simulation import PrescribedMotion, SimulationOptions, track
 from cmbot.simulation.tracking import elastic_arm_of
@@ -26,6 +26,7 @@ from cmbot.trajectory.quintic import QuinticTrajectory
 from cmbot.trajectory.spline_space import SplineSpace
 
 THERE_AND_BACK = [{"by": [0, -0.3, 0], "seconds": 6}, {"by": [0, 0.3, 0], "seconds": 5}]
+EXACT = {"quiet_stiffness_share": 0.0, "quiet_payload_kg": 0.0}
 # Fine enough that the amplitudes of a few micrometres are the motion's.
 FINE = SimulationOptions(step_s=0.001, settle_s=1.0)
 
@@ -42,6 +43,12 @@ def loud() -> Plan:
 
 @pytest.fixture(scope="module")
 def quiet() -> Plan:
+    """For the modelled stiffness alone."""
+    return planned(2, **EXACT)
+
+
+@pytest.fixture(scope="module")
+def robust() -> Plan:
     return planned(2)
 
 
@@ -57,11 +64,11 @@ def test_the_tool_comes_to_rest_as_predicted(loud: Plan, quiet: Plan) -> None:
     before, after = (float(np.linalg.norm(swing(each, FINE))) for each in (loud, quiet))
     # What is left are the faster modes.
     assert after < 0.15 * before
-    assert quiet.quieting.share == 1.0
+    assert quiet.quieting.share > 0.9
     assert quiet.quieting.modes == 2
     # Both modes' amplitudes coincide at some time: twice that is the most the tool swings through.
     assert 0.4 * before < 2 * quiet.quieting.before < 1.5 * before
-    assert quiet.quieting.after < 1e-3 * quiet.quieting.before
+    assert quiet.quieting.after < 0.1 * quiet.quieting.before
 
 
 def test_nothing_else_changes(loud: Plan, quiet: Plan, tmp_path: Path) -> None:
@@ -104,15 +111,15 @@ def test_a_window_that_cannot_be_quieted_leaves_the_others_theirs(
 ) -> None:
     change = Window.change
 
-    def first_in_vain(window: Window, *rows: Any) -> LeastChange | None:
+    def first_in_vain(window: Window, *rows: Any) -> Change | None:
         return None if window.start == 0 else change(window, *rows)
 
     monkeypatch.setattr(Window, "change", first_in_vain)
     made = planned(2, via_points=81)
-    assert made.quieting.shares == (0.0, 1.0)
-    assert made.quieting.after < 1e-3 * made.quieting.before
+    assert made.quieting.shares[0] == 0.0
+    assert made.quieting.shares[1] > 0.3
+    assert made.quieting.after < 0.7 * made.quieting.before
     assert made.certificate.holds
-    assert "at the ends of 1 of the 2 legs, and at those of 1 not" in " ".join(remarks(made))
     save(made, tmp_path / "plan")
     assert load_plan(tmp_path / "plan").quieting == made.quieting
     # Files of before do not tell the legs apart.
@@ -136,12 +143,32 @@ def test_where_the_time_is_over_the_plan_is_left_as_it_is(monkeypatch: pytest.Mo
     assert "vibration at the ends of the legs is not suppressed: the time, 60 s" in sentence
 
 
-def test_a_wrong_stiffness_is_no_worse_than_no_quieting(loud: Plan, quiet: Plan) -> None:
-    """Where the modes are not where they were thought to be, some of the vibration stays."""
-    for factor in (0.9, 1.1):
+def test_what_stiffness_may_be_is_suppressed(loud: Plan, robust: Plan) -> None:
+    """The largest swing over the interval falls, as the plan says, with no more jerk than before."""
+    swings = []
+    for factor in (0.7, 0.85, 1.0, 1.15, 1.3):
         options = SimulationOptions(settle_s=1.0, guardrail_factor=factor, link_factor=factor)
-        before, after = (swing(each, options).max() for each in (loud, quiet))
-        assert after < 1.5 * before
+        swings.append([swing(each, options).max() for each in (loud, robust)])
+    before, after = np.max(swings, axis=0)
+    assert after < 0.8 * before
+    done = robust.quieting
+    assert done.worth_it
+    assert {(1.0, 0.0), (1.0, 1.0)} < set(zip(done.stiffness, done.load_kg, strict=True))
+    assert max(done.swing_with) < 0.6 * max(done.swing_without)
+    times = np.linspace(0.0, 11.0, 1101)
+    jerks = [np.abs(each.trajectory.evaluate(times, 3)).max() for each in (loud, robust)]
+    assert jerks[1] < 1.02 * jerks[0]
+
+
+def test_a_change_that_does_not_help_is_not_made(monkeypatch: pytest.MonkeyPatch, loud: Plan) -> None:
+    """What counts is the simulation, not the prediction."""
+    swings = iter([1e-3, 1e-4, 1e-3, 1.1e-3] + [1e-4] * 4)
+    monkeypatch.setattr(vibration_suppression, "swing_at_rest", lambda *_: next(swings))
+    left = planned(2)
+    assert left.quieting.shares == (0.0, 0.0)
+    assert left.quieting.after == left.quieting.before
+    np.testing.assert_array_equal(left.trajectory.a, loud.trajectory.a)
+    assert "makes the largest swing hardly smaller" in " ".join(remarks(left))
 
 
 def spaced(segments: int) -> SplineSpace:
@@ -182,33 +209,32 @@ def test_short_legs_find_company() -> None:
 
 
 def test_a_window_takes_its_vibration_away(rng: np.random.Generator) -> None:
-    """With the least jerk, and within bounds: against the normal equations of all its numbers."""
+    """Within bounds, and with no more jerk than there was."""
     problem = torque_problem(20)
-    space, d = problem.space, 2
-    z = rng.normal(size=(3 * len(space.t), d))
+    space, d, limits = problem.space, 2, problem.context.robot.limits.jerk
+    given = space.trajectory(1e-4 * rng.normal(size=(3 * len(space.t), d)))
     times = np.linspace(0.01, space.t[-1] - 0.01, 200)
     weights = rng.normal(size=(len(times), 2, d))
 
     def vibration(of: QuinticTrajectory) -> np.ndarray:
         return np.asarray(np.einsum("kcj,kj->c", weights, of.evaluate(times, 4)))
 
-    leg: Any = SimpleNamespace(times=times, weights=weights, vibration=vibration)
+    leg: Any = SimpleNamespace(times=times, weights=weights, vibration=vibration, cases=1)
     window = Window(problem, [(0, 20)])
-    window.bring_to_rest(leg, space.trajectory(z))
+    window.bring_to_rest(leg, given)
     middle = sparse.csr_array(
         sparse.kron(space.design(space.t[[10]] + 0.1, 0) @ space.basis, np.array([[1.0, 0.0]]))
     )
     free = window.change(middle, np.array([np.inf]))
     moved = float((middle @ free.x.ravel())[0])
     held = window.change(middle * np.sign(moved), np.array([0.5 * abs(moved)]))
-
-    def jerk(X: np.ndarray) -> float:
-        shares = space.basis @ X / problem.context.robot.limits.jerk
-        return float(space.jerk_products(shares).trace())
-
-    before = vibration(space.trajectory(z))
+    assert (middle @ held.x.ravel())[0] * np.sign(moved) < 0.5 * abs(moved) + 1e-9
+    before, fine = np.hypot(*vibration(given)), np.linspace(0, space.t[-1], 801)
     for found in (free, held):
-        after = vibration(space.trajectory(z + space.basis @ found.x))
-        assert np.abs(after).max() < 1e-3 * np.abs(before).max()
-    assert float((middle @ held.x.ravel())[0]) == pytest.approx(0.5 * moved, rel=1e-6)
-    assert jerk(free.x) < jerk(held.x)
+        z = np.stack([given.q, given.v, given.a], axis=1).reshape(-1, d)
+        changed = space.trajectory(z + space.basis @ found.x)
+        assert np.hypot(*vibration(changed)) == pytest.approx((1 - found.share) * before, rel=1e-6)
+        assert found.share > 0.5
+        most = [np.abs(each.evaluate(fine, 3) / limits).max() for each in (given, changed)]
+        assert most[1] < 1.01 * most[0]
+    assert window.change(middle * np.sign(moved), np.array([-1e9])) is None

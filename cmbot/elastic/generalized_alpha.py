@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -24,14 +24,24 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import SimulationDiverged
 from cmbot.elastic.arm import ElasticArm
-from cmbot.simulation.prescribed_motion import PrescribedMotion
 
-__all__ = ["ElasticMotion", "ElasticSystem", "GeneralizedAlpha"]
+__all__ = ["DrivenMotion", "ElasticMotion", "ElasticSystem", "GeneralizedAlpha"]
 
 # Displacement, m or rad, beyond which the model of springs between rigid bodies is not valid.
 _MAX_DISPLACEMENT = 1.0
 # Steps between two reports of progress, and between two trials of a second correction.
 _PROGRESS_STEPS, _RENEWED = 100, 5
+
+
+class DrivenMotion(Protocol):
+    """What is prescribed to the driven coordinates."""
+
+    @property
+    def duration(self) -> float:
+        """How long it moves, s."""
+
+    def states(self, times: FloatArray, /) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return positions, rates and accelerations at `times` (N,) from 0 to `duration`, each (N, d)."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,7 +120,7 @@ class GeneralizedAlpha:
 
     def run(
         self,
-        motions: Sequence[PrescribedMotion],
+        motions: Sequence[DrivenMotion],
         u: FloatArray,
         v: FloatArray,
         progress: Callable[[float], None] | None = None,
@@ -146,7 +156,7 @@ class GeneralizedAlpha:
 
     def _along(
         self,
-        motion: PrescribedMotion,
+        motion: DrivenMotion,
         u: FloatArray,
         v: FloatArray,
         start: float,

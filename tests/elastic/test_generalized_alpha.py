@@ -23,8 +23,8 @@ from small_systems import (
 )
 
 from cmbot.common.errors import CmbotError, SimulationDiverged
+from cmbot.elastic.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.simulation import PrescribedMotion
-from cmbot.simulation.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
 
 MASS, STIFFNESS, GRAVITY = 2.0, 800.0, 9.81
 SAG = MASS * GRAVITY / STIFFNESS
