@@ -119,12 +119,20 @@ def test_plan_json_has_the_promised_keys(saved_triangle, triangle_plan):
 
 def test_what_was_done_about_sag_and_vibration_has_the_promised_keys(thin_plan, tmp_path):
     compensation = Compensation(rounds=2, largest_shift=0.01, last_change=1e-6)
-    suppression = VibrationSuppression(modes=2, shares=(1.0, 0.5), before=1e-3, after=1e-4)
+    tables = {
+        "stiffness": (0.7, 1.0),
+        "load_kg": (0.0, 1.0),
+        "swing_without": (1e-3, 2e-3),
+        "swing_with": (0.0, 1e-4),
+    }
+    suppression = VibrationSuppression(modes=2, shares=(1.0, 0.5), before=1e-3, after=1e-4, **tables)
     plan = replace(thin_plan, compensation=compensation, quieting=suppression)
     data = json.loads((save(plan, tmp_path / "plan") / "plan.json").read_text())
     assert data["compensation"] == {"rounds": 2, "largest_shift": 0.01, "last_change": 1e-6}
     shares = {"shares": [1.0, 0.5], "share": 0.75}
-    assert data["quieting"] == {"modes": 2, "before": 1e-3, "after": 1e-4, **shares}
+    assert data["quieting"] == {"modes": 2, "before": 1e-3, "after": 1e-4, **shares} | {
+        name: list(values) for name, values in tables.items()
+    }
     read = load_plan(tmp_path / "plan")
     assert (read.compensation, read.quieting) == (compensation, suppression)
 

@@ -15,7 +15,6 @@ that every window is a small problem of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -152,7 +151,7 @@ def suppress_vibration(
     before, after = (float(each.max()) for each in amplitudes)
     if before < _AT_REST:
         changed, shares = trajectory, [0.0] * len(windows)
-    cases = _simulated(uncertainty, amplitudes)
+    cases = _simulated(uncertainty, amplitudes[0], options)
     swings: list[tuple[float, float]] = []
     for factor, load in reporter.each("simulating the swing after the stop", cases):
         if reporter.expired():
@@ -186,16 +185,19 @@ def _uncertainty(options: PlannerOptions, payload: float, duration: float) -> Un
     return Uncertainty(loads=(0.0, *loads), factors=(factors, *[(1.0,)] * len(loads)))
 
 
-def _simulated(uncertainty: Uncertainty, amplitudes: Sequence[FloatArray]) -> list[tuple[float, float]]:
+def _simulated(
+    uncertainty: Uncertainty, amplitudes: FloatArray, options: PlannerOptions
+) -> list[tuple[float, float]]:
     """Factors on the stiffness, and loads, kg, for which the swing after the stop is simulated.
 
-    What is modelled, the largest load with that, and where the predicted `amplitudes` (C,) are the largest.
+    What is modelled, the largest load with that, the ends of the interval, and where the `amplitudes` (C,)
+    without a change are the largest.
     """
-    cases = uncertainty.cases
-    chosen = {(1.0, load) for load in uncertainty.loads[:2]} | {
-        cases[int(each.argmax())] for each in amplitudes
-    }
-    return sorted(chosen)
+    share = options.quiet_stiffness_share
+    modelled = {(1.0, load) for load in uncertainty.loads[:2]}
+    return sorted(
+        modelled | {(1 - share, 0.0), (1 + share, 0.0), uncertainty.cases[int(amplitudes.argmax())]}
+    )
 
 
 @dataclass(frozen=True)
