@@ -67,7 +67,7 @@ class Bending:
 
         `dynamic` (N, 3), m, is the tool's displacement in W beside its sag; the tool is `on` in intervals.
         """
-        every = max(int(_STEP / max(float(np.diff(t).max(initial=_STEP)), 1e-9)), 1)
+        every = max(int(_STEP / max(float(np.diff(t).max(initial=0.0)), 1e-9)), 1)
         some = np.unique(np.append(np.arange(0, len(t), every), len(t) - 1))
         if np.ptp(q, axis=0).max(initial=0.0) == 0.0:
             some = some[:1]
@@ -92,14 +92,13 @@ class Bending:
     def _shapes(self, q: FloatArray, u: FloatArray, tangent: FloatArray) -> FloatArray:
         """Elastic coordinates (K, f, 3) of least energy for displacements of the tool along x, y and z."""
         arm, data = self._arm, self._arm.model.createData()
-        shapes = np.empty((len(q), len(arm.elastic), 3))
+        J = np.empty((len(q), 3, len(arm.elastic)))
         for k, configuration in enumerate(arm.configuration(q, u)):
             world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-            J = pin.computeFrameJacobian(arm.model, data, configuration, arm.tool_frame_id, world)
-            J = J.reshape(6, -1)[:3, arm.elastic]
-            softened = np.linalg.solve(tangent[k], J.T)
-            shapes[k] = softened @ np.linalg.pinv(J @ softened)
-        return shapes
+            whole = pin.computeFrameJacobian(arm.model, data, configuration, arm.tool_frame_id, world)
+            J[k] = whole.reshape(6, -1)[:3, arm.elastic]
+        yielding = np.linalg.solve(tangent, J.transpose(0, 2, 1))
+        return np.asarray(yielding @ np.linalg.pinv(J @ yielding))
 
     def _joints(self) -> Iterator[dict[str, Any]]:
         arm, model = self._arm, self._arm.model

@@ -37,6 +37,8 @@ __all__ = ["REPLAY", "REPORT", "headlines", "pages", "report", "report_page", "s
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
 _GAIN = 1e-3
+# Distances from the path that differ by less, as a share of their bound, are the same.
+_LITTLE = 0.02
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
@@ -158,12 +160,15 @@ def _peak_card(plan: Plan) -> Headline:
     )
 
 
-def _compared(before: float, after: float, *, kept: bool) -> State:
-    """Whether a value is a gain on the baseline's or a loss, the less the better, or not allowed."""
+def _compared(before: float, after: float, *, kept: bool, nothing: float = 0.0) -> State:
+    """Whether a value is a gain on the baseline's or a loss, the less the better, or not allowed.
+
+    A change up to `nothing` is none.
+    """
     if not kept:
         return "bad"
     change = after - before
-    if abs(change) <= _GAIN * abs(before):
+    if abs(change) <= max(_GAIN * abs(before), nothing):
         return "plain"
     return "good" if change < 0 else "worse"
 
@@ -225,7 +230,7 @@ def _deviation_card(plan: Plan) -> Headline:
         before=f"{1e3 * before:.2f}",
         value=f"{1e3 * value:.2f} mm",
         detail=f"{arm}; bound {1e3 * bound:g} mm",
-        state=_compared(before, value, kept=value <= bound),
+        state=_compared(before, value, kept=value <= bound, nothing=_LITTLE * bound),
     )
 
 

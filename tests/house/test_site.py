@@ -8,6 +8,7 @@ from html.parser import HTMLParser
 from pathlib import Path
 
 import pytest
+from browser import chromium
 from small_scenes import short_scene
 
 import cmbot
@@ -115,3 +116,23 @@ def test_every_picture_is_shown_and_those_of_the_script_are_there() -> None:
     text = "".join(path.read_text("utf-8") for path in (ROOT / "README.md", *DOCS.glob("*.md")))
     for name in pictures:
         assert f"images/{name})" in text, f"{name} is shown nowhere"
+
+
+@pytest.mark.browser
+def test_the_search_works_from_a_folder_without_a_network(site: Path, tmp_path: Path) -> None:
+    with chromium(tmp_path / "chromium") as chrome:
+        chrome.get((site / "index.html").as_uri())
+        found = chrome.execute_async_script(
+            """const done = arguments[0], input = document.querySelector("[data-md-component=search-query]");
+            document.getElementById("__search").click();
+            input.focus();
+            input.value = "certificate";
+            input.dispatchEvent(new Event("input", {bubbles: true}));
+            input.dispatchEvent(new KeyboardEvent("keyup", {bubbles: true}));
+            const results = () => [...document.querySelectorAll(".md-search-result__link")].map((a) => a.href);
+            const wait = (tries) => (results().length || tries === 0 ? done(results())
+                : setTimeout(() => wait(tries - 1), 100));
+            wait(200);"""
+        )
+    assert any("glossary.html" in address for address in found)
+    assert all(address.startswith("file://") for address in found)
