@@ -129,7 +129,8 @@ def test_the_search_works_from_a_folder_without_a_network(site: Path, tmp_path: 
             input.value = "certificate";
             input.dispatchEvent(new Event("input", {bubbles: true}));
             input.dispatchEvent(new KeyboardEvent("keyup", {bubbles: true}));
-            const results = () => [...document.querySelectorAll(".md-search-result__link")].map((a) => a.href);
+            const links = () => document.querySelectorAll(".md-search-result__link");
+            const results = () => [...links()].map((link) => link.href);
             const wait = (tries) => (results().length || tries === 0 ? done(results())
                 : setTimeout(() => wait(tries - 1), 100));
             wait(200);"""

@@ -212,7 +212,18 @@ def test_on_a_phone_nothing_is_wider_than_the_screen_and_the_view_scrolls_away(s
         shown.execute_script("document.getElementById('joints').scrollIntoView()")
         bottom = ask(shown, "document.getElementById('view').getBoundingClientRect().bottom")
         bar = ask(shown, "document.getElementById('bar').offsetHeight")
+        # The arm fills the view: its foot and its tool are far apart in it.
+        shown.find_element("id", "reset").click()
+        spread = shown.execute_script(
+            """const { stage } = cmbotReplay, part = stage.parts[0];
+            const places = stage.data.focus.points.map((point) => {
+                return stage.onScreen(new MeshCat.THREE.Vector3(...point), part);
+            });
+            const range = (k) => Math.max(...places.map((p) => p[k])) - Math.min(...places.map((p) => p[k]));
+            return [range(0) / part.wide, range(1) / part.high];"""
+        )
     assert width <= 390
+    assert max(spread) > 0.7 and max(spread) < 1
     assert bottom < 0
     assert bar < 90
 

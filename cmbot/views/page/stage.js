@@ -257,8 +257,9 @@ class Stage {
     this.redraw();
   }
 
-  // How much of the view the card covers from above, where it is about as wide, and the bar from below, px.
+  // How much of a view that fills the window the card covers, where it is about as wide, and the bar from below, px.
   covered(high) {
+    if (getComputedStyle(this.view).position !== "fixed") return [0, 0];
     const box = this.view.getBoundingClientRect(), bar = document.getElementById("bar").getBoundingClientRect();
     const card = document.getElementById("card")?.getBoundingClientRect();
     const above = card && card.width > 0.55 * box.width ? Math.max(card.bottom - box.top, 0) : 0;
