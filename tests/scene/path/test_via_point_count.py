@@ -40,7 +40,7 @@ def test_what_a_path_asks_for() -> None:
     assert count(legs=[{"by": [0, -1.0, 0]}], seconds="auto") == 31
     assert count({"max_tool_deviation_m": 1e-3 / 16}, legs=[TURNING]) == 24
     rounded = [count(blend_radius_m=radius, **CORNER) for radius in (0.2, 0.02)]
-    assert 20 < rounded[0] < rounded[1]
+    assert 15 < rounded[0] < rounded[1]
     assert count(**STEADY) > 2 * count(legs=[LONG])
 
 
