@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import document_figures
+import gallery
 import pytest
 import typer.main
 from ruamel.yaml import YAML
@@ -16,6 +17,7 @@ from cmbot import __version__
 from cmbot.archive import columns
 from cmbot.cli import app
 from cmbot.planning import Plan, remarks
+from cmbot.scene import shipped_scenes
 from cmbot.simulation import Tracking
 
 ROOT = Path(__file__).resolve().parent.parent.parent
@@ -243,3 +245,14 @@ def test_citation_license_and_changelog() -> None:
     changelog = (ROOT / "CHANGELOG.md").read_text(encoding="utf-8")
     assert "## [Unreleased]" in changelog
     assert __version__ in changelog
+
+
+def test_the_gallery_shows_every_shipped_scene() -> None:
+    page = (ROOT / "docs" / "gallery.md").read_text(encoding="utf-8")
+    for name in shipped_scenes():
+        section = page.split(f"<!-- {name} -->")[1].split(f"<!-- end of {name} -->")[0]
+        assert "| peak torque, whole job, Nm |" in section
+        assert f"(gallery/{name}.png)" in section
+        assert (ROOT / "docs" / "gallery" / f"{name}.png").stat().st_size <= gallery.LARGEST
+    pictures = {path.stem for path in (ROOT / "docs" / "gallery").iterdir()}
+    assert pictures == set(shipped_scenes())

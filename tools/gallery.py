@@ -1,0 +1,88 @@
+"""Write docs/gallery.md and its pictures: every shipped job planned, with figures and a picture of each.
+
+Run ``python tools/gallery.py`` after a change that moves figures, or ``python tools/gallery.py pipe line``
+for some jobs; it takes minutes. It needs ``chromium`` on the PATH, and Pillow.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from document_figures import ROOT, write_between
+from PIL import Image
+from screenshot import shoot
+
+import cmbot
+from cmbot.common.installation import scene_folder
+from cmbot.scene import shipped_scenes
+
+PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "gallery"
+LARGEST = 150_000
+"""Of a picture, bytes."""
+# Pixels of the browser's window and of a picture, and numbers of colours that are tried until it is small.
+_WINDOW, _WIDTH, _COLOURS = (1280, 720), 800, (256, 128, 64)
+
+
+def figures(plan: cmbot.Plan, planning: float) -> Iterator[tuple[str, str, str]]:
+    """Yield what a job asks: name and unit, baseline, planned."""
+    both = (plan.baseline_job_figures, plan.job.figures)
+    yield "peak torque, whole job, Nm", *(f"{each.peak_guardrail_torque:.1f}" for each in both)
+    yield "mean torque, whole job, Nm", *(f"{each.mean_guardrail_torque:.1f}" for each in both)
+    yield "smallest clearance, whole job, mm", *(f"{1e3 * each.min_clearance:.1f}" for each in both)
+    yield "time of the whole job, s", f"{plan.baseline_segments[-1].end:.1f}", f"{plan.job.duration:.1f}"
+    if plan.coverage:
+        area, left_out = (sum(values) for values in zip(*plan.coverage.values(), strict=True))
+        yield f"area covered of {area:.4g} m2, m2", *2 * (f"{area - left_out:.4g}",)
+    yield "processor time to plan, s", "-", f"{planning:.0f}"
+
+
+def section(name: str, plan: cmbot.Plan, planning: float) -> str:
+    """Return the section of a job."""
+    verdict = next(iter(cmbot.planning.remarks(plan)))
+    rows = [f"| {' | '.join(row)} |" for row in figures(plan, planning)]
+    picture = f"![{name}: the arm at the start of the job](gallery/{name}.png)"
+    return "\n".join([picture, "", verdict, "", "| | baseline | planned |", "|---|---|---|", *rows])
+
+
+def picture(plan: cmbot.Plan, path: Path, browser: str) -> None:
+    """Write a picture of a plan's replay with no more than `LARGEST` bytes."""
+    with tempfile.TemporaryDirectory() as folder:
+        page, full = Path(folder) / "replay.html", Path(folder) / "full.png"
+        cmbot.replay(plan, html=page)
+        shoot(page, full, _WINDOW, browser)
+        with Image.open(full) as image:
+            size = (_WIDTH, _WIDTH * _WINDOW[1] // _WINDOW[0])
+            small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    small.save(path, optimize=True)
+    for colours in _COLOURS:
+        if path.stat().st_size <= LARGEST:
+            return
+        small.quantize(colours, dither=Image.Dither.NONE).save(path, optimize=True)
+
+
+def main() -> None:
+    """Plan the jobs, write page and pictures."""
+    parser = argparse.ArgumentParser(description="Write the gallery of the shipped jobs.")
+    parser.add_argument("names", nargs="*", help="default: all")
+    names = parser.parse_args().names or shipped_scenes()
+    browser = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if browser is None:
+        sys.exit("no Chromium on the PATH")
+    PICTURES.mkdir(exist_ok=True)
+    for name in names:
+        begin = time.process_time()
+        plan = cmbot.plan(cmbot.load_scene(scene_folder() / f"{name}.yaml"))
+        planning = time.process_time() - begin
+        picture(plan, PICTURES / f"{name}.png", browser)
+        write_between(PAGE, name, section(name, plan, planning))
+        print(f"{name}: {(PICTURES / f'{name}.png').stat().st_size / 1000:.0f} kB")
+
+
+if __name__ == "__main__":
+    main()
