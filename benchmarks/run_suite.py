@@ -60,16 +60,19 @@ def suite_run(
         "make",
         [
             _task(
-                "make", name, {"seed": seed, "number": number, "folder": str(folders[name])}, _hash(_makers())
+                "make",
+                name,
+                {"seed": seed, "number": number, "folder": str(folders[name])},
+                hash_of(_makers()),
             )
             for name, (seed, number) in zip(names, numbered, strict=True)
         ],
     )
     there = [name for name in names if made[name].status == "done"]
-    contents = {name: _hash(sorted(folders[name].iterdir())) for name in there}
-    oracle = _hash([*_makers(), _SUITE / "oracle.py"])
-    planner = _hash(_planner_files()) + "".join(map(metadata.version, _PACKAGES))
-    judge = _hash([_SUITE / "judge.py"])
+    contents = {name: hash_of(sorted(folders[name].iterdir())) for name in there}
+    oracle = hash_of([*_makers(), _SUITE / "oracle.py"])
+    planner = hash_of(planner_files()) + "".join(map(metadata.version, _PACKAGES))
+    judge = hash_of([_SUITE / "judge.py"])
     searched = run(
         "oracle",
         [_task("oracle", name, {"folder": str(folders[name])}, contents[name], oracle) for name in there],
@@ -132,7 +135,8 @@ def _makers() -> list[Path]:
     return [_SUITE / name for name in _MAKERS]
 
 
-def _planner_files() -> list[Path]:
+def planner_files() -> list[Path]:
+    """Return the files that planning depends on."""
     package = ROOT / "cmbot"
     files = [
         path for path in package.rglob("*.py") if path.relative_to(package).parts[0] not in _NOT_PLANNING
@@ -140,7 +144,8 @@ def _planner_files() -> list[Path]:
     return sorted([*files, *(ROOT / "models" / "urdf").iterdir()])
 
 
-def _hash(files: Sequence[Path]) -> str:
+def hash_of(files: Sequence[Path]) -> str:
+    """Return the hash of files' contents."""
     total = hashlib.sha256()
     for path in files:
         total.update(hashlib.sha256(path.read_bytes()).digest())

@@ -81,8 +81,12 @@ def _unlimited() -> None:
     resource.setrlimit(resource.RLIMIT_CPU, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
 
 
-def violations(made: Plan, world: World, path: TimedPath, R: FloatArray) -> list[str]:
-    """What a plan breaks at dense samples of its quintics, a sentence each."""
+def violations(made: Any, world: World, path: TimedPath | None, R: FloatArray) -> list[str]:
+    """What a plan breaks at dense samples of its quintics, a sentence each.
+
+    `made` is a plan, or has its trajectory, figures, options, robot and scene for a segment; `path` is None
+    where the tool is free.
+    """
     knots, found = made.trajectory, list[str]()
     motion = BPoly.from_derivatives(knots.t, np.stack([knots.q, knots.v, knots.a], axis=1))
     times = np.linspace(knots.t[0], knots.t[-1], _SAMPLES)
@@ -114,12 +118,13 @@ def violations(made: Plan, world: World, path: TimedPath, R: FloatArray) -> list
     if distance.min() < world.margin - _LENGTH:
         k = chosen[distance.argmin()]
         found.append(f"clearance {distance.min():.5f} m at {times[k]:.3f} s, the margin is {world.margin} m")
-    found += _tool_violations(made, world, path, R, times, q)
+    if path is not None:
+        found += _tool_violations(made, world, path, R, times, q)
     return found
 
 
 def _tool_violations(
-    made: Plan, world: World, path: TimedPath, R: FloatArray, times: FloatArray, q: FloatArray
+    made: Any, world: World, path: TimedPath, R: FloatArray, times: FloatArray, q: FloatArray
 ) -> list[str]:
     """Deviation from the legs and turn of the tool beyond what the options allow."""
     options, found, keep = made.options, list[str](), made.scene.keep
@@ -144,7 +149,7 @@ def _tool_violations(
     return found
 
 
-def _rates(made: Plan, world: World) -> tuple[FloatArray, FloatArray]:
+def _rates(made: Any, world: World) -> tuple[FloatArray, FloatArray]:
     limits = made.scene.robot.limits or made.robot.urdf.with_name("joint_limits.yaml")
     return limits_in(limits, world.joints)
 

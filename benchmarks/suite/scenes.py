@@ -18,7 +18,7 @@ import pinocchio as pin
 from suite.arms import ARMS, Arm
 from suite.world import FloatArray, World, limits_in
 
-__all__ = ["make_scene", "scene_name"]
+__all__ = ["make_scene", "scene_name", "start_posture"]
 
 _MARGIN = 0.02
 # Pairs of links that are nearer than the margin in this share of random postures may touch each other.
@@ -64,7 +64,7 @@ def make_scene(seed: int, number: int, folder: str) -> dict[str, Any]:
         "ramp": round(float(rng.uniform(0.2, 0.4)), 2),
     }
     for _ in range(_TRIES):
-        q = _start(world, rng)
+        q = start_posture(world, rng)
         legs = None if q is None else _legs(world, q, keep, profile, rates, rng)
         if q is not None and legs is not None:
             break
@@ -140,8 +140,8 @@ def _write_limits(path: Path, world: World) -> None:
     path.write_text(f"format: cmbot-joint-limits/1\njoints:\n{''.join(rows)}", encoding="utf-8")
 
 
-def _start(world: World, rng: np.random.Generator) -> FloatArray | None:
-    """A posture well within the limits, of whole tenths of a degree, and clear."""
+def start_posture(world: World, rng: np.random.Generator) -> FloatArray | None:
+    """Return a posture well within the limits, of whole tenths of a degree, and clear."""
     for _ in range(_TRIES):
         q = np.radians(np.degrees(world.random(rng)).round(1))
         inside = ((q > world.lower + _FROM_ENDS) & (q < world.upper - _FROM_ENDS)).all()

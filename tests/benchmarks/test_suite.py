@@ -10,7 +10,7 @@ import pytest
 import run_suite
 from plan_folders import changed
 from rich.console import Console
-from suite import judge, oracle, scenes, tables
+from suite import jobs, judge, oracle, scenes, tables
 from suite.task import TimedPath, read_scene, world_of
 from suite.world import World
 
@@ -19,7 +19,7 @@ from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, robot_of, strokes_of, task_of
 from cmbot.robot import Dynamics, Kinematics, Postures
-from cmbot.scene import Scene
+from cmbot.scene import Scene, load_scene
 
 
 def timed(scene: Scene, world: World) -> tuple[TimedPath, np.ndarray]:
@@ -202,3 +202,32 @@ def test_a_small_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert run_suite.suite_run([5], 2, 1, tmp_path, again=False, console=console) == results
     died = good | {"plan": {"status": "crash", "reason": "signal SIGSEGV"}}
     assert tables.failures(results | {"scenes": [died]})[0][1].startswith("crash (path: ")
+
+
+def test_a_random_job_is_one_of_strokes_from_poses_of_their_own(tmp_path: Path) -> None:
+    made = jobs.make_job(5, 4, str(tmp_path / "job"))
+    again = jobs.make_job(5, 4, str(tmp_path / "again"))
+    texts = [(tmp_path / name / "job.yaml").read_bytes() for name in ("job", "again")]
+    assert texts[0] == texts[1]
+    assert made == again
+    scene = load_scene(tmp_path / "job" / "job.yaml")
+    assert (made["arm"], scene.name) == ("ur5", jobs.job_name(5, 4))
+    plain, world, path, R = read_scene(tmp_path / "job")
+    strokes = strokes_of(scene, robot_of(scene))
+    assert len(strokes) == made["strokes"] == len(plain.legs)
+    # The legs of the scene, each from where it began there, in some order.
+    for stroke in strokes:
+        k = int(stroke.name.removeprefix("leg_")) - 1
+        np.testing.assert_allclose(stroke.path.corners, path.corners[k : k + 2], atol=1e-9)
+        np.testing.assert_allclose(stroke.path.orientation, R, atol=1e-9)
+    assert world.admissible(np.array(scene.posture))
+    assert scene.return_to == "start"
+
+
+def test_trees_connect_what_is_free_and_nothing_else(folders: list[Path]) -> None:
+    _, world, _, _ = read_scene(folders[2])
+    rng = np.random.default_rng(0)
+    free = [q for q in (world.random(rng) for _ in range(200)) if world.admissible(q)][:2]
+    assert jobs.connected(world, free[0], free[0], rng)
+    blocked = next(q for q in (world.random(rng) for _ in range(2000)) if not world.clear(q))
+    assert not jobs.connected(world, free[0], blocked, rng, nodes=5)
