@@ -22,6 +22,7 @@ from cmbot.cli.creation import new
 from cmbot.cli.inspection import check, doctor, scenes, schema
 from cmbot.cli.planning import plan
 from cmbot.cli.simulation import reproduce, simulate
+from cmbot.cli.siting import stand
 from cmbot.cli.views import compare, export, replay, report
 from cmbot.common.errors import LONGEST_MESSAGE, CmbotError, InputError, PlanningError
 
@@ -153,7 +154,7 @@ def _options(
 
 
 for _verb in (
-    *(plan, campaign, new, replay, report, compare, export, simulate, reproduce),
+    *(plan, stand, campaign, new, replay, report, compare, export, simulate, reproduce),
     *(check, scenes, schema, doctor),
 ):
     app.command()(_verb)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -16,7 +16,15 @@ from cmbot.elastic.beam import SectionConstants, section_constants
 from cmbot.elastic.frame import Frame, Member
 from cmbot.elastic.guardrail import Guardrail
 
-__all__ = ["ElasticBase", "GuardrailFrame", "elastic_base", "guardrail_frame", "rigid_motion", "shares"]
+__all__ = [
+    "ElasticBase",
+    "GuardrailFrame",
+    "SharedFrame",
+    "elastic_base",
+    "guardrail_frame",
+    "rigid_motion",
+    "shares",
+]
 
 # Joints closer than this are merged, m: far below a section's width, and a beam much shorter than its
 # neighbours would cost digits, as stiffness grows with the inverse third power of length.
@@ -96,11 +104,41 @@ def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:
     return tuple(G[part].T @ borne[part] for part in parts)
 
 
+class SharedFrame:
+    """What two feet bear wherever they hold a guardrail, from one frame for all places.
+
+    Parameters
+    ----------
+    guardrail : Guardrail
+    points : (P, 3), m
+        On the axes of members, in W, more than a millimetre apart.
+    """
+
+    def __init__(self, guardrail: Guardrail, points: FloatArray) -> None:
+        self._points = points
+        footholds = tuple(tuple(point) for point in points.tolist())
+        # The static stiffness does not depend on how fine the beams are.
+        made = guardrail_frame(replace(guardrail, footholds=footholds), beams=1)
+        self._compliance = made.frame.compliance(*made.feet)
+
+    def shares(self, first: int, second: int, foot_point: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the shares of feet at two of the points, by their numbers: `shares`."""
+        G = _motion(self._points[[first, second]], foot_point)
+        index = np.concatenate([6 * first + np.arange(6), 6 * second + np.arange(6)])
+        borne = np.linalg.solve(self._compliance[np.ix_(index, index)], G)
+        borne = borne @ np.linalg.inv(G.T @ borne)
+        return np.asarray(G[:6].T @ borne[:6]), np.asarray(G[6:].T @ borne[6:])
+
+
 def rigid_motion(guardrail: Guardrail) -> FloatArray:
     """Return the displacements (6 k, 6) of the feet's nodes by the rigid motion of the robot, that of O0."""
+    return _motion(np.array(guardrail.footholds), np.array(guardrail.foot_point))
+
+
+def _motion(points: FloatArray, foot_point: FloatArray) -> FloatArray:
     rows = []
-    for point in guardrail.footholds:
-        x, y, z = np.subtract(point, guardrail.foot_point)
+    for point in points:
+        x, y, z = point - foot_point
         G = np.eye(6)
         # A rotation moves a point by its cross product with the lever.
         G[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]

@@ -91,6 +91,13 @@ class Frame:
             raise _refusal("node", node, f"one of the {len(self.nodes)} nodes that is not fixed")
         return np.asarray(self._free_index[node])
 
+    def compliance(self, *nodes: int) -> FloatArray:
+        """Return the displacements (6 k, 6 k) of `nodes`, which are not fixed, under unit loads at them."""
+        index = np.concatenate([self.coordinates(node) for node in nodes])
+        loads = np.zeros((self.stiffness.shape[0], len(index)))
+        loads[index, np.arange(len(index))] = 1.0
+        return np.asarray(self._factor.solve(loads)[index])
+
     def condense(self, *nodes: int) -> Condensed:
         """Condense the frame to `nodes`, which are not fixed and differ."""
         shapes, K = self._condensed(*nodes)

@@ -18,18 +18,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.hold.foot import Foot
 
-__all__ = ["MODES", "AdhesionPeak", "Holding"]
+__all__ = ["MODES", "AdhesionPeak", "FlatContact", "Holding", "needed_by_load"]
 
 MODES = ("pull", "tip", "slip")
 """What the adhesion is needed against."""
 
 _POWER = 1.25
+
+
+class FlatContact(Protocol):
+    """What the formulas take of a foot: numbers, or arrays (N,) of one for each load."""
+
+    @property
+    def half(self) -> Any:
+        """Half of the sides along and across the member, m."""
+
+    @property
+    def radius(self) -> Any:
+        """Mean distance of the points from the centre, m."""
+
+    @property
+    def friction(self) -> Any:
+        """Between plate and steel."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -193,7 +210,22 @@ class Holding:
         return np.asarray(np.outer(force, by_force) + np.outer(torque, by_torque))
 
 
-def _parts(foot: Foot, load: FloatArray) -> tuple[FloatArray, ...]:
+def needed_by_load(contact: FlatContact, load: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the adhesion (N,), N, that flat contacts need under loads (N, 6), and its gradients (N, 6).
+
+    Parameters
+    ----------
+    contact : FlatContact
+        One for all loads, or one for each.
+    load : (N, 6), N and Nm
+        As `Foot.from_wrench` gives them.
+    """
+    modes = _modes(contact, load)
+    which, rows = modes.argmax(axis=1), np.arange(len(load))
+    return modes[rows, which], _gradients(contact, load)[rows, which]
+
+
+def _parts(foot: FlatContact, load: FloatArray) -> tuple[FloatArray, ...]:
     """Friction, tipping and torsion of loads (N, 6) as forces (N,) on the contact; the tips' components."""
     if foot.half is None or foot.radius is None:
         raise ValueError("a foot without a flat contact")
@@ -204,14 +236,14 @@ def _parts(foot: Foot, load: FloatArray) -> tuple[FloatArray, ...]:
     return slide, both, np.abs(load[:, 5]) / (foot.friction * foot.radius), about_member, about_across
 
 
-def _modes(foot: Foot, load: FloatArray) -> FloatArray:
+def _modes(foot: FlatContact, load: FloatArray) -> FloatArray:
     slide, both, torsion, about_member, about_across = _parts(foot, load)
     tip = np.maximum(np.abs(about_member), np.abs(about_across))
     slip = ((slide + both) ** _POWER + torsion**_POWER) ** (1 / _POWER)
     return np.asarray(load[:, 2, None] + np.stack([np.zeros_like(tip), tip, slip], axis=1))
 
 
-def _gradients(foot: Foot, load: FloatArray) -> FloatArray:
+def _gradients(foot: FlatContact, load: FloatArray) -> FloatArray:
     """Derivatives (N, 3, 6) of `_modes` by the load; zero where there is none."""
     slide, both, torsion, about_member, about_across = _parts(foot, load)
     along, across = foot.half or (1.0, 1.0)
@@ -226,7 +258,7 @@ def _gradients(foot: Foot, load: FloatArray) -> FloatArray:
     gradient[:, 2, 1] = by_rest * _ratio(load[:, 1], slide * foot.friction) / foot.friction
     gradient[:, 2, 3] = by_rest * _ratio(about_member, both) / across
     gradient[:, 2, 4] = by_rest * _ratio(about_across, both) / along
-    radius = foot.radius or 1.0
+    radius = 1.0 if foot.radius is None else foot.radius
     gradient[:, 2, 5] = by_torsion * np.sign(load[:, 5]) / (foot.friction * radius)
     return gradient
 

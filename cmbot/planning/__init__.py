@@ -20,6 +20,7 @@ from cmbot.planning.objectives import (
     objective_of,
 )
 from cmbot.planning.path.gradient_projection import JointPath
+from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
@@ -90,6 +91,7 @@ __all__ = [
     "plan",
     "precheck_options",
     "precheck_scene",
+    "project_onto_task",
     "promises",
     "remarks",
     "require_plan",

@@ -48,6 +48,17 @@ class Climber:
         foot, base = self._data.oMf[self._foot], self._data.oMf[self._base]
         return np.array(foot.homogeneous), np.array(base.homogeneous)
 
+    def weight(self, angles: FloatArray) -> tuple[float, FloatArray]:
+        """Mass, kg, and centre of mass (3,), m, of what does not move while the arm works."""
+        q = np.array(self._locked)
+        q[self._index] = angles
+        pin.forwardKinematics(self._model, self._data, q)
+        fixed = [0, *(self._model.getJointId(name) for name in CLIMBING_JOINTS)]
+        bodies = [(self._model.inertias[k], self._data.oMi[k]) for k in fixed]
+        mass = sum(body.mass for body, _ in bodies)
+        first = sum(body.mass * X.act(body.lever) for body, X in bodies)
+        return float(mass), np.asarray(first / mass)
+
     def hanging(self, R_WF: FloatArray) -> FloatArray | None:
         """The working stance with foot 1 turned about its normal so that the base hangs as there.
 

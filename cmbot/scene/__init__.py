@@ -1,6 +1,6 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
-from cmbot.scene.guardrail import GuardrailFile, guardrail_from_file, guardrail_obstacles
+from cmbot.scene.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
 from cmbot.scene.hold import HoldFile
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.migration import migrated
@@ -23,6 +23,7 @@ from cmbot.scene.scene_file import (
     shipped_scenes,
     update_file,
 )
+from cmbot.scene.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool
@@ -39,6 +40,7 @@ __all__ = [
     "Cylinder",
     "CylinderPatch",
     "FaceSelection",
+    "FootholdFile",
     "Goal",
     "GuardrailFile",
     "HoldFile",
@@ -57,11 +59,16 @@ __all__ = [
     "ShiftedToolPath",
     "SpeedProfile",
     "Sphere",
+    "StanceFile",
     "Stroke",
     "StrokeFile",
     "Tool",
     "ToolPath",
     "ToolPoses",
+    "axis_point",
+    "feet_at",
+    "foothold_face",
+    "foothold_pose",
     "guardrail_from_file",
     "guardrail_obstacles",
     "limits_text",

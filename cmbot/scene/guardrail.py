@@ -6,6 +6,7 @@ All coordinates are in W, whose origin is where the foot holds: x along the guar
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Annotated, Self, cast
 
@@ -30,7 +31,7 @@ from cmbot.scene.hold import Face, HoldFile, Holds, face_of, foot_on, held_membe
 from cmbot.scene.obstacles import Box, Obstacle, pose
 from cmbot.scene.stance import StanceFile, axis_point, foothold_face, foothold_pose
 
-__all__ = ["GuardrailFile", "feet_of", "guardrail_from_file", "guardrail_obstacles"]
+__all__ = ["GuardrailFile", "feet_at", "feet_of", "guardrail_from_file", "guardrail_obstacles"]
 
 _SECTIONS = ("angle", "bar")
 
@@ -279,13 +280,28 @@ def feet_of(file: GuardrailFile) -> tuple[Foot, ...]:
 
     Two feet that are described once are alike.
     """
-    guardrail, holds = guardrail_from_file(file), file.hold or (HoldFile(kind="welded"),)
-    faces = _held_faces(file)
-    if not faces:
-        return ()
-    each = shares(guardrail)
+    guardrail, faces = guardrail_from_file(file), _held_faces(file)
+    return _feet(file, faces, np.array(guardrail.foot_point), shares(guardrail)) if faces else ()
+
+
+def feet_at(
+    file: GuardrailFile, stance: StanceFile, guardrail: Guardrail, each: Sequence[FloatArray]
+) -> tuple[Foot, ...]:
+    """Return the feet in another stance than that of the file, with their shares (6, 6) of the wrench."""
+    places = [place for place in (stance.foot_1, stance.foot_2) if place is not None]
+    faces = [(foothold_face(guardrail, place), axis_point(guardrail, place)) for place in places]
+    return _feet(file, faces, foothold_pose(guardrail, stance.foot_1)[:3, 3], each)
+
+
+def _feet(
+    file: GuardrailFile,
+    faces: Sequence[tuple[Face, FloatArray]],
+    foot_point: FloatArray,
+    each: Sequence[FloatArray],
+) -> tuple[Foot, ...]:
+    holds = file.hold or (HoldFile(kind="welded"),)
     return tuple(
-        foot_on(face, point, holds[min(k, len(holds) - 1)], np.array(guardrail.foot_point), each[k])
+        foot_on(face, point, holds[min(k, len(holds) - 1)], foot_point, each[k])
         for k, (face, point) in enumerate(faces)
     )
 

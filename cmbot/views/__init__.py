@@ -7,6 +7,7 @@ from cmbot.views.plots import figure_files, plot, require_matplotlib
 from cmbot.views.replay import ReplayServer, replay, replay_page
 from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
 from cmbot.views.show import Shown, show
+from cmbot.views.stances import stances_page
 
 __all__ = [
     "REPLAY",
@@ -25,5 +26,6 @@ __all__ = [
     "report_page",
     "require_matplotlib",
     "show",
+    "stances_page",
     "write_page",
 ]

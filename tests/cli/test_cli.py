@@ -88,6 +88,7 @@ def test_help_shows_an_example_and_every_verb() -> None:
         ("plan", "Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=true"),
         ("replay", "Example: cmbot replay out/triangle --html triangle.html"),
         ("report", "Example: cmbot report out/triangle"),
+        ("stand", "Example: cmbot stand line --objective hold, then cmbot plan out/line_stances/best.yaml"),
         ("simulate", "Example: cmbot simulate out/triangle"),
         ("reproduce", "Example: cmbot reproduce -o out/reproduce"),
         ("check", "Examples: cmbot check arm.urdf, cmbot check triangle"),

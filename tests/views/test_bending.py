@@ -93,7 +93,7 @@ def test_loads_are_shares_of_the_joints_bounds(data: dict[str, Any], triangle_pl
 
 
 def test_the_rails_move_with_the_foot_and_not_where_they_are_held(triangle_plan: Plan) -> None:
-    frame, foot = guardrail_frame(triangle_plan.scene.guardrail)
+    frame, (foot,) = guardrail_frame(triangle_plan.scene.guardrail)
     shapes = frame.shapes(foot)
     np.testing.assert_allclose(shapes[foot], np.eye(6), atol=1e-9)
     assert not shapes[list(frame.fixed)].any()

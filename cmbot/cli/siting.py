@@ -1,0 +1,139 @@
+"""The verb of the command line that looks for a place to stand."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import typer
+
+import cmbot
+from cmbot.cli.console import (
+    ConsoleProgress,
+    JsonOption,
+    QuietOption,
+    complete_scene,
+    flat,
+    out,
+    print_result,
+    print_table,
+)
+from cmbot.common.errors import InputError
+
+__all__ = ["stand"]
+
+_SHOWN = 10
+_FILES = ("stances.csv", "best.yaml", "index.html")
+
+
+def stand(
+    scene: Annotated[
+        str,
+        typer.Argument(
+            metavar="SCENE",
+            help="A scene file, or the name of a shipped scene.",
+            autocompletion=complete_scene,
+        ),
+    ],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_stances if left out.")
+    ] = None,
+    objective: Annotated[
+        str | None, typer.Option("--objective", help="torque or hold, in place of the scene's.")
+    ] = None,
+    plans: Annotated[int, typer.Option("--plans", help="How many of the best stances to plan.", min=0)] = 3,
+    spacing: Annotated[
+        float, typer.Option("--spacing", help="Metres between places of foot 1.", min=0.01)
+    ] = 0.05,
+    pair_spacing: Annotated[
+        float, typer.Option("--pair-spacing", help="Metres between places of two feet.", min=0.05)
+    ] = 0.15,
+    one_foot: Annotated[bool, typer.Option("--one-foot", help="Leave foot 2 free.")] = False,
+    force: Annotated[bool, typer.Option("--force", help="Replace the files of an earlier search.")] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Find where the robot should stand for a scene's job: stances screened by bounds, the best planned.
+
+    Writes a ranked table, a page with a map, and the scene with the best stance.
+
+    Example: [bold]cmbot stand line --objective hold[/bold], then
+    [bold]cmbot plan out/line_stances/best.yaml[/bold]
+    """
+    started = time.perf_counter()
+    loaded = cmbot.load_scene(scene)
+    if objective is not None:
+        loaded = replace(loaded, planner=replace(loaded.planner, objective=_known(objective)))
+    directory = output if output is not None else Path("out") / f"{loaded.name}_stances"
+    _require_free(directory, force=force)
+    from cmbot.siting import StandOptions, in_words
+    from cmbot.siting import stand as find
+
+    options = StandOptions(
+        spacing=spacing, pair_spacing=float("inf") if one_foot else pair_spacing, plans=plans
+    )
+    with ConsoleProgress(quiet=quiet) as progress:
+        progress.stage("listing stances", 0.0)
+        standing = find(loaded, options, progress.stage)
+    _write(directory, standing)
+    if as_json:
+        print_result("stand", directory, _summary(standing))
+    elif not quiet:
+        rows = [
+            (str(rank), each.place, each.status, *each.figures)
+            for rank, each in enumerate(standing.ranked[:_SHOWN], start=1)
+        ]
+        headings = ("", "stance", "status", f"bound, {standing.unit}", f"planned, {standing.unit}")
+        print_table("Stances", headings, rows, text_columns=3)
+        for line in in_words(standing):
+            out.print(flat(line))
+        out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+
+
+def _known(objective: str) -> Literal["torque", "hold"]:
+    match objective:
+        case "torque" | "hold":
+            return objective
+    raise InputError("cmbot stand", "--objective", objective, "a known value", ("torque", "hold"))
+
+
+def _require_free(directory: Path, *, force: bool) -> None:
+    there = [name for name in _FILES if (directory / name).exists()]
+    if there and not force:
+        expected = "a folder without these files, or --force"
+        raise InputError(str(directory), "", ", ".join(there), expected)
+
+
+def _write(directory: Path, standing: Any) -> None:
+    from cmbot.siting import best_scene, stances_csv
+    from cmbot.views import stances_page, write_page
+
+    directory.mkdir(parents=True, exist_ok=True)
+    write_page(directory / "stances.csv", stances_csv(standing))
+    write_page(directory / "index.html", stances_page(standing))
+    write_page(directory / "best.yaml", _yaml(best_scene(standing)))
+
+
+def _yaml(data: dict[str, Any]) -> str:
+    """YAML in which JSON is valid: what `cmbot.load_scene` reads."""
+    import json
+
+    return f"# Written by cmbot stand: the scene in its best stance.\n{json.dumps(data, indent=2)}\n"
+
+
+def _summary(standing: Any) -> dict[str, Any]:
+    from cmbot.siting import in_words
+
+    counts = {name: standing.count(name.replace("_", " ")) for name in _STATUSES}
+    best = standing.ranked[0]
+    return {
+        "candidates": len(standing.ranked),
+        **counts,
+        "best": best.place,
+        "words": list(in_words(standing)),
+    }
+
+
+_STATUSES = ("planned", "screened", "failed", "blocked", "no_posture", "out_of_reach")

@@ -1,0 +1,119 @@
+"""Candidates: every place where the feet could hold, with the climber's postures that reach both."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.robot import Climber
+from cmbot.scene import (
+    FootholdFile,
+    Scene,
+    StanceFile,
+    foothold_face,
+    foothold_pose,
+)
+
+__all__ = ["Candidate", "candidates_of"]
+
+# Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets.
+_REACH = 0.9
+# Feet do not stand on each other, m.
+_APART = 0.16
+# Places this far from the ends of a member are left out, m.
+_MARGIN = 0.04
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Candidate:
+    """A stance, and where the arm's base is in it.
+
+    Attributes
+    ----------
+    stance : StanceFile
+        With the climber's angles.
+    root, base : (4, 4)
+        Poses of foot 1 and of the arm's base in W.
+    climber : (5,), rad
+    """
+
+    stance: StanceFile
+    root: FloatArray
+    base: FloatArray
+    climber: FloatArray
+
+
+def candidates_of(scene: Scene, spacing: float, pair_spacing: float) -> Iterator[Candidate]:
+    """Yield the stances of the shipped robot on a scene's guardrail.
+
+    Round bars are left out where the feet are magnets or welded, and so are stances in which the base is
+    on the track's side of foot 1's member.
+
+    Parameters
+    ----------
+    scene : Scene
+    spacing : float, m
+        Between places of foot 1 alone, along members.
+    pair_spacing : float, m
+        Between places of both feet; infinite: foot 2 stays free.
+    """
+    climber = Climber()
+    known = set[tuple[float, ...]]()
+    for place in _places(scene, spacing):
+        X = foothold_pose(scene.guardrail, place)
+        angles = climber.hanging(X[:3, :3])
+        if angles is None:
+            continue
+        candidate = _candidate(place, None, X, angles, climber)
+        # Turned by half a turn, plate and base are where they were.
+        key = (*X[:3, 3].round(6).tolist(), *X[:3, 1].round(6).tolist())
+        if key not in known:
+            known.add(key)
+            yield candidate
+    if not np.isfinite(pair_spacing):
+        return
+    places = list(_places(scene, pair_spacing))
+    poses = [foothold_pose(scene.guardrail, place) for place in places]
+    for place, X in zip(places, poses, strict=True):
+        for other, X_2 in zip(places, poses, strict=True):
+            away = float(np.linalg.norm(X_2[:3, 3] - X[:3, 3]))
+            if not _APART <= away <= _REACH or other.turn_deg != places[0].turn_deg:
+                continue
+            for angles in climber.reaching(np.linalg.inv(X) @ X_2):
+                candidate = _candidate(place, other, X, angles, climber)
+                out = candidate.base[:3, 3] - X[:3, 3]
+                if out @ X[:3, 1] > 0:
+                    yield candidate
+
+
+def _candidate(
+    place: FootholdFile, other: FootholdFile | None, X: FloatArray, angles: FloatArray, climber: Climber
+) -> Candidate:
+    degrees = tuple(np.degrees(angles).tolist())
+    # A model of its own parts, which are checked: nothing else is in it.
+    stance = StanceFile.model_construct(foot_1=place, foot_2=other, climber_deg=degrees)
+    return Candidate(stance=stance, root=X, base=X @ climber.poses(angles)[1], climber=angles)
+
+
+def _places(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
+    """Places of a foot along posts and rails, on every side from which a base can hang, both ways up."""
+    guardrail = scene.guardrail
+    posts = [(f"post_{k + 1}", ("outer", "left", "right")) for k in range(len(guardrail.post_positions))]
+    rails = [(rail.name, ("outer",)) for rail in guardrail.rails]
+    clamps = {hold.kind for hold in scene.file.guardrail.hold or ()} == {"clamp"}
+    for member, faces in (*posts, *rails):
+        for face in faces:
+            probe = FootholdFile.model_validate({"member": member, "along_m": 0.0, "face": face})
+            side = foothold_face(guardrail, probe)
+            if side.width is None and not clamps:
+                continue
+            low, high = _MARGIN, side.ends[1] - side.ends[0] - _MARGIN
+            if member.startswith("post_"):
+                low = guardrail.post.clamp - guardrail.post.bottom + _MARGIN
+                high += _MARGIN - 0.05
+            for along in np.arange(low, high + 1e-9, spacing):
+                for turn in (0.0, 180.0):
+                    yield probe.model_copy(update={"along_m": round(float(along), 4), "turn_deg": turn})

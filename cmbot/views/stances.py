@@ -1,0 +1,105 @@
+"""The page of `cmbot stand`: a map of the stances along the guardrail, and the ranked table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from html import escape
+
+import numpy as np
+
+from cmbot.siting import Standing, Stood, in_words
+
+__all__ = ["stances_page"]
+
+_WIDTH, _HEIGHT, _EDGE = 900, 360, 50
+_COLOURS = {
+    "planned": "#1a7f37",
+    "screened": "#2f6fb7",
+    "failed": "#c0392b",
+    "blocked": "#b26a00",
+    "no posture": "#8a8f98",
+    "out of reach": "#c9ced6",
+}
+# Rows of the table.
+_ROWS = 60
+_STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:60rem;padding:0 1rem;color:#1d2430;"
+    "background:#fff}table{border-collapse:collapse;width:100%}td,th{padding:.2rem .6rem;text-align:right;"
+    "border-bottom:1px solid #dde2e8}td.text,th.text{text-align:left}svg{width:100%;height:auto}"
+    "@media(prefers-color-scheme:dark){body{color:#e6e9ee;background:#15181d}td,th{border-color:#333a44}"
+    "svg text{fill:#e6e9ee}}"
+)
+
+
+def stances_page(standing: Standing) -> str:
+    """Return an HTML page that opens no connection and runs no script.
+
+    Parameters
+    ----------
+    standing : Standing
+    """
+    title = f"Where to stand: {escape(standing.scene.name)}"
+    rows = "".join(_row(rank, each) for rank, each in enumerate(standing.ranked[:_ROWS], start=1))
+    unit = escape(standing.unit)
+    heads = ("stance", "status", f"bound, {unit}", f"planned, {unit}", "torque at rest, Nm", "adhesion, kN")
+    head = "".join(f"<th{_text(k)}>{name}</th>" for k, name in enumerate(("", *heads)))
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+        "style-src 'unsafe-inline'\">"
+        f"<title>{title}</title><style>{_STYLE}</style></head><body><h1>{title}</h1>"
+        f"{''.join(f'<p>{escape(line)}</p>' for line in in_words(standing))}"
+        f"{_map(standing)}<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></body></html>\n"
+    )
+
+
+def _text(column: int) -> str:
+    return ' class="text"' if column in (1, 2) else ""
+
+
+def _row(rank: int, each: Stood) -> str:
+    planned = "" if each.plan is None else f"{each.plan.objective.planned_peak:.1f}"
+    bound, torque, adhesion = ("", "", "")
+    if np.isfinite(each.bound):
+        bound, torque, adhesion = f"{each.bound:.1f}", f"{each.torque:.1f}", f"{each.adhesion / 1e3:.2f}"
+    cells = (str(rank), each.place, each.status, bound, planned, torque, adhesion)
+    return "<tr>" + "".join(f"<td{_text(k)}>{escape(cell)}</td>" for k, cell in enumerate(cells)) + "</tr>"
+
+
+def _map(standing: Standing) -> str:
+    """Position of foot 1 along the guardrail against the bound; those without one along the upper edge."""
+    finite = [each.bound for each in standing.ranked if np.isfinite(each.bound)]
+    xs = [float(each.candidate.root[0, 3]) for each in standing.ranked]
+    if not finite or not xs:
+        return ""
+    low, high = min(xs), max(max(xs), min(xs) + 1e-3)
+    top = float(np.quantile(finite, 0.98)) * 1.1
+    marks = "".join(_marks(standing, low, high, top))
+    labels = "".join(
+        f'<text x="{_EDGE + share * (_WIDTH - 2 * _EDGE):.0f}" y="{_HEIGHT - 15}" font-size="13" '
+        f'text-anchor="middle">x = {low + share * (high - low):.1f} m</text>'
+        for share in (0.0, 0.5, 1.0)
+    )
+    legend = "".join(
+        f'<circle cx="{_EDGE + 120 * k}" cy="12" r="4" fill="{colour}"/>'
+        f'<text x="{_EDGE + 120 * k + 8}" y="16" font-size="13">{name}</text>'
+        for k, (name, colour) in enumerate(_COLOURS.items())
+    )
+    scale = (
+        f'<text x="4" y="{_y(top, top):.0f}" font-size="13">{top:.3g} {escape(standing.unit)}</text>'
+        f'<text x="4" y="{_y(0, top):.0f}" font-size="13">0</text>'
+    )
+    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{legend}{scale}{labels}{marks}</svg>'
+
+
+def _marks(standing: Standing, low: float, high: float, top: float) -> Iterator[str]:
+    # The best last, above the others.
+    for each in reversed(standing.ranked):
+        x = _EDGE + (float(each.candidate.root[0, 3]) - low) / (high - low) * (_WIDTH - 2 * _EDGE)
+        y = _y(min(each.bound, top), top) if np.isfinite(each.bound) else 34.0
+        radius = 5 if each.status == "planned" else 2.5
+        yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{_COLOURS[each.status]}"/>'
+
+
+def _y(value: float, top: float) -> float:
+    return 50 + (1 - value / top) * (_HEIGHT - 100)

@@ -1,0 +1,129 @@
+"""Where to stand: candidates, bounds, the ranked table, the scene with the best stance."""
+
+import csv
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.common.errors import SceneError
+from cmbot.planning import plan, robot_of, strokes_of, task_of
+from cmbot.robot import Climber
+from cmbot.scene import FootholdFile, Scene, StanceFile
+from cmbot.siting import (
+    Candidate,
+    Standing,
+    StandOptions,
+    best_scene,
+    candidates_of,
+    in_words,
+    screen,
+    stances_csv,
+    stand,
+)
+from cmbot.siting.standing import _scene
+from cmbot.views import stances_page
+
+COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1, checks=8)
+
+
+def scene_of(objective: str = "hold", **changes: Any) -> Scene:
+    return short_scene(
+        planner={"objective": objective, "knots": "sliding"}, format="cmbot-scene/2", **changes
+    )
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return scene_of()
+
+
+@pytest.fixture(scope="module")
+def standing(scene: Scene) -> Standing:
+    return stand(scene, COARSE)
+
+
+@pytest.fixture(scope="module")
+def candidates(scene: Scene) -> list[Candidate]:
+    return [*candidates_of(scene, 0.9, 0.6)]
+
+
+def test_a_candidate_is_where_the_robot_of_its_scene_is(scene: Scene, candidates: list[Candidate]) -> None:
+    two = [each for each in candidates if each.stance.foot_2 is not None]
+    assert 0 < len(two) < len(candidates)
+    for candidate in (candidates[3], two[0], two[-1]):
+        robot = robot_of(_scene(scene, candidate, None))
+        placement = robot.model.frames[robot.model.getFrameId("arm_base")].placement
+        np.testing.assert_allclose(placement.homogeneous, candidate.base, atol=1e-9)
+        np.testing.assert_allclose(robot.foot_point, candidate.root[:3, 3], atol=1e-9)
+
+
+def test_the_climber_weighs_what_does_not_move(scene: Scene, candidates: list[Candidate]) -> None:
+    candidate = candidates[-1]
+    mass, centre = Climber().weight(candidate.climber)
+    robot = robot_of(_scene(scene, candidate, None))
+    assert mass == pytest.approx(robot.carrier_mass)
+    whole = candidate.root[:3, :3] @ centre + candidate.root[:3, 3]
+    np.testing.assert_allclose(whole, robot.model.inertias[0].lever, atol=1e-9)
+
+
+@pytest.mark.parametrize("objective", ["torque", "hold"])
+def test_the_bound_is_that_of_the_charts(objective: str) -> None:
+    """At the scene's own stance, from above, and about as low as the global search finds."""
+    scene = scene_of(objective, tool={"process_force_n": [0, 0, -30]})
+    place, climber = FootholdFile(member="post_3", along_m=1.10), Climber()
+    own = Candidate(
+        stance=StanceFile(foot_1=place),
+        root=np.eye(4),
+        base=climber.poses(climber.working)[1],
+        climber=climber.working,
+    )
+    robot = robot_of(scene)
+    tasks = [task_of(stroke, scene) for stroke in strokes_of(scene, robot)]
+    found = screen(scene, robot, tasks, [own], scene.planner)
+    made = plan(scene)
+    bound = max(made.lower_bound.each[k] for k in (0, -1))
+    assert 0.99 * bound <= found.bound[0] <= 1.05 * made.objective.planned_peak
+
+
+def test_the_ranked_table(standing: Standing) -> None:
+    rows = [*csv.DictReader(stances_csv(standing).splitlines())]
+    assert len(rows) == len(standing.ranked) > 20
+    assert {row["status"] for row in rows} <= {
+        "planned",
+        "failed",
+        "blocked",
+        "screened",
+        "no posture",
+        "out of reach",
+    }
+    assert rows[0]["status"] == "planned"
+    bounds = [float(row["bound"]) for row in rows if row["status"] == "screened"]
+    assert bounds == sorted(bounds)
+    assert float(rows[0]["planned"]) == pytest.approx(standing.best.plan.objective.planned_peak, rel=1e-5)
+
+
+def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Standing) -> None:
+    best, usual = standing.best.plan, plan(scene)
+    assert best.figures.adhesion_needed.peak < 0.5 * usual.figures.adhesion_needed.peak
+    np.testing.assert_allclose(best.samples.tool_point[0], usual.samples.tool_point[0], atol=1e-6)
+    loaded = cmbot.load_scene(best_scene(standing))
+    assert loaded.robot.stance == best.scene.robot.stance
+    assert sum("may be better" in line for line in in_words(standing)) == 1
+
+
+def test_the_page_opens_no_connection(standing: Standing) -> None:
+    page = stances_page(standing)
+    assert "<script" not in page
+    assert "http://" not in page
+    assert page.count("<circle") == len(standing.ranked) + 6
+
+
+def test_what_cannot_be_screened(scene: Scene) -> None:
+    with pytest.raises(SceneError, match="torque or hold, by which stances are screened"):
+        stand(replace(scene, planner=replace(scene.planner, objective="sag")))
+    with pytest.raises(SceneError, match="the shipped robot, which holds a guardrail"):
+        stand(scene_of("torque", guardrail={"bays": 0}))
