@@ -82,6 +82,11 @@ def require_segments(file: PlanFile, folder: Path, scene: Scene, *, returns: boo
         if abs(segment.begin - begin) > _SAME * max(begin, 1.0):
             raise ArchiveError(source, f"segments[{k}].begin", segment.begin, f"{begin:g}, where one ended")
         begin = segment.begin + segment.seconds
+        if file.format != EARLIER_FORMAT and segment.duration is not None:
+            integral, key = segment.mean_guardrail_torque * segment.seconds, f"segments[{k}]"
+            _require_number(segment.duration, segment.seconds, source, f"{key}.duration")
+            stored = segment.guardrail_torque_integral
+            _require_number(stored, integral, source, f"{key}.guardrail_torque_integral")
 
 
 def require_fit(file: PlanFile, posture: FloatArray, end: FloatArray | None, job: Job, folder: Path) -> None:

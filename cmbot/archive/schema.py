@@ -104,6 +104,10 @@ class MetricsFile(FileModel):
     limit_use: Annotated[LimitUse, _at_least_zero()]
     adhesion_needed: Annotated[AdhesionPeak, _at_least_zero("peak", "time", "foot")] | None = None
     """null where no foot has a flat contact, and in older files."""
+    duration: NonNegative | None = None
+    """None in older files."""
+    guardrail_torque_integral: NonNegative | None = None
+    """None in older files."""
 
 
 class CheckFile(FileModel):

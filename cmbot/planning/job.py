@@ -223,6 +223,7 @@ def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
     seconds = np.array([segment.duration for segment in segments])
     mean = np.average([figures.mean_guardrail_torque for figures in each], weights=seconds)
     rms = [figures.rms_guardrail_torque for figures in each if figures.rms_guardrail_torque is not None]
+    timed = all(figures.duration is not None for figures in each)
     use = {
         field.name: max(getattr(figures.limit_use, field.name) for figures in each)
         for field in fields(LimitUse)
@@ -240,6 +241,8 @@ def job_metrics(segments: Iterable[Timed], begin: float = 0.0) -> MotionMetrics:
         max_tool_lag=max((figures.max_tool_lag for figures in strokes), default=0.0),
         limit_use=LimitUse(**use),
         adhesion_needed=_largest_adhesion(segments, begin),
+        duration=float(seconds.sum()) if timed else None,
+        guardrail_torque_integral=float(mean * seconds.sum()) if timed else None,
     )
 
 

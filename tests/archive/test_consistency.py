@@ -206,10 +206,11 @@ def test_verify_notices_wrong_figures(folder, sliding_plan, motion):
         if k:
             data["planned"].update(wrong)
         segment, old = data["segments"][k], data["segments"][k]["mean_guardrail_torque"]
-        segment.update(wrong)
+        integral = {"guardrail_torque_integral": segment["seconds"]}
+        segment.update(wrong | integral)
         job["mean_guardrail_torque"] += (1.0 - old) * segment["seconds"] / sliding_plan.job.duration
-        if not k:
-            data["planned"]["free"].update(wrong)
+        job["guardrail_torque_integral"] += (1.0 - old) * segment["seconds"]
+        data["planned"].update(integral) if k else data["planned"]["free"].update(wrong | integral)
 
     edit(folder, change)
     assert load_plan(folder).start.moved > 0  # the file's word

@@ -28,6 +28,8 @@ FIGURES = {
         "max_tool_lag",
         "limit_use",
         "adhesion_needed",
+        "duration",
+        "guardrail_torque_integral",
     ),
 }
 

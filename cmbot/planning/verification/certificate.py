@@ -213,6 +213,8 @@ def certify(
         max_tool_lag=lag.value,
         limit_use=LimitUse(velocity=shares[0], acceleration=shares[1], jerk=shares[2], torque=shares[3]),
         adhesion_needed=None if hold is None else hold.needed,
+        duration=trajectory.duration,
+        guardrail_torque_integral=mean * trajectory.duration,
     )
     return Certificate(
         checks=tuple(checks),

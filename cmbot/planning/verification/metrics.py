@@ -52,6 +52,9 @@ class MotionMetrics:
     adhesion_needed : AdhesionPeak or None
         Largest adhesion that a foot needs; None where no foot has a flat contact, and in plans of earlier
         versions.
+    duration : float or None, s
+    guardrail_torque_integral : float or None, Nm s
+        Of the torque's norm over that time; both None in plans of earlier versions.
     """
 
     peak_guardrail_torque: float
@@ -64,6 +67,8 @@ class MotionMetrics:
     max_tool_lag: float
     limit_use: LimitUse
     adhesion_needed: AdhesionPeak | None = None
+    duration: float | None = None
+    guardrail_torque_integral: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,9 +186,10 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
     static = Postures(robot).at(samples.q).guardrail_torque
     duration, holding = float(samples.t[-1] - samples.t[0]), robot.holding
     wrench = np.hstack([samples.guardrail_force, samples.guardrail_torque])
+    integral = float(np.trapezoid(torque, samples.t))
     return MotionMetrics(
         peak_guardrail_torque=float(torque.max()),
-        mean_guardrail_torque=float(np.trapezoid(torque, samples.t) / duration),
+        mean_guardrail_torque=integral / duration,
         rms_guardrail_torque=float(np.sqrt(np.trapezoid(torque**2, samples.t) / duration)),
         peak_static_guardrail_torque=float(np.linalg.norm(static, axis=1).max()),
         min_clearance=float(samples.clearance.min()),
@@ -197,4 +203,6 @@ def figures(robot: Robot, samples: Samples) -> MotionMetrics:
             torque=use(samples.joint_torque, limits.torque),
         ),
         adhesion_needed=holding.worst(wrench, samples.t) if holding and holding.flat else None,
+        duration=duration,
+        guardrail_torque_integral=integral,
     )

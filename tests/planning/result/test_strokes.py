@@ -71,6 +71,8 @@ def test_figures_of_all_follow_from_those_of_each(strokes_plan: Plan) -> None:
     ]
     mean = np.average([work.mean_guardrail_torque, free.mean_guardrail_torque], weights=seconds)
     assert job.mean_guardrail_torque == pytest.approx(mean)
+    assert job.duration == pytest.approx(made.job.duration)
+    assert job.guardrail_torque_integral == pytest.approx(mean * made.job.duration)
     assert job.rms_guardrail_torque is not None
     assert job.mean_guardrail_torque < job.rms_guardrail_torque < job.peak_guardrail_torque
 
@@ -137,6 +139,11 @@ def test_a_stroke_alone_keeps_its_name(tmp_path: Path) -> None:
         (lambda data: data["planned"]["free"].update(min_clearance=1.0), "planned.free.min_clearance"),
         (lambda data: data["planned"].update(free=None), "planned.free"),
         (lambda data: data["segments"][2].update(name="free_2"), "segments"),
+        (lambda data: data["segments"][1].update(duration=1.0), "segments[1].duration"),
+        (
+            lambda data: data["segments"][1].update(guardrail_torque_integral=1.0),
+            "segments[1].guardrail_torque_integral",
+        ),
     ],
 )
 def test_what_contradicts_the_strokes_is_refused(
