@@ -105,6 +105,21 @@ def test_paths_are_relative_to_the_scene_file(folder, monkeypatch):
     assert load_scene(scene.file.as_data()).obstacles[0].shape == Mesh(path=folder / "rock.stl")
 
 
+def test_joints_are_rigid_in_scenes_of_the_first_format():
+    """Where they say nothing; and they stay what they are when the file becomes one of the second format."""
+    first = load_scene(MINIMAL)
+    assert (first.file.format, first.robot.joints) == ("cmbot-scene/1", "rigid")
+    second = load_scene({**MINIMAL, "format": "cmbot-scene/2"})
+    assert second.robot.joints == "elastic"
+    assert load_scene({**MINIMAL, "robot": {"joints": "elastic"}}).robot.joints == "elastic"
+    assert load_scene("triangle").robot.joints == "rigid"
+    pushed = update_file(replace(first, tool=replace(first.tool, max_speed_m_s=0.5)))
+    assert (pushed.file.format, load_scene(pushed.file.as_data()).robot.joints) == ("cmbot-scene/2", "rigid")
+    bending = update_file(replace(first, robot=replace(first.robot, joints="elastic")))
+    assert load_scene(bending.file.as_data()).robot.joints == "elastic"
+    assert update_file(second).content_hash == second.content_hash
+
+
 @pytest.mark.parametrize(
     ("file", "key"),
     [
