@@ -5,6 +5,7 @@ from cmbot.archive.mcap_file import export_mcap
 from cmbot.archive.motion_files import columns
 from cmbot.archive.names import PLAN_FILE
 from cmbot.archive.reading import load_plan, plan_data
+from cmbot.archive.ros_package import export_ros_package
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
 from cmbot.archive.writing import resolved_file, save
@@ -15,6 +16,7 @@ __all__ = [
     "claim",
     "columns",
     "export_mcap",
+    "export_ros_package",
     "json_bytes",
     "load_plan",
     "load_tracking",

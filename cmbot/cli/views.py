@@ -161,19 +161,32 @@ def compare(
 def export(
     directory: PlanArgument,
     mcap: Annotated[
-        Path, typer.Option("--mcap", metavar="FILE", help="MCAP file of ROS 2 messages to write.")
-    ],
+        Path | None, typer.Option("--mcap", metavar="FILE", help="MCAP file of ROS 2 messages to write.")
+    ] = None,
+    ros_package: Annotated[
+        Path | None,
+        typer.Option("--ros-package", metavar="FOLDER", help="Description package of the robot to write."),
+    ] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the file if it is there.")] = False,
 ) -> None:
-    """Write a plan for other programs: the whole job as ROS 2 messages, for Foxglove and RViz.
+    """Write a plan for ROS 2: the job as messages for Foxglove and RViz, the robot as a package.
 
-    Example: [bold]cmbot export out/triangle --mcap triangle.mcap[/bold]
+    Examples: [bold]cmbot export out/triangle --mcap triangle.mcap[/bold],
+    [bold]cmbot export out/triangle --ros-package cmbot_description[/bold]
     """
-    _require_new(mcap, force)
-    from cmbot.archive import export_mcap
+    if mcap is None and ros_package is None:
+        raise InputError("cmbot export", "", "nothing to write", "--mcap or --ros-package")
+    if mcap is not None:
+        _require_new(mcap, force)
+    from cmbot.archive import export_mcap, export_ros_package
 
-    export_mcap(cmbot.load_plan(directory), mcap)
-    out.print(f"Written to {flat(mcap)}.")
+    loaded = cmbot.load_plan(directory)
+    if ros_package is not None:
+        export_ros_package(loaded, ros_package)
+        out.print(f"Written to {flat(ros_package)}.")
+    if mcap is not None:
+        export_mcap(loaded, mcap)
+        out.print(f"Written to {flat(mcap)}.")
 
 
 def _require_new(page: Path, force: bool) -> None:

@@ -1,0 +1,182 @@
+"""The robot of a plan as a ROS 2 description package for RViz and MoveIt: URDF, meshes, SRDF, limits."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from cmbot.archive.atomic import refusals
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError
+from cmbot.common.validation import given_path
+from cmbot.planning import Plan, require_plan
+from cmbot.robot import Robot, RobotFiles, locate_meshes, parse_urdf, robot_files, srdf_text
+from cmbot.scene import STOW
+
+__all__ = ["export_ros_package"]
+
+_CMAKE = """cmake_minimum_required(VERSION 3.8)
+project({name})
+find_package(ament_cmake REQUIRED)
+install(DIRECTORY urdf meshes config DESTINATION share/${{PROJECT_NAME}})
+ament_package()
+"""
+_MANIFEST = """<?xml version="1.0"?>
+<package format="3">
+  <name>{name}</name>
+  <version>0.1.0</version>
+  <description>Description of the robot {robot}, written by cmbot</description>
+  <maintainer email="nobody@example.org">nobody</maintainer>
+  <license>as of the robot's files</license>
+  <buildtool_depend>ament_cmake</buildtool_depend>
+  <exec_depend>robot_state_publisher</exec_depend>
+  <exec_depend>xacro</exec_depend>
+  <export>
+    <build_type>ament_cmake</build_type>
+  </export>
+</package>
+"""
+
+
+def export_ros_package(plan: Plan, folder: str | Path) -> Path:
+    """Write the robot of a plan as a ROS 2 description package, the whole folder or nothing.
+
+    ``urdf/`` has its URDF with meshes by ``package://``, which are in ``meshes/``; ``config/`` its SRDF with
+    the group of the arm, the tool as ``end_effector`` and the state ``stow``, and the joint limits that were
+    planned with, as MoveIt reads them.
+
+    Parameters
+    ----------
+    plan : Plan
+    folder : str or Path
+        A new folder, such as ``cmbot_description``: its name is that of the package.
+
+    Returns
+    -------
+    Path
+        Of the folder.
+
+    Raises
+    ------
+    InputError
+        When `plan` is none.
+    ModelError
+        When a file of the robot cannot be read.
+    ArchiveError
+        When the folder is there already, its name is none of a package, or the system refuses.
+    """
+    require_plan(plan, "cmbot.export_ros_package")
+    target = given_path(folder, "cmbot.export_ros_package", "folder", "the path of a new folder").resolve()
+    if not re.fullmatch(r"[a-z][a-z0-9_]+", target.name):
+        expected = "a package's name: small letters, digits and _, such as cmbot_description"
+        raise ArchiveError(str(target), "", "another name of a folder", expected)
+    if target.exists():
+        raise ArchiveError(str(target), "", "something that is already there", "the path of a new folder")
+    source, robot = plan.scene.robot, plan.robot
+    described = robot_files(source.model, srdf=source.srdf, package_dirs=source.package_dirs or ())
+    name, urdf = target.name, parse_urdf(described.urdf, package_dirs=described.package_dirs)
+    locate_meshes(described.urdf, urdf, described.package_dirs)
+    meshes = _moved_meshes(urdf, name)
+    texts = {
+        "package.xml": _MANIFEST.format(name=name, robot=re.sub(r"[<&>]", "_", robot.name)),
+        "CMakeLists.txt": _CMAKE.format(name=name),
+        "urdf/robot.urdf": _text(urdf),
+        "config/robot.srdf": _text(_semantics(plan, described)),
+        "config/joint_limits.yaml": _limits(robot),
+    }
+    with refusals(target):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=target.parent, prefix=".cmbot-package-") as place:
+            made = Path(place) / name
+            for part in ("urdf", "meshes", "config"):
+                (made / part).mkdir(parents=True)
+            for file, text in texts.items():
+                (made / file).write_text(text, encoding="utf-8")
+            for file, path in meshes.items():
+                shutil.copyfile(path, made / "meshes" / file)
+            made.rename(target)
+    return target
+
+
+def _moved_meshes(urdf: ElementTree.Element, package: str) -> dict[str, str]:
+    """Name the meshes of a URDF by the package, in place; their files there and where they are now."""
+    moved: dict[str, str] = {}
+    for mesh in urdf.iter("mesh"):
+        path = mesh.get("filename", "")
+        known = next((name for name, before in moved.items() if before == path), None)
+        if known is None:
+            stem, suffix = Path(path).stem, Path(path).suffix
+            known, number = f"{stem}{suffix}", 1
+            while known in moved:  # another file of that name
+                number += 1
+                known = f"{stem}_{number}{suffix}"
+            moved[known] = path
+        mesh.set("filename", f"package://{package}/meshes/{known}")
+    return moved
+
+
+def _semantics(plan: Plan, files: RobotFiles) -> ElementTree.Element:
+    """Return the robot's SRDF with its arm, the tool, and the posture in which it is put away."""
+    robot = plan.robot
+    if files.srdf is None:
+        srdf = ElementTree.fromstring(srdf_text(files))
+    else:
+        srdf = parse_urdf(files.srdf, "an SRDF", files.package_dirs)
+    arm = next(
+        (
+            group.get("name", "")
+            for group in srdf.findall("group")
+            for chain in group.findall("chain")
+            if chain.get("tip_link") == robot.tool_frame
+        ),
+        None,
+    )
+    if arm is None:
+        arm = "cmbot_arm"
+        group = ElementTree.SubElement(srdf, "group", name=arm)
+        ElementTree.SubElement(group, "chain", base_link=robot.base_frame, tip_link=robot.tool_frame)
+    if not srdf.findall("end_effector"):
+        group = ElementTree.SubElement(srdf, "group", name="cmbot_tool")
+        ElementTree.SubElement(group, "link", name=robot.tool_frame)
+        ElementTree.SubElement(
+            srdf,
+            "end_effector",
+            name="tool",
+            parent_link=robot.tool_frame,
+            group="cmbot_tool",
+            parent_group=arm,
+        )
+    if all(state.get("name") != STOW for state in srdf.findall("group_state")):
+        away = robot.group_states.get(STOW, plan.scene.posture)
+        state = ElementTree.SubElement(srdf, "group_state", name=STOW, group=arm)
+        for joint, value in zip(robot.joints, away, strict=True):
+            ElementTree.SubElement(state, "joint", name=joint, value=repr(float(value)))
+    return srdf
+
+
+def _limits(robot: Robot) -> str:
+    """Return the joints' limits, SI, as MoveIt reads them."""
+    limits, lines = robot.limits, ["joint_limits:"]
+    bounds: Mapping[str, Sequence[float] | FloatArray] = {
+        "velocity": limits.velocity,
+        "acceleration": limits.acceleration,
+        "jerk": limits.jerk,
+    }
+    for i, joint in enumerate(robot.joints):
+        lines.append(f"  {joint}:")
+        for kind, values in bounds.items():
+            if np.isfinite(values[i]):
+                lines.append(f"    has_{kind}_limits: true")
+                lines.append(f"    max_{kind}: {float(values[i])!r}")
+    return "\n".join(lines) + "\n"
+
+
+def _text(root: ElementTree.Element) -> str:
+    ElementTree.indent(root)
+    return f'<?xml version="1.0"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'

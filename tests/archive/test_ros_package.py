@@ -1,0 +1,69 @@
+"""The robot as a ROS package: other code reads it, and it is the robot that was planned with."""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from command_line import output, refusal
+from ruamel.yaml import YAML
+
+from cmbot.archive import export_ros_package
+from cmbot.common.errors import ArchiveError
+from cmbot.planning import Plan
+from cmbot.robot import load_robot
+
+
+@pytest.fixture(scope="module")
+def package(short_plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return export_ros_package(short_plan, tmp_path_factory.mktemp("ros") / "cmbot_description")
+
+
+def test_the_urdf_finds_its_meshes_by_the_package(package: Path, short_plan: Plan) -> None:
+    urdf = package / "urdf" / "robot.urdf"
+    names = [mesh.get("filename") for mesh in ElementTree.parse(urdf).iter("mesh")]
+    assert names
+    for name in names:
+        scheme, _, rest = name.partition("://")
+        assert scheme == "package" and (package.parent / rest).is_file()
+    # pinocchio resolves them as RViz does, from the folder above the package.
+    drawn = pin.buildGeomFromUrdf(
+        pin.buildModelFromUrdf(str(urdf)), str(urdf), pin.VISUAL, package_dirs=str(package.parent)
+    )
+    assert drawn.ngeoms >= len(names)
+    robot = load_robot(
+        urdf, srdf=package / "config" / "robot.srdf", base_frame="arm_base", tool_frame="tool0"
+    )
+    assert robot.joints == short_plan.robot.joints
+
+
+def test_the_srdf_names_arm_tool_and_stow(package: Path, short_plan: Plan) -> None:
+    srdf = ElementTree.parse(package / "config" / "robot.srdf").getroot()
+    (tool,) = srdf.findall("end_effector")
+    groups = {group.get("name") for group in srdf.findall("group")}
+    assert {tool.get("group"), tool.get("parent_group")} <= groups
+    assert (tool.get("parent_link"), tool.get("parent_group")) == ("tool0", "arm")
+    (stow,) = (state for state in srdf.findall("group_state") if state.get("name") == "stow")
+    values = [float(joint.get("value")) for joint in stow]
+    np.testing.assert_allclose(values, short_plan.robot.group_states["stow"])
+
+
+def test_limits_and_manifest(package: Path, short_plan: Plan) -> None:
+    limits = YAML(typ="safe").load(package / "config" / "joint_limits.yaml")["joint_limits"]
+    assert list(limits) == list(short_plan.robot.joints)
+    found = [limits[joint]["max_acceleration"] for joint in limits]
+    np.testing.assert_allclose(found, short_plan.robot.limits.acceleration)
+    manifest = ElementTree.parse(package / "package.xml").getroot()
+    assert manifest.findtext("name") == package.name
+    assert "project(cmbot_description)" in (package / "CMakeLists.txt").read_text(encoding="utf-8")
+
+
+def test_what_is_refused(package: Path, short_plan: Plan, saved_short: Path, tmp_path: Path) -> None:
+    with pytest.raises(ArchiveError, match="already there"):
+        export_ros_package(short_plan, package)
+    assert "a package's name" in refusal("export", saved_short, "--ros-package", tmp_path / "My-Robot")
+    assert "expected --mcap or --ros-package" in refusal("export", saved_short)
+    folder = tmp_path / "arm_description"
+    assert output("export", saved_short, "--ros-package", folder) == f"Written to {folder}.\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["arm_description"]
