@@ -14,6 +14,7 @@ from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import InputError, SceneError
+from cmbot.common.installation import scene_folder
 from cmbot.elastic import BarSection
 from cmbot.planning import plan
 from cmbot.scene import (
@@ -205,7 +206,8 @@ def test_given_stiffness_without_a_frame():
 
 
 @pytest.mark.parametrize("data", [MINIMAL, *(load_scene(name).file.as_data() for name in shipped_scenes())])
-def test_resolved_scene_loads_as_the_same_scene(data):
+def test_resolved_scene_loads_as_the_same_scene(data, monkeypatch):
+    monkeypatch.chdir(scene_folder())  # where the files lie that a shipped scene names
     scene = load_scene(data)
     again = load_scene(json.loads(json.dumps(scene.file.as_data())))
     assert again.file == scene.file
