@@ -6,6 +6,7 @@ import importlib.util
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -154,7 +155,7 @@ def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
         if (covers := stroke.coverage) is not None:
             left_out = f"{covers.left_out:.3g} m2" if covers.left_out else "none"
             mesh = stroke.file.raster.mesh if stroke.file.raster is not None else ""
-            yield f"faces of {mesh}", f"{covers.area:.4g} m2, left out of them {left_out}"
+            yield f"faces of {Path(mesh or '').name}", f"{covers.area:.4g} m2, left out of them {left_out}"
     yield "via-points", " + ".join(str(len(stroke.via_times)) for stroke in strokes)
 
 

@@ -1,4 +1,4 @@
-"""The mesh file of an obstacle."""
+"""The mesh file of an obstacle, or of a surface."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from cmbot.common.validation import shown
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["load_mesh"]
+__all__ = ["is_mesh_file", "load_mesh"]
 
 # The formats that trimesh reads without further packages.
 _FORMATS = ("glb", "obj", "off", "ply", "stl")
@@ -33,17 +33,23 @@ _DAMAGED = (
 )
 
 
-def load_mesh(path: Path, name: str) -> trimesh.Trimesh:
+def is_mesh_file(text: str) -> bool:
+    """Whether a text is the path of a mesh file by its ending, not the name of an obstacle."""
+    return Path(text).suffix.lower().removeprefix(".") in _FORMATS
+
+
+def load_mesh(path: Path, name: str = "", *, key: str = "") -> trimesh.Trimesh:
     """Load an obstacle's mesh file (GLB, OBJ, OFF, PLY or STL), in metres, without its colours.
 
-    Vertices that only differ in colour or normal become one: they would take the mesh apart.
+    Errors name the obstacle of that `name`, or a `key` in its place. Vertices that only differ in colour or
+    normal become one: they would take the mesh apart.
 
     Raises
     ------
     SceneError
         When it cannot be read or has no volume.
     """
-    key = f"obstacles[{name}].mesh"
+    key = key or f"obstacles[{name}].mesh"
     suffix = path.suffix.lower().removeprefix(".")
     if suffix not in _FORMATS:
         raise SceneError(str(path), key, f"the format {path.suffix!r}", "a mesh file", _FORMATS)

@@ -23,6 +23,7 @@ from cmbot.common.validation import given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.scene.fields import si_fields
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
+from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
 from cmbot.scene.path.kept import AxisCone
 from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
@@ -85,7 +86,7 @@ def scene_from_data(data: Mapping[str, Any], folder: Path, source: str) -> Scene
         As `load_scene`.
     """
     _require_model(data, folder, source)
-    data = _with_waypoints(data, folder, source)
+    data = _with_files(data, folder, source)
     return scene_from_file(validated(SceneFile, data, source, SceneError), folder, source)
 
 
@@ -97,24 +98,31 @@ def _require_model(data: Mapping[str, Any], folder: Path, source: str) -> None:
         _model(partial(_found, folder, source), model)
 
 
-def _with_waypoints(data: Mapping[str, Any], folder: Path, source: str) -> dict[str, Any]:
-    """The content with the rows of CSV files of waypoints where it names them."""
+def _with_files(data: Mapping[str, Any], folder: Path, source: str) -> dict[str, Any]:
+    """The content with the rows of CSV files of waypoints, and absolute paths of meshes of rasters, in it.
 
-    def with_rows(entry: Any, key: str) -> Any:
-        if not isinstance(entry, dict) or not isinstance(entry.get("waypoints"), str):
+    A plan of the scene is read from another folder.
+    """
+
+    def with_files(entry: Any, key: str) -> Any:
+        if not isinstance(entry, dict):
             return entry
-        return {
-            **entry,
-            "waypoints": _waypoints(_found(folder, source, entry["waypoints"], f"{key}.waypoints")),
-        }
+        entry, raster = dict(entry), entry.get("raster")
+        if isinstance(entry.get("waypoints"), str):
+            rows = _found(folder, source, entry["waypoints"], f"{key}.waypoints")
+            entry["waypoints"] = _waypoints(rows)
+        if isinstance(raster, dict) and isinstance(raster.get("mesh"), str) and is_mesh_file(raster["mesh"]):
+            mesh = _found(folder, source, raster["mesh"], f"{key}.raster.mesh")
+            entry["raster"] = {**raster, "mesh": str(mesh)}
+        return entry
 
     data = dict(data)
-    tool_path = with_rows(data.get("tool_path"), "tool_path")
+    tool_path = with_files(data.get("tool_path"), "tool_path")
     if isinstance(tool_path, dict) and isinstance(tool_path.get("strokes"), list):
         each = enumerate(tool_path["strokes"])
         tool_path = {
             **tool_path,
-            "strokes": [with_rows(stroke, f"tool_path.strokes[{k}]") for k, stroke in each],
+            "strokes": [with_files(stroke, f"tool_path.strokes[{k}]") for k, stroke in each],
         }
     return data if tool_path is None else data | {"tool_path": tool_path}
 
@@ -184,7 +192,7 @@ def scene_from_file(
         guardrail=guardrail,
         planner=file.planner,
         file=file,
-        content_hash=_content_hash(file.as_data() if stored is None else stored, own, source),
+        content_hash=_content_hash(file, own, source, stored),
         **dict(file.tool_path),
     )
 
@@ -223,7 +231,7 @@ def update_file(scene: Scene) -> Scene:
     file = validated(SceneFile, data, "Scene", SceneError)
     if file == scene.file:
         return replace(scene, obstacles=obstacles)
-    hashed = _content_hash(file.as_data(), own, scene.source)
+    hashed = _content_hash(file, own, scene.source)
     return replace(scene, obstacles=obstacles, file=file, content_hash=hashed)
 
 
@@ -290,18 +298,31 @@ def _robot(scene: SceneFile, find: _Find) -> RobotSource:
     return RobotSource(**values, mount_xyz=placed.get("xyz"), mount_rpy=placed.get("rpy"))
 
 
-def _content_hash(data: Mapping[str, Any], obstacles: tuple[Obstacle, ...], source: str) -> str:
-    """`Scene.content_hash` of a file's content and of its own obstacles' meshes."""
+def _content_hash(
+    file: SceneFile, obstacles: Sequence[Obstacle], source: str, stored: Mapping[str, Any] | None = None
+) -> str:
+    """`Scene.content_hash` of a file's content, its own obstacles' meshes and those of rasters."""
+    data = file.as_data() if stored is None else stored
     # The one JSON text that equal scenes share.
     text = json.dumps(data, sort_keys=True, separators=(",", ":"), allow_nan=False)
     total = hashlib.sha256(text.encode())
-    for index, obstacle in enumerate(obstacles):
-        if isinstance(obstacle.shape, Mesh):
-            try:
-                content = read_input(obstacle.shape.path, SceneError, largest=LARGEST_MESH)
-            except SceneError as error:
-                raise SceneError(source, f"obstacles[{index}].mesh", error.got, error.expected) from error
-            total.update(hashlib.sha256(content).digest())
+    meshes = {
+        f"obstacles[{k}].mesh": one.shape.path
+        for k, one in enumerate(obstacles)
+        if isinstance(one.shape, Mesh)
+    }
+    path = file.tool_path
+    rasters = {"tool_path": path.raster} if path.strokes is None else {}
+    rasters |= {f"tool_path.strokes[{k}]": each.raster for k, each in enumerate(path.strokes or ())}
+    for key, raster in rasters.items():
+        if raster is not None and raster.mesh_file is not None:
+            meshes[f"{key}.raster.mesh"] = raster.mesh_file
+    for key, mesh in meshes.items():
+        try:
+            content = read_input(mesh, SceneError, largest=LARGEST_MESH)
+        except SceneError as error:
+            raise SceneError(source, key, error.got, error.expected) from error
+        total.update(hashlib.sha256(content).digest())
     return total.hexdigest()
 
 

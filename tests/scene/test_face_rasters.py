@@ -1,6 +1,7 @@
 """Rasters over faces of a mesh: by distances from the mesh, known areas, and a second computation."""
 
 import copy
+import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -250,3 +251,25 @@ def test_without_shapely_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "shapely", None)
     with pytest.raises(MissingExtra, match="shapely is not installed"):
         stroke_of(scene)
+
+
+def test_a_mesh_file_in_the_frame_is_as_the_obstacle_there(tmp_path: Path) -> None:
+    sheet = bent_sheet(0.4, 40.0, 0.3, 12)
+    named = scene_of(tmp_path, sheet)
+    data = named.file.as_data()
+    data["obstacles"], data["tool_path"]["raster"]["mesh"] = [], "part.stl"
+    (tmp_path / "scene.yaml").write_text(json.dumps(data), encoding="utf-8")
+    scene = load_scene(tmp_path / "scene.yaml")
+    assert scene.raster.mesh_file == tmp_path / "part.stl"
+    np.testing.assert_allclose(stroke_of(scene).path.corners, stroke_of(named).path.corners, atol=1e-12)
+    check_path(scene)
+    found = dict(precheck_scene(scene).found)
+    assert found["tool path"].startswith("a raster over faces of part.stl, ")
+    # Another content is another scene; a missing file is named by its key.
+    (tmp_path / "part.stl").write_bytes(bent_sheet(0.5, 40.0, 0.3, 12).export(file_type="stl"))
+    assert load_scene(tmp_path / "scene.yaml").content_hash != scene.content_hash
+    (tmp_path / "part.stl").unlink()
+    with pytest.raises(
+        SceneError, match=r"tool_path.raster.mesh: got 'part.stl', expected a file that exists"
+    ):
+        load_scene(tmp_path / "scene.yaml")

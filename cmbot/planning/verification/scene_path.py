@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -287,7 +288,11 @@ class ScenePath:
 
     def _face_rows(self, raster: Raster) -> list[tuple[FloatArray, FloatArray]]:
         """Rows over faces of a mesh, each with its points and axes."""
-        path, X_WM = self._meshes[str(raster.mesh)]
+        if raster.mesh in self._meshes:
+            path, X_WM = self._meshes[raster.mesh]
+        else:
+            path, X_WM = Path(str(raster.mesh)), np.eye(4)
+            X_WM[:3, 3], X_WM[:3, :3] = self._frames[raster.frame]
         return face_rows(raster, path, X_WM, *self._frames[raster.frame])
 
     def _add_face_rows(

@@ -308,15 +308,16 @@ class _PathBuilder:
         key = f"{self._place.key}.raster"
         each = self._place.obstacles
         meshes = {one.name: (one.shape.path, one.X_WO) for one in each if isinstance(one.shape, Mesh)}
-        if raster.mesh not in meshes:
-            expected = "the name of an obstacle that is a mesh"
+        X_WF, file = self._frame(raster.frame, key), raster.mesh_file
+        if file is None and raster.mesh not in meshes:
+            expected = "the name of an obstacle that is a mesh, or the path of a mesh file"
             raise SceneError(self._place.source, f"{key}.mesh", shown(raster.mesh), expected, tuple(meshes))
-        path, X_WM = meshes[raster.mesh]
+        path, X_WM = (file, X_WF) if file is not None else meshes[str(raster.mesh)]
 
         def refusal(name: str, got: str, expected: str) -> SceneError:
             return SceneError(self._place.source, f"{key}.{name}", got, expected)
 
-        mesh, X_WF = load_mesh(path, raster.mesh), self._frame(raster.frame, key)
+        mesh = load_mesh(path, str(raster.mesh), key="" if file is None else f"{key}.mesh")
         return rows_over_faces(raster, raster.faces, mesh, X_WM, X_WF, refusal)
 
     def _raster_start(self, raster: Raster) -> tuple[FloatArray, FloatArray]:

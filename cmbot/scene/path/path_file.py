@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Annotated, Literal, Self
 
 from pydantic import ConfigDict, Field, model_validator
@@ -202,7 +203,7 @@ class PathFile(FileModel):
     def in_words(self) -> str:
         """What it is made of."""
         if self.raster is not None and self.raster.mesh is not None:
-            return f"a raster over faces of {self.raster.mesh}"
+            return f"a raster over faces of {Path(self.raster.mesh).name}"
         if self.raster is not None:
             rows, area = counted(self.raster.rows, "row"), f"{self.raster.area:.3g} m2"
             return f"a raster of {rows} over {area}{'' if self.raster.cylinder is None else ' of a cylinder'}"

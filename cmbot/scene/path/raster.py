@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
@@ -10,7 +11,8 @@ from pydantic import Field
 
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, shown
-from cmbot.scene.fields import Angle, Length, Slug, Vector, given_of
+from cmbot.scene.fields import Angle, Length, Slug, Text, Vector, given_of
+from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.path.legs import LongVector, UnitVector
 
 __all__ = ["MOST_ROWS", "CylinderPatch", "FaceSelection", "Raster"]
@@ -126,7 +128,9 @@ class Raster(CheckedFields):
         In place of a rectangle part of a cylinder, worked on from outside: the tool's z axis points at the
         cylinder's.
     mesh : str or None
-        In place of them the name of an obstacle that is a mesh.
+        In place of them the name of an obstacle that is a mesh, or the path of a mesh file (GLB, OBJ, OFF,
+        PLY or STL), relative to the scene file. A file is placed in `frame`, and is no obstacle: what the arm
+        has to keep clear of is one of `obstacles`, and then its name is enough.
     faces : FaceSelection or None
         Of that mesh.
     along : three floats or None
@@ -151,7 +155,7 @@ class Raster(CheckedFields):
     u: LongVector | None = None
     v: LongVector | None = None
     cylinder: CylinderPatch | None = None
-    mesh: Slug | None = None
+    mesh: Text | None = None
     faces: FaceSelection | None = None
     along: LongVector | None = None
     spacing_m: Length
@@ -183,6 +187,11 @@ class Raster(CheckedFields):
                 raise InputError("Raster", "spacing_m", self.spacing_m, expected)
         if self.rows > MOST_ROWS:
             raise InputError("Raster", "spacing_m", self.spacing_m, f"at most {MOST_ROWS} rows")
+
+    @property
+    def mesh_file(self) -> Path | None:
+        """The path of a mesh file; None where `mesh` names an obstacle, or is left out."""
+        return Path(self.mesh) if self.mesh is not None and is_mesh_file(self.mesh) else None
 
     @property
     def rectangle(self) -> tuple[Vector, Vector, Vector] | None:
