@@ -13,7 +13,7 @@ __all__ = ["automatic_via_points"]
 
 # What splines follow between two via-points to a millimetre: way of the tool, m, turn of the tool and of the
 # path, rad, and seconds; and how many segments a ramp has.
-_WAY, _TURN, _BEND, _SECONDS, _PER_RAMP = 0.05, np.radians(15), np.radians(45), 1.0, 3
+_WAY, _TURN, _BEND, _SECONDS, _PER_RAMP = 0.05, np.radians(15), np.radians(36), 1.0, 3
 # Splines miss a smooth path by the fourth power of their segments' length; a speed is missed by the second.
 _DEVIATION, _SPEED = 1e-3, 0.2
 # Segments of a leg at least and at most, and of one whose shortest time is sought at least.
@@ -34,7 +34,7 @@ def automatic_via_points(path: ToolPath, deviation: float, speed_tolerance: floa
 
     Notes
     -----
-    Each leg asks for a segment for every 50 mm, 15 degrees of the tool's turn, 45 degrees of the path's bend
+    Each leg asks for a segment for every 50 mm, 15 degrees of the tool's turn, 36 degrees of the path's bend
     where it is sharpest, and second; for three a ramp; and where its shortest time is sought for thirty. The
     way and the angles shrink with the fourth root of the deviation, from 1 mm on, and with the square root of
     the speed's tolerance below 20 %. A leg has 4 to 400 segments, a path 12 at least.
