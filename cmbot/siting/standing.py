@@ -37,6 +37,10 @@ _COLUMNS = (
 )
 
 
+# Seconds for a plan, and how near, m, the arm's base is to one that failed where it is not tried, too.
+_PLAN_SECONDS, _ALIKE = 20.0, 0.3
+# So many times as many stances as are to be planned are tried, and once more that many.
+_TRIES = 4
 _LEFT_OUT = ("failed", "blocked", "no posture", "out of reach")
 
 
@@ -217,6 +221,7 @@ def in_words(standing: Standing) -> Iterator[str]:
     )
     best = standing.best
     if best is None or best.plan is None:
+        yield "No stance was planned: what best.yaml has is the most promising by its bound, and may be blocked."
         return
     peak, figures = best.plan.objective.planned_peak, best.plan.figures
     needed = figures.adhesion_needed
@@ -283,13 +288,25 @@ def _plan_best(
     """Plan the stances of the smallest bounds, in place, until enough are planned and none can be better."""
     waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
     heapq.heapify(waiting)
-    begins = dict[int, FloatArray]()
+    begins, failed = dict[int, FloatArray](), list[FloatArray]()
+    # A stance that fails takes long, and most often for want of time.
+    limit = min(scene.planner.time_limit_s, _PLAN_SECONDS)
+    scene = replace(scene, planner=replace(scene.planner, time_limit_s=limit))
     planned, best, tried, checks = 0, np.inf, 0, 0
-    while waiting and planned < options.plans and tried < 4 * options.plans and checks < options.checks:
+    while (
+        waiting
+        and planned < options.plans
+        and tried < _TRIES * (options.plans + 1)
+        and checks < options.checks
+    ):
         bound, k = heapq.heappop(waiting)
         if bound >= best:
             break
         candidate = each[k].candidate
+        base = candidate.base[:3, 3]
+        if any(np.linalg.norm(base - other) < _ALIKE for other in failed):
+            # What failed beside it most likely fails here: others come first, and this one stays unplanned.
+            continue
         if k not in begins:
             # The bound rises by what obstacles leave out: it takes its place among the others again.
             checks += 1
@@ -310,6 +327,7 @@ def _plan_best(
             made = plan(_scene(scene, candidate, begins[k]))
         except CmbotError as error:
             each[k] = replace(each[k], status="failed", reason=str(error))
+            failed.append(base)
             continue
         each[k] = replace(each[k], status="planned", plan=made)
         planned, best = planned + 1, min(best, made.objective.planned_peak)
