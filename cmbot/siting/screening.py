@@ -28,8 +28,8 @@ __all__ = ["Screening", "screen"]
 
 # Postures of the table, those that are tried for a via-point, and those of them that are improved.
 _TABLE, _TRIED, _IMPROVED = 60_000, 12, 3
-# Postures that are tried at each via-point of a stance that is checked for obstacles.
-_MANY = 400
+# Postures that are tried at each via-point of a stance that is checked for obstacles, and via-points.
+_MANY, _CHECKED = 400, 12
 # Steps along the self-motion, and how long they are at first, rad.
 _STEPS, _LENGTH = 5, 0.25
 # Via-points of a stroke that are looked at.
@@ -128,13 +128,18 @@ def screen(
             adhesion[some] = np.maximum(adhesion[some], found[2])
             report((done + first / max(len(left), 1)) / len(looks))
         left = left[np.isfinite(bound[left])]
+    closer = [
+        (task, pose)
+        for task in tasks
+        for pose in task.path.poses(np.linspace(0.0, task.path.duration, _CHECKED))
+    ]
 
     def clearing(
         candidate: Candidate, clearances: Clearances, margin: float
     ) -> tuple[float, FloatArray | None]:
         load = _Loads(scene, [candidate], options, robot)
         largest, begins = 0.0, None
-        for task, goal in looks:
+        for task, goal in closer:
             q, value = arm.several(task, goal, candidate.base, load)
             order = np.argsort(value, kind="stable")
             near = clearances.check_collision(q[order], margin)

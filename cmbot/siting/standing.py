@@ -39,6 +39,8 @@ _COLUMNS = (
 
 # Seconds for a plan, and how near, m, the arm's base is to one that failed where it is not tried, too.
 _PLAN_SECONDS, _ALIKE = 20.0, 0.3
+# The same near one that is blocked.
+_BLOCKED_ALIKE = 0.12
 # So many times as many stances as are to be planned are tried, and once more that many.
 _TRIES = 4
 _LEFT_OUT = ("failed", "blocked", "no posture", "out of reach")
@@ -221,7 +223,7 @@ def in_words(standing: Standing) -> Iterator[str]:
     )
     best = standing.best
     if best is None or best.plan is None:
-        yield "No stance was planned: what best.yaml has is the most promising by its bound, and may be blocked."
+        yield "No stance was planned: best.yaml has the most promising one by its bound; it may be blocked."
         return
     peak, figures = best.plan.objective.planned_peak, best.plan.figures
     needed = figures.adhesion_needed
@@ -288,7 +290,7 @@ def _plan_best(
     """Plan the stances of the smallest bounds, in place, until enough are planned and none can be better."""
     waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
     heapq.heapify(waiting)
-    begins, failed = dict[int, FloatArray](), list[FloatArray]()
+    begins, failed = dict[int, FloatArray](), list[tuple[FloatArray, float]]()
     # A stance that fails takes long, and most often for want of time.
     limit = min(scene.planner.time_limit_s, _PLAN_SECONDS)
     scene = replace(scene, planner=replace(scene.planner, time_limit_s=limit))
@@ -304,7 +306,7 @@ def _plan_best(
             break
         candidate = each[k].candidate
         base = candidate.base[:3, 3]
-        if any(np.linalg.norm(base - other) < _ALIKE for other in failed):
+        if any(np.linalg.norm(base - other) < near for other, near in failed):
             # What failed beside it most likely fails here: others come first, and this one stays unplanned.
             continue
         if k not in begins:
@@ -317,6 +319,7 @@ def _plan_best(
             if begin is None:
                 reason = "every posture found at some via-point comes too near to something"
                 each[k] = replace(each[k], status="blocked", reason=reason)
+                failed.append((base, _BLOCKED_ALIKE))
                 continue
             begins[k] = begin
             heapq.heappush(waiting, (max(bound, each[k].bound), k))
@@ -327,7 +330,7 @@ def _plan_best(
             made = plan(_scene(scene, candidate, begins[k]))
         except CmbotError as error:
             each[k] = replace(each[k], status="failed", reason=str(error))
-            failed.append(base)
+            failed.append((base, _ALIKE))
             continue
         each[k] = replace(each[k], status="planned", plan=made)
         planned, best = planned + 1, min(best, made.objective.planned_peak)
