@@ -98,7 +98,19 @@ def test_the_wheel_holds_every_file_and_nothing_else_and_says_what_it_is(wheel: 
     assert (metadata["Name"], metadata["Version"]) == (DISTRIBUTION, cmbot.__version__)
     assert metadata["License-Expression"] == "BSD-3-Clause"
     assert metadata["Requires-Python"] == ">=3.11"
-    extras = {"bench", "campaign", "docs", "fast", "plots", "robots", "surfaces", "test", "video", "xacro"}
+    extras = {
+        "bench",
+        "campaign",
+        "docs",
+        "fast",
+        "plots",
+        "robots",
+        "ros",
+        "surfaces",
+        "test",
+        "video",
+        "xacro",
+    }
     assert set(metadata.get_all("Provides-Extra", [])) == extras
     assert "[console_scripts]\ncmbot = cmbot.__main__:main\n" in found[f"{info}/entry_points.txt"].decode()
     assert b"Root-Is-Purelib: true" in found[f"{info}/WHEEL"]
