@@ -79,15 +79,11 @@ class Certificate:
         return all(check.holds for check in self.checks)
 
     def at_all_times(self, base: str = "guardrail") -> str:
-        """Return the bounds of clearance and torque in words, rounded away from what was found.
-
-        `base` is what that is called on which the torque acts.
-        """
+        """Return the bounds in words, rounded away from what was found; the torque acts on the `base`."""
         bounds = [f"clearance stays above {np.floor(1e4 * self.clearance_bound) / 10:.1f} mm"]
         if np.isfinite(self.guardrail_torque_bound):
-            bounds.append(
-                f"the torque on the {base} below {np.ceil(100 * self.guardrail_torque_bound) / 100:.2f} Nm"
-            )
+            torque = np.ceil(100 * self.guardrail_torque_bound) / 100
+            bounds.append(f"the torque on the {base} below {torque:.2f} Nm")
         if np.isfinite(self.adhesion_bound):
             bounds.append(f"the adhesion needed below {np.ceil(self.adhesion_bound / 10) / 100:.2f} kN")
         return " and ".join([", ".join(bounds[:-1]), bounds[-1]] if bounds[1:] else bounds)
