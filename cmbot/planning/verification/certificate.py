@@ -18,7 +18,7 @@ from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import LimitViolation
 from cmbot.elastic.sag import Sag
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.check import Check
+from cmbot.planning.verification.check import Check, largest_check
 from cmbot.planning.verification.enclosed_hold import EnclosedHold
 from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.verification.nearest_approach import nearest_approach
@@ -172,14 +172,14 @@ def certify(
         # The compensation converges to a share of what is allowed in between.
         allowed = _AT_VIA_POINT if sag is None else options.max_tool_deviation_m
         checks.append(
-            _largest(f"{expected}distance of the tool from its place at a via-point", *off, allowed, "m")
+            largest_check(f"{expected}distance of the tool from its place at a via-point", *off, allowed, "m")
         )
         quantity, most = "tool tilt", task.cone
         if most is None:
             # Unlike a cone, which is what is prescribed, that is for what lies between via-points.
             quantity, most = "tool rotation", float(np.deg2rad(options.max_tool_rotation_deg))
             there = "rotation of the tool from its orientation at a via-point"
-            checks.append(_largest(there, *turned, _AT_VIA_POINT, "rad"))
+            checks.append(largest_check(there, *turned, _AT_VIA_POINT, "rad"))
         checks += [
             _enclosed(f"{expected}tool deviation", deviation, options.max_tool_deviation_m, "m"),
             _enclosed(quantity, rotation, most, "rad"),
@@ -484,13 +484,6 @@ def _duration_check(task: ToolTask, trajectory: QuinticTrajectory) -> Check:
         value=max(abs(first), abs(last - duration)),
         bound=_SAME_DURATION * duration,
         unit="s",
-    )
-
-
-def _largest(quantity: str, times: FloatArray, value: FloatArray, bound: float, unit: str) -> Check:
-    worst = int(value.argmax())
-    return Check(
-        quantity=quantity, time=float(times[worst]), value=float(value[worst]), bound=bound, unit=unit
     )
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-__all__ = ["Check"]
+from cmbot.common.arrays import FloatArray
+
+__all__ = ["Check", "largest_check"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,3 +36,11 @@ class Check:
     def holds(self) -> bool:
         """Whether the value keeps its bound; never true of a value that is not a number."""
         return self.value >= self.bound if self.at_least else self.value <= self.bound
+
+
+def largest_check(quantity: str, times: FloatArray, value: FloatArray, bound: float, unit: str) -> Check:
+    """Return the check of the largest of values (N,) at `times` (N,)."""
+    worst = int(value.argmax())
+    return Check(
+        quantity=quantity, time=float(times[worst]), value=float(value[worst]), bound=bound, unit=unit
+    )

@@ -16,6 +16,7 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning.verification.face_rows import face_rows
+from cmbot.planning.verification.rotations import rodrigues, rpy, skew
 from cmbot.planning.verification.speed_laws import (
     TimedLeg,
     covered,
@@ -49,7 +50,7 @@ class ScenePath:
         for file in scene.each_stroke[: number + 1]:
             self._file, self._frames = with_seconds(file), {"world": (np.zeros(3), np.eye(3)), "tool": (p, R)}
             for name, frame in (scene.file.frames or {}).items():
-                self._frames[name] = np.array(frame.xyz), _rpy(frame.rpy_deg)
+                self._frames[name] = np.array(frame.xyz), rpy(frame.rpy_deg)
             self._legs: list[TimedLeg] = []
             self._follow(p, R)
             p, R = self._lead()
@@ -204,7 +205,7 @@ class ScenePath:
                 return np.asarray(p + share[:, None] * way)
 
         def orientations(share: FloatArray) -> FloatArray:
-            return np.array([_rodrigues(s * turn) @ R for s in share])
+            return np.array([rodrigues(s * turn) @ R for s in share])
 
         seconds = leg.given_seconds or self._cruise(length, leg.speed_m_s)
         pose = points(np.ones(1))[0], orientations(np.ones(1))[0]
@@ -219,7 +220,7 @@ class ScenePath:
         p_frame, R_frame = self._frames[goal.frame]
         p = p_frame + R_frame @ np.array(goal.xyz)
         if goal.rpy_deg is not None:
-            return p, R_frame @ _rpy(goal.rpy_deg)
+            return p, R_frame @ rpy(goal.rpy_deg)
         if goal.axis is None:
             return p, R
         z = R_frame @ np.array(goal.axis) / np.linalg.norm(goal.axis)
@@ -227,8 +228,8 @@ class ScenePath:
         sine = float(np.linalg.norm(cross))
         if cosine < 0 and sine < 1e-12:
             cross = np.cross(R[:, 2], np.eye(3)[np.abs(R[:, 2]).argmin()])
-            return p, _rodrigues(np.pi * cross / np.linalg.norm(cross)) @ R
-        K = _skew(cross)
+            return p, rodrigues(np.pi * cross / np.linalg.norm(cross)) @ R
+        K = skew(cross)
         # 1 / (1 + cosine), which loses its digits near half a turn.
         share = 1 / (1 + cosine) if cosine > 0 else (1 - cosine) / sine**2
         return p, (np.eye(3) + K + share * K @ K) @ R
@@ -255,7 +256,7 @@ class ScenePath:
             angle = float(np.arctan2(np.cross(arm, last) @ axis, arm @ last)) % (2 * np.pi)
 
         def points(share: FloatArray) -> FloatArray:
-            return np.array([centre + _rodrigues(s * angle * axis) @ arm for s in share])
+            return np.array([centre + rodrigues(s * angle * axis) @ arm for s in share])
 
         return points, axis, angle, float(np.linalg.norm(arm) * abs(angle))
 
@@ -362,13 +363,13 @@ class ScenePath:
             places.append(places[-1] + row * (-1) ** k)
             if k < raster.rows - 1:
                 places.append(places[-1] + step)
-        out = _rodrigues(place[0] * axis) @ zero
+        out = rodrigues(place[0] * axis) @ zero
         p = centre + outer * out + place[1] * axis
         R = self._goal(Goal(xyz=(0, 0, 0), axis=_three(-out)), R)[1]
 
         def add(plane: _Points, seconds: float, length: float) -> None:
             def turned(share: FloatArray) -> FloatArray:
-                return np.array([_rodrigues((x / outer - place[0]) * axis) for x in plane(share)[:, 0]])
+                return np.array([rodrigues((x / outer - place[0]) * axis) for x in plane(share)[:, 0]])
 
             def points(share: FloatArray) -> FloatArray:
                 along = (plane(share)[:, 1] - place[1])[:, None] * axis
@@ -408,7 +409,7 @@ class ScenePath:
 
 
 def _turning(turn: FloatArray, R: FloatArray, share: FloatArray) -> FloatArray:
-    return np.array([_rodrigues(s * turn) @ R for s in share])
+    return np.array([rodrigues(s * turn) @ R for s in share])
 
 
 def _matrices(orientations: Callable[[FloatArray], Rotation], share: FloatArray) -> FloatArray:
@@ -481,24 +482,3 @@ def _blended(corners: FloatArray, radius: float) -> tuple[_Points, float]:
         return p
 
     return points, float(ends[-1])
-
-
-def _rpy(rpy_deg: tuple[float, float, float]) -> FloatArray:
-    """``Rz(yaw) Ry(pitch) Rx(roll)``."""
-    roll, pitch, yaw = np.radians(rpy_deg)
-    x, y, z = np.eye(3)
-    return np.asarray(_rodrigues(yaw * z) @ _rodrigues(pitch * y) @ _rodrigues(roll * x))
-
-
-def _rodrigues(turn: FloatArray) -> FloatArray:
-    """Rotation matrix of a rotation vector."""
-    angle = float(np.linalg.norm(turn))
-    if angle == 0:
-        return np.eye(3)
-    K = _skew(turn / angle)
-    return np.asarray(np.eye(3) + np.sin(angle) * K + 2 * np.sin(angle / 2) ** 2 * K @ K)
-
-
-def _skew(v: FloatArray) -> FloatArray:
-    x, y, z = v
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
