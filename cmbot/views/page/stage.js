@@ -39,7 +39,12 @@ class Stage {
     const { viewer, view } = this, resize = viewer.set_3d_pane_size;
     viewer.set_3d_pane_size = () => resize.call(viewer, view.clientWidth || 1, view.clientHeight || 1);
     viewer.render = () => this.render();
-    new ResizeObserver(() => viewer.set_3d_pane_size()).observe(view);
+    new ResizeObserver(() => {
+      viewer.set_3d_pane_size();
+      if (!this.turned) this.resetView();
+    }).observe(view);
+    // A view that nobody has turned yet is fitted to its size again.
+    viewer.controls.addEventListener("start", () => { this.turned = true; });
     viewer.set_3d_pane_size();
   }
 
@@ -270,6 +275,7 @@ class Stage {
 
   // Turn the camera about its target, rad, or move it there by a factor of the distance, or both aside, in shares of it.
   turn(azimuth, elevation) {
+    this.turned = true;
     const { camera, controls } = this.viewer;
     const at = new THREE.Spherical().setFromVector3(camera.position.clone().sub(controls.target));
     at.theta += azimuth;
@@ -280,6 +286,7 @@ class Stage {
   }
 
   approach(factor) {
+    this.turned = true;
     const { camera, controls } = this.viewer;
     camera.position.sub(controls.target).multiplyScalar(factor).add(controls.target);
     controls.update();
@@ -287,6 +294,7 @@ class Stage {
   }
 
   shift(right, up) {
+    this.turned = true;
     const { camera, controls } = this.viewer, distance = camera.position.distanceTo(controls.target);
     const by = new THREE.Vector3(right * distance, up * distance, 0).applyQuaternion(camera.quaternion);
     camera.position.add(by);
