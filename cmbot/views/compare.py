@@ -94,6 +94,7 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "title": "Plans compared",
         "robot": first.robot.name,
         "base": first.scene.base_name,
+        "foot": list(first.robot.foot_point),
         **{"start": 0.0, "workStart": 0.0, "workEnd": end, "end": end},
         **{"legTimes": [], "moves": [], "floor": None, "floorName": ""},
         **{"approach": None, "return": None, "rest": None},
