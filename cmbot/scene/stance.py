@@ -12,7 +12,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.elastic import Guardrail
-from cmbot.scene.fields import Coordinate, Slug, Vector
+from cmbot.scene.fields import Angle, Coordinate, Slug, Vector
 from cmbot.scene.hold import FACES, Face, face_of
 
 __all__ = [
@@ -42,7 +42,7 @@ class FootholdFile(FileModel):
     """How far along the member, from its lower end or from the first post, m."""
     face: Literal["outer", "inner", "left", "right", "top", "bottom"] = "outer"
     """Side of the member; left and right are those of posts, top and bottom those of rails."""
-    turn_deg: float = 0.0
+    turn_deg: Angle = 0.0
     """By which the foot is turned about the face's normal, a multiple of 90; at 0 its z axis is along the
     member."""
 

@@ -16,6 +16,7 @@ from cmbot.common.validation import CheckedFields
 __all__ = ["LegLaw", "PiecewiseLaw", "ProcessPart", "SpeedProfile", "TimeLaw", "law_with_leads"]
 
 _Duration = Annotated[float, Field(gt=0, le=36_000)]
+_Jerk = Annotated[float, Field(ge=-1e9, le=1e9)]
 # Halvings that find when a share is covered.
 _HALVINGS = 60
 
@@ -168,9 +169,9 @@ class LegLaw(CheckedFields):
         When a field is out of its bounds, or there is not one jerk more than phases.
     """
 
-    leg: Annotated[int, Field(ge=0)]
+    leg: Annotated[int, Field(ge=0, le=1_000_000)]
     seconds: Annotated[tuple[_Duration, ...], Field(min_length=1, max_length=1000)]
-    jerk: Annotated[tuple[float, ...], Field(min_length=2, max_length=1001)]
+    jerk: Annotated[tuple[_Jerk, ...], Field(min_length=2, max_length=1001)]
 
     def __post_init__(self) -> None:
         super().__post_init__()
