@@ -160,7 +160,7 @@ def test_a_urdf_that_lacks_limits_and_is_doubtful_is_usable(tmp_path: Path) -> N
         "joint_limits.yaml beside it": "none: acceleration and jerk limits are assumed where the scene names "
         "none",
         "SRDF": "none: links that are neighbours or nearly always near may touch (--write-srdf writes one)",
-        "elasticity file": "none: no link bends",
+        "elasticity file": "none: nothing bends",
         "base frame": "any link; the root is floor",
         "tool frame": "any link that joints move below it; at the ends: wheel, plate",
         "arm where no frames are given": "from floor to wheel",
