@@ -47,7 +47,7 @@ def run_in_child(task: Task) -> TaskResult:
         expected = "False: set DASK_DISTRIBUTED__WORKER__DAEMON=False where the worker is started"
         raise CmbotError(f"dask: distributed.worker.daemon: got True, expected {expected}")
     # The first task of a worker starts its server, and those of a campaign have one function.
-    _CONTEXT.set_forkserver_preload(["__main__", task.function.partition(":")[0]])
+    _CONTEXT.set_forkserver_preload(["__main__", __name__, task.function.partition(":")[0]])
     with tempfile.TemporaryDirectory(prefix="cmbot-task-") as folder:
         answer, log = Path(folder, "answer.json"), Path(folder, "stderr")
         begin = time.perf_counter()

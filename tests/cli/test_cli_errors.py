@@ -55,7 +55,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "plan nosuch",
         (
             "nosuch: no such file, expected a scene",
-            "shipped scene (one of: angle_steel, bracket_faces, gusset_plate, line, pipe, triangle)",
+            "shipped scene (one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, pipe, ",
         ),
     ),
     ("plan triangel", ("triangel: no such file", "shipped scene; did you mean triangle? (one of: angle")),
@@ -72,7 +72,7 @@ BAD_INPUT: list[tuple[str, tuple[str, ...]]] = [
         "check nosuch.yaml",
         (
             "nosuch.yaml: no such file",
-            "one of: angle_steel, bracket_faces, gusset_plate, line, pipe, triangle",
+            "one of: angle_steel, bracket_faces, gusset_plate, line, panda_sanding, pipe, triangle",
         ),
     ),
     ("plan no_plan", ("no_plan: got a folder",)),

@@ -287,14 +287,16 @@ def _inadmissible(context: PlanningContext, layer: GraphLayer) -> tuple[str, tup
     weak = layer.chart.within & (layer.chart.joint_use > 1.0)
     near, feeble = int(layer.too_near.sum()), int(weak.sum())
     tried = f"of {int(layer.chart.within.sum())} postures that were tried there"
+    holding = context.robot.holding
+    much = "too much of a joint or foot" if holding and holding.bounded else "too much of a joint's torque"
     if near >= feeble and (pair := context.most_often_near(layer.chart.q[layer.too_near])) is not None:
         why = (
             f"{tried} {near} come within the safety margin, most often {pair[0]} and {pair[1]}, {feeble} "
-            "ask too much of a joint or foot; move obstacles or tool path, or lower planner.safety_margin_m"
+            f"ask {much}; move obstacles or tool path, or lower planner.safety_margin_m"
         )
         return why, pair
     why = (
-        f"{tried} {feeble} ask too much of a joint or foot, most often of "
+        f"{tried} {feeble} ask {much}, most often of "
         f"{context.weakest_joint(layer.chart.q[weak])}, {near} come within the safety margin; "
         "move the tool path, or take a lighter payload"
     )
