@@ -33,8 +33,6 @@ _POINTS, _FINE = 4, 12
 _ROUNDS, _LEAST_GAIN, _BOX, _SMALLEST_BOX = 60, 1e-4, 0.5, 1e-3
 # Rows below this share of their bounds are left to the next program; few get beyond them in one step.
 _NEAR = 0.7
-# Least speed of a law, as a share of its mean: it does not stop or go back on its way.
-_SLOWEST = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -182,7 +180,7 @@ class _Points:
             bound.append(1 - value[near] / scale)
         # It goes forward all the way.
         matrix.append(np.column_stack([-self._matrices[1], np.zeros(len(self._matrices[1]))]))
-        bound.append(self._matrices[1] @ nodes - _SLOWEST)
+        bound.append(self._matrices[1] @ nodes)
         count = len(nodes)
         solved = linprog(
             np.append(np.zeros(count), 1.0),
