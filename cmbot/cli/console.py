@@ -28,6 +28,7 @@ __all__ = [
     "JsonOption",
     "LostOutputError",
     "QuietOption",
+    "SceneArgument",
     "complete_scene",
     "discard",
     "err",
@@ -100,6 +101,16 @@ def complete_scene(begun: str) -> list[str]:
             if entry.is_dir() or entry.name.endswith((".yaml", ".yml", ".json"))
         ]
     return sorted(name for name in names if name.startswith(begun))
+
+
+SceneArgument = Annotated[
+    str,
+    typer.Argument(
+        metavar="SCENE",
+        help="A scene file, or the name of a shipped scene.",
+        autocompletion=complete_scene,
+    ),
+]
 
 
 class ExitStatus(IntEnum):

@@ -17,7 +17,7 @@ from cmbot.cli.console import (
     FiguresOption,
     JsonOption,
     QuietOption,
-    complete_scene,
+    SceneArgument,
     err,
     flat,
     out,
@@ -71,14 +71,7 @@ def _allowed(option: Mapping[str, Any]) -> str:
 
 
 def plan(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE",
-            help="A scene file, or the name of a shipped scene.",
-            autocompletion=complete_scene,
-        ),
-    ],
+    scene: SceneArgument,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Plan directory to write; out/NAME if left out.")
     ] = None,

@@ -14,7 +14,7 @@ from cmbot.cli.console import (
     ConsoleProgress,
     JsonOption,
     QuietOption,
-    complete_scene,
+    SceneArgument,
     flat,
     out,
     print_result,
@@ -29,14 +29,7 @@ _FILES = ("stances.csv", "best.yaml", "index.html")
 
 
 def stand(
-    scene: Annotated[
-        str,
-        typer.Argument(
-            metavar="SCENE",
-            help="A scene file, or the name of a shipped scene.",
-            autocompletion=complete_scene,
-        ),
-    ],
+    scene: SceneArgument,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_stances if left out.")
     ] = None,
