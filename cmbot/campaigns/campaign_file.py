@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
@@ -15,7 +14,7 @@ from pydantic import Field, model_validator
 
 from cmbot.campaigns.task import require_task_name
 from cmbot.common.errors import InputError, SceneError
-from cmbot.common.input_files import read_input
+from cmbot.common.input_files import read_csv
 from cmbot.common.validation import FileModel, given_path, refusal, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml, yaml_value
 from cmbot.scene import Scene, scene_from_data, scene_path
@@ -179,11 +178,7 @@ def _given(file: CampaignFile, path: Path, folder: Path) -> Iterator[tuple[Entry
 
 
 def _rows(table: Path, scene: str | None) -> Iterator[tuple[EntryFile, _Source]]:
-    content = read_input(table, InputError, kind="a CSV table of jobs", largest=_LARGEST_TABLE)
-    try:
-        rows = list(csv.reader(content.decode("utf-8-sig").splitlines()))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise InputError(str(table), "", f"text that cannot be read ({error})", "a CSV file") from error
+    rows = read_csv(table, InputError, kind="a CSV table of jobs", largest=_LARGEST_TABLE)
     heading = [name.strip() for name in rows[0]] if rows else []
     if "name" not in heading or len(set(heading)) < len(heading) or "" in heading:
         expected = "a line of different columns, among them name"

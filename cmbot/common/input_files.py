@@ -5,13 +5,14 @@ Reading a pipe or a device may never end, and a file that fits no memory ends th
 
 from __future__ import annotations
 
+import csv
 import os
 import stat
 from pathlib import Path
 
 from cmbot.common.errors import InputError
 
-__all__ = ["LARGEST_MESH", "LARGEST_TEXT", "read_input", "require_input"]
+__all__ = ["LARGEST_MESH", "LARGEST_TEXT", "read_csv", "read_input", "require_input"]
 
 LARGEST_TEXT = 20_000_000
 """Bytes of a URDF, an SRDF or a plan.json."""
@@ -59,6 +60,15 @@ def read_input(
     except (OSError, ValueError, _RefusedError) as error:
         raise _input_error(error, path, error_type, kind, key) from error
     return content
+
+
+def read_csv(path: Path, error_type: type[InputError], *, kind: str, largest: int) -> list[list[str]]:
+    """Return the rows of a CSV file in UTF-8, cell by cell; an `InputError` as `read_input` raises it."""
+    content = read_input(path, error_type, kind=kind, largest=largest)
+    try:
+        return list(csv.reader(content.decode("utf-8-sig").splitlines()))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise error_type(str(path), "", f"text that cannot be read ({error})", "a CSV file") from error
 
 
 def require_input(

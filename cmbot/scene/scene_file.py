@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import hashlib
 import json
 import os
@@ -16,7 +15,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, read_only
 from cmbot.common.errors import MissingExtra, SceneError
-from cmbot.common.input_files import LARGEST_MESH, read_input
+from cmbot.common.input_files import LARGEST_MESH, read_csv, read_input
 from cmbot.common.installation import scene_folder
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
 from cmbot.common.validation import given_path, hint, plain, shown, validated
@@ -129,11 +128,7 @@ def _with_files(data: Mapping[str, Any], folder: Path, source: str) -> dict[str,
 
 def _waypoints(source: Path) -> list[list[float]]:
     """The rows of a CSV file of waypoints."""
-    content = read_input(source, SceneError, kind="a CSV file of waypoints", largest=_LARGEST_WAYPOINTS)
-    try:
-        rows = list(csv.reader(content.decode("utf-8-sig").splitlines()))
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise SceneError(str(source), "", f"text that cannot be read ({error})", "a CSV file") from error
+    rows = read_csv(source, SceneError, kind="a CSV file of waypoints", largest=_LARGEST_WAYPOINTS)
     heading = [name.strip() for name in rows[0]] if rows else []
     if heading != list(_WAYPOINT_COLUMNS):
         got = shown(",".join(heading))
