@@ -9,11 +9,11 @@ from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import StrokeFile
-from cmbot.scene.path.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.path.stroke import Stroke
 from cmbot.scene.path.time_law import LegLaw, PiecewiseLaw, SpeedProfile
 from cmbot.scene.path.tool_path import ShiftedToolPath, ToolPath, share_out_segments
 from cmbot.scene.path.tool_poses import ToolPoses, shortest_turns
+from cmbot.scene.raster.raster import CylinderPatch, FaceSelection, Raster
 from cmbot.scene.scene import WORK, RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import (
     load_scene,

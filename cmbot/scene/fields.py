@@ -13,14 +13,17 @@ from cmbot.common.errors import InputError
 from cmbot.common.validation import refusal, shown
 
 __all__ = [
+    "SHORTEST_LEG",
     "Angle",
     "Angles",
     "Coordinate",
     "Length",
+    "LongVector",
     "Mass",
     "Posture",
     "Slug",
     "Text",
+    "UnitVector",
     "Vector",
     "exactly_one",
     "given_of",
@@ -28,6 +31,11 @@ __all__ = [
     "si_fields",
 ]
 
+SHORTEST_LEG = 1e-6
+"""m."""
+
+# Axes are unit vectors up to what people round.
+_LENGTH_OF_AXIS = 1e-2
 _SLUG = re.compile(r"[A-Za-z0-9][A-Za-z0-9_\-]{0,99}")
 _UNIT = re.compile("_(deg|kg_m3|kg|m|pa)$")
 
@@ -39,10 +47,24 @@ def _slug(text: str) -> str:
     return text
 
 
+def _long_enough(by: Vector) -> Vector:
+    if max(map(abs, by)) < SHORTEST_LEG:
+        raise refusal("a leg longer than a micrometre", got=by)
+    return by
+
+
+def _unit_vector(axis: Vector) -> Vector:
+    if abs(math.hypot(*axis) - 1.0) > _LENGTH_OF_AXIS:
+        raise refusal("a unit vector", got=axis)
+    return axis
+
+
 # The bounds, a micrometre and 10 km, catch millimetres given for metres, and keep every power finite.
 Length = Annotated[float, Field(ge=1e-6, le=1e4)]
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
 Vector = tuple[Coordinate, Coordinate, Coordinate]
+LongVector = Annotated[Vector, AfterValidator(_long_enough)]
+UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]
 Angle = Annotated[float, Field(ge=-360, le=360)]
 Angles = tuple[Angle, Angle, Angle]
 Mass = Annotated[float, Field(ge=0, le=1e4)]

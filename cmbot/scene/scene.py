@@ -35,10 +35,10 @@ from cmbot.scene.path.builder import PathSource, timed_path
 from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import AUTO, Goal, Leg
 from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
-from cmbot.scene.path.raster import Raster
 from cmbot.scene.path.stroke import Stroke
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.path.via_point_count import automatic_via_points
+from cmbot.scene.raster.raster import Raster
 from cmbot.scene.robot_entry import Joints, MountFile, RobotFile, RobotSource
 from cmbot.scene.tool import Tool
 

@@ -11,17 +11,18 @@ from scipy.spatial.transform import Rotation
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import shown
+from cmbot.scene.fields import SHORTEST_LEG
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.obstacles import Mesh, Obstacle, pose
 from cmbot.scene.path.curves import Arc, Blend, Curve, Line, Rolled, Spline, rounded
-from cmbot.scene.path.face_rows import FaceRows, rows_over_faces
 from cmbot.scene.path.leads import Extended
-from cmbot.scene.path.legs import AUTO, SHORTEST_LEG, ArcTo, Goal, Leg
+from cmbot.scene.path.legs import AUTO, ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import PathFile
-from cmbot.scene.path.raster import CylinderPatch, Raster
 from cmbot.scene.path.time_law import ProcessPart, TimeLaw, law_with_leads
 from cmbot.scene.path.tool_path import ToolPath
 from cmbot.scene.path.tool_poses import shortest_turns
+from cmbot.scene.raster.face_rows import FaceRows, rows_over_faces
+from cmbot.scene.raster.raster import CylinderPatch, Raster
 
 __all__ = ["PathSource", "timed_path"]
 

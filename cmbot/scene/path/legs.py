@@ -11,28 +11,30 @@ from pydantic import AfterValidator, Field, GetPydanticSchema, PlainSerializer, 
 
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, refusal
-from cmbot.scene.fields import Angle, Angles, Coordinate, Slug, Vector, exactly_one, given_of
+from cmbot.scene.fields import (
+    Angle,
+    Angles,
+    Coordinate,
+    LongVector,
+    Slug,
+    UnitVector,
+    Vector,
+    exactly_one,
+    given_of,
+)
 
 __all__ = [
     "AUTO",
-    "SHORTEST_LEG",
     "ArcTo",
     "Goal",
     "Leg",
-    "LongVector",
     "Seconds",
     "SecondsOrAuto",
     "Speed",
-    "UnitVector",
     "ViaPoints",
     "Waypoint",
 ]
 
-SHORTEST_LEG = 1e-6
-"""m."""
-
-# Axes are unit vectors up to what people round.
-_LENGTH_OF_AXIS = 1e-2
 # A unit quaternion up to what files round.
 _LENGTH_OF_QUATERNION = 1e-3
 
@@ -41,19 +43,6 @@ AUTO: Literal["auto"] = "auto"
 
 Seconds = Annotated[float, Field(ge=1e-3, le=36_000)]
 Speed = Annotated[float, Field(ge=1e-5, le=100)]
-
-
-def _long_enough(by: Vector) -> Vector:
-    if max(map(abs, by)) < SHORTEST_LEG:
-        raise refusal("a leg longer than a micrometre", got=by)
-    return by
-
-
-def _unit_vector(axis: Vector) -> Vector:
-    length = float(np.linalg.norm(axis))
-    if abs(length - 1.0) > _LENGTH_OF_AXIS:
-        raise refusal("a unit vector", got=axis)
-    return axis
 
 
 def _auto_or_number(value: Any, number: Any) -> Any:
@@ -86,9 +75,6 @@ ViaPoints = Annotated[
     ),
 ]
 """A number of via-points, or ``auto``."""
-
-LongVector = Annotated[Vector, AfterValidator(_long_enough)]
-UnitVector = Annotated[Vector, AfterValidator(_unit_vector)]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,8 +14,8 @@ from cmbot.common.validation import FileModel, counted, refusal
 from cmbot.scene.fields import Slug
 from cmbot.scene.path.kept import Keep
 from cmbot.scene.path.legs import AUTO, Goal, Leg, SecondsOrAuto, Speed, ViaPoints, Waypoint
-from cmbot.scene.path.raster import Raster
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
+from cmbot.scene.raster.raster import Raster
 
 __all__ = [
     "FREE_MOVE",

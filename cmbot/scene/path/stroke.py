@@ -7,9 +7,9 @@ from functools import cached_property
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import remedy_for
-from cmbot.scene.path.face_rows import FaceRows
 from cmbot.scene.path.path_file import StrokeFile
 from cmbot.scene.path.tool_path import ToolPath
+from cmbot.scene.raster.face_rows import FaceRows
 
 __all__ = ["Stroke"]
 

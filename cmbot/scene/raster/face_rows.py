@@ -11,7 +11,7 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.common.validation import counted
-from cmbot.scene.path.raster import MOST_ROWS, FaceSelection, Raster
+from cmbot.scene.raster.raster import MOST_ROWS, FaceSelection, Raster
 
 if TYPE_CHECKING:
     import trimesh

@@ -11,9 +11,8 @@ from pydantic import Field
 
 from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, shown
-from cmbot.scene.fields import Angle, Length, Slug, Text, Vector, given_of
+from cmbot.scene.fields import Angle, Length, LongVector, Slug, Text, UnitVector, Vector, given_of
 from cmbot.scene.mesh_file import is_mesh_file
-from cmbot.scene.path.legs import LongVector, UnitVector
 
 __all__ = ["MOST_ROWS", "CylinderPatch", "FaceSelection", "Raster"]
 
