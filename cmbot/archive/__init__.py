@@ -1,6 +1,6 @@
 """Plan directories: written whole or not at all, checked when they are read."""
 
-from cmbot.archive.folder import add_file, claim, require_free, write_file
+from cmbot.archive.folder import add_file, claim, require_absent, require_free, write_file, write_files
 from cmbot.archive.mcap_file import export_mcap
 from cmbot.archive.motion_files import columns
 from cmbot.archive.names import PLAN_FILE
@@ -21,6 +21,7 @@ __all__ = [
     "load_plan",
     "load_tracking",
     "plan_data",
+    "require_absent",
     "require_free",
     "require_no_tracking",
     "resolved_file",
@@ -28,4 +29,5 @@ __all__ = [
     "save_tracking",
     "tracking_json",
     "write_file",
+    "write_files",
 ]

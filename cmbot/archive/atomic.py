@@ -6,6 +6,7 @@ Whoever changes ``NAME`` works beside it, in the hidden folder ``.NAME.cmbot-par
     file    a file that is being written
     new     the next content of NAME; after the swap, the folder that NAME was before
     old     NAME between two renames, where the system cannot swap names
+    names   of the files that are being written, where they are not those of a plan
 
 `settle` brings these to rest. It runs when the work ends, and again in the next call on NAME, because a call
 may be killed at any time.
@@ -26,12 +27,12 @@ from contextlib import ExitStack, contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
 
-from cmbot.archive.names import is_own
+from cmbot.archive.names import OWN_FILES, is_own
 from cmbot.common.errors import ArchiveError
 
 __all__ = ["exclusive", "put_file", "recover", "refusals", "replace_folder"]
 
-_LOCK, _FILE, _NEW, _OLD = "lock", "file", "new", "old"
+_LOCK, _FILE, _NEW, _OLD, _NAMES = "lock", "file", "new", "old", "names"
 # How often the lock is tried, and how long to wait in between, s: whoever reads may hold it for a moment.
 _ATTEMPTS, _PAUSE = 20, 0.02
 
@@ -93,11 +94,14 @@ def recover(path: Path) -> None:
 
 
 def replace_folder(contents: Mapping[str, bytes], target: Path, keep: Collection[str] = ()) -> None:
-    """Make a folder hold the files `contents` and, of its own files, those in `keep`: all at once.
+    """Make a folder hold the files `contents` and, of a plan's files, those in `keep`: all at once.
 
-    What is not the plan's stays in it. To be called inside `exclusive`.
+    What is not the plan's, and of another name than `contents` has, stays in it. To be called inside
+    `exclusive`.
     """
     with exclusive(target) as work, refusals(target):
+        if others := contents.keys() - OWN_FILES:
+            _write(work / _NAMES, "\n".join(sorted(others)).encode())
         new = work / _NEW
         new.mkdir()
         for name in keep:
@@ -114,8 +118,9 @@ def replace_folder(contents: Mapping[str, bytes], target: Path, keep: Collection
         _sync(target.parent)
         # The folder itself gets the same files and its name back: shells and programs may be open in it, and
         # what is not the plan's has never left it.
-        for path in filter(is_own, list(new.iterdir())):
-            path.unlink()
+        for path in list(new.iterdir()):
+            if is_own(path) or path.name in contents:
+                path.unlink()
         for name in (*keep, *contents):
             _link(target / name, new / name)
         _sync(new)
@@ -199,20 +204,23 @@ def _settle(work: Path, target: Path) -> list[str]:
             old.rename(target)
             _sync(target.parent)
             put_back.append("the plan")
+        names = work / _NAMES
+        written = names.read_text(encoding="utf-8").split("\n") if names.exists() else []
         for folder in (work / _NEW, old):
             if folder.exists():
-                put_back += _discard(folder, target)
+                put_back += _discard(folder, target, written)
+        names.unlink(missing_ok=True)
     except OSError as error:
         got = f"remains of a call that cannot be cleared ({error.strerror} at {error.filename})"
         raise ArchiveError(str(work), "", got, "a folder that can be cleared, or to be moved away") from error
     return put_back
 
 
-def _discard(folder: Path, target: Path) -> list[str]:
-    """Delete a folder; what is not the plan's goes to `target` and is named."""
+def _discard(folder: Path, target: Path, written: Collection[str]) -> list[str]:
+    """Delete a folder; what is neither the plan's nor `written` goes to `target` and is named."""
     moved = []
     for path in sorted(folder.iterdir()):
-        if is_own(path):
+        if is_own(path) or path.name in written:
             path.unlink()
         else:
             moved.append(_move(path, target))

@@ -30,10 +30,12 @@ __all__ = [
     "claim",
     "plans_nearby",
     "read_file",
+    "require_absent",
     "require_free",
     "require_plan_directory",
     "shown_files",
     "write_file",
+    "write_files",
     "write_folder",
 ]
 
@@ -169,6 +171,61 @@ def write_file(path: Path, content: bytes) -> None:
     target = _resolved(path)
     with exclusive(target) as work, refusals(path.parent):
         put_file(target, content, work)
+
+
+def require_absent(directory: str | Path, names: Collection[str], *, force: bool = False) -> None:
+    """Refuse a folder that has files of some names, unless they may be replaced; folders are always refused.
+
+    Parameters
+    ----------
+    directory : str or Path
+    names : collection of str
+    force : bool
+        They may be replaced.
+
+    Raises
+    ------
+    ArchiveError
+        When one is there, or nothing can be written there.
+    """
+    directory = Path(directory)
+    with refusals(directory):
+        target = _resolved(directory)
+        _require_writable(directory, target)
+        if target.exists() and not target.is_dir():
+            raise ArchiveError(str(directory), "", "a file of that name", "the name of a folder")
+        _require_no_folder(names, target)
+        there = [name for name in names if (target / name).exists()]
+        if there and not force:
+            expected = "a folder without these files, or --force"
+            raise ArchiveError(str(directory), "", ", ".join(there), expected)
+
+
+def write_files(directory: str | Path, contents: Mapping[str, bytes], *, force: bool = False) -> None:
+    """Write files into a folder, which is made as needed: all of them or none; others stay there.
+
+    Parameters
+    ----------
+    directory : str or Path
+        Need not be a plan directory.
+    contents : mapping of str to bytes
+        By the names of the files.
+    force : bool
+        Earlier ones of their names are replaced.
+
+    Raises
+    ------
+    ArchiveError
+        As by `require_absent`, and when another process is writing there.
+    """
+    directory = Path(directory)
+    with claim(directory):
+        require_absent(directory, contents.keys(), force=force)
+        target = _resolved(directory)
+        with refusals(directory):
+            there = target.iterdir() if target.exists() else ()
+            keep = {path.name for path in there if is_own(path)} - contents.keys()
+        replace_folder(contents, target, sorted(keep))
 
 
 def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:

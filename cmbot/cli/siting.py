@@ -60,9 +60,11 @@ def stand(
     if objective is not None:
         loaded = replace(loaded, planner=replace(loaded.planner, objective=_known(objective)))
     directory = output if output is not None else Path("out") / f"{loaded.name}_stances"
-    _require_free(directory, force=force)
+    from cmbot.archive import require_absent, write_files
     from cmbot.siting import StandOptions, in_words
     from cmbot.siting import stand as find
+
+    require_absent(directory, _FILES, force=force)
 
     options = StandOptions(
         spacing=spacing, pair_spacing=float("inf") if one_foot else pair_spacing, plans=plans
@@ -70,16 +72,17 @@ def stand(
     with ConsoleProgress(quiet=quiet) as progress:
         progress.stage("listing stances", 0.0)
         standing = find(loaded, options, progress.stage)
-    _write(directory, standing)
+    write_files(directory, _contents(standing), force=force)
     if as_json:
         print_result("stand", directory, _summary(standing))
     elif not quiet:
         rows = [
-            (str(rank), each.place, each.status, *each.figures)
+            (str(rank), each.place, each.status, each.judged, *each.figures)
             for rank, each in enumerate(standing.ranked[:_SHOWN], start=1)
         ]
-        headings = ("", "stance", "status", f"bound, {standing.unit}", f"planned, {standing.unit}")
-        print_table("Stances", headings, rows, text_columns=3)
+        unit = standing.unit
+        headings = ("", "stance", "status", "judged by", f"bound, {unit}", f"planned, {unit}")
+        print_table("Stances", headings, rows, text_columns=4)
         for line in in_words(standing):
             out.print(flat(line))
         out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
@@ -92,21 +95,12 @@ def _known(objective: str) -> Literal["torque", "hold"]:
     raise InputError("cmbot stand", "--objective", objective, "a known value", ("torque", "hold"))
 
 
-def _require_free(directory: Path, *, force: bool) -> None:
-    there = [name for name in _FILES if (directory / name).exists()]
-    if there and not force:
-        expected = "a folder without these files, or --force"
-        raise InputError(str(directory), "", ", ".join(there), expected)
-
-
-def _write(directory: Path, standing: Any) -> None:
+def _contents(standing: Any) -> dict[str, bytes]:
     from cmbot.siting import best_scene, stances_csv
-    from cmbot.views import stances_page, write_page
+    from cmbot.views import stances_page
 
-    directory.mkdir(parents=True, exist_ok=True)
-    write_page(directory / "stances.csv", stances_csv(standing))
-    write_page(directory / "index.html", stances_page(standing))
-    write_page(directory / "best.yaml", _yaml(best_scene(standing)))
+    files = (stances_csv(standing), _yaml(best_scene(standing)), stances_page(standing))
+    return {name: text.encode() for name, text in zip(_FILES, files, strict=True)}
 
 
 def _yaml(data: dict[str, Any]) -> str:

@@ -4,11 +4,20 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
-from cmbot.planning.context import bending_arm, end_posture_of, robot_of, sag_of, strokes_of, task_of
+from cmbot.planning.context import (
+    PlanningContext,
+    bending_arm,
+    build_context,
+    end_posture_of,
+    robot_of,
+    sag_of,
+    strokes_of,
+    task_of,
+)
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.planning.free_motion.free_move import certify_move
-from cmbot.planning.initial_guess import Choice
+from cmbot.planning.initial_guess import Choice, searched
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, free_move_name, job_metrics
 from cmbot.planning.objectives import (
     Objective,
@@ -24,7 +33,7 @@ from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
 from cmbot.planning.precheck import Precheck, precheck_options, precheck_scene
-from cmbot.planning.progress import Progress
+from cmbot.planning.progress import Progress, ProgressReporter
 from cmbot.planning.result.baseline import BaselineSegment
 from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
@@ -58,10 +67,12 @@ __all__ = [
     "Objective",
     "ObjectiveMetrics",
     "Plan",
+    "PlanningContext",
     "PostureFunction",
     "PostureObjective",
     "Precheck",
     "Progress",
+    "ProgressReporter",
     "QuinticTrajectory",
     "Samples",
     "Seconds",
@@ -77,6 +88,7 @@ __all__ = [
     "WrenchObjective",
     "bending_arm",
     "bound_use",
+    "build_context",
     "certify",
     "certify_move",
     "during",
@@ -97,6 +109,7 @@ __all__ = [
     "require_plan",
     "robot_of",
     "sag_of",
+    "searched",
     "second_opinion",
     "strokes_of",
     "task_of",

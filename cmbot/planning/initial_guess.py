@@ -146,7 +146,7 @@ def sliding_guess(
     options = context.options
     if search is None:
         _require_clear_start(context)
-        search, free = _searched(context)
+        search, free = searched(context)
     else:
         free = solved(search, pinned=False, starts=starts)
     if pinned is None:
@@ -192,7 +192,7 @@ def shifted_problem(context: PlanningContext, guess: InitialGuess, via_points: F
     return TorqueProblem(context, form, guess.lower_bound.value)
 
 
-def _searched(context: PlanningContext) -> tuple[GlobalSearch, GlobalSolution | PathNotFound]:
+def searched(context: PlanningContext) -> tuple[GlobalSearch, GlobalSolution | PathNotFound]:
     """The global search, and what it finds from any start.
 
     Where the tool's axis may lean and nothing is found with it in the middle of its cone, it leans all along.

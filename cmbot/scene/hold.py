@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -135,9 +136,13 @@ def face_of(guardrail: Guardrail, member: str, face: str) -> Face:
         (section,) = (rail.section for rail in guardrail.rails if rail.name == member)
         along, ends = (1, 0, 0), (guardrail.post_positions[0], guardrail.post_positions[-1])
     normal = FACES["post" if member in posts else "rail"][face]
-    axes = np.array([along, np.cross(normal, along), normal], dtype=float)
     depth, width = _half_and_width(section)
-    return Face(axes=read_only(axes), depth=depth, width=width, ends=ends)
+    return Face(axes=_axes(along, normal), depth=depth, width=width, ends=ends)
+
+
+@cache
+def _axes(along: tuple[int, int, int], normal: tuple[int, int, int]) -> FloatArray:
+    return read_only(np.array([along, np.cross(normal, along), normal], dtype=float))
 
 
 def _half_and_width(section: Section) -> tuple[float, float | None]:

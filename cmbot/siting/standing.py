@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import heapq
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,12 +18,13 @@ from cmbot.common.errors import CmbotError, PlanningError, SceneError
 from cmbot.planning import Plan, plan, robot_of, strokes_of, task_of
 from cmbot.scene import Scene, scene_from_file, update_file
 from cmbot.siting.candidates import Candidate, candidates_of
+from cmbot.siting.charting import chart
 from cmbot.siting.screening import Screening, screen
 
 __all__ = ["StandOptions", "Standing", "Stood", "best_scene", "in_words", "stances_csv", "stand"]
 
 _COLUMNS = (
-    *("rank", "status", "bound", "planned", "torque_at_rest", "adhesion_at_rest"),
+    *("rank", "status", "judged_by", "bound", "planned", "torque_at_rest", "adhesion_at_rest"),
     *(
         "planned_torque",
         "planned_adhesion",
@@ -37,12 +38,18 @@ _COLUMNS = (
 )
 
 
-# Seconds for a plan, and how near, m, the arm's base is to one that failed where it is not tried, too.
-_PLAN_SECONDS, _ALIKE = 20.0, 0.3
-# The same near one that is blocked.
-_BLOCKED_ALIKE = 0.12
+# Seconds for a plan and for the charts of a stroke.
+_PLAN_SECONDS, _CHART_SECONDS = 20.0, 10.0
+# How near, m, the arm's base is to one that was planned or charted in vain where it is not tried, too.
+_ALIKE = {"plan": 0.3, "charts": 0.12}
 # So many times as many stances as are to be planned are tried, and once more that many.
 _TRIES = 4
+_MEANS = ("reach", "postures", "obstacles", "charts", "plan")
+_LEFT_OUT_BY = {
+    "postures": "obstacles left out",
+    "obstacles": "at some via-points, obstacles included",
+    "charts": "by its charts, obstacles included",
+}
 _LEFT_OUT = ("failed", "blocked", "no posture", "out of reach")
 
 
@@ -58,6 +65,8 @@ class StandOptions:
         Between places of both feet; infinite: foot 2 stays free.
     plans : int
         So many of the most promising are planned in full.
+    charts : int
+        So many at most are charted.
     checks : int
         So many at most are checked for obstacles.
     """
@@ -65,7 +74,8 @@ class StandOptions:
     spacing: float = 0.05
     pair_spacing: float = 0.15
     plans: int = 3
-    checks: int = 60
+    charts: int = 20
+    checks: int = 400
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,10 +87,14 @@ class Stood:
     candidate : Candidate
     status : str
         ``planned``, ``failed`` where that was tried, ``screened`` where it was not, ``blocked`` where all
-        postures that were found at some via-point come too near to something, ``no posture`` where none
-        within the bounds of joints and feet was found at one, ``out of reach``.
+        postures that were found at some via-point come too near to something or no sequence of them leads
+        along a stroke, ``no posture`` where none within the bounds of joints and feet was found at one,
+        ``out of reach``.
+    judged : str
+        By what, the furthest it came: ``reach`` of the links, sampled ``postures``, those clear of
+        ``obstacles``, the planner's ``charts``, a ``plan``.
     bound, torque, adhesion : float
-        As `Screening` has them.
+        As `Screening` has them, the bound raised by later judgements.
     plan : Plan or None
     reason : str
         Why there is no plan.
@@ -88,6 +102,7 @@ class Stood:
 
     candidate: Candidate
     status: str
+    judged: str
     bound: float
     torque: float
     adhesion: float
@@ -183,13 +198,14 @@ def stand(
         Stood(
             candidate=candidate,
             status=_status(bool(found.within_reach[k]), float(found.bound[k])),
+            judged="postures" if found.within_reach[k] else "reach",
             bound=float(found.bound[k]),
             torque=float(found.torque[k]),
             adhesion=float(found.adhesion[k]),
         )
         for k, candidate in enumerate(candidates)
     ]
-    _plan_best(in_world(scene), each, found, options, progress)
+    _Search(in_world(scene), each, found, options).run(progress)
     unit = "N" if scene.planner.objective == "hold" else "Nm"
     return Standing(scene=scene, unit=unit, ranked=tuple(sorted(each, key=_order)), screening=found)
 
@@ -221,6 +237,12 @@ def in_words(standing: Standing) -> Iterator[str]:
         f"{counts['planned']} planned, "
         f"{counts['failed']} of which planning failed."
     )
+    judged = {name: sum(each.judged == name for each in ranked) for name in _MEANS}
+    yield (
+        f"Judged by the reach of the links: {judged['reach']}, by sampled postures within the bounds of "
+        f"joints, feet and joint velocities: {judged['postures']}, by those clear of obstacles: "
+        f"{judged['obstacles']}, by the planner's charts: {judged['charts']}, by plans: {judged['plan']}."
+    )
     best = standing.best
     if best is None or best.plan is None:
         yield "No stance was planned: best.yaml has the most promising one by its bound; it may be blocked."
@@ -236,9 +258,15 @@ def in_words(standing: Standing) -> Iterator[str]:
     if np.isfinite(least):
         more = max(1 - least / peak, 0.0)
         yield (
-            f"No stance that was not planned was found to rest below {least:.1f} {unit} (estimate, obstacles "
-            f"left out): none may be better by more than {100 * more:.1f} %."
+            f"No stance that was not planned was found to rest below {least:.1f} {unit} (estimate, "
+            f"{_LEFT_OUT_BY[_judged_least(ranked)]}): none may be better by more than {100 * more:.1f} %."
         )
+
+
+def _judged_least(ranked: Sequence[Stood]) -> str:
+    """By what the stance of the smallest bound that was not planned was judged."""
+    waiting = (each for each in ranked if each.status == "screened")
+    return min(waiting, key=lambda each: each.bound).judged
 
 
 def stances_csv(standing: Standing) -> str:
@@ -260,7 +288,20 @@ def stances_csv(standing: Standing) -> str:
         point = [f"{x:.4f}" for x in each.candidate.root[:3, 3]]
         angles = [f"{x:.4f}" for x in stance.climber_deg or ()]
         reason = each.reason.replace(",", ";")
-        row = [rank, each.status, bound, planned, *rest, torque, adhesion, *feet, *point, *angles, reason]
+        row = [
+            rank,
+            each.status,
+            each.judged,
+            bound,
+            planned,
+            *rest,
+            torque,
+            adhesion,
+            *feet,
+            *point,
+            *angles,
+            reason,
+        ]
         lines.append(",".join(map(str, row)))
     return "\n".join([*lines, ""])
 
@@ -280,60 +321,88 @@ def _status(within: bool, bound: float) -> str:
     return "screened" if np.isfinite(bound) else "no posture"
 
 
-def _plan_best(
-    scene: Scene,
-    each: list[Stood],
-    found: Screening,
-    options: StandOptions,
-    progress: Callable[[str, float], None],
-) -> None:
-    """Plan the stances of the smallest bounds, in place, until enough are planned and none can be better."""
-    waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
-    heapq.heapify(waiting)
-    begins, failed = dict[int, FloatArray](), list[tuple[FloatArray, float]]()
-    # A stance that fails takes long, and most often for want of time.
-    limit = min(scene.planner.time_limit_s, _PLAN_SECONDS)
-    scene = replace(scene, planner=replace(scene.planner, time_limit_s=limit))
-    planned, best, tried, checks = 0, np.inf, 0, 0
-    while (
-        waiting
-        and planned < options.plans
-        and tried < _TRIES * (options.plans + 1)
-        and checks < options.checks
-    ):
-        bound, k = heapq.heappop(waiting)
-        if bound >= best:
-            break
-        candidate = each[k].candidate
-        base = candidate.base[:3, 3]
-        if any(np.linalg.norm(base - other) < near for other, near in failed):
-            # What failed beside it most likely fails here: others come first, and this one stays unplanned.
-            continue
-        if k not in begins:
-            # The bound rises by what obstacles leave out: it takes its place among the others again.
-            checks += 1
-            progress("checking the most promising for obstacles", checks / options.checks)
-            robot = robot_of(_scene(scene, candidate, None))
-            clearances = Clearances(robot, scene.obstacles)
-            bound, begin = found.clearing(candidate, clearances, scene.planner.safety_margin_m)
-            if begin is None:
-                reason = "every posture found at some via-point comes too near to something"
-                each[k] = replace(each[k], status="blocked", reason=reason)
-                failed.append((base, _BLOCKED_ALIKE))
+class _Search:
+    """Judges stances, those of the smallest bounds first, each by ever dearer means."""
+
+    def __init__(self, scene: Scene, each: list[Stood], found: Screening, options: StandOptions) -> None:
+        # A stance that fails takes long, and most often for want of time.
+        limit = min(scene.planner.time_limit_s, _PLAN_SECONDS)
+        self._scene = replace(scene, planner=replace(scene.planner, time_limit_s=limit))
+        self.each, self._found, self._options = each, found, options
+        self._begins, self._in_vain = dict[int, FloatArray](), list[tuple[FloatArray, float]]()
+        self._waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
+        heapq.heapify(self._waiting)
+        self._checks = self._charts = self._tries = self._planned = 0
+
+    def run(self, progress: Callable[[str, float], None]) -> None:
+        """Judge until enough are planned and none can be better, or the numbers of attempts are over."""
+        best, options = np.inf, self._options
+        while self._waiting and self._planned < options.plans:
+            _, k = heapq.heappop(self._waiting)
+            if self.each[k].bound >= best:
                 continue
-            begins[k] = begin
-            heapq.heappush(waiting, (max(bound, each[k].bound), k))
-            continue
-        tried += 1
-        progress(f"planning stance {planned + 1} of {options.plans}", planned / options.plans)
+            if self.each[k].judged != "postures" and self._is_beside_one_in_vain(k):
+                # What failed there most likely fails here: others come first, and this one stays.
+                continue
+            match self.each[k].judged:
+                case "postures" if self._checks < options.checks:
+                    progress("checking the most promising for obstacles", self._checks / options.checks)
+                    self._check(k)
+                case "obstacles" if self._charts < options.charts:
+                    progress("charting the most promising", self._charts / options.charts)
+                    self._chart(k)
+                case "charts" if self._tries < _TRIES * (options.plans + 1):
+                    step = f"planning stance {self._planned + 1} of {options.plans}"
+                    progress(step, self._planned / options.plans)
+                    best = min(best, self._plan(k))
+
+    def _is_beside_one_in_vain(self, k: int) -> bool:
+        base = self.each[k].candidate.base[:3, 3]
+        return any(np.linalg.norm(base - other) < near for other, near in self._in_vain)
+
+    def _check(self, k: int) -> None:
+        """Leave out postures that are too near to something."""
+        self._checks += 1
+        candidate, scene = self.each[k].candidate, self._scene
+        clearances = Clearances(robot_of(_scene(scene, candidate, None)), scene.obstacles)
+        bound = self._found.clearing(candidate, clearances, scene.planner.safety_margin_m)
+        if np.isinf(bound):
+            why = "every posture found at some via-point comes too near to something"
+            self._give_up(k, "blocked", "obstacles", why)
+        else:
+            self._raise_bound(k, "obstacles", bound, bound)
+
+    def _chart(self, k: int) -> None:
+        self._charts += 1
         try:
-            made = plan(_scene(scene, candidate, begins[k]))
+            charted = chart(_scene(self._scene, self.each[k].candidate, None), _CHART_SECONDS)
         except CmbotError as error:
-            each[k] = replace(each[k], status="failed", reason=str(error))
-            failed.append((base, _ALIKE))
-            continue
-        each[k] = replace(each[k], status="planned", plan=made)
-        planned, best = planned + 1, min(best, made.objective.planned_peak)
+            self._give_up(k, "blocked", "charts", str(error))
+            return
+        self._begins[k] = charted.begins
+        self._raise_bound(k, "charts", charted.bound, charted.expected)
+
+    def _plan(self, k: int) -> float:
+        """Peak of the plan in a stance; infinite where there is none."""
+        self._tries += 1
+        try:
+            made = plan(_scene(self._scene, self.each[k].candidate, self._begins[k]))
+        except CmbotError as error:
+            self._give_up(k, "failed", "plan", str(error))
+            return np.inf
+        self.each[k] = replace(self.each[k], status="planned", judged="plan", plan=made)
+        self._planned += 1
+        return made.objective.planned_peak
+
+    def _raise_bound(self, k: int, judged: str, bound: float, expected: float) -> None:
+        """Note a bound; the stance takes its place among the others again, by what is expected of it."""
+        self.each[k] = replace(self.each[k], judged=judged, bound=max(bound, self.each[k].bound))
+        heapq.heappush(self._waiting, (max(expected, self.each[k].bound), k))
+
+    def _give_up(self, k: int, status: str, judged: str, why: str) -> None:
+        self.each[k] = replace(self.each[k], status=status, judged=judged, reason=why)
+        if judged in _ALIKE:
+            self._in_vain.append((self.each[k].candidate.base[:3, 3], _ALIKE[judged]))
 
 
 def _scene(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> Scene:

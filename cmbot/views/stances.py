@@ -41,7 +41,8 @@ def stances_page(standing: Standing) -> str:
     title = f"Where to stand: {escape(standing.scene.name)}"
     rows = "".join(_row(rank, each) for rank, each in enumerate(standing.ranked[:_ROWS], start=1))
     unit = escape(standing.unit)
-    heads = ("stance", "status", f"bound, {unit}", f"planned, {unit}", "torque at rest, Nm", "adhesion, kN")
+    figures = (f"bound, {unit}", f"planned, {unit}", "torque at rest, Nm", "adhesion, kN")
+    heads = ("stance", "status", "judged by", *figures)
     head = "".join(f"<th{_text(k)}>{name}</th>" for k, name in enumerate(("", *heads)))
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
@@ -54,7 +55,7 @@ def stances_page(standing: Standing) -> str:
 
 
 def _text(column: int) -> str:
-    return ' class="text"' if column in (1, 2) else ""
+    return ' class="text"' if column in (1, 2, 3) else ""
 
 
 def _row(rank: int, each: Stood) -> str:
@@ -62,7 +63,7 @@ def _row(rank: int, each: Stood) -> str:
     bound, torque, adhesion = ("", "", "")
     if np.isfinite(each.bound):
         bound, torque, adhesion = f"{each.bound:.1f}", f"{each.torque:.1f}", f"{each.adhesion / 1e3:.2f}"
-    cells = (str(rank), each.place, each.status, bound, planned, torque, adhesion)
+    cells = (str(rank), each.place, each.status, each.judged, bound, planned, torque, adhesion)
     return "<tr>" + "".join(f"<td{_text(k)}>{escape(cell)}</td>" for k, cell in enumerate(cells)) + "</tr>"
 
 

@@ -182,6 +182,15 @@ def test_what_is_not_the_plans_is_put_back_beside_what_is_there(plan: Path) -> N
     assert names(plan.parent) == {"plan"}
 
 
+def test_files_that_are_no_plan_are_cleared_where_they_were_being_written(plan: Path) -> None:
+    leave(plan, new={"stances.csv": "half", "notes.txt": "mine"})
+    (plan.parent / WORK / "names").write_text("best.yaml\nstances.csv")
+    with pytest.warns(UserWarning, match=r"put back: notes\.txt"):
+        recover(plan)
+    assert names(plan) == {*CONTENTS, "notes.txt"}
+    assert names(plan.parent) == {"plan"}
+
+
 def test_what_is_not_a_lost_plans_is_never_deleted(tmp_path: Path) -> None:
     leave(tmp_path / "plan", new={"plan.json": "old", "notes.txt": "mine"})
     notes = tmp_path / WORK / "new" / "notes.txt"

@@ -9,7 +9,7 @@ from unittest.mock import Mock
 import pytest
 from plan_folders import names
 
-from cmbot.archive import add_file, atomic, require_free
+from cmbot.archive import add_file, atomic, require_free, write_files
 from cmbot.archive.folder import add_files, write_folder
 from cmbot.archive.names import EARLIER_FILES, JOB_FILES, SAVED_FILES
 from cmbot.common.errors import ArchiveError
@@ -164,6 +164,25 @@ def test_on_any_file_system_all_files_change_at_once(folder, monkeypatch, swaps,
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == CONTENTS | pages | {"old": b""}
     assert all(path.stat().st_nlink == 1 for path in folder.iterdir())
     assert names(folder.parent) == {"plan"}
+
+
+@pytest.mark.parametrize("call", range(1, 10))
+def test_files_that_are_no_plan_are_written_all_or_none(tmp_path, monkeypatch, call):
+    target, others = tmp_path / "stood", {"notes.txt": b"mine", "plan.json": b"{}"}
+    before = {"stances.csv": b"1", "best.yaml": b"1"}
+    write_files(target, {**before, **others})
+    after = dict.fromkeys(before, b"2")
+    with pytest.raises(ArchiveError, match="a folder without these files, or --force"):
+        write_files(target, after)
+    with monkeypatch.context() as patched:
+        patched.setattr(os, "fsync", failing(os.fsync, call, OSError(28, "No space left on device")))
+        try:
+            write_files(target, after, force=True)
+        except ArchiveError:
+            assert call <= 7
+    there = {path.name: path.read_bytes() for path in target.iterdir()}
+    assert there in ({**before, **others}, {**after, **others})
+    assert names(tmp_path) == {"stood"}
 
 
 def test_folders_with_names_of_files_are_in_the_way(folder):

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import linprog
 from small_scenes import short_scene
 
 import cmbot
@@ -24,6 +25,7 @@ from cmbot.siting import (
     stances_csv,
     stand,
 )
+from cmbot.siting.arm import BaseArm, _Goals
 from cmbot.siting.standing import _scene
 from cmbot.views import stances_page
 
@@ -89,8 +91,44 @@ def test_the_bound_is_that_of_the_charts(objective: str) -> None:
     assert 0.99 * bound <= found.bound[0] <= 1.05 * made.objective.planned_peak
 
 
+@pytest.mark.parametrize(("keep", "seconds"), [("pose", 0.8), ("position", 0.52)])
+def test_postures_are_too_fast_where_no_joint_velocities_within_the_bounds_lead_on(
+    keep: Any, seconds: float
+) -> None:
+    """Against linear programs for the least largest share of a bound."""
+    scene = scene_of("torque", tool_path={"keep": keep, "legs": [{"by": [0, -0.3, 0], "seconds": seconds}]})
+    robot = robot_of(scene)
+    task, arm = task_of(strokes_of(scene, robot)[0], scene), BaseArm(scene, robot)
+    base = robot.model.frames[robot.model.getFrameId("arm_base")].placement.homogeneous
+    goals = _Goals.of(task, 0.5 * seconds, base[None])
+    q, of = arm._near(goals, 40, steps=10)
+    fast = arm._too_fast(q, of, goals)
+    rate = np.concatenate(
+        [base[:3, :3].T @ task.path.velocity([0.5 * seconds])[0], np.zeros(task.dimension - 3)]
+    )
+    bound = arm.limits.velocity[:, None]
+    within = np.vstack([np.hstack([sign * np.eye(robot.dof), -bound]) for sign in (1, -1)])
+    each = arm.postures.tool_at(q).jacobian[:, : task.dimension]
+    least = [
+        linprog(
+            [*np.zeros(robot.dof), 1],
+            A_ub=within,
+            b_ub=np.zeros(len(within)),
+            A_eq=np.hstack([J, np.zeros((len(J), 1))]),
+            b_eq=rate,
+            bounds=(None, None),
+        ).fun
+        for J in each
+    ]
+    assert (np.array(least)[fast] > 1).all()
+    assert (np.array(least)[~fast] < 1.05).all()
+    assert 0 < fast.sum() < len(fast)
+
+
 def test_the_ranked_table(standing: Standing) -> None:
     rows = [*csv.DictReader(stances_csv(standing).splitlines())]
+    assert {row["judged_by"] for row in rows if row["status"] == "out of reach"} == {"reach"}
+    assert rows[0]["judged_by"] == "plan"
     assert len(rows) == len(standing.ranked) > 20
     assert {row["status"] for row in rows} <= {
         "planned",
