@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 import pinocchio as pin
 from scipy import linalg
+from scipy.spatial.distance import pdist
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.arm import ElasticArm
-from cmbot.elastic.modes import Linearised, linearised
+from cmbot.elastic.modes import linearised
 from cmbot.trajectory import QuinticTrajectory
 
-__all__ = ["LegVibration", "Uncertainty", "tool_amplitudes"]
+__all__ = ["ElasticPath", "LegVibration", "Uncertainty", "tool_amplitudes"]
 
 # Modes at the start, the middle and the end that together carry the motion in between.
 _CARRIERS = 5
@@ -22,6 +24,8 @@ _CARRIERS = 5
 _STEPS_A_PERIOD, _MATRICES_EVERY = 40, 0.1
 # Damping ratio of the modes that are suppressed, as simulated by default: it hardly matters within a leg.
 _DAMPING = 0.01
+# How long the tool is watched after the stop, and how often, s.
+_SETTLE, _WATCHED = 1.0, 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -46,44 +50,78 @@ class Uncertainty:
         return tuple((factor, load) for load, factors in pairs for factor in factors)
 
 
+class ElasticPath:
+    """An arm along a trajectory: its matrices about the equilibria, for every load of an uncertainty.
+
+    Legs that overlap share them. What lies before the times asked for last is forgotten.
+    """
+
+    def __init__(self, arm: ElasticArm, trajectory: QuinticTrajectory, uncertainty: Uncertainty) -> None:
+        self.trajectory, self.uncertainty = trajectory, uncertainty
+        self._arms = [arm.softened(1.0, load) if load else arm for load in uncertainty.loads]
+        self._known: list[dict[float, tuple[FloatArray, ...]]] = [{} for _ in self._arms]
+
+    def at(self, times: FloatArray) -> list[_Matrices]:
+        """Return the matrices for every load at ascending `times` (g,), s."""
+        (q, v), found = (self.trajectory.evaluate(times, order) for order in range(2)), []
+        for arm, known in zip(self._arms, self._known, strict=True):
+            for time in [time for time in known if time < times[0]]:
+                del known[time]
+            new = [k for k, time in enumerate(times) if time not in known]
+            if new:
+                at = linearised(arm, q[new])
+                sag_slope = -np.linalg.solve(at.stiffness, at.weight)
+                gyroscopic = _gyroscopic(arm, q[new], at.u, v[new])
+                rows = zip(at.u, at.mass, at.stiffness, at.coupling, gyroscopic, sag_slope, strict=True)
+                known.update(zip(times[new], rows, strict=True))
+            stacked = zip(*(known[time] for time in times), strict=True)
+            found.append(_Matrices(arm, q, *(np.stack(each) for each in stacked)))
+        return found
+
+
+@dataclass(frozen=True)
+class _Matrices:
+    """An arm linearised about its equilibria `u` (g, f) in postures `q` (g, n), as by `Linearised`."""
+
+    arm: ElasticArm
+    q: FloatArray
+    u: FloatArray
+    mass: FloatArray
+    stiffness: FloatArray
+    coupling: FloatArray
+    gyroscopic: FloatArray  # (g, f, f): forces by the elastic coordinates' rates, while the joints move
+    sag_slope: FloatArray  # (g, f, n): derivative of the equilibria by the joint angles
+
+
 class LegVibration:
     """How the joints' snap along a leg moves the first modes at its end, the arm at rest where it starts.
 
-    The matrices are those of the postures along `trajectory`; a small change of it hardly changes them. There
-    are C cases of the `uncertainty`. `times` (m,), s, are the middles of the steps between the knots `start`
-    and `end`, `weights` (m, C 2r, n) those of the snaps at these times in what the modes' displacements, then
+    The matrices are those along the path's trajectory; a small change of that hardly changes them. There are
+    C cases of the uncertainty. `times` (m,), s, are the middles of the steps between the knots `start` and
+    `end`, `weights` (m, C 2r, n) those of the snaps at these times in what the modes' displacements, then
     their velocities over omega, move the tool by at the end, m.
     """
 
-    def __init__(
-        self,
-        arm: ElasticArm,
-        trajectory: QuinticTrajectory,
-        start: float,
-        end: float,
-        modes: int,
-        uncertainty: Uncertainty,
-    ) -> None:
-        knots = trajectory.t[(trajectory.t > start - 1e-9) & (trajectory.t < end + 1e-9)]
-        edges = _refined(knots, _MATRICES_EVERY)
-        q = trajectory.evaluate(np.append(0.5 * (edges[1:] + edges[:-1]), end))
+    def __init__(self, path: ElasticPath, start: float, end: float, modes: int) -> None:
+        knots = path.trajectory.t
+        edges = _refined(knots[(knots > start - 1e-9) & (knots < end + 1e-9)], _MATRICES_EVERY)
+        matrices = path.at(np.append(0.5 * (edges[1:] + edges[:-1]), end))
         reduced = [
-            _reduced(loaded, at, factor, q[-1], modes)
-            for load, factors in zip(uncertainty.loads, uncertainty.factors, strict=True)
-            for loaded in [arm.softened(1.0, load) if load else arm]
-            for at in [linearised(loaded, q)]
+            _reduced(each, factor, modes)
+            for each, factors in zip(matrices, path.uncertainty.factors, strict=True)
             for factor in factors
         ]
-        M, K, KB, momenta, omega, to_tool = (np.stack(each) for each in zip(*reduced, strict=True))
+        self._carried = carried = _Carried(*(np.stack(each) for each in zip(*reduced, strict=True)))
         lengths = np.diff(edges)
-        counts = np.ceil(lengths * omega.max() / (2 * np.pi) * _STEPS_A_PERIOD).astype(int)
+        counts = np.ceil(lengths * carried.omega.max() / (2 * np.pi) * _STEPS_A_PERIOD).astype(int)
         each = [
             start + length * (np.arange(n) + 0.5) / n
             for start, length, n in zip(edges[:-1], lengths, counts, strict=True)
         ]
         self.times = np.concatenate(each)
-        weights = _weights(M, K, KB, lengths / counts, counts, momenta, omega)
-        weights *= np.concatenate([to_tool, to_tool], axis=1)[:, None, :, None]
+        self._steps, self._counts = lengths / counts, counts
+        weights = _weights(carried, self._steps, counts)
+        weights *= np.concatenate([carried.to_tool, carried.to_tool], axis=1)[:, None, :, None]
         cases, m, conditions, n = weights.shape
         self.weights = weights.transpose(1, 0, 2, 3).reshape(m, cases * conditions, n)
         self.cases = cases
@@ -92,6 +130,45 @@ class LegVibration:
         """What each mode moves the tool by at the end, for every case (C 2r,), m."""
         return np.asarray(np.einsum("kcj,kj->c", self.weights, trajectory.evaluate(self.times, 4)))
 
+    def swings(self, trajectories: Sequence[QuinticTrajectory]) -> FloatArray:
+        """Largest distance between two positions of the tool in the second after the end (T, C), m.
+
+        Simulated with all carriers by the implicit midpoint rule.
+        """
+        carried = self._carried
+        snaps = np.stack([each.evaluate(self.times, 4).T for each in trajectories], axis=-1)
+        cases, k = carried.tool.shape[0], carried.tool.shape[2]
+        y, begin = np.zeros((cases, 2 * k, len(trajectories))), 0
+        for block, (h, count) in enumerate(zip(self._steps, self._counts, strict=True)):
+            state, push = _midpoint_step(carried, block, float(h))
+            pushed = np.tensordot(push, snaps[:, begin : begin + count], axes=(2, 0))
+            for i in range(count):
+                y = state @ y + pushed[:, :, i]
+            begin += count
+        substeps = max(1, round(_WATCHED / float(self._steps[-1])))
+        state = np.linalg.matrix_power(_midpoint_step(carried, -1, _WATCHED / substeps)[0], substeps)
+        tracks = np.empty((round(_SETTLE / _WATCHED) + 1, cases, 3, len(trajectories)))
+        for moment in tracks:
+            moment[:] = carried.tool @ y[:, :k]
+            y = state @ y
+        return np.array(
+            [[pdist(tracks[:, c, :, t]).max() for c in range(cases)] for t in range(len(trajectories))]
+        )
+
+
+@dataclass(frozen=True)
+class _Carried:
+    """The system among k carriers, for C cases and g + 1 postures, the last of them the end's."""
+
+    mass: FloatArray  # M (C, g + 1, k, k)
+    damping: FloatArray  # D (C, g + 1, k, k), with what velocities of the joints add
+    stiffness: FloatArray  # K (C, g + 1, k, k)
+    response: FloatArray  # K^-1 B (C, g + 1, k, n)
+    momenta: FloatArray  # (C, k, r) of the modes at the end
+    omega: FloatArray  # (C, r), rad/s
+    to_tool: FloatArray  # (C, r): how far a mode moves the tool
+    tool: FloatArray  # (C, 3, k): how the carriers move the tool, m
+
 
 def tool_amplitudes(vibration: FloatArray, cases: int) -> FloatArray:
     """Largest amplitudes of the tool point (cases,), m, when the modes of a `vibration` (C 2r,) coincide."""
@@ -99,26 +176,23 @@ def tool_amplitudes(vibration: FloatArray, cases: int) -> FloatArray:
     return np.asarray(np.hypot(x[:, 0], x[:, 1]).sum(axis=1))
 
 
-def _reduced(
-    arm: ElasticArm, at: Linearised, factor: float, last: FloatArray, modes: int
-) -> tuple[FloatArray, ...]:
-    """M (g, k, k), K (g, k, k), K^-1 B (g, k, n) among carriers, then at the end: momenta, omega, to tool.
+def _reduced(at: _Matrices, factor: float, modes: int) -> tuple[FloatArray, ...]:
+    """One case of what is `_Carried`.
 
     The stiffness is that of the springs times `factor`; the equilibrium hardly changes with it.
     """
-    stiffness = at.stiffness + (factor - 1) * arm.stiffness
+    stiffness = at.stiffness + (factor - 1) * at.arm.stiffness
     most = max(_CARRIERS, modes)
     shapes = [_slowest(at.mass[k], stiffness[k], most) for k in (0, len(stiffness) // 2, -1)]
     omega, own = shapes[-1]
     V = np.linalg.qr(np.hstack([each for _, each in shapes]))[0]
-    sag_slope = -np.linalg.solve(stiffness, at.weight)
-    K = V.T @ stiffness @ V
-    KB = np.linalg.solve(K, V.T @ (at.coupling + at.mass @ sag_slope))
-    J = _tool_jacobian(arm, last, at.u[-1])
+    M, K = V.T @ at.mass @ V, V.T @ stiffness @ V
+    response = np.linalg.solve(K, V.T @ (at.coupling + at.mass @ (at.sag_slope / factor)))
+    J = _tool_jacobian(at.arm, at.q[-1], at.u[-1])[:, at.arm.elastic]
     r = min(modes, len(omega))
-    to_tool = np.linalg.norm(J[:, arm.elastic] @ own[:, :r], axis=0)
-    M = V.T @ at.mass @ V
-    return M[:-1], K[:-1], KB[:-1], V.T @ at.mass[-1] @ own[:, :r], omega[:r], to_tool
+    D = V.T @ at.gyroscopic @ V + 2 * _DAMPING / omega[0] * K
+    to_tool = np.linalg.norm(J @ own[:, :r], axis=0)
+    return M, D, K, response, V.T @ at.mass[-1] @ own[:, :r], omega[:r], to_tool, J @ V
 
 
 def _slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
@@ -130,41 +204,41 @@ def _slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatA
     return 1 / np.sqrt(squares), X / np.sqrt(squares)
 
 
-def _weights(
-    M: FloatArray,
-    K: FloatArray,
-    KB: FloatArray,
-    steps: FloatArray,
-    counts: IntArray,
-    momenta: FloatArray,
-    omega: FloatArray,
-) -> FloatArray:
+def _weights(carried: _Carried, steps: FloatArray, counts: IntArray) -> FloatArray:
     """Weights (C, m, 2r, n) of the snaps in every step in the modes' displacements and velocities at the end.
 
     The adjoint of the implicit midpoint rule, run backwards from the end: one run serves all trajectories.
-    The matrices (C, g, ...) are those of g blocks of `counts` (g,) equal steps (g,), s.
+    There are g blocks of `counts` (g,) equal steps (g,), s.
     """
-    cases, k, r = momenta.shape
-    weights = np.empty((cases, int(counts.sum()), 2 * r, KB.shape[3]))
-    p, s = np.zeros((cases, k, 2 * r)), np.zeros((cases, k, 2 * r))
-    c = 2 * _DAMPING / omega[:, 0, None, None]
-    p[..., :r], s[..., r:] = momenta, momenta / omega[:, None, :]
+    cases, k, r = carried.momenta.shape
+    weights = np.empty((cases, int(counts.sum()), 2 * r, carried.response.shape[3]))
+    # Derivatives of displacements and velocities at the end by (y, y') after the step.
+    costate = np.zeros((cases, 2 * k, 2 * r))
+    costate[:, :k, :r], costate[:, k:, r:] = carried.momenta, carried.momenta / carried.omega[:, None, :]
     end = weights.shape[1]
     for block in range(len(counts) - 1, -1, -1):
-        h, count = float(steps[block]), int(counts[block])
-        # With G = M^-1 K and damping c G, a step back from (p, s) solves (1 - h/2 A)' (x, M y) = (p, s), an
-        # equation for y alone, and goes on to (1 + h/2 A)' (x, M y).
-        inverse = np.linalg.inv(M[:, block] + (0.5 * c * h + 0.25 * h**2) * K[:, block])
-        back = np.concatenate([M[:, block], h * K[:, block]], axis=1) @ inverse
-        moved = np.empty((count, cases, k, 2 * r))
+        count = int(counts[block])
+        state, push = _midpoint_step(carried, block, float(steps[block]))
+        back = np.ascontiguousarray(state.transpose(0, 2, 1))
+        after = np.empty((count, *costate.shape))
         for i in range(count - 1, -1, -1):
-            both = back @ (s + 0.5 * h * p)
-            moved[i] = both[:, :k]
-            p = p - both[:, k:]
-            s = 2 * moved[i] - s
-        weights[:, end - count : end] = h * (moved.transpose(1, 0, 3, 2) @ KB[:, None, block])
+            after[i] = costate
+            costate = back @ costate
+        weights[:, end - count : end] = after.transpose(1, 0, 3, 2) @ push[:, None]
         end -= count
     return weights
+
+
+def _midpoint_step(carried: _Carried, block: int, h: float) -> tuple[FloatArray, FloatArray]:
+    """The implicit midpoint rule in a block: a step's matrices of (y, y') (C, 2k, 2k) and snap (C, 2k, n)."""
+    M, K = carried.mass[:, block], carried.stiffness[:, block]
+    inverse = np.linalg.inv(M + 0.5 * h * carried.damping[:, block] + 0.25 * h**2 * K)
+    # The rate in the middle of the step, by y, y' and snap.
+    by_y, by_rate = -0.5 * h * inverse @ K, inverse @ M
+    by_snap = 0.5 * h * by_rate @ carried.response[:, block]
+    one = np.eye(K.shape[1])
+    state = np.block([[one + h * by_y, h * by_rate], [2 * by_y, 2 * by_rate - one]])
+    return state, np.concatenate([h * by_snap, 2 * by_snap], axis=1)
 
 
 def _refined(knots: FloatArray, longest: float) -> FloatArray:
@@ -175,6 +249,17 @@ def _refined(knots: FloatArray, longest: float) -> FloatArray:
         for (start, end), count in zip(pairwise(knots), counts, strict=True)
     ]
     return np.concatenate([*pieces, knots[-1:]])
+
+
+def _gyroscopic(arm: ElasticArm, q: FloatArray, u: FloatArray, v: FloatArray) -> FloatArray:
+    """Derivatives (g, f, f) of the elastic coordinates' forces by their rates, at joint rates (g, n)."""
+    data, still = arm.model.createData(), np.zeros(arm.model.nv)
+    block = np.ix_(arm.elastic, arm.elastic)
+    rates = arm.configuration(v, np.zeros_like(u))
+    found = np.empty((*u.shape, u.shape[1]))
+    for k, (configuration, rate) in enumerate(zip(arm.configuration(q, u), rates, strict=True)):
+        found[k] = pin.computeRNEADerivatives(arm.model, data, configuration, rate, still)[1][block]
+    return found
 
 
 def _tool_jacobian(arm: ElasticArm, q: FloatArray, u: FloatArray) -> FloatArray:

@@ -3,7 +3,7 @@
 Guardrail and links answer the joints' motion as a linear system whose matrices change slowly with the
 posture. With y what they move beyond the sag and beyond what the accelerations bend quasi-statically,
 
-    M(t) y'' + D y' + K(t) y = M K^-1 B(t) snap(t),    B = M_fa + M_ff du_sag/dq
+    M(t) y'' + D(t) y' + K(t) y = M K^-1 B(t) snap(t),    B = M_fa + M_ff du_sag/dq
 
 so the first modes' displacement and velocity at the end of a leg are linear in the joints' snap, and with it
 in the splines' coefficients. Of all changes that bring them to zero at every end of a leg the one with the
@@ -31,8 +31,12 @@ from cmbot.optimization import (
     linearize,
     nearest,
 )
-from cmbot.planning.flexibility.leg_vibration import LegVibration, Uncertainty, tool_amplitudes
-from cmbot.planning.flexibility.simulated_rest import swing_at_rest
+from cmbot.planning.flexibility.leg_vibration import (
+    ElasticPath,
+    LegVibration,
+    Uncertainty,
+    tool_amplitudes,
+)
 from cmbot.planning.torque import Optimised, TorqueProblem
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import SUPPORT, QuinticTrajectory, SplineSpace
@@ -48,7 +52,7 @@ _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 # The largest swing is to fall to this share; an amplitude of the tool below the second number, m, is rest.
 _WORTH, _AT_REST = 0.6, 2e-6
 # What the prediction misses, as a share of the stiffness.
-_MARGIN = 0.02
+_MARGIN = 0.01
 # Longer paths, s, and more modes are predicted in fewer cases.
 _LONG, _MANY = 60.0, 3
 # By how much times may miss their knots, s.
@@ -89,10 +93,12 @@ class VibrationSuppression:
         Amplitude of the tool that these modes leave at the end of the motion, as predicted, without and with
         the change: the largest over what stiffness and load may be.
     stiffness, load_kg : tuple of float
-        What was simulated: factors on all stiffness, and how much more the tool carries than modelled.
+        Factors on all stiffness, and how much more the tool carries than modelled: as modelled, the most it
+        may carry, the ends of the interval, and the worst of all cases without and with the change.
     swing_without, swing_with : tuple of float, m
-        Largest distance between two positions of the tool after the stop, simulated for each of these. Where
-        the largest of them does not fall by two fifths, the change is not made, and all shares are 0.
+        Largest distance between two positions of the tool after the stop in each of these, simulated as a
+        linear system whose matrices change with the posture. Where the largest of all cases does not fall by
+        two fifths, the change is not made, and all shares are 0.
     """
 
     modes: int
@@ -135,6 +141,7 @@ def suppress_vibration(
     uncertainty = _uncertainty(options, arm.robot.payload, float(t[-1] - t[0]))
     groups = legs_by_window(problem.space, leg_times)
     windows = [Window(problem, group) for group in groups]
+    path = ElasticPath(arm, trajectory, uncertainty)
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
     for window, (first, last) in reporter.each("predicting the vibration of every leg", ends):
         if reporter.expired():
@@ -142,7 +149,7 @@ def suppress_vibration(
         # What is left of the legs before is still there, but for that of long ago.
         earlier = [time for time in leg_times if window.start <= time + _SAME_TIME < t[first]]
         start = min([t[first], *(time for time in earlier if t[last] - time <= _KEPT)])
-        leg = LegVibration(arm, trajectory, float(start), t[last], options.quiet_modes, uncertainty)
+        leg = LegVibration(path, float(start), t[last], options.quiet_modes)
         window.bring_to_rest(leg, trajectory)
     reporter.step("bringing the slowest vibrations to rest")
     search = _Search(problem, trajectory, windows)
@@ -151,23 +158,19 @@ def suppress_vibration(
     before, after = (float(each.max()) for each in amplitudes)
     if before < _AT_REST:
         changed, shares = trajectory, [0.0] * len(windows)
-    cases = _simulated(uncertainty, amplitudes[0], options)
-    swings: list[tuple[float, float]] = []
-    for factor, load in reporter.each("simulating the swing after the stop", cases):
-        if reporter.expired():
-            return optimised, None
-        loaded = arm.softened(factor, load)
-        without = swing_at_rest(loaded, trajectory, leg_times)
-        swings.append((without, swing_at_rest(loaded, changed, leg_times) if any(shares) else without))
+    reporter.step("simulating the swing after the stop")
+    swings = leg.swings([trajectory, changed] if any(shares) else [trajectory])
+    without, with_it = swings[0], swings[-1]
+    shown = _shown(uncertainty, without, with_it, options)
     done = VibrationSuppression(
         modes=options.quiet_modes,
         shares=tuple(share for share, group in zip(shares, groups, strict=True) for _ in group),
         before=before,
         after=after,
-        stiffness=tuple(factor for factor, _ in cases),
-        load_kg=tuple(load for _, load in cases),
-        swing_without=tuple(without for without, _ in swings),
-        swing_with=tuple(swing for _, swing in swings),
+        stiffness=tuple(uncertainty.cases[k][0] for k in shown),
+        load_kg=tuple(uncertainty.cases[k][1] for k in shown),
+        swing_without=tuple(without[shown].tolist()),
+        swing_with=tuple(with_it[shown].tolist()),
     )
     if not done.worth_it:
         return optimised, replace(done, shares=(0.0,) * len(done.shares), after=done.before)
@@ -179,25 +182,28 @@ def _uncertainty(options: PlannerOptions, payload: float, duration: float) -> Un
     share, more = options.quiet_stiffness_share, options.quiet_payload_kg
     wide = share + _MARGIN
     few = duration > _LONG or options.quiet_modes > _MANY
-    factors = tuple(np.linspace(1 - wide, 1 + wide, 13 if few else 25).round(6).tolist()) if share else (1.0,)
+    factors = {1.0, *_ends(share)}
+    if share:
+        # Evenly spaced in frequency: so the phases at the end of a leg are.
+        roots = np.linspace(np.sqrt(1 - wide), np.sqrt(1 + wide), 13 if few else 25)
+        factors |= set((roots**2).round(6).tolist())
     loads = () if few else tuple(load for load in (more, -min(more, payload)) if load)
     # Stiffness and load, one at a time.
-    return Uncertainty(loads=(0.0, *loads), factors=(factors, *[(1.0,)] * len(loads)))
+    return Uncertainty(loads=(0.0, *loads), factors=(tuple(sorted(factors)), *[(1.0,)] * len(loads)))
 
 
-def _simulated(
-    uncertainty: Uncertainty, amplitudes: FloatArray, options: PlannerOptions
-) -> list[tuple[float, float]]:
-    """Factors on the stiffness, and loads, kg, for which the swing after the stop is simulated.
+def _ends(share: float) -> tuple[float, float]:
+    return round(1 - share, 6), round(1 + share, 6)
 
-    What is modelled, the largest load with that, the ends of the interval, and where the `amplitudes` (C,)
-    without a change are the largest.
-    """
-    share = options.quiet_stiffness_share
-    modelled = {(1.0, load) for load in uncertainty.loads[:2]}
-    return sorted(
-        modelled | {(1 - share, 0.0), (1 + share, 0.0), uncertainty.cases[int(amplitudes.argmax())]}
-    )
+
+def _shown(
+    uncertainty: Uncertainty, without: FloatArray, with_it: FloatArray, options: PlannerOptions
+) -> list[int]:
+    """Which cases a plan tells of, in ascending order of stiffness and load."""
+    cases, share = uncertainty.cases, options.quiet_stiffness_share
+    wanted = [(1.0, load) for load in uncertainty.loads[:2]] + [(end, 0.0) for end in _ends(share)]
+    numbers = {cases.index(case) for case in wanted} | {int(without.argmax()), int(with_it.argmax())}
+    return sorted(numbers, key=lambda k: cases[k])
 
 
 @dataclass(frozen=True)

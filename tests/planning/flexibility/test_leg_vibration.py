@@ -1,5 +1,7 @@
 """The weights of the snaps against the motion itself: the implicit midpoint rule, run forwards."""
 
+from dataclasses import fields
+
 import numpy as np
 
 from cmbot.planning.flexibility import leg_vibration
@@ -13,28 +15,43 @@ def positive(rng: np.random.Generator, count: int, scale: float) -> np.ndarray:
     return scale * (A @ A.transpose(0, 2, 1) + CARRIERS * np.eye(CARRIERS))
 
 
+def carried(rng: np.random.Generator, blocks: int) -> leg_vibration._Carried:
+    """Two cases of a system, the second of them another one, with forces by the rates of no symmetry."""
+    n = blocks + 1
+    found = leg_vibration._Carried(
+        mass=positive(rng, n, 1.0),
+        damping=rng.normal(size=(n, CARRIERS, CARRIERS)),
+        stiffness=positive(rng, n, 900.0),
+        response=rng.normal(size=(n, CARRIERS, JOINTS)),
+        momenta=rng.normal(size=(CARRIERS, MODES)),
+        omega=np.array([20.0, 35.0]),
+        to_tool=rng.uniform(size=MODES),
+        tool=rng.normal(size=(3, CARRIERS)),
+    )
+    both = {each.name: getattr(found, each.name) for each in fields(found)}
+    return leg_vibration._Carried(**{name: np.stack([x, 1.5 * x]) for name, x in both.items()})
+
+
 def test_backwards_is_the_transpose_of_forwards(rng: np.random.Generator) -> None:
-    """In blocks of steps, none of them equally long; the second of two cases is another system."""
+    """In blocks of steps, none of them equally long."""
     counts = np.array([40, 1, 25, 300])
     steps = rng.uniform(1e-3, 5e-3, 4)
-    M, K = positive(rng, 4, 1.0), positive(rng, 4, 900.0)
-    KB = rng.normal(size=(4, CARRIERS, JOINTS))
-    momenta, omega = rng.normal(size=(CARRIERS, MODES)), np.array([20.0, 35.0])
-    M, K, KB, momenta, omega = (np.stack([x, 1.5 * x]) for x in (M, K, KB, momenta, omega))
-    weights = leg_vibration._weights(M, K, KB, steps, counts, momenta, omega)
+    system = carried(rng, 4)
+    weights = leg_vibration._weights(system, steps, counts)
     assert weights.shape == (2, counts.sum(), 2 * MODES, JOINTS)
 
     snap = rng.normal(size=(counts.sum(), JOINTS))
     for case in range(2):
         z, one = np.zeros(2 * CARRIERS), np.eye(2 * CARRIERS)
         for s, block in zip(snap, np.repeat(np.arange(4), counts), strict=True):
-            h, G = steps[block], np.linalg.solve(M[case, block], K[case, block])
-            damped = -2 * leg_vibration._DAMPING / omega[case, 0] * G
-            A = np.block([[np.zeros_like(G), np.eye(CARRIERS)], [-G, damped]])
-            force = np.concatenate([np.zeros(CARRIERS), KB[case, block] @ s])
+            M, D, K = (x[case, block] for x in (system.mass, system.damping, system.stiffness))
+            h, G = steps[block], np.linalg.solve(M, K)
+            A = np.block([[np.zeros_like(G), np.eye(CARRIERS)], [-G, -np.linalg.solve(M, D)]])
+            force = np.concatenate([np.zeros(CARRIERS), system.response[case, block] @ s])
             z = np.linalg.solve(one - h / 2 * A, (one + h / 2 * A) @ z + h * force)
         y, rate = np.split(z, 2)
-        expected = np.concatenate([momenta[case].T @ y, momenta[case].T @ rate / omega[case]])
+        momenta = system.momenta[case]
+        expected = np.concatenate([momenta.T @ y, momenta.T @ rate / system.omega[case]])
         found = np.einsum("kcj,kj->c", weights[case], snap)
         np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 

@@ -3,7 +3,7 @@
 Splines are changed in windows that are small however long the path, and quiet at their ends.
 """
 
-from itertools import chain, pairwise, repeat
+from itertools import pairwise
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy import sparse
+from scipy.spatial.distance import pdist
 from small_scenes import short_scene
 
 from cmbot.archive import load_plan, save
 from cmbot.archive.schema import SuppressionFile
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, plan, planner, remarks
-from cmbot.planning.flexibility import vibration_suppression
+from cmbot.planning.flexibility.leg_vibration import LegVibration
 from cmbot.planning.flexibility.vibration_suppression import Change, Window, legs_by_window
 from cmbot.planning.progress import ProgressReporter
 from cmbot.simulation import PrescribedMotion, SimulationOptions, track
@@ -57,6 +58,13 @@ def swing(of: Plan, options: SimulationOptions) -> FloatArray:
     motion = PrescribedMotion.along(of.trajectory)
     tracking = track(elastic_arm_of(of, options), of.task, motion, options)
     return np.ptp(tracking.dynamic[tracking.t > tracking.stop + 1e-9], axis=0)
+
+
+def diameter(of: Plan, options: SimulationOptions) -> float:
+    """Largest distance between two positions of the tool after the stop, m."""
+    motion = PrescribedMotion.along(of.trajectory)
+    tracking = track(elastic_arm_of(of, options), of.task, motion, options)
+    return float(pdist(tracking.dynamic[tracking.t > tracking.stop + 1e-9][::5]).max())
 
 
 def test_the_tool_comes_to_rest_as_predicted(loud: Plan, quiet: Plan) -> None:
@@ -148,10 +156,14 @@ def test_what_stiffness_may_be_is_suppressed(loud: Plan, robust: Plan) -> None:
     swings = []
     for factor in (0.7, 0.85, 1.0, 1.15, 1.3):
         options = SimulationOptions(settle_s=1.0, guardrail_factor=factor, link_factor=factor)
-        swings.append([swing(each, options).max() for each in (loud, robust)])
+        swings.append([diameter(each, options) for each in (loud, robust)])
     before, after = np.max(swings, axis=0)
-    assert after < 0.8 * before
+    assert after < 0.6 * before
     done = robust.quieting
+    # The plan's simulation is linear, that of the tracking is not.
+    ends = [done.stiffness.index(0.7), done.stiffness.index(1.3)]
+    told = np.stack([done.swing_without, done.swing_with], axis=1)[ends]
+    np.testing.assert_allclose(told, [swings[0], swings[-1]], rtol=0.1, atol=5e-6)
     assert done.worth_it
     assert {(1.0, 0.0), (1.0, 1.0)} < set(zip(done.stiffness, done.load_kg, strict=True))
     assert max(done.swing_with) < 0.6 * max(done.swing_without)
@@ -161,9 +173,14 @@ def test_what_stiffness_may_be_is_suppressed(loud: Plan, robust: Plan) -> None:
 
 
 def test_a_change_that_does_not_help_is_not_made(monkeypatch: pytest.MonkeyPatch, loud: Plan) -> None:
-    """What counts is the simulation, not the prediction."""
-    swings = chain([1e-3, 1e-4, 1e-3, 0.7e-3], repeat(1e-4))
-    monkeypatch.setattr(vibration_suppression, "swing_at_rest", lambda *_: next(swings))
+    """What counts is how the tool swings with all carriers, not the amplitudes of the slowest modes."""
+
+    def one_case_hardly_better(leg: LegVibration, trajectories: list[QuinticTrajectory]) -> FloatArray:
+        swings = np.full((len(trajectories), leg.cases), 1e-4)
+        swings[:, 7] = np.array([1e-3, 0.7e-3])[: len(trajectories)]
+        return swings
+
+    monkeypatch.setattr(LegVibration, "swings", one_case_hardly_better)
     left = planned(2)
     assert left.quieting.shares == (0.0, 0.0)
     assert left.quieting.after == left.quieting.before
