@@ -8,6 +8,7 @@ The reading order::
     Plan           what came out, with its figures
     save, load_plan   a plan directory                    cmbot.archive
     simulate       what bends on the way                  cmbot.simulation
+    identify       how stiff it is, from measurements     cmbot.identification
     replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
     campaign       many scenes on many processes          cmbot.campaigns
 
@@ -37,6 +38,7 @@ from cmbot.version import __version__
 if TYPE_CHECKING:
     from cmbot.archive import load_plan, load_tracking, save, save_tracking
     from cmbot.campaigns import Campaign, campaign
+    from cmbot.identification import Identification, identify
     from cmbot.planning import Plan, QuinticTrajectory, plan
     from cmbot.robot import Robot, load_robot
     from cmbot.scene import PlannerOptions, Scene, load_scene
@@ -47,6 +49,7 @@ __all__ = [
     "ArchiveError",
     "Campaign",
     "CmbotError",
+    "Identification",
     "InputError",
     "LimitViolation",
     "MissingExtra",
@@ -65,6 +68,7 @@ __all__ = [
     "Tracking",
     "__version__",
     "campaign",
+    "identify",
     "load_plan",
     "load_robot",
     "load_scene",
@@ -82,6 +86,7 @@ __all__ = [
 _ROOMS = {
     "cmbot.archive": ("load_plan", "load_tracking", "save", "save_tracking"),
     "cmbot.campaigns": ("Campaign", "campaign"),
+    "cmbot.identification": ("Identification", "identify"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
     "cmbot.robot": ("Robot", "load_robot"),
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),

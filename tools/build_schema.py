@@ -55,6 +55,10 @@ def schema_text() -> str:
     for name in ("ToolPathFile", "StrokeFile"):
         waypoints = schema["$defs"][name]["properties"]["waypoints"]
         waypoints["anyOf"].append({"type": "string", "minLength": 1})
+    # A file's content is read, too, and a diagonal made a matrix.
+    schema["properties"]["identified"]["anyOf"].append({"type": "string", "minLength": 1})
+    stiffness, entries = schema["$defs"]["GuardrailFile"]["properties"]["stiffness"], {"type": "number"}
+    stiffness["anyOf"].append({"type": "array", "items": entries, "minItems": 6, "maxItems": 6})
     schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "title": FORMAT}
     return json.dumps(schema, indent=2, ensure_ascii=False) + "\n"
 

@@ -52,6 +52,9 @@ _SECTIONS = {
     "HoldFile": "`guardrail.hold`",
     "StanceFile": "`guardrail.stance`",
     "FootholdFile": "`guardrail.stance.foot_1`, `foot_2`",
+    "IdentifiedStiffness": "`identified`",
+    "IdentifiedSpring": "`identified.links`, `identified.joints`",
+    "IdentifiedBase": "`identified.base`",
     "PlannerOptions": "`planner`",
 }
 

@@ -19,6 +19,7 @@ import cmbot
 from cmbot.cli.campaign import campaign
 from cmbot.cli.console import ExitStatus, LostOutputError, discard, err, flat, out
 from cmbot.cli.creation import new
+from cmbot.cli.identify import identify
 from cmbot.cli.inspection import check, doctor, scenes, schema
 from cmbot.cli.planning import plan
 from cmbot.cli.simulation import reproduce, simulate
@@ -154,7 +155,7 @@ def _options(
 
 
 for _verb in (
-    *(plan, stand, campaign, new, replay, report, compare, export, simulate, reproduce),
+    *(plan, stand, campaign, new, replay, report, compare, export, simulate, identify, reproduce),
     *(check, scenes, schema, doctor),
 ):
     app.command()(_verb)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Annotated, Any
@@ -60,6 +61,9 @@ class ElasticArm:
     damping: FloatArray  # (f, f), Nms/rad: the joints' own
     added_mass: FloatArray  # (f, f), kg, kg m, kg m2: the guardrail's, at the foot; not in `model`
     tool_frame_id: int  # index of the tool frame in `model`
+    # (k,), indices among the elastic coordinates of what bends, by its kind and name: ("base", ""),
+    # ("link", "link_1"), ("joint", "joint_1")
+    springs: Mapping[tuple[str, str], IntArray]
 
     @cached_property
     def external_forces(self) -> Any:
@@ -137,6 +141,7 @@ class _Builder:
         self.elastic: list[int] = []
         self.blocks: list[FloatArray] = []
         self.dampings: list[FloatArray] = []
+        self.springs: dict[tuple[str, str], list[int]] = {}
 
     def add_base(self, base: ElasticBase) -> None:
         """Add the base's six elastic coordinates; the climbing mechanism moves with them."""
@@ -148,7 +153,7 @@ class _Builder:
                 self.elastic.append(self._add(joint, placement, f"guardrail {kind} {axis}"))
                 placement = pin.SE3.Identity()
         self.X_LB = to_foot.inverse()
-        self._add_springs(self.options.guardrail_factor * base.stiffness)
+        self._add_springs(("base", ""), self.options.guardrail_factor * base.stiffness)
         self.add_inertia(self.robot.model.inertias[0])
 
     def add_driven(self, joint: int) -> None:
@@ -171,7 +176,7 @@ class _Builder:
             self.elastic.append(self._add(turning, pin.SE3.Identity(), f"{name} {kind}"))
         damping = np.zeros((len(kinds), len(kinds)))
         damping[0, 0] = spring.damping
-        self._add_springs(self.options.joint_factor * np.diag(stiffness), damping)
+        self._add_springs(("joint", name), self.options.joint_factor * np.diag(stiffness), damping)
 
     def add_inertia(self, inertia: Any) -> None:
         """Add an inertia, in the frame of the rigid body that the last joint carries, to that joint."""
@@ -198,7 +203,7 @@ class _Builder:
                 name = f"{link} segment {number} {coordinate}"
                 self.elastic.append(self._add(kind(), self.X_LB * X_JT, name))
                 self.X_LB = X_JT.inverse()
-            self._add_springs(self.options.link_factor * stiffness)
+            self._add_springs(("link", link), self.options.link_factor * stiffness)
             self.add_inertia(piece)
 
     def _pieces(self, joint: int, start: FloatArray, end: FloatArray, cuts: FloatArray) -> list[Any]:
@@ -232,9 +237,14 @@ class _Builder:
             damping=read_only(damping),
             added_mass=read_only(added_mass),
             tool_frame_id=int(self.model.addFrame(tool)),
+            springs={what: np.array(at, dtype=np.intp) for what, at in self.springs.items()},
         )
 
-    def _add_springs(self, stiffness: FloatArray, damping: FloatArray | None = None) -> None:
+    def _add_springs(
+        self, what: tuple[str, str], stiffness: FloatArray, damping: FloatArray | None = None
+    ) -> None:
+        before = sum(len(block) for block in self.blocks)
+        self.springs.setdefault(what, []).extend(range(before, before + len(stiffness)))
         self.blocks.append(stiffness)
         self.dampings.append(np.zeros_like(stiffness) if damping is None else damping)
 

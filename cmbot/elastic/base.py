@@ -76,7 +76,8 @@ def elastic_base(guardrail: Guardrail) -> ElasticBase | None:
     made = guardrail_frame(guardrail)
     condensed, G = made.frame.condense(*made.feet), rigid_motion(guardrail)
     K, M = (G.T @ matrix @ G for matrix in condensed)
-    return _base(K, M, made.frame.frequencies(_MODES))
+    factor = guardrail.stiffness_factor
+    return _base(factor * K, M, np.sqrt(factor) * made.frame.frequencies(_MODES))
 
 
 def shares(guardrail: Guardrail) -> tuple[FloatArray, ...]:

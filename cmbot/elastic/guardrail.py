@@ -98,6 +98,8 @@ class Guardrail:
         own; read-only. None: the frame's, and without posts the hold is rigid.
     mass : array or None
         (6, 6), moves with the foot beside a given `stiffness`; read-only. None: no such mass.
+    stiffness_factor : float
+        On the frame's own stiffness.
     foot_point : three floats, m
         O0 in W, the origin of foot 1.
     footholds : tuple of three floats, m
@@ -112,3 +114,4 @@ class Guardrail:
     mass: FloatArray | None
     foot_point: tuple[float, float, float] = (0.0, 0.0, 0.0)
     footholds: tuple[tuple[float, float, float], ...] = ((0.0, 0.0, 0.0),)
+    stiffness_factor: float = 1.0

@@ -14,6 +14,7 @@ from scipy.linalg.lapack import dpotrf, dpotrs
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Kinematics
 
 __all__ = ["Sag", "SagStates"]
@@ -48,10 +49,16 @@ class Sag:
     Without a force equilibrium is a minimum of potential energy.
 
     It owns pinocchio's working memory, so it is cheap to call and not to be shared between threads.
+
+    Parameters
+    ----------
+    arm : ElasticArm
+    covariance : (p, p), optional
+        Of its `StiffnessParameters`, where they were identified.
     """
 
-    def __init__(self, arm: ElasticArm) -> None:
-        self.arm = arm
+    def __init__(self, arm: ElasticArm, covariance: FloatArray | None = None) -> None:
+        self.arm, self.covariance = arm, covariance
         self._data = arm.model.createData()
         self._rigid = Kinematics(arm.robot)
         self._to_elastic = np.ix_(arm.elastic, arm.elastic)
@@ -85,6 +92,35 @@ class Sag:
 
         return np.asarray(CubicSpline(t[some], self.following(q[some]))(t))
 
+    def loaded(
+        self, q: FloatArray, start: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return how the springs hold the tool in N postures `q` (N, n); errors as `equilibria`.
+
+        The tool's displacements (N, 3), m, the elastic coordinates (N, f), and by how much a force on each of
+        these moves the tool (N, 3, f), m/N and m/Nm. Equilibria are sought from `start` (N, f), by default
+        from zero.
+        """
+        u, tangent, _ = self.equilibria(q, start)
+        rigid = self._rigid.tool_poses(q)[0]
+        tool, lever = np.empty((len(q), 3)), np.empty((len(q), 3, u.shape[1]))
+        for k in range(len(q)):
+            X_WT, J = self._tool(self.arm.configuration(q[k], u[k]))
+            tool[k] = X_WT.translation - rigid[k]
+            lever[k] = np.linalg.solve(tangent[k].T, J[:3, self.arm.elastic].T).T
+        return tool, u, lever
+
+    def spread(self, q: FloatArray) -> FloatArray:
+        """Return the covariances (N, 3, 3), m2, of the tool's displacements at postures `q` (N, n).
+
+        To first order; zero where no covariance is known.
+        """
+        if self.covariance is None:
+            return np.zeros((len(q), 3, 3))
+        _, u, lever = self.loaded(q)
+        slope = lever @ StiffnessParameters(self.arm).relaxation(u)
+        return np.asarray(slope @ self.covariance @ slope.transpose(0, 2, 1))
+
     def following(self, q: FloatArray) -> FloatArray:
         """Return the tool's displacements (N, 3), m, in postures `q` (N, n), each close to the one before.
 
@@ -115,8 +151,12 @@ class Sag:
         unit = at.tool / np.maximum(length, _NO_DIRECTION)[:, None]
         return np.asarray(length), np.einsum("ki,kij->kj", unit, at.d_tool)
 
-    def equilibria(self, q: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def equilibria(
+        self, q: FloatArray, start: FloatArray | None = None
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Find the elastic coordinates (N, f) in N postures `q` (N, n), and their `balance_derivatives`.
+
+        They are sought from `start` (N, f), by default from zero.
 
         Raises
         ------
@@ -124,7 +164,8 @@ class Sag:
             When the arm is too soft to carry itself in a posture.
         """
         (N, n), f = q.shape, len(self.arm.elastic)
-        u, tangent, by_joints = np.zeros((N, f)), np.empty((N, f, f)), np.empty((N, f, n))
+        u = np.zeros((N, f)) if start is None else start.copy()
+        tangent, by_joints = np.empty((N, f, f)), np.empty((N, f, n))
         for k in range(N):
             tangent[k], by_joints[k] = self._solve(q[k], u[k], f"q[{k}]")
         return u, tangent, by_joints

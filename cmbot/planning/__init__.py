@@ -28,7 +28,7 @@ from cmbot.planning.objectives import (
     WrenchObjective,
     objective_of,
 )
-from cmbot.planning.path.gradient_projection import JointPath
+from cmbot.planning.path.gradient_projection import JointPath, follow_path
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.path.start_posture import StartPosture, find_start
 from cmbot.planning.planner import plan
@@ -41,6 +41,7 @@ from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePla
 from cmbot.planning.result.verdict import bound_use, during, promises, tightest_check, verdict
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
+from cmbot.planning.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.task import ToolTask
 from cmbot.planning.verification.certificate import Certificate, certify
 from cmbot.planning.verification.check import Check
@@ -91,13 +92,16 @@ __all__ = [
     "build_context",
     "certify",
     "certify_move",
+    "covariance_of",
     "during",
     "end_posture_of",
     "figures",
     "find_start",
+    "follow_path",
     "free_move_name",
     "job_metrics",
     "measure",
+    "modelled_stiffness",
     "objective_metrics",
     "objective_of",
     "plan",

@@ -17,6 +17,7 @@ from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
+from cmbot.planning.stiffness import covariance_of, with_identified_stiffness
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses, pose
@@ -282,7 +283,7 @@ def sag_of(scene: Scene, arm: ElasticArm | None, options: PlannerOptions) -> Sag
             "no guardrail, and a robot without link tubes",
             "something that bends: guardrail.bays, guardrail.stiffness or robot.elasticity",
         )
-    return Sag(arm)
+    return Sag(arm, covariance_of(scene, arm))
 
 
 def robot_of(scene: Scene) -> Robot:
@@ -315,6 +316,7 @@ def robot_of(scene: Scene) -> Robot:
         key = f"robot.{error.key}"
         raise SceneError(scene.source, key, error.got, error.expected, error.choices) from error
     robot = robot if source.joints == "elastic" else robot.with_rigid_joints
+    robot = with_identified_stiffness(robot, scene)
     return replace(robot, tool_force=scene.tool.process_force_n, feet=scene.feet)
 
 

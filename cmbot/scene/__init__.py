@@ -2,6 +2,7 @@
 
 from cmbot.scene.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
 from cmbot.scene.hold import HoldFile
+from cmbot.scene.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.migration import migrated
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
@@ -44,6 +45,9 @@ __all__ = [
     "Goal",
     "GuardrailFile",
     "HoldFile",
+    "IdentifiedBase",
+    "IdentifiedSpring",
+    "IdentifiedStiffness",
     "Keep",
     "Leg",
     "LegLaw",

@@ -28,17 +28,13 @@ from cmbot.elastic import (
 from cmbot.hold import Foot
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
 from cmbot.scene.hold import Face, HoldFile, Holds, face_of, foot_on, held_member
+from cmbot.scene.matrices import Matrix6, check_positive_definite
 from cmbot.scene.obstacles import Box, Obstacle, pose
 from cmbot.scene.stance import StanceFile, axis_point, foothold_face, foothold_pose
 
 __all__ = ["GuardrailFile", "feet_at", "feet_of", "guardrail_from_file", "guardrail_obstacles"]
 
 _SECTIONS = ("angle", "bar")
-
-# Their bounds keep every product finite.
-Entry = Annotated[float, Field(ge=-1e15, le=1e15)]
-Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
-Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
 
 
 class SectionFile(FileModel):
@@ -155,7 +151,10 @@ class GuardrailFile(FileModel):
     ``cmbot-scene/2``, with ``model: cmbot``."""
     material: MaterialFile = MaterialFile()
     stiffness: Matrix6 | None = None
-    """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad); left out: the frame's."""
+    """6 x 6 stiffness at the origin of W, linear then angular (N/m, N/rad, Nm/rad), or the 6 numbers of its
+    diagonal; left out: the frame's."""
+    stiffness_factor: Annotated[float, Field(ge=1e-3, le=1e3)] | None = None
+    """Factor on the frame's stiffness; of ``cmbot-scene/2``; left out: 1."""
     mass: Matrix6 | None = None
     """6 x 6 mass that moves with the foot, beside `stiffness`; left out: none."""
 
@@ -179,9 +178,12 @@ class GuardrailFile(FileModel):
         rows = value if isinstance(value, lists) else ()
         if value is None:
             return None
+        given = info.field_name == "stiffness"
+        if given and len(rows) == 6 and all(isinstance(entry, int | float) for entry in rows):
+            return tuple(tuple(entry if i == j else 0.0 for j in range(6)) for i, entry in enumerate(rows))
         if len(rows) != 6 or not all(isinstance(row, lists) and len(row) == 6 for row in rows):
-            units = "N/m, N/rad, Nm/rad" if info.field_name == "stiffness" else "kg, kg m, kg m2"
-            raise refusal(f"6 rows of 6 numbers, linear then angular ({units})", got=shown(value))
+            units = "N/m, N/rad, Nm/rad), or the diagonal's 6" if given else "kg, kg m, kg m2)"
+            raise refusal(f"6 rows of 6 numbers, linear then angular ({units}", got=shown(value))
         # Past here pydantic no longer knows that it came from JSON, and wants tuples.
         return tuple(map(tuple, rows))
 
@@ -194,11 +196,14 @@ class GuardrailFile(FileModel):
             self._check_stance(self.stance)
         self._check_hold()
         if self.stiffness is not None:
-            _check_positive_definite(self.stiffness, "stiffness")
+            check_positive_definite(self.stiffness, "stiffness")
+        if self.stiffness_factor is not None and (self.stiffness is not None or not self.bays):
+            got = "a factor beside it" if self.stiffness is not None else "a factor"
+            raise refusal("posts whose stiffness it is of", got=got, key=("stiffness_factor",))
         if self.mass is not None:
             if self.stiffness is None:
                 raise refusal("no mass where no stiffness is given", got="a mass alone", key=("mass",))
-            _check_positive_definite(self.mass, "mass")
+            check_positive_definite(self.mass, "mass")
         return self
 
     def _check_rails(self) -> None:
@@ -330,6 +335,7 @@ def _without_feet(file: GuardrailFile) -> Guardrail:
         material=GuardrailMaterial(**si_fields(file.material)),
         stiffness=_matrix(file.stiffness),
         mass=_matrix(file.mass),
+        stiffness_factor=file.stiffness_factor or 1.0,
     )
 
 
@@ -349,23 +355,6 @@ def guardrail_obstacles(guardrail: Guardrail) -> tuple[Obstacle, ...]:
         for number, x in enumerate(positions, start=1)
     )
     return (*rails, *posts)
-
-
-def _check_positive_definite(rows: Matrix6, key: str) -> None:
-    matrix = np.array(rows)
-    expected = "a symmetric positive definite matrix"
-    scale = np.sqrt(np.abs(np.diag(matrix)))
-    if not np.all(np.diag(matrix) > 0):
-        raise refusal(expected, got=f"the diagonal {np.diag(matrix).tolist()}", key=(key,))
-    with np.errstate(over="ignore"):
-        scaled = matrix / scale[:, None] / scale  # newtons and newton metres on one scale
-    # In a positive definite matrix scaled to a unit diagonal no entry exceeds 1.
-    if not np.all(np.abs(scaled) <= 1 + 1e-9):
-        raise refusal(expected, got="a matrix that is not positive definite", key=(key,))
-    if not np.allclose(scaled, scaled.T, rtol=0, atol=1e-9):
-        raise refusal(expected, got="a matrix that is not symmetric", key=(key,))
-    if np.linalg.eigvalsh(scaled)[0] <= 1e-12:
-        raise refusal(expected, got="a matrix that is not positive definite", key=(key,))
 
 
 def _matrix(rows: Matrix6 | None) -> FloatArray | None:

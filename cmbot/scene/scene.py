@@ -29,6 +29,7 @@ from cmbot.scene.fields import (
     one_of_schema,
 )
 from cmbot.scene.guardrail import GuardrailFile, feet_of
+from cmbot.scene.identified import IdentifiedStiffness
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.builder import PathSource, timed_path
@@ -90,7 +91,8 @@ class SceneFile(FileModel):
     model_config = ConfigDict(serialize_by_alias=True)
 
     format: Literal["cmbot-scene/1", "cmbot-scene/2"]
-    """The second knows `base`, `start`, `return`, `tool`, `frames` and more kinds of legs, too."""
+    """The second knows `base`, `start`, `return`, `tool`, `frames`, `identified` and more kinds of legs,
+    too."""
     name: Slug
     """Also the name of the folder that a plan is written to."""
     robot: RobotFile = RobotFile()
@@ -110,6 +112,9 @@ class SceneFile(FileModel):
     tool_path: ToolPathFile
     obstacles: Annotated[tuple[ObstacleFile, ...], Field(max_length=1000)] = ()
     guardrail: GuardrailFile = GuardrailFile()
+    identified: IdentifiedStiffness | None = None
+    """What ``cmbot identify`` found of the stiffness, or the path of that file; of ``cmbot-scene/2``; left
+    out: as modelled."""
     planner: PlannerOptions = PlannerOptions()
 
     @model_validator(mode="after")
@@ -128,6 +133,8 @@ class SceneFile(FileModel):
         if self.guardrail.stance is not None and self.robot.model != "cmbot":
             expected = "no such key with a URDF of one's own, whose mount says where it stands"
             raise refusal(expected, got="stance", key=("guardrail", "stance"))
+        if self.identified is not None:
+            self._check_identified(self.identified)
         taken = set(self.guardrail.member_names)
         for index, obstacle in enumerate(self.obstacles):
             if obstacle.name in taken:
@@ -136,11 +143,18 @@ class SceneFile(FileModel):
             taken.add(obstacle.name)
         return self
 
+    def _check_identified(self, identified: IdentifiedStiffness) -> None:
+        if self.guardrail.stiffness is not None:
+            expected = "no such key beside identified, which has the stiffness"
+            raise refusal(expected, got="stiffness", key=("guardrail", "stiffness"))
+        if identified.joints and self.robot.joints == "rigid":
+            raise refusal("elastic, as joints were identified", got="rigid", key=("robot", "joints"))
+
     def _check_first_format(self) -> None:
         path = self.tool_path
         keys: list[tuple[str | int, ...]] = [
             (name.rstrip("_"),)
-            for name in ("base", "start", "return_", "tool", "frames")
+            for name in ("base", "start", "return_", "tool", "frames", "identified")
             if getattr(self, name) is not None
         ]
         newer = ["start_pose", "waypoints", "raster", "blend_radius_m", "passes", "strokes"]
@@ -153,7 +167,11 @@ class SceneFile(FileModel):
         if isinstance(path.keep, AxisCone):
             expected = "pose, axis or position in cmbot-scene/1: a cone goes with cmbot-scene/2"
             raise refusal(expected, got="a cone", key=("tool_path", "keep"))
-        newer = [name for name in ("hold", "stance") if getattr(self.guardrail, name) is not None]
+        newer = [
+            name
+            for name in ("hold", "stance", "stiffness_factor")
+            if getattr(self.guardrail, name) is not None
+        ]
         keys += [("guardrail", name) for name in newer]
         for key in keys:
             got = "another leg than by and seconds" if key[1:2] == ("legs",) else str(key[-1])

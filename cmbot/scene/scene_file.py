@@ -20,6 +20,7 @@ from cmbot.common.installation import scene_folder
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
 from cmbot.common.validation import given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
+from cmbot.elastic import Guardrail
 from cmbot.scene.fields import si_fields
 from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.mesh_file import is_mesh_file
@@ -33,6 +34,8 @@ from cmbot.scene.tool import Tool
 __all__ = ["load_scene", "scene_from_data", "scene_from_file", "scene_path", "shipped_scenes", "update_file"]
 
 _LONGEST_SOURCE = 300
+# Feet hold where they did when the stiffness was measured, m.
+_SAME_PLACE = 0.01
 _LARGEST_WAYPOINTS = 1_000_000
 _WAYPOINT_COLUMNS = ("x", "y", "z", "qw", "qx", "qy", "qz")
 _PACKAGES = "robot.package_dirs"
@@ -116,6 +119,8 @@ def _with_files(data: Mapping[str, Any], folder: Path, source: str) -> dict[str,
         return entry
 
     data = dict(data)
+    if isinstance(data.get("identified"), str):
+        data["identified"] = read_yaml(_found(folder, source, data["identified"], "identified"), SceneError)
     tool_path = with_files(data.get("tool_path"), "tool_path")
     if isinstance(tool_path, dict) and isinstance(tool_path.get("strokes"), list):
         each = enumerate(tool_path["strokes"])
@@ -173,7 +178,7 @@ def scene_from_file(
     """
     find = partial(_found, base_folder, source)
     own = tuple(obstacle_from_file(entry, f"obstacles[{k}]", find) for k, entry in enumerate(file.obstacles))
-    guardrail, robot = guardrail_from_file(file.guardrail), _robot(file, find)
+    guardrail, robot = _guardrail(file, source), _robot(file, find)
     if file.guardrail.stance is not None:
         robot = replace(robot, stance=resolved_stance(file.guardrail.stance, guardrail, source))
     return Scene(
@@ -293,6 +298,21 @@ def _robot(scene: SceneFile, find: _Find) -> RobotSource:
     return RobotSource(**values, mount_xyz=placed.get("xyz"), mount_rpy=placed.get("rpy"))
 
 
+def _guardrail(file: SceneFile, source: str) -> Guardrail:
+    """The guardrail of a scene, with the stiffness that was identified."""
+    guardrail, base = guardrail_from_file(file.guardrail), file.identified and file.identified.base
+    if not base:
+        return guardrail
+    if not np.allclose(base.footholds, guardrail.footholds, rtol=0, atol=_SAME_PLACE):
+        at, held = (
+            ", ".join(f"({x:g}, {y:g}, {z:g})" for x, y, z in one.footholds) for one in (guardrail, base)
+        )
+        expected = f"a stiffness measured where the feet hold now, {at}"
+        raise SceneError(source, "identified.base.footholds", held, expected)
+    mass = None if base.mass is None else read_only(np.array(base.mass))
+    return replace(guardrail, stiffness=read_only(np.array(base.stiffness)), mass=mass, stiffness_factor=1.0)
+
+
 def _content_hash(
     file: SceneFile, obstacles: Sequence[Obstacle], source: str, stored: Mapping[str, Any] | None = None
 ) -> str:
@@ -324,7 +344,7 @@ def _content_hash(
 def _own_obstacles(scene: Scene) -> tuple[Obstacle, ...]:
     """The scene's obstacles but the guardrail's members, which its file does not list."""
     expected = "that of its file: change the file's guardrail block, and load it"
-    if plain(scene.guardrail, "Scene") != plain(guardrail_from_file(scene.file.guardrail), "Scene"):
+    if plain(scene.guardrail, "Scene") != plain(_guardrail(scene.file, scene.source), "Scene"):
         raise SceneError("Scene", "guardrail", "another guardrail than its file's", expected)
     members = {member.name: plain(member, "Scene") for member in guardrail_obstacles(scene.guardrail)}
     there = {one.name for one in scene.obstacles if plain(one, "Scene") == members.get(one.name)}

@@ -15,7 +15,7 @@ from small_scenes import short_scene
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import InputError, SceneError
 from cmbot.common.installation import scene_folder
-from cmbot.elastic import BarSection
+from cmbot.elastic import BarSection, elastic_base
 from cmbot.planning import plan
 from cmbot.scene import (
     AxisCone,
@@ -203,6 +203,25 @@ def test_given_stiffness_without_a_frame():
     np.testing.assert_array_equal(scene.guardrail.stiffness, stiffness)
     np.testing.assert_array_equal(scene.guardrail.mass, np.eye(6))
     assert not scene.guardrail.stiffness.flags.writeable
+
+
+def test_stiffness_by_its_diagonal_and_by_a_factor():
+    diagonal = [1e6, 2e6, 3e6, 1e3, 2e3, 3e3]
+    scene = load_scene({**MINIMAL, "guardrail": {"stiffness": diagonal}})
+    np.testing.assert_array_equal(scene.guardrail.stiffness, np.diag(diagonal))
+    second = {**MINIMAL, "format": "cmbot-scene/2"}
+    modelled, softer = (
+        elastic_base(load_scene({**second, "guardrail": guardrail}).guardrail)
+        for guardrail in ({}, {"stiffness_factor": 0.7})
+    )
+    np.testing.assert_allclose(softer.stiffness, 0.7 * modelled.stiffness)
+    np.testing.assert_allclose(softer.frequencies, np.sqrt(0.7) * modelled.frequencies)
+    np.testing.assert_array_equal(softer.mass, modelled.mass)
+    for guardrail in ({"stiffness": diagonal, "stiffness_factor": 0.7}, {"bays": 0, "stiffness_factor": 0.7}):
+        with pytest.raises(SceneError, match="expected posts whose stiffness it is of"):
+            load_scene({**second, "guardrail": guardrail})
+    with pytest.raises(SceneError, match="got stiffness_factor, expected no such key"):
+        load_scene({**MINIMAL, "guardrail": {"stiffness_factor": 0.7}})
 
 
 @pytest.mark.parametrize("data", [MINIMAL, *(load_scene(name).file.as_data() for name in shipped_scenes())])

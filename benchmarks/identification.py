@@ -1,0 +1,226 @@
+"""Whether identified stiffness is as exact as it claims: simulated measurements of arms that are known.
+
+    python benchmarks/identification.py [--runs 1000] [--postures 8]
+
+Eight proposed postures, 5 kg, 0.1 mm, along the planned triangle. The truths are built and brought to rest by
+the package's elastic model from scaled tubes, joints and bases, not by the estimator's parameters; the weight
+is wrong by its standard deviation, too. Cases: truths drawn from the prior that the estimate states; a base
+that no entry of the prior describes, a full 6 x 6 that mixes all displacements and rotations; and everything
+times 0.7 with joints of 5e4 Nm/rad.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+from scipy.linalg import expm
+from threadpoolctl import threadpool_limits
+
+from cmbot import load_scene, plan
+from cmbot.common.arrays import FloatArray
+from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.sag import Sag
+from cmbot.elastic.stiffness_parameters import StiffnessParameters
+from cmbot.identification import (
+    Measurements,
+    MeasuringSetup,
+    Proposal,
+    estimate,
+    job_postures,
+    measured_arm,
+    propose,
+)
+
+__all__ = ["CASES", "Coverage", "Truth", "drawn", "mixed", "run", "simulated", "soft"]
+
+_WITHIN, _SIGMAS = 0.03, 1.959964
+# Size of the random mixture of a base's displacements and rotations.
+_MIXED = 0.15
+_SOFT, _JOINT = 0.7, 5e4
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Truth:
+    """What is measured: factors on links and joints, and the stiffness (6, 6) of the base."""
+
+    factors: dict[tuple[str, str], float]
+    base: FloatArray
+    weight: float
+
+    def arm(self, modelled: ElasticArm) -> ElasticArm:
+        """Return the true arm in place of the modelled one."""
+        robot = modelled.robot
+        tubes, springs = dict(robot.elasticity), dict(robot.joint_elasticity)
+        for (kind, name), factor in self.factors.items():
+            if kind == "link":
+                tube = tubes[name]
+                tubes[name] = replace(tube, young=factor * tube.young, shear=factor * tube.shear)
+            else:
+                springs[name] = replace(springs[name], stiffness=factor * springs[name].stiffness)
+        stiff = replace(robot, elasticity=tubes, joint_elasticity=springs)
+        return elastic_arm(stiff, replace(modelled.base, stiffness=self.base))  # type: ignore[type-var]
+
+
+Draw = Callable[[ElasticArm, MeasuringSetup, np.random.Generator], Truth]
+
+
+def drawn(arm: ElasticArm, setup: MeasuringSetup, rng: np.random.Generator) -> Truth:
+    """Draw a truth from the prior that the estimate states."""
+    prior = setup.prior
+    deviation = {"link": prior.links, "joint": prior.joints}
+    factors = {
+        spring: float(np.exp(deviation[spring[0]] * rng.standard_normal()))
+        for spring in arm.springs
+        if spring[0] in deviation
+    }
+    X = np.diag(prior.base * rng.standard_normal(6))
+    row, column = np.triu_indices(6, 1)
+    X[row, column] = X[column, row] = prior.base_coupling * rng.standard_normal(15)
+    L = np.linalg.cholesky(np.linalg.inv(arm.base.stiffness))
+    base = np.linalg.inv(L @ expm(X) @ L.T)
+    weight = setup.weight_kg + setup.weight_sd_kg * rng.standard_normal()
+    return Truth(factors=factors, base=(base + base.T) / 2, weight=weight)
+
+
+def mixed(arm: ElasticArm, setup: MeasuringSetup, rng: np.random.Generator) -> Truth:
+    """Draw a truth whose base is a full 6 x 6: its displacements and rotations are mixed at random."""
+    truth = drawn(arm, setup, rng)
+    scale = np.sqrt(np.diag(arm.base.stiffness))
+    own = arm.base.stiffness / np.outer(scale, scale)
+    T = np.eye(6) + _MIXED * rng.standard_normal((6, 6))
+    return replace(truth, base=np.outer(scale, scale) * (T.T @ own @ T))
+
+
+def soft(arm: ElasticArm, setup: MeasuringSetup, rng: np.random.Generator) -> Truth:
+    """Return the truth that is 0.7 times as stiff, with joints of 5e4 Nm/rad."""
+    robot = arm.robot
+    factors = {("link", name): _SOFT for name in robot.elasticity}
+    factors |= {("joint", name): _JOINT / spring.stiffness for name, spring in robot.joint_elasticity.items()}
+    weight = setup.weight_kg + setup.weight_sd_kg * rng.standard_normal()
+    return Truth(factors=factors, base=_SOFT * arm.base.stiffness, weight=weight)
+
+
+CASES: dict[str, Draw] = {
+    "drawn from the prior": drawn,
+    "base a full 6 x 6": mixed,
+    "x 0.7, joints of 5e4 Nm/rad": soft,
+}
+
+
+def simulated(proposal: Proposal, truth: Truth, arm: ElasticArm, rng: np.random.Generator) -> Measurements:
+    """Return what a gauge would read of a truth, the arm `arm`, in the proposed postures."""
+    bent = Sag(arm.softened(1.0, truth.weight)).at(proposal.q).tool
+    rest = Sag(arm).at(proposal.q).tool
+    noise = 1e-3 * proposal.setup.gauge_sd_mm * rng.standard_normal(bent.shape)
+    return Measurements(
+        source="simulated",
+        scene=proposal.scene,
+        setup=proposal.setup,
+        q=proposal.q,
+        deflection=bent - rest + noise,
+        frequencies=(np.zeros(0),) * len(proposal.q),
+        job=proposal.job,
+    )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Coverage:
+    """What came out of R runs.
+
+    Attributes
+    ----------
+    parameters : float
+        Share of parameters within 1.96 standard deviations of their estimates; NaN where the truth is not
+        one of them.
+    sag : float
+        Share of the components of the sag along the job within 1.96 standard deviations.
+    length, vector : (R,)
+        RMS errors of the sag's length, and of it as a vector, as shares of its RMS.
+    """
+
+    parameters: float
+    sag: float
+    length: FloatArray
+    vector: FloatArray
+
+
+def run(proposal: Proposal, draw: Draw, runs: int, seed: int = 0) -> Coverage:
+    """Measure, identify and compare with the truth, again and again."""
+    rng, modelled = np.random.default_rng(seed), measured_arm(proposal.scene)
+    known, inside, length, vector = [], [], [], []
+    for _ in range(runs):
+        truth = draw(modelled, proposal.setup, rng)
+        arm = truth.arm(modelled)
+        found = estimate(simulated(proposal, truth, arm, rng), modelled)
+        true = Sag(arm).at(proposal.job).tool
+        known += list(_inside(found.mean, found.covariance, truth, found.parameters))
+        covariance = found.stiffness.covariance_matrix
+        deviation = np.sqrt(np.diagonal(Sag(found.arm, covariance).spread(proposal.job), axis1=1, axis2=2))
+        inside.append(np.abs(found.after.tool - true) <= _SIGMAS * deviation)
+        rms = np.sqrt((true**2).sum(axis=1).mean())
+        apart = np.linalg.norm(found.after.tool, axis=1) - np.linalg.norm(true, axis=1)
+        length.append(np.sqrt((apart**2).mean()) / rms)
+        vector.append(np.sqrt(((found.after.tool - true) ** 2).sum(axis=1).mean()) / rms)
+    return Coverage(
+        parameters=float(np.mean(known)),
+        sag=float(np.mean(inside)),
+        length=np.array(length),
+        vector=np.array(vector),
+    )
+
+
+def _inside(
+    mean: FloatArray, covariance: FloatArray, truth: Truth, parameters: StiffnessParameters
+) -> Iterator[bool]:
+    """Whether the true parameters are in their intervals, those of the base last."""
+    at = [-np.log(truth.factors[spring]) for spring in parameters.springs]
+    L = parameters.factor
+    inner = np.linalg.solve(L, np.linalg.solve(L, np.linalg.inv(truth.base)).T)
+    values, V = np.linalg.eigh((inner + inner.T) / 2)
+    X = (V * np.log(values)) @ V.T
+    true = np.concatenate([at, X[np.triu_indices(6)]])
+    yield from np.abs(mean - true) <= _SIGMAS * np.sqrt(np.diag(covariance))
+
+
+def main() -> int:
+    """Plan, propose, simulate, print."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("--runs", type=int, default=1000)
+    parser.add_argument("--postures", type=int, default=8)
+    options = parser.parse_args()
+    console = Console()
+    scene = load_scene("triangle")
+    job = job_postures(plan(replace(scene, planner=replace(scene.planner, quiet_modes=0)), progress=False))
+    with threadpool_limits(limits=1, user_api="blas"):
+        proposal = propose(scene, options.postures, job)
+        after = proposal.after
+        console.print(
+            f"Promised for {options.postures} postures with 95 %: within {100 * after.length_95:.2f} % "
+            f"(length), {100 * after.share_95:.2f} % (vector); as modelled "
+            f"{100 * proposal.before.length_95:.1f} %"
+        )
+        columns = ("runs", "parameters in 95 %", "sag in 95 %", "length within 3 %", "95 % of lengths within")
+        table = Table("truth", *columns, "of vectors")
+        for name, draw in CASES.items():
+            found = run(proposal, draw, options.runs)
+            table.add_row(
+                name,
+                str(options.runs),
+                f"{100 * found.parameters:.1f} %",
+                f"{100 * found.sag:.1f} %",
+                f"{100 * np.mean(found.length <= _WITHIN):.1f} %",
+                f"{100 * np.quantile(found.length, 0.95):.2f} %",
+                f"{100 * np.quantile(found.vector, 0.95):.2f} %",
+            )
+    console.print(table)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

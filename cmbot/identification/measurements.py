@@ -1,0 +1,205 @@
+"""What was measured: the deflections of the tool by a weight, natural frequencies, and how exact they are.
+
+A file of measurements::
+
+    format: cmbot-measurements/1
+    scene: triangle                    # robot and base, by name or relative to this file
+    weight_kg: 5.0                     # hung on the tool point
+    measurements:
+      - {posture_deg: [...], deflection_mm: [0.41, -0.12, -3.87]}    # with the weight, less without it
+      - {posture_deg: [...], deflection_mm: [null, null, -5.02], frequencies_hz: [5.9, 7.4]}
+
+Deflections are along the axes of W. Differences need no calibrated arm; absolute positions would.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import numpy as np
+from pydantic import ConfigDict, Field, model_validator
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
+from cmbot.common.validation import FileModel, given_path, refusal, require_type, validated
+from cmbot.common.yaml_reader import lines_named, read_yaml
+from cmbot.planning import robot_of
+from cmbot.scene import Scene, load_scene, shipped_scenes
+
+__all__ = ["Measurements", "MeasurementsFile", "MeasuringSetup", "Prior", "read_measurements"]
+
+_MOST = 1000
+
+Share = Annotated[float, Field(ge=1e-3, le=3)]
+Text = Annotated[str, Field(min_length=1, max_length=4096)]
+Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
+Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
+Deflection = Annotated[float, Field(ge=-1000, le=1000)] | None
+Frequency = Annotated[float, Field(gt=0, le=1e4)]
+
+
+class Prior(FileModel):
+    """How well the model's stiffness is known before: standard deviations of logarithms."""
+
+    links: Share = 0.3
+    joints: Share = 0.5
+    base: Share = 0.3
+    """Of the diagonal of X, `IdentifiedStiffness`."""
+    base_coupling: Share = 0.15
+    """Of its other entries."""
+
+
+class MeasuringSetup(FileModel):
+    """With what is measured."""
+
+    weight_kg: Annotated[float, Field(gt=0, le=1e4)] = 5.0
+    """Hung on the tool point for each deflection."""
+    weight_sd_kg: Annotated[float, Field(ge=0, le=1e3)] = 0.01
+    """Standard deviation of that weight, the same in all measurements."""
+    gauge_sd_mm: Annotated[float, Field(ge=1e-6, le=100)] = 0.1
+    """Standard deviation of every component of a deflection."""
+    windup_sd_arcmin: Annotated[float, Field(ge=0, le=600)] = 0.0
+    """By how much every joint that turns may turn beyond its stiffness when the weight is hung on: play and
+    friction, each time anew; a standard deviation."""
+    frequency_sd_share: Annotated[float, Field(ge=1e-5, le=1)] = 0.01
+    """Standard deviation of a natural frequency, as a share of it."""
+    prior: Prior = Prior()
+
+
+class MeasurementFile(FileModel):
+    """In one posture."""
+
+    posture_deg: Posture | None = None
+    posture: Posture | None = None
+    """In rad and, of joints that slide, m."""
+    deflection_mm: tuple[Deflection, Deflection, Deflection] | None = None
+    """Of the tool point along x, y, z of W by the weight; null: not measured."""
+    frequencies_hz: Annotated[tuple[Frequency, ...], Field(max_length=4)] = ()
+    """Without the weight, the slowest first, none left out."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if (self.posture is None) == (self.posture_deg is None):
+            raise refusal("either posture_deg or posture", got="both" if self.posture else "neither")
+        if list(self.frequencies_hz) != sorted(self.frequencies_hz):
+            expected = "the slowest first"
+            raise refusal(expected, got=self.frequencies_hz, key=("frequencies_hz",))
+        return self
+
+
+class MeasurementsFile(MeasuringSetup):
+    """All of a robot on a base."""
+
+    model_config = ConfigDict(title="cmbot-measurements/1")
+
+    format: Literal["cmbot-measurements/1"]
+    scene: Text
+    """A scene file, or the name of a shipped scene: robot, payload, base and where the feet hold."""
+    measurements: Annotated[tuple[MeasurementFile, ...], Field(min_length=1, max_length=_MOST)]
+    job: Annotated[tuple[Posture, ...] | None, Field(min_length=1, max_length=_MOST)] = None
+    """Postures, rad and m, in which the sag is wanted; left out: nothing is told of it."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        each = self.measurements
+        if not any(one.frequencies_hz or any(x is not None for x in one.deflection_mm or ()) for one in each):
+            raise refusal("a measured number", got="none", key=("measurements",))
+        return self
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Measurements:
+    """What was measured, in SI.
+
+    Attributes
+    ----------
+    source : str
+        Where it came from, for messages.
+    scene : Scene
+    setup : MeasuringSetup
+    q : (N, n), rad and m
+        Postures.
+    deflection : (N, 3), m
+        NaN: not measured.
+    frequencies : tuple of (k,) arrays, Hz
+        For each posture.
+    job : (M, n) or None
+        Postures in which the sag is wanted.
+    """
+
+    source: str
+    scene: Scene
+    setup: MeasuringSetup
+    q: FloatArray
+    deflection: FloatArray
+    frequencies: tuple[FloatArray, ...]
+    job: FloatArray | None
+
+
+def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:
+    """Read and check measurements.
+
+    Parameters
+    ----------
+    source : str, Path or mapping
+        Path of the file, or its content, in which relative paths start at the current folder.
+
+    Raises
+    ------
+    InputError
+        When a key or value is wrong, or nothing was measured; or as `cmbot.load_scene`.
+    """
+    if isinstance(source, Mapping):
+        name = "measurements"
+        file = validated(MeasurementsFile, dict(source), name, InputError)
+        return _measurements(file, Path.cwd(), name)
+    path = given_path(
+        source, "cmbot.identify", "source", "the path of a file of measurements, or its content"
+    )
+    with lines_named(path):
+        file = validated(MeasurementsFile, read_yaml(path, InputError), str(path), InputError)
+        return _measurements(file, path.parent, str(path))
+
+
+def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurements:
+    scene = load_scene(file.scene if file.scene in shipped_scenes() else folder / file.scene)
+    limits = robot_of(scene).limits
+    rows, n = [], len(limits.torque)
+    for k, each in enumerate(file.measurements):
+        key = f"measurements[{k}].posture"
+        if each.posture_deg is not None and limits.prismatic.any():
+            expected = "posture, in rad and, of joints that slide, m"
+            raise InputError(source, f"{key}_deg", "degrees, but a joint slides", expected)
+        given = np.radians(each.posture_deg) if each.posture_deg is not None else np.array(each.posture)
+        _require_length(given, n, source, key)
+        rows.append(given)
+    for k, posture in enumerate(file.job or ()):
+        _require_length(posture, n, source, f"job[{k}]")
+    nothing = (None, None, None)
+    deflection = [
+        [np.nan if x is None else 1e-3 * x for x in one.deflection_mm or nothing] for one in file.measurements
+    ]
+    return Measurements(
+        source=source,
+        scene=scene,
+        setup=file,
+        q=np.array(rows),
+        deflection=np.array(deflection),
+        frequencies=tuple(np.array(one.frequencies_hz) for one in file.measurements),
+        job=None if file.job is None else np.array(file.job),
+    )
+
+
+def _require_length(posture: Any, n: int, source: str, key: str) -> None:
+    if len(posture) != n:
+        raise InputError(source, key, f"{len(posture)} numbers", f"{n}, one for each joint of the robot")
+
+
+def require_measurements(value: object, source: str) -> None:
+    """Refuse anything but `Measurements`."""
+    require_type(
+        value, Measurements, source, "measurements", "Measurements, as read_measurements returns them"
+    )

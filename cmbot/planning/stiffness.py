@@ -1,0 +1,79 @@
+"""The stiffness that a scene says was identified, in place of the model's, and its covariance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import SceneError
+from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.stiffness_parameters import StiffnessParameters
+from cmbot.robot import Robot
+from cmbot.scene import Scene
+
+__all__ = ["covariance_of", "modelled_stiffness", "with_identified_stiffness"]
+
+# By what share a modelled stiffness may differ from what an identified one was compared with.
+_SAME = 1e-6
+
+
+def modelled_stiffness(robot: Robot) -> dict[tuple[str, str], float]:
+    """Return what factors are of: of links E I, N m2, of joints Nm/rad, by kind and name."""
+    links = {("link", name): tube.young * tube.second_moment for name, tube in robot.elasticity.items()}
+    return links | {("joint", name): spring.stiffness for name, spring in robot.joint_elasticity.items()}
+
+
+def with_identified_stiffness(robot: Robot, scene: Scene) -> Robot:
+    """Return a robot whose links and joints are as stiff as a scene says they were identified to be.
+
+    Raises
+    ------
+    SceneError
+        When they were identified for another robot.
+    """
+    if (identified := scene.file.identified) is None:
+        return robot
+    modelled = modelled_stiffness(robot)
+    given = (*identified.links, *identified.joints)
+    for spring, each in zip(identified.springs, given, strict=True):
+        key = f"identified.{spring[0]}s"
+        known = modelled.get(spring)
+        if known is None:
+            names = tuple(name for kind, name in modelled if kind == spring[0])
+            raise SceneError(scene.source, key, each.name, f"a {spring[0]} that bends", names)
+        if abs(each.modelled / known - 1) > _SAME:
+            expected = f"{known:g}, as the robot's model has it: the stiffness is that of another robot"
+            raise SceneError(scene.source, f"{key} of {each.name}", f"modelled: {each.modelled:g}", expected)
+    factors = {spring: each.factor for spring, each in zip(identified.springs, given, strict=True)}
+    tubes = {
+        name: replace(tube, young=by * tube.young, shear=by * tube.shear)
+        for name, tube in robot.elasticity.items()
+        for by in [factors.get(("link", name), 1.0)]
+    }
+    springs = {
+        name: replace(spring, stiffness=by * spring.stiffness, tilting=spring.tilting and by * spring.tilting)
+        for name, spring in robot.joint_elasticity.items()
+        for by in [factors.get(("joint", name), 1.0)]
+    }
+    return replace(robot, elasticity=tubes, joint_elasticity=springs)
+
+
+def covariance_of(scene: Scene, arm: ElasticArm) -> FloatArray | None:
+    """Return the covariance (p, p) of the `StiffnessParameters` of a scene's arm; None where none is known.
+
+    Raises
+    ------
+    SceneError
+        When it is of other parameters.
+    """
+    if (identified := scene.file.identified) is None:
+        return None
+    parameters = StiffnessParameters(arm)
+    if parameters.springs != identified.springs or parameters.has_base != (identified.base is not None):
+        wanted = [name for _, name in parameters.springs] + ["base"] * parameters.has_base
+        got = [name for _, name in identified.springs] + ["base"] * (identified.base is not None)
+        expected = f"what bends in this scene, in this order: {', '.join(wanted)}"
+        raise SceneError(scene.source, "identified", ", ".join(got), expected)
+    return np.asarray(identified.covariance_matrix)

@@ -1,0 +1,89 @@
+"""The stiffness that was identified: a file of `cmbot identify`, and the block ``identified:`` of a scene."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from cmbot.common.arrays import FloatArray, read_only
+from cmbot.common.validation import FileModel, refusal
+from cmbot.scene.fields import Text, Vector
+from cmbot.scene.matrices import Matrix6, check_positive_definite
+
+__all__ = ["IdentifiedBase", "IdentifiedSpring", "IdentifiedStiffness"]
+
+_OF_BASE = 21
+
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Numbers = Annotated[tuple[Number, ...], Field(max_length=300)]
+
+
+class IdentifiedSpring(FileModel):
+    """A link or a joint."""
+
+    name: Text
+    modelled: Annotated[float, Field(gt=0, le=1e15)]
+    """What `factor` is of, in the robot's model: E I of a link, N m2, the stiffness of a joint, Nm/rad."""
+    factor: Annotated[float, Field(ge=1e-6, le=1e6)]
+    """Identified stiffness over the modelled one."""
+
+
+class IdentifiedBase(FileModel):
+    """The base, at the origin of foot 1."""
+
+    footholds: Annotated[tuple[Vector, ...], Field(min_length=1, max_length=2)]
+    """Points that the feet held when it was measured, foot 1 first, m."""
+    stiffness: Matrix6
+    """6 x 6 stiffness, linear then angular (N/m, N/rad, Nm/rad)."""
+    mass: Matrix6 | None = None
+    """6 x 6 mass that moves with the foot, which is not identified; left out: none."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        check_positive_definite(self.stiffness, "stiffness")
+        return self
+
+
+class IdentifiedStiffness(FileModel):
+    """Stiffness in place of the model's, and how well it is known.
+
+    The covariance is of the logarithms of the compliances of links and joints, in the order given here, and
+    of the 21 entries on and above the diagonal, row by row, of a symmetric X: the base's compliance is
+    ``L exp(X) L'`` with the lower Cholesky factor L of the identified one.
+    """
+
+    format: Literal["cmbot-stiffness/1"] = "cmbot-stiffness/1"
+    links: Annotated[tuple[IdentifiedSpring, ...], Field(max_length=100)] = ()
+    joints: Annotated[tuple[IdentifiedSpring, ...], Field(max_length=100)] = ()
+    base: IdentifiedBase | None = None
+    """Left out: the base is rigid."""
+    covariance: Annotated[tuple[Numbers, ...], Field(min_length=1, max_length=300)]
+    """Of what was identified, a row for each number."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        count = len(self.links) + len(self.joints) + (0 if self.base is None else _OF_BASE)
+        rows = {len(row) for row in self.covariance}
+        if len(self.covariance) != count or rows != {count}:
+            got = f"{len(self.covariance)} rows of {', '.join(map(str, sorted(rows)))}"
+            raise refusal(f"{count} rows of {count} numbers", got=got, key=("covariance",))
+        matrix = np.array(self.covariance)
+        scale = np.abs(matrix).max()
+        if not np.allclose(matrix, matrix.T, rtol=0, atol=1e-9 * scale):
+            raise refusal("a symmetric matrix", got="one that is not", key=("covariance",))
+        if np.linalg.eigvalsh(matrix)[0] < -1e-9 * scale:
+            raise refusal("a covariance", got="a matrix with negative variances", key=("covariance",))
+        return self
+
+    @property
+    def springs(self) -> tuple[tuple[str, str], ...]:
+        """Kind and name of what was identified beside the base, in the order of the covariance."""
+        links = (("link", each.name) for each in self.links)
+        return (*links, *(("joint", each.name) for each in self.joints))
+
+    @property
+    def covariance_matrix(self) -> FloatArray:
+        """The covariance (p, p)."""
+        return read_only(np.array(self.covariance))

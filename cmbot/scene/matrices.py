@@ -1,0 +1,36 @@
+"""Matrices (6, 6) of stiffness and mass in files."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+from pydantic import Field
+
+from cmbot.common.validation import refusal
+
+__all__ = ["Matrix6", "check_positive_definite"]
+
+# Their bounds keep every product finite.
+Entry = Annotated[float, Field(ge=-1e15, le=1e15)]
+Row6 = tuple[Entry, Entry, Entry, Entry, Entry, Entry]
+Matrix6 = tuple[Row6, Row6, Row6, Row6, Row6, Row6]
+"""Six rows of six numbers, linear then angular."""
+
+
+def check_positive_definite(rows: Matrix6, key: str) -> None:
+    """Refuse a matrix that is not symmetric positive definite; `key` names it."""
+    matrix = np.array(rows)
+    expected = "a symmetric positive definite matrix"
+    scale = np.sqrt(np.abs(np.diag(matrix)))
+    if not np.all(np.diag(matrix) > 0):
+        raise refusal(expected, got=f"the diagonal {np.diag(matrix).tolist()}", key=(key,))
+    with np.errstate(over="ignore"):
+        scaled = matrix / scale[:, None] / scale  # newtons and newton metres on one scale
+    # In a positive definite matrix scaled to a unit diagonal no entry exceeds 1.
+    if not np.all(np.abs(scaled) <= 1 + 1e-9):
+        raise refusal(expected, got="a matrix that is not positive definite", key=(key,))
+    if not np.allclose(scaled, scaled.T, rtol=0, atol=1e-9):
+        raise refusal(expected, got="a matrix that is not symmetric", key=(key,))
+    if np.linalg.eigvalsh(scaled)[0] <= 1e-12:
+        raise refusal(expected, got="a matrix that is not positive definite", key=(key,))

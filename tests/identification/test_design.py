@@ -1,0 +1,113 @@
+"""The design: better than chance, and the postures can be taken."""
+
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+from cmbot.collision import Clearances
+from cmbot.common.errors import InputError
+from cmbot.identification import (
+    DeflectionModel,
+    MeasuringSetup,
+    Proposal,
+    design,
+    job_postures,
+    measured_arm,
+    prior_deviations,
+    proposal_remarks,
+    propose,
+    read_measurements,
+)
+from cmbot.planning import Plan
+from cmbot.robot import Dynamics
+
+SCENE = short_scene()
+
+
+@pytest.fixture(autouse=True)
+def _few(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(design, "_CANDIDATES", 60)
+    monkeypatch.setattr(design, "_REFINED", (0.3,))
+    monkeypatch.setattr(design, "_NEAR", 4)
+
+
+@pytest.fixture
+def proposal(triangle_plan: Plan) -> Proposal:
+    return propose(SCENE, 4, job_postures(triangle_plan))
+
+
+def test_postures_are_clear_and_can_be_held(proposal: Proposal) -> None:
+    assert proposal.q.shape == (4, 7)
+    assert (
+        Clearances(measured_arm(SCENE).robot, SCENE.obstacles).smallest(proposal.q).distance >= 0.02
+    ).all()
+    loaded = measured_arm(SCENE, 5.0).robot
+    torque = Dynamics(loaded).static_efforts(proposal.q).joint_torque
+    assert (np.abs(torque) <= loaded.limits.torque).all()
+    assert loaded.payload == 5.0
+
+
+def test_it_tells_more_than_chance(proposal: Proposal) -> None:
+    arm, setup = measured_arm(SCENE), MeasuringSetup()
+    rng = np.random.default_rng(0)
+    tell = design._Telling(SCENE, setup, np.ones(3, dtype=bool), proposal.job)
+    q = tell.clear(tell.random(rng))[:24]
+    G = tell.rows(q)
+    shares = [np.trace(tell.W @ design._covariance(G, list(range(k, k + 4)))) ** 0.5 for k in range(0, 24, 4)]
+    assert proposal.after.share < min(shares)
+    assert proposal.after.share < 0.5 * proposal.before.share
+    # The promise is the covariance of the linearised problem there.
+    own = tell.rows(proposal.q)
+    assert np.trace(tell.W @ design._covariance(own, [0, 1, 2, 3])) ** 0.5 == pytest.approx(
+        proposal.after.share
+    )
+    prior = prior_deviations(DeflectionModel(arm, setup, q[:1]).parameters, setup.prior)
+    assert prior.shape == (32,)
+
+
+def test_fewer_components_tell_less_and_more_postures_more(proposal: Proposal) -> None:
+    job = proposal.job
+    only_z, more = propose(SCENE, 4, job, axes="z"), propose(SCENE, 8, job)
+    assert more.after.share < proposal.after.share < only_z.after.share
+    assert list(only_z.seen) == [False, False, True]
+    assert any(" z to 0.1 mm" in line for line in proposal_remarks(only_z))
+
+
+def test_the_sheet_is_a_file_of_measurements_once_it_is_filled_in(
+    proposal: Proposal, tmp_path: object
+) -> None:
+    sheet = proposal.sheet("triangle")
+    path = tmp_path / "sheet.yaml"  # type: ignore[operator]
+    path.write_text(sheet, encoding="utf-8")
+    with pytest.raises(InputError, match="measurements: got none, expected a measured number"):
+        read_measurements(path)
+    path.write_text(sheet.replace("[null, null, null]", "[1.0, null, -2.0]"), encoding="utf-8")
+    found = read_measurements(path)
+    np.testing.assert_allclose(found.q, proposal.q, atol=1e-4)
+    np.testing.assert_allclose(found.job, proposal.job, atol=1e-5)
+    assert found.setup.model_dump(include=set(MeasuringSetup.model_fields)) == proposal.setup.model_dump()
+
+
+def test_the_postures_of_a_scene_follow_its_path() -> None:
+    q = job_postures(SCENE)
+    np.testing.assert_allclose(q[0], SCENE.posture, atol=1e-9)
+    assert q.shape == (25, 7)
+
+
+@pytest.mark.parametrize(
+    ("number", "axes", "message"),
+    [
+        (0, "xyz", "number: got 0, expected 1 to 60 postures"),
+        (2, "xw", "axes: got 'xw', expected letters of xyz"),
+        (2, "", "axes: got '', expected letters of xyz"),
+    ],
+)
+def test_what_cannot_be_proposed_is_refused(number: int, axes: str, message: str) -> None:
+    with pytest.raises(InputError, match="propose") as refused:
+        propose(SCENE, number, np.zeros((1, 7)), axes=axes)
+    assert message in str(refused.value)
+
+
+def test_a_weight_that_nothing_can_hold_is_refused() -> None:
+    with pytest.raises(InputError, match="0 clear postures, expected 2 or more"):
+        propose(SCENE, 2, np.zeros((1, 7)), MeasuringSetup(weight_kg=9000.0))

@@ -1,0 +1,227 @@
+"""The estimate: as exact as it says, with truths that its parameters do not make."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import identification as benchmark
+import numpy as np
+import pytest
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.common.errors import SceneError
+from cmbot.elastic import elastic_base
+from cmbot.elastic.arm import ElasticArm, elastic_arm
+from cmbot.elastic.modes import arm_modes
+from cmbot.elastic.sag import Sag
+from cmbot.identification import (
+    Identification,
+    Proposal,
+    design,
+    estimate,
+    identified_rows,
+    measured_arm,
+    propose,
+    remarks,
+    sag_along,
+    stiffness_text,
+    unseen,
+)
+from cmbot.planning import covariance_of, robot_of
+from cmbot.scene import Scene, load_scene
+
+SCENE = short_scene()
+
+
+@pytest.fixture(scope="module")
+def modelled() -> ElasticArm:
+    return measured_arm(SCENE)
+
+
+@pytest.fixture(scope="module")
+def proposal() -> Proposal:
+    """Postures from a few."""
+    start = np.array(SCENE.posture)
+    job = np.linspace(start, start + 0.2, 6)
+    patch = pytest.MonkeyPatch()
+    with patch.context() as small:
+        small.setattr(design, "_CANDIDATES", 60)
+        small.setattr(design, "_REFINED", ())
+        return propose(SCENE, 6, job)
+
+
+@pytest.fixture(scope="module")
+def found(proposal: Proposal, modelled: ElasticArm) -> tuple[benchmark.Truth, ElasticArm, Identification]:
+    """A truth that is softer, its arm, and what was identified of it."""
+    rng = np.random.default_rng(3)
+    truth = benchmark.soft(modelled, proposal.setup, rng)
+    arm = truth.arm(modelled)
+    return truth, arm, estimate(benchmark.simulated(proposal, truth, arm, rng), modelled)
+
+
+def test_the_truth_is_within_the_intervals(proposal: Proposal) -> None:
+    coverage = benchmark.run(proposal, benchmark.drawn, 6)
+    # Of 6 x 32 and 6 x 18 numbers that depend on one another.
+    assert 0.88 < coverage.parameters <= 1
+    assert 0.8 < coverage.sag <= 1
+    assert coverage.length.max() < 3 * proposal.after.length_95
+
+
+def test_a_base_that_mixes_all_directions(proposal: Proposal) -> None:
+    assert benchmark.run(proposal, benchmark.mixed, 3).length.max() < 2 * proposal.after.length_95
+
+
+def test_sag_is_known_better_than_before(found: tuple[benchmark.Truth, ElasticArm, Identification]) -> None:
+    _, arm, identified = found
+    assert identified.before is not None
+    assert identified.after is not None
+    true = Sag(arm).at(identified.measurements.job).tool
+    off = [np.linalg.norm(sag.tool - true, axis=1).max() for sag in (identified.before, identified.after)]
+    assert off[1] < 0.1 * off[0]
+    assert identified.after.share < 0.2 * identified.before.share
+    assert identified.misfit_share > 1e-3
+    assert identified.weight_kg == pytest.approx(5.0, abs=0.03)
+
+
+def test_a_weight_that_is_wrong_is_in_the_errors(
+    proposal: Proposal, found: tuple[benchmark.Truth, ElasticArm, Identification], modelled: ElasticArm
+) -> None:
+    """All deflections in proportion to the weight: what is not known of it, is not known of the sag."""
+    given = found[2].measurements
+    loose = replace(given, setup=given.setup.model_copy(update={"weight_sd_kg": 0.25}))
+    after = estimate(loose, modelled).after
+    assert after is not None
+    assert found[2].after is not None
+    assert after.share > 0.04 > found[2].after.share
+
+
+def test_play_in_the_joints_makes_measurements_worth_less(
+    found: tuple[benchmark.Truth, ElasticArm, Identification], modelled: ElasticArm
+) -> None:
+    given = found[2].measurements
+    loose = replace(given, setup=given.setup.model_copy(update={"windup_sd_arcmin": 1.0}))
+    after = estimate(loose, modelled).after
+    assert after is not None
+    assert found[2].after is not None
+    assert after.share > 2 * found[2].after.share
+
+
+def test_what_does_not_fit_is_said(
+    found: tuple[benchmark.Truth, ElasticArm, Identification], modelled: ElasticArm
+) -> None:
+    wrong = found[2].measurements.deflection.copy()
+    wrong[2] *= -1
+    slip = estimate(replace(found[2].measurements, deflection=wrong), modelled)
+    assert slip.misfit_share < 1e-6
+    assert any("do not fit" in line for line in remarks(slip))
+    assert not any("do not fit" in line for line in remarks(found[2]))
+
+
+def test_frequencies_tell_more_and_components_left_out_less(
+    found: tuple[benchmark.Truth, ElasticArm, Identification], modelled: ElasticArm
+) -> None:
+    _, arm, with_all = found
+    given = with_all.measurements
+    only_z = given.deflection.copy()
+    only_z[:, :2] = np.nan
+    tapped = tuple(arm_modes(arm, q).frequencies[: 2 if k < 2 else 0] for k, q in enumerate(given.q))
+    less = estimate(replace(given, deflection=only_z), modelled)
+    more = estimate(replace(given, deflection=only_z, frequencies=tapped), modelled)
+    alone = estimate(replace(given, deflection=0 * only_z + np.nan, frequencies=tapped), modelled)
+    shares = [each.after.share for each in (with_all, less) if each.after is not None]
+    assert shares[0] < shares[1]
+    for poorer, richer in ((less, more), (alone, more)):
+        assert np.all(np.diag(richer.covariance) <= np.diag(poorer.covariance) * 1.2)
+        assert np.linalg.slogdet(richer.covariance)[1] < np.linalg.slogdet(poorer.covariance)[1]
+
+
+def test_nothing_measured_of_a_joint_keeps_its_prior(
+    found: tuple[benchmark.Truth, ElasticArm, Identification],
+) -> None:
+    identified = found[2]
+    names, directions = unseen(identified)
+    # The last joint turns about the tool's own axis.
+    assert "joint_7" in names
+    assert 0 < directions < 21
+    k = [name for _, name in identified.parameters.springs].index("joint_7")
+    assert identified.covariance[k, k] == pytest.approx(identified.prior[k] ** 2, rel=0.05)
+    rows = {row[0]: row for row in identified_rows(identified)}
+    assert rows["joint_7, Nm/rad"][-1] == "not seen: as before"
+    assert len(rows) == 4 + 7 + 6
+    assert any("joint_7" in line and "Not seen" in line for line in remarks(identified))
+
+
+def test_the_file_makes_the_same_arm_with_the_same_spread(
+    found: tuple[benchmark.Truth, ElasticArm, Identification], tmp_path: Path
+) -> None:
+    identified = found[2]
+    job = identified.measurements.job
+    assert job is not None
+    assert identified.after is not None
+    (tmp_path / "rail.yaml").write_text(stiffness_text(identified.stiffness, "here"), encoding="utf-8")
+    scene = scene_with("rail.yaml", tmp_path)
+    arm = elastic_arm(robot_of(scene), elastic_base(scene.guardrail))
+    np.testing.assert_allclose(Sag(arm).at(job).tool, identified.after.tool, atol=1e-9)
+    covariance = covariance_of(scene, arm)
+    assert covariance is not None
+    again = sag_along(arm, covariance, job)
+    np.testing.assert_allclose(again.deviation, identified.after.deviation, rtol=1e-6)
+    # About what was identified it is the covariance of the modelled arm's parameters, moved there.
+    step = 1e-4 * np.linalg.cholesky(identified.covariance)[:, 15]
+    ends = [
+        Sag(replace(identified.arm, stiffness=identified.parameters.stiffness(identified.mean + side * step)))
+        for side in (-1, 1)
+    ]
+    (low, high) = (end.at(job).tool for end in ends)
+    slope = np.linalg.norm(high - low, axis=1) / 2e-4
+    assert np.all(slope <= again.deviation * (1 + 1e-3))
+
+
+def scene_with(identified: object, folder: Path, **changes: object) -> Scene:
+
+    data = SCENE.file.as_data() | {"format": "cmbot-scene/2", "identified": identified} | changes
+    path = folder / "scene.yaml"
+    path.write_text(json.dumps(data), encoding="utf-8")
+    return load_scene(path)
+
+
+def test_an_identified_stiffness_belongs_to_its_robot_and_place(
+    found: tuple[benchmark.Truth, ElasticArm, Identification], tmp_path: Path
+) -> None:
+    stiffness = found[2].stiffness
+    data = stiffness.model_dump(mode="json", exclude_none=True)
+    other = data | {"links": [data["links"][0] | {"modelled": 1.0}, *data["links"][1:]]}
+    with pytest.raises(SceneError, match="the stiffness is that of another robot"):
+        robot_of(scene_with(other, tmp_path))
+    other = data | {"joints": [data["joints"][0] | {"name": "knee"}, *data["joints"][1:]]}
+    with pytest.raises(SceneError, match=r"identified\.joints: got knee, expected a joint that bends"):
+        robot_of(scene_with(other, tmp_path))
+    with pytest.raises(SceneError, match="expected a stiffness measured where the feet hold now"):
+        scene_with(data | {"base": data["base"] | {"footholds": [[1, 0, 0]]}}, tmp_path)
+    with pytest.raises(SceneError, match="expected no such key beside identified"):
+        scene_with(data, tmp_path, guardrail={"stiffness": [1e6, 1e6, 1e6, 1e5, 1e5, 1e5]})
+    with pytest.raises(SceneError, match="expected elastic, as joints were identified"):
+        scene_with(data, tmp_path, robot={"joints": "rigid"})
+    with pytest.raises(SceneError, match="identified: got identified, expected no such key in cmbot-scene/1"):
+        scene_with(data, tmp_path, format="cmbot-scene/1")
+    with pytest.raises(SceneError, match="expected 32 rows of 32 numbers"):
+        scene_with(data | {"covariance": data["covariance"][:-1]}, tmp_path)
+    fewer = [row[:-21] for row in data["covariance"][:-21]]
+    without = {key: value for key, value in data.items() if key != "base"} | {"covariance": fewer}
+    scene = scene_with(without, tmp_path)
+    arm = elastic_arm(robot_of(scene), elastic_base(scene.guardrail))
+    with pytest.raises(SceneError, match="expected what bends in this scene, in this order: link_1"):
+        covariance_of(scene, arm)
+    with pytest.raises(SceneError, match="identified: got an identified stiffness, expected a scene without"):
+        measured_arm(scene)
+
+
+def test_nothing_that_bends_is_refused() -> None:
+    rigid = replace(SCENE, guardrail=replace(SCENE.guardrail, post_positions=()))
+    assert measured_arm(rigid).base is None
+
+
+def test_the_public_door() -> None:
+    with pytest.raises(cmbot.InputError, match="expected the path of a file of measurements"):
+        cmbot.identify(3)  # type: ignore[arg-type]
