@@ -169,6 +169,11 @@ _HOLD = "planner.objective: hold, another stance or a foot that bears more"
 # What most often helps, by a word in the name of a constraint.
 _REMEDIES = (
     ("change of the shift", "a larger planner.max_tool_deviation_m, or planner.compensate: false"),
+    (
+        "standard deviations of the stiffness",
+        "more or better measurements (cmbot identify SCENE --propose N), a larger "
+        "planner.max_tool_deviation_m, or planner.deviation_sigmas: 0",
+    ),
     ("jerk", "{time}{smoother}"),
     ("velocity", "{time}"),
     ("acceleration", "{time}"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -13,8 +13,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.sag import Sag
+from cmbot.elastic.stiffness_parameters import StiffnessParameters
 
-__all__ = ["ArmModes", "Linearised", "arm_modes", "linearised"]
+__all__ = ["ArmModes", "Linearised", "arm_modes", "frequency_slopes", "linearised"]
 
 # Share of the largest squared period below which a squared period is rounding: its coordinate has no mass.
 _MASSLESS = 1e-13
@@ -86,3 +87,16 @@ def arm_modes(arm: ElasticArm, q: FloatArray) -> ArmModes:
         mass=M,
         stiffness=K,
     )
+
+
+def frequency_slopes(
+    arm: ElasticArm, parameters: StiffnessParameters, at: FloatArray, q: FloatArray, count: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return logarithms (k,) of the slowest natural frequencies in posture `q` (n,), and slopes (k, p).
+
+    At parameters `at` (p,): ``d ln f = phi' dK phi / (2 omega^2)``.
+    """
+    modes = arm_modes(replace(arm, stiffness=parameters.stiffness(at)), q)
+    shapes, f = modes.shapes[:, :count].T, modes.frequencies[:count]
+    lost = np.einsum("kf,kfp->kp", shapes, parameters.relaxation(shapes, at))
+    return np.log(f), -lost / (2 * (2 * np.pi * f[:, None]) ** 2)

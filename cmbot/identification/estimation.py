@@ -19,6 +19,7 @@ from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import validated
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.modes import frequency_slopes
 from cmbot.elastic.stiffness_parameters import (
     StiffnessParameters,
     entries_of,
@@ -29,7 +30,6 @@ from cmbot.identification.measurements import Measurements
 from cmbot.identification.model import (
     DeflectionModel,
     SagAlong,
-    frequency_slopes,
     measured_arm,
     prior_deviations,
     sag_along,

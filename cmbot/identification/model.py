@@ -11,7 +11,6 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
-from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.identification.measurements import MeasuringSetup, Prior
@@ -19,7 +18,7 @@ from cmbot.planning import robot_of
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Scene
 
-__all__ = ["DeflectionModel", "SagAlong", "frequency_slopes", "measured_arm", "prior_deviations", "sag_along"]
+__all__ = ["DeflectionModel", "SagAlong", "measured_arm", "prior_deviations", "sag_along"]
 
 _ARC_MINUTE = np.pi / (180 * 60)
 # Draws of the error along a job, and the share of them of which the bound is told.
@@ -95,19 +94,6 @@ class DeflectionModel:
     def forget(self) -> None:
         """Seek equilibria from the undeformed state again."""
         self._start = [None, None]
-
-
-def frequency_slopes(
-    arm: ElasticArm, parameters: StiffnessParameters, at: FloatArray, q: FloatArray, count: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return logarithms (k,) of the slowest natural frequencies in posture `q` (n,), and slopes (k, p).
-
-    At parameters `at` (p,); ``d ln f = phi' dK phi / (2 omega^2)``.
-    """
-    modes = arm_modes(replace(arm, stiffness=parameters.stiffness(at)), q)
-    shapes, f = modes.shapes[:, :count].T, modes.frequencies[:count]
-    lost = np.einsum("kf,kfp->kp", shapes, parameters.relaxation(shapes, at))
-    return np.log(f), -lost / (2 * (2 * np.pi * f[:, None]) ** 2)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -17,7 +17,7 @@ from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.planning.objectives import Objective, WrenchFunction, objective_of
 from cmbot.planning.progress import ProgressReporter
-from cmbot.planning.stiffness import covariance_of, with_identified_stiffness
+from cmbot.planning.stiffness import covariance_of, known_share, with_identified_stiffness
 from cmbot.planning.task import ToolTask
 from cmbot.robot import Kinematics, PostureBatch, Postures, Robot, load_robot
 from cmbot.scene import SPEED_TOLERANCE, STOW, PlannerOptions, Scene, Stroke, ToolPoses, pose
@@ -211,6 +211,8 @@ def build_context(
         )
         raise SceneError(scene.source, "guardrail", "none", expected)
     arm = bending_arm(scene, robot)
+    if arm is not None:
+        options = known_share(scene, arm, options)
     sag = sag_of(scene, arm, options)
     objective = idle = objective_of(robot, options, own, posture, sag)
     if robot.pushed:

@@ -9,14 +9,17 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.elastic.arm import ElasticArm
+from cmbot.elastic.modes import frequency_slopes
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.robot import Robot
-from cmbot.scene import Scene
+from cmbot.scene import PlannerOptions, Scene
 
-__all__ = ["covariance_of", "modelled_stiffness", "with_identified_stiffness"]
+__all__ = ["covariance_of", "known_share", "modelled_stiffness", "with_identified_stiffness"]
 
 # By what share a modelled stiffness may differ from what an identified one was compared with.
 _SAME = 1e-6
+# Standard deviations of the stiffness that suppression allows for.
+_SIGMAS = 2.0
 
 
 def modelled_stiffness(robot: Robot) -> dict[tuple[str, str], float]:
@@ -58,6 +61,24 @@ def with_identified_stiffness(robot: Robot, scene: Scene) -> Robot:
         for by in [factors.get(("joint", name), 1.0)]
     }
     return replace(robot, elasticity=tubes, joint_elasticity=springs)
+
+
+def known_share(scene: Scene, arm: ElasticArm, options: PlannerOptions) -> PlannerOptions:
+    """Return options whose `quiet_stiffness_share` is what an identified stiffness leaves open.
+
+    Twice the standard deviation of the stiffness of the modes that are suppressed, by their frequencies in
+    the scene's posture, where that is less.
+    """
+    covariance, modes = covariance_of(scene, arm), options.quiet_modes
+    if covariance is None or not modes:
+        return options
+    parameters = StiffnessParameters(arm)
+    zero = np.zeros(parameters.count)
+    _, slopes = frequency_slopes(arm, parameters, zero, np.array(scene.posture), modes)
+    # A mode's stiffness goes with the square of its frequency.
+    deviation = 2 * np.sqrt(np.einsum("kp,pr,kr->k", slopes, covariance, slopes).max())
+    share = min(options.quiet_stiffness_share, round(float(_SIGMAS * deviation), 3))
+    return replace(options, quiet_stiffness_share=share)
 
 
 def covariance_of(scene: Scene, arm: ElasticArm) -> FloatArray | None:

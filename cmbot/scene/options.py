@@ -53,12 +53,15 @@ class PlannerOptions:
         Factors of the torque's components along x, y and z of W in its norm.
     compensate : bool
         Shift the via-points by the tool's predicted sag, so that the bent arm follows the path.
+    deviation_sigmas : float
+        With `compensate` and an identified stiffness: the bent tool stays within the allowed deviation though
+        its sag be off by this many standard deviations; 0 promises that of the expected tool alone.
     quiet_modes : int
         With sliding knots: number of elastic modes, the slowest first, that are brought to rest at the ends
         of the legs. Splines cannot follow modes much faster than their segments.
     quiet_stiffness_share : float
         By which share of the modelled one all stiffness may be more or less: the largest amplitude over all
-        that is what falls.
+        that is what falls. An identified stiffness makes it smaller, two standard deviations.
     quiet_payload_kg : float
         By how much the payload may be more or less than modelled, kg.
     avoidance : str
@@ -131,6 +134,7 @@ class PlannerOptions:
     moment_about: Literal["foot", "base"] = "foot"
     axis_weights: AxisWeights = (1.0, 1.0, 1.0)
     compensate: bool = False
+    deviation_sigmas: Annotated[float, Field(ge=0, le=10)] = 0.0
     quiet_modes: Annotated[int, Field(ge=0, le=10)] = 2
     quiet_stiffness_share: Annotated[float, Field(ge=0, le=0.9)] = 0.3
     quiet_payload_kg: Annotated[float, Field(ge=0, le=100)] = 1.0

@@ -226,13 +226,26 @@ def _tool_deviation(plan: Plan) -> Chart:
         title="Tool's distance from its path",
         unit="mm",
         digits=3,
-        curves=_curves(plan, lambda samples: 1e3 * samples.tool_deviation, free=False),
+        curves=(
+            *_curves(plan, lambda samples: 1e3 * samples.tool_deviation, free=False),
+            *(
+                Curve(motion="planned", t=t, y=1e3 * largest, thin=True)
+                for t, largest in plan.deviation_with_spread
+            ),
+        ),
         axis=(0.0, 1.15 * bound),
         bounds=(None, bound),
         marks=((bound, f"bound {bound:g} mm"),),
-        note=_EXPECTED if plan.samples.expected_tool_point is not None else "",
+        note=_expected(plan),
         free="no tool path",
     )
+
+
+def _expected(plan: Plan) -> str:
+    if plan.samples.expected_tool_point is None:
+        return ""
+    spread = f" Thin: with {plan.shown_sigmas:g} standard deviations of the identified stiffness."
+    return _EXPECTED + (spread if plan.deviation_with_spread else "")
 
 
 def _tracking(tracking: Tracking, begin: float, note: str) -> Iterator[Chart]:

@@ -335,6 +335,11 @@ def _elastic(plan: Plan) -> Iterator[Row]:
         yield "sag compensation, rounds", str(compensation.rounds)
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"
         yield "change of the shift in the last round, mm", f"{1e3 * compensation.last_change:.3f}"
+        if compensation.deviation:
+            yield (
+                "standard deviation of the tool across its path, at most, mm",
+                f"{1e3 * compensation.deviation:.3f}",
+            )
     if suppression is not None:
         yield "suppressed elastic modes", str(suppression.modes)
         yield "their amplitudes at the ends of the legs are less by", f"{100 * suppression.share:.4g} %"

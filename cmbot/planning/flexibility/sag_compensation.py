@@ -18,6 +18,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
+from cmbot.planning.verification.sag_spread import largest_spread
 from cmbot.scene import ShiftedToolPath
 
 __all__ = ["MOST_ROUNDS", "Compensation", "compensate"]
@@ -26,9 +27,12 @@ MOST_ROUNDS = 8
 """Rounds at most."""
 
 # The change of the shift, as a share of the tool deviation allowed, that ends them.
-_SETTLED = 0.02
+_SETTLED = 0.04
 # Share of the tool deviation that is left to the optimiser; the rest is for what the shift misses.
 _LEFT = 0.95
+# By how much the standard deviation may grow while the trajectory changes, and the least share of the tool
+# deviation beside it.
+_GROWS, _LEAST = 1.05, 0.2
 # Times per spline segment at which the sag is computed.
 _PER_SEGMENT = 4
 
@@ -45,11 +49,15 @@ class Compensation:
         Of a commanded tool point from where the path has it.
     last_change : float, m
         Largest change of a commanded tool point in the last round.
+    deviation : float, m
+        Largest standard deviation of the tool's place across its path, by that of an identified stiffness; 0
+        where none is known.
     """
 
     rounds: int
     largest_shift: float
     last_change: float
+    deviation: float = 0.0
 
 
 def compensate(
@@ -72,7 +80,8 @@ def compensate(
         When a round finds no trajectory, or the shift does not settle.
     """
     allowed = context.options.max_tool_deviation_m
-    options = replace(context.options, max_tool_deviation_m=_LEFT * allowed)
+    room = _LEFT * (allowed - _uncertain(context, optimised, sag))
+    options = replace(context.options, max_tool_deviation_m=room)
     times = np.linspace(context.times[:-1], context.times[1:], _PER_SEGMENT, endpoint=False, axis=1)
     times = np.append(times.ravel(), context.times[-1])
     shift, problem = np.zeros((len(times), 3)), guess.problem
@@ -81,7 +90,10 @@ def compensate(
         change = float(np.linalg.norm(wanted - shift, axis=1).max())
         if change < _SETTLED * allowed:
             largest = float(np.linalg.norm(shift, axis=1).max())
-            done = Compensation(rounds=rounds, largest_shift=largest, last_change=change)
+            spread = 0.0
+            if sag.covariance is not None:
+                spread, _ = largest_spread(context.task.path, sag, optimised.trajectory)
+            done = Compensation(rounds=rounds, largest_shift=largest, last_change=change, deviation=spread)
             return optimised, done, problem
         if rounds == MOST_ROUNDS:
             break
@@ -103,6 +115,23 @@ def compensate(
         constraint="change of the shift",
         violation=change / allowed,
     )
+
+
+def _uncertain(context: PlanningContext, optimised: Optimised, sag: Sag) -> float:
+    """What of the allowed deviation is for the errors of an identified stiffness, m."""
+    sigmas, allowed = context.options.deviation_sigmas, context.options.max_tool_deviation_m
+    if sag.covariance is None or not sigmas:
+        return 0.0
+    spread, _ = largest_spread(context.task.path, sag, optimised.trajectory)
+    uncertain = _GROWS * sigmas * spread
+    if uncertain > (1 - _LEAST) * allowed:
+        raise OptimisationFailed(
+            f"the stiffness is known too little: {sigmas:g} standard deviations of the tool's place across "
+            f"its path are {1e3 * sigmas * spread:.2f} mm, of {1e3 * allowed:g} mm that are allowed",
+            constraint="tool deviation within standard deviations of the stiffness",
+            violation=uncertain / allowed - 1,
+        )
+    return uncertain
 
 
 def _shifted(context: PlanningContext, times: FloatArray, shift: FloatArray) -> ShiftedToolPath:

@@ -26,6 +26,7 @@ from cmbot.planning.result.baseline import (
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
 from cmbot.planning.verification.certificate import Certificate
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
+from cmbot.planning.verification.sag_spread import across_path, spread_times
 from cmbot.robot import Robot
 from cmbot.scene import WORK, PlannerOptions, Scene
 from cmbot.trajectory import QuinticTrajectory
@@ -226,6 +227,28 @@ class Plan(StrokePlan):
         at_work = segment.kind == "stroke"
         robot, sag = (self.robot, self.sag) if at_work else (self.robot.tool_off, None)
         return measure(robot, segment.task, clearances, t, motion, sag)
+
+    @cached_property
+    def deviation_with_spread(self) -> tuple[tuple[FloatArray, FloatArray], ...]:
+        """What each stroke's tool deviation may be, where sag is compensated by an identified stiffness.
+
+        Times on the job's clock, s, and the expected deviation, m, with as many standard deviations of the
+        stiffness as `shown_sigmas` says, `across_path`. Empty where no covariance is known.
+        """
+        if self.sag is None or self.sag.covariance is None:
+            return ()
+        found = []
+        for segment in self.job.strokes:
+            t, samples = spread_times(segment.trajectory), self.segment_samples[segment.name]
+            spread = across_path(segment.task.path, self.sag, t, segment.trajectory.evaluate(t))
+            expected = np.interp(t, samples.t, samples.tool_deviation)
+            found.append((segment.begin + t, expected + self.shown_sigmas * spread))
+        return tuple(found)
+
+    @property
+    def shown_sigmas(self) -> float:
+        """The standard deviations of `deviation_with_spread`: those that are promised, else two."""
+        return self.options.deviation_sigmas or 2.0
 
     @property
     def largest_torque_difference(self) -> tuple[float, float]:

@@ -75,6 +75,13 @@ def _bending(plan: Plan) -> Iterator[str]:
             f"Sag compensated in {rounds}: the joints aim up to {1e3 * done.largest_shift:.2f} mm beside the "
             "path, so that the bent arm follows it; the tool deviation is the bent arm's, as predicted."
         )
+        if done.deviation:
+            promised = plan.options.deviation_sigmas
+            part = f"{promised:g} of them are" if promised else "planner.deviation_sigmas makes it"
+            yield (
+                "By the errors of the identified stiffness the tool's place across its path has a standard "
+                f"deviation of {1e3 * done.deviation:.2f} mm at most; {part} part of what is certified."
+            )
     if plan.quieting is not None:
         yield _suppression(plan.quieting, plan.scene.base_name)
 

@@ -171,6 +171,7 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
             rounds=max(each.rounds for each in compensations),
             largest_shift=max(each.largest_shift for each in compensations),
             last_change=max(each.last_change for each in compensations),
+            deviation=max(each.deviation for each in compensations),
         )
         if compensations
         else None,

@@ -24,6 +24,7 @@ from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.verification.nearest_approach import nearest_approach
 from cmbot.planning.verification.norm_bounds import NormBounds, norm_bounds, timed_pose_bounds
 from cmbot.planning.verification.process_speed import speed_deviation
+from cmbot.planning.verification.sag_spread import spread_check
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest
@@ -185,6 +186,9 @@ def certify(
             _enclosed(quantity, rotation, most, "rad"),
             _enclosed(f"{expected}tool lag", lag, options.max_tool_lag_m, "m"),
         ]
+        if sag is not None and sag.covariance is not None and options.deviation_sigmas:
+            promised = (options.deviation_sigmas, options.max_tool_deviation_m)
+            checks.append(spread_check(task.path, sag, trajectory, deviation.bound, *promised))
         if task.max_speed is not None:
             checks.append(_enclosed(f"{expected}tool speed", work.tool_speed(), task.max_speed, "m/s"))
         if task.speed_tolerance is not None:

@@ -1,0 +1,61 @@
+"""How far the tool may be from its path, for all that a stiffness may be that was identified."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from cmbot.common.arrays import FloatArray
+from cmbot.elastic.sag import Sag
+from cmbot.planning.verification.check import Check
+from cmbot.scene import ToolPath
+from cmbot.trajectory import QuinticTrajectory
+
+__all__ = ["across_path", "largest_spread", "spread_check", "spread_times"]
+
+# Longest time between postures in which the standard deviation is computed, s; it changes slowly.
+_INTERVAL = 0.25
+
+
+def across_path(path: ToolPath, sag: Sag, t: FloatArray, q: FloatArray) -> FloatArray:
+    """Return the standard deviations (N,), m, of the tool's place across its path in postures `q` (N, n).
+
+    Those in the worst direction across the leg of each time `t` (N,), by the covariance of the stiffness.
+    """
+    covariance, along = sag.spread(q), path.leg_directions(t)
+    across = np.eye(3) - along[:, :, None] * along[:, None, :]
+    largest = np.linalg.eigvalsh(across @ covariance @ across)[:, -1]
+    return np.asarray(np.sqrt(np.maximum(largest, 0.0)))
+
+
+def spread_times(trajectory: QuinticTrajectory) -> FloatArray:
+    """Return times (N,), s, along a trajectory at which its standard deviation is computed."""
+    count = max(int(np.ceil(trajectory.duration / _INTERVAL)), 8)
+    return np.linspace(trajectory.t[0], trajectory.t[-1], count + 1)
+
+
+def largest_spread(path: ToolPath, sag: Sag, trajectory: QuinticTrajectory) -> tuple[float, float]:
+    """Return the largest standard deviation across the path, m, and when, s.
+
+    Half its largest change from one computed posture to the next is added, for what lies between them.
+    """
+    t = spread_times(trajectory)
+    spread = across_path(path, sag, t, trajectory.evaluate(t))
+    between = 0.5 * float(np.abs(np.diff(spread)).max())
+    return float(spread.max()) + between, float(t[spread.argmax()])
+
+
+def spread_check(
+    path: ToolPath, sag: Sag, trajectory: QuinticTrajectory, expected: float, sigmas: float, allowed: float
+) -> Check:
+    """Check the expected deviation, at most `expected`, m, and some standard deviations together.
+
+    The largest of both count, wherever they are.
+    """
+    largest, when = largest_spread(path, sag, trajectory)
+    return Check(
+        quantity=f"tool deviation within {sigmas:g} standard deviations of the stiffness",
+        time=when,
+        value=expected + sigmas * largest,
+        bound=allowed,
+        unit="m",
+    )
