@@ -26,6 +26,7 @@ from cmbot.scene import (
     LegLaw,
     PlannerOptions,
     Raster,
+    RowPiece,
     SceneFile,
     SpeedProfile,
     Tool,
@@ -39,7 +40,7 @@ TARGET, PAGE = _ROOT / "scenes" / "scene.schema.json", _ROOT / "docs" / "scene_f
 def schema_text() -> str:
     """Return the schema as the text of its file."""
     schema = SceneFile.model_json_schema()
-    paths = (ArcTo, CylinderPatch, FaceSelection, Goal, Leg, LegLaw, Raster, SpeedProfile)
+    paths = (ArcTo, CylinderPatch, FaceSelection, Goal, Leg, LegLaw, Raster, RowPiece, SpeedProfile)
     classes = (*paths, Tool, PlannerOptions)
     kinds = [*subclasses(FileModel), *classes]
     for name, definition in [*schema["$defs"].items(), ("SceneFile", schema)]:

@@ -37,8 +37,10 @@ def figures(plan: cmbot.Plan, planning: float) -> Iterator[tuple[str, str, str]]
     yield "smallest clearance, whole job, mm", *(f"{1e3 * each.min_clearance:.1f}" for each in both)
     yield "time of the whole job, s", f"{plan.baseline_segments[-1].end:.1f}", f"{plan.job.duration:.1f}"
     if plan.coverage:
-        area, left_out = (sum(values) for values in zip(*plan.coverage.values(), strict=True))
-        yield f"area covered of {area:.4g} m2, m2", *2 * (f"{area - left_out:.4g}",)
+        area, covered = (
+            sum(getattr(one, name) for one in plan.coverage.values()) for name in ("area", "covered")
+        )
+        yield f"area covered of {area:.4g} m2, m2", *2 * (f"{covered:.4g}",)
     yield "processor time to plan, s", "-", f"{planning:.0f}"
 
 

@@ -40,6 +40,7 @@ _SECTIONS = {
     "Raster": "Rasters: `raster`",
     "CylinderPatch": "Rasters over a cylinder: `raster.cylinder`",
     "FaceSelection": "Rasters over faces of a mesh: `raster.faces`",
+    "RowPiece": "Pieces of rows: `raster.pieces`",
     "SpeedProfile": "`speed_profile`",
     "LegLaw": "Laws of legs with `seconds: auto`: `time_laws`",
     "ObstacleFile": "`obstacles`",

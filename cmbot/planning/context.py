@@ -27,6 +27,7 @@ __all__ = [
     "bending_arm",
     "build_context",
     "end_posture_of",
+    "in_cells",
     "no_start_left",
     "robot_of",
     "sag_of",
@@ -323,20 +324,36 @@ def robot_of(scene: Scene) -> Robot:
 
 
 def strokes_of(scene: Scene, robot: Robot) -> tuple[Stroke, ...]:
-    """Return the strokes of a scene, from the tool pose of its posture.
+    """Return the strokes of a scene, from the tool pose of its posture; each cell of a raster is one.
 
     Raises
     ------
     SceneError
         When the posture does not fit the robot, or a tool path is none.
     """
+    return in_cells(scene, robot).timed_strokes(_start_pose(scene, robot))
+
+
+def in_cells(scene: Scene, robot: Robot) -> Scene:
+    """Return a scene with a stroke for each cell of the rows of a raster.
+
+    Raises
+    ------
+    SceneError
+        As `strokes_of`.
+    """
+    return scene.in_cells(_start_pose(scene, robot))
+
+
+def _start_pose(scene: Scene, robot: Robot) -> FloatArray:
+    """Pose (4, 4) of the tool in a scene's posture."""
     key, slides = scene.file.posture_key, np.flatnonzero(robot.limits.prismatic)
     if len(slides) and key.endswith("posture_deg"):
         got = f"degrees, but {robot.joints[slides[0]]} slides"
         expected = "start: {posture: [...]} in place of it, in rad and, of joints that slide, m"
         raise SceneError(scene.source, key, got, expected)
     posture = robot.posture(scene.posture, source=scene.source, key=key, error_type=SceneError)
-    return scene.timed_strokes(Kinematics(robot).tool_pose(posture).homogeneous)
+    return np.asarray(Kinematics(robot).tool_pose(posture).homogeneous)
 
 
 def task_of(stroke: Stroke, scene: Scene) -> ToolTask:

@@ -27,6 +27,7 @@ from cmbot.planning.job import Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import follow_path
+from cmbot.planning.path.raster_reach import reached_scene
 from cmbot.planning.precheck import (
     failures_explained,
     require_reasonable_size,
@@ -102,6 +103,8 @@ def plan(
         if not (value is None or value is False or callable(value)):
             raise InputError("cmbot.plan", key, type(value).__name__, "something to call, or None")
     given = scene.planner if options is None else checked_options(PlannerOptions, options, "PlannerOptions")
+    with threadpool_limits(limits=1, user_api="blas"), failures_explained(scene):
+        scene = reached_scene(scene, given)
     if scene.order == "best":
         return _in_best_order(scene, given, objective, progress)
     # The plan holds the solver that it was made with.

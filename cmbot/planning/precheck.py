@@ -21,7 +21,7 @@ from cmbot.optimization import piqp_module
 from cmbot.planning.context import PlanningContext, end_posture_of, robot_of, strokes_of, task_of
 from cmbot.planning.task import task_dimension
 from cmbot.robot import Dynamics, Finding, Robot
-from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath
+from cmbot.scene import PlannerOptions, Scene, Stroke, Tool, ToolPath, coverage_of
 from cmbot.trajectory import SUPPORT
 
 __all__ = [
@@ -151,11 +151,15 @@ def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
             f"{stroke.file.in_words}, {path.lengths.sum():.3f} m in {_seconds(path)}, "
             f"keeps the tool's {stroke.file.keep}",
         )
-    for stroke in strokes:
-        if (covers := stroke.coverage) is not None:
+    meshes = {
+        stroke.file.part_of or stroke.name: stroke.file.raster.mesh
+        for stroke in strokes
+        if stroke.file.raster is not None
+    }
+    for name, covers in coverage_of(strokes).items():
+        if (mesh := meshes[name]) is not None:
             left_out = f"{covers.left_out:.3g} m2" if covers.left_out else "none"
-            mesh = stroke.file.raster.mesh if stroke.file.raster is not None else ""
-            yield f"faces of {Path(mesh or '').name}", f"{covers.area:.4g} m2, left out of them {left_out}"
+            yield f"faces of {Path(mesh).name}", f"{covers.area:.4g} m2, left out of them {left_out}"
     yield "via-points", " + ".join(str(len(stroke.via_times)) for stroke in strokes)
 
 

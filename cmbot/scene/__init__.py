@@ -10,11 +10,14 @@ from cmbot.scene.options import MOST_SAMPLES, PlannerOptions
 from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import StrokeFile
-from cmbot.scene.path.stroke import Stroke
+from cmbot.scene.path.raster_parts import rows_alone
+from cmbot.scene.path.stroke import Stroke, coverage_of, pieces_left_out
 from cmbot.scene.path.time_law import LegLaw, PiecewiseLaw, SpeedProfile
 from cmbot.scene.path.tool_path import ShiftedToolPath, ToolPath, share_out_segments
 from cmbot.scene.path.tool_poses import ToolPoses, shortest_turns
+from cmbot.scene.raster.pieces import RowPiece, cells_of
 from cmbot.scene.raster.raster import CylinderPatch, FaceSelection, Raster
+from cmbot.scene.raster.surface import Coverage
 from cmbot.scene.scene import WORK, RobotSource, Scene, SceneFile
 from cmbot.scene.scene_file import (
     load_scene,
@@ -38,6 +41,7 @@ __all__ = [
     "AxisCone",
     "Box",
     "Capsule",
+    "Coverage",
     "Cylinder",
     "CylinderPatch",
     "FaceSelection",
@@ -57,6 +61,7 @@ __all__ = [
     "PlannerOptions",
     "Raster",
     "RobotSource",
+    "RowPiece",
     "Scene",
     "SceneFile",
     "Shape",
@@ -70,6 +75,8 @@ __all__ = [
     "ToolPath",
     "ToolPoses",
     "axis_point",
+    "cells_of",
+    "coverage_of",
     "feet_at",
     "foothold_face",
     "foothold_pose",
@@ -79,7 +86,9 @@ __all__ = [
     "load_mesh",
     "load_scene",
     "migrated",
+    "pieces_left_out",
     "pose",
+    "rows_alone",
     "scene_from_data",
     "scene_from_file",
     "scene_path",

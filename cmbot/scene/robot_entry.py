@@ -1,4 +1,4 @@
-"""The robot of a scene: the block ``robot:`` of the file, and what it names, as data."""
+"""The robot of a scene: what it is, what it stands on and how it starts, in the file and as data."""
 
 from __future__ import annotations
 
@@ -6,13 +6,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import Field, GetPydanticSchema, model_validator
+from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
 
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
-from cmbot.scene.fields import Angles, Length, Mass, Text, Vector
+from cmbot.scene.fields import (
+    Angles,
+    Length,
+    Mass,
+    Posture,
+    Slug,
+    Text,
+    Vector,
+    exactly_one,
+    one_of_schema,
+)
 from cmbot.scene.stance import Stance
 
-__all__ = ["Joints", "MountFile", "RobotFile", "RobotSource"]
+__all__ = ["BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile", "RobotSource"]
 
 Joints = Literal["elastic", "rigid"]
 """Whether joints give way as the robot's elasticity file says."""
@@ -28,6 +38,31 @@ class MountFile(FileModel):
     """m."""
     rpy_deg: Angles
     """Roll, pitch, yaw as in URDF: R = Rz(yaw) Ry(pitch) Rx(roll)."""
+
+
+class BaseFile(FileModel):
+    """What the robot stands on or holds."""
+
+    name: Slug
+    """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
+
+
+class PostureFile(FileModel):
+    """Where the arm is at the start: stowed, or one posture, from the base to the tool, in either unit."""
+
+    model_config = ConfigDict(json_schema_extra=one_of_schema(("posture_deg", "posture", "stow")))
+
+    posture_deg: Posture | None = None
+    """Joint angles, for arms whose joints all turn."""
+    posture: Posture | None = None
+    """Joint positions in rad and, of joints that slide, m."""
+    stow: Literal[True] | None = None
+    """In the group state ``stow`` of the arm's SRDF."""
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        exactly_one(self, ("posture_deg", "posture", "stow"))
+        return self
 
 
 class RobotFile(FileModel):

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Annotated, Any, Literal, Self
 
@@ -11,7 +12,6 @@ from pydantic import ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.cards import card
-from cmbot.common.errors import SceneError
 from cmbot.common.validation import (
     FileModel,
     check_fields,
@@ -25,22 +25,21 @@ from cmbot.hold import Foot
 from cmbot.scene.fields import (
     Posture,
     Slug,
-    exactly_one,
-    one_of_schema,
 )
 from cmbot.scene.guardrail import GuardrailFile, feet_of
 from cmbot.scene.identified import IdentifiedStiffness
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
-from cmbot.scene.path.builder import PathSource, timed_path
 from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import AUTO, Goal, Leg
 from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
-from cmbot.scene.path.stroke import Stroke
+from cmbot.scene.path.path_source import PathSource, surface_of
+from cmbot.scene.path.raster_parts import raster_parts, require_apart
+from cmbot.scene.path.stroke import Stroke, timed_stroke
 from cmbot.scene.path.time_law import LegLaw, SpeedProfile
-from cmbot.scene.path.via_point_count import automatic_via_points
+from cmbot.scene.raster.pieces import RowPiece
 from cmbot.scene.raster.raster import Raster
-from cmbot.scene.robot_entry import Joints, MountFile, RobotFile, RobotSource
+from cmbot.scene.robot_entry import BaseFile, Joints, MountFile, PostureFile, RobotFile, RobotSource
 from cmbot.scene.tool import Tool
 
 __all__ = [
@@ -55,34 +54,11 @@ __all__ = [
     "SceneFile",
 ]
 
+Cells = Sequence[Sequence[RowPiece]]
+"""Pieces of rows that follow on each other, of several strokes."""
 FORMAT = "cmbot-scene/2"
 WORK = "work"
 """Name of the stroke of a tool path without names."""
-
-
-class BaseFile(FileModel):
-    """What the robot stands on or holds."""
-
-    name: Slug
-    """What messages and pages call it; left out with its block: guardrail for ``cmbot``, base for others."""
-
-
-class PostureFile(FileModel):
-    """Where the arm is at the start: stowed, or one posture, from the base to the tool, in either unit."""
-
-    model_config = ConfigDict(json_schema_extra=one_of_schema(("posture_deg", "posture", "stow")))
-
-    posture_deg: Posture | None = None
-    """Joint angles, for arms whose joints all turn."""
-    posture: Posture | None = None
-    """Joint positions in rad and, of joints that slide, m."""
-    stow: Literal[True] | None = None
-    """In the group state ``stow`` of the arm's SRDF."""
-
-    @model_validator(mode="after")
-    def _check(self) -> Self:
-        exactly_one(self, ("posture_deg", "posture", "stow"))
-        return self
 
 
 class SceneFile(FileModel):
@@ -391,40 +367,92 @@ class Scene:
         """
         strokes = list[Stroke]()
         for k, file in enumerate(self.each_stroke):
-            key = "tool_path" if self.strokes is None else f"tool_path.strokes[{k}]"
-            place = PathSource(
-                source=self.source,
-                key=key,
-                frames=self.frames,
-                obstacles=self.obstacles,
-                max_speed=self.tool.max_speed_m_s,
-            )
-            path, coverage = timed_path(file, place, X_WT)
-            path = path.reversed() if file.backwards else path
-            path = path.repeated(file.passes or 1)
-            if file.time_laws is not None:
-                found = sorted(law.leg for law in file.time_laws)
-                if found != sorted(path.open_legs):
-                    expected = f"one for each leg with seconds: auto: {sorted(path.open_legs)}"
-                    raise SceneError(self.source, f"{key}.time_laws", f"laws of legs {found}", expected)
-                path = path.timed(file.time_laws)
-            number = file.via_points
-            if not isinstance(number, int):
-                deviation = self.planner.max_tool_deviation_m
-                number = automatic_via_points(path, deviation, file.speed_tolerance)
-            strokes.append(
-                Stroke(
-                    name=str(file.name),
-                    key=key,
-                    file=file,
-                    path=path,
-                    via_points=number,
-                    begins_elsewhere=file.has_start or k > 0,
-                    coverage=coverage,
-                )
-            )
-            X_WT = path.end_pose
+            strokes.append(self._timed(k, file, X_WT))
+            X_WT = strokes[-1].path.end_pose
         return tuple(strokes)
+
+    def in_cells(self, X_WT: FloatArray) -> Self:
+        """Return the scene with a stroke for each cell of the rows of a raster: see `with_cells`.
+
+        Parameters
+        ----------
+        X_WT : (4, 4)
+            Pose of the tool in `posture`.
+
+        Raises
+        ------
+        SceneError
+            When one of their paths is none.
+        """
+        cells, whole = dict[int, Cells](), dict[int, Sequence[RowPiece]]()
+        for k, file in enumerate(self.each_stroke):
+            surface = surface_of(file, self._path_source(k), X_WT)
+            last = file
+            if surface is not None and file.raster is not None and file.raster.pieces is None:
+                own = surface.cells
+                if len(own) > 1:
+                    cells[k], whole[k] = own, surface.pieces
+                    last = raster_parts(file, own, surface.pieces)[-1]
+            if k + 1 < len(self.each_stroke):
+                X_WT = self._timed(k, last, X_WT).path.end_pose
+        return self.with_cells(cells, whole)
+
+    def with_cells(self, cells: Mapping[int, Cells], whole: Mapping[int, Sequence[RowPiece]]) -> Self:
+        """Return the scene with a stroke for each of some cells of rasters.
+
+        Parameters
+        ----------
+        cells : mapping of int to sequence of sequences of RowPiece
+            By the numbers of strokes.
+        whole : mapping of int to sequence of RowPiece
+            All rows of these strokes.
+
+        Raises
+        ------
+        SceneError
+            When such a raster is in the frame of the tool, or the stroke behind it begins where it ends.
+        """
+        if not cells:
+            return self
+        files, strokes = self.each_stroke, list[StrokeFile]()
+        for k, file in enumerate(files):
+            if k in cells:
+                require_apart(files, k, self.source, self._stroke_key)
+                taken = {str(each.name) for each in files}
+                strokes += raster_parts(file, cells[k], whole[k], taken)
+            else:
+                strokes.append(file)
+        if self.strokes is None and len(strokes) == 1:
+            own = {name: getattr(strokes[0], name) for name in PathFile.model_fields}
+            return replace(self, **own)
+        return self.with_strokes(tuple(strokes))
+
+    def with_strokes(self, strokes: tuple[StrokeFile, ...]) -> Self:
+        """Return the scene with other strokes in place of its own."""
+        plain = {name: field.get_default() for name, field in PathFile.model_fields.items()}
+        return replace(self, **plain, strokes=strokes)
+
+    def _stroke_key(self, number: int) -> str:
+        return "tool_path" if self.strokes is None else f"tool_path.strokes[{number}]"
+
+    def _path_source(self, number: int) -> PathSource:
+        return PathSource(
+            source=self.source,
+            key=self._stroke_key(number),
+            frames=self.frames,
+            obstacles=self.obstacles,
+            max_speed=self.tool.max_speed_m_s,
+        )
+
+    def _timed(self, number: int, file: StrokeFile, X_WT: FloatArray) -> Stroke:
+        """A stroke, from the pose (4, 4) of the tool before."""
+        return timed_stroke(
+            file,
+            self._path_source(number),
+            X_WT,
+            begins_elsewhere=file.has_start or number > 0,
+            deviation=self.planner.max_tool_deviation_m,
+        )
 
     @cached_property
     def frames(self) -> dict[str, FloatArray]:

@@ -390,6 +390,9 @@ class _Search:
         except CmbotError as error:
             self._give_up(k, "failed", "plan", str(error))
             return np.inf
+        if left_out := sum(one.unreached for one in made.coverage.values()):
+            self._give_up(k, "failed", "plan", f"{left_out:.3g} m2 of the rasters are not reached")
+            return np.inf
         self.each[k] = replace(self.each[k], status="planned", judged="plan", plan=made)
         self._planned += 1
         return made.objective.planned_peak

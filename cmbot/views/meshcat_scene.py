@@ -29,6 +29,7 @@ RAIL_PIECE = 0.15  # between two cross-sections of a rail, m
 CREASE = np.deg2rad(35.0)  # edges with a larger angle are shaded as sharp
 
 CONCRETE, STEEL, WORKPIECE, PATH = 0xC2BDB3, 0x7D8C99, 0x2F9E8F, 0x7B2CBF
+LEFT_OUT = 0xD62828  # rows of rasters that are not reached
 SHINE = 0x303030
 DOUBLE_SIDE = 2  # three.js: draw the back faces too
 
@@ -46,14 +47,18 @@ def scene_commands(plan: Plan) -> list[bytes]:
     """Return packed meshcat commands, for `MeshCat.Viewer.handle_command_bytearray`.
 
     The shapes of joint i (pinocchio's index; 0: the fixed base) are below ``/robot/i``, in the joint's frame;
-    ``/rails``, ``/bridge`` and ``/path`` are in W. No name from a file is used.
+    ``/rails``, ``/bridge``, ``/path`` and ``/left_out`` are in W. No name from a file is used.
     """
     commands: list[Command] = [
         {"type": "set_property", "path": f"/{hidden}", "property": "visible", "value": False}
         for hidden in ("Grid", "Axes", "Lights")
     ]
-    paths = [tube(stroke.task.path.outline(), 0.002 * reach(plan.robot)) for stroke in plan.strokes]
+    thick = 0.002 * reach(plan.robot)
+    paths = [tube(stroke.task.path.outline(), thick) for stroke in plan.strokes]
     commands += [*_robot(plan.robot), *_bridge(plan.scene), _set_mesh("/path", paths, PATH)]
+    if plan.rows_left_out:
+        left_out = [tube(points, thick) for points in plan.rows_left_out]
+        commands.append(_set_mesh("/left_out", left_out, LEFT_OUT))
     return [umsgpack.packb(command) for command in commands]
 
 

@@ -7,6 +7,7 @@ from cmbot import load_scene, plan
 from cmbot.planning import Plan, remarks
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.robot import Kinematics
+from cmbot.scene import Coverage
 
 
 @pytest.fixture(scope="module")
@@ -36,7 +37,7 @@ def test_the_tool_covers_the_pipe_square_to_it(job: Plan) -> None:
     assert nearest.max() <= raster.spacing_m / 2 + 2e-3
     assert [segment.name for segment in job.job.segments] == ["approach", "work", "return"]
     area = np.radians(pipe.to_deg - pipe.from_deg) * pipe.radius * pipe.length
-    assert job.coverage["work"] == pytest.approx((abs(area), 0.0))
+    assert job.coverage["work"] == Coverage(area=pytest.approx(abs(area)))
     assert f"{abs(area):.4f}" in job.summary().split("area covered of")[1]
     covered = [sentence for sentence in remarks(job) if sentence.startswith("Coverage: ")]
     assert len(covered) == 1

@@ -18,7 +18,7 @@ from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.planning import precheck_scene
-from cmbot.scene import Scene, Stroke, update_file
+from cmbot.scene import Coverage, Scene, Stroke, coverage_of, update_file
 
 SPACING, STAND_OFF, OVERSCAN = 0.05, 0.1, 0.02
 RASTER = {
@@ -72,6 +72,11 @@ def stroke_of(scene: Scene) -> Stroke:
     return scene.timed_strokes(np.eye(4))[0]
 
 
+def covered(*strokes: Stroke) -> Coverage:
+    (found,) = coverage_of(strokes).values()
+    return found
+
+
 def in_frame(scene: Scene, vectors: FloatArray) -> FloatArray:
     return (vectors - scene.frames["bracket"][:3, 3]) @ scene.frames["bracket"][:3, :3]
 
@@ -91,7 +96,7 @@ def test_rows_of_a_plate_are_those_of_its_rectangle(tmp_path: Path) -> None:
     np.testing.assert_allclose(stroke.path.corners, other.path.corners, atol=1e-6)
     np.testing.assert_allclose(stroke.path.seconds, other.path.seconds, rtol=1e-5)
     np.testing.assert_allclose(stroke.path.orientation[:, 2], other.path.orientation[:, 2], atol=1e-9)
-    assert (stroke.coverage.area, stroke.coverage.left_out) == (pytest.approx(0.06, rel=1e-5), 0.0)
+    assert covered(stroke) == Coverage(area=pytest.approx(0.06, rel=1e-5), left_out=0.0)
     found = dict(precheck_scene(scene).found)
     assert found["faces of part"] == "0.06 m2, left out of them none"
     assert found["tool path"].startswith("a raster over faces of part, ")
@@ -100,11 +105,11 @@ def test_rows_of_a_plate_are_those_of_its_rectangle(tmp_path: Path) -> None:
 def test_what_is_left_out_of_a_triangle_is_known(tmp_path: Path) -> None:
     """Rows end where their middle does: of each strip a triangle is left at the slanting side."""
     stroke = stroke_of(scene_of(tmp_path, prism([(0, 0), (0.4, 0), (0, 0.2)]), overscan_m=0.0))
-    assert len(stroke.coverage.points) == 4
-    assert stroke.coverage.area == pytest.approx(0.04, rel=1e-5)
-    assert stroke.coverage.left_out == pytest.approx(4 * 0.5 * 0.025 * 0.05, rel=1e-4)
+    assert len(stroke.surface.pieces) == 4
+    assert covered(stroke).area == pytest.approx(0.04, rel=1e-5)
+    assert covered(stroke).left_out == pytest.approx(4 * 0.5 * 0.025 * 0.05, rel=1e-4)
     wider = stroke_of(scene_of(tmp_path, prism([(0, 0), (0.4, 0), (0, 0.2)]), overscan_m=0.051))
-    assert wider.coverage.left_out == 0.0
+    assert covered(wider).left_out == 0.0
 
 
 @settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -121,7 +126,7 @@ def test_on_a_bent_sheet_the_tool_is_square_to_it(
     )
     check_path(scene)
     stroke = stroke_of(scene)
-    assert stroke.coverage.area == pytest.approx(sheet.area / 2, rel=0.1)
+    assert stroke.surface.area == pytest.approx(sheet.area / 2, rel=0.1)
     path = stroke.path
     rows = [k for k in range(len(path.seconds)) if k in path.curves]
     times = np.concatenate([np.linspace(*path.leg_times[k : k + 2], 41) for k in rows])
@@ -183,9 +188,9 @@ HOLE = trimesh.util.concatenate([prism([(x, 0), (x + 0.1, 0), (x + 0.1, 0.2), (x
 
 def test_a_gap_in_a_plane_is_passed(tmp_path: Path) -> None:
     stroke = stroke_of(scene_of(tmp_path, HOLE))
-    assert stroke.coverage.area == pytest.approx(0.04, rel=1e-5)
-    assert stroke.coverage.left_out == 0.0
-    lengths = [np.linalg.norm(points[1] - points[0]) for points in stroke.coverage.points]
+    assert stroke.surface.area == pytest.approx(0.04, rel=1e-5)
+    assert covered(stroke).left_out == 0.0
+    lengths = np.linalg.norm(np.diff(stroke.path.corners, axis=0), axis=1)[::2]
     np.testing.assert_allclose(lengths, 0.23 + 2 * OVERSCAN, atol=1e-6)
 
 
@@ -214,7 +219,7 @@ def stairs() -> trimesh.Trimesh:
             "no face",
             "inside of",
         ),
-        (HOLE, {"spacing_m": 0.02}, "faces", "row 1 is in 2 pieces, 0.03 m apart", "a box around some"),
+        (HOLE, {"spacing_m": 0.02}, "faces", "row 1 is in 2 pieces", "Scene.in_cells"),
         (HOLE, {"along": [0, 0, 1]}, "along", "the faces' normal", "a direction across it"),
         (HOLE, {"spacing_m": 1e-4}, "spacing_m", "0.0001", "at most 500 rows"),
         (layers(), {}, "faces", "behind each other", "a box around it"),
@@ -234,7 +239,7 @@ def test_faces_that_have_no_raster(
 
 def test_a_box_chooses_one_layer(tmp_path: Path) -> None:
     faces = {"normal": [0, 0, 1], "box": [[-1, -1, -0.1], [1, 1, 0.1]]}
-    assert stroke_of(scene_of(tmp_path, layers(), faces=faces)).coverage.area == pytest.approx(0.04, rel=1e-5)
+    assert stroke_of(scene_of(tmp_path, layers(), faces=faces)).surface.area == pytest.approx(0.04, rel=1e-5)
 
 
 def test_the_scene_of_a_file_is_the_same_again(tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from cmbot.planning.verification.certificate import Certificate
 from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
 from cmbot.planning.verification.sag_spread import across_path, spread_times
 from cmbot.robot import Robot
-from cmbot.scene import WORK, PlannerOptions, Scene
+from cmbot.scene import WORK, Coverage, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
 from cmbot.trajectory import QuinticTrajectory
 
 __all__ = ["Plan", "Seconds", "require_plan"]
@@ -296,13 +296,23 @@ class Plan(StrokePlan):
         return 1.0 - self.figures.peak_static_guardrail_torque / baseline
 
     @cached_property
-    def coverage(self) -> dict[str, tuple[float, float]]:
-        """Of each stroke that is a raster the area of its surface and what of that is left out, m2.
+    def coverage(self) -> dict[str, Coverage]:
+        """What the strokes cover of the surface of each raster, by the raster's name.
 
-        See `Stroke.areas`; the tool is within its tolerances all along, or there would be no plan.
+        The tool is within its tolerances all along, or there would be no plan.
         """
-        each = {stroke.name: stroke.areas for stroke in strokes_of(self.scene, self.robot)}
-        return {name: areas for name, areas in each.items() if areas is not None}
+        return coverage_of(strokes_of(self.scene, self.robot))
+
+    @cached_property
+    def rows_left_out(self) -> tuple[FloatArray, ...]:
+        """Where the tool would be along the pieces of rows that rasters leave out: points (k, 3), m, each."""
+        lines = list[FloatArray]()
+        for file, piece in pieces_left_out(strokes_of(self.scene, self.robot)):
+            if file.raster is not None and file.raster.frame != "tool":
+                rows = rows_alone(file, replace(file.raster, pieces=(piece,), overscan_m=0.0))
+                (stroke,) = self.scene.with_strokes((rows,)).timed_strokes(np.eye(4))
+                lines.append(stroke.path.outline())
+        return tuple(lines)
 
     def summary(self) -> str:
         """Return the figures as an aligned table of plain text."""
@@ -325,10 +335,12 @@ class Plan(StrokePlan):
         yield from _adhesions("adhesion needed, whole job, kN", job)
         yield from _adhesions("adhesion needed at work, kN", work)
         if self.coverage:
-            area, left_out = (sum(values) for values in zip(*self.coverage.values(), strict=True))
+            each = self.coverage.values()
             # The baseline follows the same rows.
-            covered = f"{area - left_out:.4f}"
-            yield f"area covered of {area:.4g} m2, m2", covered, covered
+            covered = f"{sum(one.covered for one in each):.4f}"
+            yield f"area covered of {sum(one.area for one in each):.4g} m2, m2", covered, covered
+            if unreached := sum(one.unreached for one in each):
+                yield "area that is not reached, m2", *2 * (f"{unreached:.4f}",)
         duration = self.baseline_segments[-1].end
         yield "time of the whole job, s", f"{duration:.1f}", f"{self.job.duration:.1f}"
         for limit in ("velocity", "acceleration", "jerk", "torque"):

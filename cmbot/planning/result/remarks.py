@@ -21,6 +21,8 @@ __all__ = ["remarks"]
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none, and
 # what sequences of postures ask is told where it is further away.
 _GAIN, _NEAR_BOUND = 5e-3, 1e-2
+# Areas that differ by less are the same, relative.
+_SAME_AREA = 1e-6
 # Largest error of a lower bound that the search closed, as a share of it.
 _CLOSED = 1e-2
 # A lower bound below this share of the baseline's peak counts as zero.
@@ -176,15 +178,26 @@ def _coverage(plan: Plan) -> Iterator[str]:
     """What rasters cover, and what they leave out."""
     if not plan.coverage:
         return
+    several = len(plan.coverage) > 1 or plan.several
     covered = ", ".join(
-        f"{area - left_out:.4g} of {area:.4g} m2{f' ({name})' if plan.several else ''}"
-        for name, (area, left_out) in plan.coverage.items()
+        f"{one.covered:.4g} of {one.area:.4g} m2{f' ({name})' if several else ''}"
+        for name, one in plan.coverage.items()
     )
-    missing = sum(left_out for _, left_out in plan.coverage.values())
-    left = "no place is left out"
-    if missing:
-        left = f"{missing:.3g} m2 are left out, beyond the rows' ends or too far beside them"
-    yield f"Coverage: {covered}, within half the distance of two rows; {left}."
+    missing, unreached = (
+        sum(getattr(one, name) for one in plan.coverage.values()) for name in ("left_out", "unreached")
+    )
+    beside, left = missing - unreached, list[str]()
+    if beside > _SAME_AREA * missing:
+        left.append(f"{beside:.3g} m2 are left out, beyond the rows' ends or too far beside them")
+    if unreached:
+        left.append(f"{unreached:.3g} m2 are NOT REACHED")
+    end = " and ".join(left) or "no place is left out"
+    yield f"Coverage: {covered}, within half the distance of two rows; {end}."
+    if unreached:
+        yield (
+            "Where no posture goes on, rows are cut: another stance, stand-off or overscan, or less to keep "
+            "of the pose, may reach more; raster.cover: all refuses such a plan."
+        )
 
 
 def _baseline(plan: Plan) -> Iterator[str]:

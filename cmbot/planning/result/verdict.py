@@ -37,6 +37,9 @@ def verdict(plan: Plan) -> str:
     if len(job.segments) > 1:
         work, other = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
         text += f"; the work alone {work:.1f} Nm (baseline {other:.1f} Nm)"
+    if unreached := sum(one.unreached for one in plan.coverage.values()):
+        area = sum(one.area for one in plan.coverage.values())
+        text += f"; {unreached:.3g} of {area:.3g} m2 are not reached"
     segment, check = tightest_check(job)
     return (
         f"{text}. Tightest promise: {check.quantity} {during(segment, job)}, at {check.time:.1f} s, "

@@ -45,10 +45,11 @@ def face_rows(
     is_flat = np.abs(corners[:, :, 2] - level).max() <= _FLAT
     low, high = corners[:, :, 1].min(), corners[:, :, 1].max()
     count = max(int(np.ceil((high - low) / raster.spacing_m - _WHOLE)), 1)
-    rows = []
-    for k in range(count):
-        y = low + (k + 0.5) * (high - low) / count
-        begin, end = _reach(corners, y)
+    left, rows = float(corners[:, :, 0].min()), []
+    pieces = [(one.row, left + one.begin_m, left + one.end_m) for one in raster.pieces or ()]
+    for k, (row, *ends) in enumerate(pieces or [(row,) for row in range(count)]):
+        y = low + (row + 0.5) * (high - low) / count
+        begin, end = ends or _reach(corners, y)
         number = int(np.ceil((end - begin) / (raster.spacing_m / 2) - _WHOLE)) + 1
         places = begin + (end - begin) * np.linspace(0, 1, max(number, _LEAST_NODES))
         if is_flat:

@@ -267,15 +267,11 @@ class ScenePath:
         u, v = (R_frame @ edge for edge in edges)
         width, height = float(np.linalg.norm(u)), float(np.linalg.norm(v))
         out = np.cross(u / width, v / height)
-        before = u * raster.overscan_m / width
-        p = p_frame + R_frame @ origin - before + raster.stand_off_m * out
+        along, rows = u / width, raster.rows
+        begin = p_frame + R_frame @ origin + raster.stand_off_m * out
+        corners = [begin + x * along + row * v / (rows - 1) for row, x in _ends(raster, width)]
         local = Goal(xyz=(0, 0, 0), axis=_three(-out))
-        rows, ways = raster.rows, []
-        for k in range(rows):
-            ways.append((u + 2 * before) * (-1) ** k)
-            if k < rows - 1:
-                ways.append(v / (rows - 1))
-        return p, self._goal(local, R)[1], self._timed_legs(ways)
+        return corners[0], self._goal(local, R)[1], self._timed_legs(np.diff(corners, axis=0))
 
     def _timed_legs(self, ways: Sequence[FloatArray] | FloatArray) -> tuple[Leg, ...]:
         """Straight legs of a raster."""
@@ -350,19 +346,16 @@ class ScenePath:
         zero = np.cross(axis, np.cross(R_frame[:, 0 if upright else 2], axis))
         zero /= np.linalg.norm(zero)
         # Places as angle, rad, and way along the axis, m.
-        over, angle = raster.overscan_m, np.radians(pipe.to_deg - pipe.from_deg)
-        place = np.array([np.radians(pipe.from_deg), -0.5 * pipe.length])
-        row, step = np.array([0.0, pipe.length + 2 * over]), np.array([angle / raster.steps, 0.0])
-        place -= [0.0, over]
+        angle, places = np.radians(pipe.to_deg - pipe.from_deg), []
+        first, low = np.radians(pipe.from_deg), -0.5 * pipe.length
         if pipe.rows == "around":
-            beyond = np.copysign(over / pipe.radius, angle)
-            row, step = np.array([angle + 2 * beyond, 0.0]), np.array([0.0, pipe.length / raster.steps])
-            place += [-beyond, over]
-        places = [place]
-        for k in range(raster.rows):
-            places.append(places[-1] + row * (-1) ** k)
-            if k < raster.rows - 1:
-                places.append(places[-1] + step)
+            for row, x in _ends(raster, pipe.radius * abs(angle)):
+                turned = np.sign(angle) * x / pipe.radius
+                places.append((first + turned, low + row * pipe.length / raster.steps))
+        else:
+            for row, x in _ends(raster, pipe.length):
+                places.append((first + row * angle / raster.steps, low + x))
+        place = places[0]
         out = rodrigues(place[0] * axis) @ zero
         p = centre + outer * out + place[1] * axis
         R = self._goal(Goal(xyz=(0, 0, 0), axis=_three(-out)), R)[1]
@@ -406,6 +399,16 @@ class ScenePath:
         turns = partial(_matrices, orientations)
         self._legs.append(TimedLeg(seconds, spline, turns, length, cruises))
         return points[-1], orientations(1.0).as_matrix()
+
+
+def _ends(raster: Raster, length: float) -> list[tuple[int, float]]:
+    """Rows, and where on them, m, the tool begins and ends: to and fro over all of them, or their pieces."""
+    pieces = [(one.row, one.begin_m, one.end_m) for one in raster.pieces or ()]
+    ends = list[tuple[int, float]]()
+    for k, (row, begin, end) in enumerate(pieces or [(row, 0.0, length) for row in range(raster.rows)]):
+        both = [(row, begin - raster.overscan_m), (row, end + raster.overscan_m)]
+        ends += both if k % 2 == 0 else both[::-1]
+    return ends
 
 
 def _turning(turn: FloatArray, R: FloatArray, share: FloatArray) -> FloatArray:

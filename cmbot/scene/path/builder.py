@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,56 +9,34 @@ from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
-from cmbot.common.validation import shown
+from cmbot.common.validation import counted
 from cmbot.scene.fields import SHORTEST_LEG
-from cmbot.scene.mesh_file import load_mesh
-from cmbot.scene.obstacles import Mesh, Obstacle, pose
+from cmbot.scene.obstacles import pose
 from cmbot.scene.path.curves import Arc, Blend, Curve, Line, Rolled, Spline, rounded
 from cmbot.scene.path.leads import Extended
 from cmbot.scene.path.legs import AUTO, ArcTo, Goal, Leg
 from cmbot.scene.path.path_file import PathFile
+from cmbot.scene.path.path_source import PathSource, surface_of
 from cmbot.scene.path.time_law import ProcessPart, TimeLaw, law_with_leads
 from cmbot.scene.path.tool_path import ToolPath
 from cmbot.scene.path.tool_poses import shortest_turns
-from cmbot.scene.raster.face_rows import FaceRows, rows_over_faces
+from cmbot.scene.raster.face_rows import FaceRows, FaceSurface
+from cmbot.scene.raster.pieces import RowPiece
 from cmbot.scene.raster.raster import CylinderPatch, Raster
+from cmbot.scene.raster.rows import cylinder_corners, cylinder_frame, rectangle_axes, rectangle_corners
+from cmbot.scene.raster.surface import Surface
 
-__all__ = ["PathSource", "timed_path"]
+__all__ = ["timed_path"]
 
 # Angle below which a turn is none, rad.
 _NO_TURN = 1e-12
-# Cosine of 10 degrees: the angle to the z axis below which a cylinder's angles count from the x axis.
-_UPRIGHT = 0.98480775
 # First guesses of speeds where the shortest time is to be found, m/s and rad/s, and of a duration, s; as a
 # share of the tool's largest speed.
 _FIRST_SPEED, _FIRST_TURN, _FIRST_SECONDS, _FIRST_SHARE = 0.05, 0.1, 2.0, 0.5
 
 
-@dataclass(frozen=True, kw_only=True)
-class PathSource:
-    """Where a path is described, and the frames in which its poses are.
-
-    Attributes
-    ----------
-    source, key : str
-        The scene's, and the path's in it, for messages.
-    frames : mapping of str to (4, 4)
-        Poses in W of the frames that the scene names.
-    obstacles : sequence of Obstacle
-        The scene's, of which rasters name meshes.
-    max_speed : float or None
-        Of the tool point, m/s: seconds that are to be found begin slower.
-    """
-
-    source: str
-    key: str
-    frames: Mapping[str, FloatArray]
-    obstacles: Sequence[Obstacle] = ()
-    max_speed: float | None = None
-
-
-def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> tuple[ToolPath, FaceRows | None]:
-    """Return the tool path that a file describes, and what rows over faces of a mesh cover.
+def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> tuple[ToolPath, Surface | None]:
+    """Return the tool path that a file describes, and the surface of a raster.
 
     Parameters
     ----------
@@ -85,7 +62,7 @@ def timed_path(file: PathFile, place: PathSource, X_WT: FloatArray) -> tuple[Too
         builder.leg(leg, f"{place.key}.legs[{k}]")
     if file.blend_radius_m is not None:
         builder.blend(file.blend_radius_m)
-    return builder.path(), builder.face_rows
+    return builder.path(), builder.surface
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,13 +83,16 @@ class _PathBuilder:
 
     def __init__(self, file: PathFile, place: PathSource, X_WT: FloatArray) -> None:
         self._file, self._place = file, place
-        self._frames: dict[str, FloatArray] = {"world": np.eye(4), "tool": X_WT, **place.frames}
-        self.face_rows = None if file.raster is None else self._face_rows(file.raster)
+        self._X_tool = X_WT
+        self.surface, self._pieces = surface_of(file, place, X_WT), tuple[RowPiece, ...]()
+        if file.raster is not None and self.surface is not None:
+            self._pieces = file.raster.pieces or self._whole_rows(self.surface)
+        self._face_rows = self.surface.rows(self._pieces) if isinstance(self.surface, FaceSurface) else None
         self._point, self._R = X_WT[:3, 3], X_WT[:3, :3]
         if file.start_pose is not None:
             self._point, turn = self._at(file.start_pose, f"{place.key}.from")
             self._R = _turned(turn, self._R)
-            self._frames["tool"] = _matrix(self._point, self._R)
+            self._X_tool = _matrix(self._point, self._R)
         elif file.waypoints:
             self._point, self._R = (each[0] for each in self._waypoints())
         elif file.raster is not None:
@@ -231,15 +211,10 @@ class _PathBuilder:
         if raster.cylinder is not None:
             self._pipe(raster, raster.cylinder)
             return
-        if self.face_rows is not None:
-            self._rows(self.face_rows)
+        if self._face_rows is not None:
+            self._rows(self._face_rows)
             return
-        u, v, _ = self._raster_axes(raster)
-        along, across = raster.sides
-        row, step = u * (along + 2 * raster.overscan_m), v * across / raster.steps
-        moves = [row]
-        for k in range(1, raster.rows):
-            moves += [step, row if k % 2 == 0 else -row]
+        moves = np.diff(rectangle_corners(raster, self._pieces, self._raster_frame(raster)), axis=0)
         seconds = self._shared_seconds(np.linalg.norm(moves, axis=1))
         for by, duration in zip(moves, seconds, strict=True):
             end, still = self._point + by, np.zeros(3)
@@ -249,8 +224,8 @@ class _PathBuilder:
 
     def _pipe(self, raster: Raster, pipe: CylinderPatch) -> None:
         """Add the rows over a cylinder and the steps between them."""
-        X_WC, radius = self._pipe_frame(raster, pipe), pipe.radius + raster.stand_off_m
-        axis, corners = X_WC[:3, 2], _pipe_corners(raster, pipe)
+        X_WC, radius = cylinder_frame(pipe, self._raster_frame(raster)), pipe.radius + raster.stand_off_m
+        axis, corners = X_WC[:3, 2], cylinder_corners(raster, pipe, self._pieces)
         moves = np.diff(corners, axis=0)
         lengths = np.linalg.norm(moves, axis=1)
         seconds, blend = self._shared_seconds(lengths), self._file.blend_radius_m
@@ -264,12 +239,16 @@ class _PathBuilder:
             whole, cruises = float(seconds.sum()) * shorter, self._file.seconds is None
             self._add(_Part(end=end, turn=turn, seconds=whole, curve=curve, cruises=cruises))
             return
-        for (around, along, _), duration in zip(moves, seconds, strict=True):
+        for k, ((around, along, _), duration) in enumerate(zip(moves, seconds, strict=True)):
             angle = float(around / radius)
-            arc = Arc(X_WC[:3, 3], axis, self._point, angle) if angle else None
-            end = self._point + along * axis if arc is None else arc.position(np.ones(1))[0]
+            way: Curve | None = None
+            if angle and along:
+                way = Rolled(Blend(corners[k : k + 2], radius), X_WC, radius, self._R)
+            elif angle:
+                way = Arc(X_WC[:3, 3], axis, self._point, angle)
+            end = self._point + along * axis if way is None else way.position(np.ones(1))[0]
             cruises = self._file.seconds is None
-            part = _Part(end=end, turn=angle * axis, seconds=float(duration), curve=arc, cruises=cruises)
+            part = _Part(end=end, turn=angle * axis, seconds=float(duration), curve=way, cruises=cruises)
             self._add(part)
 
     def _rows(self, rows: FaceRows) -> None:
@@ -302,59 +281,35 @@ class _PathBuilder:
         for part, seconds in zip(parts, self._shared_seconds(np.array(lengths)), strict=True):
             self._add(replace(part, seconds=float(seconds)))
 
-    def _face_rows(self, raster: Raster) -> FaceRows | None:
-        """The rows of a raster over faces of a mesh."""
-        if raster.faces is None:
-            return None
-        key = f"{self._place.key}.raster"
-        each = self._place.obstacles
-        meshes = {one.name: (one.shape.path, one.X_WO) for one in each if isinstance(one.shape, Mesh)}
-        X_WF, file = self._frame(raster.frame, key), raster.mesh_file
-        if file is None and raster.mesh not in meshes:
-            expected = "the name of an obstacle that is a mesh, or the path of a mesh file"
-            raise SceneError(self._place.source, f"{key}.mesh", shown(raster.mesh), expected, tuple(meshes))
-        path, X_WM = (file, X_WF) if file is not None else meshes[str(raster.mesh)]
+    def _whole_rows(self, surface: Surface) -> tuple[RowPiece, ...]:
+        """All rows of a surface that are no more than one cell: more are strokes of their own."""
+        cells = surface.cells
+        if len(cells) == 1:
+            return cells[0]
+        row = next((k for k, pieces in enumerate(surface.spans) if len(pieces) != 1), 0)
+        got = f"faces on which row {row + 1} is in {counted(len(surface.spans[row]), 'piece')}"
+        expected = "rows in one piece, or their pieces: Scene.in_cells makes several strokes of them"
+        raise SceneError(self._place.source, f"{self._place.key}.raster.faces", got, expected)
 
-        def refusal(name: str, got: str, expected: str) -> SceneError:
-            return SceneError(self._place.source, f"{key}.{name}", got, expected)
-
-        mesh = load_mesh(path, str(raster.mesh), key="" if file is None else f"{key}.mesh")
-        return rows_over_faces(raster, raster.faces, mesh, X_WM, X_WF, refusal)
+    def _raster_frame(self, raster: Raster) -> FloatArray:
+        return self._frame(raster.frame, f"{self._place.key}.raster")
 
     def _raster_start(self, raster: Raster) -> tuple[FloatArray, FloatArray]:
         """Tool point and orientation at the beginning of the first row."""
-        if self.face_rows is not None:
-            point, normal = self.face_rows.points[0][0], -self.face_rows.axes[0][0]
+        X_WF = self._raster_frame(raster)
+        if self._face_rows is not None:
+            point, normal = self._face_rows.points[0][0], -self._face_rows.axes[0][0]
         elif raster.cylinder is not None:
-            X_WC, radius = self._pipe_frame(raster, raster.cylinder), raster.cylinder.radius
-            x, y, _ = _pipe_corners(raster, raster.cylinder)[0]
+            X_WC, radius = cylinder_frame(raster.cylinder, X_WF), raster.cylinder.radius
+            x, y, _ = cylinder_corners(raster, raster.cylinder, self._pieces)[0]
             radius += raster.stand_off_m
             normal = X_WC[:3, :3] @ [np.cos(x / radius), np.sin(x / radius), 0.0]
             point = X_WC[:3, 3] + radius * normal + y * X_WC[:3, 2]
         else:
-            u, _, normal = self._raster_axes(raster)
-            X = self._frame(raster.frame, f"{self._place.key}.raster")
-            corner = X[:3, :3] @ np.array(raster.origin) + X[:3, 3]
-            point = corner - raster.overscan_m * u + raster.stand_off_m * normal
+            point = rectangle_corners(raster, self._pieces, X_WF)[0]
+            normal = rectangle_axes(raster, X_WF)[2]
         turn = shortest_turns(self._R[None, :, 2], -normal[None])[0]
         return point, _turned(turn, self._R)
-
-    def _raster_axes(self, raster: Raster) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Unit vectors in W along a row, to the next one, and out of the rectangle."""
-        R = self._frame(raster.frame, f"{self._place.key}.raster")[:3, :3]
-        _, *edges = map(np.array, raster.rectangle or ())
-        u, v = (R @ edge / np.linalg.norm(edge) for edge in edges)
-        return u, v, np.cross(u, v)
-
-    def _pipe_frame(self, raster: Raster, pipe: CylinderPatch) -> FloatArray:
-        """Pose in W of a cylinder: z along its axis, x where the angle is zero."""
-        X = self._frame(raster.frame, f"{self._place.key}.raster")
-        axis = np.array(pipe.axis) / np.linalg.norm(pipe.axis)
-        x = np.eye(3)[0 if abs(axis[2]) > _UPRIGHT else 2]
-        x = x - (x @ axis) * axis
-        x /= np.linalg.norm(x)
-        local = _matrix(np.array(pipe.centre), np.stack([x, np.cross(axis, x), axis], axis=1))
-        return np.asarray(X @ local)
 
     def _shared_seconds(self, lengths: FloatArray) -> FloatArray:
         """Durations (L,) of the legs of a raster, of lengths (L,)."""
@@ -419,10 +374,7 @@ class _PathBuilder:
         return length / (speed * (1 - self._file.speed_profile.ramp))
 
     def _frame(self, name: str, key: str) -> FloatArray:
-        if name not in self._frames:
-            known = tuple(self._frames)
-            raise SceneError(self._place.source, f"{key}.frame", shown(name), "a frame of the scene", known)
-        return self._frames[name]
+        return self._place.frame(name, key, self._X_tool)
 
     def _at(self, goal: Goal, key: str) -> tuple[FloatArray, FloatArray]:
         """Point of a pose in W, and the rotation vector in W that leads to its orientation from here."""
@@ -462,26 +414,6 @@ class _PathBuilder:
         rows = np.array(self._file.waypoints, dtype=float)
         orientations = Rotation.from_quat(rows[:, [4, 5, 6, 3]]).as_matrix()
         return rows[:, :3], orientations
-
-
-def _pipe_corners(raster: Raster, pipe: CylinderPatch) -> FloatArray:
-    """Ends (K, 3) of rows on the stand-off surface unrolled: x around the cylinder, y along it, m."""
-    begin, way, beyond = np.radians(pipe.from_deg), pipe.angle, raster.overscan_m
-    along = pipe.rows == "along"
-    if along:
-        row = np.array([-0.5 * pipe.length - beyond, 0.5 * pipe.length + beyond])
-        places = begin + way / raster.steps * np.arange(raster.rows)
-    else:
-        beyond *= np.sign(way) / pipe.radius
-        row = np.array([begin - beyond, begin + way + beyond])
-        places = pipe.length * (np.arange(raster.rows) / raster.steps - 0.5)
-    corners = np.zeros((2 * raster.rows, 3))
-    for k, place in enumerate(places):
-        both = corners[2 * k : 2 * k + 2]
-        both[:, 0 if along else 1] = place
-        both[:, 1 if along else 0] = row if k % 2 == 0 else row[::-1]
-    corners[:, 0] *= pipe.radius + raster.stand_off_m
-    return corners
 
 
 def _axis_turn(R: FloatArray, axis: FloatArray) -> FloatArray:

@@ -219,6 +219,8 @@ class StrokeFile(PathFile):
     """Left out: ``stroke_1`` for the first one, and so on."""
     backwards: bool = False
     """Whether the path is followed from its end to its start."""
+    part_of: Slug | None = None
+    """In the scenes of plans the name of the raster of which it is a part."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import remedy_for
+from cmbot.common.errors import SceneError, remedy_for
+from cmbot.scene.path.builder import timed_path
 from cmbot.scene.path.path_file import StrokeFile
+from cmbot.scene.path.path_source import PathSource
 from cmbot.scene.path.tool_path import ToolPath
-from cmbot.scene.raster.face_rows import FaceRows
+from cmbot.scene.path.via_point_count import automatic_via_points
+from cmbot.scene.raster.pieces import RowPiece, without
+from cmbot.scene.raster.surface import Coverage, Surface
 
-__all__ = ["Stroke"]
+__all__ = ["Stroke", "coverage_of", "pieces_left_out", "timed_stroke"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,8 +36,8 @@ class Stroke:
     begins_elsewhere : bool
         Whether the arm has to be brought to its start: not the first one from the tool's pose in the scene's
         posture.
-    coverage : FaceRows or None
-        Of a raster over faces of a mesh.
+    surface : Surface or None
+        Of a raster.
     """
 
     name: str
@@ -41,18 +46,7 @@ class Stroke:
     path: ToolPath
     via_points: int
     begins_elsewhere: bool
-    coverage: FaceRows | None = None
-
-    @property
-    def areas(self) -> tuple[float, float] | None:
-        """Area, m2, of the surface that a raster goes over, and what of it its rows leave out; else None.
-
-        A place is left out where it is further than half the distance of two rows from all of them, or beyond
-        their ends. Rows over rectangles and cylinders leave nothing out.
-        """
-        if self.coverage is not None:
-            return self.coverage.area, self.coverage.left_out
-        return None if self.file.raster is None else (self.file.raster.area, 0.0)
+    surface: Surface | None = None
 
     @cached_property
     def via_times(self) -> FloatArray:
@@ -95,3 +89,86 @@ class Stroke:
         legs = len(self.file.legs)
         number, at = divmod(leg, legs)
         return legs - 1 - at if (number % 2 == 1) != self.file.backwards else at
+
+
+def timed_stroke(
+    file: StrokeFile, place: PathSource, X_WT: FloatArray, *, begins_elsewhere: bool, deviation: float
+) -> Stroke:
+    """Return the stroke that a file describes.
+
+    Parameters
+    ----------
+    file : StrokeFile
+    place : PathSource
+    X_WT : (4, 4)
+        Pose of the tool before.
+    begins_elsewhere : bool
+        Whether the arm has to be brought to its start.
+    deviation : float
+        Of the tool from the path at most, m.
+
+    Raises
+    ------
+    SceneError
+        When its path is none, or its time laws are those of others.
+    """
+    path, surface = timed_path(file, place, X_WT)
+    path = path.reversed() if file.backwards else path
+    path = path.repeated(file.passes or 1)
+    if file.time_laws is not None:
+        found = sorted(law.leg for law in file.time_laws)
+        if found != sorted(path.open_legs):
+            expected = f"one for each leg with seconds: auto: {sorted(path.open_legs)}"
+            raise SceneError(place.source, f"{place.key}.time_laws", f"laws of legs {found}", expected)
+        path = path.timed(file.time_laws)
+    number = file.via_points
+    if not isinstance(number, int):
+        number = automatic_via_points(path, deviation, file.speed_tolerance)
+    return Stroke(
+        name=str(file.name),
+        key=place.key,
+        file=file,
+        path=path,
+        via_points=number,
+        begins_elsewhere=begins_elsewhere,
+        surface=surface,
+    )
+
+
+def coverage_of(strokes: Sequence[Stroke]) -> dict[str, Coverage]:
+    """Return what strokes cover of the surfaces of their rasters, by the rasters' names.
+
+    Strokes that are parts of one raster cover its surface together.
+
+    Parameters
+    ----------
+    strokes : sequence of Stroke
+    """
+    return {name: Coverage.of(surface, pieces) for name, (_, surface, pieces) in _by_raster(strokes).items()}
+
+
+def pieces_left_out(strokes: Sequence[Stroke]) -> list[tuple[StrokeFile, RowPiece]]:
+    """Return the pieces of rows that strokes do not cover, each with a stroke over its raster.
+
+    Parameters
+    ----------
+    strokes : sequence of Stroke
+    """
+    found = list[tuple[StrokeFile, RowPiece]]()
+    for file, surface, pieces in _by_raster(strokes).values():
+        for row, spans in enumerate(surface.spans):
+            own = [(one.begin_m, one.end_m) for one in pieces if one.row == row]
+            left = without(spans, own)
+            found += [(file, RowPiece(row=row, begin_m=begin, end_m=end)) for begin, end in left]
+    return found
+
+
+def _by_raster(strokes: Sequence[Stroke]) -> dict[str, tuple[StrokeFile, Surface, list[RowPiece]]]:
+    """Of each raster, by its name: the first of its strokes, the surface, and what all of them cover."""
+    found = dict[str, tuple[StrokeFile, Surface, list[RowPiece]]]()
+    for stroke in strokes:
+        raster, name = stroke.file.raster, stroke.file.part_of or stroke.name
+        if raster is not None and stroke.surface is not None:
+            found.setdefault(name, (stroke.file, stroke.surface, []))
+            found[name][2].extend(raster.pieces or stroke.surface.pieces)
+    return found

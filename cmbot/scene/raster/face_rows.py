@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,12 +12,14 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.common.validation import counted
-from cmbot.scene.raster.raster import MOST_ROWS, FaceSelection, Raster
+from cmbot.scene.raster.pieces import MOST_ROWS, Interval, RowPiece, united
+from cmbot.scene.raster.raster import FaceSelection, Raster
+from cmbot.scene.raster.surface import Surface
 
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["FLAT", "LEAST_NODES", "FaceRows", "rows_over_faces"]
+__all__ = ["FLAT", "LEAST_NODES", "FaceRows", "FaceSurface"]
 
 FLAT = 1e-4
 """Height, m, up to which faces are taken as a plane."""
@@ -33,9 +36,178 @@ _STEEPEST = 0.17365
 _Refusal = Callable[[str, str, str], SceneError]
 
 
+@dataclass(frozen=True, eq=False)
+class FaceSurface(Surface):
+    """Some faces of a mesh, in coordinates along the rows, across them and out of the faces.
+
+    Attributes
+    ----------
+    raster : Raster
+    mesh : Trimesh
+        The faces, in these coordinates.
+    axes : (3, 3)
+        The directions of the coordinates in W.
+    region : shapely geometry
+        What the faces cover, seen from outside.
+    refusal : callable
+        What to raise, by a key below the raster's, what is there and what is expected.
+    """
+
+    raster: Raster
+    mesh: trimesh.Trimesh
+    axes: FloatArray
+    region: Any
+    refusal: _Refusal
+
+    @staticmethod
+    def of(
+        raster: Raster,
+        faces: FaceSelection,
+        mesh: trimesh.Trimesh,
+        X_WM: FloatArray,
+        X_WF: FloatArray,
+        refusal: _Refusal,
+    ) -> FaceSurface:
+        """Return the faces of a mesh that a raster is over.
+
+        Parameters
+        ----------
+        raster : Raster
+        faces : FaceSelection
+            The raster's.
+        mesh : Trimesh
+        X_WM, X_WF : (4, 4)
+            Poses in W of the mesh and of the raster's frame.
+        refusal : callable
+
+        Raises
+        ------
+        SceneError
+            When no face is chosen, faces hide each other, or a piece is beyond them.
+        MissingExtra
+            When shapely is not installed.
+        """
+        shapely = _shapely()
+        chosen = _chosen(faces, mesh, X_WM, X_WF, refusal)
+        out = (chosen.area_faces[:, None] * chosen.face_normals).sum(axis=0)
+        out /= np.linalg.norm(out)
+        if (chosen.face_normals @ out).min() < _STEEPEST:
+            got, expected = "faces that are steep to each other", "faces within 80 degrees of their mean"
+            raise refusal("faces", got, expected)
+        along = X_WF[:3, :3] @ np.array(raster.along)
+        along = along - (along @ out) * out
+        if np.linalg.norm(along) < _WHOLE:
+            raise refusal("along", "the direction of the faces' normal", "a direction across it")
+        along /= np.linalg.norm(along)
+        E = np.stack([along, np.cross(out, along), out])
+        chosen.vertices = chosen.vertices @ E.T
+        triangles = shapely.polygons(chosen.triangles[:, :, :2])
+        region = shapely.union_all(triangles)
+        if shapely.area(triangles).sum() > region.area * (1 + _WHOLE):
+            raise refusal("faces", "faces behind each other along their normal", "one layer: a box around it")
+        surface = FaceSurface(raster, chosen, E, region, refusal)
+        if surface.count > MOST_ROWS:
+            raise refusal("spacing_m", f"{raster.spacing_m:g}", f"at most {MOST_ROWS} rows")
+        for k, piece in enumerate(raster.pieces or ()):
+            raster.check_piece(k, piece, surface.count, region.bounds[2] - region.bounds[0])
+        return surface
+
+    @property
+    def count(self) -> int:
+        """Number of rows."""
+        _, low, _, high = self.region.bounds
+        return max(int(np.ceil((high - low) / self.raster.spacing_m - _WHOLE)), 1)
+
+    @property
+    def area(self) -> float:
+        """Area of the faces, m2."""
+        return float(self.mesh.area_faces.sum())
+
+    @cached_property
+    def spans(self) -> list[list[Interval]]:
+        """Of each row the pieces over the faces; in a plane they pass gaps up to the rows' spacing."""
+        shapely = _shapely()
+        low, _, high, _ = self.region.bounds
+        ends = ([[low - 1, place], [high + 1, place]] for place in self._places)
+        gap = self.raster.spacing_m if self._is_flat else _NO_LENGTH
+        rows = list[list[Interval]]()
+        for pieces in shapely.intersection(shapely.linestrings(list(ends)), self.region):
+            parts = [part.bounds for part in shapely.get_parts(pieces) if part.length > _NO_LENGTH]
+            rows.append(
+                [
+                    (float(begin - low), float(end - gap - low))
+                    for begin, end in united([(part[0], part[2] + gap) for part in parts])
+                ]
+            )
+        return rows
+
+    def covered(self, pieces: Sequence[RowPiece]) -> float:
+        """Return the area, m2, of the faces below the strips along pieces of rows with overscan."""
+        shapely, over = _shapely(), self.raster.overscan_m
+        low, places, half = self.region.bounds[0], self._places, 0.5 * self._pitch
+        strips = [
+            shapely.box(
+                low + one.begin_m - over,
+                places[one.row] - half,
+                low + one.end_m + over,
+                places[one.row] + half,
+            )
+            for one in pieces
+        ]
+        triangles = shapely.polygons(self.mesh.triangles[:, :, :2])
+        inside = shapely.area(shapely.intersection(triangles, shapely.union_all(strips)))
+        return float((inside / shapely.area(triangles) * self.mesh.area_faces).sum())
+
+    def rows(self, pieces: Sequence[RowPiece]) -> FaceRows:
+        """Return the rows over pieces, to and fro.
+
+        Raises
+        ------
+        SceneError
+            When there is a step along one.
+        """
+        raster, low = self.raster, self.region.bounds[0]
+        points, axes = list[FloatArray](), list[FloatArray]()
+        for k, piece in enumerate(pieces):
+            begin, end, place = low + piece.begin_m, low + piece.end_m, self._places[piece.row]
+            if self._is_flat:
+                surface = np.array([[begin, place, self._level], [end, place, self._level]])
+                normals = np.tile([0.0, 0.0, 1.0], (2, 1))
+            else:
+                nodes = _nodes(begin, end, raster.spacing_m)
+                surface, normals = _section(self.mesh, place, nodes, self.refusal)
+            tool = surface + raster.stand_off_m * normals
+            tool, normals = _extended(tool, normals, raster.overscan_m)
+            way = 1 if k % 2 == 0 else -1
+            points.append((tool @ self.axes)[::way])
+            axes.append((-normals @ self.axes)[::way])
+        return FaceRows(points=tuple(points), axes=tuple(axes))
+
+    @cached_property
+    def _pitch(self) -> float:
+        """Distance of two rows, m."""
+        _, low, _, high = self.region.bounds
+        return float((high - low) / self.count)
+
+    @cached_property
+    def _places(self) -> FloatArray:
+        """Where the rows are, across them."""
+        return np.asarray(self.region.bounds[1] + (np.arange(self.count) + 0.5) * self._pitch)
+
+    @cached_property
+    def _level(self) -> float:
+        """Height of the plane that the faces are near to."""
+        heights = self.mesh.triangles[:, :, 2].mean(axis=1)
+        return float(np.average(heights, weights=self.mesh.area_faces))
+
+    @cached_property
+    def _is_flat(self) -> bool:
+        return bool(np.abs(self.mesh.triangles[:, :, 2] - self._level).max() <= FLAT)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FaceRows:
-    """Rows to and fro, and what they cover.
+    """Rows to and fro.
 
     Attributes
     ----------
@@ -43,100 +215,10 @@ class FaceRows:
         Of each row the tool points, in W: its two ends where it is straight.
     axes : tuple of (K, 3)
         The tool's z axes there, in W.
-    area, left_out : float
-        Of the faces, and what of it is further than half the distance of two rows from all rows or beyond
-        their ends, m2.
     """
 
     points: tuple[FloatArray, ...]
     axes: tuple[FloatArray, ...]
-    area: float
-    left_out: float
-
-
-def rows_over_faces(
-    raster: Raster,
-    faces: FaceSelection,
-    mesh: trimesh.Trimesh,
-    X_WM: FloatArray,
-    X_WF: FloatArray,
-    refusal: _Refusal,
-) -> FaceRows:
-    """Return the rows over some faces of a mesh.
-
-    Parameters
-    ----------
-    raster : Raster
-    faces : FaceSelection
-        The raster's.
-    mesh : Trimesh
-    X_WM, X_WF : (4, 4)
-        Poses in W of the mesh and of the raster's frame.
-    refusal : callable
-        What to raise, by a key below the raster's, what is there and what is expected.
-
-    Raises
-    ------
-    SceneError
-        When no face is chosen, faces hide each other, or rows are not each in one piece.
-    MissingExtra
-        When shapely is not installed.
-    """
-    shapely = _shapely()
-    chosen = _chosen(faces, mesh, X_WM, X_WF, refusal)
-    out = (chosen.area_faces[:, None] * chosen.face_normals).sum(axis=0)
-    out /= np.linalg.norm(out)
-    if (chosen.face_normals @ out).min() < _STEEPEST:
-        raise refusal("faces", "faces that are steep to each other", "faces within 80 degrees of their mean")
-    along = X_WF[:3, :3] @ np.array(raster.along)
-    along = along - (along @ out) * out
-    if np.linalg.norm(along) < _WHOLE:
-        raise refusal("along", "the direction of the faces' normal", "a direction across it")
-    along /= np.linalg.norm(along)
-    # In coordinates along the rows, across them and out of the faces.
-    E = np.stack([along, np.cross(out, along), out])
-    chosen.vertices = chosen.vertices @ E.T
-    triangles = shapely.polygons(chosen.triangles[:, :, :2])
-    region = shapely.union_all(triangles)
-    flat_areas = shapely.area(triangles)
-    if flat_areas.sum() > region.area * (1 + _WHOLE):
-        raise refusal("faces", "faces behind each other along their normal", "one layer: a box around it")
-    low, high = region.bounds[1], region.bounds[3]
-    count = max(int(np.ceil((high - low) / raster.spacing_m - _WHOLE)), 1)
-    if count > MOST_ROWS:
-        raise refusal("spacing_m", f"{raster.spacing_m:g}", f"at most {MOST_ROWS} rows")
-    pitch = (high - low) / count
-    places = low + (np.arange(count) + 0.5) * pitch
-    heights = chosen.triangles[:, :, 2].mean(axis=1)
-    level = float(np.average(heights, weights=chosen.area_faces))
-    is_flat = np.abs(chosen.triangles[:, :, 2] - level).max() <= FLAT
-    spans = _spans(region, places, raster.spacing_m if is_flat else _NO_LENGTH, refusal)
-    points, axes = list[FloatArray](), list[FloatArray]()
-    for k, (place, (begin, end)) in enumerate(zip(places, spans, strict=True)):
-        if is_flat:
-            surface = np.array([[begin, place, level], [end, place, level]])
-            normals = np.tile([0.0, 0.0, 1.0], (2, 1))
-        else:
-            surface, normals = _section(chosen, place, _nodes(begin, end, raster.spacing_m), refusal)
-        tool = surface + raster.stand_off_m * normals
-        tool, normals = _extended(tool, normals, raster.overscan_m)
-        way = 1 if k % 2 == 0 else -1
-        points.append((tool @ E)[::way])
-        axes.append((-normals @ E)[::way])
-    over = np.array([-raster.overscan_m, raster.overscan_m])
-    strips = [
-        shapely.box(begin, place - 0.5 * pitch, end, place + 0.5 * pitch)
-        for place, (begin, end) in zip(places, spans + over, strict=True)
-    ]
-    inside = shapely.area(shapely.intersection(triangles, shapely.union_all(strips)))
-    area = float(chosen.area_faces.sum())
-    left_out = area - float((inside / flat_areas * chosen.area_faces).sum())
-    return FaceRows(
-        points=tuple(points),
-        axes=tuple(axes),
-        area=area,
-        left_out=left_out if left_out > _WHOLE * area else 0.0,
-    )
 
 
 def _shapely() -> Any:
@@ -176,26 +258,6 @@ def _chosen(
     return chosen
 
 
-def _spans(region: Any, places: FloatArray, bridged: float, refusal: _Refusal) -> FloatArray:
-    """Where rows (N, 2) begin and end in a region; gaps up to `bridged` are passed on the way."""
-    shapely = _shapely()
-    low, _, high, _ = region.bounds
-    lines = shapely.linestrings([[[low - 1, place], [high + 1, place]] for place in places])
-    spans = np.empty((len(places), 2))
-    for k, pieces in enumerate(shapely.intersection(lines, region)):
-        parts = [part.bounds for part in shapely.get_parts(pieces) if part.length > _NO_LENGTH]
-        ends = np.array(sorted((part[0], part[2]) for part in parts)).reshape(-1, 2)
-        gaps = ends[1:, 0] - ends[:-1, 1]
-        number = len(ends) and 1 + int((gaps > bridged).sum())
-        if number != 1:
-            apart = f", {gaps.max():.3g} m apart" if number else ""
-            got = f"faces on which row {k + 1} is in {counted(number, 'piece')}{apart}"
-            expected = "faces that rows cross in one piece: a box around some, other rows (along)"
-            raise refusal("faces", got, expected)
-        spans[k] = ends[0, 0], ends[-1, 1]
-    return spans
-
-
 def _nodes(begin: float, end: float, spacing: float) -> FloatArray:
     """Places (K,) of a row's points."""
     number = max(int(np.ceil((end - begin) / (0.5 * spacing) - _WHOLE)) + 1, LEAST_NODES)
@@ -225,6 +287,8 @@ def _section(
     ends, normals = (np.take_along_axis(each, order, axis=1) for each in (ends, normals))
     order = np.argsort(ends[:, :, 0].sum(axis=1))
     ends, normals = ends[order], normals[order]
+    on = (ends[:, 1, 0] >= nodes[0] - _NO_LENGTH) & (ends[:, 0, 0] <= nodes[-1] + _NO_LENGTH)
+    ends, normals = ends[on], normals[on]
     step = np.abs(ends[1:, 0, 2] - ends[:-1, 1, 2])
     if step.max(initial=0.0) > FLAT:
         got = f"faces with a step of {step.max():.3g} m"

@@ -13,11 +13,9 @@ from cmbot.common.errors import InputError
 from cmbot.common.validation import CheckedFields, shown
 from cmbot.scene.fields import Angle, Length, LongVector, Slug, Text, UnitVector, Vector, given_of
 from cmbot.scene.mesh_file import is_mesh_file
+from cmbot.scene.raster.pieces import MOST_ROWS, RowPiece
 
-__all__ = ["MOST_ROWS", "CylinderPatch", "FaceSelection", "Raster"]
-
-MOST_ROWS = 500
-"""Of a raster."""
+__all__ = ["CylinderPatch", "FaceSelection", "Raster"]
 
 # Cosine of the angle between two edges that are at right angles.
 _SQUARE = 1e-6
@@ -113,8 +111,10 @@ class Raster(CheckedFields):
 
     That is a rectangle, a part of a cylinder or faces of a mesh. The first and the last row over faces lie
     half a spacing inside of their ends; rows follow smoothed normals, and what is flat to 0.1 mm is a plane.
-    Every row crosses the faces in one piece, but for gaps in a plane up to the spacing, which it passes;
-    from row to row the tool goes straight.
+    From row to row the tool goes straight. Gaps in a plane up to the spacing are passed with the tool on.
+    Where rows are in several pieces, at holes and notches, the raster is planned as several strokes, one for
+    each part whose rows follow on each other, with free moves between them; so it is where the arm cannot
+    reach some places.
 
     Attributes
     ----------
@@ -141,6 +141,12 @@ class Raster(CheckedFields):
         Distance of the tool point from the surface, m.
     overscan_m : float
         By how much rows begin before the surface and end behind it, m; around a cylinder measured on it.
+    cover : str
+        ``reachable``: what the arm cannot reach is left out, and reported; ``all``: without it there is no
+        plan.
+    pieces : tuple of RowPiece or None
+        Pieces of rows in the order in which they are worked on, to and fro: in the scenes of plans, or to
+        leave something out. Left out: all rows.
     frame : str
         ``world``, ``tool`` or the name of one of `frames`.
 
@@ -160,6 +166,8 @@ class Raster(CheckedFields):
     spacing_m: Length
     stand_off_m: Annotated[float, Field(ge=0, le=100)]
     overscan_m: Annotated[float, Field(ge=0, le=100)] = 0.0
+    cover: Literal["reachable", "all"] = "reachable"
+    pieces: Annotated[tuple[RowPiece, ...] | None, Field(min_length=1, max_length=MOST_ROWS)] = None
     frame: Slug = "world"
 
     def __post_init__(self) -> None:
@@ -186,6 +194,24 @@ class Raster(CheckedFields):
                 raise InputError("Raster", "spacing_m", self.spacing_m, expected)
         if self.rows > MOST_ROWS:
             raise InputError("Raster", "spacing_m", self.spacing_m, f"at most {MOST_ROWS} rows")
+        self._check_pieces()
+
+    def _check_pieces(self) -> None:
+        for k, piece in enumerate(self.pieces or ()):
+            if k > 0 and self.pieces and piece.row == self.pieces[k - 1].row:
+                expected = "another row than that of the piece before"
+                raise InputError("Raster", f"pieces[{k}].row", piece.row, expected)
+            if self.faces is None:
+                self.check_piece(k, piece, self.rows, self.sides[0])
+
+    @staticmethod
+    def check_piece(k: int, piece: RowPiece, rows: int, length: float) -> None:
+        """Refuse a piece, the one of number `k`, that is on none of the rows, or beyond their length, m."""
+        if piece.row >= rows:
+            raise InputError("Raster", f"pieces[{k}].row", piece.row, f"less than {rows}, the number of rows")
+        if piece.begin_m < -_SQUARE * length or piece.end_m > length * (1 + _SQUARE):
+            got = f"{piece.begin_m:g} to {piece.end_m:g}"
+            raise InputError("Raster", f"pieces[{k}]", got, f"0 to {length:g} m, the length of a row")
 
     @property
     def mesh_file(self) -> Path | None:

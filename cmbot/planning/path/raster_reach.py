@@ -1,0 +1,296 @@
+"""What of rasters the arm can follow: rows that are cut where its reach, or a way of its joints, ends."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.planning.context import PlanningContext, build_context, in_cells, robot_of
+from cmbot.planning.path.projection import project_onto_task
+from cmbot.planning.task import ToolTask
+from cmbot.scene import PlannerOptions, RowPiece, Scene, StrokeFile, ToolPath, ToolPoses, cells_of, rows_alone
+
+__all__ = ["reached_scene"]
+
+# Distance of places along rows: as a share of the rows' distance, and at most, m.
+_SHARE, _EVERY = 0.25, 0.03
+# Postures that follow rows: few first, more where these come to an end; how far copies of them are scattered,
+# and how far a joint may move from one place to the next, rad.
+_FEW, _MANY, _SCATTER, _FURTHEST = 12, 60, 0.15, 0.6
+# Random postures from which Newton's method starts where rows begin, and at each place where rows come to an
+# end; its steps, and its tolerance, m or rad.
+_AT_START, _ANYWHERE, _STEPS, _TOLERANCE = 300, 60, 30, 1e-9
+# Random postures are sought at places of this stride: to the others they are carried.
+_STRIDE = 3
+# Directions in which the tool leans where it may, and share of its cone by which.
+_LEANING, _LEAN = 6, 0.8
+# Largest share of its bound that a joint, or a foot, uses at rest where rows are cut: motion takes some.
+_CUT_USE = 0.97
+# Pieces that are shorter than this share of the rows' distance are left out.
+_SHORTEST = 0.5
+
+_Cell = tuple[RowPiece, ...]
+
+
+def reached_scene(scene: Scene, options: PlannerOptions) -> Scene:
+    """Return the scene whose rasters are in parts that the arm can follow, each a stroke of its own.
+
+    Postures that hold the tool are carried along the rows: within the joint ranges, strong enough and clear
+    of obstacles. Where none goes on, rows are cut to the places that some posture reaches, and these to parts
+    that one can follow. Without holes and such cuts the scene stays as it is.
+
+    Parameters
+    ----------
+    scene : Scene
+    options : PlannerOptions
+
+    Raises
+    ------
+    SceneError, ModelError
+        When scene and robot do not fit together.
+    PathNotFound
+        When nothing of a raster is reached.
+    """
+    if not any(file.raster is not None for file in scene.each_stroke):
+        return scene
+    apart = in_cells(scene, robot_of(scene))
+    context = build_context(apart, options)
+    numbers = {str(file.name): k for k, file in enumerate(scene.each_stroke)}
+    whole, parts, cut = dict[int, list[RowPiece]](), dict[int, list[_Cell]](), False
+    for number, stroke in enumerate(context.strokes):
+        raster = stroke.file.raster
+        if raster is None or stroke.surface is None:
+            continue
+        cell = raster.pieces or stroke.surface.pieces
+        found = [cell]
+        if raster.cover == "reachable" and raster.frame != "tool":
+            at = context.at_stroke(number, apart, context.posture, 0.0, 0.0)
+            found = _Follower(at, apart).parts(cell)
+        k = numbers[stroke.file.part_of or stroke.name]
+        whole.setdefault(k, []).extend(cell)
+        parts.setdefault(k, []).extend(found)
+        cut |= found != [cell]
+    if not cut:
+        return apart
+    for k, found in parts.items():
+        if not found:
+            name = scene.each_stroke[k].name
+            raise context.path_not_found(
+                f"no place of the raster of {name} is reached within the joint ranges, clear of obstacles "
+                "and strong enough; move it, or keep less of the pose",
+                context.posture,
+            )
+    changed = {k for k, found in parts.items() if len(found) > 1 or found != [tuple(whole[k])]}
+    return scene.with_cells({k: parts[k] for k in changed}, whole)
+
+
+@dataclass(frozen=True, eq=False)
+class _Places:
+    """Places along the rows of a cell and the steps between them, in order.
+
+    `leg` (N,) are their numbers, rows first and every second one, `share` (N,) how much of them is covered.
+    """
+
+    leg: IntArray
+    share: FloatArray
+    goals: ToolPoses
+
+
+class _Follower:
+    """Carries postures along the rows of a stroke."""
+
+    def __init__(self, context: PlanningContext, scene: Scene) -> None:
+        self._context, self._scene, self._rng = context, scene, np.random.default_rng(0)
+        file = context.stroke.file
+        if file.raster is None:
+            raise TypeError("a stroke without a raster")
+        self._raster, leads = file.raster, max(file.lead_in_m or 0.0, file.lead_out_m or 0.0)
+        # Any row may become the first or the last one of a part.
+        self._over = file.raster.overscan_m + leads
+        self._most_use = 1.0
+        self._every = min(_SHARE * file.raster.spacing_m, _EVERY)
+
+    def parts(self, cell: _Cell) -> list[_Cell]:
+        """The parts of a cell that postures can follow."""
+        found, waiting, is_trimmed = list[_Cell](), [cell], False
+        self._most_use = 1.0
+        while waiting:
+            part = waiting.pop(0)
+            places = self._places(part)
+            number = self._followed(places.goals, _FEW)
+            if number < len(places.leg):
+                number = max(number, self._followed(places.goals, _MANY))
+            if number == len(places.leg):
+                found.append(part)
+            elif not is_trimmed:
+                is_trimmed, self._most_use = True, _CUT_USE
+                waiting = self._trimmed(part, places)
+            else:
+                done, rest = self._cut(part, places, number)
+                found += [done] if done else []
+                waiting = [rest, *waiting] if rest else waiting
+        return found
+
+    def _places(self, cell: _Cell) -> _Places:
+        raster = replace(self._raster, pieces=cell, overscan_m=self._over)
+        path = self._path(rows_alone(self._context.stroke.file, raster))
+        legs, shares, times = list[IntArray](), list[FloatArray](), list[FloatArray]()
+        for leg, length in enumerate(path.lengths):
+            each = np.linspace(0.0, 1.0, max(int(np.ceil(length / self._every)), 1) + 1)
+            each = each if leg % 2 == 0 else each[1:-1]
+            shares.append(each)
+            legs.append(np.full(len(each), leg))
+            times.append(path.times_at(leg, each))
+        t = np.concatenate(times)
+        return _Places(np.concatenate(legs), np.concatenate(shares), path.poses(t))
+
+    def _path(self, file: StrokeFile) -> ToolPath:
+        X_WT, begin = np.eye(4), self._context.task.path.poses([0.0])
+        X_WT[:3, 3], X_WT[:3, :3] = begin.point[0], begin.rotation[0]
+        return self._scene.with_strokes((file,)).timed_strokes(X_WT)[0].path
+
+    def _followed(self, goals: ToolPoses, width: int) -> int:
+        """How many places from the first one on postures are carried to."""
+        q = self._anywhere(goals[0], _AT_START)[0]
+        q = q[self._rng.permutation(len(q))[:width]]
+        for number in range(len(goals)):
+            if number > 0:
+                q = self._carried(q, goals[number], width)
+            if not len(q):
+                return number
+        return len(goals)
+
+    def _carried(self, q: FloatArray, goal: ToolPoses, width: int) -> FloatArray:
+        """Admissible postures at the next place, near postures `q` (N, n)."""
+        metric = self._context.robot.metric
+        copied = q[self._rng.integers(len(q), size=max(width - len(q), 0))]
+        around = copied + metric.positions(self._rng.normal(0.0, _SCATTER, copied.shape))
+        near = np.vstack([q, copied])
+        placed, ok = self._placed(np.vstack([q, around]), goal)
+        moved = np.abs(metric.coordinates(placed - near)).max(axis=1)
+        ok &= moved <= _FURTHEST
+        return self._admissible(placed[ok])
+
+    def _placed(self, q: FloatArray, goal: ToolPoses) -> tuple[FloatArray, BoolArray]:
+        """Postures (N, n) that hold the tool, and which do, from postures near them."""
+        postures, task = self._context.postures, self._context.task
+        placed, ok = project_onto_task(postures, task, q, goal, steps=_STEPS, tolerance=_TOLERANCE)
+        if task.cone is None:
+            return placed, ok
+        ok &= task.rotation(postures.tool_at(placed).tool_rotation, goal) <= task.cone
+        beyond = np.flatnonzero(~ok)
+        if len(beyond):
+            placed[beyond], ok[beyond] = project_onto_task(
+                postures, task.on_axis, q[beyond], goal, steps=_STEPS, tolerance=_TOLERANCE
+            )
+        return placed, ok
+
+    def _admissible(self, q: FloatArray) -> FloatArray:
+        context = self._context
+        q = q[context.robot.limits.contain(q)]
+        q = q[context.use_at_rest(context.postures.at(q)) <= self._most_use]
+        return np.asarray(q[~context.clearances.check_collision(q, context.options.safety_margin_m)])
+
+    def _anywhere(self, goals: ToolPoses, number: int) -> list[FloatArray]:
+        """Admissible postures (k, n) at each of the goals, from random ones."""
+        context, limits = self._context, self._context.robot.limits
+        half = limits.sampled_half
+        low, high = limits.range_middle - half, limits.range_middle + half
+        each = [np.empty((0, len(low)))] * len(goals)
+        for lean in _leaning(context.task):
+            empty = [k for k, found in enumerate(each) if not len(found)]
+            if not empty:
+                break
+            which = np.repeat(empty, number)
+            q = self._rng.uniform(low, high, (len(which), len(low)))
+            q[::number] = context.posture
+            some = goals[which] if lean is None else _turned(goals[which], lean)
+            placed, ok = project_onto_task(
+                context.postures, context.task.on_axis, q, some, steps=_STEPS, tolerance=_TOLERANCE
+            )
+            placed = limits.turned_to_middle(placed)
+            for k in empty:
+                each[k] = self._admissible(placed[ok & (which == k)])
+        return each
+
+    def _trimmed(self, cell: _Cell, places: _Places) -> list[_Cell]:
+        """A cell's rows at the places that some posture reaches, in cells."""
+        on_rows = np.flatnonzero(places.leg % 2 == 0)
+        leg, share = places.leg[on_rows], places.share[on_rows]
+        each = [np.empty((0, self._context.robot.dof))] * len(on_rows)
+        each[::_STRIDE] = self._anywhere(places.goals[on_rows[::_STRIDE]], _ANYWHERE)
+        for order in (range(1, len(each)), range(len(each) - 2, -1, -1)):
+            for k in order:
+                before = each[k - order.step]
+                if not len(each[k]) and len(before):
+                    each[k] = self._carried(before, places.goals[on_rows[k]], _MANY)
+        reached = np.array([len(q) > 0 for q in each])
+        rows = list[list[tuple[float, float]]]()
+        for k, piece in enumerate(cell):
+            own = np.flatnonzero(leg == 2 * k)
+            pieces = (
+                self._piece(piece, k, share[own[first]], share[own[last]])
+                for first, last in _runs(reached[own])
+            )
+            rows.append(sorted((one.begin_m, one.end_m) for one in pieces if one is not None))
+        return [tuple(replace(one, row=cell[one.row].row) for one in found) for found in cells_of(rows)]
+
+    def _piece(
+        self, piece: RowPiece, number: int, first: float, last: float, *, joined: bool = False
+    ) -> RowPiece | None:
+        """What of a piece, that of a number in its cell, is left between two shares of its way, if enough.
+
+        The ways before and behind it are on the left part, too, but before one that is joined.
+        """
+        over, turned = self._over, -1 if number % 2 == 1 else 1
+        at = piece.begin_m - over if turned == 1 else piece.end_m + over
+        way = turned * (piece.length + 2 * over)
+        both = at + first * way + turned * (0.0 if joined else over), at + last * way - turned * over
+        begin, end = max(min(both), piece.begin_m), min(max(both), piece.end_m)
+        begin = piece.begin_m if begin - piece.begin_m < _TOLERANCE else begin
+        end = piece.end_m if piece.end_m - end < _TOLERANCE else end
+        if (both[1] - both[0]) * turned <= 0:
+            return None
+        enough = end - begin >= min(_SHORTEST * self._raster.spacing_m, piece.length)
+        return replace(piece, begin_m=float(begin), end_m=float(end)) if enough else None
+
+    def _cut(self, cell: _Cell, places: _Places, number: int) -> tuple[_Cell, _Cell]:
+        """A cell up to the last of so many places, and the rest of it."""
+        leg = int(places.leg[number])
+        k = (leg + 1) // 2
+        is_within = leg % 2 == 0 and (number == 0 or places.leg[number - 1] == leg)
+        if not is_within:
+            return cell[:k], cell[k:]
+        share = places.share
+        until = None if number == 0 else self._piece(cell[k], k, 0.0, share[number - 1])
+        at = int(np.flatnonzero(places.leg == leg)[0])
+        rest = self._piece(cell[k], k, share[max(number - 1, at + 1)], 1.0, joined=True)
+        return (*cell[:k], *_one(until)), (*_one(rest), *cell[k + 1 :])
+
+
+def _one(piece: RowPiece | None) -> Sequence[RowPiece]:
+    return () if piece is None else (piece,)
+
+
+def _runs(reached: BoolArray) -> Iterator[tuple[int, int]]:
+    """First and last indices of what is reached without a gap."""
+    edges = np.diff(np.concatenate([[0], reached.astype(np.intp), [0]]))
+    first, behind = np.flatnonzero(edges == 1), np.flatnonzero(edges == -1)
+    yield from zip(first.tolist(), (behind - 1).tolist(), strict=True)
+
+
+def _leaning(task: ToolTask) -> Iterator[FloatArray | None]:
+    """Rotations (3, 3) of the tool in its frame: none, then by most of its cone to all sides."""
+    yield None
+    if task.cone is not None:
+        for angle in 2 * np.pi * np.arange(_LEANING) / _LEANING:
+            axis = np.array([np.cos(angle), np.sin(angle), 0.0])
+            yield np.asarray(Rotation.from_rotvec(_LEAN * task.cone * axis).as_matrix())
+
+
+def _turned(goals: ToolPoses, lean: FloatArray) -> ToolPoses:
+    return replace(goals, rotation=goals.rotation @ lean)

@@ -1,0 +1,134 @@
+"""Rasters in several parts: strokes of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
+from typing import Any
+
+from cmbot.common.errors import SceneError
+from cmbot.scene.path.path_file import StrokeFile
+from cmbot.scene.raster.pieces import RowPiece
+from cmbot.scene.raster.raster import Raster
+
+__all__ = ["raster_parts", "require_apart", "rows_alone"]
+
+# Via-points of a part: at least so many for each row and step, and for its ends.
+_PER_LEG, _ENDS = 3, 12
+# Largest ramp, as a share of a leg's time.
+_LARGEST = 0.5
+
+
+def raster_parts(
+    file: StrokeFile,
+    cells: Sequence[Sequence[RowPiece]],
+    whole: Sequence[RowPiece],
+    taken: Collection[str] = (),
+) -> list[StrokeFile]:
+    """Return the strokes that cover cells of a raster, with shares of its seconds and via-points.
+
+    Parameters
+    ----------
+    file : StrokeFile
+        Of the raster.
+    cells : sequence of sequences of RowPiece
+        What each stroke covers.
+    whole : sequence of RowPiece
+        All rows of the raster, which its seconds and via-points are for.
+    taken : collection of str
+        Names of other strokes.
+    """
+    raster = file.raster
+    if raster is None:
+        return [file]
+    parts = list[StrokeFile]()
+    for k, cell in enumerate(cells, start=1):
+        share, legs = _length(raster, cell) / _length(raster, whole), 2 * len(cell) - 1
+        changes: dict[str, Any] = {"raster": replace(raster, pieces=tuple(cell))}
+        if file.given_time is not None:
+            changes["seconds"] = max(share * file.given_time, 1e-3)
+        if isinstance(file.via_points, int) and share < 1:
+            fewest = (_PER_LEG * legs + _ENDS) * (file.passes or 1)
+            changes["via_points"] = max(round(share * file.via_points), min(fewest, file.via_points), 5)
+        # Ramps of shorter legs are as long as before, in seconds, where there is time for that.
+        ramp = min(file.speed_profile.ramp * _stretch(file, raster, cell, whole), _LARGEST)
+        changes["speed_profile"] = replace(file.speed_profile, ramp=ramp)
+        if len(cells) > 1:
+            changes |= {"name": _name(str(file.name), k, taken), "part_of": file.name}
+        parts.append(file.model_copy(update=changes))
+    # The way back begins with the last part.
+    return parts[::-1] if file.backwards else parts
+
+
+def rows_alone(file: StrokeFile, raster: Raster) -> StrokeFile:
+    """Return the stroke along rows of a raster and the steps between them: no leads, no rounded corners.
+
+    Parameters
+    ----------
+    file : StrokeFile
+    raster : Raster
+        In place of its own.
+    """
+    changes = {
+        "name": "rows",
+        "part_of": None,
+        "raster": raster,
+        "blend_radius_m": None,
+        "lead_in_m": None,
+        "lead_out_m": None,
+        "speed_tolerance": None,
+        "passes": None,
+        "backwards": False,
+        "time_laws": None,
+    }
+    return StrokeFile.model_construct(**dict(file) | changes)
+
+
+def require_apart(
+    files: Sequence[StrokeFile], number: int, source: str, key_of: Callable[[int], str]
+) -> None:
+    """Refuse a raster in parts where poses of strokes depend on its end.
+
+    Parameters
+    ----------
+    files : sequence of StrokeFile
+    number : int
+        Of the raster's stroke.
+    source : str
+        The scene's, for messages.
+    key_of : callable
+        From the number of a stroke to its key.
+
+    Raises
+    ------
+    SceneError
+        When it is in the frame of the tool, or the stroke behind it begins where it ends.
+    """
+    raster, expected = files[number].raster, "for a raster that is in parts"
+    if raster is not None and raster.frame == "tool":
+        raise SceneError(source, f"{key_of(number)}.raster.frame", "tool", f"another frame, {expected}")
+    if number + 1 < len(files) and not files[number + 1].has_own_start:
+        raise SceneError(source, f"{key_of(number + 1)}.from", "nothing", f"a pose, behind {expected[4:]}")
+
+
+def _length(raster: Raster, pieces: Sequence[RowPiece]) -> float:
+    """About the length of the way over pieces of rows, m."""
+    rows = sum(piece.length + 2 * raster.overscan_m for piece in pieces)
+    return rows + (len(pieces) - 1) * raster.spacing_m
+
+
+def _stretch(file: StrokeFile, raster: Raster, cell: Sequence[RowPiece], whole: Sequence[RowPiece]) -> float:
+    """How much shorter the shortest leg of a part may be than the longest one of the raster was."""
+    if file.blend_radius_m is not None:
+        return max(_length(raster, whole) / _length(raster, cell), 1.0)
+    over = 2 * raster.overscan_m
+    longest, shortest = max(each.length for each in whole), min(each.length for each in cell)
+    return (longest + over) / (shortest + over)
+
+
+def _name(name: str, number: int, taken: Collection[str]) -> str:
+    """The name of a part that no other stroke has."""
+    part = f"{name}_{number}"
+    while part in taken:
+        part = f"{name}_part_{number}" if part == f"{name}_{number}" else f"{part}_"
+    return part
