@@ -22,6 +22,8 @@ __all__ = ["claimed_plan", "compare", "export", "plot_files", "replay", "report"
 
 # Seconds of motion in a second of a GIF.
 _GIF_SPEED = 4.0
+# Times by which a film magnifies deflections.
+_BENDING = 10.0
 _LONGEST_SIZE = 12
 PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory.")]
 
@@ -44,6 +46,9 @@ def replay(
     size: Annotated[
         str | None, typer.Option("--size", metavar="WxH", help="Of a film; 1280x720, of a GIF 640x360.")
     ] = None,
+    bending: Annotated[
+        float | None, typer.Option("--bending", help="Times by which a film magnifies deflections; 10.")
+    ] = None,
 ) -> None:
     """Write a page that replays a plan in any browser, without a network.
 
@@ -56,7 +61,7 @@ def replay(
         raise InputError("cmbot replay", ", ".join(given), got, "one of them")
     filmed = video or gif
     shape = _size(size or ("640x360" if gif else "1280x720"))
-    for name, value in (("--fps", fps), ("--size", size)):
+    for name, value in (("--fps", fps), ("--size", size), ("--bending", bending)):
         if value is not None and filmed is None:
             raise InputError("cmbot replay", name, str(value), "it with --video or --gif")
     from cmbot.views import REPLAY, ReplayServer, film, replay_page
@@ -92,6 +97,7 @@ def replay(
                 speed=_GIF_SPEED if gif else 1.0,
                 fps=fps or (10 if gif else 30),
                 size=shape,
+                bending=_BENDING if bending is None else bending,
                 progress=lambda share: progress.stage("filming", share),
             )
         out.print(f"Written to {flat(filmed)}.")

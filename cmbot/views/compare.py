@@ -17,7 +17,15 @@ from cmbot.views.bending import Bending
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
 from cmbot.views.meshcat_scene import reach, scene_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble
-from cmbot.views.replay_data import FRAME_STEP, MOST_POSES, Frames, focus_of, frame_times, link_names
+from cmbot.views.replay_data import (
+    FRAME_STEP,
+    MOST_POSES,
+    Frames,
+    focus_of,
+    frame_times,
+    link_names,
+    pair_joints,
+)
 from cmbot.views.report import section, table
 
 __all__ = ["MOST_PLANS", "compare_page"]
@@ -103,6 +111,7 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "joints": list(first.robot.joints),
         "bending": None if bending is None else bending.data(),
         "pairs": list(pairs),
+        "pairJoints": pair_joints(first.robot, pairs),
         "focus": focus_of(first, list(plans.values())),
         "reach": reach(first.robot),
         "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(first)],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -32,10 +32,11 @@ from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.meshcat_scene import reach, scene_commands
 from cmbot.views.page import pack, pack_exactly
 
-__all__ = ["Frames", "focus_of", "frame_times", "link_names", "replay_data"]
+__all__ = ["Frames", "focus_of", "frame_times", "link_names", "pair_joints", "replay_data"]
 
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
+_BETWEEN = " – "  # two names of a pair
 _ALWAYS: Intervals = ((0.0, np.inf),)
 # Directions all around, (200, 3), on a spiral over the sphere.
 _ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
@@ -102,6 +103,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "rest": None if back > 0 else _rest(plan, tracking, frames, frame_times(work_end, end, step) - begin),
         "bending": None if frames.bending is None else frames.bending.data(),
         "pairs": list(frames.pairs),
+        "pairJoints": pair_joints(plan.robot, frames.pairs),
         "focus": focus_of(plan, [plan]),
         "reach": reach(plan.robot),
         "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(plan)],
@@ -181,7 +183,7 @@ class Frames:
             number = int(smallest.pair[k])
             found, shapes = self.clearances.nearest(q[k], number), self.clearances.pairs[number]
             points[k] = np.concatenate([found.point, found.other_point])
-            pairs[k] = self.pairs.setdefault(f"{shapes.link} – {shapes.other}", len(self.pairs))
+            pairs[k] = self.pairs.setdefault(f"{shapes.link}{_BETWEEN}{shapes.other}", len(self.pairs))
         return points, pairs
 
 
@@ -204,6 +206,12 @@ def _poses(robot: Robot, q: FloatArray) -> FloatArray:
         for joint in range(1, robot.model.njoints):
             poses[k, joint - 1] = pin.SE3ToXYZQUAT(data.oMi[joint])
     return poses
+
+
+def pair_joints(robot: Robot, pairs: Iterable[str]) -> list[list[int]]:
+    """Return the joints that carry the two shapes of pairs of `Frames`: 0 for the base, -1 for none."""
+    bodies = {frame.name: int(frame.parentJoint) for frame in robot.model.frames}
+    return [[bodies.get(name, -1) for name in pair.partition(_BETWEEN)[::2]] for pair in pairs]
 
 
 def link_names(robot: Robot) -> list[str]:

@@ -135,7 +135,7 @@ def test_the_page_bends_arm_and_rails(
         colours.value = "load";
         colours.dispatchEvent(new Event("change"));"""
     )
-    green = ask(chrome, "cmbotReplay.stage.loads.meshes[6][0][0].color.toArray()")
+    green = ask(chrome, "cmbotReplay.stage.loads.meshes[6][0][0].material.color.toArray()")
     assert green[1] > max(green[0], green[2])  # the last joint bears next to nothing
     chrome.execute_script(
         """const colours = document.getElementById("colours");

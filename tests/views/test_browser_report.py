@@ -274,6 +274,19 @@ def test_the_picture_changes_with_time_and_side_by_side_each_half_has_its_arm(sh
         np.testing.assert_allclose(tool_of(shown, arm), before, atol=1e-9)
 
 
+def test_marks_go_with_the_bent_arm(shown: Chrome) -> None:
+    slide(shown, "deflection", 1)
+    shown.execute_script("cmbotReplay.seek(cmbotReplay.workStart + 5)")
+    rigid, bent, carried = ask(
+        shown,
+        """(({ marks: { bent: { planned: stick } }, bending }, joint) => [
+            stick.from, stick.to, bending.carried("planned", joint, stick.from.clone())
+        ].map((point) => point.toArray()))(cmbotReplay.stage, cmbotReplay.links.length)""",
+    )
+    assert np.linalg.norm(np.subtract(bent, rigid)) > 5e-3
+    np.testing.assert_allclose(carried, bent, atol=3e-4)
+
+
 def test_deflection_is_magnified_and_small_plots_are_zoomed(shown: Chrome) -> None:
     shown.execute_script("cmbotReplay.seek(15)")
     pictures = []

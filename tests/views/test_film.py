@@ -52,6 +52,7 @@ def test_what_is_missing_is_named(
         *(("speed", speed) for speed in (0.0, -1.0, float("nan"))),
         *(("fps", fps) for fps in (0, 121)),
         *(("size", size) for size in ((1280, 721), (100, 100), (640, 4000))),
+        *(("bending", factor) for factor in (-1.0, 201.0, float("nan"))),
     ],
 )
 def test_what_no_film_can_be(tmp_path: Path, name: str, value: Any) -> None:

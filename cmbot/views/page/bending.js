@@ -17,6 +17,7 @@ class Bending {
     this.base = stage.node("robot", "0");
     this.arms = Object.fromEntries(MOTIONS.map((name, k) => [name, stage.arms[name].map((node, i) => this.skin(node, i, k > 0))]));
     this.rails = source.frame ? this.railsOf(source.frame) : [];
+    this.rigid = {};
     this.tips = {};
     this.foot = {};
   }
@@ -25,17 +26,12 @@ class Bending {
   skin(node, link, own) {
     const { tube } = this.links[link], meshes = [];
     if (!tube) return meshes;
-    const from = new THREE.Vector3(...tube.slice(0, 3)), along = new THREE.Vector3(...tube.slice(3)).sub(from);
     node.traverse((mesh) => {
       if (!mesh.geometry) return;
       if (own) mesh.geometry = mesh.geometry.clone();
       mesh.frustumCulled = false;
-      const rest = mesh.geometry.attributes.position.array.slice(), shares = new Float32Array(rest.length / 3);
-      for (let k = 0; k < shares.length; k += 1) {
-        const p = new THREE.Vector3().fromArray(rest, 3 * k).sub(from);
-        shares[k] = Math.min(Math.max(p.dot(along) / along.lengthSq(), 0), 1) * STATIONS;
-      }
-      meshes.push({ mesh, rest, shares });
+      const rest = mesh.geometry.attributes.position.array.slice();
+      meshes.push({ mesh, rest, shares: sharesAlong(tube, rest) });
     });
     return meshes;
   }
@@ -88,6 +84,7 @@ class Bending {
     if (bent) {
       const q = motion.numbersAt(motion.q, moment), u = motion.numbersAt(motion.u, moment);
       const frames = this.chain(q, u), none = new THREE.Vector3();
+      this.rigid[name] = this.stage.arms[name].map((node) => poseOf(node));
       this.tips[name] = links.map(({ start, end, X }, i) => {
         const begin = frames[start], tip = frames[end].clone().multiply(X);
         begin.decompose(this.stage.arms[name][i].position, this.stage.arms[name][i].quaternion, none);
@@ -105,12 +102,27 @@ class Bending {
     if (name === MOTIONS[0]) this.shapeBase(name);
   }
 
+  // Where a point of the rigid arm is on the bent one; `joint` carries it: 0 the base, -1 an obstacle.
+  carried(name, joint, point) {
+    const { u, pose } = this.foot[name];
+    if (!u || joint < 0) return point;
+    if (joint === 0) return point.applyMatrix4(pose);
+    const link = joint - 1, { tube } = this.links[link], place = poseOf(this.stage.arms[name][link]);
+    const local = point.applyMatrix4(this.rigid[name][link].clone().invert()), out = local.toArray();
+    if (tube) bendPoints(local.toArray(), sharesAlong(tube, out), this.stations(tube, this.tips[name][link]), out);
+    return point.fromArray(out).applyMatrix4(place);
+  }
+
   // Give the shapes of one arm the bending of another's motion.
   shape(arm, name) {
     this.arms[arm].forEach((meshes, link) => {
       if (!meshes.length) return;
       const stations = this.stations(this.links[link].tube, this.tips[name][link]);
-      for (const { mesh, rest, shares } of meshes) bendVertices(mesh, rest, shares, stations);
+      for (const { mesh, rest, shares } of meshes) {
+        const { position } = mesh.geometry.attributes;
+        bendPoints(rest, shares, stations, position.array);
+        position.needsUpdate = true;
+      }
     });
   }
 
@@ -157,8 +169,19 @@ class Bending {
   }
 }
 
-function bendVertices(mesh, rest, shares, maps) {
-  const { position } = mesh.geometry.attributes, out = position.array;
+const poseOf = ({ position, quaternion }) => new THREE.Matrix4().compose(position, quaternion, new THREE.Vector3(1, 1, 1));
+
+// How far along a tube points (x, y, z, x, ...) are, in stations.
+function sharesAlong(tube, points) {
+  const from = new THREE.Vector3(...tube.slice(0, 3)), along = new THREE.Vector3(...tube.slice(3)).sub(from);
+  return Float32Array.from({ length: points.length / 3 }, (_, k) => {
+    const p = new THREE.Vector3().fromArray(points, 3 * k).sub(from);
+    return Math.min(Math.max(p.dot(along) / along.lengthSq(), 0), 1) * STATIONS;
+  });
+}
+
+// Points moved by the maps of the stations beside them, into `out`.
+function bendPoints(rest, shares, maps, out) {
   for (let k = 0; k < shares.length; k += 1) {
     const low = Math.min(Math.floor(shares[k]), STATIONS - 1), w = shares[k] - low, A = maps[low], B = maps[low + 1];
     const x = rest[3 * k], y = rest[3 * k + 1], z = rest[3 * k + 2];
@@ -167,7 +190,6 @@ function bendVertices(mesh, rest, shares, maps) {
       out[3 * k + i] = a + w * (b - a);
     }
   }
-  position.needsUpdate = true;
 }
 
 // The links in the colour of their joints' loads, from green without load to red at the bound.
@@ -175,7 +197,7 @@ class LoadColours {
   constructor(stage) {
     this.meshes = stage.arms[MOTIONS[0]].map((node) => {
       const found = [];
-      node.traverse((mesh) => { if (mesh.material) found.push([mesh.material, mesh.material.color.clone()]); });
+      node.traverse((mesh) => { if (mesh.material) found.push([mesh, mesh.material.color.clone()]); });
       return found;
     });
     this.on = false;
@@ -185,7 +207,7 @@ class LoadColours {
     this.meshes.forEach((found, link) => {
       const share = Math.min(Math.max(loads[link], 0), 1);
       const hue = ELASTIC_COLOURS.low + share * (ELASTIC_COLOURS.high - ELASTIC_COLOURS.low);
-      for (const [material, own] of found) {
+      for (const [{ material }, own] of found) {
         if (this.on) material.color.setHSL(hue, 0.85, 0.45);
         else material.color.copy(own);
       }

@@ -58,7 +58,9 @@ class Marks {
     const stick = this.near[name];
     stick.on = found !== null;
     if (!found) return;
-    this.place(stick, found.point, found.other);
+    const { bending } = this.stage, joints = this.data.pairJoints[found.pair];
+    const ends = [found.point, found.other].map((p, k) => bending?.carried(name, joints[k], p) ?? p);
+    this.place(stick, ...ends);
     stick.material.color.setHex(found.distance < this.data.margin ? COLOURS.tooNear : COLOURS.near);
   }
 
@@ -84,7 +86,7 @@ class Marks {
   show(motion, compare) {
     for (const name of MOTIONS) {
       const wanted = name === motion || compare === "ghost";
-      // Nearest points are those of the rigid arm.
+      // Nearest points are those of the rigid arm, drawn where the bent one has them.
       this.near[name].group.visible = wanted && this.near[name].on;
       this.bent[name].group.visible = wanted && this.bent[name].on && this.factor > 0;
       this.bent[name].trace.visible = wanted && this.factor > 0;

@@ -58,6 +58,15 @@ class Player {
     if (this.time !== undefined) this.seek(this.time);
   }
 
+  // For a film: without controls; the picture says by what factors deflections and time are drawn.
+  holdStill(factor, speed) {
+    document.body.classList.add("film");
+    this.magnify(factor);
+    const bent = this.stage.bending && [factor !== 1 && (factor ? `deflections × ${factor}` : "no deflections")];
+    this.put("magnified", [...(bent ?? []), speed !== 1 && `speed × ${speed}`].filter(Boolean).join(", "));
+    this.stage.holdStill();
+  }
+
   onKey(event) {
     const { target, key } = event;
     if (event.ctrlKey || event.altKey || event.metaKey || target.tagName === "SELECT") return;
@@ -177,8 +186,9 @@ class Player {
   placeLabel(label, point, part, visible, below = 8) {
     label.hidden = !visible;
     const [x, y] = this.stage.onScreen(point, part), half = label.offsetWidth / 2 + 4;
-    const within = Math.max(Math.min(x, part.left + part.wide - half), part.left + half);
-    label.style.transform = `translate(${within.toFixed(1)}px, ${y.toFixed(1)}px) translate(-50%, ${below}px)`;
+    const across = Math.max(Math.min(x, part.left + part.wide - half), part.left + half);
+    const down = Math.min(y + below, part.top + part.high - label.offsetHeight - 4);
+    label.style.transform = `translate(${across.toFixed(1)}px, ${down.toFixed(1)}px) translateX(-50%)`;
   }
 }
 
@@ -192,7 +202,8 @@ function start(begin) {
   try {
     const data = JSON.parse(document.getElementById("replay-data").textContent);
     nameMotions(data);
-    const player = begin(data);
+    const player = begin(data), at = Number(window.location.hash.slice(1) || data.start);  // such as report.html#12.5
+    player.seek(at);
     window.cmbotReplay = {
       start: data.start,
       workStart: data.workStart,
@@ -206,7 +217,7 @@ function start(begin) {
       pause: () => player.pause(),
       compare: (how) => player.compare(how),
       resetView: () => player.stage.resetView(),
-      still: () => player.stage.holdStill(),
+      still: (factor = 1, speed = 1) => player.holdStill(factor, speed),
       stage: player.stage,
       draw: () => player.stage.render(),
       csv: () => player.downloads.csv(),

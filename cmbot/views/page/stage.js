@@ -309,9 +309,16 @@ class Stage {
     return [left + (0.5 + 0.5 * p.x) * wide, top + (0.5 - 0.5 * p.y) * high];
   }
 
-  // For a film: shadows and pictures are drawn on demand only, not by the viewer's own loop.
+  // For a film: pictures are drawn on demand only, not by the viewer's own loop. Without a graphics card each pixel is
+  // dear: light is computed at vertices, and edges of shadows are sharp.
   holdStill() {
     this.resetView();
+    this.viewer.renderer.shadowMap.type = THREE.BasicShadowMap;
+    this.world.traverse((part) => {
+      if (!part.material?.isMeshPhongMaterial) return;
+      const { color, side, transparent, opacity } = part.material;
+      part.material = new THREE.MeshLambertMaterial({ color, side, transparent, opacity });
+    });
     this.viewer.needs_render = false;
     this.viewer.set_dirty = () => {};
   }
