@@ -26,7 +26,7 @@ import numpy as np
 
 from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
 from cmbot.planning.context import PlanningContext
-from cmbot.planning.free_motion.approach import reachable
+from cmbot.planning.free_motion.approach import joined_starts, reachable
 from cmbot.planning.initial_guess import (
     SMOOTHER,
     InitialGuess,
@@ -191,6 +191,9 @@ def reachable_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> 
     context, search = failed.context, failed.guess.search
     if not isinstance(failure, PathNotFound) or search is None or failed.guess.pinned:
         raise failure
+    if context.stroke.begins_elsewhere:
+        # The scene's posture holds the tool elsewhere.
+        raise failure
     context.reporter.stage("path")
     starts = reachable(context, search.first_chart.q)
     guess = sliding_guess(context, search=search, starts=starts)
@@ -199,6 +202,25 @@ def reachable_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> 
         raise failure
     fallback = f"No approach leads to the best start ({failure.reason}): the best that self-motion leads to."
     return run(replace(failed, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
+
+
+def joined_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where no approach leads to the start that was chosen: the best of those that trees lead to."""
+    context, search = failed.context, failed.guess.search
+    if not isinstance(failure, PathNotFound) or search is None or not context.stroke.begins_elsewhere:
+        raise failure
+    context.reporter.step("no approach leads there; seeking a start that one leads to")
+    for starts in joined_starts(context, search.first_chart.q):
+        context.reporter.stage("path")
+        try:
+            guess = sliding_guess(context, search=search, starts=starts, pinned=failure)
+            why = failure.reason.partition(";")[0]
+            fallback = f"No approach leads to the best start ({why}): the best of those that one leads to."
+            return run(replace(failed, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
+        except (OptimisationFailed, PathNotFound):
+            if context.reporter.expired():
+                break
+    raise failure
 
 
 def scene_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
@@ -253,6 +275,7 @@ RETRIES: tuple[Retry, ...] = (
     more_via_points,
     another_start,
     reachable_start,
+    joined_start,
     scene_start,
     dense_solver,
 )

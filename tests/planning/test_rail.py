@@ -199,7 +199,7 @@ def test_free_postures_are_connected_within_the_ranges(context: PlanningContext)
     )
     end = context.posture.copy()
     end[RAIL_JOINTS.index("rail")] = limits.lower[0] + 0.01
-    path = rrt_connect(space, context.posture, end)
+    path = rrt_connect(space, context.posture, end[None])
     assert path is not None
     lower = lower_peak(space, path, 0.0, iter([False, True, True, True, True, True]).__next__)
     assert limits.contain(np.vstack([path, lower])).all()

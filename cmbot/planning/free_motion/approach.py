@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from functools import partial
 
 import numpy as np
@@ -14,10 +15,14 @@ from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_move import FreeMove, free_space, plan_move
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.graph import graph_of, path_between_ends
+from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.job import Segment, free_move_name
 
-__all__ = ["plan_approach", "reachable"]
+__all__ = ["joined_starts", "plan_approach", "reachable"]
 
+# Postures to which trees grow at once at most; share of the time left that this may take, and of the limit
+# that it has in any case.
+_MOST_GOALS, _TIME_SHARE, _MORE_TIME = 40, 0.4, 0.2
 # Postures of a chart are neighbours within this many spacings.
 _NEIGHBOURS = 1.6
 
@@ -66,6 +71,33 @@ def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:
     graph = _neighbours(space, context.posture[None], chart, context.options.chart_spacing)[1]
     _, component = connected_components(graph, directed=False)
     return np.asarray(component[1:] == component[0])
+
+
+def joined_starts(context: PlanningContext, chart: FloatArray) -> Iterator[BoolArray]:
+    """Yield which postures of the start's chart (M, n) a free move leads to from the scene's posture.
+
+    Trees grow to one posture of each part of the chart at once, in which self-motion leads everywhere, until
+    one is joined; then to the others, where its postures have led nowhere.
+    """
+    whole = free_space(context.tool_off)
+    space = whole.around(context.posture[None]) or whole
+    free = np.flatnonzero(space.holds(chart))
+    if not len(free):
+        return
+    nodes, graph = _neighbours(space, chart[free], chart[:0], context.options.chart_spacing)
+    number, part = connected_components(graph, directed=False)
+    largest = np.argsort(-np.bincount(part, minlength=number), kind="stable")[:_MOST_GOALS]
+    cost = space.cost(nodes)
+    goals = [min(np.flatnonzero(part == k), key=lambda at: float(cost[at])) for k in largest]
+    stop = context.reporter.part_expired(_TIME_SHARE, _MORE_TIME)
+    while goals and not stop():
+        path = rrt_connect(space, context.posture, nodes[goals], stop)
+        if path is None:
+            return
+        joined = int(np.abs(nodes[goals] - path[-1]).max(axis=1).argmin())
+        starts = np.zeros(len(chart), dtype=np.bool_)
+        starts[free[part == part[goals.pop(joined)]]] = True
+        yield starts
 
 
 def _along_chart(space: FreeSpace, ends: FloatArray, chart: FloatArray, spacing: float) -> FloatArray | None:

@@ -216,7 +216,7 @@ def _path(
     found = [] if given is None else [given]
     if space.straight(ends[0], ends[1]):
         found.append(ends)
-    if not found and (path := rrt_connect(space, ends[0], ends[1], stop)) is not None:
+    if not found and (path := rrt_connect(space, ends[0], ends[1:], stop)) is not None:
         found.append(space.shorten(path))
     for path in found:
         if space.peak(path) <= allowed:

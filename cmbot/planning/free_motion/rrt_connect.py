@@ -18,18 +18,21 @@ _MOST_GROWTHS = 4000
 
 
 def rrt_connect(
-    space: FreeSpace, start: FloatArray, end: FloatArray, stop: Callable[[], bool] = lambda: False
+    space: FreeSpace, start: FloatArray, ends: FloatArray, stop: Callable[[], bool] = lambda: False
 ) -> FloatArray | None:
-    """Connect two free postures (n,) by a broken line of free ones, (k, n); None when none was found.
+    """Connect a free posture (n,) to one of some others (m, n) by a broken line of free ones, (k, n).
 
-    Two trees grow from both ends towards random postures and towards each other (RRT-Connect; Kuffner and
-    LaValle, 2000). The random numbers are the same in every run. The search is given up when `stop` says so.
+    A tree grows from the start, and one with as many roots from the others, towards random postures and
+    towards each other (RRT-Connect; Kuffner and LaValle, 2000). The random numbers are the same in every run.
+    None when no connection was found; the search is given up when `stop` says so.
     """
-    if space.straight(start, end):
-        return np.stack([start, end])
+    nearest = np.argsort(space.robot.metric.lengths(ends - start), kind="stable")
+    for end in ends[nearest]:
+        if space.straight(start, end):
+            return np.stack([start, end])
     rng = np.random.default_rng(0)
     lower, upper = space.robot.limits.within_a_turn
-    trees = (_Tree(start, space.robot.metric), _Tree(end, space.robot.metric))
+    trees = (_Tree(start[None], space.robot.metric), _Tree(ends, space.robot.metric))
     for growth in range(_MOST_GROWTHS):
         if stop():
             break
@@ -48,11 +51,11 @@ def rrt_connect(
 
 
 class _Tree:
-    """A tree of free postures."""
+    """A tree of free postures, or several, from their roots (m, n)."""
 
-    def __init__(self, root: FloatArray, metric: PostureMetric) -> None:
-        self.q = root[None]
-        self._parent, self._metric = [-1], metric
+    def __init__(self, roots: FloatArray, metric: PostureMetric) -> None:
+        self.q = roots
+        self._parent, self._metric = [-1] * len(roots), metric
 
     def grow(self, space: FreeSpace, target: FloatArray) -> int | None:
         """Take one step from the nearest posture towards `target`; return the new posture's index."""
@@ -69,7 +72,7 @@ class _Tree:
         return len(self._parent) - 1
 
     def to_root(self, index: int) -> FloatArray:
-        """Postures from number `index` to the root."""
+        """Postures from number `index` to its root."""
         indices = [index]
         while self._parent[indices[-1]] >= 0:
             indices.append(self._parent[indices[-1]])

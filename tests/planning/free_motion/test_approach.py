@@ -10,7 +10,7 @@ from small_scenes import context_of, parts, short_scene
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, certify_move, plan
-from cmbot.planning.free_motion.approach import plan_approach
+from cmbot.planning.free_motion.approach import joined_starts, plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.path.gradient_projection import self_motion_postures
@@ -56,6 +56,19 @@ def test_from_a_folded_posture_the_base_bears_no_more_than_at_work(triangle_plan
     assert approach.certificate.figures.peak_guardrail_torque < 1.002 * torque[1]
 
 
+def test_starts_that_are_joined_are_parts_of_the_self_motion() -> None:
+    context = context_of(short_scene())
+    chart = np.array(self_motion_postures(context))
+    folded = chart.copy()
+    folded[:, 0] = np.radians(90)  # link_1 across the guardrail
+    parts_joined = list(joined_starts(context, np.vstack([chart, folded])))
+    once = np.sum(parts_joined, axis=0)
+    assert once.max() == 1
+    assert once[: len(chart)].any()
+    assert not once[len(chart) :].any()
+    assert list(joined_starts(context, folded)) == []
+
+
 def test_a_blocked_approach_is_refused() -> None:
     """The goal lies inside an obstacle: nothing leads there."""
     context = context_of(short_scene())
@@ -95,7 +108,7 @@ def test_connected_postures_are_joined_by_free_lines(triangle_plan: Plan, rng: n
     robot, _, posture, clearances = parts(scene)
     space = FreeSpace(robot, clearances, 0.02, lambda q: np.zeros(len(q)))
     goal = triangle_plan.start.posture
-    path = rrt_connect(space, posture, goal)
+    path = rrt_connect(space, posture, goal[None])
     short = space.shorten(path)
     for line in (path, short):
         np.testing.assert_array_equal(line[[0, -1]], [posture, goal])

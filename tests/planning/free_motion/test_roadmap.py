@@ -67,10 +67,26 @@ def test_the_time_limit_holds_where_costs_take_long(space: FreeSpace) -> None:
 def test_trees_lead_around_postures_that_cannot_be_held(space: FreeSpace) -> None:
     walled = FreeSpace(space.robot, space.clearances, 0.0, wall)
     assert not walled.straight(START, END)
-    path = rrt_connect(walled, START, END)
+    path = rrt_connect(walled, START, END[None])
     for line in (path, walled.shorten(path), lower_peak(walled, path, 0.5)):
         assert walled.peak(line) == 1.0
         assert all(walled.straight(a, b) for a, b in pairwise(line))
+
+
+def test_trees_lead_to_the_one_of_several_postures_that_can_be_reached(space: FreeSpace) -> None:
+    """The nearest of them is shut in."""
+    shut = START + 0.2 * (END - START)
+    shut[4] += 0.5
+
+    def cost(q: FloatArray) -> FloatArray:
+        away = np.linalg.norm(q - shut, axis=1)
+        return np.where((away > 0.1) & (away < 0.6), np.inf, wall(q))
+
+    walled = FreeSpace(space.robot, space.clearances, 0.0, cost)
+    assert walled.holds(np.stack([START, END, shut])).all()
+    path = rrt_connect(walled, START, np.stack([shut, END]))
+    np.testing.assert_array_equal(path[[0, -1]], [START, END])
+    assert rrt_connect(walled, START, shut[None], stop=iter([*50 * [False], True]).__next__) is None
 
 
 def test_a_line_is_checked_wherever_it_may_be_blocked(space: FreeSpace) -> None:
