@@ -26,6 +26,7 @@ from cmbot.simulation import (
     PrescribedWork,
     SimulationOptions,
     Tracking,
+    execution_error,
     expected_tool,
     motion_tracking,
 )
@@ -175,7 +176,10 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
         rigid, predicted = expected_tool(plan.robot, work, t, sag)
         entry: _Motion = getattr(file, _TABLES[name])
         frequencies = np.array([mode.frequency for mode in entry.modes], dtype=np.float64)
-        motions[_TABLES[name]] = motion_tracking(work, t, rigid + predicted, error, static, frequencies)
+        execution = execution_error(plan.robot, work, t, file.options)
+        motions[_TABLES[name]] = motion_tracking(
+            work, t, rigid + predicted, error, static, frequencies, execution
+        )
     return Tracking(options=file.options, seconds=file.seconds, **motions)
 
 
@@ -205,6 +209,11 @@ def _motion(motion: MotionTracking) -> dict[str, Any]:
         else {**vars(residual), "peak_to_peak": _by_axis(residual.peak_to_peak)},
         "modes": [{"frequency": frequency, "power": power} for frequency, power in modes],
         "largest_command_error": float(np.nanmax(np.linalg.norm(motion.command, axis=1))),
+        **(
+            {}
+            if motion.execution is None
+            else {"largest_execution_error": float(np.linalg.norm(motion.execution, axis=1).max())}
+        ),
     }
 
 

@@ -46,6 +46,16 @@ def simulate(
         float, typer.Option("--stiffness", help="Factor on the stiffness of guardrail, links and joints.")
     ] = 1.0,
     segments: Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")] = 1,
+    rate: Annotated[
+        float | None, typer.Option("--rate", help="Set-points a second that the controller is given.")
+    ] = None,
+    set_points: Annotated[
+        str, typer.Option("--set-points", help="What is between them: interpolated, or held.")
+    ] = "interpolated",
+    servo: Annotated[
+        float | None, typer.Option("--servo", help="Bandwidth of every joint's servo, Hz.")
+    ] = None,
+    delay: Annotated[float, typer.Option("--delay", help="Seconds by which the joints follow late.")] = 0.0,
     force: Annotated[bool, typer.Option("--force", help="Replace tracking errors that are there.")] = False,
     figures: FiguresOption = False,
     details: DetailsOption = False,
@@ -58,7 +68,15 @@ def simulate(
 
     Example: [bold]cmbot simulate out/triangle[/bold]
     """
-    options = _options(damping=damping, initial=initial, stiffness=stiffness, segments=segments)
+    driven = {
+        "set_point_rate_hz": rate,
+        "set_points": set_points,
+        "servo_bandwidth_hz": None if servo is None else [servo],
+        "delay_s": delay,
+    }
+    options = _options(
+        damping=damping, initial=initial, stiffness=stiffness, segments=segments, driven=driven
+    )
     with claimed_plan(directory) as loaded:
         from cmbot.archive import require_no_tracking
 
@@ -125,16 +143,28 @@ def reproduce(
             out.print(f"All figures, and why: {flat(written[0])}; --details prints them.")
 
 
-def _options(*, damping: float, initial: str, stiffness: float, segments: int) -> SimulationOptions:
+# What options of the command line are called in `SimulationOptions`.
+_DRIVEN = {
+    "set_point_rate_hz": "--rate",
+    "set_points": "--set-points",
+    "servo_bandwidth_hz": "--servo",
+    "delay_s": "--delay",
+}
+
+
+def _options(
+    *, damping: float, initial: str, stiffness: float, segments: int, driven: dict[str, Any]
+) -> SimulationOptions:
     """Check the options; errors name them as the command line does."""
     from cmbot.common.validation import validated
 
     given = {"damping": damping, "initial": initial, "segments": segments}
     factors = dict.fromkeys(("guardrail_factor", "link_factor", "joint_factor"), stiffness)
     try:
-        return validated(cmbot.SimulationOptions, given | factors, "cmbot simulate", InputError)
+        return validated(cmbot.SimulationOptions, given | factors | driven, "cmbot simulate", InputError)
     except InputError as error:
-        option = "--stiffness" if error.key in factors else f"--{error.key}"
+        key = error.key.partition("[")[0]
+        option = "--stiffness" if key in factors else _DRIVEN.get(key, f"--{key}")
         raise InputError(error.source, option, error.got, error.expected, error.choices) from error
 
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Literal
+from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
+
+from cmbot.common.validation import refusal
 
 __all__ = ["SimulationOptions"]
 
+Bandwidth = Annotated[float, Field(ge=0.1, le=200)]
 Factor = Annotated[float, Field(ge=1e-6, le=1e6)]
 
 
@@ -36,6 +39,15 @@ class SimulationOptions:
         Of the stiffness of the guardrail, of the links and of the joints.
     payload_kg : float or None
         Point mass at the tool in place of the scene's; the motion stays the same.
+    set_point_rate_hz : float or None
+        At which a controller is given set-points; None: it knows the motion at all times.
+    set_points : str
+        Between them the command is ``interpolated``, linearly, or ``held``.
+    servo_bandwidth_hz : tuple of float or None
+        One for all joints, or one for each: a Butterworth filter of second order. None: joints follow
+        exactly.
+    delay_s : float
+        By which the joints follow late, s.
     spectral_radius : float
         rho_inf of the generalized-alpha method: the factor by which a step damps what it cannot resolve.
     corrections : int
@@ -54,5 +66,16 @@ class SimulationOptions:
     link_factor: Factor = 1.0
     joint_factor: Factor = 1.0
     payload_kg: Annotated[float, Field(ge=0, le=1e4)] | None = None
+    set_point_rate_hz: Annotated[float, Field(ge=1, le=1e4)] | None = None
+    set_points: Literal["interpolated", "held"] = "interpolated"
+    servo_bandwidth_hz: Annotated[tuple[Bandwidth, ...], Field(min_length=1, max_length=100)] | None = None
+    delay_s: Annotated[float, Field(ge=0, le=1)] = 0.0
     spectral_radius: Annotated[float, Field(ge=0, le=1)] = 0.8
     corrections: Annotated[int, Field(ge=1, le=10)] = 2
+
+    @model_validator(mode="after")
+    def _check(self) -> Self:
+        if self.set_point_rate_hz is not None and self.servo_bandwidth_hz is None:
+            expected = "a number beside set_point_rate_hz: without a servo the joints would jump"
+            raise refusal(expected, got="nothing", key=("servo_bandwidth_hz",))
+        return self

@@ -9,6 +9,8 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.validation import counted
 from cmbot.planning import Plan
+from cmbot.simulation.execution import is_executed
+from cmbot.simulation.metrics import statistics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.tracking import MotionTracking, Tracking
 
@@ -44,6 +46,8 @@ def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple
         "tool sways beside its sag, at most": [_largest(motion.dynamic, motion) for motion in both],
         "bent tool off its path, at most": [off_path(motion) for motion in both],
     }
+    if all(motion.execution is not None for motion in both):
+        rows["tool off by how joints are driven, at most"] = [_largest_execution(motion) for motion in both]
     swings = [motion.metrics.residual.diameter for motion in both if motion.metrics.residual is not None]
     if len(swings) == len(both):
         rows["tool swings after the stop"] = swings
@@ -65,6 +69,9 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     if off <= allowed:
         return f"Within the margin: bent as it is, the tool stays within {bound} of its path."
     text = f"Not within the margin: bent as it is, the tool leaves its path by more than {bound}"
+    if _largest_execution(tracking.planned) > allowed:
+        driven = 1e3 * _largest_execution(tracking.planned)
+        return f"{text}. How the joints are driven puts it up to {driven:.2f} mm from where it should be."
     if plan.options.compensate:
         sags = _largest(tracking.planned.static, tracking.planned) > allowed
         why = "what bends here is not what was planned with" if sags else "beside it, it sways"
@@ -87,8 +94,14 @@ def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
     for part, attribute in _PARTS:
         for quantity, field in _QUANTITIES:
             for name, motion in tracking.motions:
-                statistics = getattr(motion.metrics, attribute)
-                yield f"{part}, {quantity}", name, *_numbers(getattr(statistics, field))
+                found = getattr(motion.metrics, attribute)
+                yield f"{part}, {quantity}", name, *_numbers(getattr(found, field))
+    for quantity, field in _QUANTITIES:
+        for name, motion in tracking.motions:
+            if motion.execution is not None:
+                moving = motion.t <= motion.stop * (1 + 1e-12)
+                numbers = _numbers(getattr(statistics(motion.t[moving], motion.execution[moving]), field))
+                yield f"by how joints are driven, {quantity}", name, *numbers
     for name, motion in tracking.motions:
         rest = motion.metrics.residual
         if rest is not None:
@@ -110,6 +123,10 @@ def tracking_remarks(tracking: Tracking) -> Iterator[str]:
     yield _setting(tracking.options)
     simulated = tracking.baseline.t[-1] + tracking.planned.t[-1]
     yield f"Time: {tracking.seconds:.2f} s for {simulated:.0f} s of motion."
+
+
+def _largest_execution(motion: MotionTracking) -> float:
+    return 0.0 if motion.execution is None else _largest(motion.execution, motion)
 
 
 def _largest(error: FloatArray, motion: MotionTracking) -> float:
@@ -146,11 +163,25 @@ def _setting(options: SimulationOptions) -> str:
     stiffness = ""
     if (guardrail, links, joints) != (1.0, 1.0, 1.0):
         stiffness = f"stiffness times {guardrail:g} (guardrail), {links:g} (links) and {joints:g} (joints), "
+    driven = f", {_driven(options)}" if is_executed(options) else ""
     return (
         f"Starts {start}; damping {100 * options.damping:g} % of critical for every mode in the first "
         f"posture, {stiffness}{counted(options.segments, 'segment')} a link, "
-        f"steps of {1e3 * options.step_s:g} ms."
+        f"steps of {1e3 * options.step_s:g} ms{driven}."
     )
+
+
+def _driven(options: SimulationOptions) -> str:
+    """How a controller drives the joints, in words."""
+    parts = list[str]()
+    if options.set_point_rate_hz is not None:
+        parts.append(f"set-points at {options.set_point_rate_hz:g} Hz, {options.set_points}")
+    if options.servo_bandwidth_hz is not None:
+        each = ", ".join(f"{bandwidth:g}" for bandwidth in options.servo_bandwidth_hz)
+        parts.append(f"servos of {each} Hz")
+    if options.delay_s:
+        parts.append(f"a delay of {1e3 * options.delay_s:g} ms")
+    return f"joints driven with {', '.join(parts)}"
 
 
 def _numbers(values: FloatArray) -> tuple[str, ...]:

@@ -18,11 +18,12 @@ from cmbot.common.validation import checked_options
 from cmbot.common.watching import watched_share
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, ElasticOptions, elastic_arm
-from cmbot.elastic.generalized_alpha import ElasticMotion, ElasticSystem, GeneralizedAlpha
+from cmbot.elastic.generalized_alpha import DrivenMotion, ElasticMotion, ElasticSystem, GeneralizedAlpha
 from cmbot.elastic.modes import arm_modes
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, ToolTask, require_plan, robot_of
 from cmbot.robot import Kinematics, Robot
+from cmbot.simulation.execution import executed, is_executed
 from cmbot.simulation.metrics import ErrorMetrics, error_metrics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
@@ -31,6 +32,7 @@ __all__ = [
     "MotionTracking",
     "Tracking",
     "elastic_arm_of",
+    "execution_error",
     "expected_tool",
     "motion_tracking",
     "simulate",
@@ -65,6 +67,9 @@ class MotionTracking:
     path_error : (N, 3), m
         From the nearest point of the current leg to the elastic arm's tool point. NaN between strokes.
     metrics : ErrorMetrics
+    execution : (N, 3), m, or None
+        Part of the error: the tool point of a rigid arm as the controller moves its joints, less that of the
+        commanded ones. None where joints follow exactly.
     """
 
     t: FloatArray
@@ -74,6 +79,7 @@ class MotionTracking:
     command: FloatArray
     path_error: FloatArray
     metrics: ErrorMetrics
+    execution: FloatArray | None = None
 
     @property
     def dynamic(self) -> FloatArray:
@@ -230,10 +236,15 @@ def track_work(
     modes = arm_modes(arm, work.postures(np.zeros(1))[0])
     start = modes.u if options.initial == "equilibrium" else np.zeros_like(modes.u)
     loaded = {True: arm, False: arm.tool_off}
-    parts = [(part.motion, loaded[part.path is not None].external_forces) for part in work.parts]
+    motions: list[DrivenMotion] = [part.motion for part in work.parts]
+    forces = [loaded[part.path is not None].external_forces for part in work.parts]
     if options.settle_s > 0:
-        parts.append((PrescribedMotion.held(work.end, options.settle_s), arm.external_forces))
-    motions, forces = zip(*parts, strict=True)
+        motions.append(PrescribedMotion.held(work.end, options.settle_s))
+        forces.append(arm.external_forces)
+    curve = None
+    if is_executed(options):
+        curve, moved = executed(work, options)
+        motions = list(moved)
     integrator = GeneralizedAlpha(
         ElasticSystem.of(arm, modes.damping(options.damping) + arm.damping),
         step=options.step_s,
@@ -246,11 +257,13 @@ def track_work(
     outputs = int(np.floor(bent.t[-1] / options.output_step_s * (1 + 1e-12))) + 1
     t = options.output_step_s * np.arange(outputs, dtype=np.float64)
     rigid, predicted = expected_tool(arm.robot, work, t, sag)
-    error = _bent_tool(arm, work.postures(t), bent, t) - rigid - predicted
+    q = work.postures(t) if curve is None else curve(t)
+    error = _bent_tool(arm, q, bent, t) - rigid - predicted
     static = -predicted
     for part, at, own in work.split(t):
         static[at] += _sag(loaded[part.path is not None], part.motion, own)
-    return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies)
+    execution = execution_error(arm.robot, work, t, options)
+    return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies, execution)
 
 
 def expected_tool(
@@ -270,6 +283,16 @@ def expected_tool(
     return rigid, predicted
 
 
+def execution_error(
+    robot: Robot, work: PrescribedWork, t: FloatArray, options: SimulationOptions
+) -> FloatArray | None:
+    """Return what a controller adds to the error at times `t` (N,), (N, 3), m; None where it adds nothing."""
+    if not is_executed(options):
+        return None
+    kinematics, (curve, _) = Kinematics(robot), executed(work, options)
+    return kinematics.tool_poses(curve(t))[0] - kinematics.tool_poses(work.postures(t))[0]
+
+
 def motion_tracking(
     work: PrescribedWork,
     t: FloatArray,
@@ -277,6 +300,7 @@ def motion_tracking(
     error: FloatArray,
     static: FloatArray,
     frequencies: FloatArray,
+    execution: FloatArray | None = None,
 ) -> MotionTracking:
     """Return a tracking error with all that follows from it and from the motion.
 
@@ -290,6 +314,8 @@ def motion_tracking(
     error, static : (N, 3), m
     frequencies : (f,), Hz
         Of the modes in the motion's first posture, ascending.
+    execution : (N, 3), m, optional
+        From `execution_error`.
     """
     command, path_error = np.full_like(error, np.nan), np.full_like(error, np.nan)
     for part, at, own in work.split(t):
@@ -304,6 +330,7 @@ def motion_tracking(
         static=static,
         command=command,
         path_error=path_error,
+        execution=execution,
         metrics=error_metrics(t, error, static, path_error, moving, frequencies),
     )
 

@@ -241,3 +241,20 @@ def test_it_is_saved_from_python_too_and_a_number_that_is_none_is_not(
     with pytest.raises(ArchiveError, match="already there"):
         cmbot.save_tracking(short_tracking, short_folder)
     assert cmbot.save_tracking(short_tracking, short_folder, force=True) == paths
+
+
+def test_how_joints_are_driven_is_an_option(saved_short: Path, tmp_path: Path) -> None:
+    folder = Path(shutil.copytree(saved_short, tmp_path / "plan"))
+    refused = run("simulate", folder, "--rate", "125")
+    assert refused.status == 2
+    assert "--servo: got nothing, expected a number beside set_point_rate_hz" in refused.err
+    weak = run("simulate", folder, "--servo", "0")
+    assert weak.status == 2
+    assert "--servo: got 0.0, expected at least 0.1" in weak.err
+    driven = run(
+        "simulate", folder, "--rate", "125", "--set-points", "held", "--servo", "8", "--delay", "0.01"
+    )
+    assert driven.status == 0, driven.err
+    assert "tool off by how joints are driven, at most" in driven.out
+    options = json.loads((folder / "tracking.json").read_text())["options"]
+    assert options["servo_bandwidth_hz"] == [8.0]
