@@ -130,7 +130,8 @@ def test_what_was_done_about_sag_and_vibration_has_the_promised_keys(thin_plan, 
     suppression = VibrationSuppression(modes=2, shares=(1.0, 0.5), before=1e-3, after=1e-4, **tables)
     plan = replace(thin_plan, compensation=compensation, quieting=suppression)
     data = json.loads((save(plan, tmp_path / "plan") / "plan.json").read_text())
-    assert data["compensation"] == {"rounds": 2, "largest_shift": 0.01, "last_change": 1e-6}
+    expected = {"rounds": 2, "largest_shift": 0.01, "last_change": 1e-6, "deviation": 0.0}
+    assert data["compensation"] == expected
     shares = {"shares": [1.0, 0.5], "share": 0.75}
     assert data["quieting"] == {"modes": 2, "before": 1e-3, "after": 1e-4, **shares} | {
         name: list(values) for name, values in tables.items()
