@@ -163,9 +163,8 @@ class Clearances:
             for request in self._geometry_data.collisionRequests:
                 request.security_margin = margin
             self._margin = margin
-        arguments = (self._model, self._data, self._geometry, self._geometry_data)
         if len(q) < _BROAD_PHASE_FROM:
-            return np.array([pin.computeCollisions(*arguments, q_k, True) for q_k in q], dtype=np.bool_)
+            return np.array([self._collides(q_k, margin) for q_k in q], dtype=np.bool_)
         # A posture that is not finite counts as a collision, as in coal.
         near: BoolArray = ~np.all(np.isfinite(q), axis=1)
         known = np.flatnonzero(~near)
@@ -175,6 +174,16 @@ class Clearances:
                 self._place_shapes(q[k])
                 near[k] = any(pin.computeCollision(self._geometry, self._geometry_data, p) for p in pairs)
         return near
+
+    def _collides(self, q: FloatArray, margin: float) -> bool:
+        """Whether any distance is below the `margin`, which is the requests', m, in posture `q` (n,)."""
+        pairs = self._cache.near(q, margin + _SLACK) if np.isfinite(q).all() else None
+        if pairs is None:
+            # A posture that is not finite counts as a collision, as in coal.
+            arguments = (self._model, self._data, self._geometry, self._geometry_data)
+            return bool(pin.computeCollisions(*arguments, q, True))
+        self._place_shapes(q)
+        return any(pin.computeCollision(self._geometry, self._geometry_data, pair) for pair in pairs)
 
     def within(self, q: FloatArray, distance: float) -> list[Nearest]:
         """Return every avoidable pair (see `smallest`) that is nearer than `distance` at `q`."""

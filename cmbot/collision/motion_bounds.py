@@ -18,6 +18,9 @@ __all__ = ["DistanceCache", "pair_reach", "raise_bounds", "shape_reach", "travel
 
 # When some point of the arm may have moved further than this, m, all pairs are measured again.
 _LARGEST_MOVE = 0.1
+# In postures nearer than this to the one before, m, it is worth measuring all pairs where the bounds leave
+# more than this share of them.
+_NEIGHBOUR, _FEW = 0.3, 0.3
 # Most postures that are compared with a measured one in one call. Where it bounds fewer than the second
 # number, measuring all pairs does not pay.
 _SEGMENT, _FEWEST = 64, 12
@@ -98,6 +101,7 @@ class DistanceCache:
         # The list of references is read much faster than the results' own container.
         self._results = list(data.distanceResults)
         self._q, self._distance = np.full(model.nv, np.nan), np.empty(len(reach))
+        self._asked = self._q
         slides = prismatic_joints(model)
         self._lower = np.where(slides, model.lowerPositionLimit, -np.inf)
         self._upper = np.where(slides, model.upperPositionLimit, np.inf)
@@ -106,11 +110,30 @@ class DistanceCache:
         """Return lower bounds of all distances, (P,), m, in posture `q` (n,), rad."""
         move = np.abs(q - self._q)
         if self._drawn_out(np.stack([q, self._q])) or not move @ self._furthest <= _LARGEST_MOVE:
-            pin.computeDistances(*self._arguments, q)
-            self._q = q.copy()
-            self._distance = np.array([result.min_distance for result in self._results])
+            self._measure(q)
             return self._distance.copy()
         return np.asarray(self._distance - self._reach @ move)
+
+    def near(self, q: FloatArray, distance: float) -> list[int] | None:
+        """Return the pairs that may be nearer than `distance`, m, in posture `q` (n,), nearest first.
+
+        None where what was measured says too little, and `q` is not near the posture before either.
+        """
+        lower = self._distance - self._reach @ np.abs(q - self._q)
+        before, self._asked = self._asked, q
+        few = (lower <= distance).sum() <= _FEW * len(lower)
+        if not few or not np.isfinite(lower).all() or self._drawn_out(np.stack([q, self._q])):
+            if not np.abs(q - before) @ self._furthest <= _NEIGHBOUR or self._drawn_out(q[None]):
+                return None
+            self._measure(q)
+            lower = self._distance
+        near = np.flatnonzero(lower <= distance)
+        return [int(pair) for pair in near[lower[near].argsort()]]
+
+    def _measure(self, q: FloatArray) -> None:
+        pin.computeDistances(*self._arguments, q)
+        self._q = q.copy()
+        self._distance = np.array([result.min_distance for result in self._results])
 
     def suits(self, q: FloatArray) -> bool:
         """Whether postures `q` (N, n) follow each other so closely that measuring a few bounds all."""

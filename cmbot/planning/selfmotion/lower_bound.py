@@ -302,11 +302,17 @@ class _BranchAndBound:
     def _lowered(self, q: FloatArray, k: int, best: FloatArray, postures: FloatArray) -> FloatArray:
         """Values `best` (s,), that of `k` lowered to what admissible postures (N, d) have."""
         value, _ = self._measured(q)
+        better = np.flatnonzero(value < best[k])
+        better = better[np.argsort(value[better], kind="stable")]
         # Cells of no extent.
         edges, half = np.zeros((len(q), 1, q.shape[1])), np.zeros((len(q), 1))
-        better = value < best[k]
-        cells = _Cells(q, edges, half, np.full(len(q), k))[better]
-        return self._checked(cells, value[better], best, postures)[0]
+        cells, before, first, count = _Cells(q, edges, half, np.full(len(q), k)), best[k], 0, 4
+        # Only the lowest that is admissible counts: the others' clearances need not be known.
+        while first < len(better) and best[k] == before:
+            some = better[first : first + count]
+            best, _ = self._checked(cells[some], value[some], best, postures)
+            first, count = first + count, 2 * count
+        return best
 
     def _leaning(
         self, q: FloatArray, edges: FloatArray, of: IntArray, cone: float
