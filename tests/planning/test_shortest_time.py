@@ -7,15 +7,19 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
-from small_scenes import short_scene
+from small_scenes import context_of, short_scene
 
 from cmbot import load_scene
 from cmbot.archive import load_plan, save
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, SceneError
 from cmbot.planning import Plan, plan, second_opinion
+from cmbot.planning.initial_guess import initial_guess
 from cmbot.planning.result.remarks import remarks
+from cmbot.planning.retries import Attempt
 from cmbot.planning.timing.law_search import Bounded, shortest_law
-from cmbot.planning.timing.leg_paths import bounds_along
+from cmbot.planning.timing.leg_paths import bounds_along, leg_paths
+from cmbot.planning.timing.shortest_time import _certified
 from cmbot.robot import Dynamics, Robot
 from cmbot.scene import LegLaw
 
@@ -121,6 +125,31 @@ def test_it_is_read_back_and_planned_again_in_that_time(quick_plan: Plan, tmp_pa
     assert [check.quantity for check in checks if not check.holds] == [
         "torque on the base by a second computation"
     ]
+
+
+def test_only_the_legs_on_which_motions_fail_are_stretched() -> None:
+    """The second of two legs, which no motion follows in less than 1.03 times its law's seconds."""
+    path = {"legs": [LEG, {"by": [0, 0, 0.1]}], "seconds": "auto", "via_points": 26}
+    context = context_of(short_scene(format="cmbot-scene/2", tool_path=path))
+    first = Attempt(context=context, guess=initial_guess(context))
+    trajectory = first.guess.problem.parametrization.trajectory
+    paths = leg_paths(context, [0, 1], trajectory)
+    laws = [LegLaw(leg=k, seconds=(2.0, 2.0), jerk=(0.0, 1.0, 0.0)) for k in (0, 1)]
+    tried = list[FloatArray]()
+
+    def work(attempt: Attempt) -> str:
+        seconds = attempt.context.task.path.seconds
+        tried.append(seconds / 4.0)
+        if seconds[1] < 4.0 * 1.03:
+            time = seconds[0] + 0.5 * seconds[1]
+            raise LimitViolation("velocity of joint_1", time=time, value=1.01, bound=1.0, unit="rad/s")
+        return "certified"
+
+    attempt, made = _certified(first, trajectory, paths, laws, work, (1.0, 1.01, 1.03, 1.06))
+    assert made == "certified"
+    np.testing.assert_allclose(tried, [[1, 1], [1.01, 1.01], [1.03, 1.03], [1, 1.03]])
+    np.testing.assert_allclose(attempt.context.task.path.seconds, [4.0, 4.12])
+    assert "planned 3 % slower on 1 of 2 legs" in attempt.fallbacks[-1]
 
 
 def test_a_base_that_bears_too_little_at_rest() -> None:

@@ -14,7 +14,7 @@ from typing import TypeVar
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import PlanningError
+from cmbot.common.errors import LimitViolation, PlanningError
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.failures import slower, slower_legs
 from cmbot.planning.initial_guess import InitialGuess, initial_guess, shifted_problem
@@ -33,8 +33,8 @@ _FIRST_TRIALS = 3
 _STRETCHED, _FEW = (1.0, 1.01, 1.03, 1.06, 1.1, 1.2, 1.4, 2.0), 2
 # Rounds of laws along the path that was planned last, and what is worth another one, as a share of the time.
 _ROUNDS, _WORTH = 3, 0.99
-# Share of the time limit that has to be left for it.
-_TIME_LEFT = 0.6
+# How many times as long as the round before has to be left for it.
+_TIMES_AS_LONG = 1.2
 
 Work = TypeVar("Work")
 
@@ -68,16 +68,13 @@ def in_shortest_time(
     before, trajectory = _slow_motion(context, automatic=automatic)
     made: tuple[Attempt, Work] | None = None
     for _ in range(_ROUNDS):
+        left = context.reporter.time_left
         context.reporter.stage("path")
         context.reporter.step("seeking the shortest time within the limits")
         paths = leg_paths(before.context, legs, trajectory)
         laws = tuple(shortest_laws(before.context, paths))
         known = () if made is None else made[0].context.stroke.file.time_laws or ()
         if known and _seconds(laws) > _WORTH * _seconds(known):
-            break
-        if made is not None and _seconds(laws) > _WORTH * _seconds(
-            made[0].context.stroke.file.time_laws or ()
-        ):
             break
         try:
             made = _certified(before, trajectory, paths, laws, work, _STRETCHED[: _FEW if made else None])
@@ -86,7 +83,8 @@ def in_shortest_time(
                 raise
             break
         before, trajectory = made[0], trajectory_of(made[1])
-        if context.reporter.time_left < _TIME_LEFT * context.options.time_limit_s:
+        took = left - context.reporter.time_left
+        if context.reporter.time_left < _TIMES_AS_LONG * took:
             break
     if made is None:
         raise RuntimeError("no round was begun")
@@ -127,31 +125,79 @@ def _certified(
     work: Callable[[Attempt], Work],
     stretched: Sequence[float],
 ) -> tuple[Attempt, Work]:
-    """The first certified motion in ever longer times; with all retries in the last of them."""
-    guess: InitialGuess | None = None
-    reason = ""
+    """The first certified motion in ever longer times; with all retries in the last of them.
+
+    Where the motions before failed on some legs alone, only these are stretched, if that is certified, too.
+    """
+    tried = _Tried(before, trajectory, paths, laws)
     for factor in stretched:
-        context = in_time(before.context, [law.slowed(factor) for law in laws])
         try:
-            guess = guess or initial_guess(context)
-            via_points = _via_points(before.context, trajectory, paths, context)
-            guess = replace(guess, pinned=before.guess.pinned, failures=before.guess.failures)
-            problem = shifted_problem(context, guess, via_points)
-            attempt = replace(before, context=context, guess=replace(guess, problem=problem))
-            if reason:
-                more = (
-                    f"In {_seconds(laws):.4g} s, the shortest time along the joint path, no motion is "
-                    f"certified ({reason}): planned {100 * (factor - 1):.0f} % slower."
-                )
-                attempt = replace(attempt, fallbacks=(*attempt.fallbacks, more))
-            if factor == stretched[-1] and len(stretched) == len(_STRETCHED):
-                return with_retries(attempt, work)
-            return attempt, work(attempt)
+            attempt = tried.attempt(np.full(len(laws), factor))
+            is_last = factor == stretched[-1] and len(stretched) == len(_STRETCHED)
+            made = with_retries(attempt, work) if is_last else (attempt, work(attempt))
         except PlanningError as failure:
-            reason = reason or str(failure).partition(";")[0]
-            if factor == stretched[-1] or context.reporter.expired():
+            tried.failed(failure)
+            if factor == stretched[-1] or before.context.reporter.expired():
                 raise
+            continue
+        if tried.at_fault.all() or not tried.at_fault.any() or before.context.reporter.expired():
+            return made
+        try:
+            attempt = tried.attempt(np.where(tried.at_fault, factor, 1.0))
+            return attempt, work(attempt)
+        except PlanningError:
+            return made
     raise RuntimeError("no time was tried")
+
+
+class _Tried:
+    """Attempts to follow joint paths by laws, and the legs on which they failed."""
+
+    def __init__(
+        self,
+        before: Attempt,
+        trajectory: QuinticTrajectory,
+        paths: Sequence[LegPath],
+        laws: Sequence[LegLaw],
+    ) -> None:
+        self._before, self._trajectory, self._paths, self._laws = before, trajectory, paths, laws
+        self._guess: InitialGuess | None = None
+        self._context = before.context
+        self._reason = ""
+        self.at_fault = np.zeros(len(laws), dtype=np.bool_)
+
+    def attempt(self, factors: FloatArray) -> Attempt:
+        """The attempt in which each leg takes so many times as long as by its law."""
+        before, pairs = self._before, zip(self._laws, factors, strict=True)
+        context = self._context = in_time(before.context, [law.slowed(float(by)) for law, by in pairs])
+        if self._guess is None:
+            guess = initial_guess(context)
+            self._guess = replace(guess, pinned=before.guess.pinned, failures=before.guess.failures)
+        via_points = _via_points(before.context, self._trajectory, self._paths, context)
+        problem = shifted_problem(context, self._guess, via_points)
+        attempt = replace(before, context=context, guess=replace(self._guess, problem=problem))
+        if not self._reason:
+            return attempt
+        slower = factors > 1.0
+        legs = "" if slower.all() else f" on {slower.sum()} of {len(factors)} legs"
+        more = (
+            f"In {_seconds(self._laws):.4g} s, the shortest time along the joint path, no motion is "
+            f"certified ({self._reason}): planned {100 * (factors.max() - 1):.0f} % slower{legs}."
+        )
+        return replace(attempt, fallbacks=(*attempt.fallbacks, more))
+
+    def failed(self, failure: PlanningError) -> None:
+        """Note the legs on which the last attempt failed: all of them, where that is not known."""
+        self._reason = self._reason or str(failure).partition(";")[0]
+        legs = np.array([law.leg for law in self._laws])
+        factors = slower_legs(self._context, failure)
+        if factors is not None:
+            self.at_fault |= factors[legs] > 1.0
+        elif isinstance(failure, LimitViolation):
+            ends = self._context.task.path.leg_times
+            self.at_fault |= (ends[legs] <= failure.time) & (failure.time <= ends[legs + 1])
+        else:
+            self.at_fault[:] = True
 
 
 def _via_points(
