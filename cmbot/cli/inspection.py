@@ -24,6 +24,7 @@ from cmbot.cli.console import (
     print_json,
     print_pairs,
 )
+from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, SceneError
 from cmbot.common.installation import install_command, model_folder, scene_folder
 from cmbot.version import __version__
@@ -207,14 +208,28 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def scenes(as_json: JsonOption = False) -> None:
+def scenes(
+    html: Annotated[
+        Path | None, typer.Option("--html", help="Page to write instead, with a picture of each scene.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace the page if it is there.")] = False,
+    as_json: JsonOption = False,
+) -> None:
     """List the shipped scenes, each with what it is about.
 
-    Example: [bold]cmbot scenes[/bold]
+    Examples: [bold]cmbot scenes[/bold], [bold]cmbot scenes --html scenes.html[/bold]
     """
     from cmbot.scene import shipped_scenes
 
     about = {name: _about(scene_folder() / f"{name}.yaml") for name in shipped_scenes()}
+    if html is not None:
+        require_new(html, force)
+        from cmbot.views import gallery_page, write_page
+
+        write_page(html, gallery_page(about))
+        if not as_json:
+            out.print(f"Written to {flat(html)}.")
+            return
     if as_json:
         print_json({"verb": "scenes", "folder": str(scene_folder()), "scenes": about})
         return

@@ -18,7 +18,16 @@ if TYPE_CHECKING:
     from cmbot.planning import Plan
     from cmbot.simulation import Tracking
 
-__all__ = ["claimed_plan", "compare", "export", "plot_files", "replay", "report", "require_plots"]
+__all__ = [
+    "claimed_plan",
+    "compare",
+    "export",
+    "plot_files",
+    "replay",
+    "report",
+    "require_new",
+    "require_plots",
+]
 
 # Seconds of motion in a second of a GIF.
 _GIF_SPEED = 4.0
@@ -127,7 +136,7 @@ def report(
     Example: [bold]cmbot report out/triangle[/bold]
     """
     if html is not None:
-        _require_new(html, force)
+        require_new(html, force)
         loaded = cmbot.load_plan(directory)
         cmbot.report(loaded, html=html, tracking=cmbot.load_tracking(loaded, directory))
         out.print(f"Written to {flat(html)}.")
@@ -151,7 +160,7 @@ def compare(
 
     Example: [bold]cmbot compare out/triangle out/pinned --html compare.html[/bold]
     """
-    _require_new(html, force)
+    require_new(html, force)
     from cmbot.views import compare_page, write_page
 
     names = [flat(directory.resolve().name) for directory in directories]
@@ -183,7 +192,7 @@ def export(
     if mcap is None and ros_package is None:
         raise InputError("cmbot export", "", "nothing to write", "--mcap or --ros-package")
     if mcap is not None:
-        _require_new(mcap, force)
+        require_new(mcap, force)
     from cmbot.archive import export_mcap, export_ros_package
 
     loaded = cmbot.load_plan(directory)
@@ -195,7 +204,8 @@ def export(
         out.print(f"Written to {flat(mcap)}.")
 
 
-def _require_new(page: Path, force: bool) -> None:
+def require_new(page: Path, force: bool) -> None:
+    """Refuse a page that is there already, unless it may be replaced."""
     # Path.exists raises for names that no file can have.
     if os.path.exists(page) and not force:  # noqa: PTH110
         raise InputError(str(page), "", "a file that is already there", "a new file, or --force")

@@ -11,6 +11,7 @@ __all__ = [
     "data_folder",
     "install_command",
     "model_folder",
+    "picture_folder",
     "scene_folder",
 ]
 
@@ -34,6 +35,11 @@ def model_folder() -> Path:
 def scene_folder() -> Path:
     """Return the folder with the shipped scene files."""
     return data_folder() / "scenes"
+
+
+def picture_folder() -> Path:
+    """Return the folder with a picture of each shipped scene, ``NAME.png``."""
+    return data_folder() / "docs" / "gallery"
 
 
 def assumptions_file() -> Path:

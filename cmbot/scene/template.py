@@ -102,9 +102,12 @@ def scene_text(
         keep=keep,
         by=_flow(list(by)),
         seconds=f"{seconds:g}",
-        guardrail="{}  # the default one" if on_guardrail else "{bays: 0}  # none: a rigid base",
+        guardrail="{}  # the default one" if on_guardrail else _RIGID,
         planner=planner,
     )
+
+
+_RIGID = "{bays: 0}  # none: a rigid base; {bays: 0, stiffness: [3 in N/m, 3 in Nm/rad]} bends"
 
 
 def _posture(q: FloatArray, prismatic: BoolArray) -> str:

@@ -2,6 +2,7 @@
 
 from cmbot.views.compare import compare_page
 from cmbot.views.film import film
+from cmbot.views.gallery import gallery_page
 from cmbot.views.page import assemble_plain, write_page
 from cmbot.views.plots import figure_files, plot, require_matplotlib
 from cmbot.views.replay import ReplayServer, replay, replay_page
@@ -18,6 +19,7 @@ __all__ = [
     "compare_page",
     "figure_files",
     "film",
+    "gallery_page",
     "pages",
     "plot",
     "replay",

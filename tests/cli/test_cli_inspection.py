@@ -215,6 +215,16 @@ def test_shipped_scenes_are_listed_with_what_they_are_about() -> None:
     assert data["scenes"]["triangle"].startswith("The paper's first experiment")
 
 
+def test_shipped_scenes_are_shown_on_a_page(tmp_path: Path) -> None:
+    page = tmp_path / "scenes.html"
+    assert output("scenes", "--html", page) == f"Written to {page}.\n"
+    text = page.read_text(encoding="utf-8")
+    for name in shipped_scenes():
+        assert f"<h2>{name}</h2><img " in text
+        assert f"cmbot plan {name}</code>" in text
+    assert "already there" in refusal("scenes", "--html", page)
+
+
 def test_the_schema_is_printed_as_it_is_shipped() -> None:
     assert output("schema") == (scene_folder() / "scene.schema.json").read_text(encoding="utf-8")
 

@@ -15,7 +15,12 @@ from cmbot.common.installation import DISTRIBUTION, data_folder, model_folder, s
 
 ROOT = Path(__file__).resolve().parent.parent.parent
 # Where each folder of the checkout lies in the wheel.
-PLACES = {"cmbot": "cmbot", "models": "cmbot/_data/models", "scenes": "cmbot/_data/scenes"}
+PLACES = {
+    "cmbot": "cmbot",
+    "models": "cmbot/_data/models",
+    "scenes": "cmbot/_data/scenes",
+    "docs/gallery": "cmbot/_data/docs/gallery",
+}
 ALONE = {"docs/assumptions.md": "cmbot/_data/docs/assumptions.md"}
 
 LOOK = """
@@ -78,9 +83,9 @@ def expected_files() -> dict[str, Path]:
         pytest.skip("only git knows which files belong to the project")
     files = {place: ROOT / name for name, place in ALONE.items()}
     for name in listed.split("\0"):
-        top, _, rest = name.partition("/")
+        top = next((each for each in PLACES if name.startswith(f"{each}/")), "")
         if (ROOT / name).is_file():
-            files[f"{PLACES[top]}/{rest}"] = ROOT / name
+            files[PLACES[top] + name.removeprefix(top)] = ROOT / name
     return files
 
 

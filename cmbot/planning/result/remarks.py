@@ -119,7 +119,7 @@ def _swings(done: VibrationSuppression) -> str:
     cases = []
     each = (done.stiffness, done.load_kg, done.swing_without, done.swing_with)
     for factor, load, without, with_it in zip(*each, strict=True):
-        at = f"at {factor:g} times the stiffness" if not load else f"with {load:g} kg more at the tool"
+        at = f"at {factor:.2g} times the stiffness" if not load else f"with {load:g} kg more at the tool"
         cases.append(f"{1e3 * with_it:.3f} mm instead of {1e3 * without:.3f} {at}")
     return f"After the stop the tool swings through, as simulated, {'; '.join(cases)}."
 

@@ -12,6 +12,7 @@ start((data) => {
   window.addEventListener("resize", redraw);
   window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", redraw);
   plot.draw(player.time);
+  if (window !== window.parent) player.stage.scrollWithWheel();  // in a notebook
   player.downloads = new Downloads(player);
   return player;
 });

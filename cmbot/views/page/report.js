@@ -92,9 +92,7 @@ start((data) => {
     }
   });
 
-  // The wheel scrolls the page; with Ctrl it zooms the view.
-  const { controls } = player.stage.viewer;
-  player.stage.view.addEventListener("wheel", (event) => { controls.enableZoom = event.ctrlKey; }, { capture: true });
+  player.stage.scrollWithWheel();
 
   // On paper, pictures and plots have fixed sizes, px, whatever the window.
   const STILL = [440, 500], PLOT = 690, SMALL_PLOT = 112;

@@ -303,6 +303,12 @@ class Stage {
     this.redraw();
   }
 
+  // On a page longer than the window the wheel scrolls; with Ctrl it zooms the view.
+  scrollWithWheel() {
+    const { controls } = this.viewer;
+    this.view.addEventListener("wheel", (event) => { controls.enableZoom = event.ctrlKey; }, { capture: true });
+  }
+
   // Where a point of W is in a part of the view, px.
   onScreen(point, { left, top, wide, high }) {
     const p = this.world.localToWorld(point.clone()).project(this.viewer.camera);

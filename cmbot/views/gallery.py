@@ -1,0 +1,43 @@
+"""The shipped scenes as one page: a picture of each, what it is about, and the command that plans it."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from html import escape
+
+from cmbot.common.installation import picture_folder, scene_folder
+from cmbot.views.page import assemble_plain
+
+__all__ = ["gallery_page"]
+
+
+def gallery_page(about: Mapping[str, str]) -> str:
+    """Return an HTML page that opens no connection and runs no script.
+
+    Parameters
+    ----------
+    about : mapping of str to str
+        What each shipped scene is about, by its name. A scene without a picture is shown without one.
+    """
+    return assemble_plain(
+        "gallery.html",
+        styles=("common.css", "overview.css"),
+        scripts=(),
+        data=None,
+        texts={
+            "title": "Scenes that come with cmbot",
+            "folder": f"Their files are in {escape(str(scene_folder()))}.",
+            "cards": "".join(_card(name, words) for name, words in about.items()),
+        },
+    )
+
+
+def _card(name: str, about: str) -> str:
+    shown, path = escape(name), picture_folder() / f"{name}.png"
+    picture = ""
+    if path.is_file():
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        picture = f'<img src="data:image/png;base64,{data}" alt="The arm at work">'
+    words = f"<p>{escape(about)}</p><code>cmbot plan {shown}</code>"
+    return f"<section><h2>{shown}</h2>{picture}{words}</section>\n"
