@@ -16,17 +16,18 @@ from pathlib import Path
 
 from document_figures import ROOT, write_between
 from PIL import Image
-from screenshot import shoot
+from screenshot import shoot, time_shown
 
 import cmbot
 from cmbot.common.installation import scene_folder
 from cmbot.scene import shipped_scenes
+from cmbot.views import replay_page
 
 PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "gallery"
 LARGEST = 150_000
 """Of a picture, bytes."""
-# Pixels of the browser's window and of a picture, and numbers of colours that are tried until it is small.
-_WINDOW, _WIDTH, _COLOURS = (1280, 720), 800, (256, 128, 64)
+# Pixels of a picture, and numbers of colours that are tried until it is small.
+_SIZE, _COLOURS = (800, 450), (256, 128, 64)
 
 
 def figures(plan: cmbot.Plan, planning: float) -> Iterator[tuple[str, str, str]]:
@@ -48,7 +49,7 @@ def section(name: str, plan: cmbot.Plan, planning: float) -> str:
     """Return the section of a job."""
     verdict = next(iter(cmbot.planning.remarks(plan)))
     rows = [f"| {' | '.join(row)} |" for row in figures(plan, planning)]
-    picture = f"![{name}: the arm at the start of the job](gallery/{name}.png)"
+    picture = f"![{name}: the arm at work](gallery/{name}.png)"
     return "\n".join([picture, "", verdict, "", "| | baseline | planned |", "|---|---|---|", *rows])
 
 
@@ -56,11 +57,11 @@ def picture(plan: cmbot.Plan, path: Path, browser: str) -> None:
     """Write a picture of a plan's replay with no more than `LARGEST` bytes."""
     with tempfile.TemporaryDirectory() as folder:
         page, full = Path(folder) / "replay.html", Path(folder) / "full.png"
-        cmbot.replay(plan, html=page)
-        shoot(page, full, _WINDOW, browser)
+        # As in a film: without controls.
+        page.write_text(replay_page(plan).replace("<body>", '<body class="film">'), encoding="utf-8")
+        shoot(page, full, _SIZE, browser, time_shown(plan))
         with Image.open(full) as image:
-            size = (_WIDTH, _WIDTH * _WINDOW[1] // _WINDOW[0])
-            small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+            small = image.convert("RGB")
     small.save(path, optimize=True)
     for colours in _COLOURS:
         if path.stat().st_size <= LARGEST:

@@ -52,6 +52,12 @@ def shoot(page: Path, picture: Path, size: tuple[int, int], browser: str, time: 
         )
 
 
+def time_shown(plan: cmbot.Plan) -> float:
+    """Return a time of a plan's job at which both arms are at work and apart, s."""
+    stroke = plan.job.strokes[0]
+    return stroke.begin + SHARE * stroke.duration
+
+
 def main() -> None:
     """Read the command line, take the pictures."""
     parser = argparse.ArgumentParser(description="Take pictures of a plan's replay and report.")
@@ -63,13 +69,11 @@ def main() -> None:
         sys.exit("no Chromium on the PATH")
     arguments.pictures.mkdir(parents=True, exist_ok=True)
     plan = cmbot.load_plan(arguments.plan)
-    stroke = plan.job.strokes[0]
-    time = stroke.begin + SHARE * stroke.duration
     for name, size in SIZES.items():
         picture = arguments.pictures / f"{name}_{arguments.plan.resolve().name}.png"
         with tempfile.TemporaryDirectory() as folder:
             full = Path(folder) / "full.png"
-            shoot(arguments.plan / f"{name}.html", full, size, browser, time)
+            shoot(arguments.plan / f"{name}.html", full, size, browser, time_shown(plan))
             with Image.open(full) as image:
                 # No palette: the many shades of the sky take all 256 colours, and what is small, such as the
                 # green bracket, gets one of another hue.
