@@ -8,14 +8,14 @@ weight is estimated with the stiffness, as it may be a little wrong.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.linalg import expm
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, linear_sum_assignment
 from scipy.stats import chi2
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import validated
 from cmbot.elastic.arm import ElasticArm
@@ -41,6 +41,9 @@ __all__ = ["Identification", "estimate", "whitener"]
 
 # Residual where the arm is too soft to carry itself: such a step is not taken.
 _TOO_SOFT = 1e6
+# Modes that a measured frequency may be of; the largest difference of its logarithm from theirs, and that of
+# two modes that a record may not tell apart.
+_MODES, _NEAR, _CLOSE = 16, 0.3, 0.08
 _TOLERANCE, _EVALUATIONS = 1e-7, 100
 
 
@@ -106,9 +109,12 @@ def estimate(measurements: Measurements, modelled: ElasticArm | None = None) -> 
     modelled = measured_arm(measurements.scene) if modelled is None else modelled
     problem = _Problem(measurements, modelled)
     # Frequencies alone end in wrong minima: first the deflections.
-    x = problem.solved(np.zeros(problem.count), with_frequencies=False) if problem.deflects else None
-    if x is None or problem.has_frequencies:
-        x = problem.solved(np.zeros(problem.count) if x is None else x, with_frequencies=True)
+    x = np.zeros(problem.count)
+    if problem.deflects:
+        x = problem.solved(x, with_frequencies=False)
+    if problem.has_frequencies:
+        problem.match(x)
+        x = problem.solved(x, with_frequencies=True)
     residual, J = problem.evaluate(x, with_frequencies=True)
     scaled = np.linalg.inv(J.T @ J)
     p, scale = len(problem.prior), problem.scale
@@ -138,6 +144,28 @@ def estimate(measurements: Measurements, modelled: ElasticArm | None = None) -> 
     )
 
 
+class _Matched(NamedTuple):
+    """Measured frequencies: of which modes (k,), their logarithms (k,) and standard deviations (k,)."""
+
+    modes: IntArray
+    log: FloatArray
+    share: FloatArray
+
+
+def _matched(log: FloatArray, own: FloatArray, model: FloatArray, share: float) -> _Matched:
+    """Match measured frequencies with the nearest ones of the model, one to one; far ones are left out.
+
+    Of two modes near each other of which one was measured it may be either, or both in one.
+    """
+    measured, modes = linear_sum_assignment(np.abs(log[:, None] - model))
+    near = np.abs(log[measured] - model[modes]) < _NEAR
+    measured, modes = measured[near], modes[near]
+    others = np.setdiff1d(np.arange(len(model)), modes)
+    gap = np.abs(model[modes][:, None] - model[others]).min(axis=1, initial=np.inf)
+    either = np.where(gap < _CLOSE, 0.5 * gap, 0.0)
+    return _Matched(modes, log[measured], np.sqrt(share**2 + own[measured] ** 2 + either**2))
+
+
 class _Problem:
     """Least squares of what was measured and of the prior, all in units of standard deviations.
 
@@ -156,6 +184,18 @@ class _Problem:
         ]
         self.deflects = bool(np.isfinite(given.deflection).any())
         self.has_frequencies = any(len(f) for f in given.frequencies)
+        nothing = _Matched(np.zeros(0, dtype=np.intp), np.zeros(0), np.zeros(0))
+        self._matched = [nothing] * len(given.q)
+
+    def match(self, x: FloatArray) -> None:
+        """Find out which mode each measured frequency is of, as the arm is known so far."""
+        shares = self._given.frequency_shares or tuple(map(np.zeros_like, self._given.frequencies))
+        at = self.prior * x[: len(self.prior)]
+        for k, (f, own) in enumerate(zip(self._given.frequencies, shares, strict=True)):
+            if len(f):
+                model, parameters = self.model.arm, self.model.parameters
+                log, _ = frequency_slopes(model, parameters, at, self._given.q[k], _MODES)
+                self._matched[k] = _matched(np.log(f), own, log, self._given.setup.frequency_sd_share)
 
     def solved(self, start: FloatArray, *, with_frequencies: bool) -> FloatArray:
         known: dict[bytes, tuple[FloatArray, FloatArray]] = {}
@@ -204,13 +244,13 @@ class _Problem:
                 d = d + by_weight * x[p]
             values.append(W @ (d - np.nan_to_num(given.deflection[k])))
             rows.append(row)
-            if with_frequencies and len(given.frequencies[k]):
-                row = np.zeros((len(given.frequencies[k]), self.count))
-                log, d_log = frequency_slopes(
-                    self.model.arm, self.model.parameters, at, given.q[k], len(given.frequencies[k])
-                )
-                row[:, :p] = d_log * self.prior / setup.frequency_sd_share
-                values.append((log - np.log(given.frequencies[k])) / setup.frequency_sd_share)
+            found = self._matched[k]
+            if with_frequencies and len(found.modes):
+                row = np.zeros((len(found.modes), self.count))
+                count = int(found.modes.max()) + 1
+                log, d_log = frequency_slopes(self.model.arm, self.model.parameters, at, given.q[k], count)
+                row[:, :p] = d_log[found.modes] * self.prior / found.share[:, None]
+                values.append((log[found.modes] - found.log) / found.share)
                 rows.append(row)
         return np.concatenate([*values, x]), np.concatenate([*rows, np.eye(self.count)])
 

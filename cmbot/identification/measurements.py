@@ -8,6 +8,7 @@ A file of measurements::
     measurements:
       - {posture_deg: [...], deflection_mm: [0.41, -0.12, -3.87]}    # with the weight, less without it
       - {posture_deg: [...], deflection_mm: [null, null, -5.02], frequencies_hz: [5.9, 7.4]}
+      - {posture_deg: [...], record: tap.csv}          # of an accelerometer on the tool, without the weight
 
 Deflections are along the axes of W. Differences need no calibrated arm; absolute positions would.
 """
@@ -26,6 +27,7 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import FileModel, given_path, refusal, require_type, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
+from cmbot.identification.records import RingDown, read_record
 from cmbot.planning import robot_of
 from cmbot.scene import Scene, load_scene, shipped_scenes
 
@@ -78,7 +80,9 @@ class MeasurementFile(FileModel):
     deflection_mm: tuple[Deflection, Deflection, Deflection] | None = None
     """Of the tool point along x, y, z of W by the weight; null: not measured."""
     frequencies_hz: Annotated[tuple[Frequency, ...], Field(max_length=4)] = ()
-    """Without the weight, the slowest first, none left out."""
+    """Natural frequencies without the weight, the slowest first."""
+    record: Text | None = None
+    """In place of them a CSV file ``t,ax,ay,az`` of an accelerometer on the tool: a tap, and its decay."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
@@ -87,6 +91,8 @@ class MeasurementFile(FileModel):
         if list(self.frequencies_hz) != sorted(self.frequencies_hz):
             expected = "the slowest first"
             raise refusal(expected, got=self.frequencies_hz, key=("frequencies_hz",))
+        if self.record is not None and self.frequencies_hz:
+            raise refusal("no such key beside record", got="both", key=("frequencies_hz",))
         return self
 
 
@@ -105,7 +111,10 @@ class MeasurementsFile(MeasuringSetup):
     @model_validator(mode="after")
     def _check(self) -> Self:
         each = self.measurements
-        if not any(one.frequencies_hz or any(x is not None for x in one.deflection_mm or ()) for one in each):
+        if not any(
+            one.frequencies_hz or one.record or any(x is not None for x in one.deflection_mm or ())
+            for one in each
+        ):
             raise refusal("a measured number", got="none", key=("measurements",))
         return self
 
@@ -125,7 +134,11 @@ class Measurements:
     deflection : (N, 3), m
         NaN: not measured.
     frequencies : tuple of (k,) arrays, Hz
-        For each posture.
+        For each posture, the slowest first.
+    frequency_shares : tuple of (k,) arrays
+        Their standard deviations as shares, beside the `setup`'s.
+    damping : tuple of float
+        Ratios of modes in records.
     job : (M, n) or None
         Postures in which the sag is wanted.
     """
@@ -137,6 +150,8 @@ class Measurements:
     deflection: FloatArray
     frequencies: tuple[FloatArray, ...]
     job: FloatArray | None
+    frequency_shares: tuple[FloatArray, ...] = ()
+    damping: tuple[float, ...] = ()
 
 
 def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:
@@ -178,6 +193,7 @@ def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurem
         rows.append(given)
     for k, posture in enumerate(file.job or ()):
         _require_length(posture, n, source, f"job[{k}]")
+    rung = [_rung(each, folder, source, k) for k, each in enumerate(file.measurements)]
     nothing = (None, None, None)
     deflection = [
         [np.nan if x is None else 1e-3 * x for x in one.deflection_mm or nothing] for one in file.measurements
@@ -188,9 +204,23 @@ def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurem
         setup=file,
         q=np.array(rows),
         deflection=np.array(deflection),
-        frequencies=tuple(np.array(one.frequencies_hz) for one in file.measurements),
+        frequencies=tuple(each.frequencies for each in rung),
+        frequency_shares=tuple(each.shares for each in rung),
+        damping=tuple(ratio for each in rung for ratio in each.damping.tolist()),
         job=None if file.job is None else np.array(file.job),
     )
+
+
+def _rung(file: MeasurementFile, folder: Path, source: str, number: int) -> RingDown:
+    """The modes that were measured in a posture."""
+    if file.record is None:
+        known = np.array(file.frequencies_hz)
+        return RingDown(frequencies=known, shares=np.zeros_like(known), damping=np.zeros(0))
+    path = folder / file.record
+    if not path.exists():
+        key = f"measurements[{number}].record"
+        raise InputError(source, key, file.record, "a file that exists (relative to this one)")
+    return read_record(path)
 
 
 def _require_length(posture: Any, n: int, source: str, key: str) -> None:

@@ -91,6 +91,9 @@ def remarks(found: Identification) -> Iterator[str]:
             f"{100 * found.misfit_share:.1g} %. Look for a slip in a row, for play in the joints "
             "(windup_sd_arcmin), or for a gauge or a weight that is less exact than stated."
         )
+    if found.measurements.damping:
+        ratio = float(np.median(found.measurements.damping))
+        yield f"Damping of the modes in the records: {100 * ratio:.1f} % of critical (simulate --damping)."
     if setup.weight_sd_kg:
         yield f"Weight: {found.weight_kg:.3f} kg, standard deviation {1e3 * found.weight_sd_kg:.0f} g."
     if not setup.windup_sd_arcmin:

@@ -53,6 +53,14 @@ def test_a_file_is_read_in_si(tmp_path: Path) -> None:
             "frequencies_hz: got (7.0, 6.0), expected the slowest first",
         ),
         (
+            {"measurements": [{"posture_deg": POSTURE, "frequencies_hz": [6], "record": "tap.csv"}]},
+            "frequencies_hz: got both, expected no such key beside record",
+        ),
+        (
+            {"measurements": [{"posture_deg": POSTURE, "record": "none.csv"}]},
+            "measurements[0].record: got none.csv, expected a file that exists",
+        ),
+        (
             {"measurements": [{"posture_deg": [1, 2], "deflection_mm": [1, 2, 3]}]},
             "measurements[0].posture: got 2 numbers, expected 7, one for each joint of the robot",
         ),

@@ -1,0 +1,101 @@
+"""Records of an accelerometer: modes of sums of damped oscillations, and of the elastic arm after a tap."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from small_scenes import short_scene
+
+from cmbot.common.errors import InputError
+from cmbot.elastic.generalized_alpha import ElasticSystem, GeneralizedAlpha
+from cmbot.elastic.modes import arm_modes
+from cmbot.identification import estimate, measured_arm, read_measurements, remarks
+from cmbot.identification.records import read_record, ring_down
+from cmbot.simulation import PrescribedMotion
+
+STEP = 1 / 400
+
+
+def oscillations(
+    modes: list[tuple[float, float, list[float]]], noise: float, rng: np.random.Generator
+) -> np.ndarray:
+    """A tap after 0.3 s, then damped oscillations: frequency, ratio and amplitudes of each."""
+    t = np.arange(0, 4, STEP)
+    a = np.zeros((120 + len(t), len(modes[0][2])))
+    for f, ratio, size in modes:
+        w = 2 * np.pi * f
+        a[120:] += np.outer(np.exp(-ratio * w * t) * np.cos(w * np.sqrt(1 - ratio**2) * t), size)
+    return a + noise * rng.normal(size=a.shape)
+
+
+def test_frequencies_and_damping_of_a_sum_of_oscillations(rng: np.random.Generator) -> None:
+    modes = [(3.2, 0.02, [1.0, 0.2, 0.1]), (5.0, 0.01, [0.1, 0.9, 0.3]), (11.5, 0.015, [0.3, 0.1, 0.5])]
+    found = ring_down(STEP, oscillations(modes, 0.01, rng) + 9.81)
+    np.testing.assert_allclose(found.frequencies, [3.2, 5.0, 11.5], rtol=3e-3)
+    np.testing.assert_allclose(found.damping, [0.02, 0.01, 0.015], atol=3e-3)
+    assert (found.shares < 0.005).all()
+
+
+def test_noise_has_no_modes(rng: np.random.Generator) -> None:
+    assert len(ring_down(STEP, rng.normal(size=(1600, 3))).frequencies) <= 1
+    assert len(ring_down(STEP, np.zeros((70, 1))).frequencies) == 0
+
+
+def write(path: Path, a: np.ndarray, step: float = STEP) -> Path:
+    rows = np.column_stack([step * np.arange(len(a)), a])
+    np.savetxt(path, rows, delimiter=",", header="t,ax,ay,az", comments="", fmt="%.9g")
+    return path
+
+
+def test_the_arm_after_a_tap(tmp_path: Path, rng: np.random.Generator) -> None:
+    """Simulated by the elastic model; its modes are known."""
+    scene = short_scene()
+    arm, q = measured_arm(scene), np.array(scene.posture)
+    modes = arm_modes(arm, q)
+    world = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    at = arm.configuration(q, modes.u)
+    J = pin.computeFrameJacobian(arm.model, arm.model.createData(), at, arm.tool_frame_id, world)
+    start = np.linalg.solve(modes.mass, J[:3, arm.elastic].T @ [3.0, -2.0, 4.0])
+    system = ElasticSystem.of(arm, modes.damping(0.015))
+    tapped = GeneralizedAlpha(system, step=0.002, rho_inf=0.95, corrections=1)
+    motion = tapped.run([PrescribedMotion.held(q, 3.0)], modes.u, start)
+    a = motion.a @ J[:3, arm.elastic].T
+    a = np.concatenate([np.zeros((150, 3)), a])
+    path = write(tmp_path / "tap.csv", a + 0.005 * np.abs(a).max() * rng.normal(size=a.shape), 0.002)
+    found = read_record(path)
+    away = np.abs(np.log(found.frequencies[:, None] / modes.frequencies)).min(axis=1)
+    assert len(found.frequencies) >= 3
+    assert away.max() < 0.04
+    assert np.median(away) < 0.005
+    assert np.median(found.damping) == pytest.approx(0.015, abs=0.005)
+    row = {"posture": q.tolist(), "record": "tap.csv"}
+    content = {"format": "cmbot-measurements/1", "scene": "triangle", "measurements": [row]}
+    (tmp_path / "m.yaml").write_text(json.dumps(content), encoding="utf-8")
+    identified = estimate(read_measurements(tmp_path / "m.yaml"), arm)
+    # What was tapped is as modelled.
+    assert np.abs(identified.mean / identified.prior).max() < 1.0
+    assert identified.misfit_share > 0.01
+    assert any("Damping of the modes in the records: 1." in line for line in remarks(identified))
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("t,x\n0,1\n", "line 1: got t,x, expected the columns t,ax,ay,az"),
+        ("t,ax\n0,one\n", "expected a number in each cell"),
+        ("t,ax\n0,1\n1,2\n", "got 2 rows, expected 64 or more rows of finite numbers"),
+        (
+            "t,ax\n" + "".join(f"{k**2},0\n" for k in range(70)),
+            "t: got other times, expected times in equal steps",
+        ),
+        ("t,ax\n" + "".join(f"{k},0\n" for k in range(70)), "got a record in which no mode is seen"),
+    ],
+)
+def test_a_record_that_is_none_is_refused(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "tap.csv"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError) as refused:
+        read_record(path)
+    assert message in str(refused.value)
