@@ -17,7 +17,8 @@ from cmbot import load_scene
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError, SceneError
 from cmbot.planning.verification.scene_path import ScenePath
-from cmbot.scene import ArcTo, Goal, Leg, Scene, update_file
+from cmbot.scene import ArcTo, Goal, Leg, Scene, SpeedProfile, ToolPath, update_file
+from cmbot.scene.path.curves import Spline
 
 SECOND = {
     **{key: value for key, value in SHORT.items() if key != "posture_deg"},
@@ -549,3 +550,26 @@ def test_a_csv_file_that_is_missing(tmp_path: Path) -> None:
     with pytest.raises(SceneError, match="a file that exists") as caught:
         load_scene(path)
     assert caught.value.key == "tool_path.waypoints"
+
+
+@pytest.mark.parametrize("back", [(0.3, 1e-4, 0.0), (0.1, 1e-4, 0.0), (0.0, 1e-2, 0.0), (1.2, 0.9, 0.5)])
+def test_tangents_stay_within_their_bound_where_a_spline_is_slow(back: tuple[float, float, float]) -> None:
+    """Where it turns back it nearly stops, between the points at which its rate would be sampled."""
+    points = np.array([(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), back])
+    spline = Spline(points)
+    path = ToolPath(
+        corners=points[[0, 2]],
+        orientation=np.eye(3),
+        seconds=np.ones(1),
+        profile=SpeedProfile(),
+        curves={0: spline},
+    )
+    shares = np.linspace(0, 1, 20_001)
+    slowest = shares[np.linalg.norm(spline.slope(shares), axis=1).argmin()]
+    middle = path.times_at(0, np.array([slowest, 0.2, 0.8]))
+    for half in (1e-5, 1e-4, 1e-3, 1e-2):
+        start, end = middle - half, middle + half
+        bound = path.bend(start, end)
+        for k, t in enumerate(np.linspace(start, end, 101, axis=1)):
+            away = path.leg_directions(t) - path.leg_directions([0.5 * (start[k] + end[k])])
+            assert np.linalg.norm(away, axis=1).max() <= bound[k] * (1 + 1e-9) + 1e-12

@@ -26,6 +26,8 @@ __all__ = ["Arc", "Blend", "Curve", "Line", "Rolled", "Spline", "rounded"]
 _GAUSS = 12
 # Cosine of the largest angle, 150 deg, by which a rounded corner turns.
 _BACK = -0.866
+# Share of its mean below which the rate of a spline counts as this share: a cusp.
+_NO_RATE = 1e-9
 # Distance of three points from a line, as a share of their own distances, below which they have no circle.
 _STRAIGHT = 1e-6
 
@@ -210,11 +212,27 @@ class Spline(Curve):
 
     @cached_property
     def curvature(self) -> float:
-        """Bound of the curvature, 1/m: the second derivative is linear between the points."""
+        """Bound of the curvature, 1/m: the second derivative is linear between the points.
+
+        Times the length it bounds how fast the tangent turns by the share, too: nowhere is the rate of the
+        share's way smaller than where it is least, and nor is its mean, the length.
+        """
         second = np.linalg.norm(self._spline(self._spline.x, 2), axis=1)
-        fine = np.linspace(self._spline.x[:-1], self._spline.x[1:], 33, axis=1)
-        slowest = np.linalg.norm(self._spline(fine, 1), axis=2).min()
-        return float(second.max() / slowest**2)
+        return float(second.max() / max(self._slowest, _NO_RATE * self.length) ** 2)
+
+    @cached_property
+    def _slowest(self) -> float:
+        """Least norm of the derivative by the share: its square is of fourth degree between two points."""
+        from scipy.interpolate import PPoly
+
+        first = self._spline.derivative()
+        square = np.zeros((5, first.c.shape[1]))
+        for j, k in np.ndindex(3, 3):
+            square[j + k] += np.einsum("pd,pd->p", first.c[j], first.c[k])
+        square = PPoly(square, first.x)
+        turning = square.derivative().roots(extrapolate=False)
+        at = np.concatenate([first.x, turning[np.isfinite(turning)]])
+        return float(np.linalg.norm(first(at), axis=1).min())
 
     def position(self, share: FloatArray) -> FloatArray:
         """Return points (N, 3), m."""

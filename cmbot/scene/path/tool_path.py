@@ -228,7 +228,10 @@ class ToolPath:
         return curvature
 
     def bend(self, start: FloatArray, end: FloatArray) -> FloatArray:
-        """Return bounds (K,) on how far unit tangents between two times are from that in their middle."""
+        """Return bounds (K,) on how far unit tangents between two times are from that in their middle.
+
+        A curve's curvature times its length bounds how fast its tangent turns by the share.
+        """
         middle = 0.5 * (start + end)
         bound = np.zeros(len(start))
         for which, curve, share, _ in self._curved(middle, middle):
