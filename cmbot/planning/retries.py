@@ -32,6 +32,7 @@ from cmbot.planning.initial_guess import (
     InitialGuess,
     initial_guess,
     roughness,
+    searched,
     sliding_guess,
     solved,
 )
@@ -41,6 +42,7 @@ __all__ = [
     "RETRIES",
     "Attempt",
     "another_start",
+    "clearer_guess",
     "dense_solver",
     "finer_samples",
     "guesses_in_shorter_steps",
@@ -60,6 +62,8 @@ _FEW_VIA_POINTS = 100
 # Least and largest factor by which there are more via-points, and how many at most: all takes longer in
 # proportion.
 _FINER, _MOST_VIA_POINTS = (2, 4), 300
+# Factors on the safety margin that guesses keep where trajectories cannot keep it.
+_CLEARER = (1.02, 1.1)
 # Constraints that splines break between via-points, by words in their names.
 _BETWEEN_VIA_POINTS = (
     "tool deviation",
@@ -124,6 +128,36 @@ def shorter_steps(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tu
                 # No approach leads to its start; only a free start has another retry.
                 if not attempt.guess.pinned:
                     raise
+    raise failure
+
+
+def clearer_guess(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where a clearance cannot be kept: a guess that keeps a little more of it.
+
+    Postures of least torque may lie at the safety margin itself, where splines have no room to either side.
+    """
+    context, search = failed.context, failed.guess.search
+    near = isinstance(failure, OptimisationFailed) and failure.constraint.startswith("clearance")
+    if not near or search is None:
+        raise failure
+    for factor in _CLEARER:
+        if context.reporter.expired():
+            break
+        margin = context.options.safety_margin_m
+        context.reporter.stage("path")
+        context.reporter.step(
+            f"no trajectory keeps clear; trying postures {1e3 * factor * margin:.3g} mm away"
+        )
+        wider = replace(context, options=replace(context.options, safety_margin_m=factor * margin))
+        try:
+            guess = sliding_guess(context, failed.guess.unreached, searched(wider)[0].bounded_as(search))
+            fallback = (
+                f"From postures at the safety margin no trajectory keeps clear ({_told(failure)}): planned "
+                f"from such that keep {100 * (factor - 1):.0f} % more."
+            )
+            return run(replace(failed, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
+        except (OptimisationFailed, PathNotFound):
+            continue
     raise failure
 
 
@@ -272,6 +306,7 @@ def _told(failure: PlanningError) -> str:
 RETRIES: tuple[Retry, ...] = (
     finer_samples,
     shorter_steps,
+    clearer_guess,
     more_via_points,
     another_start,
     reachable_start,

@@ -24,6 +24,7 @@ from cmbot.planning.precheck import solver_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.retries import (
     Attempt,
+    clearer_guess,
     finer_samples,
     guesses_in_shorter_steps,
     more_via_points,
@@ -261,6 +262,30 @@ def test_where_the_tool_strays_there_are_more_via_points(
         (sentence,) = each.fallbacks
         assert f"With 8 via-points the tool strays from its path between them (no; {constraint})" in sentence
         assert sentence.endswith(f"planned with tool_path.via_points {len(each.context.times)} instead.")
+
+
+def test_where_no_trajectory_keeps_clear_the_guess_keeps_more(rough: Attempt) -> None:
+    """Its lower bound stays that of all postures that keep the margin."""
+    search, margins = rough.guess.search, list[float]()
+
+    def run(attempt: Attempt) -> tuple[Attempt, float]:
+        q = attempt.guess.problem.parametrization.via_points
+        margins.append(float(attempt.context.clearances.smallest(q).distance.min()))
+        assert attempt.context is rough.context
+        assert attempt.guess.lower_bound == search.lower_bound
+        assert attempt.guess.search.halved().lower_bound == search.lower_bound
+        if len(margins) == 1:
+            raise OptimisationFailed("no", constraint="clearance of a from b", violation=1e-4)
+        return attempt, 1.0
+
+    failure = OptimisationFailed("no", constraint="clearance of link_5 from rail", violation=1e-4)
+    attempt, _ = clearer_guess(rough, failure, run)
+    least = rough.context.options.safety_margin_m
+    assert margins[0] >= 1.02 * least
+    assert margins[1] >= 1.1 * least
+    assert "planned from such that keep 10 % more" in attempt.fallbacks[-1]
+    with pytest.raises(OptimisationFailed, match="jerk of joint_3"):
+        clearer_guess(rough, FAILURE, run)
 
 
 def test_a_plan_has_the_via_points_that_it_was_made_with(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -29,7 +29,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
     nearest_turn,
     refine,
 )
-from cmbot.planning.selfmotion.lower_bound import find_lower_bound, with_proof
+from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound, with_proof
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.scene import ToolPoses, shortest_turns
 
@@ -99,6 +99,7 @@ class GlobalSearch:
         # The charts have one turn of these joints; the edges between charts count their angles modulo a turn.
         self._winding = context.robot.limits.winding
         self._wide = context.robot.dof - context.task.dimension > 1
+        self._given_bound: LowerBound | None = None
         self._sampler = SelfMotionSampler(context)
         # How often each chart has been made denser.
         self._rounds = np.zeros(len(context.goals), dtype=np.intp)
@@ -147,6 +148,7 @@ class GlobalSearch:
         else:
             found = find_lower_bound(self._leaning, self._layers, sampler.spacing)
             self.lower_bound, self._lowest_leaning = with_proof(self._leaning, *found, sampler.coverage)
+        self.lower_bound = self._given_bound or self.lower_bound
         self._spacing = sampler.spacing
         return each, lowest
 
@@ -161,6 +163,12 @@ class GlobalSearch:
         self._context.reporter.step(f"charting via-point {via_point + 1} more densely")
         self._each = self._sampler.refined(each, self._context.goals, beside.tolist(), rounds)
         return self._each is not each
+
+    def bounded_as(self, other: GlobalSearch) -> GlobalSearch:
+        """Return the same charts with the lower bound of a search that leaves less out."""
+        bounded = copy.copy(self)
+        bounded._given_bound = bounded.lower_bound = other.lower_bound
+        return bounded
 
     def halved(self) -> GlobalSearch:
         """Return the same charts with half the steps between via-points."""
