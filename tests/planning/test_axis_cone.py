@@ -144,7 +144,7 @@ def test_where_the_middle_of_the_cone_is_blocked_the_axis_leans(monkeypatch: pyt
 
     monkeypatch.setattr(guess, "GlobalSearch", search)
     context, found = context_of(scene_of({"axis_within_deg": 10})), 4
-    assert guess._searched(context)[1] == "sequence"
+    assert guess.searched(context)[1] == "sequence"
     assert tried[0] is None
     axes = np.array([lean[:, 2] for lean in tried[1:]])
     np.testing.assert_allclose(np.arccos(axes[:, 2]), 0.7 * CONE, atol=1e-9)
@@ -154,7 +154,7 @@ def test_where_the_middle_of_the_cone_is_blocked_the_axis_leans(monkeypatch: pyt
         tried.clear()
         found = 9
         with pytest.raises(PathNotFound, match="blocked 1"):
-            guess._searched(context_of(scene_of(keep)))
+            guess.searched(context_of(scene_of(keep)))
         assert len(tried) == number
 
 

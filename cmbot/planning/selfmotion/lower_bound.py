@@ -219,7 +219,7 @@ class _BranchAndBound:
     def __init__(self, context: PlanningContext, layers: Sequence[GraphLayer], spacing: float) -> None:
         self._context = context
         self._layers = layers
-        self._spacing = spacing
+        self._spacing, self._margin = spacing, context.options.safety_margin_m
 
     def minimise(
         self, some: IntArray, best: FloatArray, incumbent: float, postures: FloatArray
@@ -304,13 +304,15 @@ class _BranchAndBound:
         value, _ = self._measured(q)
         better = np.flatnonzero(value < best[k])
         better = better[np.argsort(value[better], kind="stable")]
-        # Cells of no extent.
-        edges, half = np.zeros((len(q), 1, q.shape[1])), np.zeros((len(q), 1))
-        cells, before, first, count = _Cells(q, edges, half, np.full(len(q), k)), best[k], 0, 4
-        # Only the lowest that is admissible counts: the others' clearances need not be known.
-        while first < len(better) and best[k] == before:
+        best, first, count = best.copy(), 0, 4
+        while first < len(better):
             some = better[first : first + count]
-            best, _ = self._checked(cells[some], value[some], best, postures)
+            some = some[self._admissible_but_for_clearance(q[some], np.full(len(some), k))]
+            clear = some[~self._context.clearances.check_collision(q[some], self._margin)]
+            if len(clear):
+                # The lowest that is admissible is all that counts.
+                best[k], postures[self._some[k]] = value[clear[0]], q[clear[0]]
+                break
             first, count = first + count, 2 * count
         return best
 
@@ -373,11 +375,8 @@ class _BranchAndBound:
     ) -> tuple[FloatArray, BoolArray]:
         """Compute clearances in cells: the best values then, and which cells may be clear somewhere."""
         limits, clearances = self._context.robot.limits, self._context.clearances
-        margin = self._context.options.safety_margin_m
-        within = limits.contain(cells.q)
-        tilted = self._beyond_cone(cells)
-        hopeful = within & (value < best[cells.of]) & (tilted <= 0.0)
-        hopeful[hopeful] = self._measured(cells.q[hopeful])[1] <= 1.0
+        margin, hopeful = self._margin, value < best[cells.of]
+        hopeful[hopeful] = self._admissible_but_for_clearance(cells.q[hopeful], cells.of[hopeful])
         reach = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), clearances.reach)
         # Cells that reach further are nearly always clear somewhere.
         check = np.flatnonzero(hopeful | (reach < _WIDE))
@@ -390,14 +389,20 @@ class _BranchAndBound:
             if value[k] < best[cells.of[k]]:
                 best[cells.of[k]], postures[self._some[cells.of[k]]] = value[k], cells.q[k]
         turn = np.einsum("kd,kdn,n->k", cells.half, np.abs(cells.edges), ~limits.prismatic)
-        return best, (distance + reach >= margin) & (tilted <= turn)
+        return best, (distance + reach >= margin) & (self._beyond_cone(cells.q, cells.of) <= turn)
 
-    def _beyond_cone(self, cells: _Cells) -> FloatArray:
-        """By how much the tool's axis leans out of its cone at the centres, rad; negative within."""
-        task, at = self._context.task, self._context.postures.tool_at(cells.q)
+    def _admissible_but_for_clearance(self, q: FloatArray, of: IntArray) -> BoolArray:
+        """Which postures keep to joint ranges, joint torques and the cone of the tool's axis."""
+        holds = self._context.robot.limits.contain(q) & (self._beyond_cone(q, of) <= 0.0)
+        holds[holds] = self._measured(q[holds])[1] <= 1.0
+        return np.asarray(holds)
+
+    def _beyond_cone(self, q: FloatArray, of: IntArray) -> FloatArray:
+        """By how much the tool's axis leans out of its cone, rad; negative within."""
+        task = self._context.task
         if task.cone is None:
-            return np.full(len(cells.q), -np.inf)
-        return task.rotation(at.tool_rotation, self._goals[cells.of]) - task.cone
+            return np.full(len(q), -np.inf)
+        return task.rotation(self._context.postures.tool_at(q).tool_rotation, self._goals[of]) - task.cone
 
     def _halved(self, cells: _Cells, fall: FloatArray) -> _Cells:
         """Halve every cell along the edge of the largest fall; where none falls, along the longest."""
