@@ -1,11 +1,10 @@
 """Plan directories: written whole or not at all, checked when they are read."""
 
 from cmbot.archive.folder import add_file, claim, require_absent, require_free, write_file, write_files
-from cmbot.archive.mcap_file import export_mcap
 from cmbot.archive.motion_files import columns
 from cmbot.archive.names import PLAN_FILE
 from cmbot.archive.reading import load_plan, plan_data
-from cmbot.archive.ros_package import export_ros_package
+from cmbot.archive.ros import export_mcap, export_ros_package
 from cmbot.archive.strict_json import json_bytes
 from cmbot.archive.tracking import load_tracking, require_no_tracking, save_tracking, tracking_json
 from cmbot.archive.writing import resolved_file, save

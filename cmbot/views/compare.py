@@ -13,9 +13,8 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
 from cmbot.planning import Plan, Samples, promises, verdict
 from cmbot.version import __version__
-from cmbot.views.bending import Bending
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
-from cmbot.views.meshcat_scene import reach, scene_commands
+from cmbot.views.drawing import Bending, reach, scene_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble
 from cmbot.views.replay_data import (
     FRAME_STEP,

@@ -27,9 +27,8 @@ from cmbot.planning import (
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.trajectory import QuinticTrajectory
-from cmbot.views.bending import Bending, Intervals
 from cmbot.views.charts import floor_name, work_begins, work_ends
-from cmbot.views.meshcat_scene import reach, scene_commands
+from cmbot.views.drawing import Bending, Intervals, reach, scene_commands
 from cmbot.views.page import pack, pack_exactly
 
 __all__ = ["Frames", "focus_of", "frame_times", "link_names", "pair_joints", "replay_data"]

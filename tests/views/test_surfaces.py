@@ -7,7 +7,7 @@ import pytest
 import trimesh
 
 from cmbot.robot import Robot
-from cmbot.views.surfaces import (
+from cmbot.views.drawing.surfaces import (
     Surface,
     ball,
     bar,

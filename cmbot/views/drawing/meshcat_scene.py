@@ -16,7 +16,15 @@ from numpy.typing import NDArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Scene, guardrail_obstacles
-from cmbot.views.surfaces import Surface, creased, merged, obstacle_surface, simplified, tube, visual_surface
+from cmbot.views.drawing.surfaces import (
+    Surface,
+    creased,
+    merged,
+    obstacle_surface,
+    simplified,
+    tube,
+    visual_surface,
+)
 
 __all__ = ["reach", "scene_commands"]
 

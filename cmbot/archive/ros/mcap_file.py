@@ -191,7 +191,7 @@ def _quaternion(values: Any) -> Message:
 
 def _schemas() -> dict[str, str]:
     """Return the definition of each type that is written, those of its parts after it."""
-    text = (files("cmbot.archive") / "ros_messages.txt").read_text(encoding="utf-8")
+    text = (files("cmbot.archive.ros") / "ros_messages.txt").read_text(encoding="utf-8")
     parts = dict(part.split("\n", 1) for part in text.split("MSG: ")[1:])
     kinds = (
         "geometry_msgs/WrenchStamped",

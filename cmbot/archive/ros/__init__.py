@@ -1,0 +1,6 @@
+"""Plans for ROS 2: the job as messages in an MCAP file, the robot as a description package."""
+
+from cmbot.archive.ros.mcap_file import export_mcap
+from cmbot.archive.ros.ros_package import export_ros_package
+
+__all__ = ["export_mcap", "export_ros_package"]
