@@ -20,7 +20,7 @@ from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.identification.estimation import whitener
 from cmbot.identification.measurements import MeasuringSetup
 from cmbot.identification.model import DeflectionModel, SagAlong, measured_arm, prior_deviations, sag_along
-from cmbot.planning import Plan, build_context, follow_path
+from cmbot.planning import Plan, QuinticTrajectory, build_context, follow_path, starting_at_path
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
 
@@ -30,6 +30,8 @@ __all__ = ["Proposal", "job_postures", "propose"]
 _CANDIDATES, _MOST_TRIED, _AT_ONCE = 800, 40_000, 2000
 # Postures of a job.
 _OF_JOB = 25
+# Lag of the tool behind its path, m, beyond which a joint path does not follow it.
+_LOST = 0.01
 # Rounds of exchanges at most, and the least share by which one lowers the variance.
 _ROUNDS, _GAIN = 20, 1e-4
 _FULL_TURN = np.pi
@@ -96,24 +98,41 @@ class Proposal:
 def job_postures(job: Scene | Plan) -> FloatArray:
     """Return postures (M, n) along a job: a plan's, or of a scene those that follow the tool path.
 
+    The latter need not be clear of obstacles.
+
     Raises
     ------
+    InputError
+        When a tool path of a scene cannot be followed.
     PathNotFound
-        When the tool path of a scene cannot be followed.
+        When no posture is found in which one begins.
     """
     if isinstance(job, Plan):
-        q = np.concatenate(
-            [
-                segment.trajectory.evaluate(
-                    np.linspace(segment.trajectory.t[0], segment.trajectory.t[-1], _OF_JOB)
-                )
-                for segment in job.job.strokes
-            ]
-        )
+        each = [segment.trajectory.evaluate(_spread(segment.trajectory)) for segment in job.job.strokes]
     else:
-        context = build_context(job, job.planner)
-        q = follow_path(context).q
+        each = list(_followed(job))
+    q = np.concatenate(each)
     return np.asarray(q[np.unique(np.linspace(0, len(q) - 1, _OF_JOB).round().astype(int))])
+
+
+def _spread(trajectory: QuinticTrajectory) -> FloatArray:
+    return np.linspace(trajectory.t[0], trajectory.t[-1], _OF_JOB)
+
+
+def _followed(scene: Scene) -> Iterator[FloatArray]:
+    """Postures along each stroke, by gradient projection from where the one before ends."""
+    context = build_context(scene, scene.planner)
+    reached = context.posture
+    for number in range(len(context.strokes)):
+        context = context.at_stroke(number, scene, reached, 0.0, 0.0)
+        if context.stroke.begins_elsewhere:
+            context = starting_at_path(context)
+        found = follow_path(context, stop_at_obstacles=False)
+        if not (off := float(found.drift.max())) <= _LOST:
+            got = f"a path that gradient projection leaves by {off:.2f} m"
+            raise InputError(scene.source, context.stroke.key, got, "a plan of it in its place: --job DIR")
+        reached = found.q[-1]
+        yield found.q
 
 
 def propose(

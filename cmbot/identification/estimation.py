@@ -107,6 +107,16 @@ def estimate(measurements: Measurements, modelled: ElasticArm | None = None) -> 
         When the arm that was measured is too soft to carry itself, or nothing of it bends.
     """
     modelled = measured_arm(measurements.scene) if modelled is None else modelled
+    try:
+        return _estimate(measurements, modelled)
+    except InputError as error:
+        if error.source != "Sag.at":
+            raise
+        expected = f"those of an arm that carries itself and {measurements.setup.weight_kg:g} kg"
+        raise InputError(measurements.source, "measurements", error.got, expected) from error
+
+
+def _estimate(measurements: Measurements, modelled: ElasticArm) -> Identification:
     problem = _Problem(measurements, modelled)
     # Frequencies alone end in wrong minima: first the deflections.
     x = np.zeros(problem.count)

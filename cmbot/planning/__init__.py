@@ -28,6 +28,7 @@ from cmbot.planning.objectives import (
     WrenchObjective,
     objective_of,
 )
+from cmbot.planning.path.first_posture import starting_at_path
 from cmbot.planning.path.gradient_projection import JointPath, follow_path
 from cmbot.planning.path.projection import project_onto_task
 from cmbot.planning.path.start_posture import StartPosture, find_start
@@ -115,6 +116,7 @@ __all__ = [
     "sag_of",
     "searched",
     "second_opinion",
+    "starting_at_path",
     "strokes_of",
     "task_of",
     "tightest_check",

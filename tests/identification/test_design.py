@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from small_scenes import short_scene
+from small_scenes import short_scene, strokes_scene, tool_points
 
 from cmbot.collision import Clearances
 from cmbot.common.errors import InputError
@@ -18,7 +18,7 @@ from cmbot.identification import (
     propose,
     read_measurements,
 )
-from cmbot.planning import Plan
+from cmbot.planning import Plan, robot_of
 from cmbot.robot import Dynamics
 
 SCENE = short_scene()
@@ -92,6 +92,21 @@ def test_the_postures_of_a_scene_follow_its_path() -> None:
     q = job_postures(SCENE)
     np.testing.assert_allclose(q[0], SCENE.posture, atol=1e-9)
     assert q.shape == (25, 7)
+
+
+def test_a_job_has_postures_of_all_its_strokes() -> None:
+    scene = strokes_scene()
+    q = job_postures(scene)
+    tool = tool_points(robot_of(scene), q)
+    # There by 0.1 m, and back beside it.
+    assert np.ptp(tool[:12, 1]) == pytest.approx(0.1, abs=0.02)
+    assert np.ptp(tool[14:, 1]) == pytest.approx(0.1, abs=0.02)
+
+
+def test_a_path_that_cannot_be_followed_says_what_can_be_done_instead() -> None:
+    far = short_scene(tool_path={"legs": [{"by": [0, -4, 0], "seconds": 4}]})
+    with pytest.raises(InputError, match="expected a plan of it in its place"):
+        job_postures(far)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,7 @@ import pytest
 from small_scenes import short_scene
 
 import cmbot
-from cmbot.common.errors import SceneError
+from cmbot.common.errors import InputError, SceneError
 from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.modes import arm_modes
@@ -116,6 +116,15 @@ def test_what_does_not_fit_is_said(
     assert slip.misfit_share < 1e-6
     assert any("do not fit" in line for line in remarks(slip))
     assert not any("do not fit" in line for line in remarks(found[2]))
+
+
+def test_deflections_that_no_arm_has_are_refused(
+    found: tuple[benchmark.Truth, ElasticArm, Identification], modelled: ElasticArm
+) -> None:
+    given = found[2].measurements
+    heavy = replace(given, setup=given.setup.model_copy(update={"weight_kg": 9000.0}))
+    with pytest.raises(InputError, match="expected those of an arm that carries itself and 9000 kg"):
+        estimate(heavy, modelled)
 
 
 def test_frequencies_tell_more_and_components_left_out_less(

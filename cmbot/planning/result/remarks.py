@@ -70,6 +70,10 @@ def remarks(plan: Plan) -> Iterator[str]:
 
 
 def _bending(plan: Plan) -> Iterator[str]:
+    if (identified := plan.scene.file.identified) is not None:
+        of = [counted(len(identified.links), "link"), counted(len(identified.joints), "joint")]
+        of += [plan.scene.base_name] * (identified.base is not None)
+        yield f"Stiffness as identified, not as modelled: {', '.join(of)}."
     done = plan.compensation
     if done is not None:
         rounds = counted(done.rounds, "round")

@@ -102,7 +102,9 @@ def test_the_arm_is_the_identified_one_also_after_reading_it_back(planned: Plan,
 
 
 def test_it_is_told(planned: Plan) -> None:
-    (sentence,) = (line for line in cmbot.planning.remarks(planned) if "identified stiffness" in line)
+    lines = list(cmbot.planning.remarks(planned))
+    assert "Stiffness as identified, not as modelled: 4 links, 7 joints, guardrail." in lines
+    (sentence,) = (line for line in lines if "identified stiffness" in line)
     assert "1 of them are part of what is certified" in sentence
     chart = next(chart for chart in charts(planned, None) if chart.key == "deviation")
     assert "Thin: with 1 standard deviations of the identified stiffness." in chart.note
