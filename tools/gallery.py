@@ -42,6 +42,8 @@ def figures(plan: cmbot.Plan, planning: float) -> Iterator[tuple[str, str, str]]
             sum(getattr(one, name) for one in plan.coverage.values()) for name in ("area", "covered")
         )
         yield f"area covered of {area:.4g} m2, m2", *2 * (f"{covered:.4g}",)
+        if unreached := sum(one.unreached for one in plan.coverage.values()):
+            yield "area that is not reached, m2", *2 * (f"{unreached:.4g}",)
     yield "processor time to plan, s", "-", f"{planning:.0f}"
 
 

@@ -32,7 +32,7 @@ from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.kept import AxisCone, Keep
 from cmbot.scene.path.legs import AUTO, Goal, Leg
-from cmbot.scene.path.path_file import PathFile, StrokeFile, ToolPathFile
+from cmbot.scene.path.path_file import MOST_ORDERED, PathFile, StrokeFile, ToolPathFile
 from cmbot.scene.path.path_source import PathSource, surface_of
 from cmbot.scene.path.raster_parts import raster_parts, require_apart
 from cmbot.scene.path.stroke import Stroke, timed_stroke
@@ -428,9 +428,10 @@ class Scene:
         return self.with_strokes(tuple(strokes))
 
     def with_strokes(self, strokes: tuple[StrokeFile, ...]) -> Self:
-        """Return the scene with other strokes in place of its own."""
+        """Return the scene with other strokes in place of its own, too many to be ordered as they are."""
         plain = {name: field.get_default() for name, field in PathFile.model_fields.items()}
-        return replace(self, **plain, strokes=strokes)
+        order = self.order if len(strokes) <= MOST_ORDERED else None
+        return replace(self, **plain, strokes=strokes, order=order)
 
     def _stroke_key(self, number: int) -> str:
         return "tool_path" if self.strokes is None else f"tool_path.strokes[{number}]"

@@ -150,6 +150,17 @@ def in_parts(*strokes: dict[str, Any]) -> Scene:
     return scene.with_cells({0: cells}, {0: [piece for cell in cells for piece in cell]})
 
 
+def test_more_parts_than_can_be_ordered_are_as_given() -> None:
+    data: dict[str, Any] = copy.deepcopy(SECOND)
+    stroke = {"raster": {**RECTANGLE, "spacing_m": 0.01}, "speed_m_s": 0.1}
+    data["tool_path"] = {"strokes": [stroke], "order": "best"}
+    scene, piece = load_scene(data), {"begin_m": 0.0, "end_m": 0.4}
+    rows_alone = [(RowPiece(row=2 * k, **piece),) for k in range(10)]
+    assert scene.with_cells({0: rows_alone}, {0: [RowPiece(row=0, **piece)]}).order == "best"
+    single = [(RowPiece(row=k, **piece),) for k in range(13)]
+    assert scene.with_cells({0: single}, {0: [RowPiece(row=0, **piece)]}).order is None
+
+
 def test_a_name_that_is_taken_is_none_of_a_part() -> None:
     raster = {"raster": RECTANGLE, "speed_m_s": 0.1}
     found = in_parts({**raster, "name": "face"}, {**raster, "name": "face_2"})

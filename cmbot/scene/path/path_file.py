@@ -244,7 +244,7 @@ class ToolPathFile(PathFile):
     order: Literal["given", "best"] | None = None
     """Of the strokes; left out: as given. ``best`` takes that order and those directions in which the tool
     travels least between them, if the peak of the torque does not rise by that; each needs a start of its
-    own."""
+    own. Where rasters are in so many parts that there are more than 12 strokes: as given."""
 
     @model_validator(mode="after")
     def _check(self) -> Self:
