@@ -18,7 +18,7 @@ _COMMANDS = (
     ("cmbot", "--version"),
     ("cmbot", "doctor"),
     ("cmbot", "scenes"),
-    ("cmbot", "plan", "triangle", "--force"),
+    ("cmbot", "plan", "triangle", "--set", "time_limit_s=600"),
     ("cmbot", "simulate", "out/triangle"),
     ("cmbot", "replay", "out/triangle", "--html", "triangle.html"),
 )

@@ -145,7 +145,8 @@ class Frames:
         `pairs`, -1 where nothing is near; ``tool`` (F, 3) the expected tool point, with its predicted sag
         where that is compensated; ``error`` (F, 3) the tracking error from there, null without `tracking`;
         ``q`` (F, n) the joint positions and ``u`` (F, f) the elastic coordinates, null where nothing bends,
-        with the tool `on` in these intervals; ``load`` (F, n) the joints' torques as shares of their bounds.
+        with the tool `on` in these intervals; ``load`` (F, n) the joints' torques as shares of their bounds;
+        ``hold`` (F,) the share that the arm uses of what the feet bear, null where that is not known.
         After its last sample the motion rests there.
         """
         q = _resampled(times, samples.t, samples.q)
@@ -153,6 +154,7 @@ class Frames:
         dynamic = None if tracking is None else _resampled(times, tracking.t, tracking.dynamic)
         u = None if self.bending is None else self.bending.coordinates(times, q, dynamic, on)
         load = np.abs(_resampled(times, samples.t, samples.joint_torque)) / self._robot.limits.torque
+        hold = self._hold(samples)
         expected = samples.expected_tool_point
         tool = (
             Kinematics(self._robot).tool_poses(q)[0]
@@ -168,12 +170,19 @@ class Frames:
             "q": pack(q),
             "u": None if u is None else pack(u),
             "load": pack(load),
+            "hold": None if hold is None else pack(np.interp(times, samples.t, hold)),
             "tool": pack(tool),
             "error": None if tracking is None else pack(_resampled(times, tracking.t, tracking.error)),
             "peakTorque": metrics.peak_guardrail_torque,
             # Infinite without a pair of shapes that can collide; JSON has no infinity.
             "minClearance": metrics.min_clearance if np.isfinite(metrics.min_clearance) else None,
         }
+
+    def _hold(self, samples: Samples) -> FloatArray | None:
+        holding = self._robot.holding
+        if holding is None or not holding.bounded:
+            return None
+        return holding.share(np.hstack([samples.guardrail_force, samples.guardrail_torque]))[0]
 
     def _nearest(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
         points, pairs = np.zeros((len(q), 6)), np.full(len(q), -1.0)

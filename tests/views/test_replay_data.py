@@ -14,7 +14,7 @@ from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
 from cmbot.simulation import Tracking
 from cmbot.views.charts import charts
-from cmbot.views.replay_data import MOST_POSES, replay_data
+from cmbot.views.replay_data import MOST_POSES, Frames, replay_data
 
 
 @pytest.fixture(scope="module")
@@ -191,3 +191,13 @@ def test_the_baseline_approaches_too_and_both_begin_to_work_at_once(strokes_plan
         torque = next(chart for chart in charts(plan, None) if chart.key == "torque")
         first, planned = (curve.t[0] for curve in torque.curves)
         assert (first, planned) == pytest.approx((begins - approach.duration, 0.0))
+
+
+def test_the_share_of_what_holds_is_shown_where_it_is_known(short_plan: Plan) -> None:
+    robot, times = short_plan.robot, short_plan.samples.t[::50]
+    feet = tuple(dataclasses.replace(foot, adhesion=60e3, safety=2.0) for foot in robot.feet)
+    held = dataclasses.replace(short_plan, robot=dataclasses.replace(robot, feet=feet))
+    shares = [Frames(plan).motion(plan.samples, plan.figures, times)["hold"] for plan in (short_plan, held)]
+    assert shares[0] is None  # welded is assumed
+    needed = short_plan.samples.adhesion_needed[::50].max(axis=1)
+    np.testing.assert_allclose(floats(shares[1]), 2.0 * needed / 60e3, rtol=1e-5)

@@ -192,10 +192,11 @@ function bendPoints(rest, shares, maps, out) {
   }
 }
 
-// The links in the colour of their joints' loads, from green without load to red at the bound.
+// The links in the colour of their joints' loads, the base in that of the share of what holds it, from green without
+// load to red at the bound.
 class LoadColours {
   constructor(stage) {
-    this.meshes = stage.arms[MOTIONS[0]].map((node) => {
+    this.meshes = [...stage.arms[MOTIONS[0]], stage.node("robot", "0")].map((node) => {
       const found = [];
       node.traverse((mesh) => { if (mesh.material) found.push([mesh, mesh.material.color.clone()]); });
       return found;
@@ -203,12 +204,13 @@ class LoadColours {
     this.on = false;
   }
 
+  // Shares of the links and of the base; null where none is known.
   show(loads) {
     this.meshes.forEach((found, link) => {
       const share = Math.min(Math.max(loads[link], 0), 1);
       const hue = ELASTIC_COLOURS.low + share * (ELASTIC_COLOURS.high - ELASTIC_COLOURS.low);
       for (const [{ material }, own] of found) {
-        if (this.on) material.color.setHSL(hue, 0.85, 0.45);
+        if (this.on && loads[link] !== null) material.color.setHSL(hue, 0.85, 0.45);
         else material.color.copy(own);
       }
     });

@@ -5,6 +5,7 @@ class Motion {
     this.links = links;
     for (const name of ["poses", "torque", "clearance", "near", "pair", "tool", "q", "load"]) this[name] = floats(source[name]);
     this.u = source.u === null ? null : floats(source.u);
+    this.hold = source.hold === null ? null : floats(source.hold);
     this.error = source.error === null ? null : floats(source.error);
     this.still = source.still ?? false;
     this.peakTorque = source.peakTorque;

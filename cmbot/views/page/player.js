@@ -17,6 +17,7 @@ class Player {
     this.ui.scrub.max = data.end;
     this.ui.bending.hidden = !data.bending;
     if (!data.bending?.simulated) this.ui.bending.title = "Arm and rails bent by their static deflection, magnified; cmbot simulate adds vibration";
+    if (this.work.motions[MOTIONS[0]].hold) this.ui.colours.querySelector("[value=load]").textContent = "load and hold";
     this.connect();
     this.magnify(Number(this.ui.deflection.value));
     this.seek(data.start);
@@ -122,7 +123,7 @@ class Player {
     const { stage } = this, near = motion.nearAt(moment);
     stage.arms[name].forEach((link, index) => motion.place(link, index, moment));
     stage.bending?.place(name, motion, moment);
-    if (name === MOTIONS[0]) stage.loads.show(motion.numbersAt(motion.load, moment));
+    if (name === MOTIONS[0]) stage.loads.show([...motion.numbersAt(motion.load, moment), motion.hold && motion.numbersAt(motion.hold, moment)[0]]);
     stage.torque[name] = motion.torqueAt(moment);
     stage.marks.setNear(name, near);
     stage.marks.setBent(name, motion.toolAt(moment), motion.errorAt(moment));
