@@ -9,6 +9,7 @@ The reading order::
     save, load_plan   a plan directory                    cmbot.archive
     simulate       what bends on the way                  cmbot.simulation
     identify       how stiff it is, from measurements     cmbot.identification
+    walk           the steps from one stance to another   cmbot.walking
     replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
     campaign       many scenes on many processes          cmbot.campaigns
 
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.simulation import SimulationOptions, Tracking, simulate
     from cmbot.views import plot, replay, report, show
+    from cmbot.walking import Walk, walk
 
 __all__ = [
     "ArchiveError",
@@ -66,6 +68,7 @@ __all__ = [
     "SimulationDiverged",
     "SimulationOptions",
     "Tracking",
+    "Walk",
     "__version__",
     "campaign",
     "identify",
@@ -81,6 +84,7 @@ __all__ = [
     "save_tracking",
     "show",
     "simulate",
+    "walk",
 ]
 
 _ROOMS = {
@@ -92,6 +96,7 @@ _ROOMS = {
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
     "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
     "cmbot.views": ("plot", "replay", "report", "show"),
+    "cmbot.walking": ("Walk", "walk"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

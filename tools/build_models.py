@@ -1,8 +1,8 @@
 """Write the robot description from the tables of the paper.
 
-Writes ``urdf/cmbot.urdf``, ``urdf/cmbot.srdf``, ``urdf/joint_limits.yaml``, ``urdf/cmbot.elasticity.yaml``
-and ``meshes/*.stl``. The output is the same to the byte on every run, so the files that are checked in can be
-compared with it.
+Writes ``urdf/cmbot.urdf``, ``urdf/cmbot.srdf``, ``urdf/joint_limits.yaml``, ``urdf/cmbot.elasticity.yaml``,
+the same robot as it climbs (``urdf/cmbot_on_foot_2.urdf``, ``urdf/climbing.*``) and ``meshes/*.stl``. The
+output is the same to the byte on every run, so the files that are checked in can be compared with it.
 
     python tools/build_models.py            write models/
     python tools/build_models.py --check    compare models/ with it; exit status 1 on a difference
@@ -19,8 +19,10 @@ from itertools import combinations
 from pathlib import Path
 
 import cmbot_tables as tables
+import numpy as np
 from cmbot_meshes import MATERIALS, VISUALS, build_meshes
 from cmbot_parts import stl_bytes
+from scipy.spatial.transform import Rotation
 
 GENERATED = " Written by tools/build_models.py: change the tables in tools/, not this file. "
 SOURCES = """
@@ -34,9 +36,15 @@ SOURCES = """
   y outward, z up. O0 lies on the centre line of the post; the foot's plate begins at its face, y = 0.0375.
   A cylinder named in collision_checking is a capsule; its length is the distance between its caps' centres.
 """
+NOTHING_BENDS = "# While it climbs nothing bends.\nformat: cmbot-elasticity/2\nlinks: {}\n"
 AXIS_RPY = {"x": (0, 90, 0), "y": (-90, 0, 0), "z": (0, 0, 0)}  # turns z onto the axis
 
+ON_FOOT_2 = """
+  The robot of cmbot.urdf as it holds on to foot 2 while it climbs: the climbing joints in the other order,
+  with the same angles. A link's frame is where the next joint is; foot_1_place is where foot_1 holds.
+"""
 ADJACENT = "Adjacent"
+PARALLEL = "Never: they move in parallel planes and pass each other 10 mm apart"
 LOCKED = "Never: both belong to the climbing mechanism, which is locked while the arm works"
 SWEEP = "Never: link_1 sweeps |z| under 0.07 m and this body stays above 0.12 m in the working stance"
 # link_4 has no shape of its own: link_3 and link_5 meet at the axis of joint_4.
@@ -62,6 +70,27 @@ def radians(degrees: Sequence[float]) -> str:
 def add_origin(parent: ET.Element, xyz: Sequence[float], rpy_deg: Sequence[float] = (0, 0, 0)) -> None:
     """Append an origin."""
     ET.SubElement(parent, "origin", xyz=text(xyz), rpy=radians(rpy_deg))
+
+
+def matrix(xyz: Sequence[float], rpy_deg: Sequence[float] = (0, 0, 0)) -> np.ndarray:
+    """Return the pose of an origin, exact for quarter turns."""
+    roll, pitch, yaw = rpy_deg
+    X = np.eye(4)
+    X[:3, :3] = (
+        tables.rotation(tables.Z, yaw) @ tables.rotation(tables.Y, pitch) @ tables.rotation((1, 0, 0), roll)
+    )
+    X[:3, 3] = xyz
+    return X
+
+
+def move_origins(parent: ET.Element, X: np.ndarray) -> None:
+    """Put poses, in place, before the origins of what is fixed to a link or of a joint."""
+    for origin in parent.iter("origin"):
+        xyz, rpy = ([float(x) for x in origin.get(key, "0 0 0").split()] for key in ("xyz", "rpy"))
+        moved = X @ matrix(xyz, np.degrees(rpy))
+        turn = Rotation.from_matrix(moved[:3, :3]).as_euler("xyz", suppress_warnings=True)
+        origin.set("xyz", text(np.round(moved[:3, 3], 12)))
+        origin.set("rpy", text(np.round(turn, 12)))
 
 
 def add_body(link: ET.Element, body: tables.Body) -> None:
@@ -139,6 +168,49 @@ def urdf() -> str:
         add_link(robot, name, bodies.get(name))
     for joint in tables.JOINTS:
         add_joint(robot, joint)
+    return document(robot)
+
+
+def urdf_on_foot_2() -> str:
+    """Return the URDF of the robot that holds on to foot 2: the climbing joints the other way round."""
+    robot = ET.fromstring(urdf())
+    for comment in (ON_FOOT_2, GENERATED):
+        robot.insert(0, ET.Comment(comment))
+    joints = {joint.name: joint for joint in tables.JOINTS}
+    chain = [joints[f"climb_{number}"] for number in range(1, 6)]
+    # A link's frame is where the joint is that leads on to foot 1.
+    away = {joint.parent: np.linalg.inv(matrix(joint.xyz, joint.rpy_deg)) for joint in chain}
+    for link in robot.findall("link"):
+        move_origins(link, away.get(link.get("name"), np.eye(4)))
+    for element in robot.findall("joint"):
+        joint = joints[element.get("name")]
+        if joint not in chain:
+            move_origins(element, away.get(joint.parent, np.eye(4)))
+            continue
+        (origin,) = element.findall("origin")
+        origin.set("xyz", text((0, 0, 0)))
+        origin.set("rpy", text((0, 0, 0)))
+        move_origins(element, away.get(joint.child, np.eye(4)))
+        element.find("parent").set("link", joint.child)
+        element.find("child").set("link", joint.parent)
+        element.find("axis").set("xyz", text([-x for x in joint.axis]))
+    ET.SubElement(robot, "link", name="foot_1_place")
+    place = ET.SubElement(robot, "joint", name="foot_1_place_joint", type="fixed")
+    add_origin(place, (0, 0, 0))
+    move_origins(place, away["foot_1"])
+    ET.SubElement(place, "parent", link="foot_1")
+    ET.SubElement(place, "child", link="foot_1_place")
+    return document(robot)
+
+
+def climbing_srdf() -> str:
+    """Return the SRDF of the robot as it climbs, its arm locked: the pairs that need no check."""
+    robot = ET.Element("robot", name="cmbot")
+    robot.append(ET.Comment(GENERATED))
+    neighbours = [(joint.parent, joint.child) for joint in tables.JOINTS if joint.name.startswith("climb")]
+    ET.SubElement(robot, "disable_collisions", link1="arm_base", link2="leg_2", reason=PARALLEL)
+    for one, other in neighbours:
+        ET.SubElement(robot, "disable_collisions", link1=one, link2=other, reason=ADJACENT)
     return document(robot)
 
 
@@ -222,6 +294,9 @@ def files() -> dict[str, bytes]:
         "cmbot.srdf": srdf(),
         "joint_limits.yaml": joint_limits(),
         "cmbot.elasticity.yaml": elasticity(),
+        "cmbot_on_foot_2.urdf": urdf_on_foot_2(),
+        "climbing.srdf": climbing_srdf(),
+        "climbing.elasticity.yaml": f"# {GENERATED.strip()}\n{NOTHING_BENDS}",
     }
     return {**{f"urdf/{name}": content.encode() for name, content in described.items()}, **meshes}
 

@@ -1,4 +1,4 @@
-"""The verb of the command line that looks for a place to stand."""
+"""The verbs of the command line that look for a place to stand, and for the steps to get there."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ from cmbot.cli.console import (
 )
 from cmbot.common.errors import InputError
 
-__all__ = ["stand"]
+__all__ = ["stand", "walk"]
 
 _SHOWN = 10
 _FILES = ("stances.csv", "best.yaml", "index.html")
+_WALK_FILES = ("walk.csv", "walk.json", "index.html")
 
 
 def stand(
@@ -84,6 +85,57 @@ def stand(
         headings = ("", "stance", "status", "judged by", f"bound, {unit}", f"planned, {unit}")
         print_table("Stances", headings, rows, text_columns=4)
         for line in in_words(standing):
+            out.print(flat(line))
+        out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+
+
+def walk(
+    scene: SceneArgument,
+    to: Annotated[Path, typer.Option("--to", help="Where to: a scene, or a file with foot_1 and foot_2.")],
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_walk if left out.")
+    ] = None,
+    spacing: Annotated[
+        float, typer.Option("--spacing", help="Metres between places of the feet.", min=0.05)
+    ] = 0.15,
+    speed: Annotated[
+        float, typer.Option("--speed", help="Metres a second of a foot at most.", min=1e-3, max=1.0)
+    ] = 0.03,
+    force: Annotated[bool, typer.Option("--force", help="Replace the files of an earlier walk.")] = False,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Plan the steps from a scene's stance to another one: a foot lets go, swings, and holds again.
+
+    Writes all joints over time, the steps with what was certified of them, and a page.
+
+    Example: [bold]cmbot walk here.yaml --to out/line_stances/best.yaml[/bold]
+    """
+    started = time.perf_counter()
+    loaded = cmbot.load_scene(scene)
+    directory = output if output is not None else Path("out") / f"{loaded.name}_walk"
+    from cmbot.archive import json_bytes, require_absent, write_files
+    from cmbot.walking import WalkOptions, load_goal, walk_csv, walk_data
+    from cmbot.walking import walk as find
+
+    goal = load_goal(to)
+    require_absent(directory, _WALK_FILES, force=force)
+    with ConsoleProgress(quiet=quiet) as progress:
+        progress.stage("listing stances", 0.0)
+        walked = find(loaded, goal, WalkOptions(spacing=spacing, speed=speed), progress.stage)
+    from cmbot.views import walk_page
+
+    files = (walk_csv(walked).encode(), json_bytes(walk_data(walked)), walk_page(walked).encode())
+    write_files(directory, dict(zip(_WALK_FILES, files, strict=True)), force=force)
+    if as_json:
+        print_result("walk", directory, {"steps": len(walked.steps), "words": list(walked.in_words())})
+    elif not quiet:
+        rows = [
+            (str(number), f"foot {step.foot}", *step.places, f"{step.seconds:.1f}")
+            for number, step in enumerate(walked.steps, start=1)
+        ]
+        print_table("Steps", ("", "moves", "from", "to", "seconds"), rows, text_columns=4)
+        for line in walked.in_words():
             out.print(flat(line))
         out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
 

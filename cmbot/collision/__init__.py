@@ -2,7 +2,7 @@
 
 from cmbot.collision.clearance import RESOLUTION, Clearances, Nearest, Smallest
 from cmbot.collision.motion_bounds import raise_bounds, travel
-from cmbot.collision.shapes import PairedShapes, ShapePair
+from cmbot.collision.shapes import PairedShapes, ShapePair, touched_by
 
 __all__ = [
     "RESOLUTION",
@@ -12,5 +12,6 @@ __all__ = [
     "ShapePair",
     "Smallest",
     "raise_bounds",
+    "touched_by",
     "travel",
 ]

@@ -11,6 +11,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.robot import Robot, convex_hull, encloses_volume
 from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_mesh
@@ -18,7 +19,7 @@ from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, l
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["PairedShapes", "ShapePair", "coal_shapes"]
+__all__ = ["PairedShapes", "ShapePair", "coal_shapes", "touched_by"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,6 +130,27 @@ def coal_shapes(shape: Shape, name: str) -> list[tuple[Any, Any]]:
             parts = load_mesh(path, name).split(only_watertight=False)
             return [(_hull(part, path, name), pin.SE3.Identity()) for part in parts]
     return [(geometry, pin.SE3.Identity())]
+
+
+def touched_by(box: Box, X_WB: FloatArray, obstacles: Sequence[Obstacle]) -> str | None:
+    """Return the name of the first obstacle that a box touches; None where it touches none.
+
+    Parameters
+    ----------
+    box : Box
+    X_WB : (4, 4)
+        Its pose in W.
+    obstacles : sequence of Obstacle
+    """
+    own, place = coal.Box(*box.size), coal.Transform3s(X_WB[:3, :3], X_WB[:3, 3])
+    for obstacle in obstacles:
+        X_WO = pin.SE3(np.array(obstacle.X_WO))
+        for shape, X_OS in coal_shapes(obstacle.shape, obstacle.name):
+            X_WS = X_WO * X_OS
+            there = coal.Transform3s(X_WS.rotation, X_WS.translation)
+            if coal.collide(own, place, shape, there, coal.CollisionRequest(), coal.CollisionResult()):
+                return obstacle.name
+    return None
 
 
 def _hull(part: trimesh.Trimesh, path: Path, name: str) -> Any:

@@ -16,7 +16,8 @@ from cmbot.planning.context import (
 )
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
-from cmbot.planning.free_motion.free_move import certify_move
+from cmbot.planning.free_motion.free_move import FreeMove, certify_move, free_space, plan_move
+from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.initial_guess import Choice, searched
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, free_move_name, job_metrics
 from cmbot.planning.objectives import (
@@ -59,6 +60,8 @@ __all__ = [
     "Choice",
     "Compensation",
     "ExchangeReport",
+    "FreeMove",
+    "FreeSpace",
     "GlobalSearch",
     "GlobalSolution",
     "Job",
@@ -100,12 +103,14 @@ __all__ = [
     "find_start",
     "follow_path",
     "free_move_name",
+    "free_space",
     "job_metrics",
     "measure",
     "modelled_stiffness",
     "objective_metrics",
     "objective_of",
     "plan",
+    "plan_move",
     "precheck_options",
     "precheck_scene",
     "project_onto_task",

@@ -1,7 +1,8 @@
 """The robot: its model from a URDF, its kinematics and its dynamics."""
 
 from cmbot.robot.arm_model import convex_hull, encloses_volume
-from cmbot.robot.climber import CLIMBING_JOINTS, Climber
+from cmbot.robot.climber import CLIMBING_JOINTS, Climber, ClimberBodies
+from cmbot.robot.climbing import ARM_JOINTS, Side, load_climbing_robot
 from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames
 from cmbot.robot.description.mesh_file import locate_meshes
@@ -25,11 +26,13 @@ from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import MOST_FAR, NEAR, sampled_postures
 
 __all__ = [
+    "ARM_JOINTS",
     "CLIMBING_JOINTS",
     "MOST_FAR",
     "NEAR",
     "Chain",
     "Climber",
+    "ClimberBodies",
     "Dynamics",
     "Efforts",
     "Finding",
@@ -43,6 +46,7 @@ __all__ = [
     "Postures",
     "Robot",
     "RobotFiles",
+    "Side",
     "ToolBatch",
     "arm_frames",
     "convex_hull",
@@ -52,6 +56,7 @@ __all__ = [
     "inspect_urdf",
     "joint_units",
     "link_poses",
+    "load_climbing_robot",
     "load_robot",
     "locate_meshes",
     "overview",

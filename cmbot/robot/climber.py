@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
 
@@ -12,11 +13,33 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.installation import model_folder
 from cmbot.robot.description.xml_file import parse_urdf
 
-__all__ = ["CLIMBING_JOINTS", "Climber"]
+__all__ = ["CLIMBING_JOINTS", "Climber", "ClimberBodies"]
 
 CLIMBING_JOINTS = ("climb_1", "climb_2", "climb_3", "climb_4", "climb_5")
 # Feet are where they should be when they miss it by less, m and rad.
 _REACHED = 1e-6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ClimberBodies:
+    """The climber without the arm in a posture, in the frame of foot 1.
+
+    Attributes
+    ----------
+    mass, centre : (6,) and (6, 3), kg and m
+        Of foot 1 and of what each climbing joint moves, in their order.
+    origin, axis : (5, 3), m
+        Of the joints.
+    foot_2, base : (4, 4)
+        Poses of foot 2 and of the arm's base.
+    """
+
+    mass: FloatArray
+    centre: FloatArray
+    origin: FloatArray
+    axis: FloatArray
+    foot_2: FloatArray
+    base: FloatArray
 
 
 class Climber:
@@ -34,6 +57,7 @@ class Climber:
         self._index = np.array(index)
         self.lower = np.array(self._model.lowerPositionLimit)[self._index]
         self.upper = np.array(self._model.upperPositionLimit)[self._index]
+        self.effort = np.array(self._model.effortLimit)[self._index]
 
     @property
     def working(self) -> FloatArray:
@@ -58,6 +82,24 @@ class Climber:
         mass = sum(body.mass for body, _ in bodies)
         first = sum(body.mass * X.act(body.lever) for body, X in bodies)
         return float(mass), np.asarray(first / mass)
+
+    def bodies(self, angles: FloatArray) -> ClimberBodies:
+        """Return masses, joints and frames in a posture (5,)."""
+        foot, base = self.poses(angles)
+        joints = [self._model.getJointId(name) for name in CLIMBING_JOINTS]
+        places = [self._data.oMi[k] for k in joints]
+        inertias = [self._model.inertias[k] for k in (0, *joints)]
+        poses = [pin.SE3.Identity(), *places]
+        axes = [self._model.joints[k].shortname() for k in joints]
+        columns = ["XYZ".index(name[-1]) for name in axes]
+        return ClimberBodies(
+            mass=np.array([inertia.mass for inertia in inertias]),
+            centre=np.array([X.act(body.lever) for X, body in zip(poses, inertias, strict=True)]),
+            origin=np.array([X.translation for X in places]),
+            axis=np.array([X.rotation[:, k] for X, k in zip(places, columns, strict=True)]),
+            foot_2=foot,
+            base=base,
+        )
 
     def hanging(self, R_WF: FloatArray) -> FloatArray | None:
         """The working stance with foot 1 turned about its normal so that the base hangs as there.

@@ -45,6 +45,7 @@ def load_robot(
     locked: Mapping[str, float] | None = None,
     tool_length: float | None = None,
     payload: float = 0.0,
+    carrier: str | None = None,
     package_dirs: Sequence[str | Path] = (),
 ) -> Robot:
     """Load a robot from its URDF.
@@ -83,6 +84,8 @@ def load_robot(
         Distance of the tool point from the flange along its z axis, m; default: as in the URDF.
     payload : float
         Point mass at the tool point, kg.
+    carrier : str, optional
+        Link whose origin is the tool point of `tool_length` and `payload`; default: `tool_frame`.
     package_dirs : sequence of path
         Folders of ROS packages, or the packages, in which ``package://`` paths are sought first; then come
         the folders beside the URDF and above it, and ``ROS_PACKAGE_PATH`` and ``AMENT_PREFIX_PATH``.
@@ -132,11 +135,11 @@ def load_robot(
         if X_WR is not None:
             _move_root(model, shapes, X_WR)
         if tool_length is not None:
-            set_tool_length(model, shapes, tool_frame, tool_length, source=str(urdf))
+            set_tool_length(model, shapes, carrier or tool_frame, tool_length, source=str(urdf))
         return shapes
 
     arm, collision = made.model, placed(made.model, made.collision)
-    attach_payload(arm, tool_frame, payload)
+    attach_payload(arm, carrier or tool_frame, payload)
     if not (mass := sum(inertia.mass for inertia in list(arm.inertias)[1:])) >= _LIGHTEST:
         got = f"{mass:g} kg from {base_frame!r} to {tool_frame!r}"
         raise ModelError(str(urdf), "link.inertial.mass", got, f"an arm of at least {_LIGHTEST:g} kg")

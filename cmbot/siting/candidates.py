@@ -16,13 +16,14 @@ from cmbot.scene import (
     foothold_face,
     foothold_pose,
 )
+from cmbot.siting.footholds import in_the_way
 
-__all__ = ["Candidate", "candidates_of"]
+__all__ = ["APART", "REACH", "Candidate", "candidate_at", "candidates_of", "places_of"]
 
-# Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets.
-_REACH = 0.9
-# Feet do not stand on each other, m.
-_APART = 0.16
+REACH = 0.9
+"""Foot 2 is sought no further from foot 1 than this, m: both legs and their offsets."""
+APART = 0.16
+"""Feet do not stand on each other, m."""
 # Places this far from the ends of a member are left out, m.
 _MARGIN = 0.04
 
@@ -62,12 +63,12 @@ def candidates_of(scene: Scene, spacing: float, pair_spacing: float) -> Iterator
     """
     climber = Climber()
     known = set[tuple[float, ...]]()
-    for place in _places(scene, spacing):
+    for place in places_of(scene, spacing):
         X = foothold_pose(scene.guardrail, place)
         angles = climber.hanging(X[:3, :3])
         if angles is None:
             continue
-        candidate = _candidate(place, None, X, angles, climber)
+        candidate = candidate_at(place, None, X, angles, climber)
         # Turned by half a turn, plate and base are where they were.
         key = (*X[:3, 3].round(6).tolist(), *X[:3, 1].round(6).tolist())
         if key not in known:
@@ -75,31 +76,50 @@ def candidates_of(scene: Scene, spacing: float, pair_spacing: float) -> Iterator
             yield candidate
     if not np.isfinite(pair_spacing):
         return
-    places = list(_places(scene, pair_spacing))
+    places = list(places_of(scene, pair_spacing))
     poses = [foothold_pose(scene.guardrail, place) for place in places]
     for place, X in zip(places, poses, strict=True):
         for other, X_2 in zip(places, poses, strict=True):
             away = float(np.linalg.norm(X_2[:3, 3] - X[:3, 3]))
-            if not _APART <= away <= _REACH or other.turn_deg != places[0].turn_deg:
+            if not APART <= away <= REACH or other.turn_deg != places[0].turn_deg:
                 continue
             for angles in climber.reaching(np.linalg.inv(X) @ X_2):
-                candidate = _candidate(place, other, X, angles, climber)
+                candidate = candidate_at(place, other, X, angles, climber)
                 out = candidate.base[:3, 3] - X[:3, 3]
                 if out @ X[:3, 1] > 0:
                     yield candidate
 
 
-def _candidate(
+def candidate_at(
     place: FootholdFile, other: FootholdFile | None, X: FloatArray, angles: FloatArray, climber: Climber
 ) -> Candidate:
+    """Return the stance with the feet at two places, the second None where it is free.
+
+    Parameters
+    ----------
+    place, other : FootholdFile
+        Of foot 1 and of foot 2.
+    X : (4, 4)
+        Pose of foot 1 in W.
+    angles : (5,), rad
+    climber : Climber
+    """
     degrees = tuple(np.degrees(angles).tolist())
     # A model of its own parts, which are checked: nothing else is in it.
     stance = StanceFile.model_construct(foot_1=place, foot_2=other, climber_deg=degrees)
     return Candidate(stance=stance, root=X, base=X @ climber.poses(angles)[1], climber=angles)
 
 
-def _places(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
-    """Places of a foot along posts and rails, on every side from which a base can hang, both ways up."""
+def places_of(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
+    """Yield places of a foot along posts and rails, on every side from which a base can hang, both ways up.
+
+    Where an obstacle or another member is in the way of the foot there is none: `in_the_way`.
+
+    Parameters
+    ----------
+    scene : Scene
+    spacing : float, m
+    """
     guardrail = scene.guardrail
     posts = [(f"post_{k + 1}", ("outer", "left", "right")) for k in range(len(guardrail.post_positions))]
     rails = [(rail.name, ("outer",)) for rail in guardrail.rails]
@@ -115,5 +135,8 @@ def _places(scene: Scene, spacing: float) -> Iterator[FootholdFile]:
                 low = guardrail.post.clamp - guardrail.post.bottom + _MARGIN
                 high += _MARGIN - 0.05
             for along in np.arange(low, high + 1e-9, spacing):
+                place = probe.model_copy(update={"along_m": round(float(along), 4)})
+                if in_the_way(scene, place) is not None:
+                    continue
                 for turn in (0.0, 180.0):
-                    yield probe.model_copy(update={"along_m": round(float(along), 4), "turn_deg": turn})
+                    yield place.model_copy(update={"turn_deg": turn})

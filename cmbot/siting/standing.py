@@ -21,7 +21,17 @@ from cmbot.siting.candidates import Candidate, candidates_of
 from cmbot.siting.charting import chart
 from cmbot.siting.screening import Screening, screen
 
-__all__ = ["StandOptions", "Standing", "Stood", "best_scene", "in_words", "stances_csv", "stand"]
+__all__ = [
+    "StandOptions",
+    "Standing",
+    "Stood",
+    "best_scene",
+    "in_words",
+    "in_world",
+    "scene_at",
+    "stances_csv",
+    "stand",
+]
 
 _COLUMNS = (
     *("rank", "status", "judged_by", "bound", "planned", "torque_at_rest", "adhesion_at_rest"),
@@ -221,7 +231,9 @@ def best_scene(standing: Standing) -> dict[str, Any]:
     first = standing.ranked[0] if standing.ranked else None
     if first is None or not np.isfinite(first.bound):
         raise PlanningError(_nothing_left(standing))
-    best = _scene(in_world(standing.scene), first.candidate, None) if first.plan is None else first.plan.scene
+    best = (
+        scene_at(in_world(standing.scene), first.candidate, None) if first.plan is None else first.plan.scene
+    )
     return update_file(best).file.as_data()
 
 
@@ -364,7 +376,7 @@ class _Search:
         """Leave out postures that are too near to something."""
         self._checks += 1
         candidate, scene = self.each[k].candidate, self._scene
-        clearances = Clearances(robot_of(_scene(scene, candidate, None)), scene.obstacles)
+        clearances = Clearances(robot_of(scene_at(scene, candidate, None)), scene.obstacles)
         bound = self._found.clearing(candidate, clearances, scene.planner.safety_margin_m)
         if np.isinf(bound):
             why = "every posture found at some via-point comes too near to something"
@@ -375,7 +387,7 @@ class _Search:
     def _chart(self, k: int) -> None:
         self._charts += 1
         try:
-            charted = chart(_scene(self._scene, self.each[k].candidate, None), _CHART_SECONDS)
+            charted = chart(scene_at(self._scene, self.each[k].candidate, None), _CHART_SECONDS)
         except CmbotError as error:
             self._give_up(k, "blocked", "charts", str(error))
             return
@@ -386,7 +398,7 @@ class _Search:
         """Peak of the plan in a stance; infinite where there is none."""
         self._tries += 1
         try:
-            made = plan(_scene(self._scene, self.each[k].candidate, self._begins[k]))
+            made = plan(scene_at(self._scene, self.each[k].candidate, self._begins[k]))
         except CmbotError as error:
             self._give_up(k, "failed", "plan", str(error))
             return np.inf
@@ -408,15 +420,22 @@ class _Search:
             self._in_vain.append((self.each[k].candidate.base[:3, 3], _ALIKE[judged]))
 
 
-def _scene(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> Scene:
+def scene_at(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> Scene:
+    """Return the scene with the robot in another stance.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `in_world` returns it.
+    candidate : Candidate
+    posture : (n,), rad, or None
+        In which the arm starts: elsewhere the scene's own, None, may be in the way of something.
+    """
     return _read(scene, _scene_data(scene, candidate, posture))
 
 
 def _scene_data(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> dict[str, Any]:
-    """The scene's file with another stance.
-
-    The arm starts in `posture` (n,), rad: elsewhere the scene's own may be in the way of something.
-    """
+    """The scene's file with another stance."""
     data = scene.file.as_data()
     if posture is not None:
         data = {key: value for key, value in data.items() if key not in ("posture_deg", "start")}

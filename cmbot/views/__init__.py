@@ -9,6 +9,7 @@ from cmbot.views.replay import ReplayServer, replay, replay_page
 from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
 from cmbot.views.show import Shown, show
 from cmbot.views.stances import stances_page
+from cmbot.views.walked import walk_page
 
 __all__ = [
     "REPLAY",
@@ -29,5 +30,6 @@ __all__ = [
     "require_matplotlib",
     "show",
     "stances_page",
+    "walk_page",
     "write_page",
 ]

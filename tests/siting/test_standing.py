@@ -21,12 +21,12 @@ from cmbot.siting import (
     best_scene,
     candidates_of,
     in_words,
+    scene_at,
     screen,
     stances_csv,
     stand,
 )
 from cmbot.siting.arm import BaseArm, _Goals
-from cmbot.siting.standing import _scene
 from cmbot.views import stances_page
 
 COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1, checks=8)
@@ -57,7 +57,7 @@ def test_a_candidate_is_where_the_robot_of_its_scene_is(scene: Scene, candidates
     two = [each for each in candidates if each.stance.foot_2 is not None]
     assert 0 < len(two) < len(candidates)
     for candidate in (candidates[3], two[0], two[-1]):
-        robot = robot_of(_scene(scene, candidate, None))
+        robot = robot_of(scene_at(scene, candidate, None))
         placement = robot.model.frames[robot.model.getFrameId("arm_base")].placement
         np.testing.assert_allclose(placement.homogeneous, candidate.base, atol=1e-9)
         np.testing.assert_allclose(robot.foot_point, candidate.root[:3, 3], atol=1e-9)
@@ -66,7 +66,7 @@ def test_a_candidate_is_where_the_robot_of_its_scene_is(scene: Scene, candidates
 def test_the_climber_weighs_what_does_not_move(scene: Scene, candidates: list[Candidate]) -> None:
     candidate = candidates[-1]
     mass, centre = Climber().weight(candidate.climber)
-    robot = robot_of(_scene(scene, candidate, None))
+    robot = robot_of(scene_at(scene, candidate, None))
     assert mass == pytest.approx(robot.carrier_mass)
     whole = candidate.root[:3, :3] @ centre + candidate.root[:3, 3]
     np.testing.assert_allclose(whole, robot.model.inertias[0].lever, atol=1e-9)

@@ -166,9 +166,9 @@ def certify(
         )
     )
     deviation, rotation, lag = work.tool_deviation(), work.tool_rotation(), work.tool_lag()
+    expected = "" if sag is None else "expected "
     if via_points is not None:
         checks.append(_duration_check(task, trajectory))
-        expected = "" if sag is None else "expected "
         off, turned = work.at_via_points(via_points)
         # The compensation converges to a share of what is allowed in between.
         allowed = _AT_VIA_POINT if sag is None else options.max_tool_deviation_m
@@ -189,13 +189,13 @@ def certify(
         if sag is not None and sag.covariance is not None and options.deviation_sigmas:
             promised = (options.deviation_sigmas, options.max_tool_deviation_m)
             checks.append(spread_check(task.path, sag, trajectory, deviation.bound, *promised))
-        if task.max_speed is not None:
-            checks.append(_enclosed(f"{expected}tool speed", work.tool_speed(), task.max_speed, "m/s"))
-        if task.speed_tolerance is not None:
-            missed = work.process_speed()
-            checks.append(
-                _enclosed(f"{expected}deviation of the process speed", missed, task.speed_tolerance, "of it")
-            )
+    if task.max_speed is not None:
+        checks.append(_enclosed(f"{expected}tool speed", work.tool_speed(), task.max_speed, "m/s"))
+    if task.speed_tolerance is not None:
+        missed = work.process_speed()
+        checks.append(
+            _enclosed(f"{expected}deviation of the process speed", missed, task.speed_tolerance, "of it")
+        )
     guardrail, mean, rms, static = work.guardrail_torque()
     hold = work.hold()
     checks += () if hold is None else hold.checks()

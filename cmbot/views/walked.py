@@ -1,0 +1,106 @@
+"""The page of `cmbot walk`: the steps, and where the feet hold, coloured by what they bear."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from html import escape
+
+import numpy as np
+
+from cmbot.scene import Box, guardrail_obstacles
+from cmbot.walking import Walk, WalkSamples, walk_samples
+
+__all__ = ["walk_page"]
+
+_WIDTH, _HEIGHT, _EDGE = 900, 300, 40
+_STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:60rem;padding:0 1rem;color:#1d2430;"
+    "background:#fff}table{border-collapse:collapse;width:100%}td,th{padding:.2rem .6rem;text-align:right;"
+    "border-bottom:1px solid #dde2e8}td.text,th.text{text-align:left}svg{width:100%;height:auto}"
+    "@media(prefers-color-scheme:dark){body{color:#e6e9ee;background:#15181d}td,th{border-color:#333a44}"
+    "svg text{fill:#e6e9ee}}"
+)
+# Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.
+_LEAST, _MOST, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#8a8f98"
+
+
+def walk_page(walk: Walk) -> str:
+    """Return an HTML page that opens no connection and runs no script.
+
+    Parameters
+    ----------
+    walk : Walk
+    """
+    title, samples = f"Walk: {escape(walk.scene.name)}", list(walk_samples(walk))
+    largest = {id(part.move): part.share for part in samples}
+    rows, begins = "", iter(walk.begins)
+    for number, step in enumerate(walk.steps, start=1):
+        begin = [next(begins) for _ in step.moves]
+        share = max(float(np.nanmax(largest[id(move)], initial=0.0)) for move in step.moves)
+        used = f"{100 * share:.0f} %" if share > 0 else ""
+        effort = max(move.segment.figures.limit_use.torque for move in step.moves)
+        cells = (str(number), f"foot {step.foot}", *step.places, f"{begin[0]:.1f}", f"{step.seconds:.1f}")
+        row = (*cells, f"{100 * effort:.0f} %", used)
+        rows += "<tr>" + "".join(f"<td{_text(k)}>{escape(cell)}</td>" for k, cell in enumerate(row)) + "</tr>"
+    heads = ("", "moves", "from", "to", "begins, s", "seconds", "effort of joints", "share that a foot bears")
+    head = "".join(f"<th{_text(k)}>{name}</th>" for k, name in enumerate(heads))
+    return (
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
+        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
+        "style-src 'unsafe-inline'\">"
+        f"<title>{title}</title><style>{_STYLE}</style></head><body><h1>{title}</h1>"
+        f"{''.join(f'<p>{escape(line)}</p>' for line in walk.in_words())}"
+        f"{_map(walk, samples)}<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
+        "</body></html>\n"
+    )
+
+
+def _text(column: int) -> str:
+    return ' class="text"' if column in (1, 2, 3) else ""
+
+
+def _map(walk: Walk, samples: list[WalkSamples]) -> str:
+    """The guardrail from outside with the ways of both feet, circles where they hold."""
+    feet = np.vstack([part.feet.reshape(-1, 3) for part in samples])
+    low, high = feet[:, 0].min() - 0.4, feet[:, 0].max() + 0.4
+    bottom, top = feet[:, 2].min() - 0.4, feet[:, 2].max() + 0.4
+    scale = min((_WIDTH - 2 * _EDGE) / (high - low), (_HEIGHT - 2 * _EDGE) / (top - bottom))
+
+    def at(x: float, z: float) -> tuple[float, float]:
+        return _EDGE + (x - low) * scale, _EDGE + (top - z) * scale
+
+    parts = [*_members(walk, at, (low, high, bottom, top))]
+    for part in samples:
+        for foot, dash in ((0, ""), (1, ' stroke-dasharray="5 4"')):
+            points = " ".join("{:.1f},{:.1f}".format(*at(p[0], p[2])) for p in part.feet[:, foot])
+            parts.append(f'<polyline points="{points}" fill="none" stroke="#2f6fb7"{dash}/>')
+    for part in samples:
+        for foot in part.move.holds:
+            x, y = at(*part.feet[-1, foot - 1, [0, 2]])
+            share = part.share[:, foot - 1]
+            colour = _UNKNOWN if np.isnan(share).all() else _colour(float(np.nanmax(share)))
+            parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="9" fill="{colour}"/>')
+            parts.append(
+                f'<text x="{x:.1f}" y="{y + 4:.1f}" font-size="11" text-anchor="middle">{foot}</text>'
+            )
+    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{"".join(parts)}</svg>'
+
+
+def _members(
+    walk: Walk, at: Callable[[float, float], tuple[float, float]], window: tuple[float, float, float, float]
+) -> Iterator[str]:
+    low, high, bottom, top = window
+    for member in guardrail_obstacles(walk.scene.guardrail):
+        if not isinstance(member.shape, Box):
+            continue
+        (x, _, z), (width, _, height) = np.array(member.X_WO)[:3, 3], member.shape.size
+        left, right = max(x - width / 2, low), min(x + width / 2, high)
+        lower, upper = max(z - height / 2, bottom), min(z + height / 2, top)
+        if left < right and lower < upper:
+            (a, b), (c, d) = at(left, upper), at(right, lower)
+            yield f'<rect x="{a:.1f}" y="{b:.1f}" width="{c - a:.1f}" height="{d - b:.1f}" fill="#c9ced6"/>'
+
+
+def _colour(share: float) -> str:
+    mixed = (round(a + min(share, 1.0) * (b - a)) for a, b in zip(_LEAST, _MOST, strict=True))
+    return "#" + "".join(f"{part:02x}" for part in mixed)

@@ -1,0 +1,186 @@
+"""Walking: the robot on either foot, what steps ask, a certified step, and refusals."""
+
+import csv
+import json
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from small_scenes import short_scene
+
+import cmbot
+from cmbot.common.errors import PlanningError, SceneError
+from cmbot.robot import Climber, Kinematics, load_climbing_robot
+from cmbot.scene import FootholdFile, Scene, StanceFile
+from cmbot.siting import Candidate, in_the_way, places_of
+from cmbot.views import walk_page
+from cmbot.walking import Step, Walk, WalkOptions, load_goal, stance_of, walk, walk_csv, walk_data
+from cmbot.walking.balance import Balance
+from cmbot.walking.route import Route, nodes_between
+from cmbot.walking.steps import plan_step, swinging_robot
+
+ARM_DEG = (-83.0, -166.0, 120.0, 30.0, 73.0, 62.0, -10.0)
+COUNTERWEIGHT_DEG = (3.1, -93.2, 148.1, 133.6, 54.8, 78.7, 5.7)
+CLAMP = {"kind": "clamp", "force_n": [2e4] * 3, "moment_nm": [2e3] * 3}
+
+
+def feet(first: float, second: float) -> dict[str, Any]:
+    ends = {"foot_1": first, "foot_2": second}
+    return {foot: {"member": "top_rail", "along_m": x, "turn_deg": 180} for foot, x in ends.items()}
+
+
+def scene_at(first: float, second: float, hold: dict[str, Any], **changes: Any) -> Scene:
+    begin = {"frame": "world", "xyz": [1.8, 0.78, -2.06], "rpy_deg": [0, 180, 0]}
+    return short_scene(
+        format="cmbot-scene/2",
+        posture_deg=list(ARM_DEG),
+        tool_path={"from": begin},
+        guardrail={"hold": hold, "stance": feet(first, second)},
+        **changes,
+    )
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    return scene_at(4.04, 4.44, CLAMP)
+
+
+@pytest.fixture(scope="module")
+def balance(scene: Scene) -> Balance:
+    return Balance(scene, np.array(scene.posture))
+
+
+@pytest.fixture(scope="module")
+def node(scene: Scene) -> Candidate:
+    return stance_of(scene)
+
+
+@pytest.fixture(scope="module")
+def walked(scene: Scene, node: Candidate) -> Walk:
+    """A walk of one step of foot 1."""
+    after = stance_of(scene_at(4.09, 4.44, CLAMP))
+    moves = plan_step(scene, node, after, 1, np.radians(COUNTERWEIGHT_DEG), 0.03, straight=True)
+    step = Step(foot=1, before=node, after=after, moves=moves)
+    return Walk(scene=scene, goal=after, steps=(step,), last=None, failures=(), speed=0.03)
+
+
+def test_on_foot_2_it_is_the_same_robot() -> None:
+    arm, rng = np.radians(ARM_DEG), np.random.default_rng(1)
+    one, two = (load_climbing_robot(foot, np.eye(4), arm, payload=3.0) for foot in (1, 2))
+    assert two.joints == one.joints[::-1]
+    assert two.mass == pytest.approx(one.mass)
+    for q in rng.uniform(-1, 1, (4, 5)):
+        X = Kinematics(one).tool_pose(q).homogeneous
+        np.testing.assert_allclose(X, Climber().poses(q)[0], atol=1e-9)
+        back = Kinematics(two).tool_pose(q[::-1]).homogeneous
+        np.testing.assert_allclose(back, np.linalg.inv(X), atol=1e-9)
+        centres = [
+            (robot.arm_mass * pin.centerOfMass(robot.model, robot.model.createData(), posture.copy())
+             + robot.carrier_mass * robot.model.inertias[0].lever) / robot.mass
+            for robot, posture in ((one, q), (two, q[::-1]))
+        ]  # fmt: skip
+        np.testing.assert_allclose(X[:3, :3] @ centres[1] + X[:3, 3], centres[0], atol=1e-9)
+
+
+@pytest.mark.parametrize("foot", [1, 2])
+def test_what_holding_on_to_a_foot_asks(scene: Scene, node: Candidate, balance: Balance, foot: Any) -> None:
+    """Against the whole robot's inverse dynamics."""
+    asked, goes = balance.asked(node, foot), 2 if foot == 1 else 1
+    for k in (0, 17):
+        robot = swinging_robot(scene, node, goes, balance.arms[k])
+        q = node.climber if foot == 1 else node.climber[::-1].copy()
+        torque = pin.computeGeneralizedGravity(robot.model, robot.model.createData(), q)
+        assert asked.effort[k] == pytest.approx(np.abs(torque / robot.limits.torque).max(), rel=1e-6)
+        data = robot.model.createData()
+        pin.rnea(robot.model, data, q, np.zeros(5), np.zeros(5))
+        centre = pin.centerOfMass(robot.model, data, q)
+        moment = np.cross(centre - robot.foot_point, robot.arm_mass * robot.model.gravity.linear)
+        wrench = np.hstack([robot.arm_mass * robot.model.gravity.linear, moment])[None]
+        assert asked.adhesion[k] == pytest.approx(robot.holding.each(wrench)[0, 0], rel=1e-6)
+        share = max(robot.holding.share(wrench)[0][0], asked.effort[k])
+        assert asked.use[k] == pytest.approx(share, rel=1e-6)
+
+
+def test_a_step_is_certified(walked: Walk) -> None:
+    """Places, speed and the lift along the face's normal, sampled from the trajectories."""
+    (step,) = walked.steps
+    assert [move.kind for move in step.moves] == ["lift", "swing", "set"]
+    ends, places = [], (step.before.root, step.after.root)
+    for move in step.moves:
+        assert move.segment.certificate.holds
+        assert {"tool speed"} < {check.quantity for check in move.segment.certificate.checks}
+        t = np.linspace(0.0, move.segment.duration, 200)
+        q, v = move.segment.trajectory.states(t)[:2]
+        p, J = Kinematics(move.robot).tool_point_jacobians(q)
+        assert np.linalg.norm(np.einsum("kij,kj->ki", J, v), axis=1).max() <= 0.03
+        ends += [p[0], p[-1]]
+        if move.kind != "swing":
+            place = places[0 if move.kind == "lift" else 1]
+            aside = (p - place[:3, 3]) @ place[:3, [0, 2]]
+            assert np.abs(aside).max() < 2e-3
+    np.testing.assert_allclose(ends[0], places[0][:3, 3], atol=1e-6)
+    np.testing.assert_allclose(ends[-1], places[1][:3, 3], atol=1e-6)
+    np.testing.assert_allclose(ends[1:-1:2], ends[2::2], atol=1e-6)
+    assert walked.seconds > 0.11 / 0.03
+
+
+def test_a_walk_as_files(walked: Walk) -> None:
+    rows = [*csv.DictReader(walk_csv(walked).splitlines())]
+    assert {row["holds"] for row in rows} == {"2"}
+    assert float(rows[-1]["t"]) == pytest.approx(walked.seconds, rel=1e-5)
+    for row, node in ((rows[0], walked.steps[0].before), (rows[-1], walked.goal)):
+        place = [float(row[f"foot_1_{axis}"]) for axis in "xyz"]
+        np.testing.assert_allclose(place, node.root[:3, 3], atol=1e-6)
+        assert row["share_1"] == ""
+        assert 0 < float(row["share_2"]) <= 1
+    data = json.loads(json.dumps(walk_data(walked)))
+    assert data["steps"][0]["to"] == "top_rail at 4.09 m (outer)"
+    page = walk_page(walked)
+    assert "<script" not in page
+    assert "http://" not in page
+    assert page.count("<circle") == 3
+    assert "1 step and 0 moves of the arm" in page
+
+
+def test_a_foot_keeps_clear_of_joints_and_lamps(scene: Scene) -> None:
+    near_post = FootholdFile(member="top_rail", along_m=3.45)
+    assert in_the_way(scene, near_post) == "post_3"
+    assert in_the_way(scene, FootholdFile(member="top_rail", along_m=3.9)) is None
+    lamp = {"name": "lamp", "cylinder": [0.05, 0.2], "xyz": [0.4, 0.15, 0.0]}
+    lit = scene_at(4.04, 4.44, CLAMP, obstacles=[lamp])
+    assert in_the_way(lit, FootholdFile(member="top_rail", along_m=3.9)) == "lamp"
+    places = {(each.member, each.along_m) for each in places_of(lit, 0.1)}
+    assert places < {(each.member, each.along_m) for each in places_of(scene, 0.1)}
+
+
+def test_the_route_has_only_steps_that_hold(scene: Scene, node: Candidate, balance: Balance) -> None:
+    goal = stance_of(scene_at(4.34, 4.74, CLAMP))
+    route = Route(nodes_between(scene, node, goal, 0.6), balance)
+    edges = route.shortest(0)
+    assert edges is not None
+    assert (edges[0].before, edges[-1].after) == (0, 1)
+    for edge in edges:
+        holds = 2 if edge.foot == 1 else 1
+        weights = route.counterweights(edge, -1)
+        assert len(weights)
+        assert (route.asked[holds][[edge.before, edge.after]][:, weights] <= 0.9).all()
+    for edge in edges:
+        route.close(edge)
+    assert route.shortest(0) != edges
+
+
+def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:
+    weak = scene_at(4.04, 4.44, {"kind": "magnet", "adhesion_n": 300})
+    with pytest.raises(PlanningError, match=r"easiest step.*% of its effort, adhesion needed \d+\.\d+ kN"):
+        cmbot.walk(weak, StanceFile.model_validate(feet(4.34, 4.74)), WalkOptions(spacing=0.8))
+
+
+def test_where_to(tmp_path: Any, scene: Scene) -> None:
+    (tmp_path / "there.json").write_text(json.dumps(feet(4.34, 4.74)))
+    goal = load_goal(tmp_path / "there.json")
+    assert isinstance(goal, StanceFile)
+    assert goal.foot_2.along_m == 4.74
+    assert isinstance(load_goal("triangle"), Scene)
+    with pytest.raises(SceneError, match="the shipped robot, which holds a guardrail"):
+        walk(short_scene(guardrail={"bays": 0}), goal)
