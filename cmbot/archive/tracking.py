@@ -25,6 +25,7 @@ from cmbot.simulation import (
     MotionTracking,
     PrescribedWork,
     SimulationOptions,
+    StiffnessCase,
     Tracking,
     execution_error,
     expected_tool,
@@ -57,6 +58,7 @@ class _Motion(_Entry):
 class _TrackingFile(_Entry):
     options: SimulationOptions
     seconds: float
+    interval: tuple[StiffnessCase, ...] = ()
     baseline: _Motion
     planned: _Motion
     files: dict[str, str]
@@ -180,7 +182,7 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
         motions[_TABLES[name]] = motion_tracking(
             work, t, rigid + predicted, error, static, frequencies, execution
         )
-    return Tracking(options=file.options, seconds=file.seconds, **motions)
+    return Tracking(options=file.options, seconds=file.seconds, interval=file.interval, **motions)
 
 
 def tracking_json(tracking: Tracking) -> dict[str, Any]:
@@ -192,6 +194,7 @@ def tracking_json(tracking: Tracking) -> dict[str, Any]:
         "seconds": tracking.seconds,
         "baseline": _motion(tracking.baseline),
         "planned": _motion(tracking.planned),
+        "interval": [asdict(case) for case in tracking.interval],
     }
 
 

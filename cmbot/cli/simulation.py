@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -45,6 +46,14 @@ def simulate(
     stiffness: Annotated[
         float, typer.Option("--stiffness", help="Factor on the stiffness of guardrail, links and joints.")
     ] = 1.0,
+    stiffness_share: Annotated[
+        float | None,
+        typer.Option(
+            "--stiffness-share",
+            help="By which share stiffness may be less or more, simulated too; 0: not. Left out, the plan's "
+            "quiet_stiffness_share.",
+        ),
+    ] = None,
     segments: Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")] = 1,
     rate: Annotated[
         float | None, typer.Option("--rate", help="Set-points a second that the controller is given.")
@@ -68,16 +77,22 @@ def simulate(
 
     Example: [bold]cmbot simulate out/triangle[/bold]
     """
-    driven = {
+    given = {
+        "damping": damping,
+        "initial": initial,
+        "segments": segments,
+        **dict.fromkeys(_FACTORS, stiffness),
         "set_point_rate_hz": rate,
         "set_points": set_points,
         "servo_bandwidth_hz": None if servo is None else [servo],
         "delay_s": delay,
     }
-    options = _options(
-        damping=damping, initial=initial, stiffness=stiffness, segments=segments, driven=driven
-    )
+    if stiffness_share is not None:
+        given["stiffness_share"] = stiffness_share
+    options = _options(given)
     with claimed_plan(directory) as loaded:
+        if stiffness_share is None:
+            options = replace(options, stiffness_share=loaded.options.quiet_stiffness_share)
         from cmbot.archive import require_no_tracking
 
         require_no_tracking(directory, force=force)
@@ -144,7 +159,10 @@ def reproduce(
 
 
 # What options of the command line are called in `SimulationOptions`.
-_DRIVEN = {
+_FACTORS = ("guardrail_factor", "link_factor", "joint_factor")
+_CALLED = {
+    **dict.fromkeys(_FACTORS, "--stiffness"),
+    "stiffness_share": "--stiffness-share",
     "set_point_rate_hz": "--rate",
     "set_points": "--set-points",
     "servo_bandwidth_hz": "--servo",
@@ -152,19 +170,15 @@ _DRIVEN = {
 }
 
 
-def _options(
-    *, damping: float, initial: str, stiffness: float, segments: int, driven: dict[str, Any]
-) -> SimulationOptions:
+def _options(given: dict[str, Any]) -> SimulationOptions:
     """Check the options; errors name them as the command line does."""
     from cmbot.common.validation import validated
 
-    given = {"damping": damping, "initial": initial, "segments": segments}
-    factors = dict.fromkeys(("guardrail_factor", "link_factor", "joint_factor"), stiffness)
     try:
-        return validated(cmbot.SimulationOptions, given | factors | driven, "cmbot simulate", InputError)
+        return validated(cmbot.SimulationOptions, given, "cmbot simulate", InputError)
     except InputError as error:
         key = error.key.partition("[")[0]
-        option = "--stiffness" if key in factors else _DRIVEN.get(key, f"--{key}")
+        option = _CALLED.get(key, f"--{key}")
         raise InputError(error.source, option, error.got, error.expected, error.choices) from error
 
 
@@ -205,10 +219,12 @@ def _print_reproduction(found: Reproduction, *, details: bool) -> None:
 
 
 def _print_summary(plan: Plan, tracking: Tracking) -> None:
-    from cmbot.simulation import tracking_summary, tracking_verdict
+    from cmbot.simulation import INTERVAL_HEADINGS, interval_rows, tracking_summary, tracking_verdict
 
     rows = list(tracking_summary(tracking, compensated=plan.options.compensate))
     print_table(f"{plan.scene.name}, mm", ("", "baseline", "planned"), rows, text_columns=1)
+    if others := list(interval_rows(plan, tracking)):
+        print_table("With another stiffness", INTERVAL_HEADINGS, others, text_columns=2)
     out.print(tracking_verdict(plan, tracking))
 
 

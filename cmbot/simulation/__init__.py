@@ -6,7 +6,8 @@ from cmbot.simulation.metrics import ErrorMetrics, Residual, Statistics, statist
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
 from cmbot.simulation.summary import (
-    off_path,
+    INTERVAL_HEADINGS,
+    interval_rows,
     tracking_remarks,
     tracking_rows,
     tracking_summary,
@@ -14,6 +15,7 @@ from cmbot.simulation.summary import (
 )
 from cmbot.simulation.tracking import (
     MotionTracking,
+    StiffnessCase,
     Tracking,
     elastic_arm_of,
     execution_error,
@@ -25,6 +27,7 @@ from cmbot.simulation.tracking import (
 )
 
 __all__ = [
+    "INTERVAL_HEADINGS",
     "ErrorMetrics",
     "MotionTracking",
     "PrescribedMotion",
@@ -32,12 +35,13 @@ __all__ = [
     "Residual",
     "SimulationOptions",
     "Statistics",
+    "StiffnessCase",
     "Tracking",
     "elastic_arm_of",
     "execution_error",
     "expected_tool",
+    "interval_rows",
     "motion_tracking",
-    "off_path",
     "simulate",
     "statistics",
     "track",

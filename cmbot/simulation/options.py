@@ -37,6 +37,9 @@ class SimulationOptions:
         Elastic joints per link tube.
     guardrail_factor, link_factor, joint_factor : float
         Of the stiffness of the guardrail, of the links and of the joints.
+    stiffness_share : float
+        By which all stiffness may be more or less: both motions are simulated at both ends of this interval,
+        too. 0: at the stated stiffness alone.
     payload_kg : float or None
         Point mass at the tool in place of the scene's; the motion stays the same.
     set_point_rate_hz : float or None
@@ -65,6 +68,7 @@ class SimulationOptions:
     guardrail_factor: Factor = 1.0
     link_factor: Factor = 1.0
     joint_factor: Factor = 1.0
+    stiffness_share: Annotated[float, Field(ge=0, le=0.9)] = 0.0
     payload_kg: Annotated[float, Field(ge=0, le=1e4)] | None = None
     set_point_rate_hz: Annotated[float, Field(ge=1, le=1e4)] | None = None
     set_points: Literal["interpolated", "held"] = "interpolated"

@@ -14,7 +14,14 @@ from cmbot.simulation.metrics import statistics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.tracking import MotionTracking, Tracking
 
-__all__ = ["off_path", "tracking_remarks", "tracking_rows", "tracking_summary", "tracking_verdict"]
+__all__ = [
+    "INTERVAL_HEADINGS",
+    "interval_rows",
+    "tracking_remarks",
+    "tracking_rows",
+    "tracking_summary",
+    "tracking_verdict",
+]
 
 _QUANTITIES = (
     ("mean", "mean"),
@@ -30,6 +37,13 @@ _PARTS = (
 )
 
 
+# Options that change what is simulated, not how.
+_MODEL = ("guardrail_factor", "link_factor", "joint_factor", "payload_kg", "servo_bandwidth_hz", "delay_s")
+
+INTERVAL_HEADINGS = ("stiffness times", "mm", "baseline", "without suppression", "planned")
+"""Headings of `interval_rows`."""
+
+
 def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple[str, str, str]]:
     """Yield the main results in mm, each as its name, the baseline's and the planned motion's.
 
@@ -43,8 +57,8 @@ def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple
     sag = "tool sags beyond what was foreseen, mean" if compensated else "tool sags, mean"
     rows = {
         sag: [motion.metrics.static.mean[3] for motion in both],
-        "tool sways beside its sag, at most": [_largest(motion.dynamic, motion) for motion in both],
-        "bent tool off its path, at most": [off_path(motion) for motion in both],
+        "tool sways beside its sag, at most": [motion.largest(motion.dynamic) for motion in both],
+        "bent tool off its path, at most": [motion.largest_off_path for motion in both],
     }
     if all(motion.execution is not None for motion in both):
         rows["tool off by how joints are driven, at most"] = [_largest_execution(motion) for motion in both]
@@ -64,7 +78,7 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     tracking : Tracking
         Of that plan.
     """
-    allowed, off = plan.options.max_tool_deviation_m, off_path(tracking.planned)
+    allowed, off = plan.options.max_tool_deviation_m, tracking.planned.largest_off_path
     bound = f"{1e3 * allowed:g} mm (max_tool_deviation_m)"
     if off <= allowed:
         return f"Within the margin: bent as it is, the tool stays within {bound} of its path."
@@ -73,17 +87,35 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
         driven = 1e3 * _largest_execution(tracking.planned)
         return f"{text}. How the joints are driven puts it up to {driven:.2f} mm from where it should be."
     if plan.options.compensate:
-        sags = _largest(tracking.planned.static, tracking.planned) > allowed
+        sags = tracking.planned.largest(tracking.planned.static) > allowed
         why = "what bends here is not what was planned with" if sags else "beside it, it sways"
         return f"{text}, though the foreseen sag is compensated: {why}."
-    if _largest(tracking.planned.dynamic, tracking.planned) <= allowed:
+    if tracking.planned.largest(tracking.planned.dynamic) <= allowed:
         return f"{text}. That is sag, which can be foreseen: with compensate: true the plan makes up for it."
     return f"{text}. With compensate: true the plan makes up for the sag, not for the swaying."
 
 
-def off_path(motion: MotionTracking) -> float:
-    """Return the largest distance of the bent tool from its path along the strokes, m."""
-    return _largest(motion.path_error, motion)
+def interval_rows(plan: Plan, tracking: Tracking) -> Iterator[tuple[str, ...]]:
+    """Yield what the stiffness decides, in mm: its factor and name, the baseline's, unsuppressed, planned.
+
+    Without suppression is told where the plan has simulated that, else left blank. Nothing where the stated
+    stiffness alone was simulated.
+    """
+    done, options = plan.quieting, tracking.options
+    without = {}
+    if done is not None and all(
+        getattr(options, name) == getattr(SimulationOptions, name) for name in _MODEL
+    ):
+        cases = zip(done.stiffness, done.load_kg, done.swing_without, strict=True)
+        without = {factor: swing for factor, load, swing in cases if not load}
+    for case in sorted(tracking.interval, key=lambda case: case.stiffness):
+        at, (baseline, planned) = f"{case.stiffness:g}", case.off_path
+        yield at, "bent tool off its path, at most", f"{1e3 * baseline:.3f}", "", f"{1e3 * planned:.3f}"
+        if case.swing is not None:
+            baseline, planned = case.swing
+            swing = without.get(round(case.stiffness, 6))
+            told = "" if swing is None else f"{1e3 * swing:.3f}"
+            yield at, "tool swings after the stop", f"{1e3 * baseline:.3f}", told, f"{1e3 * planned:.3f}"
 
 
 def tracking_rows(tracking: Tracking) -> Iterator[tuple[str, ...]]:
@@ -126,13 +158,7 @@ def tracking_remarks(tracking: Tracking) -> Iterator[str]:
 
 
 def _largest_execution(motion: MotionTracking) -> float:
-    return 0.0 if motion.execution is None else _largest(motion.execution, motion)
-
-
-def _largest(error: FloatArray, motion: MotionTracking) -> float:
-    """Largest norm of an error (N, 3) while the joints move, m; rows of NaN are left out."""
-    moving = motion.t <= motion.stop * (1 + 1e-12)
-    return float(np.nanmax(np.linalg.norm(error[moving], axis=1)))
+    return 0.0 if motion.execution is None else motion.largest(motion.execution)
 
 
 def _command(motion: MotionTracking) -> str:

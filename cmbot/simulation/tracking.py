@@ -5,10 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, ClassVar, Literal
 
 import numpy as np
 import pinocchio as pin
+from pydantic import ConfigDict, Field
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.arrays import FloatArray
@@ -30,6 +31,7 @@ from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
 
 __all__ = [
     "MotionTracking",
+    "StiffnessCase",
     "Tracking",
     "elastic_arm_of",
     "execution_error",
@@ -39,6 +41,8 @@ __all__ = [
     "track",
     "track_work",
 ]
+
+Distance = Annotated[float, Field(ge=0)]
 
 # Displacement, m or rad, by which a second correction of a step has to move something to be made.
 _TOLERANCE = 1e-8
@@ -86,6 +90,38 @@ class MotionTracking:
         """The error less its static part, (N, 3), m."""
         return self.error - self.static
 
+    @property
+    def largest_off_path(self) -> float:
+        """Largest distance of the bent tool from its path along the strokes, m."""
+        return self.largest(self.path_error)
+
+    def largest(self, error: FloatArray) -> float:
+        """Return the largest norm of an error (N, 3) while the joints move, m; rows of NaN are left out."""
+        moving = self.t <= self.stop * (1 + 1e-12)
+        return float(np.nanmax(np.linalg.norm(error[moving], axis=1)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class StiffnessCase:
+    """What matters of both motions where all stiffness is another.
+
+    Attributes
+    ----------
+    stiffness : float
+        Factor on all stiffness of the simulation's options.
+    off_path : (float, float), m
+        Largest distance of the bent tool from its path along the strokes, of the baseline and as planned.
+    swing : (float, float), m, or None
+        Largest distance between two positions of the tool after the stop, of both; None where that is not
+        simulated.
+    """
+
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    stiffness: Annotated[float, Field(gt=0)]
+    off_path: tuple[Distance, Distance]
+    swing: tuple[Distance, Distance] | None
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracking:
@@ -97,12 +133,15 @@ class Tracking:
     baseline, planned : MotionTracking
     seconds : float, s
         Wall time.
+    interval : tuple of StiffnessCase
+        At the ends of the interval that `SimulationOptions.stiffness_share` gives.
     """
 
     options: SimulationOptions
     baseline: MotionTracking
     planned: MotionTracking
     seconds: float
+    interval: tuple[StiffnessCase, ...] = ()
 
     def __repr__(self) -> str:
         return f"<Tracking: {self._in_words}>"
@@ -163,18 +202,44 @@ def simulate(
     started = time.perf_counter()
     # The matrices are too small for several threads of linear algebra.
     with threadpool_limits(limits=1, user_api="blas"), watched_share(progress, "simulating") as told:
-        arm = elastic_arm_of(plan, options)
         works = PrescribedWork.baseline(plan), PrescribedWork.planned(plan)
-        first, second = (work.duration + options.settle_s for work in works)
+        sags = None, plan.sag
+        share = options.stiffness_share
+        factors = (1.0, 1 - share, 1 + share) if share else (1.0,)
+        total, before = len(factors) * sum(work.duration + options.settle_s for work in works), 0.0
 
         def report(reached: float) -> None:
             if told is not None:
-                told(reached / (first + second))
+                told((before + reached) / total)
 
-        baseline = track_work(arm, works[0], options, report)
-        planned = track_work(arm, works[1], options, lambda t: report(first + t), plan.sag)
-    seconds = time.perf_counter() - started
-    return Tracking(options=options, baseline=baseline, planned=planned, seconds=seconds)
+        motions = []
+        for factor in factors:
+            arm = elastic_arm_of(plan, _softened(options, factor))
+            for work, sag in zip(works, sags, strict=True):
+                motions.append(track_work(arm, work, options, report, sag))
+                before += work.duration + options.settle_s
+    baseline, planned, *others = motions
+    pairs = zip(factors[1:], others[::2], others[1::2], strict=True)
+    return Tracking(
+        options=options,
+        baseline=baseline,
+        planned=planned,
+        seconds=time.perf_counter() - started,
+        interval=tuple(_case(factor, *pair) for factor, *pair in pairs),
+    )
+
+
+def _softened(options: SimulationOptions, factor: float) -> SimulationOptions:
+    """The options with all stiffness times `factor`."""
+    names = ("guardrail_factor", "link_factor", "joint_factor")
+    return replace(options, **{name: factor * getattr(options, name) for name in names})
+
+
+def _case(factor: float, *motions: MotionTracking) -> StiffnessCase:
+    off = [motion.largest_off_path for motion in motions]
+    swings = [motion.metrics.residual.diameter for motion in motions if motion.metrics.residual is not None]
+    swing = (swings[0], swings[1]) if len(swings) == len(off) else None
+    return StiffnessCase(stiffness=factor, off_path=(off[0], off[1]), swing=swing)
 
 
 def elastic_arm_of(plan: Plan, options: SimulationOptions) -> ElasticArm:

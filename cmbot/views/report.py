@@ -25,7 +25,14 @@ from cmbot.planning import (
 )
 from cmbot.robot import postures_in_words
 from cmbot.scene import ToolPath
-from cmbot.simulation import Tracking, off_path, tracking_remarks, tracking_rows, tracking_verdict
+from cmbot.simulation import (
+    INTERVAL_HEADINGS,
+    Tracking,
+    interval_rows,
+    tracking_remarks,
+    tracking_rows,
+    tracking_verdict,
+)
 from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_meaning, joint_charts
 from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
@@ -240,7 +247,7 @@ def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
     motions = (tracking.baseline.metrics, tracking.planned.metrics)
     before, after = (1e3 * (m.path if compensated else m.total).rms[3] for m in motions)
     residuals = [m.residual for m in motions if m.residual is not None]
-    off = off_path(tracking.planned)
+    off = tracking.planned.largest_off_path
     detail = f"elastic arm, at most {1e3 * off:.1f} mm off its path; bound {1e3 * bound:g} mm"
     if len(residuals) == 2:
         swings = " → ".join(f"{1e3 * residual.diameter:.2f}" for residual in residuals)
@@ -272,7 +279,9 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     if tracking is not None:
         errors = table(tracking_rows(tracking), ("mm", "", "x", "y", "z", "norm"), text_columns=2)
         sentences = _list([tracking_verdict(plan, tracking), *tracking_remarks(tracking)])
-        yield section("Simulation", errors + sentences, kind="long")
+        interval = list(interval_rows(plan, tracking))
+        others = table(interval, INTERVAL_HEADINGS, text_columns=2) if interval else ""
+        yield section("Simulation", errors + others + sentences, kind="long")
     yield section("Scene", table(_scene(plan), text_columns=2))
     headings = _MIXED_HEADINGS if plan.robot.limits.prismatic.any() else _JOINT_HEADINGS
     yield section("Joints", table(_joints(plan), headings))

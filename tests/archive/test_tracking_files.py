@@ -50,6 +50,7 @@ def test_of_several_strokes_too(strokes_plan: Plan, strokes_tracking: Tracking, 
 def require_read(folder: Path, tracking: Tracking) -> None:
     found = cmbot.load_tracking(load_plan(folder), folder)
     assert (found.options, found.seconds) == (tracking.options, tracking.seconds)
+    assert found.interval == tracking.interval
     assert list(tracking_rows(found)) == list(tracking_rows(tracking))
     for name in ("baseline", "planned"):
         ours, theirs = getattr(found, name), getattr(tracking, name)
@@ -97,6 +98,8 @@ def test_a_changed_file_is_an_error(folder: Path, short_plan: Plan, name: str) -
         (lambda data: data.update(seconds="long"), "seconds"),
         (lambda data: data.update(planned=[]), "planned"),
         (lambda data: data["planned"].update(modes={}), "planned.modes"),
+        (lambda data: data["interval"][0].update(stiffness=0.0), "interval[0].stiffness"),
+        (lambda data: data["interval"][1].update(off_path=[1e-3, -1e-3]), "interval[1].off_path[1]"),
         (lambda data: data["baseline"]["modes"][0].pop("frequency"), "baseline.modes[0].frequency"),
         (lambda data: data["baseline"]["modes"][1].update(frequency=True), "baseline.modes[1].frequency"),
     ],

@@ -19,7 +19,14 @@ import cmbot
 from cmbot.archive import save_tracking
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Plan
-from cmbot.simulation import Tracking, tracking_remarks, tracking_rows, tracking_summary, tracking_verdict
+from cmbot.simulation import (
+    Tracking,
+    interval_rows,
+    tracking_remarks,
+    tracking_rows,
+    tracking_summary,
+    tracking_verdict,
+)
 
 TABLES = ("tracking.csv", "tracking_baseline.csv")
 FILES = {*TABLES, "tracking.json"}
@@ -96,7 +103,11 @@ def test_it_prints_a_summary_and_with_details_all_figures(
     assert lines[0] == "short, mm"
     assert lines[1].split() == ["baseline", "planned"]
     assert [line.split() for line in lines[2 : 2 + len(rows)]] == [" ".join(row).split() for row in rows]
-    assert lines[2 + len(rows) :] == [
+    others = list(interval_rows(short_plan, short_tracking))
+    rest = lines[2 + len(rows) :]
+    assert rest[0] == "With another stiffness"
+    assert [line.split() for line in rest[2 : 2 + len(others)]] == [" ".join(row).split() for row in others]
+    assert rest[2 + len(others) :] == [
         tracking_verdict(short_plan, short_tracking),
         f"Written to {', '.join(str(folder / name) for name in WRITTEN)}.",
         f"All figures: {folder / 'report.html'}, under Simulation; --details --force prints them.",

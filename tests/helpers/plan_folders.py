@@ -16,7 +16,7 @@ from small_scenes import short_scene
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Job, Plan, QuinticTrajectory, Samples, plan
-from cmbot.simulation import Tracking, simulate
+from cmbot.simulation import SimulationOptions, Tracking, simulate
 
 MOTIONS = ("trajectory", "job")
 FILES = {"plan.json", "baseline.csv"} | {
@@ -66,7 +66,8 @@ def short_folder(saved_short: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture(scope="session")
 def short_tracking(short_plan: Plan) -> Tracking:
-    return simulate(short_plan)
+    """As ``cmbot simulate`` has it, at the ends of the plan's interval of stiffness, too."""
+    return simulate(short_plan, SimulationOptions(stiffness_share=0.3))
 
 
 def changed(planned: Plan, segment: str, **changes: Any) -> Plan:

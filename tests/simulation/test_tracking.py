@@ -13,11 +13,13 @@ from small_scenes import parts, short_scene
 from cmbot.common.errors import InputError, SimulationDiverged
 from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, ToolTask
+from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
 from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import (
     PrescribedMotion,
     SimulationOptions,
     Tracking,
+    interval_rows,
     simulate,
     track,
     tracking_remarks,
@@ -52,7 +54,7 @@ def task() -> ToolTask:
 
 
 def test_both_motions_are_simulated_to_the_end_and_beyond(tracking: Tracking, short_plan: Plan) -> None:
-    assert tracking.options == OPTIONS
+    assert tracking.options == replace(OPTIONS, stiffness_share=0.3)
     assert tracking.seconds > 0
     for motion in (tracking.baseline, tracking.planned):
         assert motion.stop == short_plan.trajectory.duration
@@ -196,6 +198,34 @@ def test_a_softer_or_heavier_arm_errs_more_and_a_finer_one_hardly(
     fine = planned_motion(short_plan, segments=3)
     np.testing.assert_allclose(fine.static, tracking.planned.static, atol=1e-4)
     np.testing.assert_allclose(fine.metrics.mode_frequencies, before.mode_frequencies, rtol=0.02)
+
+
+def test_the_ends_of_the_interval_are_simulated_too(short_plan: Plan) -> None:
+    """All stiffness is less or more; what the plan tells without suppression stands beside it."""
+    options = replace(OPTIONS, stiffness_share=0.3, joint_factor=0.9)
+    found = simulate(short_plan, options)
+    assert [case.stiffness for case in found.interval] == [0.7, 1.3]
+    for case in found.interval:
+        factors = {"guardrail_factor": case.stiffness, "link_factor": case.stiffness}
+        soft = planned_motion(short_plan, **factors, joint_factor=0.9 * case.stiffness)
+        assert case.off_path[1] == pytest.approx(soft.largest_off_path, rel=1e-9)
+        assert case.swing[1] == pytest.approx(soft.metrics.residual.diameter, rel=1e-9)
+    assert found.interval[0].off_path > found.interval[1].off_path
+    assert [row[3] for row in interval_rows(short_plan, found)] == ["", "", "", ""]
+    done = VibrationSuppression(
+        modes=1,
+        shares=(0.5,),
+        before=2e-3,
+        after=1e-3,
+        stiffness=(0.7, 1.0, 1.3),
+        load_kg=(0.0, 1.0, 0.0),
+        swing_without=(4e-3, 3e-3, 2e-3),
+        swing_with=(2e-3, 1e-3, 1e-3),
+    )
+    suppressed = replace(short_plan, quieting=done)
+    assert [row[3] for row in interval_rows(suppressed, found)] == ["", "", "", ""]
+    found = replace(found, options=replace(options, joint_factor=1.0))
+    assert [row[3] for row in interval_rows(suppressed, found)] == ["", "4.000", "", "2.000"]
 
 
 def test_half_the_step_gives_the_same_error(short_plan: Plan, tracking: Tracking) -> None:
