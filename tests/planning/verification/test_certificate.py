@@ -319,6 +319,7 @@ def test_the_certificate_leans_on_nothing_that_made_the_plan() -> None:
         "cmbot.planning.verification.enclosed_hold",
         "cmbot.planning.verification.metrics",
         "cmbot.planning.verification.nearest_approach",
+        "cmbot.planning.verification.sag_spread",
         "cmbot.trajectory.enclosure",
         "cmbot.trajectory.polynomials",
         "cmbot.trajectory.quintic",
