@@ -30,7 +30,7 @@ __all__ = ["DrivenMotion", "ElasticMotion", "ElasticSystem", "GeneralizedAlpha"]
 # Displacement, m or rad, beyond which the model of springs between rigid bodies is not valid.
 _MAX_DISPLACEMENT = 1.0
 # Steps between two reports of progress, and between two trials of a second correction.
-_PROGRESS_STEPS, _RENEWED = 100, 5
+_PROGRESS_STEPS, _RENEWED = 100, 10
 
 
 class DrivenMotion(Protocol):
