@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -51,20 +52,22 @@ class Uncertainty:
 
 
 class ElasticPath:
-    """An arm along a trajectory: its matrices about the equilibria, for every load of an uncertainty.
+    """An arm along a trajectory: its matrices about the equilibria, for every load.
 
     Legs that overlap share them. What lies before the times asked for last is forgotten.
     """
 
-    def __init__(self, arm: ElasticArm, trajectory: QuinticTrajectory, uncertainty: Uncertainty) -> None:
-        self.trajectory, self.uncertainty = trajectory, uncertainty
-        self._arms = [arm.softened(1.0, load) if load else arm for load in uncertainty.loads]
-        self._known: list[dict[float, tuple[FloatArray, ...]]] = [{} for _ in self._arms]
+    def __init__(self, arm: ElasticArm, trajectory: QuinticTrajectory) -> None:
+        self.trajectory = trajectory
+        self._arms, self._known = {0.0: arm}, dict[float, dict[float, tuple[FloatArray, ...]]]()
 
-    def at(self, times: FloatArray) -> list[_Matrices]:
-        """Return the matrices for every load at ascending `times` (g,), s."""
+    def at(self, times: FloatArray, loads: Sequence[float]) -> list[_Matrices]:
+        """Return the matrices for every load, kg more at the tool, at ascending `times` (g,), s."""
         (q, v), found = (self.trajectory.evaluate(times, order) for order in range(2)), []
-        for arm, known in zip(self._arms, self._known, strict=True):
+        for load in loads:
+            if load not in self._arms:
+                self._arms[load] = self._arms[0.0].softened(1.0, load)
+            arm, known = self._arms[load], self._known.setdefault(load, {})
             for time in [time for time in known if time < times[0]]:
                 del known[time]
             new = [k for k, time in enumerate(times) if time not in known]
@@ -97,18 +100,20 @@ class LegVibration:
     """How the joints' snap along a leg moves the first modes at its end, the arm at rest where it starts.
 
     The matrices are those along the path's trajectory; a small change of that hardly changes them. There are
-    C cases of the uncertainty. `times` (m,), s, are the middles of the steps between the knots `start` and
+    C cases of the `uncertainty`. `times` (m,), s, are the middles of the steps between the knots `start` and
     `end`, `weights` (m, C 2r, n) those of the snaps at these times in what the modes' displacements, then
     their velocities over omega, move the tool by at the end, m.
     """
 
-    def __init__(self, path: ElasticPath, start: float, end: float, modes: int) -> None:
+    def __init__(
+        self, path: ElasticPath, start: float, end: float, modes: int, uncertainty: Uncertainty
+    ) -> None:
         knots = path.trajectory.t
         edges = _refined(knots[(knots > start - 1e-9) & (knots < end + 1e-9)], _MATRICES_EVERY)
-        matrices = path.at(np.append(0.5 * (edges[1:] + edges[:-1]), end))
+        matrices = path.at(np.append(0.5 * (edges[1:] + edges[:-1]), end), uncertainty.loads)
         reduced = [
             _reduced(each, factor, modes)
-            for each, factors in zip(matrices, path.uncertainty.factors, strict=True)
+            for each, factors in zip(matrices, uncertainty.factors, strict=True)
             for factor in factors
         ]
         self._carried = carried = _Carried(*(np.stack(each) for each in zip(*reduced, strict=True)))
@@ -120,11 +125,16 @@ class LegVibration:
         ]
         self.times = np.concatenate(each)
         self._steps, self._counts = lengths / counts, counts
-        weights = _weights(carried, self._steps, counts)
-        weights *= np.concatenate([carried.to_tool, carried.to_tool], axis=1)[:, None, :, None]
+        self.cases = len(reduced)
+
+    @cached_property
+    def weights(self) -> FloatArray:
+        """Of the snaps (m, C 2r, n)."""
+        weights = _weights(self._carried, self._steps, self._counts)
+        to_tool = self._carried.to_tool
+        weights *= np.concatenate([to_tool, to_tool], axis=1)[:, None, :, None]
         cases, m, conditions, n = weights.shape
-        self.weights = weights.transpose(1, 0, 2, 3).reshape(m, cases * conditions, n)
-        self.cases = cases
+        return weights.transpose(1, 0, 2, 3).reshape(m, cases * conditions, n)
 
     def vibration(self, trajectory: QuinticTrajectory) -> FloatArray:
         """What each mode moves the tool by at the end, for every case (C 2r,), m."""

@@ -53,8 +53,8 @@ _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 _WORTH, _AT_REST = 0.6, 2e-6
 # What the prediction misses, as a share of the stiffness.
 _MARGIN = 0.01
-# Longer paths, s, and more modes are predicted in fewer cases.
-_LONG, _MANY = 60.0, 3
+# Factors on the stiffness; longer paths, s, and more modes are predicted in fewer cases.
+_MOST_FACTORS, _FEW_FACTORS, _LONG, _MANY = 25, 13, 60.0, 3
 # By how much times may miss their knots, s.
 _SAME_TIME = 1e-9
 # Time before the end of a leg in which vibration was excited that still counts, s.
@@ -138,10 +138,11 @@ def suppress_vibration(
     context, trajectory, t = problem.context, optimised.trajectory, problem.space.t
     options, reporter = context.options, context.reporter
     leg_times = context.task.path.leg_times
-    uncertainty = _uncertainty(options, arm.robot.payload, float(t[-1] - t[0]))
+    few = t[-1] - t[0] > _LONG or options.quiet_modes > _MANY
+    uncertainty = _uncertainty(options, arm.robot.payload, _FEW_FACTORS if few else _MOST_FACTORS)
     groups = legs_by_window(problem.space, leg_times)
     windows = [Window(problem, group) for group in groups]
-    path = ElasticPath(arm, trajectory, uncertainty)
+    path = ElasticPath(arm, trajectory)
     ends = [(window, leg) for window, group in zip(windows, groups, strict=True) for leg in group]
     for window, (first, last) in reporter.each("predicting the vibration of every leg", ends):
         if reporter.expired():
@@ -149,7 +150,7 @@ def suppress_vibration(
         # What is left of the legs before is still there, but for that of long ago.
         earlier = [time for time in leg_times if window.start <= time + _SAME_TIME < t[first]]
         start = min([t[first], *(time for time in earlier if t[last] - time <= _KEPT)])
-        leg = LegVibration(path, float(start), t[last], options.quiet_modes)
+        leg = LegVibration(path, float(start), t[last], options.quiet_modes, uncertainty)
         window.bring_to_rest(leg, trajectory)
     reporter.step("bringing the slowest vibrations to rest")
     search = _Search(problem, trajectory, windows)
@@ -159,6 +160,10 @@ def suppress_vibration(
     if before < _AT_REST:
         changed, shares = trajectory, [0.0] * len(windows)
     reporter.step("simulating the swing after the stop")
+    if few:
+        # Between the factors that were predicted a change may do harm.
+        uncertainty = _uncertainty(options, arm.robot.payload, _MOST_FACTORS)
+        leg = LegVibration(path, float(start), t[last], options.quiet_modes, uncertainty)
     swings = leg.swings([trajectory, changed] if any(shares) else [trajectory])
     without, with_it = swings[0], swings[-1]
     shown = _shown(uncertainty, without, with_it, options)
@@ -177,17 +182,16 @@ def suppress_vibration(
     return replace(optimised, trajectory=changed), done
 
 
-def _uncertainty(options: PlannerOptions, payload: float, duration: float) -> Uncertainty:
-    """What stiffness and load may be, as the options say; on long paths and for many modes in fewer cases."""
+def _uncertainty(options: PlannerOptions, payload: float, count: int) -> Uncertainty:
+    """What stiffness and load may be, as the options say; with few factors of the stiffness no other load."""
     share, more = options.quiet_stiffness_share, options.quiet_payload_kg
     wide = share + _MARGIN
-    few = duration > _LONG or options.quiet_modes > _MANY
     factors = {1.0, *_ends(share)}
     if share:
         # Evenly spaced in frequency: so the phases at the end of a leg are.
-        roots = np.linspace(np.sqrt(1 - wide), np.sqrt(1 + wide), 13 if few else 25)
+        roots = np.linspace(np.sqrt(1 - wide), np.sqrt(1 + wide), count)
         factors |= set((roots**2).round(6).tolist())
-    loads = () if few else tuple(load for load in (more, -min(more, payload)) if load)
+    loads = () if count <= _FEW_FACTORS else tuple(load for load in (more, -min(more, payload)) if load)
     # Stiffness and load, one at a time.
     return Uncertainty(loads=(0.0, *loads), factors=(tuple(sorted(factors)), *[(1.0,)] * len(loads)))
 

@@ -188,6 +188,24 @@ def test_a_change_that_does_not_help_is_not_made(monkeypatch: pytest.MonkeyPatch
     assert "makes the largest swing hardly smaller" in " ".join(remarks(left))
 
 
+def test_many_modes_are_judged_at_more_stiffnesses_than_they_are_predicted(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Between those of the prediction the tool may swing more than without a change."""
+    cases, swings = list[tuple[int, int]](), LegVibration.swings
+
+    def judged(leg: LegVibration, trajectories: list[QuinticTrajectory]) -> FloatArray:
+        found = swings(leg, trajectories)
+        cases.append(found.shape)
+        return found
+
+    monkeypatch.setattr(LegVibration, "swings", judged)
+    done = planned(6, 10).quieting
+    ((_, number),) = cases
+    assert number >= 25
+    assert {1.0, 0.7, 1.3} < set(done.stiffness)
+
+
 def spaced(segments: int) -> SplineSpace:
     return SplineSpace(np.linspace(0.0, 0.4 * segments, segments + 1))
 
