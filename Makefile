@@ -7,10 +7,9 @@ BIN := .venv/bin
 demo: .venv/installed
 	$(BIN)/cmbot plan triangle --output out/triangle --force
 
-# Neighbours share what was planned for them: they stay together until a worker has nothing left to do. There is
-# one worker more than cores: some tests wait for browsers and other processes.
+# Neighbours share what was planned for them: they stay together until a worker has nothing left to do.
 test: .venv/tested
-	$(BIN)/pytest -n $$(($$(nproc) + 1)) --dist worksteal
+	$(BIN)/pytest -n auto --dist worksteal
 
 # Takes hours.
 fuzz: .venv/tested
