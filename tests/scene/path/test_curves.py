@@ -111,7 +111,8 @@ def test_the_share_is_one_of_the_length(make: type, seed: int) -> None:
     rng = np.random.default_rng(seed)
     curve = spline(rng, uneven=0.1) if make is spline else make(rng)
     shares = np.concatenate([curve.breaks, [1.0]]) if make is spline else FINE[1:]
-    fine = np.unique(np.concatenate([np.linspace(0, 1, 20_001), shares]))
+    # Chords are shorter than tight corners.
+    fine = np.unique(np.concatenate([np.linspace(0, 1, 100_001), shares]))
     covered = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve.position(fine), axis=0), axis=1)))
     at = np.searchsorted(fine, shares)
     atol = {spline: 5e-3, rolled: 1e-5}.get(make, 1e-6)
