@@ -154,8 +154,9 @@ def _client(distributed: Any, workers: int, scheduler: str | None) -> Iterator[A
     with ExitStack() as ends:
         with _ctrl_c_later():
             ends.enter_context(importlib.import_module("dask").config.set(_SETTINGS))
-            # What goes wrong is in the results.
-            logging.getLogger("distributed").setLevel(logging.CRITICAL)
+            # What goes wrong is in the results; tornado tells of callbacks that a cluster's end cuts short.
+            for name in ("distributed", "tornado"):
+                logging.getLogger(name).setLevel(logging.CRITICAL)
             cluster = ends.enter_context(distributed.LocalCluster(**local, **options))
             client = ends.enter_context(distributed.Client(cluster))
         yield client
