@@ -23,6 +23,8 @@ HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
 _UNSEEN = 0.9
 # Probability of a larger misfit below which the model is doubted.
 _DOUBTED = 0.01
+# The smallest probability that is told, per cent.
+_LEAST_SHARE = 0.01
 _BASE = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
@@ -54,7 +56,7 @@ def identified_rows(found: Identification) -> Iterator[tuple[str, ...]]:
 
 
 def _row(name: str, modelled: float, identified: float, now: float, before: float) -> tuple[str, ...]:
-    told = "" if now <= _UNSEEN * before else "not seen: as before"
+    told = "" if now <= _UNSEEN * before else "not seen"
     factor = identified / modelled
     shares = f"{100 * now:.1f}", f"{100 * before:.1f}"
     return name, f"{modelled:.4g}", f"{identified:.4g}", f"{factor:.3f}", *shares, told
@@ -76,6 +78,14 @@ def unseen(found: Identification) -> tuple[tuple[str, ...], int]:
 def remarks(found: Identification) -> Iterator[str]:
     """Yield what an identification means: exactness along the job, what was not seen, doubts, assumptions."""
     setup, names = found.measurements.setup, unseen(found)
+    if found.misfit_share < _DOUBTED:
+        share = 100 * found.misfit_share
+        probability = f"{share:.1g} %" if share >= _LEAST_SHARE else f"less than {_LEAST_SHARE:g} %"
+        yield (
+            "Do not use this: the measurements do not fit, a misfit as large has a probability of "
+            f"{probability}. Look for a slip, a wrong sign or unit in a row, for play in the joints "
+            "(windup_sd_arcmin), or for a gauge or a weight that is less exact than stated."
+        )
     if found.before is not None and found.after is not None:
         yield (
             f"Sag along the job: {1e3 * found.after.rms:.2f} mm RMS, modelled {1e3 * found.before.rms:.2f}; "
@@ -84,13 +94,7 @@ def remarks(found: Identification) -> Iterator[str]:
     parts = [", ".join(names[0])] * bool(names[0])
     parts += [f"{names[1]} of the 21 numbers of the base"] * bool(names[1])
     if parts:
-        yield f"Not seen, left as they were assumed: {' and '.join(parts)}."
-    if found.misfit_share < _DOUBTED:
-        yield (
-            "The measurements do not fit: a misfit as large has a probability of "
-            f"{100 * found.misfit_share:.1g} %. Look for a slip in a row, for play in the joints "
-            "(windup_sd_arcmin), or for a gauge or a weight that is less exact than stated."
-        )
+        yield f"Not seen, nearly as they were assumed: {' and '.join(parts)}."
     if found.measurements.damping:
         ratio = float(np.median(found.measurements.damping))
         yield f"Damping of the modes in the records: {100 * ratio:.1f} % of critical (simulate --damping)."
@@ -105,13 +109,13 @@ def proposal_remarks(found: Proposal) -> Iterator[str]:
     setup = found.setup
     number, axes = counted(len(found.q), "posture"), "".join(np.array(list("xyz"))[found.seen])
     yield (
-        f"After {number} with {setup.weight_kg:g} kg, {axes} to {setup.gauge_sd_mm:g} mm: "
-        f"{_exactness(found.after)}; today {100 * found.before.length_95:.0f} %."
+        f"The sag along the job is {1e3 * found.after.rms:.2f} mm RMS as modelled, joints bending, known "
+        f"within {100 * found.before.length_95:.0f} %."
     )
     error = 1e3 * found.after.rms * found.after.share
     yield (
-        f"The sag along the job is {1e3 * found.after.rms:.2f} mm as modelled; compensated, it would leave "
-        f"{error:.2f} mm RMS."
+        f"After {number} with {setup.weight_kg:g} kg, {axes} to {setup.gauge_sd_mm:g} mm: "
+        f"{_exactness(found.after)}; with that compensated, {error:.2f} mm RMS of it would be left."
     )
     yield (
         f"Chosen from {found.candidates} postures that are clear of everything and that the joints can hold "

@@ -154,7 +154,7 @@ def test_nothing_measured_of_a_joint_keeps_its_prior(
     k = [name for _, name in identified.parameters.springs].index("joint_7")
     assert identified.covariance[k, k] == pytest.approx(identified.prior[k] ** 2, rel=0.05)
     rows = {row[0]: row for row in identified_rows(identified)}
-    assert rows["joint_7, Nm/rad"][-1] == "not seen: as before"
+    assert rows["joint_7, Nm/rad"][-1] == "not seen"
     assert len(rows) == 4 + 7 + 6
     assert any("joint_7" in line and "Not seen" in line for line in remarks(identified))
 
