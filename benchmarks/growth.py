@@ -24,10 +24,10 @@ from rich.table import Table
 from threadpoolctl import threadpool_limits
 
 from cmbot import Scene, load_scene
+from cmbot.planning.certification.certificate import certify
 from cmbot.planning.context import build_context
 from cmbot.planning.initial_guess import sliding_guess
 from cmbot.planning.torque.decomposition import optimise
-from cmbot.planning.verification.certificate import certify
 
 SIZES = (50, 200, 1000)
 

@@ -4,6 +4,9 @@ Other rooms import from here; the parts of the method import each other's module
 """
 
 from cmbot.optimization import ExchangeReport
+from cmbot.planning.certification.certificate import Certificate, certify
+from cmbot.planning.certification.check import Check
+from cmbot.planning.certification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
 from cmbot.planning.context import (
     PlanningContext,
     bending_arm,
@@ -45,9 +48,6 @@ from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.stiffness import covariance_of, modelled_stiffness
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.certificate import Certificate, certify
-from cmbot.planning.verification.check import Check
-from cmbot.planning.verification.metrics import LimitUse, MotionMetrics, Samples, figures, measure, tool_lag
 from cmbot.planning.verification.second_opinion import second_opinion
 from cmbot.trajectory import QuinticTrajectory, SplineSpace
 

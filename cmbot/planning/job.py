@@ -11,10 +11,10 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.hold import AdhesionPeak
+from cmbot.planning.certification.certificate import Certificate
+from cmbot.planning.certification.check import Check
+from cmbot.planning.certification.metrics import LimitUse, MotionMetrics
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.certificate import Certificate
-from cmbot.planning.verification.check import Check
-from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
 from cmbot.trajectory import QuinticTrajectory
 
 __all__ = [

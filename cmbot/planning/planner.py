@@ -15,6 +15,8 @@ from cmbot.common.errors import InputError, LimitViolation, PathNotFound, Planni
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.optimization import ExchangeReport
+from cmbot.planning.certification.certificate import certify
+from cmbot.planning.certification.metrics import figures, measure
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.failures import constraints_named, in_keys, slower, slower_legs
 from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
@@ -41,8 +43,6 @@ from cmbot.planning.result.stroke_plan import Start, StrokePlan, objective_metri
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.stroke_order import in_least_travel
 from cmbot.planning.torque import Optimised, optimise, segments
-from cmbot.planning.verification.certificate import certify
-from cmbot.planning.verification.metrics import figures, measure
 from cmbot.scene import PlannerOptions, Scene
 
 __all__ = ["plan"]

@@ -1,8 +1,9 @@
 """Where the robot works: the scene file, the tool path, obstacles, the guardrail, the planner's options."""
 
-from cmbot.scene.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
-from cmbot.scene.hold import HoldFile
-from cmbot.scene.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
+from cmbot.scene.base.guardrail import GuardrailFile, feet_at, guardrail_from_file, guardrail_obstacles
+from cmbot.scene.base.hold import HoldFile
+from cmbot.scene.base.identified import IdentifiedBase, IdentifiedSpring, IdentifiedStiffness
+from cmbot.scene.base.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.mesh_file import load_mesh
 from cmbot.scene.migration import migrated
 from cmbot.scene.obstacles import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, pose
@@ -27,7 +28,6 @@ from cmbot.scene.scene_file import (
     shipped_scenes,
     update_file,
 )
-from cmbot.scene.stance import FootholdFile, StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.stow import STOW
 from cmbot.scene.template import limits_text, scene_text
 from cmbot.scene.tool import SPEED_TOLERANCE, Tool

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import ConfigDict, Field, GetPydanticSchema, model_validator
 
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
+from cmbot.scene.base.stance import Stance
 from cmbot.scene.fields import (
     Angles,
     Length,
@@ -20,7 +21,6 @@ from cmbot.scene.fields import (
     exactly_one,
     one_of_schema,
 )
-from cmbot.scene.stance import Stance
 
 __all__ = ["BaseFile", "Joints", "MountFile", "PostureFile", "RobotFile", "RobotSource"]
 

@@ -22,12 +22,12 @@ from cmbot.common.validation import (
 )
 from cmbot.elastic import Guardrail
 from cmbot.hold import Foot
+from cmbot.scene.base.guardrail import GuardrailFile, feet_of
+from cmbot.scene.base.identified import IdentifiedStiffness
 from cmbot.scene.fields import (
     Posture,
     Slug,
 )
-from cmbot.scene.guardrail import GuardrailFile, feet_of
-from cmbot.scene.identified import IdentifiedStiffness
 from cmbot.scene.obstacles import Obstacle, ObstacleFile, pose
 from cmbot.scene.options import PlannerOptions
 from cmbot.scene.path.kept import AxisCone, Keep

@@ -21,13 +21,13 @@ from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, li
 from cmbot.common.validation import given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.elastic import Guardrail
+from cmbot.scene.base.guardrail import guardrail_from_file, guardrail_obstacles
+from cmbot.scene.base.stance import resolved_stance
 from cmbot.scene.fields import si_fields
-from cmbot.scene.guardrail import guardrail_from_file, guardrail_obstacles
 from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
 from cmbot.scene.path.kept import AxisCone
 from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
-from cmbot.scene.stance import resolved_stance
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
 

@@ -14,7 +14,7 @@ from plan_folders import FILES, changed, edit, same_arrays
 from cmbot.archive import load_plan, save
 from cmbot.common.errors import ArchiveError, PathNotFound
 from cmbot.planning import Job, Plan, Start
-from cmbot.planning.verification.metrics import figures
+from cmbot.planning.certification.metrics import figures
 from cmbot.scene import PlannerOptions
 
 

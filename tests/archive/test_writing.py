@@ -14,9 +14,9 @@ from cmbot.archive import load_plan, save
 from cmbot.collision import Clearances
 from cmbot.common.errors import ArchiveError
 from cmbot.planning import Check, Plan, QuinticTrajectory, Samples
+from cmbot.planning.certification.metrics import measure
 from cmbot.planning.flexibility.sag_compensation import Compensation
 from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression
-from cmbot.planning.verification.metrics import measure
 from cmbot.scene import PlannerOptions
 
 FIGURES = {

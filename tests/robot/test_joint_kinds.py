@@ -17,7 +17,7 @@ from cmbot.common.installation import model_folder
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.planning import robot_of
-from cmbot.planning.verification.norm_bounds import norm_bounds
+from cmbot.planning.certification.norm_bounds import norm_bounds
 from cmbot.robot import Dynamics, Kinematics, Postures, Robot, joint_units, load_robot, postures_in_words
 from cmbot.scene import load_scene
 from cmbot.trajectory import Pieces

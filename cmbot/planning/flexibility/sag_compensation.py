@@ -15,10 +15,10 @@ import numpy as np
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import OptimisationFailed
 from cmbot.elastic.sag import Sag
+from cmbot.planning.certification.sag_spread import largest_spread
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.initial_guess import InitialGuess, shifted_problem
 from cmbot.planning.torque import Optimised, TorqueProblem, optimise
-from cmbot.planning.verification.sag_spread import largest_spread
 from cmbot.scene import ShiftedToolPath
 
 __all__ = ["MOST_ROUNDS", "Compensation", "compensate"]

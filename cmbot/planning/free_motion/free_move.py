@@ -11,6 +11,7 @@ from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import LimitViolation, PathNotFound
 from cmbot.optimization import StateSamples
+from cmbot.planning.certification.certificate import Certificate, certify
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
@@ -18,7 +19,6 @@ from cmbot.planning.free_motion.rrt_connect import rrt_connect
 from cmbot.planning.job import Segment
 from cmbot.planning.objectives import efforts_of
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.certificate import Certificate, certify
 from cmbot.robot import Dynamics, Robot
 from cmbot.scene import PlannerOptions, SpeedProfile
 from cmbot.trajectory import QuinticTrajectory, SplineSpace

@@ -10,12 +10,12 @@ import numpy as np
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
+from cmbot.planning.certification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.planning.free_motion.return_move import SAME_POSTURE
 from cmbot.planning.free_motion.straight_move import quickest_straight
 from cmbot.planning.job import RETURN, free_move_name, job_metrics
 from cmbot.planning.result.stroke_plan import StrokePlan
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.metrics import MotionMetrics, Samples, figures, measure
 from cmbot.robot import Robot
 
 __all__ = ["SAMPLE_STEP", "BaselineSegment", "baseline_job", "combined_baseline", "joined_samples"]

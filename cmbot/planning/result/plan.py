@@ -14,6 +14,9 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.cards import card
 from cmbot.common.validation import require_type
 from cmbot.elastic.sag import Sag
+from cmbot.planning.certification.certificate import Certificate
+from cmbot.planning.certification.metrics import MotionMetrics, Samples, measure
+from cmbot.planning.certification.sag_spread import across_path, spread_times
 from cmbot.planning.context import bending_arm, end_posture_of, sag_of, strokes_of
 from cmbot.planning.job import APPROACH, RETURN, Job, Segment, job_metrics
 from cmbot.planning.result.baseline import (
@@ -24,9 +27,6 @@ from cmbot.planning.result.baseline import (
     joined_samples,
 )
 from cmbot.planning.result.stroke_plan import StrokePlan, combined
-from cmbot.planning.verification.certificate import Certificate
-from cmbot.planning.verification.metrics import MotionMetrics, Samples, measure
-from cmbot.planning.verification.sag_spread import across_path, spread_times
 from cmbot.robot import Robot
 from cmbot.scene import WORK, Coverage, PlannerOptions, Scene, coverage_of, pieces_left_out, rows_alone
 from cmbot.trajectory import QuinticTrajectory

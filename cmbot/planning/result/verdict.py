@@ -7,10 +7,10 @@ from math import inf
 import numpy as np
 
 from cmbot.common.validation import counted
+from cmbot.planning.certification.check import Check
 from cmbot.planning.context import end_posture_of
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.result.plan import Plan
-from cmbot.planning.verification.check import Check
 from cmbot.robot import Dynamics
 
 __all__ = ["bound_use", "during", "promises", "strays", "tightest_check", "verdict"]

@@ -1,1 +1,1 @@
-"""Metrics, certificate and second opinion."""
+"""Second opinion: what a file says, computed again by code of its own."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.verification.check import Check
+from cmbot.planning.certification.check import Check
 from cmbot.planning.verification.multibody import Multibody
 from cmbot.robot import Robot
 from cmbot.scene import GuardrailFile, HoldFile, Scene

@@ -16,7 +16,7 @@ import numpy as np
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.elastic.sag import Sag
-from cmbot.planning.verification.check import Check
+from cmbot.planning.certification.check import Check
 from cmbot.planning.verification.convex_distance import ConvexShape, Proven, hull, smallest_distances
 from cmbot.planning.verification.foothold import hold_checks
 from cmbot.planning.verification.multibody import Multibody, PlacedShape

@@ -14,7 +14,7 @@ from cmbot.elastic import elastic_base
 from cmbot.elastic.arm import elastic_arm
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
 from cmbot.planning import Plan, build_context, modelled_stiffness, plan, robot_of
-from cmbot.planning.verification.sag_spread import across_path, largest_spread, spread_times
+from cmbot.planning.certification.sag_spread import across_path, largest_spread, spread_times
 from cmbot.scene import Scene
 from cmbot.views.charts import charts
 

@@ -12,10 +12,10 @@ from cmbot.archive import load_plan, save
 from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.exchange import ExchangeReport
 from cmbot.planning import Progress, plan, remarks
+from cmbot.planning.certification.certificate import certify
 from cmbot.planning.torque import decomposition
 from cmbot.planning.torque.decomposition import optimise, segments
 from cmbot.planning.torque.problem import TorqueProblem
-from cmbot.planning.verification.certificate import certify
 from cmbot.scene import Scene
 
 LEGS = [{"by": [0, side * 0.1, 0], "seconds": 3.0} for side in (-1, 1, -1, 1)]

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.verification.norm_bounds import timed_pose_bounds
+from cmbot.planning.certification.norm_bounds import timed_pose_bounds
 from cmbot.scene.path.curves import Arc, Blend, Curve, Rolled, Spline
 from cmbot.scene.path.time_law import SpeedProfile
 from cmbot.scene.path.tool_path import ToolPath

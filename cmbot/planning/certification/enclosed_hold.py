@@ -10,8 +10,8 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.hold import AdhesionPeak, Holding
-from cmbot.planning.verification.check import Check
-from cmbot.planning.verification.norm_bounds import NormBounds
+from cmbot.planning.certification.check import Check
+from cmbot.planning.certification.norm_bounds import NormBounds
 from cmbot.trajectory import Peak, Pieces, highest
 
 __all__ = ["EnclosedHold"]

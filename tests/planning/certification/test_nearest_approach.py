@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.verification.nearest_approach import nearest_approach
+from cmbot.planning.certification.nearest_approach import nearest_approach
 from cmbot.robot import Robot
 from cmbot.scene import Box, Capsule, Cylinder, Obstacle, Shape, Sphere, pose
 from cmbot.trajectory import QuinticTrajectory, SplineSpace

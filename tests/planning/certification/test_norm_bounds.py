@@ -9,7 +9,7 @@ from oracles import newton_euler
 from small_motions import wild
 
 from cmbot.common.arrays import FloatArray
-from cmbot.planning.verification.norm_bounds import norm_bounds
+from cmbot.planning.certification.norm_bounds import norm_bounds
 from cmbot.robot import Robot
 from cmbot.trajectory import Pieces, QuinticTrajectory
 from cmbot.trajectory.enclosure import _RHO

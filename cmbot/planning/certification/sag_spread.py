@@ -6,7 +6,7 @@ import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.sag import Sag
-from cmbot.planning.verification.check import Check
+from cmbot.planning.certification.check import Check
 from cmbot.scene import ToolPath
 from cmbot.trajectory import QuinticTrajectory
 

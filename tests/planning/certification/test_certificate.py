@@ -18,8 +18,8 @@ import cmbot
 from cmbot.collision import Clearances
 from cmbot.common.errors import InputError, LimitViolation
 from cmbot.planning import Plan, QuinticTrajectory, plan
-from cmbot.planning.verification.certificate import Certificate, Check, _continuity_check, certify
-from cmbot.planning.verification.metrics import measure
+from cmbot.planning.certification.certificate import Certificate, Check, _continuity_check, certify
+from cmbot.planning.certification.metrics import measure
 from cmbot.robot import Kinematics, Robot, load_robot
 from cmbot.scene import Box, Obstacle, pose
 from cmbot.trajectory import Parametrization, SparseSplines, SplineSpace
@@ -304,7 +304,7 @@ def imported_by(module: str, seen: set[str]) -> set[str]:
 
 
 def test_the_certificate_leans_on_nothing_that_made_the_plan() -> None:
-    imported = imported_by("cmbot.planning.verification.certificate", set())
+    imported = imported_by("cmbot.planning.certification.certificate", set())
     method = {
         name
         for name in imported
@@ -312,14 +312,14 @@ def test_the_certificate_leans_on_nothing_that_made_the_plan() -> None:
     }
     assert method <= {
         "cmbot.planning.task",
-        "cmbot.planning.verification.certificate",
-        "cmbot.planning.verification.norm_bounds",
-        "cmbot.planning.verification.process_speed",
-        "cmbot.planning.verification.check",
-        "cmbot.planning.verification.enclosed_hold",
-        "cmbot.planning.verification.metrics",
-        "cmbot.planning.verification.nearest_approach",
-        "cmbot.planning.verification.sag_spread",
+        "cmbot.planning.certification.certificate",
+        "cmbot.planning.certification.norm_bounds",
+        "cmbot.planning.certification.process_speed",
+        "cmbot.planning.certification.check",
+        "cmbot.planning.certification.enclosed_hold",
+        "cmbot.planning.certification.metrics",
+        "cmbot.planning.certification.nearest_approach",
+        "cmbot.planning.certification.sag_spread",
         "cmbot.trajectory.enclosure",
         "cmbot.trajectory.polynomials",
         "cmbot.trajectory.quintic",

@@ -12,8 +12,8 @@ from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import SceneError
 from cmbot.common.validation import CheckedFields, FileModel, refusal, shown
 from cmbot.elastic import Guardrail
+from cmbot.scene.base.hold import FACES, Face, face_of
 from cmbot.scene.fields import Angle, Coordinate, Slug, Vector
-from cmbot.scene.hold import FACES, Face, face_of
 
 __all__ = [
     "FootholdFile",

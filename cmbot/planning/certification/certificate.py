@@ -17,14 +17,14 @@ from cmbot.collision import RESOLUTION, Clearances
 from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import LimitViolation
 from cmbot.elastic.sag import Sag
+from cmbot.planning.certification.check import Check, largest_check
+from cmbot.planning.certification.enclosed_hold import EnclosedHold
+from cmbot.planning.certification.metrics import LimitUse, MotionMetrics
+from cmbot.planning.certification.nearest_approach import nearest_approach
+from cmbot.planning.certification.norm_bounds import NormBounds, norm_bounds, timed_pose_bounds
+from cmbot.planning.certification.process_speed import speed_deviation
+from cmbot.planning.certification.sag_spread import spread_check
 from cmbot.planning.task import ToolTask
-from cmbot.planning.verification.check import Check, largest_check
-from cmbot.planning.verification.enclosed_hold import EnclosedHold
-from cmbot.planning.verification.metrics import LimitUse, MotionMetrics
-from cmbot.planning.verification.nearest_approach import nearest_approach
-from cmbot.planning.verification.norm_bounds import NormBounds, norm_bounds, timed_pose_bounds
-from cmbot.planning.verification.process_speed import speed_deviation
-from cmbot.planning.verification.sag_spread import spread_check
 from cmbot.robot import Dynamics, Efforts, Kinematics, Robot
 from cmbot.scene import PlannerOptions
 from cmbot.trajectory import Peak, Pieces, QuinticTrajectory, highest

@@ -26,11 +26,11 @@ from cmbot.elastic import (
     shares,
 )
 from cmbot.hold import Foot
+from cmbot.scene.base.hold import Face, HoldFile, Holds, face_of, foot_on, held_member
+from cmbot.scene.base.matrices import Matrix6, check_positive_definite
+from cmbot.scene.base.stance import StanceFile, axis_point, foothold_face, foothold_pose
 from cmbot.scene.fields import Angle, Coordinate, Length, Slug, exactly_one, one_of_schema, si_fields
-from cmbot.scene.hold import Face, HoldFile, Holds, face_of, foot_on, held_member
-from cmbot.scene.matrices import Matrix6, check_positive_definite
 from cmbot.scene.obstacles import Box, Obstacle, pose
-from cmbot.scene.stance import StanceFile, axis_point, foothold_face, foothold_pose
 
 __all__ = ["GuardrailFile", "feet_at", "feet_of", "guardrail_from_file", "guardrail_obstacles"]
 

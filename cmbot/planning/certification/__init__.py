@@ -1,0 +1,1 @@
+"""Metrics of a motion and its certificate, for all times."""
