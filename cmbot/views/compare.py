@@ -15,7 +15,7 @@ from cmbot.planning import Plan, Samples, promises, verdict
 from cmbot.version import __version__
 from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
 from cmbot.views.drawing import Bending, reach, scene_commands
-from cmbot.views.page import STAGE_SCRIPTS, assemble
+from cmbot.views.page import STAGE_SCRIPTS, assemble, table
 from cmbot.views.replay_data import (
     FRAME_STEP,
     MOST_POSES,
@@ -25,7 +25,7 @@ from cmbot.views.replay_data import (
     link_names,
     pair_joints,
 )
-from cmbot.views.report import section, table
+from cmbot.views.report import section
 
 __all__ = ["MOST_PLANS", "compare_page"]
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from html import escape
 
 from cmbot.common.installation import picture_folder, scene_folder
-from cmbot.views.page import assemble_plain
+from cmbot.views.page import still_page
 
 __all__ = ["gallery_page"]
 
@@ -20,16 +20,11 @@ def gallery_page(about: Mapping[str, str]) -> str:
     about : mapping of str to str
         What each shipped scene is about, by its name. A scene without a picture is shown without one.
     """
-    return assemble_plain(
-        "gallery.html",
-        styles=("common.css", "overview.css"),
-        scripts=(),
-        data=None,
-        texts={
-            "title": "Scenes that come with cmbot",
-            "folder": f"Their files are in {escape(str(scene_folder()))}.",
-            "cards": "".join(_card(name, words) for name, words in about.items()),
-        },
+    cards = "".join(_card(name, words) for name, words in about.items())
+    return still_page(
+        "Scenes that come with cmbot",
+        [f"Their files are in {scene_folder()}."],
+        f'<main class="pair">\n{cards}</main>',
     )
 
 

@@ -7,7 +7,8 @@ import contextlib
 import hashlib
 import json
 import uuid
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from html import escape
 from importlib.metadata import distribution
 from importlib.resources import files
 from pathlib import Path
@@ -24,6 +25,8 @@ __all__ = [
     "draft_of",
     "pack",
     "pack_exactly",
+    "still_page",
+    "table",
     "write_page",
 ]
 
@@ -42,27 +45,55 @@ def assemble(
     further fields of the template as HTML, in which text from files is escaped.
     """
     parts = {"viewer": _viewer_script(), "view": _text("view.html"), "controls": _text("controls.html")}
-    return _filled(template, styles, scripts, data, {**texts, **parts})
+    return assemble_plain(template, styles=styles, scripts=scripts, data=data, texts={**texts, **parts})
 
 
 def assemble_plain(
     template: str, *, styles: Sequence[str], scripts: Sequence[str], data: Any, texts: Mapping[str, str]
 ) -> str:
     """Return an HTML page as `assemble` does, without the 3-D viewer."""
-    return _filled(template, styles, scripts, data, texts)
-
-
-def _filled(
-    template: str, styles: Sequence[str], scripts: Sequence[str], data: Any, texts: Mapping[str, str]
-) -> str:
     code = "".join(map(_text, scripts))
-    return Template(_text(template)).substitute(
+    page = f"{_text('head.html')}{_text(template)}</body>\n</html>\n"
+    return Template(page).substitute(
         texts,
         scripts=code,
         policy=_policy(code, *filter(None, [texts.get("viewer")])),
         style="".join(map(_text, styles)),
         data=_inline_json(data),
     )
+
+
+def still_page(title: str, sentences: Iterable[str], content: str) -> str:
+    """Return an HTML page that opens no connection and runs no script: sentences, below them `content`.
+
+    `content` is HTML, in which text from files is escaped.
+    """
+    return assemble_plain(
+        "still.html",
+        styles=("common.css", "overview.css"),
+        scripts=(),
+        data=None,
+        texts={
+            "title": escape(title),
+            "sentences": "".join(f"<p>{escape(sentence)}</p>" for sentence in sentences),
+            "content": content,
+        },
+    )
+
+
+def table(rows: Iterable[Sequence[str]], headings: Sequence[str] = ("", ""), *, text_columns: int = 1) -> str:
+    """Return a table: columns of text, then columns of numbers."""
+    kinds = ["text" if number < text_columns else "number" for number in range(len(headings))]
+    head = "".join(
+        f'<th class="{kind}" scope="col">{escape(h)}</th>' for h, kind in zip(headings, kinds, strict=True)
+    )
+    body = ""
+    for row in rows:
+        first, *others = (escape(cell) for cell in row)
+        cells = (f'<td class="{kind}">{cell}</td>' for cell, kind in zip(others, kinds[1:], strict=True))
+        body += f'<tr><th class="text" scope="row">{first}</th>{"".join(cells)}</tr>'
+    top = f"<thead><tr>{head}</tr></thead>" if any(headings) else ""
+    return f'<div class="table"><table>{top}<tbody>{body}</tbody></table></div>'
 
 
 def write_page(path: Path, text: str) -> None:

@@ -35,11 +35,11 @@ from cmbot.simulation import (
 )
 from cmbot.version import __version__, versions
 from cmbot.views.charts import MOST_SMALL_POINTS, charts, floor_meaning, joint_charts
-from cmbot.views.page import STAGE_SCRIPTS, assemble, write_page
+from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
 
-__all__ = ["REPLAY", "REPORT", "headlines", "pages", "report", "report_page", "section", "table"]
+__all__ = ["REPLAY", "REPORT", "headlines", "pages", "report", "report_page", "section"]
 
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
@@ -320,21 +320,6 @@ def section(title: str, content: str, *, kind: Literal["", "wide", "long"] = "")
 
 def _list(sentences: Iterable[str]) -> str:
     return f"<ul>{''.join(f'<li>{escape(sentence)}</li>' for sentence in sentences)}</ul>"
-
-
-def table(rows: Iterable[Row], headings: Row = ("", ""), *, text_columns: int = 1) -> str:
-    """Return a table: columns of text, then columns of numbers."""
-    kinds = ["text" if number < text_columns else "number" for number in range(len(headings))]
-    head = "".join(
-        f'<th class="{kind}" scope="col">{escape(h)}</th>' for h, kind in zip(headings, kinds, strict=True)
-    )
-    body = ""
-    for row in rows:
-        first, *others = (escape(cell) for cell in row)
-        cells = (f'<td class="{kind}">{cell}</td>' for cell, kind in zip(others, kinds[1:], strict=True))
-        body += f'<tr><th class="text" scope="row">{first}</th>{"".join(cells)}</tr>'
-    top = f"<thead><tr>{head}</tr></thead>" if any(headings) else ""
-    return f'<div class="table"><table>{top}<tbody>{body}</tbody></table></div>'
 
 
 def _elastic(plan: Plan) -> Iterator[Row]:

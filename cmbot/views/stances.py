@@ -8,6 +8,7 @@ from html import escape
 import numpy as np
 
 from cmbot.siting import Standing, Stood, in_words
+from cmbot.views.page import still_page, table
 
 __all__ = ["stances_page"]
 
@@ -22,13 +23,6 @@ _COLOURS = {
 }
 # Rows of the table.
 _ROWS = 60
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:60rem;padding:0 1rem;color:#1d2430;"
-    "background:#fff}table{border-collapse:collapse;width:100%}td,th{padding:.2rem .6rem;text-align:right;"
-    "border-bottom:1px solid #dde2e8}td.text,th.text{text-align:left}svg{width:100%;height:auto}"
-    "@media(prefers-color-scheme:dark){body{color:#e6e9ee;background:#15181d}td,th{border-color:#333a44}"
-    "svg text{fill:#e6e9ee}}"
-)
 
 
 def stances_page(standing: Standing) -> str:
@@ -38,33 +32,20 @@ def stances_page(standing: Standing) -> str:
     ----------
     standing : Standing
     """
-    title = f"Where to stand: {escape(standing.scene.name)}"
-    rows = "".join(_row(rank, each) for rank, each in enumerate(standing.ranked[:_ROWS], start=1))
-    unit = escape(standing.unit)
+    unit = standing.unit
     figures = (f"bound, {unit}", f"planned, {unit}", "torque at rest, Nm", "adhesion, kN")
-    heads = ("stance", "status", "judged by", *figures)
-    head = "".join(f"<th{_text(k)}>{name}</th>" for k, name in enumerate(("", *heads)))
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-        "style-src 'unsafe-inline'\">"
-        f"<title>{title}</title><style>{_STYLE}</style></head><body><h1>{title}</h1>"
-        f"{''.join(f'<p>{escape(line)}</p>' for line in in_words(standing))}"
-        f"{_map(standing)}<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table></body></html>\n"
-    )
+    rows = (_row(rank, each) for rank, each in enumerate(standing.ranked[:_ROWS], start=1))
+    ranked = table(rows, ("", "stance", "status", "judged by", *figures), text_columns=4)
+    content = f"<section>{_map(standing)}</section><section>{ranked}</section>"
+    return still_page(f"Where to stand: {standing.scene.name}", in_words(standing), content)
 
 
-def _text(column: int) -> str:
-    return ' class="text"' if column in (1, 2, 3) else ""
-
-
-def _row(rank: int, each: Stood) -> str:
+def _row(rank: int, each: Stood) -> tuple[str, ...]:
     planned = "" if each.plan is None else f"{each.plan.objective.planned_peak:.1f}"
     bound, torque, adhesion = ("", "", "")
     if np.isfinite(each.bound):
         bound, torque, adhesion = f"{each.bound:.1f}", f"{each.torque:.1f}", f"{each.adhesion / 1e3:.2f}"
-    cells = (str(rank), each.place, each.status, each.judged, bound, planned, torque, adhesion)
-    return "<tr>" + "".join(f"<td{_text(k)}>{escape(cell)}</td>" for k, cell in enumerate(cells)) + "</tr>"
+    return (str(rank), each.place, each.status, each.judged, bound, planned, torque, adhesion)
 
 
 def _map(standing: Standing) -> str:

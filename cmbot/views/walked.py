@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from html import escape
 
 import numpy as np
 
 from cmbot.scene import Box, guardrail_obstacles
+from cmbot.views.page import still_page, table
 from cmbot.walking import Walk, WalkSamples, walk_samples
 
 __all__ = ["walk_page"]
 
 _WIDTH, _HEIGHT, _EDGE = 900, 300, 40
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;margin:2rem auto;max-width:60rem;padding:0 1rem;color:#1d2430;"
-    "background:#fff}table{border-collapse:collapse;width:100%}td,th{padding:.2rem .6rem;text-align:right;"
-    "border-bottom:1px solid #dde2e8}td.text,th.text{text-align:left}svg{width:100%;height:auto}"
-    "@media(prefers-color-scheme:dark){body{color:#e6e9ee;background:#15181d}td,th{border-color:#333a44}"
-    "svg text{fill:#e6e9ee}}"
-)
 # Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.
 _LEAST, _MOST, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#8a8f98"
 
@@ -31,32 +24,23 @@ def walk_page(walk: Walk) -> str:
     ----------
     walk : Walk
     """
-    title, samples = f"Walk: {escape(walk.scene.name)}", list(walk_samples(walk))
+    samples = list(walk_samples(walk))
+    content = f"<section>{_map(walk, samples)}</section><section>{_steps(walk, samples)}</section>"
+    return still_page(f"Walk: {walk.scene.name}", walk.in_words(), content)
+
+
+def _steps(walk: Walk, samples: list[WalkSamples]) -> str:
     largest = {id(part.move): part.share for part in samples}
-    rows, begins = "", iter(walk.begins)
+    rows, begins = [], iter(walk.begins)
     for number, step in enumerate(walk.steps, start=1):
         begin = [next(begins) for _ in step.moves]
         share = max(float(np.nanmax(largest[id(move)], initial=0.0)) for move in step.moves)
         used = f"{100 * share:.0f} %" if share > 0 else ""
         effort = max(move.segment.figures.limit_use.torque for move in step.moves)
         cells = (str(number), f"foot {step.foot}", *step.places, f"{begin[0]:.1f}", f"{step.seconds:.1f}")
-        row = (*cells, f"{100 * effort:.0f} %", used)
-        rows += "<tr>" + "".join(f"<td{_text(k)}>{escape(cell)}</td>" for k, cell in enumerate(row)) + "</tr>"
+        rows.append((*cells, f"{100 * effort:.0f} %", used))
     heads = ("", "moves", "from", "to", "begins, s", "seconds", "effort of joints", "share that a foot bears")
-    head = "".join(f"<th{_text(k)}>{name}</th>" for k, name in enumerate(heads))
-    return (
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">'
-        '<meta http-equiv="Content-Security-Policy" content="default-src \'none\'; '
-        "style-src 'unsafe-inline'\">"
-        f"<title>{title}</title><style>{_STYLE}</style></head><body><h1>{title}</h1>"
-        f"{''.join(f'<p>{escape(line)}</p>' for line in walk.in_words())}"
-        f"{_map(walk, samples)}<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>"
-        "</body></html>\n"
-    )
-
-
-def _text(column: int) -> str:
-    return ' class="text"' if column in (1, 2, 3) else ""
+    return table(rows, heads, text_columns=4)
 
 
 def _map(walk: Walk, samples: list[WalkSamples]) -> str:
