@@ -11,6 +11,7 @@ import typer
 
 import cmbot
 from cmbot.cli.console import JsonOption, QuietOption, flat, out, print_json
+from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError, ModelError
 from cmbot.common.installation import scene_folder
 
@@ -85,7 +86,7 @@ def new(
         missing = "--from" if source is None else "--tool-at"
         raise InputError(missing, "", "nothing", "--from URDF and --tool-at X Y Z, or --from-scene SCENE")
     path = output if output is not None else Path(f"{_slug(Path(source).name.partition('.')[0])}.yaml")
-    _require_free(path, force)
+    require_new(path, force)
     limits = path.with_name(f"{path.stem}.limits.yaml")
     _require_numbers("--tool-at", tool_at, _LARGEST)
     _require_numbers("--rpy-deg", rpy_deg or (), _LARGEST_ANGLE)
@@ -103,7 +104,7 @@ def new(
 
     written = [path]
     if limits_content is not None:
-        _require_free(limits, force)
+        require_new(limits, force)
         write_file(limits, limits_content.encode())
         written.append(limits)
     write_file(path, text.encode())
@@ -123,7 +124,7 @@ def _migrate(source: str, output: Path | None, *, force: bool, as_json: bool, qu
     from cmbot.scene import migrated
 
     path = output if output is not None else Path(f"{_slug(Path(source).stem)}.yaml")
-    _require_free(path, force)
+    require_new(path, force)
     text = migrated(source, path, scene_folder() / "scene.schema.json")
     write_file(path, text.encode())
     if as_json:
@@ -206,13 +207,6 @@ def _model(source: str, path: Path) -> str:
 
 def _slug(text: str) -> str:
     return _NO_SLUG.sub("_", text).strip("_-")[:100] or "scene"
-
-
-def _require_free(path: Path, force: bool) -> None:
-    if path.is_dir():
-        raise InputError(str(path), "", "a folder", "the path of a file to write")
-    if path.exists() and not force:
-        raise InputError(str(path), "", "a file that is there", "another -o, or --force to replace it")
 
 
 def _require_numbers(option: str, numbers: tuple[float, ...], most: float) -> None:

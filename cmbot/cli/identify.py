@@ -9,6 +9,7 @@ import typer
 
 import cmbot
 from cmbot.cli.console import JsonOption, QuietOption, flat, out, print_json, print_table
+from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
@@ -60,12 +61,13 @@ def identify(
                 out.print(flat(line))
             out.print(f"Sheet to fill in: {flat(target)}")
         return
+    from cmbot.archive import write_file
     from cmbot.identification import stiffness_text
 
     target = output if output is not None else Path(f"{source.removesuffix('.yaml')}.stiffness.yaml")
-    _require_free(target, force=force)
+    require_new(target, force)
     found = cmbot.identify(source)
-    _write(target, stiffness_text(found.stiffness, Path(source).name))
+    write_file(target, stiffness_text(found.stiffness, Path(source).name).encode())
     if as_json:
         print_json({"verb": "identify", "file": str(target), **_summary(found)})
     elif not quiet:
@@ -88,12 +90,13 @@ def _propose(
     force: bool,
 ) -> tuple[Proposal, Path]:
     """Propose postures, and write the sheet."""
+    from cmbot.archive import write_file
     from cmbot.common.validation import validated
     from cmbot.identification import MeasuringSetup, job_postures, propose
 
     scene = cmbot.load_scene(source)
     target = output if output is not None else Path(f"{scene.name}.measurements.yaml")
-    _require_free(target, force=force)
+    require_new(target, force)
     try:
         setup = validated(MeasuringSetup, given, "cmbot identify", InputError)
     except InputError as error:
@@ -101,7 +104,7 @@ def _propose(
         raise InputError(error.source, option, error.got, error.expected) from error
     along = job_postures(scene if job is None else cmbot.load_plan(job))
     made = propose(scene, number, along, setup, axes=axes)
-    _write(target, made.sheet(_from(target, source)))
+    write_file(target, made.sheet(_from(target, source)).encode())
     return made, target
 
 
@@ -124,20 +127,6 @@ def _from(target: Path, scene: str) -> str:
     import os
 
     return os.path.relpath(path.resolve(), target.resolve().parent)
-
-
-def _require_free(target: Path, *, force: bool) -> None:
-    if target.exists() and not force:
-        raise InputError(str(target), "", "a file that is already there", "a new one, or --force")
-
-
-def _write(target: Path, text: str) -> None:
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding="utf-8")
-    except OSError as error:
-        got = f"a refusal of the system ({error.strerror})"
-        raise InputError(str(target), "", got, "a file that can be written") from error
 
 
 def _summary(found: Identification) -> dict[str, object]:

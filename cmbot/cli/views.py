@@ -204,11 +204,13 @@ def export(
         out.print(f"Written to {flat(mcap)}.")
 
 
-def require_new(page: Path, force: bool) -> None:
-    """Refuse a page that is there already, unless it may be replaced."""
-    # Path.exists raises for names that no file can have.
-    if os.path.exists(page) and not force:  # noqa: PTH110
-        raise InputError(str(page), "", "a file that is already there", "a new file, or --force")
+def require_new(path: Path, force: bool) -> None:
+    """Refuse a file to write that is there already, unless it may be replaced, and a folder always."""
+    # Those of Path raise for names that no file can have.
+    if os.path.isdir(path):  # noqa: PTH112
+        raise InputError(str(path), "", "a folder", "the path of a file to write")
+    if os.path.exists(path) and not force:  # noqa: PTH110
+        raise InputError(str(path), "", "a file that is already there", "a new file, or --force")
 
 
 @contextmanager

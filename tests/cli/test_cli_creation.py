@@ -111,7 +111,7 @@ def test_a_scene_of_the_shipped_robot(here: Path) -> None:
     assert [path.name for path in here.iterdir()] == ["own.yaml"]
     # It is made anew as it was, but only when that is asked for.
     text = (here / "own.yaml").read_text(encoding="utf-8")
-    again = "own.yaml: got a file that is there, expected another -o, or --force to replace it"
+    again = "own.yaml: got a file that is already there, expected a new file, or --force"
     assert refusal(*words).endswith(again)
     assert run(*words, "--force", "--quiet").out == ""
     assert (here / "own.yaml").read_text(encoding="utf-8") == text

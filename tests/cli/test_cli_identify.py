@@ -54,7 +54,7 @@ def test_from_a_sheet_to_a_scene_that_knows_its_stiffness(sheet: Path) -> None:
     assert cmbot.load_scene(scene).file.identified is not None
     again = run("identify", measured)
     assert again.status == 2
-    assert "expected a new one, or --force" in again.err
+    assert "expected a new file, or --force" in again.err
     printed = run("identify", measured, "--force", "--json")
     entries = json.loads(printed.out)
     assert entries["verb"] == "identify"
