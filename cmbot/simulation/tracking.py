@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Annotated, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, ClassVar, Literal
 
 import numpy as np
 import pinocchio as pin
@@ -28,6 +28,9 @@ from cmbot.simulation.execution import executed, is_executed
 from cmbot.simulation.metrics import ErrorMetrics, error_metrics
 from cmbot.simulation.options import SimulationOptions
 from cmbot.simulation.prescribed_motion import PrescribedMotion, PrescribedWork
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 __all__ = [
     "MotionTracking",
@@ -327,7 +330,7 @@ def track_work(
     static = -predicted
     for part, at, own in work.split(t):
         static[at] += _sag(loaded[part.path is not None], part.motion, own)
-    execution = execution_error(arm.robot, work, t, options)
+    execution = execution_error(arm.robot, work, t, options, curve)
     return motion_tracking(work, t, rigid + predicted, error, static, modes.frequencies, execution)
 
 
@@ -349,12 +352,21 @@ def expected_tool(
 
 
 def execution_error(
-    robot: Robot, work: PrescribedWork, t: FloatArray, options: SimulationOptions
+    robot: Robot,
+    work: PrescribedWork,
+    t: FloatArray,
+    options: SimulationOptions,
+    curve: CubicHermiteSpline | None = None,
 ) -> FloatArray | None:
-    """Return what a controller adds to the error at times `t` (N,), (N, 3), m; None where it adds nothing."""
+    """Return what a controller adds to the error at times `t` (N,), (N, 3), m; None where it adds nothing.
+
+    `curve` is what the joints do, as `executed` finds it; left out, it is found here.
+    """
     if not is_executed(options):
         return None
-    kinematics, (curve, _) = Kinematics(robot), executed(work, options)
+    if curve is None:
+        curve, _ = executed(work, options)
+    kinematics = Kinematics(robot)
     return kinematics.tool_poses(curve(t))[0] - kinematics.tool_poses(work.postures(t))[0]
 
 
