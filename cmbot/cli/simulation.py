@@ -50,19 +50,34 @@ def simulate(
         float | None,
         typer.Option(
             "--stiffness-share",
-            help="By which share stiffness may be less or more, simulated too; 0: not. Left out, the plan's "
-            "quiet_stiffness_share.",
+            help="Simulate with all stiffness less and more by this share, too: 0.3 is 30 % softer and 30 % "
+            "stiffer, 0 neither. Left out: what the plan allows for (quiet_stiffness_share).",
         ),
     ] = None,
     segments: Annotated[int, typer.Option("--segments", help="Elastic segments of each link.")] = 1,
     rate: Annotated[
-        float | None, typer.Option("--rate", help="Set-points a second that the controller is given.")
+        float | None,
+        typer.Option(
+            "--rate",
+            help="Positions a second that the controller is sent, such as 125; needs --servo. Left out: the "
+            "whole motion is known to it.",
+        ),
     ] = None,
     set_points: Annotated[
-        str, typer.Option("--set-points", help="What is between them: interpolated, or held.")
+        str,
+        typer.Option(
+            "--set-points",
+            help="With --rate: from one to the next the command goes along a line (interpolated) or jumps "
+            "(held).",
+        ),
     ] = "interpolated",
     servo: Annotated[
-        float | None, typer.Option("--servo", help="Bandwidth of every joint's servo, Hz.")
+        float | None,
+        typer.Option(
+            "--servo",
+            help="How quickly joints follow: the bandwidth of their position control, Hz, such as 10. Left "
+            "out: they follow exactly.",
+        ),
     ] = None,
     delay: Annotated[float, typer.Option("--delay", help="Seconds by which the joints follow late.")] = 0.0,
     force: Annotated[bool, typer.Option("--force", help="Replace tracking errors that are there.")] = False,
