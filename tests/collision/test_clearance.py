@@ -250,7 +250,7 @@ def test_one_by_one_and_many_in_any_order_agree(
     triangle: tuple[Clearances, Clearances], rng: np.random.Generator
 ) -> None:
     clearances, other = triangle
-    q = smooth_path(1, 0.5, BLOCKS)
+    q = smooth_path(3, 0.5, BLOCKS)
     got = clearances.smallest(q).distance
     assert np.ptp(got) > 0.1
     order = rng.permutation(BLOCKS)
