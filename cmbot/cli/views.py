@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -58,6 +59,9 @@ def replay(
     bending: Annotated[
         float | None, typer.Option("--bending", help="Times by which a film magnifies deflections; 10.")
     ] = None,
+    colours: Annotated[
+        str | None, typer.Option("--colours", help="Of the arm in a film: own, load or strain.")
+    ] = None,
 ) -> None:
     """Write a page that replays a plan in any browser, without a network.
 
@@ -70,7 +74,7 @@ def replay(
         raise InputError("cmbot replay", ", ".join(given), got, "one of them")
     filmed = video or gif
     shape = _size(size or ("640x360" if gif else "1280x720"))
-    for name, value in (("--fps", fps), ("--size", size), ("--bending", bending)):
+    for name, value in (("--fps", fps), ("--size", size), ("--bending", bending), ("--colours", colours)):
         if value is not None and filmed is None:
             raise InputError("cmbot replay", name, str(value), "it with --video or --gif")
     from cmbot.views import REPLAY, ReplayServer, film, replay_page
@@ -98,18 +102,21 @@ def replay(
     elif filmed is not None:
         if gif is not None and gif.suffix.lower() != ".gif":
             raise InputError("cmbot replay", "--gif", str(gif), "a file whose name ends with .gif")
+        started = time.perf_counter()
         with ConsoleProgress() as progress:
             progress.stage("filming", 0.0)
-            film(
+            frames = film(
                 page,
                 filmed,
                 speed=_GIF_SPEED if gif else 1.0,
                 fps=fps or (10 if gif else 30),
                 size=shape,
                 bending=_BENDING if bending is None else bending,
+                colours=colours or "own",
                 progress=lambda share: progress.stage("filming", share),
             )
-        out.print(f"Written to {flat(filmed)}.")
+        seconds = time.perf_counter() - started
+        out.print(f"Written to {flat(filmed)}: {frames} frames in {seconds:.1f} s.")
 
 
 def _size(text: str) -> tuple[int, int]:

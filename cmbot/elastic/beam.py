@@ -1,4 +1,4 @@
-"""Beams: section constants of angle steel and round bars, stiffness and consistent mass in space.
+"""Beams: section constants of angle steel and round bars, stiffness, consistent mass and strain in space.
 
 A beam's 12 coordinates are displacement and rotation of its start, then of its end. Its own axes are x along
 it and y, z along the principal axes of its section; there stretching, torsion and bending in the two planes
@@ -12,13 +12,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.guardrail import AngleSection, Section
 
-__all__ = ["SectionConstants", "beam_mass", "beam_stiffness", "section_constants"]
+__all__ = [
+    "Outline",
+    "SectionConstants",
+    "beam_mass",
+    "beam_stiffness",
+    "beam_strain",
+    "section_constants",
+]
 
 # The coordinates of stretching, torsion, bending in the plane xy and bending in the plane xz.
 _COORDINATES = (np.array([0, 6]), np.array([3, 9]), np.array([1, 5, 7, 11]), np.array([2, 4, 8, 10]))
@@ -44,12 +52,31 @@ _BEND_MASS = (
 )
 
 
+# Second derivatives of a cubic at both ends, in units of 1 / L^2, with L times the slope.
+_CURVATURE = np.array([[-6.0, -4.0, 6.0, -2.0], [6.0, 2.0, -6.0, 4.0]])
+
+
+class Outline(NamedTuple):
+    """Where the outer fibres of a section are: within `radius`, m, of its `corners`, (y, z), m.
+
+    Both from the centroid along the beam's own axes. An angle has corners without a radius, a round section a
+    radius about its centroid.
+    """
+
+    corners: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
+    radius: float = 0.0
+
+
+_AXIS = Outline()
+
+
 @dataclass(frozen=True, kw_only=True)
 class SectionConstants:
     """Constants of a cross-section about its centroid.
 
     Area, m2; principal second moments of area, the larger one first, m4; torsion constant J, m4; `tilt`: the
-    angle of the axis that `major` is about from the section's first axis, towards the second, rad.
+    angle of the axis that `major` is about from the section's first axis, towards the second, rad; `outline`:
+    its outer fibres, the axis alone where it is left out.
     """
 
     area: float
@@ -57,6 +84,7 @@ class SectionConstants:
     minor: float
     torsion: float
     tilt: float
+    outline: Outline = _AXIS
 
 
 def section_constants(section: Section) -> SectionConstants:
@@ -70,7 +98,14 @@ def section_constants(section: Section) -> SectionConstants:
         return _angle(section.leg, section.thickness)
     area = math.pi * section.diameter**2 / 4
     moment = area * section.diameter**2 / 16
-    return SectionConstants(area=area, major=moment, minor=moment, torsion=2 * moment, tilt=0.0)
+    return SectionConstants(
+        area=area,
+        major=moment,
+        minor=moment,
+        torsion=2 * moment,
+        tilt=0.0,
+        outline=Outline(radius=section.diameter / 2),
+    )
 
 
 def _angle(a: float, t: float) -> SectionConstants:
@@ -81,12 +116,16 @@ def _angle(a: float, t: float) -> SectionConstants:
     centre = sum(b * h * y for b, h, y, _ in rectangles) / area
     moment = sum(b**3 * h / 12 + b * h * (y - centre) ** 2 for b, h, y, _ in rectangles)
     product = sum(b * h * (y - centre) * (z - centre) for b, h, y, z in rectangles)
+    # The convex hull of the two legs, turned into the principal axes.
+    hull = np.array([(0.0, 0.0), (a, 0.0), (a, t), (t, a), (0.0, a)]) - centre
+    corners = hull @ np.array([[1.0, -1.0], [1.0, 1.0]]) / math.sqrt(2)
     return SectionConstants(
         area=area,
         major=moment - product,  # the product is negative
         minor=moment + product,
         torsion=area * t**2 / 3,
         tilt=math.pi / 4,
+        outline=Outline(corners=tuple((y, z) for y, z in corners.tolist())),
     )
 
 
@@ -105,6 +144,23 @@ def beam_stiffness(
 def beam_mass(R: FloatArray, L: FloatArray, mass: FloatArray, inertia: FloatArray) -> FloatArray:
     """Consistent mass matrices (m, 12, 12) in W, from masses, kg, and inertias about the beams' x, kg m2."""
     return _assembled(R, L, (mass, inertia, mass, mass), _ROD_MASS, _BEND_MASS)
+
+
+def beam_strain(R: FloatArray, L: FloatArray) -> FloatArray:
+    """Strains of m beams at both ends by their coordinates in W, (m, 2, 3, 12), 1/m and 1/m2.
+
+    The three are the stretch of the axis and the second derivatives v'' and w'' of the deflection along the
+    beam's y and z: the fibre at (y, z) has the strain of the axis less y v'' + z w''. Between the ends they
+    are linear, for loads at the ends. `R` and `L` are those of `beam_stiffness`.
+    """
+    local = np.zeros((len(L), 2, 3, 12))
+    stretch, _, xy, xz = _COORDINATES
+    local[:, :, 0, stretch] = (np.array([-1.0, 1.0]) / L[:, None])[:, None]
+    scale = np.array([1.0, 0.0, 1.0, 0.0]) / L[:, None] ** 2 + np.array([0.0, 1.0, 0.0, 1.0]) / L[:, None]
+    local[:, :, 1, xy] = _CURVATURE * scale[:, None]
+    local[:, :, 2, xz] = _CURVATURE * (_SIGNS_XZ * scale)[:, None]
+    turned = np.einsum("mecbi,mxi->mecbx", local.reshape(-1, 2, 3, 4, 3), R)
+    return np.asarray(turned.reshape(-1, 2, 3, 12))
 
 
 def _assembled(

@@ -165,8 +165,8 @@ class Frame:
         return np.where(free, np.cumsum(free).reshape(free.shape) - 1, -1)
 
     @cached_property
-    def _matrices(self) -> tuple[FloatArray, FloatArray]:
-        """Stiffness and consistent mass matrices (m, 12, 12) of the members."""
+    def axes(self) -> tuple[FloatArray, FloatArray]:
+        """The members' own axes as columns (m, 3, 3), in W, and their lengths (m,), m."""
         starts, ends = self._ends
         along = (self.nodes[ends] - self.nodes[starts]).reshape(-1, 3)
         length = np.linalg.norm(along, axis=1)
@@ -177,12 +177,17 @@ class Frame:
         second = np.cross(x, first)
         tilt = np.array([member.section.tilt for member in self.members])[:, None]
         y = np.cos(tilt) * first + np.sin(tilt) * second
+        return np.stack([x, y, np.cross(x, y)], axis=-1), length
+
+    @cached_property
+    def _matrices(self) -> tuple[FloatArray, FloatArray]:
+        """Stiffness and consistent mass matrices (m, 12, 12) of the members."""
+        R, length = self.axes
         materials, sections = [m.material for m in self.members], [m.section for m in self.members]
         moduli = [(m.young, m.shear, m.density) for m in materials]
         young, shear, density = np.array(moduli).reshape(-1, 3).T
         constants = [(s.area, s.major, s.minor, s.torsion) for s in sections]
         area, major, minor, torsion = np.array(constants).reshape(-1, 4).T
-        R = np.stack([x, y, np.cross(x, y)], axis=-1)
         mass, inertia = density * area * length, density * (major + minor) * length
         stiffness = beam_stiffness(R, length, young * area, shear * torsion, young * major, young * minor)
         return stiffness, beam_mass(R, length, mass, inertia)

@@ -21,6 +21,7 @@ __all__ = ["film"]
 FRAME_RATE = 30
 SIZE = (1280, 720)
 BENDING = 10.0
+COLOURS = ("own", "load", "strain")
 MOST_RATE, LEAST_SIDE, MOST_SIDE, MOST_BENDING = 120, 120, 3840, 200
 # A palette of the film's own colours: GIF has 256 at most.
 _GIF = (
@@ -54,8 +55,9 @@ def film(
     fps: int = FRAME_RATE,
     size: tuple[int, int] = SIZE,
     bending: float = BENDING,
+    colours: str = "own",
     progress: Callable[[float], None] = lambda _: None,
-) -> None:
+) -> int:
     """Film a replay page from its start to its end.
 
     Parameters
@@ -73,15 +75,24 @@ def film(
         Width and height, px, even numbers from 120 to 3840.
     bending : float
         The factor by which deflections are drawn, 0 to 200.
+    colours : str
+        Of the arm: its ``own``, those of its joints' ``load``, or those of the ``strain`` of links and rails,
+        where that is known.
     progress : callable
         Called with the share that has been filmed, after every tenth.
+
+    Returns
+    -------
+    int
+        The number of frames.
 
     Raises
     ------
     MissingExtra
         When selenium, Chromium with its driver, or ffmpeg is not installed.
     InputError
-        When `speed`, `fps`, `size` or `bending` is out of its bounds, or the video cannot be written.
+        When `speed`, `fps`, `size`, `bending` or `colours` is out of its bounds, or the video cannot be
+        written.
     """
     path = Path(path)
     if not (np.isfinite(speed) and speed > 0):
@@ -94,11 +105,14 @@ def film(
         )
     if not 0 <= bending <= MOST_BENDING:
         raise InputError("film", "bending", bending, f"a number from 0 to {MOST_BENDING}")
+    if colours not in COLOURS:
+        raise InputError("film", "colours", colours, "one of " + ", ".join(COLOURS))
     encoder = _program("ffmpeg", ("ffmpeg",), "apt-get install ffmpeg")
     browser = _program("chromium", _BROWSERS, "apt-get install chromium chromium-driver")
     driver = _program("chromedriver", ("chromedriver",), "apt-get install chromium-driver")
     with draft_of(path) as draft, _opened(page, browser, driver, size) as chrome:
-        _encode(encoder, draft, str(path), fps, _frames(chrome, speed, fps, bending, progress))
+        look = (float(bending), float(speed), colours)
+        return _encode(encoder, draft, str(path), fps, _frames(chrome, look, speed / fps, progress))
 
 
 def _program(name: str, names: tuple[str, ...], command: str) -> str:
@@ -134,11 +148,11 @@ def _opened(page: str, browser: str, driver: str, size: tuple[int, int]) -> Iter
 
 
 def _frames(
-    chrome: Any, speed: float, fps: int, bending: float, progress: Callable[[float], None]
+    chrome: Any, look: tuple[float, float, str], step: float, progress: Callable[[float], None]
 ) -> Iterator[bytes]:
-    chrome.execute_script("cmbotReplay.still(arguments[0], arguments[1])", float(bending), float(speed))
+    chrome.execute_script("cmbotReplay.still(...arguments)", *look)
     start, end = chrome.execute_script("return [cmbotReplay.start, cmbotReplay.end]")
-    count = max(int(np.ceil((end - start) / speed * fps)), 1) + 1
+    count = max(int(np.ceil((end - start) / step)), 1) + 1
     options = {"format": "jpeg", "quality": 92, "optimizeForSpeed": True}
     for k, time in enumerate(np.linspace(start, end, count)):
         chrome.execute_script("cmbotReplay.seek(arguments[0]); cmbotReplay.draw()", float(time))
@@ -148,17 +162,20 @@ def _frames(
             progress(k / count)
 
 
-def _encode(encoder: str, draft: Path, target: str, fps: int, frames: Iterator[bytes]) -> None:
+def _encode(encoder: str, draft: Path, target: str, fps: int, frames: Iterator[bytes]) -> int:
+    """Encode the frames; return their number."""
     words = [encoder, "-loglevel", "error", "-nostdin", "-f", "image2pipe", "-c:v", "mjpeg"]
     words += ["-framerate", str(fps), "-i", "-"]
     gif = draft.suffix.lower() == ".gif"
     words += ["-vf", _GIF] if gif else _VIDEO
+    count = 0
     with tempfile.TemporaryFile() as messages:
         process = subprocess.Popen([*words, str(draft.absolute())], stdin=subprocess.PIPE, stderr=messages)
         try:
             with process.stdin or messages as pipe:
                 for frame in frames:
                     pipe.write(frame)
+                    count += 1
         except BrokenPipeError:
             pass  # ffmpeg's own message has the reason
         finally:
@@ -168,3 +185,4 @@ def _encode(encoder: str, draft: Path, target: str, fps: int, frames: Iterator[b
             reason = messages.read().decode("utf-8", "replace").strip().splitlines() or ["no reason given"]
             expected = "a file that ffmpeg can write, such as FILE.mp4"
             raise InputError(target, "", f"a refusal of ffmpeg ({reason[-1]})", expected)
+    return count

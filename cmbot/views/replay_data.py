@@ -146,7 +146,8 @@ class Frames:
         where that is compensated; ``error`` (F, 3) the tracking error from there, null without `tracking`;
         ``q`` (F, n) the joint positions and ``u`` (F, f) the elastic coordinates, null where nothing bends,
         with the tool `on` in these intervals; ``load`` (F, n) the joints' torques as shares of their bounds;
-        ``hold`` (F,) the share that the arm uses of what the feet bear, null where that is not known.
+        ``hold`` (F,) the share that the arm uses of what the feet bear, null where that is not known;
+        ``strain`` the largest of guardrail and links.
         After its last sample the motion rests there.
         """
         q = _resampled(times, samples.t, samples.q)
@@ -173,6 +174,7 @@ class Frames:
             "hold": None if hold is None else pack(np.interp(times, samples.t, hold)),
             "tool": pack(tool),
             "error": None if tracking is None else pack(_resampled(times, tracking.t, tracking.error)),
+            "strain": 0.0 if u is None or self.bending is None else self.bending.largest_strain(u),
             "peakTorque": metrics.peak_guardrail_torque,
             # Infinite without a pair of shapes that can collide; JSON has no infinity.
             "minClearance": metrics.min_clearance if np.isfinite(metrics.min_clearance) else None,

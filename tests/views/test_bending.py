@@ -14,6 +14,7 @@ from cmbot.elastic.sag import Sag
 from cmbot.planning import Plan, bending_arm
 from cmbot.simulation import Tracking
 from cmbot.views import replay_page
+from cmbot.views.drawing import Bending
 from cmbot.views.replay_data import replay_data
 
 
@@ -130,16 +131,55 @@ def test_the_page_bends_arm_and_rails(
     moved = np.linalg.norm(places[50] - places[0], axis=1)
     assert 0.05 < moved.max() < 1.0
     assert moved.min() < 1e-6  # where the posts are held
-    chrome.execute_script(
-        """const colours = document.getElementById("colours");
-        colours.value = "load";
-        colours.dispatchEvent(new Event("change"));"""
-    )
-    green = ask(chrome, "cmbotReplay.stage.loads.meshes[6][0][0].material.color.toArray()")
-    assert green[1] > max(green[0], green[2])  # the last joint bears next to nothing
-    chrome.execute_script(
-        """const colours = document.getElementById("colours");
-        colours.value = "own";
-        colours.dispatchEvent(new Event("change"));"""
-    )
     slide(chrome, "deflection", 10)
+
+
+def choose_colours(chrome: Chrome, kind: str) -> None:
+    chrome.execute_script(
+        """const colours = document.getElementById("colours");
+        colours.value = arguments[0];
+        colours.dispatchEvent(new Event("change"));""",
+        kind,
+    )
+
+
+@pytest.mark.browser
+def test_colours_say_what_links_and_rails_bear(chrome: Chrome, replay_file: Any, triangle_plan: Plan) -> None:
+    if chrome.current_url != replay_file.as_uri():
+        open_page(chrome, replay_file)
+    chrome.execute_script("cmbotReplay.pause(); cmbotReplay.seek(cmbotReplay.workStart)")
+    own = ask(chrome, "cmbotReplay.stage.colours.parts.map((part) => part.mesh.material.color.getHex())")
+    choose_colours(chrome, "load")
+    last = "cmbotReplay.stage.colours.parts.find((part) => part.link === 6)"
+    red, green, blue = ask(chrome, f"{last}.mesh.material.color.toArray()")
+    assert green > max(red, blue)  # the last joint bears next to nothing
+    assert "100 %" in chrome.find_element("id", "legend").text
+
+    choose_colours(chrome, "strain")
+    bending = Bending.of(triangle_plan, None)
+    assert bending is not None
+    first = floats(data_of(replay_page(triangle_plan))["planned"]["u"])
+    u = bending.coordinates(np.zeros(1), triangle_plan.samples.q[:1])
+    assert u[0] == pytest.approx(first[: u.shape[1]], abs=1e-6)
+    largest = bending.largest_strain(u)
+    assert ask(chrome, "cmbotReplay.stage.colours.largest") == pytest.approx(largest, rel=1e-4)
+    assert f"largest now {1e6 * largest:.0f} µε" in chrome.find_element("id", "legend").text
+    # The darkest vertex of the rails is at the foot, where they bend most; the last link does not bend.
+    darkest, colour = ask(
+        chrome,
+        """(() => {
+            const { mesh, colours } = cmbotReplay.stage.colours.parts.find((part) => part.link === null);
+            const { array } = mesh.geometry.attributes.position;
+            const sums = Array.from(colours, (red, k) => (k % 3 ? 9 : red + colours[k + 1] + colours[k + 2]));
+            const k = sums.indexOf(Math.min(...sums));
+            return [[array[k], array[k + 2]], Array.from(colours.slice(k, k + 3))];
+        })()""",
+    )
+    assert np.linalg.norm(darkest) < 0.3
+    assert colour[0] > 2 * colour[2]
+    assert not ask(chrome, f"{last}.mesh.material.vertexColors")
+    choose_colours(chrome, "own")
+    assert (
+        ask(chrome, "cmbotReplay.stage.colours.parts.map((part) => part.mesh.material.color.getHex())") == own
+    )
+    assert not chrome.find_element("id", "legend").is_displayed()

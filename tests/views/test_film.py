@@ -53,6 +53,7 @@ def test_what_is_missing_is_named(
         *(("fps", fps) for fps in (0, 121)),
         *(("size", size) for size in ((1280, 721), (100, 100), (640, 4000))),
         *(("bending", factor) for factor in (-1.0, 201.0, float("nan"))),
+        ("colours", "rainbow"),
     ],
 )
 def test_what_no_film_can_be(tmp_path: Path, name: str, value: Any) -> None:
@@ -74,12 +75,14 @@ def test_it_films_from_start_to_end_or_says_what_ffmpeg_refuses(
     picture = BytesIO()
     Image.new("RGB", (64, 64)).save(picture, "JPEG")
     page, path, shares = replay_page(without_shapes(short_plan)), tmp_path / "film.mp4", []
-    film(page, path, speed=40.0, fps=25, size=(320, 180), progress=shares.append)
+    count = film(page, path, speed=40.0, fps=25, size=(320, 180), colours="strain", progress=shares.append)
     words = ["ffprobe", "-v", "error", "-count_frames", "-show_streams", "-of", "json"]
     done = subprocess.run([*words, str(path)], capture_output=True, text=True, check=True)
     (stream,) = json.loads(done.stdout)["streams"]
     assert (stream["width"], stream["height"]) == (320, 180)
-    assert int(stream["nb_read_frames"]) == 4  # 4 s, forty times as fast, 25 a second, with both ends
+    assert (
+        int(stream["nb_read_frames"]) == count == 4
+    )  # 4 s, forty times as fast, 25 a second, with both ends
     assert shares == sorted(shares)
     # No browser is needed to be refused.
     monkeypatch.setattr(video, "_opened", lambda *_: nullcontext())

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from typing import Any
+from functools import cached_property
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -11,7 +12,9 @@ import pinocchio as pin
 from cmbot.common.arrays import FloatArray
 from cmbot.elastic.arm import ElasticArm
 from cmbot.elastic.base import guardrail_frame, rigid_motion
+from cmbot.elastic.frame import Frame
 from cmbot.elastic.sag import Sag
+from cmbot.elastic.strain import BeamStrains, frame_strains, tube_strains
 from cmbot.planning import Plan, bending_arm
 from cmbot.simulation import Tracking, elastic_arm_of
 from cmbot.views.page import pack
@@ -35,6 +38,7 @@ class Bending:
         self._arm = arm
         self._plan = plan
         self._simulated = simulated
+        self._tubes = tube_strains(arm)
 
     @classmethod
     def of(cls, plan: Plan, tracking: Tracking | None) -> Bending | None:
@@ -49,16 +53,24 @@ class Bending:
 
         ``joints``: pose of the joint's frame in the one before, axis (linear, angular), and whether it is
         driven, with the index among the driven or the elastic ones. ``links``: of each link of the robot the
-        joints whose frames carry its beginning and its end, the pose of the link's frame in the latter, and
-        the ends of its tube. ``base``: the joint that carries the foot; -1 where it is rigid.
+        joints whose frames carry its beginning and its end, the pose of the link's frame in the latter, the
+        ends of its tube, and which of the beams of ``strains`` are its segments. ``base``: the joint that
+        carries the foot; -1 where it is rigid. ``frame``: the guardrail's beams, None where their form is not
+        known, with their own ``strains``.
         """
         return {
             "simulated": self._simulated,
             "joints": list(self._joints()),
             "links": list(self._links()),
+            "strains": _strains(self._tubes),
             "base": 5 if self._arm.base is not None else -1,
-            "frame": self._frame(),
+            "frame": None if self._rails is None else self._rails.data(),
         }
+
+    def largest_strain(self, u: FloatArray) -> float:
+        """Return the largest strain of guardrail and links at elastic coordinates `u` (N, f)."""
+        beams = [self._tubes] if self._rails is None else [self._tubes, self._rails.strains]
+        return max(float(each.largest(u).max(initial=0.0)) for each in beams)
 
     def coordinates(
         self, t: FloatArray, q: FloatArray, dynamic: FloatArray | None = None, on: Intervals = ()
@@ -135,22 +147,50 @@ class Bending:
                 tool = model.frames[arm.tool_frame_id].placement
                 X = tool * rigid.frames[robot.tool_frame_id].placement.inverse()
             frame, tube = tubes.get(number, (None, None))
-            ends = None
+            ends, beams = None, []
             if frame is not None and tube is not None:
+                segments = range(arm.options.segments)
+                beams = [segments.stop * list(robot.elasticity).index(frame.name) + k for k in segments]
                 ends = [*frame.placement.act(np.array(tube.start)), *frame.placement.act(np.array(tube.end))]
-            yield {"start": start - 2, "end": end - 1, "pose": _pose(X), "tube": ends}
+            yield {"start": start - 2, "end": end - 1, "pose": _pose(X), "tube": ends, "beams": beams}
 
-    def _frame(self) -> dict[str, Any] | None:
-        """The guardrail's beams, and how its nodes move with the foot; None where its form is not known."""
+    @cached_property
+    def _rails(self) -> _Rails | None:
         guardrail = self._plan.scene.guardrail
+        # Of a base that the scene gives as a matrix the form is not known.
         if self._arm.base is None or guardrail.stiffness is not None or not guardrail.post_positions:
             return None
         frame, feet = guardrail_frame(guardrail)
+        shapes = frame.shapes(*feet) @ rigid_motion(guardrail)
+        return _Rails(frame, shapes, frame_strains(frame, shapes))
+
+
+class _Rails(NamedTuple):
+    """The guardrail's beams, how their nodes move with the foot (k, 6, 6), and their strains."""
+
+    frame: Frame
+    shapes: FloatArray
+    strains: BeamStrains
+
+    def data(self) -> dict[str, Any]:
         return {
-            "nodes": pack(frame.nodes),
-            "shapes": pack(frame.shapes(*feet) @ rigid_motion(guardrail)),
-            "members": [[member.start, member.end] for member in frame.members],
+            "nodes": pack(self.frame.nodes),
+            "shapes": pack(self.shapes),
+            "members": [[member.start, member.end] for member in self.frame.members],
+            "strains": _strains(self.strains),
         }
+
+
+def _strains(of: BeamStrains) -> dict[str, Any]:
+    """Strains of beams, ready for JSON; ``outline``: of each beam the number of its section's outline."""
+    outlines = list(dict.fromkeys(of.outlines))
+    return {
+        "rows": pack(of.rows),
+        "width": of.rows.shape[-1],
+        "first": of.first.tolist(),
+        "outlines": [{"corners": each.corners, "radius": each.radius} for each in outlines],
+        "outline": [outlines.index(each) for each in of.outlines],
+    }
 
 
 def _between(t: FloatArray, at: FloatArray, values: FloatArray) -> FloatArray:

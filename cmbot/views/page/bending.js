@@ -1,7 +1,6 @@
 // The arm and the rails bent by their elastic coordinates times a factor: the chain of joints is followed anew, links
 // are bent along their tubes as beams, rails as the frame of beams that bears the foot.
 const STATIONS = 12;  // along a tube
-const ELASTIC_COLOURS = { low: 0.36, high: 0 };  // hue without load and at the bound
 
 const matrixOf = ([x, y, z, ...turn]) => new THREE.Matrix4().compose(
   new THREE.Vector3(x, y, z), new THREE.Quaternion(...turn), new THREE.Vector3(1, 1, 1));
@@ -36,7 +35,8 @@ class Bending {
     return meshes;
   }
 
-  // Each vertex of the rails with how it moves with the foot: the nearest beam's displacement and rotation.
+  // Each vertex of the rails with the nearest beam, and how it moves with the foot: by that beam's displacement and
+  // rotation.
   railsOf(frame) {
     const nodes = floats(frame.nodes), shapes = floats(frame.shapes), meshes = [];
     const node = (k) => new THREE.Vector3().fromArray(nodes, 3 * k);
@@ -44,15 +44,17 @@ class Bending {
       if (!mesh.geometry) return;
       mesh.frustumCulled = false;
       const rest = mesh.geometry.attributes.position.array.slice(), count = rest.length / 3;
-      const moves = new Float32Array(18 * count);
+      const moves = new Float32Array(18 * count), beams = new Int32Array(count), along = new Float32Array(count);
       for (let k = 0; k < count; k += 1) {
         const p = new THREE.Vector3().fromArray(rest, 3 * k);
         let best = null;
-        for (const [a, b] of frame.members) {
+        for (const [beam, [a, b]] of frame.members.entries()) {
           const line = new THREE.Line3(node(a), node(b)), share = line.closestPointToPointParameter(p, true);
           const foot = line.at(share, new THREE.Vector3()), distance = foot.distanceToSquared(p);
-          if (!best || distance < best.distance) best = { a, b, share, foot, distance };
+          if (!best || distance < best.distance) best = { beam, a, b, share, foot, distance };
         }
+        beams[k] = best.beam;
+        along[k] = best.share;
         const offset = p.clone().sub(best.foot);
         for (let unit = 0; unit < 6; unit += 1) {
           const value = (n, row) => shapes[36 * n + 6 * row + unit];
@@ -61,7 +63,7 @@ class Bending {
           moves.set([mixed[0] + turned.x, mixed[1] + turned.y, mixed[2] + turned.z], 18 * k + 3 * unit);
         }
       }
-      meshes.push({ mesh, rest, moves });
+      meshes.push({ mesh, rest, moves, beams, along });
     });
     return meshes;
   }
@@ -189,30 +191,5 @@ function bendPoints(rest, shares, maps, out) {
       const a = A[i] * x + A[4 + i] * y + A[8 + i] * z + A[12 + i], b = B[i] * x + B[4 + i] * y + B[8 + i] * z + B[12 + i];
       out[3 * k + i] = a + w * (b - a);
     }
-  }
-}
-
-// The links in the colour of their joints' loads, the base in that of the share of what holds it, from green without
-// load to red at the bound.
-class LoadColours {
-  constructor(stage) {
-    this.meshes = [...stage.arms[MOTIONS[0]], stage.node("robot", "0")].map((node) => {
-      const found = [];
-      node.traverse((mesh) => { if (mesh.material) found.push([mesh, mesh.material.color.clone()]); });
-      return found;
-    });
-    this.on = false;
-  }
-
-  // Shares of the links and of the base; null where none is known.
-  show(loads) {
-    this.meshes.forEach((found, link) => {
-      const share = Math.min(Math.max(loads[link], 0), 1);
-      const hue = ELASTIC_COLOURS.low + share * (ELASTIC_COLOURS.high - ELASTIC_COLOURS.low);
-      for (const [{ material }, own] of found) {
-        if (this.on && loads[link] !== null) material.color.setHSL(hue, 0.85, 0.45);
-        else material.color.copy(own);
-      }
-    });
   }
 }

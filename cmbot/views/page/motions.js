@@ -89,6 +89,7 @@ class Phase {
     Object.assign(this, { start, end, free, label: source.label ?? "" });
     this.motions = Object.fromEntries(MOTIONS.map((name) => [name, new Motion(source[name], links)]));
     this.peak = Math.max(...MOTIONS.map((name) => source[name].peakTorque));
+    this.strain = Math.max(...MOTIONS.map((name) => source[name].strain));
   }
 
   share(time) {

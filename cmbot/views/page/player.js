@@ -17,7 +17,11 @@ class Player {
     this.ui.scrub.max = data.end;
     this.ui.bending.hidden = !data.bending;
     if (!data.bending?.simulated) this.ui.bending.title = "Arm and rails bent by their static deflection, magnified; cmbot simulate adds vibration";
-    if (this.work.motions[MOTIONS[0]].hold) this.ui.colours.querySelector("[value=load]").textContent = "load and hold";
+    const holds = this.work.motions[MOTIONS[0]].hold, strain = Math.max(...this.phases.map((phase) => phase.strain));
+    if (holds) this.ui.colours.querySelector("[value=load]").textContent = "load and hold";
+    if (strain > 0) this.stage.colours.top = roundedUp(strain);
+    else this.ui.colours.querySelector("[value=strain]").remove();
+    this.legend = new Legend(this.stage.colours, holds);
     this.connect();
     this.magnify(Number(this.ui.deflection.value));
     this.seek(data.start);
@@ -31,7 +35,7 @@ class Player {
     ui.more.addEventListener("click", () => ui.more.setAttribute("aria-expanded", ui.bar.classList.toggle("open")));
     ui.compare.addEventListener("change", () => this.compare(ui.compare.value));
     ui.arrow.addEventListener("change", () => { stage.withArrow = ui.arrow.checked; stage.redraw(); });
-    ui.colours.addEventListener("change", () => { stage.loads.on = ui.colours.value === "load"; this.seek(this.time); });
+    ui.colours.addEventListener("change", () => this.colour(ui.colours.value));
     ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
     window.addEventListener("keydown", (event) => this.onKey(event));
     stage.onDrawn = (part) => this.placeLabels(part);
@@ -51,6 +55,13 @@ class Player {
     this.seek(this.time);
   }
 
+  colour(kind) {
+    this.ui.colours.value = kind;
+    this.stage.colours.choose(kind);
+    this.legend.choose(kind);
+    this.stage.redraw();
+  }
+
   magnify(factor) {
     if (!this.stage.bending) return;
     this.ui.factor.textContent = factor ? `× ${factor}` : "off";
@@ -59,9 +70,11 @@ class Player {
     if (this.time !== undefined) this.seek(this.time);
   }
 
-  // For a film: without controls; the picture says by what factors deflections and time are drawn.
-  holdStill(factor, speed) {
+  // For a film: without controls; the picture says by what factors deflections and time are drawn, and what its colours
+  // mean.
+  holdStill(factor, speed, colours) {
     document.body.classList.add("film");
+    if (this.ui.colours.querySelector(`[value=${colours}]`)) this.colour(colours);
     this.magnify(factor);
     const bent = this.stage.bending && [factor !== 1 && (factor ? `deflections × ${factor}` : "no deflections")];
     this.put("magnified", [...(bent ?? []), speed !== 1 && `speed × ${speed}`].filter(Boolean).join(", "));
@@ -123,7 +136,7 @@ class Player {
     const { stage } = this, near = motion.nearAt(moment);
     stage.arms[name].forEach((link, index) => motion.place(link, index, moment));
     stage.bending?.place(name, motion, moment);
-    if (name === MOTIONS[0]) stage.loads.show([...motion.numbersAt(motion.load, moment), motion.hold && motion.numbersAt(motion.hold, moment)[0]]);
+    this.colourMotion(name, motion, moment);
     stage.torque[name] = motion.torqueAt(moment);
     stage.marks.setNear(name, near);
     stage.marks.setBent(name, motion.toolAt(moment), motion.errorAt(moment));
@@ -135,6 +148,14 @@ class Player {
       const where = near ? this.data.pairs[near.pair] : "";
       this.put("near-label", near ? `${millimetres(near.distance)}, ${where}` : "");
     }
+  }
+
+  colourMotion(name, motion, moment) {
+    const { colours } = this.stage, hold = motion.hold && motion.numbersAt(motion.hold, moment)[0];
+    colours.values[name] = { loads: [...motion.numbersAt(motion.load, moment), hold], u: motion.u && motion.numbersAt(motion.u, moment) };
+    if (name !== MOTIONS[0] || colours.kind === "own") return;
+    colours.paint(name);
+    this.legend.update(colours.kind);
   }
 
   put(id, text) {
@@ -176,6 +197,7 @@ class Player {
   // Labels on a part of the view: the motion's name, and the planned motion's torque and smallest clearance.
   placeLabels(part) {
     const { ui, stage } = this, { left, top, wide, motion } = part;
+    if (!ui.legend.hidden) ui.legend.style.bottom = `${10 + stage.covered(stage.view.clientHeight)[1]}px`;
     ui[`half-${motion}`].style.transform = `translate(${left + wide - 10}px, ${top + 10}px) translateX(-100%)`;
     if (motion !== MOTIONS[0]) return;
     const near = stage.marks.near[motion];
@@ -218,7 +240,7 @@ function start(begin) {
       pause: () => player.pause(),
       compare: (how) => player.compare(how),
       resetView: () => player.stage.resetView(),
-      still: (factor = 1, speed = 1) => player.holdStill(factor, speed),
+      still: (factor = 1, speed = 1, colours = "own") => player.holdStill(factor, speed, colours),
       stage: player.stage,
       draw: () => player.stage.render(),
       csv: () => player.downloads.csv(),

@@ -25,7 +25,7 @@ class Stage {
     this.torque = Object.fromEntries(MOTIONS.map((name) => [name, new THREE.Vector3()]));
     this.marks = new Marks(this, data);
     this.bending = data.bending && new Bending(this, data.bending);
-    this.loads = new LoadColours(this);
+    this.colours = new Colours(this, data);
     this.compare = "ghost";
     this.withArrow = true;
     this.addLight();
@@ -137,23 +137,24 @@ class Stage {
       whole[i].position.copy(own[i].position);
       whole[i].quaternion.copy(own[i].quaternion);
     });
-    if (borrowed.length && this.bending) {
-      this.bending.shape(MOTIONS[0], motion);
-      this.bending.shapeBase(motion);
-    }
+    if (borrowed.length) this.dressAs(motion);
     for (const ghost of this.ghosts) ghost.visible = this.compare === "ghost";
     this.marks.show(motion, this.compare);
     this.arrow.group.visible = this.withArrow;
     this.drawTorque(this.torque[motion]);
     draw();
-    if (borrowed.length && this.bending) {
-      this.bending.shape(MOTIONS[0], MOTIONS[0]);
-      this.bending.shapeBase(MOTIONS[0]);
-    }
+    if (borrowed.length) this.dressAs(MOTIONS[0]);
     borrowed.forEach(([position, quaternion], i) => {
       whole[i].position.copy(position);
       whole[i].quaternion.copy(quaternion);
     });
+  }
+
+  // Give the first arm's shapes and the rails the bending and the colours of one motion.
+  dressAs(motion) {
+    this.bending?.shape(MOTIONS[0], motion);
+    this.bending?.shapeBase(motion);
+    this.colours.paint(motion);
   }
 
   // A ghost shares the first arm's shapes. It is drawn twice, first into the depth buffer only, so that no shape
