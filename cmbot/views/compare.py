@@ -25,11 +25,16 @@ from cmbot.views.replay_data import (
     link_names,
     pair_joints,
 )
-from cmbot.views.report import section
+from cmbot.views.report import SHARES, section
 
 __all__ = ["MOST_PLANS", "compare_page"]
 
 MOST_PLANS = 6
+
+# With as many the verdicts are folded: the view comes soon.
+_MANY = 3
+# The small plots have room for the shares of two curves.
+_WITH_SHARES = 2
 
 # The motion that is drawn whole, then the ghosts.
 _KEYS = ("planned", *(f"plan_{number}" for number in range(2, MOST_PLANS + 1)))
@@ -64,10 +69,11 @@ def compare_page(plans: Mapping[str, Plan]) -> str:
         texts={
             "title": "Plans compared",
             "made": escape(f"Written by cmbot {__version__}."),
-            "verdict": "".join(_verdict(name, plan) for name, plan in plans.items()),
+            "verdict": "".join(_verdict(name, plan, len(plans) < _MANY) for name, plan in plans.items()),
             "cards": "",
-            "key": " ".join(f'<i class="swatch {key}"></i>{escape(name)}' for key, name in keys.items()),
+            "key": _key(keys, plans),
             "bending": " hidden",
+            "shares": SHARES if len(plans) == _WITH_SHARES else "",
             "sections": section("Figures", table(_rows(plans), ("", *plans)), kind="wide"),
         },
     )
@@ -179,10 +185,21 @@ def _curves(
     return tuple(reversed(curves))
 
 
-def _verdict(name: str, plan: Plan) -> str:
+def _verdict(name: str, plan: Plan, whole: bool) -> str:
     kept = all(check.holds for _, check in plan.job.checks())
-    words = f"<b>{escape(name)}.</b> {escape(promises(plan))} {escape(verdict(plan))}"
-    return f'<p class="verdict {"good" if kept else "bad"}">{words}</p>'
+    first = f"<summary><b>{escape(name)}.</b> {escape(promises(plan))}</summary>"
+    words = f"{first}{escape(verdict(plan))}</details>"
+    return f'<details class="verdict {"good" if kept else "bad"}"{" open" if whole else ""}>{words}'
+
+
+def _key(keys: Mapping[str, str], plans: Mapping[str, Plan]) -> str:
+    """Return the colours of the plans and, where their surroundings differ, whose are drawn."""
+    named = " ".join(f'<span><i class="swatch {key}"></i>{escape(name)}</span>' for key, name in keys.items())
+    (first, plan), *others = plans.items()
+    drawn = scene_commands(plan)
+    if all(scene_commands(other) == drawn for _, other in others):
+        return named
+    return f"{named} (surroundings and path are those of {escape(first)})"
 
 
 def _rows(plans: Mapping[str, Plan]) -> Iterator[tuple[str, ...]]:

@@ -39,7 +39,7 @@ from cmbot.views.page import STAGE_SCRIPTS, assemble, table, write_page
 from cmbot.views.replay import replay_html
 from cmbot.views.replay_data import replay_data
 
-__all__ = ["REPLAY", "REPORT", "headlines", "pages", "report", "report_page", "section"]
+__all__ = ["REPLAY", "REPORT", "SHARES", "headlines", "pages", "report", "report_page", "section"]
 
 REPLAY, REPORT = "replay.html", "report.html"
 # Peaks that differ by less, as a share, are the same.
@@ -49,6 +49,10 @@ _LITTLE = 0.02
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
+
+SHARES = (
+    " The percentages are the largest shares of the bounds that each motion uses, a plan with its free moves."
+)
 
 Row = Sequence[str]
 State = Literal["plain", "good", "worse", "bad"]
@@ -108,6 +112,7 @@ def _report_html(plan: Plan, tracking: Tracking | None, data: dict[str, Any]) ->
             "title": escape(plan.scene.name),
             "made": escape(f"Written by cmbot {__version__}."),
             "verdict": _verdict(plan),
+            "shares": SHARES,
             "cards": "".join(map(_card, headlines(plan, tracking))),
             "key": _key(plan),
             "bending": "" if tracking is not None else " hidden",

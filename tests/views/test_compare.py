@@ -62,6 +62,29 @@ def test_it_shows_every_plan(chrome: Chrome, text: str, tmp_path: Path) -> None:
     assert not chrome.find_element("id", "save-csv").is_displayed()
 
 
+@pytest.mark.browser
+def test_plans_with_long_names_fit_a_phone(chrome: Chrome, short_plan: Plan, tmp_path: Path) -> None:
+    plan = without_shapes(short_plan)
+    text = compare_page({f"a_folder_with_a_rather_long_name_indeed_{k}": plan for k in range(3)})
+    path = tmp_path / "compare.html"
+    path.write_text(text, encoding="utf-8")
+    phone = {"width": 390, "height": 844, "deviceScaleFactor": 1, "mobile": True}
+    desktop = {"width": 1280, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    try:
+        chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", phone)
+        open_page(chrome, path)
+        assert ask(chrome, "document.documentElement.scrollWidth") == 390
+        assert chrome.find_element("id", "view").location["y"] < 844  # the verdicts are folded
+    finally:
+        chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", desktop)
+
+
+def test_the_page_says_whose_surroundings_it_shows(text: str, short_plan: Plan) -> None:
+    alike = compare_page({"one": without_shapes(short_plan), "two": without_shapes(short_plan)})
+    assert "surroundings and path are those of &lt;short&gt;" in text
+    assert "surroundings" not in alike
+
+
 def test_what_is_refused(short_plan: Plan, saved_short: Path, tmp_path: Path) -> None:
     model = short_plan.robot.model.copy()
     model.names[1] = "shoulder"
