@@ -40,12 +40,11 @@ def linearised(arm: ElasticArm, q: FloatArray) -> Linearised:
     """
     u, tangent, weight = Sag(arm).equilibria(q)
     data = arm.model.createData()
-    M, coupling = np.empty_like(tangent), np.empty_like(weight)
-    to_elastic, to_driven = np.ix_(arm.elastic, arm.elastic), np.ix_(arm.elastic, arm.driven)
+    mass = np.empty((len(q), arm.model.nv, arm.model.nv))
     for k, configuration in enumerate(arm.configuration(q, u)):
-        upper = np.triu(pin.crba(arm.model, data, configuration))
-        whole = upper + np.triu(upper, 1).T
-        M[k], coupling[k] = whole[to_elastic] + arm.added_mass, whole[to_driven]
+        mass[k] = pin.crba(arm.model, data, configuration)
+    rows = (np.triu(mass) + np.triu(mass, 1).transpose(0, 2, 1))[:, arm.elastic]
+    M, coupling = rows[:, :, arm.elastic] + arm.added_mass, rows[:, :, arm.driven]
     K = (tangent + tangent.transpose(0, 2, 1)) / 2
     return Linearised(u=u, mass=M, stiffness=K, coupling=coupling, weight=weight)
 

@@ -61,8 +61,6 @@ class Sag:
         self.arm, self.covariance = arm, covariance
         self._data = arm.model.createData()
         self._rigid = Kinematics(arm.robot)
-        self._to_elastic = np.ix_(arm.elastic, arm.elastic)
-        self._to_driven = np.ix_(arm.elastic, arm.driven)
 
     def at(self, q: FloatArray) -> SagStates:
         """Find the equilibrium in N postures `q` (N, n), rad; errors as `equilibria`."""
@@ -138,8 +136,8 @@ class Sag:
                 if np.abs(step).max(initial=0.0) < _CONVERGED:
                     break
             else:
-                tangent, _ = self._solve(angles, u, f"q[{k}]")
-                factor = dpotrf(0.5 * (tangent + tangent.T))[0] if len(u) else None
+                tangent, _ = self._solve(angles[None], u[None], first=k)
+                factor = dpotrf(0.5 * (tangent[0] + tangent[0].T))[0] if len(u) else None
             pin.forwardKinematics(model, data, arm.configuration(angles, u))
             tool[k] = pin.updateFramePlacement(model, data, arm.tool_frame_id).translation
         return tool - rigid
@@ -163,11 +161,8 @@ class Sag:
         InputError
             When the arm is too soft to carry itself in a posture.
         """
-        (N, n), f = q.shape, len(self.arm.elastic)
-        u = np.zeros((N, f)) if start is None else start.copy()
-        tangent, by_joints = np.empty((N, f, f)), np.empty((N, f, n))
-        for k in range(N):
-            tangent[k], by_joints[k] = self._solve(q[k], u[k], f"q[{k}]")
+        u = np.zeros((len(q), len(self.arm.elastic))) if start is None else start.copy()
+        tangent, by_joints = self._solve(q, u)
         return u, tangent, by_joints
 
     def balance_derivatives(self, q: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -176,34 +171,52 @@ class Sag:
         With respect to the elastic coordinates (f, f): the tangent stiffness, of springs and loads, symmetric
         where no force acts on the tool. With respect to the joint angles (f, n): of the loads alone.
         """
-        arm, configuration = self.arm, self.arm.configuration(q, u)
-        loads = pin.computeStaticTorqueDerivatives(arm.model, self._data, configuration, arm.external_forces)
-        return arm.stiffness + loads[self._to_elastic], loads[self._to_driven]
+        _, tangent, by_joints = self._balance(q[None], u[None])
+        return tangent[0], by_joints[0]
 
-    def _solve(self, q: FloatArray, u: FloatArray, key: str) -> tuple[FloatArray, FloatArray]:
-        """Move `u` to the equilibrium by Newton's method; the balance's derivatives there."""
-        arm = self.arm
-        expected = "an arm and a guardrail that are stiff enough to carry the weight"
+    def _balance(self, q: FloatArray, u: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """What springs and loads lack of balance (N, f) at `q` (N, n) and `u` (N, f), and its derivatives."""
+        arm, data = self.arm, self._data
+        loads, rows = np.empty(u.shape), np.empty((*u.shape, arm.model.nv))
+        for k, configuration in enumerate(arm.configuration(q, u)):
+            slopes = pin.computeStaticTorqueDerivatives(arm.model, data, configuration, arm.external_forces)
+            loads[k], rows[k] = data.tau[arm.elastic], slopes[arm.elastic]
+        # One product for each posture: what is found does not depend on how many there are.
+        balance = (arm.stiffness @ u[:, :, None])[:, :, 0] + loads
+        return balance, arm.stiffness + rows[:, :, arm.elastic], rows[:, :, arm.driven]
+
+    def _solve(self, q: FloatArray, u: FloatArray, first: int = 0) -> tuple[FloatArray, FloatArray]:
+        """Move `u` (N, f) to the equilibria by Newton's method; the balance's derivatives there.
+
+        Errors count postures from `first`.
+        """
+
+        def refused(index: int, why: str) -> InputError:
+            expected = "an arm and a guardrail that are stiff enough to carry the weight"
+            return InputError("Sag.at", f"q[{first + index}]", f"a posture {why}", expected)
+
+        left = np.arange(len(q))
         for _ in range(_ITERATIONS):
-            tangent, _by_joints = self.balance_derivatives(q, u)
-            balance = arm.stiffness @ u + self._data.tau[arm.elastic]
+            balance, tangent, _by_joints = self._balance(q[left], u[left])
             try:
-                step = np.linalg.solve(tangent, balance)
+                step = np.linalg.solve(tangent, balance[:, :, None])[:, :, 0]
             except np.linalg.LinAlgError as error:
-                raise InputError("Sag.at", key, "a posture without equilibrium", expected) from error
-            u -= step
-            if np.abs(step).max(initial=0.0) < _CONVERGED:
+                singular = int(np.abs(np.linalg.det(tangent)).argmin())
+                raise refused(int(left[singular]), "without equilibrium") from error
+            u[left] -= step
+            left = left[~(np.abs(step).max(axis=1, initial=0.0) < _CONVERGED)]
+            if not len(left):
                 break
         else:
-            raise InputError("Sag.at", key, "a posture whose equilibrium was not found", expected)
-        derivatives = self.balance_derivatives(q, u)
-        tangent = derivatives[0]
+            raise refused(int(left[0]), "whose equilibrium was not found")
+        _, tangent, by_joints = self._balance(q, u)
         try:
             # Then no small displacement gains more from the loads than it costs the springs.
-            np.linalg.cholesky(0.5 * (tangent + tangent.T))
+            np.linalg.cholesky(0.5 * (tangent + tangent.transpose(0, 2, 1)))
         except np.linalg.LinAlgError as error:
-            raise InputError("Sag.at", key, "a posture from which the arm topples", expected) from error
-        return derivatives
+            least = np.linalg.eigvalsh(0.5 * (tangent + tangent.transpose(0, 2, 1)))[:, 0]
+            raise refused(int(least.argmin()), "from which the arm topples") from error
+        return tangent, by_joints
 
     def _tool(self, configuration: FloatArray) -> tuple[pin.SE3, FloatArray]:
         """Pose and Jacobian (6, n + f) of the bent arm's tool, as `Kinematics.tool_jacobian`."""
