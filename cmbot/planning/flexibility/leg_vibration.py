@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -112,11 +112,10 @@ class LegVibration:
         edges = _refined(knots[(knots > start - 1e-9) & (knots < end + 1e-9)], _MATRICES_EVERY)
         matrices = path.at(np.append(0.5 * (edges[1:] + edges[:-1]), end), uncertainty.loads)
         reduced = [
-            _reduced(each, factor, modes)
+            _reduced(each, np.array(factors), modes)
             for each, factors in zip(matrices, uncertainty.factors, strict=True)
-            for factor in factors
         ]
-        self._carried = carried = _Carried(*(np.stack(each) for each in zip(*reduced, strict=True)))
+        self._carried = carried = _Carried(*(np.concatenate(each) for each in zip(*reduced, strict=True)))
         lengths = np.diff(edges)
         counts = np.ceil(lengths * carried.omega.max() / (2 * np.pi) * _STEPS_A_PERIOD).astype(int)
         each = [
@@ -125,16 +124,18 @@ class LegVibration:
         ]
         self.times = np.concatenate(each)
         self._steps, self._counts = lengths / counts, counts
-        self.cases = len(reduced)
+        self.cases = len(carried.omega)
+
+    @cached_property
+    def _midpoint(self) -> tuple[FloatArray, FloatArray]:
+        return _midpoint_steps(self._carried, self._steps)
 
     @cached_property
     def weights(self) -> FloatArray:
         """Of the snaps (m, C 2r, n)."""
-        weights = _weights(self._carried, self._steps, self._counts)
-        to_tool = self._carried.to_tool
-        weights *= np.concatenate([to_tool, to_tool], axis=1)[:, None, :, None]
-        cases, m, conditions, n = weights.shape
-        return weights.transpose(1, 0, 2, 3).reshape(m, cases * conditions, n)
+        weights = _weights(self._carried, *self._midpoint, self._counts)
+        m, n = weights.shape[0], weights.shape[-1]
+        return weights.reshape(m, -1, n)
 
     def vibration(self, trajectory: QuinticTrajectory) -> FloatArray:
         """What each mode moves the tool by at the end, for every case (C 2r,), m."""
@@ -149,14 +150,13 @@ class LegVibration:
         snaps = np.stack([each.evaluate(self.times, 4).T for each in trajectories], axis=-1)
         cases, k = carried.tool.shape[0], carried.tool.shape[2]
         y, begin = np.zeros((cases, 2 * k, len(trajectories))), 0
-        for block, (h, count) in enumerate(zip(self._steps, self._counts, strict=True)):
-            state, push = _midpoint_step(carried, block, float(h))
+        for state, push, count in zip(*self._midpoint, self._counts, strict=True):
             pushed = np.tensordot(push, snaps[:, begin : begin + count], axes=(2, 0))
-            for i in range(count):
-                y = state @ y + pushed[:, :, i]
+            y = _carried_on(state, np.concatenate([y[:, :, None], pushed], axis=2))
             begin += count
         substeps = max(1, round(_WATCHED / float(self._steps[-1])))
-        state = np.linalg.matrix_power(_midpoint_step(carried, -1, _WATCHED / substeps)[0], substeps)
+        after = _midpoint_steps(carried.at_end, np.array([_WATCHED / substeps]))[0][0]
+        state = np.linalg.matrix_power(after, substeps)
         tracks = np.empty((round(_SETTLE / _WATCHED) + 1, cases, 3, len(trajectories)))
         for moment in tracks:
             moment[:] = carried.tool @ y[:, :k]
@@ -179,6 +179,18 @@ class _Carried:
     to_tool: FloatArray  # (C, r): how far a mode moves the tool
     tool: FloatArray  # (C, 3, k): how the carriers move the tool, m
 
+    @property
+    def at_end(self) -> _Carried:
+        """The same in the end's posture alone."""
+        last = slice(-1, None)
+        return replace(
+            self,
+            mass=self.mass[:, last],
+            damping=self.damping[:, last],
+            stiffness=self.stiffness[:, last],
+            response=self.response[:, last],
+        )
+
 
 def tool_amplitudes(vibration: FloatArray, cases: int) -> FloatArray:
     """Largest amplitudes of the tool point (cases,), m, when the modes of a `vibration` (C 2r,) coincide."""
@@ -186,23 +198,31 @@ def tool_amplitudes(vibration: FloatArray, cases: int) -> FloatArray:
     return np.asarray(np.hypot(x[:, 0], x[:, 1]).sum(axis=1))
 
 
-def _reduced(at: _Matrices, factor: float, modes: int) -> tuple[FloatArray, ...]:
-    """One case of what is `_Carried`.
+def _reduced(at: _Matrices, factors: FloatArray, modes: int) -> tuple[FloatArray, ...]:
+    """What is `_Carried` of the cases with a load and `factors` (c,) on the stiffness.
 
-    The stiffness is that of the springs times `factor`; the equilibrium hardly changes with it.
+    The stiffness is that of the springs times a factor; the equilibrium hardly changes with it.
     """
-    stiffness = at.stiffness + (factor - 1) * at.arm.stiffness
     most = max(_CARRIERS, modes)
-    shapes = [_slowest(at.mass[k], stiffness[k], most) for k in (0, len(stiffness) // 2, -1)]
-    omega, own = shapes[-1]
-    V = np.linalg.qr(np.hstack([each for _, each in shapes]))[0]
-    M, K = V.T @ at.mass @ V, V.T @ stiffness @ V
-    response = np.linalg.solve(K, V.T @ (at.coupling + at.mass @ (at.sag_slope / factor)))
+    stiffness = at.stiffness + (factors - 1)[:, None, None, None] * at.arm.stiffness
+    own, carriers = list[tuple[FloatArray, FloatArray]](), list[FloatArray]()
+    for each in stiffness:
+        shapes = [_slowest(at.mass[k], each[k], most) for k in (0, len(each) // 2, -1)]
+        own.append(shapes[-1])
+        carriers.append(np.linalg.qr(np.hstack([X for _, X in shapes]))[0])
+    r = min(modes, min(len(omega) for omega, _ in own))
+    omega, X = np.stack([omega[:r] for omega, _ in own]), np.stack([X[:, :r] for _, X in own])
+    ends = np.stack(carriers)
+    V = ends[:, None]
+    V_T = V.swapaxes(2, 3)
+    M, K = V_T @ at.mass @ V, V_T @ stiffness @ V
+    forces = at.coupling + at.mass @ at.sag_slope / factors[:, None, None, None]
+    D = V_T @ at.gyroscopic @ V + (2 * _DAMPING / omega[:, 0])[:, None, None, None] * K
     J = _tool_jacobian(at.arm, at.q[-1], at.u[-1])[:, at.arm.elastic]
-    r = min(modes, len(omega))
-    D = V.T @ at.gyroscopic @ V + 2 * _DAMPING / omega[0] * K
-    to_tool = np.linalg.norm(J @ own[:, :r], axis=0)
-    return M, D, K, response, V.T @ at.mass[-1] @ own[:, :r], omega[:r], to_tool, J @ V
+    to_tool = np.linalg.norm(J @ X, axis=1)
+    response = np.asarray(np.linalg.solve(K, V_T @ forces), dtype=float)
+    momenta = ends.swapaxes(1, 2) @ at.mass[-1] @ X
+    return M, D, K, response, momenta, omega, to_tool, J @ ends
 
 
 def _slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatArray, FloatArray]:
@@ -214,41 +234,80 @@ def _slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatA
     return 1 / np.sqrt(squares), X / np.sqrt(squares)
 
 
-def _weights(carried: _Carried, steps: FloatArray, counts: IntArray) -> FloatArray:
-    """Weights (C, m, 2r, n) of the snaps in every step in the modes' displacements and velocities at the end.
+def _weights(carried: _Carried, states: FloatArray, pushes: FloatArray, counts: IntArray) -> FloatArray:
+    """Weights (m, C, 2r, n) of the snaps in every step in how far displacements and velocities move the tool.
 
     The adjoint of the implicit midpoint rule, run backwards from the end: one run serves all trajectories.
-    There are g blocks of `counts` (g,) equal steps (g,), s.
+    There are g blocks of `counts` (g,) equal steps, whose matrices are by `_midpoint_steps`.
     """
     cases, k, r = carried.momenta.shape
-    weights = np.empty((cases, int(counts.sum()), 2 * r, carried.response.shape[3]))
+    end = int(counts.sum())
+    weights = np.empty((end, cases, 2 * r, carried.response.shape[3]))
     # Derivatives of displacements and velocities at the end by (y, y') after the step.
     costate = np.zeros((cases, 2 * k, 2 * r))
-    costate[:, :k, :r], costate[:, k:, r:] = carried.momenta, carried.momenta / carried.omega[:, None, :]
-    end = weights.shape[1]
-    for block in range(len(counts) - 1, -1, -1):
-        count = int(counts[block])
-        state, push = _midpoint_step(carried, block, float(steps[block]))
-        back = np.ascontiguousarray(state.transpose(0, 2, 1))
-        after = np.empty((count, *costate.shape))
-        for i in range(count - 1, -1, -1):
-            after[i] = costate
-            costate = back @ costate
-        weights[:, end - count : end] = after.transpose(1, 0, 3, 2) @ push[:, None]
+    costate[:, :k, :r] = carried.momenta * carried.to_tool[:, None]
+    costate[:, k:, r:] = costate[:, :k, :r] / carried.omega[:, None]
+    for state, push, count in zip(states[::-1], pushes[::-1], counts[::-1], strict=True):
+        after = _powers(state.swapaxes(1, 2), costate, int(count))
+        by_step = push.swapaxes(1, 2) @ after[:, :, :-1].reshape(cases, 2 * k, -1)
+        by_step = by_step.reshape(cases, -1, count, 2 * r)[:, :, ::-1]
+        weights[end - count : end] = by_step.transpose(2, 0, 3, 1)
+        costate = after[:, :, -1]
         end -= count
     return weights
 
 
-def _midpoint_step(carried: _Carried, block: int, h: float) -> tuple[FloatArray, FloatArray]:
-    """The implicit midpoint rule in a block: a step's matrices of (y, y') (C, 2k, 2k) and snap (C, 2k, n)."""
-    M, K = carried.mass[:, block], carried.stiffness[:, block]
-    inverse = np.linalg.inv(M + 0.5 * h * carried.damping[:, block] + 0.25 * h**2 * K)
+def _powers(A: FloatArray, x: FloatArray, count: int) -> FloatArray:
+    """The columns x, A x, ..., A^count x, (C, k, count + 1, c), of matrices (C, k, k) and columns (C, k, c).
+
+    By repeated squaring: few products of large matrices take a fraction of the time of many small ones.
+    """
+    cases, k, columns = x.shape
+    found = np.empty((cases, k, count + 1, columns))
+    found[:, :, 0] = x
+    known = 1
+    while known <= count:
+        more = min(known, count + 1 - known)
+        known_columns = found[:, :, :more].reshape(cases, k, more * columns)
+        found[:, :, known : known + more] = (A @ known_columns).reshape(cases, k, more, columns)
+        known += more
+        if known <= count:
+            A = A @ A
+    return found
+
+
+def _carried_on(A: FloatArray, terms: FloatArray) -> FloatArray:
+    """Sum ``A^(m - i) x_i`` (C, k, c) of matrices (C, k, k) over `terms` (C, k, m + 1, c): as `_powers`."""
+    cases, k, _, columns = terms.shape
+    while (count := terms.shape[2]) > 1:
+        if count % 2:
+            terms = np.concatenate([np.zeros((cases, k, 1, columns)), terms], axis=2)
+        earlier = terms[:, :, ::2].reshape(cases, k, -1)
+        terms = (A @ earlier).reshape(cases, k, -1, columns) + terms[:, :, 1::2]
+        A = A @ A
+    return terms[:, :, 0]
+
+
+def _midpoint_steps(carried: _Carried, steps: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The implicit midpoint rule with `steps` (g,), s, in the first g postures.
+
+    A step's matrices of (y, y') (g, C, 2k, 2k) and of the snap (g, C, 2k, n).
+    """
+    g, h = len(steps), steps[:, None, None]
+    M, D, K, response = (
+        each[:, :g] for each in (carried.mass, carried.damping, carried.stiffness, carried.response)
+    )
+    inverse = np.linalg.inv(M + 0.5 * h * D + 0.25 * h**2 * K)
     # The rate in the middle of the step, by y, y' and snap.
     by_y, by_rate = -0.5 * h * inverse @ K, inverse @ M
-    by_snap = 0.5 * h * by_rate @ carried.response[:, block]
-    one = np.eye(K.shape[1])
-    state = np.block([[one + h * by_y, h * by_rate], [2 * by_y, 2 * by_rate - one]])
-    return state, np.concatenate([h * by_snap, 2 * by_snap], axis=1)
+    by_snap = 0.5 * h * by_rate @ response
+    k, one = K.shape[2], np.eye(K.shape[2])
+    state, push = np.empty((g, len(K), 2 * k, 2 * k)), np.empty((g, len(K), 2 * k, response.shape[3]))
+    by_case = state.swapaxes(0, 1)
+    by_case[..., :k, :k], by_case[..., :k, k:] = one + h * by_y, h * by_rate
+    by_case[..., k:, :k], by_case[..., k:, k:] = 2 * by_y, 2 * by_rate - one
+    push[..., :k, :], push[..., k:, :] = ((factor * by_snap).swapaxes(0, 1) for factor in (h, 2.0))
+    return state, push
 
 
 def _refined(knots: FloatArray, longest: float) -> FloatArray:

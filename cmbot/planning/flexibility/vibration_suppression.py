@@ -16,6 +16,7 @@ that every window is a small problem of its own.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -422,12 +423,7 @@ class Window:
         Where the jerk would be larger, that is forbidden and the point sought again.
         """
         s, d = len(self.coefficients), len(self._jerk)
-        knots = self._space.t[self.coefficients[0] : self.coefficients[-1] + SUPPORT + 1]
-        times = np.linspace(knots[:-1], knots[1:], _JERKS, axis=1).ravel()
-        rows = linalg.solve_triangular(
-            self._factor, (self._space.design(times, 3) @ self._basis).toarray().T, lower=True
-        ).T
-        jerk = self._given.evaluate(times, 3) / self._jerk
+        rows, jerk = self._jerks
         most = np.abs(jerk).max() + _MORE_JERK
         for _ in range(_JERK_ROUNDS):
             found = nearest(y, factor, C, room)
@@ -443,6 +439,15 @@ class Window:
             C = np.concatenate([C, more.reshape(len(at), s * d)])
             room = np.append(room, most - sign * jerk[at, joint])
         return found
+
+    @cached_property
+    def _jerks(self) -> tuple[FloatArray, FloatArray]:
+        """Jerk all along, as a share of its bounds: its derivatives by y (T, s), and itself (T, d)."""
+        knots = self._space.t[self.coefficients[0] : self.coefficients[-1] + SUPPORT + 1]
+        times = np.linspace(knots[:-1], knots[1:], _JERKS, axis=1).ravel()
+        rows = (self._space.design(times, 3) @ self._basis).toarray().T
+        jerk = self._given.evaluate(times, 3) / self._jerk
+        return linalg.solve_triangular(self._factor, rows, lower=True).T, jerk
 
     def whitened(self, rows: FloatArray) -> FloatArray:
         """Derivatives (K, s d) by y from those (K, s, d) by X."""

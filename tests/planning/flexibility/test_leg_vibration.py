@@ -37,8 +37,8 @@ def test_backwards_is_the_transpose_of_forwards(rng: np.random.Generator) -> Non
     counts = np.array([40, 1, 25, 300])
     steps = rng.uniform(1e-3, 5e-3, 4)
     system = carried(rng, 4)
-    weights = leg_vibration._weights(system, steps, counts)
-    assert weights.shape == (2, counts.sum(), 2 * MODES, JOINTS)
+    weights = leg_vibration._weights(system, *leg_vibration._midpoint_steps(system, steps), counts)
+    assert weights.shape == (counts.sum(), 2, 2 * MODES, JOINTS)
 
     snap = rng.normal(size=(counts.sum(), JOINTS))
     for case in range(2):
@@ -51,8 +51,9 @@ def test_backwards_is_the_transpose_of_forwards(rng: np.random.Generator) -> Non
             z = np.linalg.solve(one - h / 2 * A, (one + h / 2 * A) @ z + h * force)
         y, rate = np.split(z, 2)
         momenta = system.momenta[case]
-        expected = np.concatenate([momenta.T @ y, momenta.T @ rate / system.omega[case]])
-        found = np.einsum("kcj,kj->c", weights[case], snap)
+        both = np.stack([momenta.T @ y, momenta.T @ rate / system.omega[case]])
+        expected = (both * system.to_tool[case]).ravel()
+        found = np.einsum("kcj,kj->c", weights[:, case], snap)
         np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
