@@ -194,16 +194,15 @@ class Clearances:
         if len(candidates) == 0:
             return []
         self._update_jacobians(q)
-        found = [pair for pair in candidates.tolist() if self._distance(pair) < distance]
-        return [self._nearest(pair) for pair in found]
+        found = [(pair, self._measured_at(pair)) for pair in candidates.tolist()]
+        return [self._nearest(pair, result) for pair, result in found if result.min_distance < distance]
 
     def nearest(self, q: FloatArray, pair: int) -> Nearest:
         """Return the nearest points of pair number `pair` at posture `q` (n,)."""
         self._update_jacobians(q)
-        return self._nearest(pair)
+        return self._nearest(pair, self._measured_at(pair))
 
-    def _nearest(self, pair: int) -> Nearest:
-        result = pin.computeDistance(self._geometry, self._geometry_data, pair)
+    def _nearest(self, pair: int, result: Any) -> Nearest:
         first, second = self._shapes[pair]
         point, other_point = result.getNearestPoint1(), result.getNearestPoint2()
         jacobian = self._point_jacobian(self._joints[first], point)
@@ -300,7 +299,10 @@ class Clearances:
         pin.updateGeometryPlacements(self._model, self._data, self._geometry, self._geometry_data)
 
     def _distance(self, pair: int) -> float:
-        return float(pin.computeDistance(self._geometry, self._geometry_data, pair).min_distance)
+        return float(self._measured_at(pair).min_distance)
+
+    def _measured_at(self, pair: int) -> Any:
+        return pin.computeDistance(self._geometry, self._geometry_data, pair)
 
 
 def _disable_guesses(requests: Sequence[Any]) -> None:

@@ -103,13 +103,14 @@ class DistanceCache:
         self._q, self._distance = np.full(model.nv, np.nan), np.empty(len(reach))
         self._asked = self._q
         slides = prismatic_joints(model)
+        self._slides = bool(slides.any())
         self._lower = np.where(slides, model.lowerPositionLimit, -np.inf)
         self._upper = np.where(slides, model.upperPositionLimit, np.inf)
 
     def lower_bounds(self, q: FloatArray) -> FloatArray:
         """Return lower bounds of all distances, (P,), m, in posture `q` (n,), rad."""
         move = np.abs(q - self._q)
-        if self._drawn_out(np.stack([q, self._q])) or not move @ self._furthest <= _LARGEST_MOVE:
+        if self._drawn_out(q, self._q) or not move @ self._furthest <= _LARGEST_MOVE:
             self._measure(q)
             return self._distance.copy()
         return np.asarray(self._distance - self._reach @ move)
@@ -122,8 +123,8 @@ class DistanceCache:
         lower = self._distance - self._reach @ np.abs(q - self._q)
         before, self._asked = self._asked, q
         few = (lower <= distance).sum() <= _FEW * len(lower)
-        if not few or not np.isfinite(lower).all() or self._drawn_out(np.stack([q, self._q])):
-            if not np.abs(q - before) @ self._furthest <= _NEIGHBOUR or self._drawn_out(q[None]):
+        if not few or not np.isfinite(lower).all() or self._drawn_out(q, self._q):
+            if not np.abs(q - before) @ self._furthest <= _NEIGHBOUR or self._drawn_out(q):
                 return None
             self._measure(q)
             lower = self._distance
@@ -140,9 +141,9 @@ class DistanceCache:
         moved = float((np.abs(np.diff(q, axis=0)) @ self._furthest).sum())
         return not self._drawn_out(q) and moved * _FEWEST <= _LARGEST_MOVE * len(q)
 
-    def _drawn_out(self, q: FloatArray) -> bool:
-        """Whether a joint slides further than its range in any of postures (N, n): reaches hold no more."""
-        return bool(((q < self._lower) | (q > self._upper)).any())
+    def _drawn_out(self, *q: FloatArray) -> bool:
+        """Whether a joint slides further than its range in any of postures (..., n): reaches hold no more."""
+        return self._slides and any(((each < self._lower) | (each > self._upper)).any() for each in q)
 
     def segments(self, q: FloatArray) -> Iterator[tuple[slice, FloatArray, FloatArray]]:
         """Yield segments of postures `q` (N, n), with lower and upper bounds (N', P) of distances."""
