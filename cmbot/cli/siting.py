@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import time
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -15,6 +17,7 @@ from cmbot.cli.console import (
     JsonOption,
     QuietOption,
     SceneArgument,
+    complete_scene,
     flat,
     out,
     print_result,
@@ -22,15 +25,26 @@ from cmbot.cli.console import (
 )
 from cmbot.common.errors import InputError
 
+if TYPE_CHECKING:
+    from cmbot.siting import Standing
+
 __all__ = ["stand", "walk"]
 
 _SHOWN = 10
-_FILES = ("stances.csv", "best.yaml", "index.html")
+_FILES = ("stances.csv", "index.html")
+_MARK = "# Written by cmbot stand: the scene in its best stance.\n"
 _WALK_FILES = ("walk.csv", "walk.json", "index.html")
 
 
 def stand(
-    scene: SceneArgument,
+    scenes: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="SCENE...",
+            help="Scene files, or names of shipped scenes, of jobs on one bridge.",
+            autocompletion=complete_scene,
+        ),
+    ],
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_stances if left out.")
     ] = None,
@@ -49,44 +63,65 @@ def stand(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
-    """Find where the robot should stand for a scene's job: stances screened by bounds, the best planned.
+    """Find where the robot should stand for jobs: stances screened by bounds, the best planned.
 
-    Writes a ranked table, a page with a map, and the scene with the best stance.
+    Strokes that no stance does together are done from several, as few as possible. Writes a ranked table, a
+    page with a map, and the scene with the best stance: best.yaml, or best_1.yaml and so on.
 
-    Example: [bold]cmbot stand line --objective hold[/bold], then
-    [bold]cmbot plan out/line_stances/best.yaml[/bold]
+    Examples: [bold]cmbot stand line --objective hold[/bold], then
+    [bold]cmbot plan out/line_stances/best.yaml[/bold];
+    [bold]cmbot stand left.yaml right.yaml -o out/both[/bold]
     """
     started = time.perf_counter()
-    loaded = cmbot.load_scene(scene)
+    loaded = [cmbot.load_scene(scene) for scene in scenes]
     if objective is not None:
-        loaded = replace(loaded, planner=replace(loaded.planner, objective=_known(objective)))
-    directory = output if output is not None else Path("out") / f"{loaded.name}_stances"
+        wanted = _known(objective)
+        loaded = [replace(each, planner=replace(each.planner, objective=wanted)) for each in loaded]
+    name = "_".join(each.name for each in loaded)
+    directory = output if output is not None else Path("out") / f"{name}_stances"
     from cmbot.archive import require_absent, write_files
-    from cmbot.siting import StandOptions, in_words
+    from cmbot.siting import StandOptions, shared_out
     from cmbot.siting import stand as find
 
-    require_absent(directory, _FILES, force=force)
-
+    require_absent(directory, (*_FILES, "best.yaml", "best_1.yaml"), force=force)
     options = StandOptions(
         spacing=spacing, pair_spacing=float("inf") if one_foot else pair_spacing, plans=plans
     )
     with ConsoleProgress(quiet=quiet) as progress:
         progress.stage("listing stances", 0.0)
-        standing = find(loaded, options, progress.stage)
-    write_files(directory, _contents(standing), force=force)
+        standings = find(loaded, options, progress.stage)
+    contents = _contents(standings)
+    write_files(directory, contents, force=force)
+    _remove_earlier(directory, contents.keys())
     if as_json:
-        print_result("stand", directory, _summary(standing))
+        print_result("stand", directory, _summary(standings))
     elif not quiet:
-        rows = [
-            (str(rank), each.place, each.status, each.judged, *each.figures)
-            for rank, each in enumerate(standing.ranked[:_SHOWN], start=1)
-        ]
-        unit = standing.unit
-        headings = ("", "stance", "status", "judged by", f"bound, {unit}", f"planned, {unit}")
-        print_table("Stances", headings, rows, text_columns=4)
-        for line in in_words(standing):
+        for number, standing in enumerate(standings, start=1):
+            _print_standing(standing, f"Stances {number}" if len(standings) > 1 else "Stances")
+        for line in shared_out(standings):
             out.print(flat(line))
         out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+
+
+def _print_standing(standing: Standing, title: str) -> None:
+    from cmbot.siting import in_words
+
+    rows = [
+        (str(rank), each.place, each.status, each.judged, *each.figures)
+        for rank, each in enumerate(standing.ranked[:_SHOWN], start=1)
+    ]
+    unit = standing.unit
+    headings = ("", "stance", "status", "judged by", f"bound, {unit}", f"planned, {unit}")
+    print_table(title, headings, rows, text_columns=4)
+    for line in in_words(standing):
+        out.print(flat(line))
+
+
+def _remove_earlier(directory: Path, written: Collection[str]) -> None:
+    """Remove the scenes of an earlier search that found other stances."""
+    for path in directory.glob("best*.yaml"):
+        if path.name not in written and path.read_bytes().startswith(_MARK.encode()):
+            path.unlink()
 
 
 def walk(
@@ -147,32 +182,32 @@ def _known(objective: str) -> Literal["torque", "hold"]:
     raise InputError("cmbot stand", "--objective", objective, "a known value", ("torque", "hold"))
 
 
-def _contents(standing: Any) -> dict[str, bytes]:
+def _contents(standings: Sequence[Standing]) -> dict[str, bytes]:
     from cmbot.siting import best_scene, stances_csv
     from cmbot.views import stances_page
 
-    files = (stances_csv(standing), _yaml(best_scene(standing)), stances_page(standing))
-    return {name: text.encode() for name, text in zip(_FILES, files, strict=True)}
+    contents = dict(zip(_FILES, (stances_csv(standings), stances_page(standings)), strict=True))
+    for number, each in enumerate(standings, start=1):
+        # YAML in which JSON is valid: what `cmbot.load_scene` reads.
+        name = "best.yaml" if len(standings) == 1 else f"best_{number}.yaml"
+        contents[name] = f"{_MARK}{json.dumps(best_scene(each), indent=2)}\n"
+    return {name: text.encode() for name, text in contents.items()}
 
 
-def _yaml(data: dict[str, Any]) -> str:
-    """YAML in which JSON is valid: what `cmbot.load_scene` reads."""
-    import json
+def _summary(standings: Sequence[Standing]) -> dict[str, Any]:
+    from cmbot.siting import in_words, shared_out
 
-    return f"# Written by cmbot stand: the scene in its best stance.\n{json.dumps(data, indent=2)}\n"
-
-
-def _summary(standing: Any) -> dict[str, Any]:
-    from cmbot.siting import in_words
-
-    counts = {name: standing.count(name.replace("_", " ")) for name in _STATUSES}
-    best = standing.ranked[0]
-    return {
-        "candidates": len(standing.ranked),
-        **counts,
-        "best": best.place,
-        "words": list(in_words(standing)),
-    }
+    each = [
+        {
+            "strokes": list(standing.strokes),
+            "candidates": len(standing.ranked),
+            **{name: standing.count(name.replace("_", " ")) for name in _STATUSES},
+            "best": standing.ranked[0].place,
+            "words": list(in_words(standing)),
+        }
+        for standing in standings
+    ]
+    return each[0] if len(each) == 1 else {"stances": each, "words": list(shared_out(standings))}
 
 
 _STATUSES = ("planned", "screened", "failed", "blocked", "no_posture", "out_of_reach")

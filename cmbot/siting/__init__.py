@@ -2,18 +2,11 @@
 
 from cmbot.siting.candidates import APART, REACH, Candidate, candidate_at, candidates_of, places_of
 from cmbot.siting.footholds import in_the_way, lift_height
+from cmbot.siting.placed_scene import in_world, joined, scene_at
 from cmbot.siting.screening import Screening, screen
-from cmbot.siting.standing import (
-    Standing,
-    StandOptions,
-    Stood,
-    best_scene,
-    in_words,
-    in_world,
-    scene_at,
-    stances_csv,
-    stand,
-)
+from cmbot.siting.search import StandOptions, Stood
+from cmbot.siting.standing import Standing, best_scene, stand
+from cmbot.siting.table import in_words, shared_out, stances_csv
 
 __all__ = [
     "APART",
@@ -29,10 +22,12 @@ __all__ = [
     "in_the_way",
     "in_words",
     "in_world",
+    "joined",
     "lift_height",
     "places_of",
     "scene_at",
     "screen",
+    "shared_out",
     "stances_csv",
     "stand",
 ]

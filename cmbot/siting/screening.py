@@ -34,29 +34,27 @@ _AT_ONCE = 400
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Screening:
-    """What is known of C candidates.
+    """What is known of C candidates for each of S strokes.
 
     Attributes
     ----------
-    within_reach : (C,)
+    within_reach : (S, C)
         Whether the tool's places are within reach of the arm's links.
-    bound : (C,)
+    bound : (S, C)
         What each asks at least, in the objective's unit; infinite where no posture was found.
-    torque, adhesion : (C,), Nm and N
+    torque, adhesion : (S, C), Nm and N
         Largest torque and adhesion at rest in the postures of that bound.
-    times : (K,), s
-        Of the via-points that were looked at, of each stroke from its beginning.
     clearing : callable
-        From a candidate, clearances of its robot and a margin, m, to its bound by more postures, those too
-        near to something left out; infinite where there is none at some via-point.
+        From a candidate, clearances of its robot, a margin, m, and numbers of strokes, to its bound over
+        these by more postures, those too near to something left out; infinite where there is none at some
+        via-point.
     """
 
     within_reach: BoolArray
     bound: FloatArray
     torque: FloatArray
     adhesion: FloatArray
-    times: FloatArray
-    clearing: Callable[[Candidate, Clearances, float], float]
+    clearing: Callable[[Candidate, Clearances, float, Sequence[int]], float]
 
 
 def screen(
@@ -82,49 +80,45 @@ def screen(
     report : callable
         Takes the share that is done.
     """
-    arm = BaseArm(scene, robot)
-    count = len(candidates)
-    bound, torque, adhesion = np.full(count, -np.inf), np.zeros(count), np.zeros(count)
-    bases = np.array([candidate.base for candidate in candidates]).reshape(count, 4, 4)
-    looks = [(task, float(t)) for task in tasks for t in _times(task, _VIA_POINTS)]
-    within = np.ones(count, dtype=np.bool_)
-    for task, time in looks:
-        away = np.linalg.norm(task.path.position([time]) - bases[:, :3, 3], axis=1)
-        within &= (away <= robot.reach) & (away >= robot.inner_reach)
-    bound[~within] = np.inf
-    left = np.flatnonzero(within)
-    loads = StanceLoads(scene, [candidates[k] for k in left.tolist()], options, robot)
-    number = np.cumsum(within) - 1  # among those within reach
-    for done, (task, time) in enumerate(looks):
-        for first in range(0, len(left), _AT_ONCE):
-            some = left[first : first + _AT_ONCE]
-            found = arm.least(task, time, bases[some], loads, number[some])
-            bound[some] = np.maximum(bound[some], found[0])
-            torque[some] = np.maximum(torque[some], found[1])
-            adhesion[some] = np.maximum(adhesion[some], found[2])
-            report((done + first / len(left)) / len(looks))
-        left = left[np.isfinite(bound[left])]
-    closer = [(task, float(t)) for task in tasks for t in _times(task, _CHECKED)]
+    arm, shape = BaseArm(scene, robot), (len(tasks), len(candidates))
+    bases = np.array([candidate.base for candidate in candidates]).reshape(-1, 4, 4)
+    within = np.array([_within_reach(task, bases, robot) for task in tasks]).reshape(shape)
+    bound, torque, adhesion = np.where(within, -np.inf, np.inf), np.zeros(shape), np.zeros(shape)
+    near = np.flatnonzero(within.any(axis=0))
+    loads = StanceLoads(scene, [candidates[k] for k in near.tolist()], options, robot)
+    number = np.cumsum(within.any(axis=0)) - 1  # among those within reach
+    for s, task in enumerate(tasks):
+        left = np.flatnonzero(within[s])
+        for k, time in enumerate(_times(task, _VIA_POINTS).tolist()):
+            for first in range(0, len(left), _AT_ONCE):
+                some = left[first : first + _AT_ONCE]
+                found = arm.least(task, time, bases[some], loads, number[some])
+                for values, new in zip((bound, torque, adhesion), found, strict=True):
+                    values[s, some] = np.maximum(values[s, some], new)
+                report((s + (k + first / len(left)) / _VIA_POINTS) / len(tasks))
+            left = left[np.isfinite(bound[s, left])]
 
-    def clearing(candidate: Candidate, clearances: Clearances, margin: float) -> float:
-        load = StanceLoads(scene, [candidate], options, robot)
-        largest = 0.0
-        for task, time in closer:
-            q, value = arm.several(task, time, candidate.base, load)
-            free = value[~clearances.check_collision(q, margin)]
-            largest = max(largest, float(free.min(initial=np.inf)))
-            if np.isinf(largest):
-                break
+    def clearing(
+        candidate: Candidate, clearances: Clearances, margin: float, strokes: Sequence[int]
+    ) -> float:
+        load, largest = StanceLoads(scene, [candidate], options, robot), 0.0
+        for task in (tasks[s] for s in strokes):
+            for time in _times(task, _CHECKED).tolist():
+                q, value = arm.several(task, time, candidate.base, load)
+                free = value[~clearances.check_collision(q, margin)]
+                largest = max(largest, float(free.min(initial=np.inf)))
+                if np.isinf(largest):
+                    return largest
         return largest
 
-    return Screening(
-        within_reach=within,
-        bound=bound,
-        torque=torque,
-        adhesion=adhesion,
-        times=np.array([time for _, time in looks]),
-        clearing=clearing,
-    )
+    return Screening(within_reach=within, bound=bound, torque=torque, adhesion=adhesion, clearing=clearing)
+
+
+def _within_reach(task: ToolTask, bases: FloatArray, robot: Robot) -> BoolArray:
+    """Which bases (C, 4, 4) have all places of a stroke within reach of the arm's links."""
+    points = task.path.position(_times(task, _VIA_POINTS))
+    away = np.linalg.norm(points[:, None] - bases[:, :3, 3], axis=2)
+    return np.asarray(((away <= robot.reach) & (away >= robot.inner_reach)).all(axis=0))
 
 
 def _times(task: ToolTask, count: int) -> FloatArray:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from html import escape
 
 import numpy as np
 
-from cmbot.siting import Standing, Stood, in_words
+from cmbot.siting import Standing, Stood, in_words, shared_out
 from cmbot.views.page import still_page, table
 
 __all__ = ["stances_page"]
@@ -25,19 +25,30 @@ _COLOURS = {
 _ROWS = 60
 
 
-def stances_page(standing: Standing) -> str:
+def stances_page(standings: Sequence[Standing]) -> str:
     """Return an HTML page that opens no connection and runs no script.
 
     Parameters
     ----------
-    standing : Standing
+    standings : sequence of Standing
+        As `cmbot.siting.stand` returns them.
     """
+    name, several = standings[0].scene.name, len(standings) > 1
+    content = ""
+    for number, standing in enumerate(standings, start=1):
+        if several:
+            content += f"<h2>Stance {number}: {escape(', '.join(standing.strokes))}</h2>"
+            content += "".join(f"<p>{escape(sentence)}</p>" for sentence in in_words(standing))
+        content += f"<section>{_map(standing)}</section><section>{_table(standing)}</section>"
+    said = shared_out(standings) if several else in_words(standings[0])
+    return still_page(f"Where to stand: {name}", said, content)
+
+
+def _table(standing: Standing) -> str:
     unit = standing.unit
     figures = (f"bound, {unit}", f"planned, {unit}", "torque at rest, Nm", "adhesion, kN")
     rows = (_row(rank, each) for rank, each in enumerate(standing.ranked[:_ROWS], start=1))
-    ranked = table(rows, ("", "stance", "status", "judged by", *figures), text_columns=4)
-    content = f"<section>{_map(standing)}</section><section>{ranked}</section>"
-    return still_page(f"Where to stand: {standing.scene.name}", in_words(standing), content)
+    return table(rows, ("", "stance", "status", "judged by", *figures), text_columns=4)
 
 
 def _row(rank: int, each: Stood) -> tuple[str, ...]:

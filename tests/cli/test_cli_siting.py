@@ -45,3 +45,54 @@ def test_an_objective_that_cannot_be_screened(stood: tuple[Path, Outcome]) -> No
     refused = run("stand", folder / "short.yaml", "--objective", "sag")
     assert refused.status == 2
     assert "--objective: got sag, expected a known value (one of: torque, hold)" in refused.err
+
+
+@pytest.fixture(scope="module")
+def both(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Outcome]:
+    """A folder after ``cmbot stand`` of two jobs at the ends of a guardrail, and what that said."""
+    folder = tmp_path_factory.mktemp("both")
+    for name, x in (("left", -3.2), ("right", 3.2)):
+        begin = {"frame": "world", "xyz": [x, 0.78, -1.96], "rpy_deg": [0, 180, 0]}
+        job = short_scene(name=name, format="cmbot-scene/2", tool_path={"from": begin})
+        (folder / f"{name}.yaml").write_text(json.dumps(job.file.as_data()))
+    words = ("--one-foot", "--spacing", "0.8", "--plans", "0", "-o", folder / "out")
+    (folder / "out").mkdir()
+    (folder / "out" / "notes.txt").write_text("mine")
+    return folder, run("stand", folder / "left.yaml", folder / "right.yaml", *words)
+
+
+def test_jobs_that_no_stance_reaches_are_done_from_two(both: tuple[Path, Outcome]) -> None:
+    folder, outcome = both
+    assert outcome.status == 0, outcome.err
+    assert "2 strokes from 2 stances: fewer were not found to do." in outcome.out
+    names = {path.name for path in (folder / "out").iterdir()}
+    assert names == {"stances.csv", "index.html", "best_1.yaml", "best_2.yaml", "notes.txt"}
+    scenes = [cmbot.load_scene(folder / "out" / f"best_{k}.yaml") for k in (1, 2)]
+    assert [scene.each_stroke[0].name for scene in scenes] == ["left", "right"]
+    assert scenes[0].robot.stance.foot[0] < scenes[1].robot.stance.foot[0]
+    for scene, x in zip(scenes, (-3.2, 3.2), strict=True):
+        assert scene.each_stroke[0].start_pose.xyz[0] == pytest.approx(x)
+    rows = [*csv.DictReader((folder / "out" / "stances.csv").read_text().splitlines())]
+    assert {(row["group"], row["strokes"]) for row in rows} == {("1", "left"), ("2", "right")}
+    page = (folder / "out" / "index.html").read_text()
+    assert "<h2>Stance 1: left</h2>" in page
+    assert page.count("<svg") == 2
+
+
+def test_scenes_of_an_earlier_search_do_not_stay(both: tuple[Path, Outcome]) -> None:
+    folder, _ = both
+    words = ("--one-foot", "--spacing", "1.5", "--plans", "0", "-o", folder / "out", "--force", "--quiet")
+    again = run("stand", folder / "left.yaml", *words)
+    assert again.status == 0, again.err
+    names = {path.name for path in (folder / "out").iterdir()}
+    assert names == {"stances.csv", "index.html", "best.yaml", "notes.txt"}
+
+
+def test_jobs_of_other_bridges_are_refused(both: tuple[Path, Outcome]) -> None:
+    folder, _ = both
+    other = short_scene(name="other", guardrail={"bays": 6})
+    (folder / "other.yaml").write_text(json.dumps(other.file.as_data()))
+    refused = run("stand", folder / "left.yaml", folder / "other.yaml", "-o", folder / "new")
+    assert refused.status == 2
+    assert "guardrail: got another one, expected the same guardrail in all scenes of a bridge" in refused.err
+    assert not (folder / "new").exists()

@@ -1,0 +1,124 @@
+"""What was found of stances: in words, and as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cmbot.siting.search import MEANS, Stood
+from cmbot.siting.standing import Standing
+
+__all__ = ["in_words", "shared_out", "stances_csv"]
+
+_COLUMNS = (
+    *(
+        "group",
+        "strokes",
+        "rank",
+        "status",
+        "judged_by",
+        "bound",
+        "planned",
+        "torque_at_rest",
+        "adhesion_at_rest",
+    ),
+    *(
+        "planned_torque",
+        "planned_adhesion",
+        "foot_1_member",
+        "foot_1_along_m",
+        "foot_1_face",
+        "foot_1_turn_deg",
+    ),
+    *("foot_2_member", "foot_2_along_m", "foot_2_face", "foot_2_turn_deg", "x", "y", "z"),
+    *("climb_1_deg", "climb_2_deg", "climb_3_deg", "climb_4_deg", "climb_5_deg", "reason"),
+)
+_LEFT_OUT_BY = {
+    "postures": "obstacles left out",
+    "obstacles": "at some via-points, obstacles included",
+    "charts": "by its charts, obstacles included",
+}
+
+
+def in_words(standing: Standing) -> Iterator[str]:
+    """Yield what was found, a sentence or two each."""
+    ranked, unit = standing.ranked, standing.unit
+    counts = {
+        name: standing.count(name) for name in ("out of reach", "no posture", "blocked", "failed", "planned")
+    }
+    yield (
+        f"{len(ranked)} stances: {counts['out of reach']} out of reach, {counts['no posture']} in which no "
+        f"posture within the bounds of joints and feet was found, {counts['blocked']} found blocked, "
+        f"{counts['planned']} planned, "
+        f"{counts['failed']} of which planning failed."
+    )
+    judged = {name: sum(each.judged == name for each in ranked) for name in MEANS}
+    yield (
+        f"Judged by the reach of the links: {judged['reach']}, by sampled postures within the bounds of "
+        f"joints, feet and joint velocities: {judged['postures']}, by those clear of obstacles: "
+        f"{judged['obstacles']}, by the planner's charts: {judged['charts']}, by plans: {judged['plan']}."
+    )
+    best = standing.best
+    if best is None or best.plan is None:
+        yield "No stance was planned: the scene has the most promising one by its bound; it may be blocked."
+        return
+    peak, figures = best.plan.objective.planned_peak, best.plan.figures
+    needed = figures.adhesion_needed
+    also = "" if needed is None else f", adhesion needed {needed.peak / 1e3:.2f} kN ({needed.mode})"
+    yield (
+        f"Best of those planned: {best.place}, {peak:.1f} {unit} at work; "
+        f"torque {figures.peak_guardrail_torque:.1f} Nm{also}."
+    )
+    least = standing.best_unplanned
+    if np.isfinite(least):
+        more = max(1 - least / peak, 0.0)
+        yield (
+            f"No stance that was not planned was found to rest below {least:.1f} {unit} (estimate, "
+            f"{_LEFT_OUT_BY[_judged_least(ranked)]}): none may be better by more than {100 * more:.1f} %."
+        )
+
+
+def _judged_least(ranked: Sequence[Stood]) -> str:
+    """By what the stance of the smallest bound that was not planned was judged."""
+    waiting = (each for each in ranked if each.status == "screened")
+    return min(waiting, key=lambda each: each.bound).judged
+
+
+def shared_out(standings: Sequence[Standing]) -> Iterator[str]:
+    """Yield which strokes are done from which stance, a sentence each; nothing where all are from one."""
+    if len(standings) == 1:
+        return
+    strokes = sum(len(each.strokes) for each in standings)
+    yield f"{strokes} strokes from {len(standings)} stances: fewer were not found to do."
+    for number, each in enumerate(standings, start=1):
+        yield f"Stance {number}: {', '.join(each.strokes)}; {each.ranked[0].place}."
+
+
+def stances_csv(standings: Sequence[Standing]) -> str:
+    """Return the ranked table: one row a stance, for each group of strokes; SI units, degrees by name."""
+    rows = (
+        (number, " ".join(each.strokes), rank, *_cells(one))
+        for number, each in enumerate(standings, start=1)
+        for rank, one in enumerate(each.ranked, start=1)
+    )
+    return "\n".join([",".join(_COLUMNS), *(",".join(map(str, row)) for row in rows), ""])
+
+
+def _cells(each: Stood) -> Iterator[object]:
+    stance = each.candidate.stance
+    yield from (each.status, each.judged)
+    planned, torque, adhesion = "", "", ""
+    if each.plan is not None:
+        planned = f"{each.plan.objective.planned_peak:.6g}"
+        torque = f"{each.plan.figures.peak_guardrail_torque:.6g}"
+        needed = each.plan.figures.adhesion_needed
+        adhesion = "" if needed is None else f"{needed.peak:.6g}"
+    bound = f"{each.bound:.6g}" if np.isfinite(each.bound) else ""
+    rest = [f"{each.torque:.6g}", f"{each.adhesion:.6g}"] if bound else ["", ""]
+    yield from (bound, planned, *rest, torque, adhesion)
+    for place in (stance.foot_1, stance.foot_2):
+        yield from ("free", "", "", "") if place is None else place.model_dump().values()
+    yield from (f"{x:.4f}" for x in each.candidate.root[:3, 3])
+    yield from (f"{x:.4f}" for x in stance.climber_deg or ())
+    yield each.reason.replace(",", ";")
