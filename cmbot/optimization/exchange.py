@@ -136,12 +136,16 @@ class Result:
     complete : bool
         It was not stopped before its end, and no stage failed; otherwise it is what the last one that met the
         constraints had found.
+    failure : OptimisationFailed, optional
+        Why no trajectory met all constraints: this one misses them by no more than `nearly_met`. Where they
+        are kept inside what they stand for, that may still hold.
     """
 
     parametrization: Parametrization
     passes: tuple[ExchangeReport, ...]
     peak_bound: float
     complete: bool = True
+    failure: OptimisationFailed | None = None
 
 
 def minimize_peak(
@@ -164,7 +168,7 @@ def minimize_peak(
     Raises
     ------
     OptimisationFailed
-        When no trajectory was found that meets the constraints.
+        When no trajectory was found that meets the constraints, or nearly does.
     """
     exchange = _Exchange(program, options, progress)
     bound = program.lower_bound * (1 + options.peak_tolerance)
@@ -180,11 +184,17 @@ def minimize_peak(
         peak = exchange.lowest_peak(bound)
         bound = max(bound, peak * (1 + options.peak_tolerance))
         exchange.run(options.smoothing, bound=bound)
-    except OptimisationFailed:
-        if exchange.feasible is None:
+    except OptimisationFailed as failure:
+        best = exchange.feasible or exchange.nearest
+        if best is None:
             raise
-        form, peak = exchange.feasible
-        return Result(parametrization=form, passes=tuple(exchange.reports), peak_bound=peak, complete=False)
+        return Result(
+            parametrization=best[0],
+            passes=tuple(exchange.reports),
+            peak_bound=best[1],
+            complete=False,
+            failure=None if exchange.feasible else failure,
+        )
     return exchange.result(bound)
 
 
@@ -211,6 +221,8 @@ class _Exchange:
         self.reports: list[ExchangeReport] = []
         # The best trajectory that met all constraints, with its peak.
         self.feasible: tuple[Parametrization, float] | None = None
+        # One that misses them by little, with its peak.
+        self.nearest: tuple[Parametrization, float] | None = None
         self.restart()
 
     def restart(self) -> None:
@@ -318,6 +330,8 @@ class _Exchange:
     def _keep(self, found: Separation) -> None:
         """Keep the present trajectory where it meets all constraints, its peak whatever it was to be."""
         if found.worst.value > self._options.feasibility_tolerance:
+            if found.worst.value <= self._options.nearly_met:
+                self.nearest = self.form, found.peak
             return
         if self.feasible is None or found.peak <= self.feasible[1] * (1 + self._options.peak_tolerance):
             self.feasible = self.form, found.peak
@@ -348,7 +362,9 @@ class _Exchange:
         if result.status is SqpStatus.INFEASIBLE:
             self.form = result.iterate.parametrization
             limit = result.iterate.peak if start.stage.bound is None else start.stage.bound
-            worst = self._separated(limit).worst_beside(limit)
+            found = self._separated(limit)
+            self._keep(found)
+            worst = found.worst_beside(limit)
             reason = "near the trajectory that was found the constraints cannot all be met"
             raise self._failure(reason, worst, undecided=False)
         return result.iterate, result.iterations, result.status is not SqpStatus.ITERATION_LIMIT

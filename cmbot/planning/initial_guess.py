@@ -23,6 +23,7 @@ __all__ = [
     "InitialGuess",
     "fixed_guess",
     "initial_guess",
+    "leap",
     "roughness",
     "shifted_problem",
     "sliding_guess",
@@ -33,8 +34,14 @@ SMOOTHER = 0.9
 """A guess with shorter steps is worth it when its roughness is at most this share of that before."""
 
 # From rougher guesses hardly any trajectory leads on: their steps are halved so often at most, as long as the
-# peak at rest rises by no more than this share.
-_HOPELESS, _HALVINGS, _NEXT_TO_NOTHING = 4.0, 3, 1e-3
+# peak at rest rises by no more than this share. Where guesses leap it may, and they are halved more often.
+_HOPELESS, _HALVINGS, _NEXT_TO_NOTHING, _MOST_HALVINGS = 4.0, 3, 1e-3, 6
+# A step between via-points leaps from one branch of postures to another where it is longer than the first,
+# rad, and the posture with the tool on its path that is nearest to its middle is further from there than this
+# share of it.
+_LONG, _OFF_THE_MIDDLE = 0.3, 0.3
+# Newton steps at most from postures that may be far from the task.
+_MANY_STEPS = 50
 # Directions in which the tool's axis leans where nothing is found in the middle of its cone, and how far, as
 # a share of the cone.
 _LEANS, _LEANING = 4, 0.7
@@ -65,26 +72,38 @@ class InitialGuess:
     choice: Choice | None = None  # with sliding knots only
     search: GlobalSearch | None = None  # with sliding knots only
     unreached: PathNotFound | None = None  # why no approach leads where ``start: free`` would start
+    way: FloatArray | None = (
+        None  # a free broken line (k, d), rad, to the part of the self-motion it starts in
+    )
 
 
-def initial_guess(context: PlanningContext, search: GlobalSearch | None = None) -> InitialGuess:
+def initial_guess(
+    context: PlanningContext, search: GlobalSearch | None = None, *, stay: bool = False
+) -> InitialGuess:
     """Return the guess that the option ``knots`` asks for; see `fixed_guess` and `sliding_guess`.
 
     Where a sliding guess is so rough that hardly any trajectory leads on from it, a smoother one that rests
-    below nearly the same peak: shorter steps between via-points often cost no torque.
+    below nearly the same peak: shorter steps between via-points often cost no torque. Where it leaps between
+    branches of postures, as slow joints have time to, one that does not: no trajectory follows a leap.
     """
     if context.options.knots == "fixed":
         return fixed_guess(context)
-    guess = sliding_guess(context, search=search)
+    guess = sliding_guess(context, search=search, stay=stay)
     best, shorter = guess, guess.search
-    for _ in range(_HALVINGS):
-        if shorter is None or roughness(best.problem) <= _HOPELESS or context.reporter.expired():
+    for halving in range(_MOST_HALVINGS):
+        leaping = leap(context, best.problem.parametrization.via_points)
+        enough = halving >= _HALVINGS or roughness(best.problem) <= _HOPELESS
+        if shorter is None or (enough and not leaping) or context.reporter.expired():
             break
-        shorter = shorter.halved()
+        # Where there is much time, half of what joints could do is no less than a leap.
+        shorter = shorter.halved(leaping or np.inf)
         try:
-            other = sliding_guess(context, search=shorter)
+            other = sliding_guess(context, search=shorter, stay=stay)
         except PathNotFound:
             break
+        if leaping:
+            guess = best = replace(other, choice=guess.choice)
+            continue
         rests = (each.problem.at_via_points.max() for each in (other, guess))
         if next(rests) > next(rests) * (1 + _NEXT_TO_NOTHING):
             break
@@ -92,6 +111,27 @@ def initial_guess(context: PlanningContext, search: GlobalSearch | None = None) 
         if may_start and roughness(other.problem) <= SMOOTHER * roughness(best.problem):
             best = replace(other, choice=guess.choice)
     return best
+
+
+def leap(context: PlanningContext, via_points: FloatArray) -> float:
+    """Share of the velocity bounds that the longest leap between via-points (n, d), rad, asks; 0 without one.
+
+    A step leaps that leads from one branch of postures to another: the tool leaves its path on the way, as no
+    posture near the middle of the step holds it there.
+    """
+    metric = context.robot.metric
+    x = metric.coordinates(via_points)
+    steps = np.abs(np.diff(x, axis=0)).max(axis=1)
+    long = np.flatnonzero(steps > _LONG)
+    if len(long) == 0:
+        return 0.0
+    middles = metric.positions(0.5 * (x[long] + x[long + 1]))
+    goals = context.task.goals(0.5 * (context.times[long] + context.times[long + 1]))
+    near, reached = project_onto_task(context.postures, context.task, middles, goals, steps=_MANY_STEPS)
+    moved = np.abs(metric.coordinates(near - middles)).max(axis=1)
+    share = np.abs(np.diff(via_points, axis=0)) / context.robot.limits.velocity
+    share = share.max(axis=1) / np.diff(context.times)
+    return float(share[long[~reached | (moved > _OFF_THE_MIDDLE * steps[long])]].max(initial=0.0))
 
 
 def roughness(problem: TorqueProblem) -> float:
@@ -253,7 +293,7 @@ def solved(
 def _placed(context: PlanningContext, rough: FloatArray) -> FloatArray:
     """Project postures (n, d) near the via-points onto the tool task."""
     q, reached = project_onto_task(
-        context.postures, context.task, rough, context.goals, steps=50, tolerance=1e-12
+        context.postures, context.task, rough, context.goals, steps=_MANY_STEPS, tolerance=1e-12
     )
     for k in np.flatnonzero(~reached)[:1]:
         joint = context.out_of_range(rough[k : k + 1]) or context.nearest_to_end(rough[k])

@@ -459,6 +459,8 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         start=context.posture if moved <= SAME_POSTURE else None,
         sag=context.sag,
     )
+    if optimised.failure is not None and not certificate.holds:
+        raise optimised.failure
     certificate.require()
     approach: Segment | None = None
     if moved <= SAME_POSTURE:
@@ -467,7 +469,7 @@ def _certified_motion(attempt: Attempt) -> _Motion:
         reporter.step("planning the approach to the start")
         at_rest = context.objective.at_rest(context.postures.at(optimised.trajectory.q))
         chart = context.first[None] if guess.search is None else guess.search.first_chart.q
-        approach = plan_approach(context, posture, chart, allowed=float(at_rest.max()))
+        approach = plan_approach(context, posture, chart, way=guess.way, allowed=float(at_rest.max()))
     work = Segment(
         name=context.stroke.name,
         kind="stroke",

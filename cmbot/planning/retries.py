@@ -5,7 +5,7 @@
 3. `more_via_points`: where the tool strays between via-points, 2 to 4 times as many, and 1, 2.
 4. `another_start`: a guess that leaves the scene's posture where no trajectory leads on from it, and 1 to 3.
 5. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 to 4.
-6. `scene_start`: a guess that starts in the scene's posture, and 1 to 4.
+6. `scene_start`: a guess that starts in the scene's posture, from which a trajectory may lead on, and 1 to 4.
 7. `dense_solver`: SLSQP, and 1 to 6.
 
 Each remedy runs while there is time (`PlannerOptions.time_limit_s`).
@@ -244,10 +244,11 @@ def joined_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tup
     if not isinstance(failure, PathNotFound) or search is None or not context.stroke.begins_elsewhere:
         raise failure
     context.reporter.step("no approach leads there; seeking a start that one leads to")
-    for starts in joined_starts(context, search.first_chart.q):
+    for starts, way in joined_starts(context, search.first_chart.q):
         context.reporter.stage("path")
         try:
             guess = sliding_guess(context, search=search, starts=starts, pinned=failure)
+            guess = replace(guess, way=way)
             why = failure.reason.partition(";")[0]
             fallback = f"No approach leads to the best start ({why}): the best of those that one leads to."
             return run(replace(failed, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
@@ -258,13 +259,21 @@ def joined_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tup
 
 
 def scene_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
-    """Where no approach leads to a better start: the scene's posture."""
+    """Where no approach leads to a better start, or no trajectory on from there: the scene's posture."""
     context, guess = failed.context, failed.guess
-    if not isinstance(failure, PathNotFound) or guess.search is None or guess.pinned:
+    if isinstance(failure, LimitViolation) or guess.search is None or guess.pinned:
+        raise failure
+    if isinstance(failure, PathNotFound):
+        context.reporter.stage("path")
+        return run(replace(failed, guess=sliding_guess(context, unreached=failure, search=guess.search)))
+    if context.stroke.begins_elsewhere:
+        # The scene's posture holds the tool elsewhere.
         raise failure
     context.reporter.stage("path")
-    pinned = sliding_guess(context, unreached=failure, search=guess.search)
-    return run(replace(failed, guess=pinned))
+    context.reporter.step("no trajectory leads on from a better start; trying the scene's posture")
+    fallback = f"From a better start no trajectory was found ({_told(failure)}): planned from the scene's."
+    stays = initial_guess(context, guess.search, stay=True)
+    return run(replace(failed, guess=stays, fallbacks=(*failed.fallbacks, fallback)))
 
 
 def dense_solver(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:

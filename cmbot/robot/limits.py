@@ -132,6 +132,17 @@ class JointLimits:
         within: BoolArray = np.all((q >= self.lower) & (q <= self.upper), axis=1)
         return within
 
+    def turned_towards(
+        self, posture: FloatArray, q: FloatArray, winding: BoolArray | None = None
+    ) -> FloatArray:
+        """Return `q` (N, n) on the turns nearest to a posture (n,), as far as they are within the ranges.
+
+        Only joints that are `winding` (n,) change, by default those that can turn by more than a whole turn.
+        """
+        turns = np.where(self.winding if winding is None else winding, _TURN, np.inf)
+        near = q - _TURN * np.where(np.isfinite(turns), np.round((q - posture) / turns), 0.0)
+        return np.where((near >= self.lower) & (near <= self.upper), near, q)
+
     def turned_to_middle(self, q: FloatArray) -> FloatArray:
         """Return `q` (N, n) less whole turns of joints, within half a turn of the middle of each range."""
         # Exact for angles that are there already.

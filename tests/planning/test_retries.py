@@ -19,7 +19,7 @@ from cmbot.common.errors import LimitViolation, MissingExtra, OptimisationFailed
 from cmbot.optimization import exchange
 from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.free_motion.approach import reachable
-from cmbot.planning.initial_guess import initial_guess, roughness, sliding_guess
+from cmbot.planning.initial_guess import initial_guess, leap, roughness, sliding_guess
 from cmbot.planning.precheck import solver_of
 from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.retries import (
@@ -28,10 +28,11 @@ from cmbot.planning.retries import (
     finer_samples,
     guesses_in_shorter_steps,
     more_via_points,
+    scene_start,
     shorter_steps,
     with_retries,
 )
-from cmbot.planning.torque.decomposition import optimise
+from cmbot.planning.torque.decomposition import Optimised, optimise
 from cmbot.scene import PlannerOptions, Scene
 
 FAILURE = OptimisationFailed("no", constraint="jerk of joint_3", violation=1.0)
@@ -201,6 +202,50 @@ def test_where_no_approach_leads_to_a_better_start_the_scenes_is_taken() -> None
     # It is the last: what fails then is raised.
     again = OptimisationFailed("again", constraint="jerk", violation=1.0)
     assert raised_by(attempt, Failing(UNREACHED, UNREACHED, *9 * [again])) is again
+
+
+def test_where_no_trajectory_leads_on_from_a_better_start_the_scenes_is_taken() -> None:
+    attempt, work = attempt_at(rough_scene("free"), gap_target=0.0), Failing(FAILURE)
+    found, done = with_retries(attempt, work, [scene_start])
+    assert done == 2
+    assert found.guess.pinned
+    first = found.guess.problem.parametrization.via_points[0]
+    np.testing.assert_allclose(first, attempt.context.posture, rtol=0, atol=1e-12)
+    (sentence,) = found.fallbacks
+    assert "From a better start no trajectory was found (no; jerk of joint_3)" in sentence
+    # From the scene's posture there is no other to try.
+    assert raised_by(attempt_at(rough_scene()), Failing(FAILURE), [scene_start]) is FAILURE
+
+
+@pytest.mark.parametrize(("seconds", "leaps"), [(3.0, False), (300.0, True)])
+def test_a_guess_that_leaps_between_branches_is_made_in_shorter_steps(
+    tmp_path: Path, seconds: float, leaps: bool
+) -> None:
+    """In much time joints could go anywhere between via-points; the tool would leave its path there."""
+    leg = ([0.0, 0.0, -0.15], seconds)
+    context = context_of(six_joint_scene(tmp_path, "ur3", POSTURE, path_of("axis", 9, leg)))
+    rough, smooth = sliding_guess(context), initial_guess(context)
+    via_points = [each.problem.parametrization.via_points for each in (rough, smooth)]
+    assert [leap(context, q) > 0 for q in via_points] == [leaps, False]
+    assert (smooth.search.step_share < rough.search.step_share) == leaps
+
+
+def test_a_trajectory_that_nearly_meets_the_constraints_is_left_to_the_certificate(
+    monkeypatch: pytest.MonkeyPatch, short_plan: Plan
+) -> None:
+    """The optimiser keeps its constraints inside what they stand for: to miss them by less is no failure."""
+    trajectory = short_plan.job.strokes[0].trajectory
+    failed = replace(
+        Optimised(trajectory=trajectory, via_points=trajectory.q, passes=()), complete=False, failure=FAILURE
+    )
+    monkeypatch.setattr(planner, "optimise", lambda *_: failed)
+    found = plan(short_plan.scene)
+    assert found.certificate.holds
+    assert any("the best motion so far" in sentence for sentence in found.fallbacks)
+    beyond = replace(failed, trajectory=replace(trajectory, a=1.5 * trajectory.a))
+    monkeypatch.setattr(planner, "optimise", lambda *_: beyond)
+    with pytest.raises(OptimisationFailed, match="jerk of joint_3"):
+        plan(short_plan.scene)
 
 
 def test_first_the_best_start_is_tried_that_self_motion_leads_to() -> None:

@@ -137,7 +137,7 @@ def certify(
         the commanded one.
     """
     work = _Work(robot, task, trajectory, sag)
-    nearest = nearest_approach(trajectory, clearances, RESOLUTION)
+    nearest = nearest_approach(trajectory, clearances, RESOLUTION, options.safety_margin_m)
     rates = _rate_checks(robot, trajectory)
     torque = work.joint_torque()
     checks = [_range_check(robot, trajectory), *rates, torque, _continuity_check(robot, trajectory)]

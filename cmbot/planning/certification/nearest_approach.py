@@ -18,6 +18,8 @@ __all__ = ["NearestApproach", "nearest_approach"]
 
 # What coal's distances may be too large, m.
 _ROUNDING = 1e-6
+# Distances that are less above a margin, m, are not told from it.
+_LEAST_ROOM = 5e-6
 # Halvings of a segment at most, and intervals of one level; where they do not suffice the bound stays lower.
 _HALVINGS, _MOST_INTERVALS = 40, 20_000
 
@@ -44,7 +46,7 @@ class NearestApproach:
 
 
 def nearest_approach(
-    trajectory: QuinticTrajectory, clearances: Clearances, resolution: float
+    trajectory: QuinticTrajectory, clearances: Clearances, resolution: float, margin: float = 0.0
 ) -> NearestApproach:
     """Enclose the smallest distance of any pair along a trajectory.
 
@@ -54,7 +56,17 @@ def nearest_approach(
     clearances : Clearances
     resolution : float, m
         How far the bound may lie below the smallest distance that was found.
+    margin : float, m
+        Where that distance keeps it and the bound does not, the bound is raised by a closer look.
     """
+    found = _enclosed(trajectory, clearances, resolution)
+    room = found.distance - margin
+    if found.bound >= margin or room < _LEAST_ROOM:
+        return found
+    return _enclosed(trajectory, clearances, 0.5 * room)
+
+
+def _enclosed(trajectory: QuinticTrajectory, clearances: Clearances, resolution: float) -> NearestApproach:
     control = bernstein_coefficients(trajectory.coefficients)
     start, width = trajectory.t[:-1], np.diff(trajectory.t)
     reach = clearances.pair_reach

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import partial
 
 import numpy as np
 from scipy import sparse
@@ -28,7 +27,12 @@ _NEIGHBOURS = 1.6
 
 
 def plan_approach(
-    context: PlanningContext, end: FloatArray, chart: FloatArray, *, allowed: float = 0.0
+    context: PlanningContext,
+    end: FloatArray,
+    chart: FloatArray,
+    *,
+    way: FloatArray | None = None,
+    allowed: float = 0.0,
 ) -> Segment:
     """Plan the free move from the scene's posture to another one, `end` (n,), with the same tool pose.
 
@@ -40,6 +44,8 @@ def plan_approach(
     context : PlanningContext
     end : (n,), rad
     chart : (M, n), rad
+    way : (k, n), rad, optional
+        A free broken line to a posture of the chart from which self-motion leads to `end`.
     allowed : float
         Value of the objective that the work reaches anyway.
 
@@ -58,10 +64,19 @@ def plan_approach(
         begin=context.begin,
         allowed=max(allowed, context.reached),
     )
-    ends = np.stack([move.start, move.end])
-    return plan_move(
-        context, move, partial(_along_chart, ends=ends, chart=chart, spacing=context.options.chart_spacing)
-    )
+    spacing = context.options.chart_spacing
+
+    def along_chart(space: FreeSpace) -> FloatArray | None:
+        return _along_chart(space, np.stack([move.start, end]), chart, spacing)
+
+    def known(space: FreeSpace) -> FloatArray | None:
+        if way is None:
+            return None
+        turned = context.robot.limits.turned_towards(end, chart)
+        rest = _along_chart(space, np.stack([way[-1], end]), turned, spacing)
+        return None if rest is None else np.vstack([way, rest[1:]])
+
+    return plan_move(context, move, along_chart, known)
 
 
 def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:
@@ -73,14 +88,17 @@ def reachable(context: PlanningContext, chart: FloatArray) -> BoolArray:
     return np.asarray(component[1:] == component[0])
 
 
-def joined_starts(context: PlanningContext, chart: FloatArray) -> Iterator[BoolArray]:
+def joined_starts(context: PlanningContext, chart: FloatArray) -> Iterator[tuple[BoolArray, FloatArray]]:
     """Yield which postures of the start's chart (M, n) a free move leads to from the scene's posture.
+
+    And the move: a broken line (k, n) to one of them.
 
     Trees grow to one posture of each part of the chart at once, in which self-motion leads everywhere, until
     one is joined; then to the others, where its postures have led nowhere.
     """
     whole = free_space(context.tool_off)
     space = whole.around(context.posture[None]) or whole
+    chart = context.robot.limits.turned_towards(context.posture, chart)
     free = np.flatnonzero(space.holds(chart))
     if not len(free):
         return
@@ -97,7 +115,7 @@ def joined_starts(context: PlanningContext, chart: FloatArray) -> Iterator[BoolA
         joined = int(np.abs(nodes[goals] - path[-1]).max(axis=1).argmin())
         starts = np.zeros(len(chart), dtype=np.bool_)
         starts[free[part == part[goals.pop(joined)]]] = True
-        yield starts
+        yield starts, path
 
 
 def _along_chart(space: FreeSpace, ends: FloatArray, chart: FloatArray, spacing: float) -> FloatArray | None:

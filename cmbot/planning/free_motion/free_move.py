@@ -75,6 +75,7 @@ def plan_move(
     context: PlanningContext,
     move: FreeMove,
     first: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
+    known: Callable[[FreeSpace], FloatArray | None] = lambda space: None,
 ) -> Segment:
     """Plan a free move: straight in joint space where that is free, else on any free path.
 
@@ -87,6 +88,8 @@ def plan_move(
     move : FreeMove
     first : callable
         From the free space to a path (k, n) between the ends that is tried before the straight one, or None.
+    known : callable
+        The same of a path that is taken, shortened, where the straight one is not free.
 
     Raises
     ------
@@ -99,7 +102,7 @@ def plan_move(
     allowed = (1 + _SAME) * max(move.allowed, *space.cost(ends))
     given = first(space)
     stop = context.reporter.part_expired(_TIME_SHARE, _MORE_TIME)
-    path = _path(space, ends, given, allowed, stop)
+    path = _path(space, ends, given, known, allowed, stop)
     if path is None:
         raise _unconnected(context, space, move)
     held = context.task.held_at_start()
@@ -209,6 +212,7 @@ def _path(
     space: FreeSpace,
     ends: FloatArray,
     given: FloatArray | None,
+    known: Callable[[FreeSpace], FloatArray | None],
     allowed: float,
     stop: Callable[[], bool],
 ) -> FloatArray | None:
@@ -216,8 +220,10 @@ def _path(
     found = [] if given is None else [given]
     if space.straight(ends[0], ends[1]):
         found.append(ends)
-    if not found and (path := rrt_connect(space, ends[0], ends[1:], stop)) is not None:
-        found.append(space.shorten(path))
+    if not found:
+        path = known(space)
+        path = rrt_connect(space, ends[0], ends[1:], stop) if path is None else path
+        found = [] if path is None else [space.shorten(path)]
     for path in found:
         if space.peak(path) <= allowed:
             return path

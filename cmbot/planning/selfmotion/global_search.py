@@ -170,10 +170,10 @@ class GlobalSearch:
         bounded._given_bound = bounded.lower_bound = other.lower_bound
         return bounded
 
-    def halved(self) -> GlobalSearch:
-        """Return the same charts with half the steps between via-points."""
+    def halved(self, share: float = np.inf) -> GlobalSearch:
+        """Return the same charts with half the steps between via-points, or half of those of a `share`."""
         half = copy.copy(self)
-        half._allow(0.5 * self.step_share)
+        half._allow(0.5 * min(self.step_share, share))
         return half
 
     def solve(self, *, pinned: bool, starts: BoolArray | None = None) -> GlobalSolution:
@@ -260,11 +260,7 @@ class GlobalSearch:
 
     def _moves(self, start: FloatArray, q: FloatArray) -> FloatArray:
         """Moves (M, d) from a posture (d,) to others, the shorter way round where that stays in range."""
-        limits = self._context.robot.limits
-        moves = q - start
-        moves[:, self._winding] = nearest_turn(moves[:, self._winding])
-        end = start + moves
-        return np.where((end >= limits.lower) & (end <= limits.upper), moves, q - start)
+        return self._context.robot.limits.turned_towards(start, q, self._winding) - start
 
     def _largest(self, moves: FloatArray) -> FloatArray:
         """The largest move (M,), rad, of a joint in moves (M, d)."""
@@ -320,10 +316,10 @@ class GlobalSearch:
         q[1:, self._winding] = q[0, self._winding] + np.cumsum(
             nearest_turn(np.diff(q[:, self._winding], axis=0)), axis=0
         )
-        first = self._context.first if start is None else start
+        first = self._context.posture if start is None else start
         turns = np.where(self._winding, np.round((first - q[0]) / turn), 0.0)
         if start is None:
-            # The turns nearest to the scene's posture on which the sequence stays within the ranges.
+            # The turns nearest to where the arm is on which the sequence stays within the ranges.
             fewest = np.ceil((limits.lower - q.min(axis=0)) / turn)
             most = np.floor((limits.upper - q.max(axis=0)) / turn)
             turns = np.where(self._winding & (fewest <= most), np.clip(turns, fewest, most), turns)

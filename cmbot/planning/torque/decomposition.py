@@ -47,6 +47,8 @@ class Optimised:
         Of a long path that had to be solved whole: why its segments could not be; else empty.
     complete : bool
         The time was not over before the optimum was found, and no stage failed.
+    failure : OptimisationFailed, optional
+        Why no trajectory met all constraints, where this one misses them by little.
     """
 
     trajectory: QuinticTrajectory
@@ -54,6 +56,7 @@ class Optimised:
     passes: tuple[ExchangeReport, ...]
     whole_because: str = ""
     complete: bool = True
+    failure: OptimisationFailed | None = None
 
 
 def optimise(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None = None) -> Optimised:
@@ -149,8 +152,13 @@ def _in_segments(
 
     done = [_whole(problem.segment(first, last), report) for first, last in parts]
     trajectory = joined([each.trajectory for each in done])
-    complete = all(each.complete for each in done)
-    return Optimised(trajectory=trajectory, via_points=trajectory.q, passes=tuple(passes), complete=complete)
+    return Optimised(
+        trajectory=trajectory,
+        via_points=trajectory.q,
+        passes=tuple(passes),
+        complete=all(each.complete for each in done),
+        failure=next((each.failure for each in done if each.failure is not None), None),
+    )
 
 
 def _whole(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | None) -> Optimised:
@@ -164,4 +172,5 @@ def _whole(problem: TorqueProblem, progress: Callable[[ExchangeReport], None] | 
         via_points=form.via_points,
         passes=result.passes,
         complete=result.complete,
+        failure=result.failure,
     )

@@ -57,6 +57,21 @@ def test_the_bound_holds_wherever_it_is_tried(cmbot_robot: Robot, seed: int, res
     )
 
 
+@pytest.mark.parametrize("share", [0.5, 0.1, 0.999])
+def test_a_margin_that_a_coarse_bound_misses_is_looked_at_more_closely(
+    cmbot_robot: Robot, share: float
+) -> None:
+    x, clearances = motion(3, cmbot_robot), Clearances(cmbot_robot, [])
+    coarse, fine = (nearest_approach(x, clearances, resolution) for resolution in (1e-2, 1e-6))
+    margin = coarse.bound + share * (fine.bound - coarse.bound)
+    assert coarse.bound < margin < fine.bound
+    closer = nearest_approach(x, clearances, 1e-2, margin)
+    assert margin <= closer.bound <= fine.distance
+    # Where the distance itself is too small no look helps.
+    missed = nearest_approach(x, clearances, 1e-2, fine.distance + 1e-4)
+    assert missed.bound < fine.distance + 1e-4
+
+
 @pytest.mark.parametrize("samples", [4, 40])
 def test_a_thin_bar_is_met_between_samples(cmbot_robot: Robot, samples: int) -> None:
     """Where the last joint passes, as far as can be from the times at which a grid would have asked."""

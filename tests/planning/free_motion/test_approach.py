@@ -10,6 +10,7 @@ from small_scenes import context_of, parts, short_scene
 from cmbot.collision import Clearances
 from cmbot.common.errors import PathNotFound
 from cmbot.planning import Plan, certify_move, plan
+from cmbot.planning.free_motion import free_move
 from cmbot.planning.free_motion.approach import joined_starts, plan_approach
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
@@ -61,12 +62,31 @@ def test_starts_that_are_joined_are_parts_of_the_self_motion() -> None:
     chart = np.array(self_motion_postures(context))
     folded = chart.copy()
     folded[:, 0] = np.radians(90)  # link_1 across the guardrail
-    parts_joined = list(joined_starts(context, np.vstack([chart, folded])))
+    both = np.vstack([chart, folded])
+    parts_joined, ways = zip(*joined_starts(context, both), strict=True)
     once = np.sum(parts_joined, axis=0)
+    for part, way in zip(parts_joined, ways, strict=True):
+        np.testing.assert_array_equal(way[0], context.posture)
+        assert np.abs(both[part] - way[-1]).max(axis=1).min() < 1e-12
     assert once.max() == 1
     assert once[: len(chart)].any()
     assert not once[len(chart) :].any()
     assert list(joined_starts(context, folded)) == []
+
+
+def test_a_known_way_is_taken_where_no_straight_line_is_free(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is sought again: the way to one posture of the self-motion, and on along that."""
+    context = context_of(short_scene())
+    chart = np.array(self_motion_postures(context))
+    middle = context.posture + np.array([0, 0, 0, 0.3, 0.3, 0, 0.5])
+    way = np.stack([context.posture, middle, chart[-1]])
+    monkeypatch.setattr(FreeSpace, "straight", lambda *_: False)
+    monkeypatch.setattr(free_move, "rrt_connect", None)
+    approach = plan_approach(context, chart[-3], chart[-4:], way=way)
+    assert approach.certificate.holds
+    q = approach.trajectory.q
+    assert np.abs(q - middle).max(axis=1).min() < 0.2  # at a knot of the spline
+    assert np.abs(q[-1] - chart[-3]).max() < 1e-12
 
 
 def test_a_blocked_approach_is_refused() -> None:
