@@ -18,7 +18,8 @@ import cmbot
 from cmbot.collision import Clearances
 from cmbot.common.errors import InputError, LimitViolation
 from cmbot.planning import Plan, QuinticTrajectory, plan
-from cmbot.planning.certification.certificate import Certificate, Check, _continuity_check, certify
+from cmbot.planning.certification.certificate import Certificate, Check, certify
+from cmbot.planning.certification.joint_checks import continuity_check
 from cmbot.planning.certification.metrics import measure
 from cmbot.robot import Kinematics, Robot, load_robot
 from cmbot.scene import Box, Obstacle, pose
@@ -175,11 +176,11 @@ def test_dense_knots_are_smooth_as_far_as_their_digits_go(cmbot_robot: Robot) ->
     splines = SparseSplines(space, np.stack([limits.velocity, limits.acceleration, limits.jerk]))
     # As plans are made; solved for the whole path at once, twice as many digits would be lost.
     smooth = Parametrization(splines, via_points, splines.least_jerk(via_points)).trajectory
-    check = _continuity_check(cmbot_robot, smooth)
+    check = continuity_check(cmbot_robot, smooth)
     assert 1e-3 < check.value <= check.bound == 1.0
     a = smooth.a.copy()
     a[500, 2] += 1e-6
-    assert not _continuity_check(cmbot_robot, replace(smooth, a=a)).holds
+    assert not continuity_check(cmbot_robot, replace(smooth, a=a)).holds
 
 
 def test_a_joint_beyond_its_range(short_plan: Plan) -> None:
