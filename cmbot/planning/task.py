@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, cross
 from cmbot.common.errors import InputError
 from cmbot.robot import Kinematics, Robot
 from cmbot.scene import Keep, ToolPath, ToolPoses, shortest_turns
@@ -143,7 +143,7 @@ class ToolTask:
             return np.zeros(len(R_WT))
         if self.keep != "pose":
             z, z_goal = R_WT[:, :, 2], R_goal[:, :, 2]
-            sine = np.linalg.norm(np.cross(z, z_goal), axis=1)
+            sine = np.linalg.norm(cross(z, z_goal), axis=1)
             return np.asarray(np.arctan2(sine, (z * z_goal).sum(axis=1)))
         # |R_goal - R| = 2 sqrt(2) sin(angle/2), exact for small angles where the trace is not.
         chord = np.linalg.norm(R_WT - R_goal, axis=(1, 2)) / (2 * np.sqrt(2))

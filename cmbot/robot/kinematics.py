@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, cross
 from cmbot.robot.joint_kinds import prismatic_joints
 from cmbot.robot.robot import Robot
 
@@ -148,7 +148,7 @@ class ToolBatch:
     @property
     def push_torque(self) -> FloatArray:
         """Its torque (N, 3) about O0, Nm."""
-        return np.asarray(np.cross(self.tool_point - self.foot_point, self.push))
+        return cross(self.tool_point - self.foot_point, self.push)
 
     @property
     def torque_against_push(self) -> FloatArray:

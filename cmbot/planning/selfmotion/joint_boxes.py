@@ -6,13 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 
 __all__ = [
     "JointBoxes",
     "azimuth_between",
     "common_moves",
-    "cross",
     "frame_about",
     "inverses",
     "joined",
@@ -162,9 +161,3 @@ def frame_about(axis: FloatArray) -> FloatArray:
     x = x - (axis @ x) * axis
     x /= np.linalg.norm(x)
     return np.column_stack([x, cross(axis, x), axis])
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Return vector products (..., 3); NumPy's own function spends its time on the arguments."""
-    first, second = [1, 2, 0], [2, 0, 1]
-    return np.asarray(a[..., first] * b[..., second] - a[..., second] * b[..., first])

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, cross
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.objectives import WeightedMoment, WrenchObjective
 from cmbot.planning.path.projection import project_onto_task
@@ -23,7 +23,6 @@ from cmbot.planning.selfmotion.joint_boxes import (
     JointBoxes,
     azimuth_between,
     common_moves,
-    cross,
     frame_about,
     inverses,
     joined,
@@ -390,7 +389,7 @@ class TorqueFloorProof:
         goal = self._context.goals[via_point]
         push = goal.rotation[0] @ self._context.robot.tool_force
         lever = goal.point[0] - np.array(self._context.robot.foot_point)
-        constant = np.concatenate([push, np.cross(lever, push)])
+        constant = np.concatenate([push, cross(lever, push)])
         value, gradient = self._function(np.hstack([at.guardrail_force, at.guardrail_torque]) + constant)
         # The torque's derivative is the moved first moment crossed with gravity.
         return value, np.einsum("kij,kj->ki", cross(self._moved(at), at.gravity), gradient[:, 3:])

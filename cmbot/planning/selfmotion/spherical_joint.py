@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import FloatArray, IntArray
+from cmbot.common.arrays import FloatArray, IntArray, cross
 from cmbot.planning.context import PlanningContext
 
 __all__ = ["WristChain", "turns", "wrist_chain"]
@@ -83,7 +83,7 @@ class WristChain:
         steps = np.diff(points, axis=0)
         lengths = np.linalg.norm(steps, axis=1)
         beyond = np.append(np.cumsum(lengths[::-1])[::-1][1:], 0.0)
-        across = np.linalg.norm(np.cross(steps, self.axis[: self.inner]), axis=1)
+        across = np.linalg.norm(cross(steps, self.axis[: self.inner]), axis=1)
         return np.asarray(across + beyond)
 
 
@@ -112,8 +112,8 @@ def wrist_chain(context: PlanningContext) -> WristChain | None:
             continue
         free_axis = None
         if task.keep == "axis":
-            aside = np.cross(point - centre, axis[-1])
-            askew = np.cross(R[:, 2], axis[-1])
+            aside = cross(point - centre, axis[-1])
+            askew = cross(R[:, 2], axis[-1])
             if reverse or np.linalg.norm(aside) > _ON_AXIS or np.linalg.norm(askew) > _ON_AXIS:
                 continue
             free_axis = axis[-1]
@@ -145,7 +145,7 @@ def turns(axis: FloatArray, angle: FloatArray) -> FloatArray:
 def _meeting_point(axis: FloatArray, origin: FloatArray) -> tuple[FloatArray, FloatArray]:
     """The point (3,) nearest to three lines, and its distances (3,); infinite where lines are parallel."""
     across = np.eye(3) - axis[:, :, None] * axis[:, None]
-    successive = np.linalg.norm(np.cross(axis[:-1], axis[1:]), axis=1)
+    successive = np.linalg.norm(cross(axis[:-1], axis[1:]), axis=1)
     if successive.min() < _CROSSING:
         return origin[0], np.full(3, np.inf)
     point = np.linalg.solve(across.sum(axis=0), np.einsum("kij,kj->i", across, origin))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from cmbot.collision import Clearances, raise_bounds, travel
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 from cmbot.hold import Holding
 from cmbot.optimization import Linearization, StateSamples
 from cmbot.planning.objectives import efforts_of
@@ -219,12 +219,12 @@ class ToolTilt:
         turns, away = _tool(self.postures, states).jacobian[:, 3:] / self._chord, (z - z_goal) / self._chord
         square = (away**2).sum(axis=1)
         # An axis z moves by (rates of turn) x z.
-        d_q = 2 * np.einsum("ki,kij->kj", np.cross(z, away), turns)
+        d_q = 2 * np.einsum("ki,kij->kj", cross(z, away), turns)
         still = np.zeros_like(d_q)
         u = _directions_across(z_goal, away)
         # Of a paraboloid: |x|^2 >= 2 u x - |u|^2.
         value = 2 * (u * away).sum(axis=2) - 2
-        by_q = 2 * np.einsum("cki,kij->ckj", np.cross(z, u), turns)
+        by_q = 2 * np.einsum("cki,kij->ckj", cross(z, u), turns)
         cuts = (Linearization(value[k], by_q[k], still, still) for k in range(len(u)))
         return Linearization(square - 1, d_q, still, still, tuple(cuts))
 
@@ -307,12 +307,12 @@ class ProcessSpeed:
 
 def _directions_across(axis: FloatArray, away: FloatArray) -> FloatArray:
     """Unit vectors (8, N, 3) across unit vectors `axis` (N, 3), all round; the first along `away` (N, 3)."""
-    across = np.cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
+    across = cross(axis, np.eye(3)[np.abs(axis).argmin(axis=1)])
     own = away - np.einsum("ki,ki->k", away, axis)[:, None] * axis
     u = np.where(np.linalg.norm(own, axis=1, keepdims=True) > _FLAT, own, across)
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     angle = np.arange(_DIRECTIONS)[:, None, None] * (2 * np.pi / _DIRECTIONS)
-    return np.asarray(np.cos(angle) * u + np.sin(angle) * np.cross(axis, u))
+    return np.asarray(np.cos(angle) * u + np.sin(angle) * cross(axis, u))
 
 
 def _tool(postures: Postures, states: StateSamples) -> ToolBatch:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray, IntArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray, cross
 
 __all__ = ["ToolPoses", "shortest_turns"]
 
@@ -45,11 +45,11 @@ class ToolPoses:
 
 def shortest_turns(z: FloatArray, z_goal: FloatArray) -> FloatArray:
     """Return shortest rotation vectors (N, 3) from unit vectors `z` (N, 3) to others, (N, 3) or (1, 3)."""
-    cross, cosine = np.cross(z, z_goal), (z * z_goal).sum(axis=1)
-    sine = np.linalg.norm(cross, axis=1)
-    vectors = cross * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
+    product, cosine = cross(z, z_goal), (z * z_goal).sum(axis=1)
+    sine = np.linalg.norm(product, axis=1)
+    vectors = product * (np.arctan2(sine, cosine) / np.maximum(sine, _NO_TURN))[:, None]
     for k in np.flatnonzero((sine < _OPPOSITE) & (cosine < 0)):
         # Half a turn about any axis across z.
-        across = np.cross(z[k], np.eye(3)[np.abs(z[k]).argmin()])
+        across = cross(z[k], np.eye(3)[np.abs(z[k]).argmin()])
         vectors[k] = np.pi * across / np.linalg.norm(across)
     return np.asarray(vectors)
