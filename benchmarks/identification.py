@@ -2,6 +2,7 @@
 
     python benchmarks/identification.py [--runs 1000] [--postures 8]
     python benchmarks/identification.py --tracking [--runs 3]
+    python benchmarks/identification.py --misfit [--runs 200]
 
 Eight proposed postures, 5 kg, 0.1 mm, along the planned triangle. The truths are built and brought to rest by
 the package's elastic model from scaled tubes, joints and bases, not by the estimator's parameters; the weight
@@ -12,6 +13,9 @@ times 0.7 with joints of 5e4 Nm/rad.
 With `--tracking` the last of these is simulated along the triangle with its sag compensated: by the model of
 the paper, whose joints are rigid, by the model with assumed joints, and by what was identified; the last plan
 promises its deviation for one standard deviation of the stiffness.
+
+With `--misfit` measurements of truths drawn from the prior are spoiled: how often that is refused, how often
+what is named are the rows that were spoiled, and whether the errors of what is written are large enough.
 """
 
 from __future__ import annotations
@@ -29,6 +33,7 @@ from threadpoolctl import threadpool_limits
 
 from cmbot import load_scene, plan
 from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.elastic.arm import ElasticArm, elastic_arm
 from cmbot.elastic.sag import Sag
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
@@ -40,6 +45,7 @@ from cmbot.identification import (
     job_postures,
     measured_arm,
     propose,
+    require_fit,
 )
 from cmbot.planning import Plan
 from cmbot.scene import Scene
@@ -52,6 +58,8 @@ _WITHIN, _SIGMAS = 0.03, 1.959964
 _MIXED = 0.15
 _SOFT, _JOINT = 0.7, 5e4
 _SIGMA = "standard deviations of the stiffness"
+# Rows that are spoiled.
+_ROW, _OTHER = 2, 5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -151,19 +159,23 @@ class Coverage:
         Share of the components of the sag along the job within 1.96 standard deviations.
     length, vector : (R,)
         RMS errors of the sag's length, and of it as a vector, as shares of its RMS.
+    refused : float
+        Share of runs in which the measurements were said not to fit.
     """
 
     parameters: float
     sag: float
     length: FloatArray
     vector: FloatArray
+    refused: float
 
 
 def run(proposal: Proposal, draw: Draw, runs: int, seed: int = 0) -> Coverage:
     """Measure, identify and compare with the truth, again and again."""
     rng, modelled = np.random.default_rng(seed), measured_arm(proposal.scene)
-    known, inside, length, vector = [], [], [], []
+    known, inside, length, vector, refused = [], [], [], [], []
     for _ in range(runs):
+        refused.append(False)
         truth = draw(modelled, proposal.setup, rng)
         arm = truth.arm(modelled)
         found = estimate(simulated(proposal, truth, arm, rng), modelled)
@@ -176,12 +188,77 @@ def run(proposal: Proposal, draw: Draw, runs: int, seed: int = 0) -> Coverage:
         apart = np.linalg.norm(found.after.tool, axis=1) - np.linalg.norm(true, axis=1)
         length.append(np.sqrt((apart**2).mean()) / rms)
         vector.append(np.sqrt(((found.after.tool - true) ** 2).sum(axis=1).mean()) / rms)
+        try:
+            require_fit(found)
+        except InputError:
+            refused[-1] = True
     return Coverage(
         parameters=float(np.mean(known)),
         sag=float(np.mean(inside)),
         length=np.array(length),
         vector=np.array(vector),
+        refused=float(np.mean(refused)),
     )
+
+
+Spoil = Callable[[FloatArray, np.random.Generator], FloatArray]
+
+
+def _exchanged(d: FloatArray, rng: np.random.Generator) -> FloatArray:
+    spoiled = d.copy()
+    spoiled[[_ROW, _OTHER]] = d[[_OTHER, _ROW]]
+    return spoiled
+
+
+def _in_row(change: Callable[[FloatArray], FloatArray]) -> Spoil:
+    def spoil(d: FloatArray, rng: np.random.Generator) -> FloatArray:
+        return np.vstack([d[:_ROW], change(d[_ROW]), d[_ROW + 1 :]])
+
+    return spoil
+
+
+def _coarser(times: float) -> Spoil:
+    return lambda d, rng: d + 1e-4 * np.sqrt(times**2 - 1) * rng.standard_normal(d.shape)
+
+
+SPOILT: dict[str, tuple[Spoil, set[int]]] = {
+    "nothing": (lambda d, rng: d, set()),
+    "one sign": (_in_row(lambda row: row * [1, 1, -1]), {_ROW}),
+    "x and y exchanged in a row": (_in_row(lambda row: row[[1, 0, 2]]), {_ROW}),
+    "1 mm in a row": (_in_row(lambda row: np.add(row, [0, 0, 1e-3])), {_ROW}),
+    "two rows exchanged": (_exchanged, {_ROW, _OTHER}),
+    "gauge twice as coarse as stated": (_coarser(2.0), set()),
+    "gauge ten times as coarse": (_coarser(10.0), set()),
+    "written in cm": (lambda d, rng: 0.1 * d, set()),
+}
+
+
+def misfit(proposal: Proposal, runs: int, console: Console) -> None:
+    """Print what becomes of measurements that are wrong."""
+    modelled, job = measured_arm(proposal.scene), proposal.job
+    table = Table("spoiled", "refused", "right rows named", "sag in 95 % where written", "errors times")
+    for name, (spoil, rows) in SPOILT.items():
+        rng, refused, named, inside, scales = np.random.default_rng(0), [], [], [], []
+        for _ in range(runs):
+            truth = drawn(modelled, proposal.setup, rng)
+            arm = truth.arm(modelled)
+            measured = simulated(proposal, truth, arm, rng)
+            found = estimate(replace(measured, deflection=spoil(measured.deflection, rng)), modelled)
+            scales.append(found.parts[0].scale)
+            named.append({slip.label.row for slip in found.slips if slip.plain} == rows)
+            try:
+                require_fit(found)
+            except InputError:
+                refused.append(True)
+                continue
+            refused.append(False)
+            spread = Sag(found.arm, found.stiffness.covariance_matrix).spread(job)
+            deviation = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
+            inside.append(np.abs(found.after.tool - Sag(arm).at(job).tool) <= _SIGMAS * deviation)
+        kept = f"{100 * np.mean(inside):.1f} %" if inside else "-"
+        shares = (f"{100 * np.mean(each):.1f} %" for each in (refused, named))
+        table.add_row(name, *shares, kept, f"{np.median(scales):.1f}")
+    console.print(table)
 
 
 def _inside(
@@ -236,6 +313,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--runs", type=int)
     parser.add_argument("--tracking", action="store_true")
+    parser.add_argument("--misfit", action="store_true")
     parser.add_argument("--postures", type=int, default=8)
     options = parser.parse_args()
     console = Console()
@@ -252,8 +330,11 @@ def main() -> int:
         if options.tracking:
             tracking(proposal, options.runs or 3, console)
             return 0
+        if options.misfit:
+            misfit(proposal, options.runs or 200, console)
+            return 0
         columns = ("runs", "parameters in 95 %", "sag in 95 %", "length within 3 %", "95 % of lengths within")
-        table = Table("truth", *columns, "of vectors")
+        table = Table("truth", *columns, "of vectors", "refused")
         for name, draw in CASES.items():
             runs = options.runs or 1000
             found = run(proposal, draw, runs)
@@ -265,6 +346,7 @@ def main() -> int:
                 f"{100 * np.mean(found.length <= _WITHIN):.1f} %",
                 f"{100 * np.quantile(found.length, 0.95):.2f} %",
                 f"{100 * np.quantile(found.vector, 0.95):.2f} %",
+                f"{100 * found.refused:.1f} %",
             )
     console.print(table)
     return 0

@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import cmbot
-from cmbot.cli.console import JsonOption, QuietOption, flat, out, print_json, print_table
+from cmbot.cli.console import JsonOption, QuietOption, complete_scene, flat, out, print_json, print_table
 from cmbot.cli.views import require_new
 from cmbot.common.errors import InputError
+from cmbot.common.installation import scene_folder
 
 if TYPE_CHECKING:
-    from cmbot.identification import Identification, Proposal
+    from cmbot.identification import Identification, MeasuringSetup, Proposal
 
 __all__ = ["identify"]
 
 
 def identify(
-    source: Annotated[
-        str,
-        typer.Argument(metavar="FILE", help="A file of measurements; with --propose a scene."),
+    sources: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="FILE...",
+            help="Files of measurements; with --propose a scene, or those files for more postures.",
+            autocompletion=complete_scene,
+        ),
     ],
     output: Annotated[
-        Path | None, typer.Option("--output", "-o", help="File to write; beside FILE if left out.")
+        Path | None, typer.Option("--output", "-o", help="File to write; named by FILE if left out.")
     ] = None,
     propose: Annotated[
         int | None, typer.Option("--propose", help="Propose so many postures to measure in.", min=1, max=100)
@@ -32,11 +38,20 @@ def identify(
     job: Annotated[
         Path | None, typer.Option("--job", help="With --propose: a plan directory, whose motion counts.")
     ] = None,
-    weight: Annotated[float, typer.Option("--weight", help="With --propose: kg that are hung on.")] = 5.0,
-    gauge: Annotated[float, typer.Option("--gauge", help="With --propose: error of the gauge, mm.")] = 0.1,
+    weight: Annotated[
+        float | None, typer.Option("--weight", help="With --propose: kg that are hung on; 5 if left out.")
+    ] = None,
+    gauge: Annotated[
+        float | None,
+        typer.Option("--gauge", help="With --propose: error of the gauge, mm; 0.1 if left out."),
+    ] = None,
     axes: Annotated[
         str, typer.Option("--axes", help="With --propose: components that are measured, such as z.")
     ] = "xyz",
+    accept_misfit: Annotated[
+        bool,
+        typer.Option("--accept-misfit", help="Use measurements that plainly do not fit, with larger errors."),
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is there.")] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -51,7 +66,7 @@ def identify(
     """
     if propose is not None:
         given = {"weight_kg": weight, "gauge_sd_mm": gauge}
-        made, target = _propose(source, propose, output, job, given, axes, force=force)
+        made, target = _propose(sources, propose, output, job, given, axes, force=force)
         if as_json:
             print_json({"verb": "identify", "file": str(target), **_promised(made)})
         elif not quiet:
@@ -59,15 +74,17 @@ def identify(
 
             for line in proposal_remarks(made):
                 out.print(flat(line))
-            out.print(f"Sheet to fill in: {flat(target)}")
+            all_sheets = (*(sources if made.measured else ()), str(target))
+            out.print(f"Sheet to fill in: {flat(target)}; then: cmbot identify {flat(' '.join(all_sheets))}")
         return
     from cmbot.archive import write_file
     from cmbot.identification import stiffness_text
 
-    target = output if output is not None else Path(f"{source.removesuffix('.yaml')}.stiffness.yaml")
+    target = output if output is not None else Path(f"{sources[-1].removesuffix('.yaml')}.stiffness.yaml")
     require_new(target, force)
-    found = cmbot.identify(source)
-    write_file(target, stiffness_text(found.stiffness, Path(source).name).encode())
+    found = cmbot.identify(*sources, accept_misfit=accept_misfit)
+    names = ", ".join(Path(source).name for source in sources)
+    write_file(target, stiffness_text(found.stiffness, names).encode())
     if as_json:
         print_json({"verb": "identify", "file": str(target), **_summary(found)})
     elif not quiet:
@@ -80,32 +97,52 @@ def identify(
 
 
 def _propose(
-    source: str,
+    sources: list[str],
     number: int,
     output: Path | None,
     job: Path | None,
-    given: dict[str, float],
+    given: dict[str, float | None],
     axes: str,
     *,
     force: bool,
 ) -> tuple[Proposal, Path]:
     """Propose postures, and write the sheet."""
     from cmbot.archive import write_file
-    from cmbot.common.validation import validated
-    from cmbot.identification import MeasuringSetup, job_postures, propose
+    from cmbot.identification import MeasuringSetup, is_sheet, job_postures, propose
 
-    scene = cmbot.load_scene(source)
-    target = output if output is not None else Path(f"{scene.name}.measurements.yaml")
+    known, setup = None, MeasuringSetup()
+    if is_sheet(sources[0]):
+        known = cmbot.identify(*sources)
+        scene, setup = known.measurements[-1].scene, known.measurements[-1].setup
+        called, stem = scene.source, f"{sources[0].removesuffix('.yaml')}_{len(sources) + 1}"
+    elif len(sources) > 1:
+        raise InputError(sources[1], "", "a second file", "one scene, or files of measurements")
+    else:
+        scene, called = cmbot.load_scene(sources[0]), sources[0]
+        stem = f"{scene.name}.measurements"
+    target = output if output is not None else Path(f"{stem}.yaml")
     require_new(target, force)
+    setup = _changed(setup, {name: value for name, value in given.items() if value is not None})
+    if job is None and known is not None and known.job is not None:
+        along = known.job
+    else:
+        along = job_postures(scene if job is None else cmbot.load_plan(job))
+    made = propose(scene, number, along, setup, axes=axes, known=known)
+    write_file(target, made.sheet(_from(target, called)).encode())
+    return made, target
+
+
+def _changed(setup: MeasuringSetup, given: dict[str, float]) -> MeasuringSetup:
+    """What is measured with, with what the options give; errors name them."""
+    from cmbot.common.validation import validated
+    from cmbot.identification import MeasuringSetup
+
+    own = setup.model_dump(include=set(MeasuringSetup.model_fields))
     try:
-        setup = validated(MeasuringSetup, given, "cmbot identify", InputError)
+        return validated(MeasuringSetup, own | given, "cmbot identify", InputError)
     except InputError as error:
         option = "--weight" if error.key == "weight_kg" else "--gauge"
         raise InputError(error.source, option, error.got, error.expected) from error
-    along = job_postures(scene if job is None else cmbot.load_plan(job))
-    made = propose(scene, number, along, setup, axes=axes)
-    write_file(target, made.sheet(_from(target, source)).encode())
-    return made, target
 
 
 def _promised(made: Proposal) -> dict[str, object]:
@@ -124,8 +161,8 @@ def _from(target: Path, scene: str) -> str:
     path = Path(scene)
     if not path.is_file():
         return scene
-    import os
-
+    if path.parent == scene_folder():
+        return path.stem
     return os.path.relpath(path.resolve(), target.resolve().parent)
 
 
@@ -140,7 +177,18 @@ def _summary(found: Identification) -> dict[str, object]:
         "base": None if found.stiffness.base is None else found.stiffness.base.stiffness,
         "not_seen": list(names),
         "base_directions_not_seen": directions,
-        "misfit_probability": found.misfit_share,
+        "fit": {
+            part.kind: {"probability": part.probability, "errors_times": part.scale} for part in found.parts
+        },
+        "worst_rows": [
+            {
+                "file": found.measurements[slip.label.sheet].source,
+                "key": f"measurements[{slip.label.row}].{slip.label.kind}",
+                "standard_deviations": slip.deviations,
+                "plain": slip.plain,
+            }
+            for slip in found.slips
+        ],
         "sag_rms_m": None if after is None else after.rms,
         "sag_error_95": None if after is None else after.length_95,
         "sag_vector_error_95": None if after is None else after.share_95,

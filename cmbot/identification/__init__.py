@@ -3,24 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+from cmbot.common.yaml_reader import lines_named
 from cmbot.identification.design import Proposal, job_postures, propose
-from cmbot.identification.estimation import Identification, estimate
+from cmbot.identification.estimation import Identification, Weight, estimate
 from cmbot.identification.measurements import (
     Measurements,
     MeasurementsFile,
     MeasuringSetup,
     Prior,
+    is_sheet,
     read_measurements,
 )
+from cmbot.identification.misfit import Part, Slip
 from cmbot.identification.model import DeflectionModel, SagAlong, measured_arm, prior_deviations, sag_along
 from cmbot.identification.report import (
     HEADINGS,
     identified_rows,
     proposal_remarks,
     remarks,
+    require_fit,
     stiffness_text,
     unseen,
 )
@@ -32,12 +37,16 @@ __all__ = [
     "Measurements",
     "MeasurementsFile",
     "MeasuringSetup",
+    "Part",
     "Prior",
     "Proposal",
     "SagAlong",
+    "Slip",
+    "Weight",
     "estimate",
     "identified_rows",
     "identify",
+    "is_sheet",
     "job_postures",
     "measured_arm",
     "prior_deviations",
@@ -45,19 +54,22 @@ __all__ = [
     "propose",
     "read_measurements",
     "remarks",
+    "require_fit",
     "sag_along",
     "stiffness_text",
     "unseen",
 ]
 
 
-def identify(source: str | Path | Mapping[str, Any]) -> Identification:
+def identify(*sources: str | Path | Mapping[str, Any], accept_misfit: bool = False) -> Identification:
     """Estimate the stiffness of links, joints and base from measurements.
 
     Parameters
     ----------
-    source : str, Path or mapping
-        Path of a file of measurements, or its content.
+    *sources : str, Path or mapping
+        Paths of files of measurements, of one robot in one place, or their contents.
+    accept_misfit : bool
+        Use measurements that plainly do not fit, with errors that are larger.
 
     Returns
     -------
@@ -67,6 +79,14 @@ def identify(source: str | Path | Mapping[str, Any]) -> Identification:
     Raises
     ------
     InputError
-        When a key or value is wrong, nothing was measured or nothing bends; or as `cmbot.load_scene`.
+        When a key or value is wrong, nothing was measured or nothing bends; when measurements plainly do not
+        fit; or as `cmbot.load_scene`.
     """
-    return estimate(read_measurements(source))
+    found = estimate([read_measurements(source) for source in sources])
+    if not accept_misfit:
+        with ExitStack() as lines:
+            for source in sources:
+                if not isinstance(source, Mapping):
+                    lines.enter_context(lines_named(source))
+            require_fit(found)
+    return found

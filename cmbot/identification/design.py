@@ -12,14 +12,16 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.common.errors import InputError
 from cmbot.elastic.stiffness_parameters import StiffnessParameters
-from cmbot.identification.estimation import whitener
+from cmbot.identification.estimation import Identification
 from cmbot.identification.measurements import MeasuringSetup
 from cmbot.identification.model import DeflectionModel, SagAlong, measured_arm, prior_deviations, sag_along
+from cmbot.identification.problem import whitener
 from cmbot.planning import Plan, QuinticTrajectory, build_context, follow_path, starting_at_path
 from cmbot.robot import Dynamics
 from cmbot.scene import Scene
@@ -53,7 +55,9 @@ class Proposal:
     deflection : (N, 3), m
         About what is to be expected.
     before, after : SagAlong
-        The sag along the job: as modelled, and how exact it will be.
+        The sag along the job: as it is known so far, and how exact it will be.
+    measured : int
+        Number of postures that were measured in before.
     job : (M, n), rad and m
     candidates : int
         Number of postures that these were chosen from.
@@ -68,13 +72,18 @@ class Proposal:
     after: SagAlong
     job: FloatArray
     candidates: int
+    measured: int = 0
 
     def sheet(self, scene: str) -> str:
         """Return a file of measurements to fill in; `scene` is how it names the scene."""
         slides = measured_arm(self.scene).robot.limits.prismatic.any()
+        axes = [axis for axis, seen in zip("xyz", self.seen, strict=True) if seen]
+        named = ", ".join(f"{axis}: null" for axis in axes)
+        blank = "[null, null, null]" if self.seen.all() else f"{{{named}}}"
+        files = "THE_EARLIER_FILES THIS_FILE" if self.measured else "THIS_FILE"
         lines = [
             "# Hang the weight on the tool in each posture: deflection_mm is how far the tool point moves",
-            "# along x, y, z of the world frame; null: not measured. Then: cmbot identify THIS_FILE",
+            f"# along {', '.join(axes)} of the world frame; null: not measured. Then: cmbot identify {files}",
             "format: cmbot-measurements/1",
             f"scene: {json.dumps(scene)}",
             *(
@@ -87,9 +96,9 @@ class Proposal:
         ]
         for q, d in zip(self.q, self.deflection, strict=True):
             rows = np.round(q if slides else np.degrees(q), 4 if slides else 2).tolist()
-            about = ", ".join(f"{1e3 * x:.2f}" for x in d)
+            about = ", ".join(f"{1e3 * x:.2f}" for x in d[self.seen])
             lines.append(f"  - {'posture' if slides else 'posture_deg'}: {rows}")
-            lines.append(f"    deflection_mm: [null, null, null]  # about {about}")
+            lines.append(f"    deflection_mm: {blank}  # about {about}")
         lines.append("job:  # where the sag is wanted, rad and m")
         lines += [f"  - {np.round(row, 5).tolist()}" for row in self.job]
         return "\n".join(lines) + "\n"
@@ -142,11 +151,13 @@ def propose(
     setup: MeasuringSetup | None = None,
     *,
     axes: str = "xyz",
+    known: Identification | None = None,
     seed: int = 0,
 ) -> Proposal:
     """Propose postures in which measuring tells most of the sag along a job.
 
     They are clear of everything by the scene's safety margin, and all joints can hold them with the weight.
+    Their order is a short way through them from the scene's posture.
 
     Parameters
     ----------
@@ -159,6 +170,8 @@ def propose(
     setup : MeasuringSetup, optional
     axes : str
         Components of the deflection that are measured, of ``xyz``.
+    known : Identification, optional
+        What was measured before, of the same robot and base: what tells most beside that is proposed.
     seed : int
         Of the random postures that are chosen from.
 
@@ -173,7 +186,7 @@ def propose(
         raise InputError("propose", "axes", repr(axes), "letters of xyz")
     setup = setup or MeasuringSetup()
     seen = np.array([axis in axes for axis in "xyz"])
-    rng, tell = np.random.default_rng(seed), _Telling(scene, setup, seen, job)
+    rng, tell = np.random.default_rng(seed), _Telling(scene, setup, seen, job, known)
     pool = tell.clear(tell.random(rng))
     if len(pool) < number:
         expected = f"{number} or more: a smaller safety margin, or less weight"
@@ -188,7 +201,8 @@ def propose(
         G = np.concatenate([G[chosen], tell.rows(near)]) if len(near) else G[chosen]
         chosen = _exchanged(G, tell.W, list(range(number)))
     after = sag_along(tell.arm, tell.covariance(_covariance(G, chosen)), job)
-    q = pool[[chosen[k] for k in _in_a_row(pool[chosen], np.array(scene.posture))]]
+    q = pool[chosen]
+    q = q[_tour(np.array(scene.posture), q, tell.speeds)]
     return Proposal(
         scene=scene,
         setup=setup,
@@ -199,26 +213,48 @@ def propose(
         after=after,
         job=job,
         candidates=count,
+        measured=0 if known is None else sum(len(each.q) for each in known.measurements),
     )
 
 
 class _Telling:
     """Which postures can be measured in, and what each would tell of the sag along a job."""
 
-    def __init__(self, scene: Scene, setup: MeasuringSetup, seen: BoolArray, job: FloatArray) -> None:
+    def __init__(
+        self,
+        scene: Scene,
+        setup: MeasuringSetup,
+        seen: BoolArray,
+        job: FloatArray,
+        known: Identification | None,
+    ) -> None:
         self._scene, self._setup, self._seen = scene, setup, seen
-        self.arm = measured_arm(scene)
+        self.arm = measured_arm(scene) if known is None else known.arm
         self._robot = measured_arm(scene, setup.weight_kg).robot
         self._dynamics, self._clearances = Dynamics(self._robot), Clearances(self._robot, scene.obstacles)
-        self._prior = prior_deviations(StiffnessParameters(self.arm), setup.prior)
-        self.before = sag_along(self.arm, np.diag(self._prior**2), job)
-        # Unknowns in units of their priors; the last is the error of the weight.
-        self.W = np.zeros((len(self._prior) + 1, len(self._prior) + 1))
-        self.W[:-1, :-1] = self.before.weight * np.outer(self._prior, self._prior)
+        self.speeds = self._robot.limits.velocity
+        covariance = self._so_far(known)
+        values, V = np.linalg.eigh(covariance)
+        # Parameters and the error of the weight, kg, are this times independent unknowns of unit variance.
+        self._root = V * np.sqrt(np.maximum(values, 0.0))
+        self.before = sag_along(self.arm, covariance[:-1, :-1], job)
+        self.W = self._root[:-1].T @ self.before.weight @ self._root[:-1]
 
-    def covariance(self, scaled: FloatArray) -> FloatArray:
+    def _so_far(self, known: Identification | None) -> FloatArray:
+        """Covariance (p + 1, p + 1) of the parameters and the weight before anything more is measured."""
+        weight = self._setup.weight_sd_kg**2
+        if known is None:
+            prior = prior_deviations(StiffnessParameters(self.arm), self._setup.prior)
+            return np.diag(np.append(prior**2, weight))
+        p = len(known.mean)
+        for k, each in enumerate(known.weights):
+            if each.stated == self._setup.weight_kg and weight:
+                return known.joint[np.ix_([*range(p), p + k], [*range(p), p + k])]
+        return np.asarray(block_diag(known.joint[:p, :p], weight))
+
+    def covariance(self, unknowns: FloatArray) -> FloatArray:
         """Of the parameters (p, p), from that of the unknowns."""
-        return scaled[:-1, :-1] * np.outer(self._prior, self._prior)
+        return np.asarray(self._root[:-1] @ unknowns @ self._root[:-1].T)
 
     def random(self, rng: np.random.Generator) -> Iterator[FloatArray]:
         """Random postures within the joint ranges, a few at a time."""
@@ -249,21 +285,22 @@ class _Telling:
 
     def deflection(self, q: FloatArray) -> FloatArray:
         """What is to be expected, (N, 3), m."""
-        return DeflectionModel(self.arm, self._setup, q).at(np.zeros(len(self._prior)))[0]
+        model = DeflectionModel(self.arm, self._setup, q)
+        return model.at(np.zeros(model.parameters.count))[0]
 
     def rows(self, q: FloatArray) -> FloatArray:
         """Derivatives (N, k, p + 1) of what is measured by the unknowns, in units of its noise."""
         model = DeflectionModel(self.arm, self._setup, q)
-        deflection, slope = model.at(np.zeros(len(self._prior)))
+        deflection, slope = model.at(np.zeros(model.parameters.count))
         # A deflection is nearly proportional to the weight.
-        by_weight = deflection[:, :, None] * (self._setup.weight_sd_kg / self._setup.weight_kg)
-        whole = np.concatenate([slope * self._prior, by_weight], axis=2)
+        by_weight = deflection[:, :, None] / self._setup.weight_kg
+        whole = np.concatenate([slope, by_weight], axis=2) @ self._root
         each = zip(model.noise, whole, strict=True)
         return np.stack([whitener(noise, self._seen) @ one for noise, one in each])
 
 
 def _covariance(G: FloatArray, chosen: list[int]) -> FloatArray:
-    """Covariance of the unknowns, in units of their priors, after measuring in some postures."""
+    """Covariance of the unknowns after measuring in some postures."""
     rows = G[chosen].reshape(-1, G.shape[2])
     return np.asarray(np.linalg.inv(np.eye(G.shape[2]) + rows.T @ rows))
 
@@ -298,12 +335,26 @@ def _exchanged(G: FloatArray, W: FloatArray, chosen: list[int]) -> list[int]:
     return chosen
 
 
-def _in_a_row(q: FloatArray, start: FloatArray) -> list[int]:
-    """The order in which each posture is near the one before."""
-    left, order, at = list(range(len(q))), list[int](), start
+def _tour(start: FloatArray, q: FloatArray, speeds: FloatArray) -> list[int]:
+    """The order of postures `q` (N, n) in which joints travel for a short time from `start` on.
+
+    The nearest neighbour first, then pieces of the tour are turned round while that shortens it (2-opt).
+    """
+    at = np.vstack([start, q])
+    seconds = (np.abs(at[:, None] - at) / speeds).max(axis=2)
+    order, left = [0], set(range(1, len(at)))
     while left:
-        nearest = min(left, key=lambda k: float(np.abs(q[k] - at).max()))
-        left.remove(nearest)
-        order.append(nearest)
-        at = q[nearest]
-    return order
+        order.append(min(left, key=lambda k: (seconds[order[-1], k], k)))
+        left.remove(order[-1])
+    # The tour ends anywhere.
+    pieces = [(i, j) for i in range(1, len(order)) for j in range(i + 1, len(order))]
+    shorter = True
+    while shorter:
+        shorter = False
+        for i, j in pieces:
+            a, b, c, d = order[i - 1], order[i], order[j], order[j + 1 : j + 2]
+            gain = seconds[a, b] - seconds[a, c] + sum(seconds[c, k] - seconds[b, k] for k in d)
+            if gain > 1e-9:
+                order[i : j + 1] = order[i : j + 1][::-1]
+                shorter = True
+    return [k - 1 for k in order[1:]]

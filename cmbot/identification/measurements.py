@@ -7,7 +7,7 @@ A file of measurements::
     weight_kg: 5.0                     # hung on the tool point
     measurements:
       - {posture_deg: [...], deflection_mm: [0.41, -0.12, -3.87]}    # with the weight, less without it
-      - {posture_deg: [...], deflection_mm: [null, null, -5.02], frequencies_hz: [5.9, 7.4]}
+      - {posture_deg: [...], deflection_mm: {z: -5.02}, frequencies_hz: [5.9, 7.4]}
       - {posture_deg: [...], record: tap.csv}          # of an accelerometer on the tool, without the weight
 
 Deflections are along the axes of W. Differences need no calibrated arm; absolute positions would.
@@ -15,23 +15,32 @@ Deflections are along the axes of W. Differences need no calibrated arm; absolut
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import BeforeValidator, ConfigDict, Field, model_validator
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
-from cmbot.common.validation import FileModel, given_path, refusal, require_type, validated
+from cmbot.common.validation import FileModel, given_path, plain, refusal, require_type, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.identification.records import RingDown, read_record
 from cmbot.planning import robot_of
 from cmbot.scene import Scene, load_scene, shipped_scenes
 
-__all__ = ["Measurements", "MeasurementsFile", "MeasuringSetup", "Prior", "read_measurements"]
+__all__ = [
+    "Measurements",
+    "MeasurementsFile",
+    "MeasuringSetup",
+    "Prior",
+    "is_sheet",
+    "read_measurements",
+    "require_alike",
+]
 
 _MOST = 1000
 
@@ -40,6 +49,18 @@ Text = Annotated[str, Field(min_length=1, max_length=4096)]
 Coordinate = Annotated[float, Field(ge=-1e4, le=1e4)]
 Posture = Annotated[tuple[Coordinate, ...], Field(min_length=1, max_length=100)]
 Deflection = Annotated[float, Field(ge=-1000, le=1000)] | None
+
+
+def _by_axis(value: Any) -> Any:
+    """Let deflections be given by the names of the axes that were measured."""
+    if not isinstance(value, Mapping):
+        return tuple(value) if isinstance(value, list) else value
+    for axis in value.keys() - set("xyz"):
+        raise refusal("x, y or z", got=str(axis))
+    return tuple(value.get(axis) for axis in "xyz")
+
+
+Deflections = Annotated[tuple[Deflection, Deflection, Deflection], BeforeValidator(_by_axis)]
 Frequency = Annotated[float, Field(gt=0, le=1e4)]
 
 
@@ -77,8 +98,8 @@ class MeasurementFile(FileModel):
     posture_deg: Posture | None = None
     posture: Posture | None = None
     """In rad and, of joints that slide, m."""
-    deflection_mm: tuple[Deflection, Deflection, Deflection] | None = None
-    """Of the tool point along x, y, z of W by the weight; null: not measured."""
+    deflection_mm: Deflections | None = None
+    """Of the tool point along x, y, z of W by the weight; null: not measured. Or by the names of the axes."""
     frequencies_hz: Annotated[tuple[Frequency, ...], Field(max_length=4)] = ()
     """Natural frequencies without the weight, the slowest first."""
     record: Text | None = None
@@ -174,9 +195,27 @@ def read_measurements(source: str | Path | Mapping[str, Any]) -> Measurements:
     path = given_path(
         source, "cmbot.identify", "source", "the path of a file of measurements, or its content"
     )
+    if str(source) in shipped_scenes() and not path.exists():
+        raise _no_sheet(str(source))
     with lines_named(path):
-        file = validated(MeasurementsFile, read_yaml(path, InputError), str(path), InputError)
+        data = read_yaml(path, InputError)
+        if str(data.get("format")).startswith("cmbot-scene/"):
+            raise _no_sheet(str(source))
+        file = validated(MeasurementsFile, data, str(path), InputError)
         return _measurements(file, path.parent, str(path))
+
+
+def _no_sheet(scene: str) -> InputError:
+    expected = f"a file of measurements: cmbot identify {scene} --propose 8 writes one to fill in"
+    return InputError(scene, "", "a scene", expected)
+
+
+def is_sheet(source: str | Path) -> bool:
+    """Whether it is a file of measurements, which need not be filled in, by its format."""
+    # Path.is_file raises for names that no file can have.
+    if not os.path.isfile(source):  # noqa: PTH113
+        return False
+    return str(read_yaml(source, InputError).get("format")).startswith("cmbot-measurements/")
 
 
 def _measurements(file: MeasurementsFile, folder: Path, source: str) -> Measurements:
@@ -228,8 +267,19 @@ def _require_length(posture: Any, n: int, source: str, key: str) -> None:
         raise InputError(source, key, f"{len(posture)} numbers", f"{n}, one for each joint of the robot")
 
 
-def require_measurements(value: object, source: str) -> None:
-    """Refuse anything but `Measurements`."""
-    require_type(
-        value, Measurements, source, "measurements", "Measurements, as read_measurements returns them"
-    )
+def _measured(scene: Scene) -> tuple[object, object]:
+    """What measurements are of: the base, and the robot, whatever the scene says of its joints."""
+    return replace(scene.robot, joints="elastic"), plain(scene.guardrail, scene.source)
+
+
+def require_alike(sheets: Sequence[Measurements]) -> None:
+    """Refuse sheets that are not of one robot on one base, with one prior."""
+    require_type(sheets[0] if sheets else None, Measurements, "estimate", "measurements", "Measurements")
+    first = sheets[0]
+    for other in sheets[1:]:
+        if _measured(other.scene) != _measured(first.scene):
+            expected = f"the robot, payload and base of {first.source}, to be used with it"
+            raise InputError(other.source, "scene", other.scene.name, expected)
+        if other.setup.prior != first.setup.prior:
+            expected = f"that of {first.source}: there is one model"
+            raise InputError(other.source, "prior", "another prior", expected)

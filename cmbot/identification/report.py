@@ -1,28 +1,40 @@
-"""What an identification tells, in rows and sentences, and the file of it."""
+"""What an identification tells, in rows and sentences, the file of it, and what is refused."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import InputError
 from cmbot.common.validation import counted
 from cmbot.elastic.stiffness_parameters import symmetric
 from cmbot.identification.design import Proposal
 from cmbot.identification.estimation import Identification
+from cmbot.identification.misfit import Slip
 from cmbot.identification.model import SagAlong
 from cmbot.scene import IdentifiedStiffness
 
-__all__ = ["HEADINGS", "identified_rows", "proposal_remarks", "remarks", "stiffness_text", "unseen"]
+__all__ = [
+    "HEADINGS",
+    "identified_rows",
+    "proposal_remarks",
+    "remarks",
+    "require_fit",
+    "stiffness_text",
+    "unseen",
+]
 
 HEADINGS = ("", "modelled", "identified", "factor", "sd, %", "before, %", "")
 """Of the columns of `identified_rows`."""
 
 # Share of the prior's standard deviation above which nothing was told.
 _UNSEEN = 0.9
-# Probability of a larger misfit below which the model is doubted.
-_DOUBTED = 0.01
+# By how much errors may be larger than stated.
+_FAR = 5.0
+_ACCEPT = "--accept-misfit (in Python accept_misfit=True)"
 # The smallest probability that is told, per cent.
 _LEAST_SHARE = 0.01
 _BASE = ("along x", "along y", "along z", "about x", "about y", "about z")
@@ -77,40 +89,114 @@ def unseen(found: Identification) -> tuple[tuple[str, ...], int]:
 
 def remarks(found: Identification) -> Iterator[str]:
     """Yield what an identification means: exactness along the job, what was not seen, doubts, assumptions."""
-    setup, names = found.measurements.setup, unseen(found)
-    if found.misfit_share < _DOUBTED:
-        share = 100 * found.misfit_share
-        probability = f"{share:.1g} %" if share >= _LEAST_SHARE else f"less than {_LEAST_SHARE:g} %"
-        yield (
-            "Do not use this: the measurements do not fit, a misfit as large has a probability of "
-            f"{probability}. Look for a slip, a wrong sign or unit in a row, for play in the joints "
-            "(windup_sd_arcmin), or for a gauge or a weight that is less exact than stated."
-        )
+    yield from _misfits(found)
+    for (_, sheet, row), frequency in found.strange:
+        key = f"{found.measurements[sheet].source}: measurements[{row}].frequencies_hz"
+        yield f"{key}: {frequency:g} Hz is left out, as no mode of the arm is within 30 % of it."
     if found.before is not None and found.after is not None:
         yield (
             f"Sag along the job: {1e3 * found.after.rms:.2f} mm RMS, modelled {1e3 * found.before.rms:.2f}; "
             f"{_exactness(found.after)}; as modelled {100 * found.before.length_95:.0f} %."
         )
-    parts = [", ".join(names[0])] * bool(names[0])
-    parts += [f"{names[1]} of the 21 numbers of the base"] * bool(names[1])
-    if parts:
-        yield f"Not seen, nearly as they were assumed: {' and '.join(parts)}."
-    if found.measurements.damping:
-        ratio = float(np.median(found.measurements.damping))
+    names, directions = unseen(found)
+    unknown = [", ".join(names)] * bool(names)
+    unknown += [f"{directions} of the 21 numbers of the base"] * bool(directions)
+    if unknown:
+        yield f"Not seen, nearly as they were assumed: {' and '.join(unknown)}."
+    if damping := [ratio for sheet in found.measurements for ratio in sheet.damping]:
+        ratio = float(np.median(damping))
         yield f"Damping of the modes in the records: {100 * ratio:.1f} % of critical (simulate --damping)."
-    if setup.weight_sd_kg:
-        yield f"Weight: {found.weight_kg:.3f} kg, standard deviation {1e3 * found.weight_sd_kg:.0f} g."
-    if not setup.windup_sd_arcmin:
+    for weight in found.weights:
+        own = f"{weight.estimated:.3f} kg, standard deviation {1e3 * weight.deviation:.0f} g"
+        yield f"Weight of {weight.stated:g} kg: {own}."
+    if not any(sheet.setup.windup_sd_arcmin for sheet in found.measurements):
         yield "Assumes joints without play, which a weight would take up (windup_sd_arcmin: 0)."
+
+
+def _misfits(found: Identification) -> Iterator[str]:
+    """What does not fit, and which errors are larger for it."""
+    for part in found.parts:
+        if part.scale == 1.0:
+            continue
+        if part.kind == "prior":
+            yield (
+                f"The arm is farther from its model than the prior says: its standard deviations are taken "
+                f"{part.scale:.1f} times as large."
+            )
+            continue
+        gauge = {sheet.setup.gauge_sd_mm for sheet in found.measurements}
+        what, as_if = "natural frequencies", ""
+        if part.kind == "deflection_mm":
+            what = "deflections"
+            as_if = f", as with a gauge of {part.scale * max(gauge):.2g} mm" if len(gauge) == 1 else ""
+        yield (
+            f"The {what} fit {part.scale:.1f} times worse than stated, which chance does with a probability "
+            f"of {_percent(part.probability)}; the errors allow for that{as_if}."
+        )
+    for slip in found.slips:
+        source, key, got, expected = _told(found, slip)
+        yield f"Fits the others worst: {source}: {key}: got {got}, expected {expected}."
+
+
+def _percent(probability: float) -> str:
+    share = 100 * probability
+    return f"{share:.1g} %" if share >= _LEAST_SHARE else f"less than {_LEAST_SHARE:g} %"
+
+
+def _told(found: Identification, slip: Slip) -> tuple[str, str, str, str]:
+    """File and key of a row that does not fit, what it has, and what the others tell."""
+    kind, sheet, row = slip.label
+    given = found.measurements[sheet]
+    if kind == "frequencies_hz":
+        got, about = (", ".join(f"{f:.3g}" for f in each) for each in (given.frequencies[row], slip.expected))
+    else:
+        seen = ~np.isnan(given.deflection[row])
+        axes = [axis for axis, own in zip("xyz", seen, strict=True) if own]
+        got, about = (_by_axis(axes, 1e3 * each) for each in (given.deflection[row, seen], slip.expected))
+    away = f"by the others, {slip.deviations:.3g} standard deviations away"
+    return given.source, f"measurements[{row}].{kind}", got, f"about {about} {away}"
+
+
+def _by_axis(axes: Sequence[str], values: FloatArray) -> str:
+    return ", ".join(f"{axis} {value:.2f}" for axis, value in zip(axes, values, strict=True))
+
+
+def require_fit(found: Identification) -> None:
+    """Refuse measurements that plainly do not fit.
+
+    Raises
+    ------
+    InputError
+        A row is far from what the others tell, or all of them fit several times worse than stated, or the arm
+        is nothing like its model.
+    """
+    if plain := [_told(found, slip) for slip in found.slips if slip.plain]:
+        source, key, got, expected = plain[0]
+        also = "".join(f"; nor does {other[1]} fit" for other in plain[1:])
+        todo = "a slip, a wrong sign or axis? Measure again or write null"
+        raise InputError(source, key, got, f"{expected}{also}: {todo}; or {_ACCEPT}")
+    for part in found.parts:
+        if part.scale <= _FAR:
+            continue
+        if part.kind == "prior":
+            got = f"an arm {part.scale:.0f} times farther from its model than the prior says"
+            expected = "deflections in mm by weight_kg, of this robot on this base, or a wider prior"
+        else:
+            got = f"{part.kind} that fit {part.scale:.0f} times worse than stated"
+            expected = "right units, axes and postures, and true errors (gauge_sd_mm, windup_sd_arcmin)"
+        raise InputError(found.measurements[0].source, "measurements", got, f"{expected}; or {_ACCEPT}")
 
 
 def proposal_remarks(found: Proposal) -> Iterator[str]:
     """Yield how exact the tool will be after the proposed measurements, and on what that rests."""
     setup = found.setup
-    number, axes = counted(len(found.q), "posture"), "".join(np.array(list("xyz"))[found.seen])
+    so_far, noun = "as modelled, joints bending", "posture"
+    if found.measured:
+        so_far, noun = f"as {counted(found.measured, 'posture')} told", "more posture"
+    number, axes = counted(len(found.q), noun), "".join(np.array(list("xyz"))[found.seen])
     yield (
-        f"The sag along the job is {1e3 * found.after.rms:.2f} mm RMS as modelled, joints bending, known "
-        f"within {100 * found.before.length_95:.0f} %."
+        f"The sag along the job is {1e3 * found.after.rms:.2f} mm RMS {so_far}, known within "
+        f"{100 * found.before.length_95:.2g} %."
     )
     error = 1e3 * found.after.rms * found.after.share
     yield (
@@ -119,7 +205,7 @@ def proposal_remarks(found: Proposal) -> Iterator[str]:
     )
     yield (
         f"Chosen from {found.candidates} postures that are clear of everything and that the joints can hold "
-        "with the weight; how to get from one to the next is for you to see."
+        "with the weight, in the order of a short tour; the ways between them are not checked."
     )
 
 

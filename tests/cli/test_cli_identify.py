@@ -62,6 +62,46 @@ def test_from_a_sheet_to_a_scene_that_knows_its_stiffness(sheet: Path) -> None:
     assert set(entries["factors"]) >= {"link_1", "joint_1"}
 
 
+def test_a_misfit_is_refused_with_its_row_unless_it_is_accepted(sheet: Path) -> None:
+    text, target = filled(sheet).read_text(encoding="utf-8"), sheet.with_name("wrong.stiffness.yaml")
+    # A wrong sign in the last row.
+    at = text.rindex("deflection_mm: [") + len("deflection_mm: [")
+    x, rest = text[at:].split(",", 1)
+    wrong = sheet.with_name("wrong.yaml")
+    wrong.write_text(f"{text[:at]}{-float(x)},{rest}", encoding="utf-8")
+    refused = run("identify", wrong)
+    assert refused.status == 2
+    assert "measurements[" in refused.err
+    assert refused.err.endswith("--accept-misfit (in Python accept_misfit=True)\n")
+    assert not target.exists()
+    accepted = run("identify", wrong, "--accept-misfit", "--json")
+    assert accepted.status == 0, accepted.err
+    entries = json.loads(accepted.out)
+    assert entries["fit"]["deflection_mm"]["errors_times"] > 1
+    assert entries["worst_rows"][0]["standard_deviations"] > 5
+    assert target.exists()
+
+
+def test_more_postures_are_proposed_beside_those_measured(
+    sheet: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(design, "_CANDIDATES", 40)
+    monkeypatch.setattr(design, "_REFINED", ())
+    measured = filled(sheet)
+    outcome = run("identify", measured, "--propose", 1, "--axes", "z", "--weight", 4)
+    assert outcome.status == 0, outcome.err
+    second = measured.with_name("measured_2.yaml")
+    assert f"then: cmbot identify {measured} {second}" in outcome.out
+    assert "After 1 more posture with 4 kg, z to 0.05 mm" in outcome.out
+    sheets = second.read_text(encoding="utf-8")
+    assert "deflection_mm: {z: null}" in sheets
+    second.write_text(re.sub("{z: null}  # about (.*)", r"{z: \1}", sheets), encoding="utf-8")
+    both = run("identify", measured, second)
+    assert both.status == 0, both.err
+    assert "Weight of 4 kg" in both.out
+    assert measured.with_name("measured_2.stiffness.yaml").exists()
+
+
 def test_what_it_cannot_use_is_refused(sheet: Path) -> None:
     missing = run("identify", sheet.with_name("none.yaml"))
     assert missing.status == 2
@@ -69,6 +109,15 @@ def test_what_it_cannot_use_is_refused(sheet: Path) -> None:
     empty = run("identify", sheet)
     assert empty.status == 2
     assert "measurements: got none, expected a measured number" in empty.err
+    scene = run("identify", "triangle")
+    assert scene.status == 2
+    assert "triangle: got a scene, expected a file of measurements: cmbot identify triangle --propose 8" in (
+        scene.err
+    )
+    own = run("identify", sheet.with_name("short.yaml"))
+    assert "short.yaml: got a scene, expected a file of measurements" in own.err
+    two = run("identify", "triangle", "line", "--propose", 2)
+    assert "line: got a second file, expected one scene, or files of measurements" in two.err
     light = run("identify", "triangle", "--propose", 2, "--weight", 0, "-o", sheet.with_name("x.yaml"))
     assert light.status == 2
     assert "--weight: got 0.0, expected more than 0" in light.err

@@ -1,5 +1,9 @@
 """The design: better than chance, and the postures can be taken."""
 
+import itertools
+from collections.abc import Sequence
+
+import identification as benchmark
 import numpy as np
 import pytest
 from small_scenes import short_scene, strokes_scene, tool_points
@@ -11,6 +15,7 @@ from cmbot.identification import (
     MeasuringSetup,
     Proposal,
     design,
+    estimate,
     job_postures,
     measured_arm,
     prior_deviations,
@@ -50,7 +55,7 @@ def test_postures_are_clear_and_can_be_held(proposal: Proposal) -> None:
 def test_it_tells_more_than_chance(proposal: Proposal) -> None:
     arm, setup = measured_arm(SCENE), MeasuringSetup()
     rng = np.random.default_rng(0)
-    tell = design._Telling(SCENE, setup, np.ones(3, dtype=bool), proposal.job)
+    tell = design._Telling(SCENE, setup, np.ones(3, dtype=bool), proposal.job, None)
     q = tell.clear(tell.random(rng))[:24]
     G = tell.rows(q)
     shares = [np.trace(tell.W @ design._covariance(G, list(range(k, k + 4)))) ** 0.5 for k in range(0, 24, 4)]
@@ -71,6 +76,41 @@ def test_fewer_components_tell_less_and_more_postures_more(proposal: Proposal) -
     assert more.after.share < proposal.after.share < only_z.after.share
     assert list(only_z.seen) == [False, False, True]
     assert any(" z to 0.1 mm" in line for line in proposal_remarks(only_z))
+    assert only_z.sheet("triangle").count("deflection_mm: {z: null}  # about -") == 4
+
+
+def test_a_tour_is_short() -> None:
+    """With few postures, no order is shorter; postures on a line are visited along it."""
+    rng = np.random.default_rng(0)
+    q, start, speeds = rng.uniform(-1, 1, (6, 3)), np.zeros(3), np.array([1.0, 2.0, 0.5])
+
+    def seconds(order: Sequence[int]) -> float:
+        way = np.vstack([start, q[list(order)]])
+        return float((np.abs(np.diff(way, axis=0)) / speeds).max(axis=1).sum())
+
+    order = design._tour(start, q, speeds)
+    assert sorted(order) == list(range(6))
+    assert seconds(order) <= 1.1 * min(map(seconds, itertools.permutations(range(6))))
+    line = np.array([0.7, 0.1, 0.9, 0.3, 0.5])[:, None] * np.ones(3)
+    assert design._tour(start, line, speeds) == [1, 3, 4, 0, 2]
+
+
+def test_more_postures_beside_those_measured(proposal: Proposal) -> None:
+    arm, rng = measured_arm(SCENE), np.random.default_rng(1)
+    truth = benchmark.drawn(arm, proposal.setup, rng)
+    known = estimate(benchmark.simulated(proposal, truth, truth.arm(arm), rng), arm)
+    assert known.after is not None
+    more = propose(SCENE, 2, proposal.job, proposal.setup, known=known)
+    assert more.before.share == pytest.approx(known.after.share, rel=1e-6)
+    assert more.after.share < 0.95 * more.before.share
+    assert any("as 4 postures told" in line for line in proposal_remarks(more))
+    # The promise is what the estimate from both says, as far as that stays where it is.
+    truth_there = benchmark.simulated(more, truth, truth.arm(arm), rng)
+    both = estimate([*known.measurements, truth_there], arm)
+    assert both.after is not None
+    assert both.after.share == pytest.approx(more.after.share, rel=0.25)
+    other = MeasuringSetup(weight_kg=3.0)
+    assert propose(SCENE, 2, proposal.job, other, known=known).after.share < more.before.share
 
 
 def test_the_sheet_is_a_file_of_measurements_once_it_is_filled_in(

@@ -1,0 +1,193 @@
+"""Whether measurements and model fit: what chance allows, which row stands out, and what errors are then.
+
+At the estimate the residuals r of a part of the least squares have the covariance ``B = I - H``, in units of
+their standard deviations, with the leverage ``H = J A J'`` and the covariance A of the unknowns. So their sum
+of squares has the mean ``trace B``, the redundancy, and is about ``c chi2(h)`` with the same mean and
+variance (Satterthwaite, 1946). A part that is larger than chance allows has its standard deviations scaled
+until it is as large as its redundancy: the estimation of variance components (Helmert, 1907; Foerstner,
+1979). The prior is one of the parts, so an arm that is far from its model is told from wrong measurements.
+
+Before that single rows are sought that stand out (data snooping; Baarda, 1968): the one with the largest
+studentised residual at a robust estimate is left out, and the next, until the rest fit. What these tell of a
+row is then compared with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import f as fisher
+
+from cmbot.common.arrays import FloatArray
+from cmbot.identification.problem import Block, Kind, Label, Problem
+
+__all__ = ["Part", "Slip", "parts", "rescaled", "slips"]
+
+# Probability of a larger misfit below which a part is doubted.
+_DOUBTED = 0.01
+# That of a row, among all of them, below which it is plainly wrong.
+_PLAIN = 1e-5
+# Share of the rows that may be wrong ones.
+_FEW = 1 / 3
+# Rounds in which scales are found, and by what share a part may still be off.
+_ROUNDS, _CLOSE = 20, 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
+class Part:
+    """A part of the sum of squared residuals.
+
+    Attributes
+    ----------
+    kind : str
+        ``deflection_mm``, ``frequencies_hz`` or ``prior``.
+    square : float
+        In units of the stated standard deviations.
+    redundancy : float
+        What it is on average.
+    probability : float
+        Of a larger one.
+    scale : float
+        By which the standard deviations are taken to be larger than stated.
+    """
+
+    kind: Kind
+    square: float
+    redundancy: float
+    probability: float
+    scale: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slip:
+    """A row that does not fit the others.
+
+    Attributes
+    ----------
+    label : Label
+    expected : (k,)
+        What the others tell of it: of a deflection the components that were measured, m, or frequencies, Hz.
+    deviations : float
+        How far it is from that, in standard deviations of both.
+    probability : float
+        That one of as many rows is as far by chance.
+    """
+
+    label: Label
+    expected: FloatArray
+    deviations: float
+    probability: float
+
+    @property
+    def plain(self) -> bool:
+        """Whether chance hardly does that."""
+        return self.probability < _PLAIN
+
+
+def parts(problem: Problem, x: FloatArray) -> tuple[Part, ...]:
+    """Return the parts of the sum of squares at an estimate, in units of the scaled deviations."""
+    return _parts(problem, problem.blocks(x))
+
+
+def _parts(problem: Problem, blocks: Sequence[Block]) -> tuple[Part, ...]:
+    A, found = problem.covariance(blocks), list[Part]()
+    for kind in problem.scale:
+        own = [block for block in blocks if block.label.kind == kind and block.label not in problem.left_out]
+        if not own:
+            continue
+        r, J = problem.stacked(own)
+        leverage = A @ J.T @ J
+        mean = len(r) - float(np.trace(leverage))
+        variance = len(r) - 2 * float(np.trace(leverage)) + float(np.trace(leverage @ leverage))
+        square = float(r @ r)
+        probability = float(chi2.sf(square * mean / variance, mean**2 / variance))
+        scale = problem.scale[kind]
+        found.append(Part(kind=kind, square=square, redundancy=mean, probability=probability, scale=scale))
+    return tuple(found)
+
+
+def rescaled(problem: Problem, x: FloatArray, *, only_prior: bool = False) -> FloatArray:
+    """Scale the parts that are larger than chance allows, the worst first, and return the estimate then.
+
+    With `only_prior` the prior alone, unless what was measured fits worse.
+    """
+    doubted = set[Kind]()
+    for _ in range(_ROUNDS):
+        now = parts(problem, x)
+        ratio = {part.kind: part.square / part.redundancy for part in now}
+        new = [part.kind for part in now if part.kind not in doubted and part.probability < _DOUBTED]
+        worst = max(new, key=ratio.__getitem__, default=None)
+        if worst is not None and not (only_prior and worst != "prior"):
+            doubted.add(worst)
+        elif all(abs(ratio[kind] - 1) < _CLOSE or problem.scale[kind] == 1 > ratio[kind] for kind in doubted):
+            break
+        for kind in doubted:
+            problem.scale[kind] = max(1.0, problem.scale[kind] * float(np.sqrt(ratio[kind])))
+        x = problem.solved(x)
+    return x
+
+
+def slips(problem: Problem, x: FloatArray) -> tuple[Slip, ...]:
+    """Return the rows that do not fit the others, where few do not; of rows that all scatter the farthest."""
+    rows = sum(block.label.kind != "prior" for block in problem.blocks(x))
+    found, left_out = list[Label](), problem.left_out
+    while len(found) <= max(1, int(_FEW * rows)):
+        blocks = problem.blocks(x)
+        now = _parts(problem, blocks)
+        doubted = {part.kind for part in now if part.kind != "prior" and part.probability < _DOUBTED}
+        if not doubted:
+            break
+        blocks = problem.blocks(problem.first(robust=True))
+        found.append(_farthest(problem, [block for block in blocks if block.label.kind in doubted], blocks))
+        problem.left_out = {*left_out, *found}
+        x = problem.first()
+    else:
+        # All of them scatter, and none can be told apart.
+        found = found[:1]
+        problem.left_out = {*left_out, *found}
+        x = problem.first()
+    told = _told(problem, x, found, rows)
+    problem.left_out = left_out
+    return told
+
+
+def _farthest(problem: Problem, some: Sequence[Block], blocks: Sequence[Block]) -> Label:
+    """The row with the largest studentised residual."""
+    A = problem.covariance(blocks)
+
+    def log_chance(block: Block) -> float:
+        k = len(block.residual)
+        own = np.eye(k) - block.slope @ A @ block.slope.T
+        return float(chi2.logsf(block.residual @ np.linalg.solve(own, block.residual), k))
+
+    return min((each for each in some if each.label not in problem.left_out), key=log_chance).label
+
+
+def _told(problem: Problem, x: FloatArray, left: Sequence[Label], rows: int) -> tuple[Slip, ...]:
+    """What the others tell of rows that are left out."""
+    blocks = problem.blocks(x)
+    A, of = problem.covariance(blocks), {part.kind: part for part in _parts(problem, blocks)}
+    found = list[Slip]()
+    for block in blocks:
+        if block.label not in left:
+            continue
+        k, rest = len(block.residual), of.get(block.label.kind)
+        apart = np.eye(k) + block.slope @ A @ block.slope.T
+        square = float(block.residual @ np.linalg.solve(apart, block.residual))
+        if rest is None or rest.probability >= _DOUBTED:
+            chance = chi2.sf(square, k)
+        else:
+            square *= rest.redundancy / rest.square
+            chance = fisher.sf(square / k, k, rest.redundancy)
+        found.append(
+            Slip(
+                label=block.label,
+                expected=problem.as_the_others_have_it(block),
+                deviations=float(np.sqrt(square)),
+                probability=min(1.0, rows * float(chance)),
+            )
+        )
+    return tuple(sorted(found, key=lambda slip: -slip.deviations))
