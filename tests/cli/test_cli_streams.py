@@ -44,7 +44,7 @@ def test_a_full_disk_is_one_line(words: tuple[str, ...]) -> None:
 def test_a_closed_stream_is_no_error(stream: int) -> None:
     line = f'exec "$@" {stream}>&-'
     done = subprocess.run(
-        ["/bin/sh", "-c", line, "sh", *command("check", "triangle")],
+        ["/bin/sh", "-c", line, "sh", *command("plan", "--options")],
         env=environment(),
         capture_output=True,
         text=True,

@@ -2,8 +2,11 @@
 
 import math
 import re
+import runpy
 import subprocess
 import sys
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -11,12 +14,23 @@ import pytest
 EXAMPLES = Path(__file__).resolve().parent.parent.parent / "examples"
 
 
-def run(name: str, folder: Path, *arguments: str) -> str:
-    """Standard output of an example, started in an empty folder."""
-    command = [sys.executable, "-W", "error", str(EXAMPLES / name), *arguments]
+def run(name: str, folder: Path) -> str:
+    """Standard output of an example, run in an empty folder; warnings are errors here."""
+    out, err = StringIO(), StringIO()
+    with pytest.MonkeyPatch.context() as patch, redirect_stdout(out), redirect_stderr(err):
+        patch.chdir(folder)
+        patch.setattr(sys, "argv", [str(EXAMPLES / name)])
+        runpy.run_path(str(EXAMPLES / name), run_name="__main__")
+    assert err.getvalue() == ""
+    assert list(folder.iterdir()) == [], "an example left something behind"
+    return out.getvalue()
+
+
+def run_apart(name: str, folder: Path) -> str:
+    """The same in a process of its own, which has to import what it needs."""
+    command = [sys.executable, "-W", "error", str(EXAMPLES / name)]
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (0, "")
     assert list(folder.iterdir()) == [], "an example left something behind"
     return done.stdout
 
@@ -33,14 +47,14 @@ def numbers(pattern: str, text: str) -> list[float]:
 
 
 def test_every_example_is_tested() -> None:
-    tested = set(re.findall(r'run\("(\w+\.py)"', Path(__file__).read_text(encoding="utf-8")))
+    tested = set(re.findall(r'= run\w*\("(\w+\.py)"', Path(__file__).read_text(encoding="utf-8")))
     assert {path.name for path in EXAMPLES.glob("*.py")} == tested
     # In reading order, without a gap.
     assert sorted(name[:3] for name in tested) == [f"{n:02}_" for n in range(1, len(tested) + 1)]
 
 
 def test_load_robot(tmp_path: Path) -> None:
-    text = run("01_load_robot.py", tmp_path)
+    text = run_apart("01_load_robot.py", tmp_path)
     assert "cmbot: 7 joints, 68.00 kg, 37.62 kg of it moving" in text
     # The weight of the 37.62 kg of Table 2, and the torque of the paper's initial posture.
     assert number(r"force on guardrail.*?(-\d+\.\d+)\]", text) == pytest.approx(-37.62 * 9.81, abs=0.005)
@@ -104,7 +118,7 @@ def test_your_own_objective(tmp_path: Path) -> None:
 
 
 def test_report(tmp_path: Path) -> None:
-    text = run("06_report.py", tmp_path)
+    text = run_apart("06_report.py", tmp_path)
     written = set(re.findall(r"^ *\d+ kB  (\S+)$", text, flags=re.MULTILINE))
     assert written >= {"plan.json", "trajectory.csv", "tracking.csv", "replay.html", "report.html"}
     assert written >= {"guardrail_torque.pdf", "joints.pdf", "tracking_error.pdf"}
