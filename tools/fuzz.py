@@ -1,4 +1,4 @@
-"""Fuzz campaign: random mutants of scenes, robot files, plan directories and command lines.
+"""Fuzz campaign: random mutants of all files that cmbot reads, and of command lines.
 
 Each is read as cmbot reads it. It has to be accepted, or refused by one of cmbot's errors in one line of at
 most 400 characters. Anything else is a finding: another exception, a crash, a hang, a warning, a figure that
@@ -22,8 +22,8 @@ from collections.abc import Iterable
 from functools import partial
 from pathlib import Path
 
+from fuzzing.cases import KINDS, Case, make_case
 from fuzzing.corpus import make_corpus
-from fuzzing.mutations import KINDS, Case, make_case
 from fuzzing.reduction import reduced
 from fuzzing.trials import Verdict
 from fuzzing.workers import run_all
@@ -46,7 +46,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="cmbot-fuzz-") as name:
         folder = Path(name)
         corpus = make_corpus(options.output / "corpus")
-        make = partial(make_case, corpus, options.seed)
+        make = partial(make_case, corpus, options.seed, options.kind)
         first = options.first
         indices = iter([options.only] if options.only is not None else range(first, first + options.count))
         started, until = time.monotonic(), began + 60 * options.minutes
@@ -73,6 +73,7 @@ def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("--count", type=int, default=1000, help="number of mutants")
     parser.add_argument("--seed", type=int, default=0, help="of the random numbers")
+    parser.add_argument("--kind", choices=KINDS, help="mutants of this kind alone")
     parser.add_argument("--first", type=int, default=0, help="index of the first mutant")
     parser.add_argument("--only", type=int, help="try the mutant of this index alone")
     parser.add_argument("--minutes", type=float, default=1e6, help="stop after this time")

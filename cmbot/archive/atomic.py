@@ -29,6 +29,7 @@ from pathlib import Path
 
 from cmbot.archive.names import OWN_FILES, is_own
 from cmbot.common.errors import ArchiveError
+from cmbot.common.input_files import require_replaceable
 
 __all__ = ["exclusive", "put_file", "recover", "refusals", "replace_folder"]
 
@@ -130,6 +131,7 @@ def replace_folder(contents: Mapping[str, bytes], target: Path, keep: Collection
 
 def put_file(path: Path, content: bytes, work: Path) -> None:
     """Write a file into a work folder and move it to its place, where it replaces an earlier one."""
+    require_replaceable(path, ArchiveError)
     part = work / _FILE
     _write(part, content)
     part.replace(path)

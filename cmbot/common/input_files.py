@@ -1,6 +1,7 @@
-"""Input files: regular files of bounded size, read in one piece.
+"""Input files: regular files of bounded size, read in one piece; and what is not replaced by a file.
 
-Reading a pipe or a device may never end, and a file that fits no memory ends the process.
+Reading a pipe or a device may never end, and a file that fits no memory ends the process. Written files are
+moved to their places: a device such as /dev/null would be gone.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from pathlib import Path
 
 from cmbot.common.errors import InputError
 
-__all__ = ["LARGEST_MESH", "LARGEST_TEXT", "read_csv", "read_input", "require_input"]
+__all__ = ["LARGEST_MESH", "LARGEST_TEXT", "read_csv", "read_input", "require_input", "require_replaceable"]
 
 LARGEST_TEXT = 20_000_000
 """Bytes of a URDF, an SRDF or a plan.json."""
@@ -90,6 +91,17 @@ def require_input(
         _require_filled(status.st_size, kind)
     except (OSError, ValueError, _RefusedError) as error:
         raise _input_error(error, path, error_type, kind, key) from error
+
+
+def require_replaceable(path: Path, error_type: type[InputError]) -> None:
+    """Refuse a place for a file where a device, a pipe or a socket is."""
+    try:
+        mode = path.stat().st_mode
+    except (OSError, ValueError):  # nothing there, or no place for a file: that shows when it is written
+        return
+    if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+        got = "something that is not a regular file"
+        raise error_type(str(path), "", got, "the path of a new file, or of a regular one")
 
 
 class _RefusedError(Exception):

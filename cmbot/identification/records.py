@@ -118,7 +118,8 @@ def _poles(
     root = np.sqrt(s[:order])
     A = (U[:, :order] / root).T @ shifted @ (V[:order] / root[:, None]).T
     values, vectors = np.linalg.eig(A)
-    log = np.log(values.astype(complex)) / step
+    # A zero among them decays at once.
+    log = np.log(np.where(values == 0, np.finfo(float).tiny, values).astype(complex)) / step
     f, ratio = np.abs(log) / (2 * np.pi), -log.real / np.maximum(np.abs(log), 1e-12)
     C, start = U[:m, :order] * root, root * V[:order, 0]
     amplitude = np.linalg.norm(C @ vectors, axis=0) * np.abs(np.linalg.solve(vectors, start))

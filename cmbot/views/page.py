@@ -6,6 +6,7 @@ import base64
 import contextlib
 import hashlib
 import json
+import os
 import uuid
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
@@ -17,6 +18,7 @@ from typing import Any
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import InputError
+from cmbot.common.input_files import require_replaceable
 
 __all__ = [
     "STAGE_SCRIPTS",
@@ -104,13 +106,18 @@ def write_page(path: Path, text: str) -> None:
 
 @contextlib.contextmanager
 def draft_of(path: Path) -> Iterator[Path]:
-    """Give the name of a temporary file beside `path` that is renamed to it, unless an error is raised."""
+    """Give the name of a temporary file beside `path` that is renamed to it, unless an error is raised.
+
+    Where `path` is a link, what it leads to is replaced.
+    """
     if "\0" in str(path):
         raise _cannot_write(path, "embedded null byte")
-    draft = path.parent / f".{uuid.uuid4().hex}{path.suffix}"
+    require_replaceable(path, InputError)
+    place = Path(os.path.realpath(path))
+    draft = place.parent / f".{uuid.uuid4().hex}{path.suffix}"
     try:
         yield draft
-        draft.replace(path)
+        draft.replace(place)
     except OSError as error:
         raise _cannot_write(path, error.strerror or str(error)) from error
     finally:

@@ -5,8 +5,10 @@ from pathlib import Path
 
 import pytest
 
-from cmbot.common.errors import ModelError
+from cmbot.archive import write_file
+from cmbot.common.errors import InputError, ModelError
 from cmbot.common.input_files import read_input, require_input
+from cmbot.views import write_page
 
 READERS = (read_input, require_input)
 
@@ -58,3 +60,25 @@ def test_only_files_for_other_libraries_must_not_be_empty(tmp_path: Path) -> Non
     assert read_input(file, ModelError) == b""
     with pytest.raises(ModelError, match="got an empty file, expected a mesh file"):
         require_input(file, ModelError, kind="a mesh file")
+
+
+def test_no_device_is_replaced_by_a_file(tmp_path: Path) -> None:
+    """As root, /dev/null would be gone."""
+    pipe, link = tmp_path / "pipe", tmp_path / "link"
+    os.mkfifo(pipe)
+    link.symlink_to(pipe)
+    for place in (pipe, link):
+        for write in (lambda path: write_file(path, b"x"), lambda path: write_page(path, "x")):
+            with pytest.raises(InputError, match="something that is not a regular file"):
+                write(place)
+    assert pipe.is_fifo()
+    assert link.is_symlink()
+    # What a link leads to is replaced, not the link.
+    link.unlink()
+    (tmp_path / "file").touch()
+    link.symlink_to(tmp_path / "file")
+    for write in (lambda path: write_file(path, b"x"), lambda path: write_page(path, "x")):
+        write(link)
+        assert link.is_symlink()
+        assert (tmp_path / "file").read_text() == "x"
+    assert {path.name for path in tmp_path.iterdir()} == {"pipe", "link", "file"}

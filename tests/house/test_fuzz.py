@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from command_line import ROOT, environment
-from fuzzing.mutations import Case
+from fuzzing.cases import Case
 from fuzzing.trials import try_case
 from fuzzing.workers import run_all
 

@@ -119,7 +119,7 @@ def test_every_picture_is_shown_and_those_of_the_script_are_there() -> None:
 
 
 @pytest.mark.browser
-def test_the_search_works_from_a_folder_without_a_network(site: Path, tmp_path: Path) -> None:
+def test_search_and_colours_work_from_a_folder_without_a_network(site: Path, tmp_path: Path) -> None:
     with chromium(tmp_path / "chromium") as chrome:
         chrome.get((site / "index.html").as_uri())
         found = chrome.execute_async_script(
@@ -135,5 +135,11 @@ def test_the_search_works_from_a_folder_without_a_network(site: Path, tmp_path: 
                 : setTimeout(() => wait(tries - 1), 100));
             wait(200);"""
         )
+        # The colours are those of the system at each visit, not those of the first one.
+        for scheme, shown in (("light", "default"), ("dark", "slate"), ("light", "default")):
+            features = [{"name": "prefers-color-scheme", "value": scheme}]
+            chrome.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+            chrome.get((site / "method.html").as_uri())
+            assert chrome.execute_script("return document.body.dataset.mdColorScheme") == shown
     assert any("glossary.html" in address for address in found)
     assert all(address.startswith("file://") for address in found)

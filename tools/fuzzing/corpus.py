@@ -1,4 +1,4 @@
-"""The files that mutants are made from: a small arm, scenes with it, the shipped scenes, plan directories."""
+"""The files that mutants are made from: a small arm, scenes, plans, measurements, a campaign."""
 
 from __future__ import annotations
 
@@ -12,7 +12,11 @@ import numpy as np
 import trimesh
 
 import cmbot
+from cmbot.common.errors import InputError
 from cmbot.common.installation import scene_folder
+from cmbot.common.yaml_reader import read_yaml
+from cmbot.identification import stiffness_text
+from cmbot.scene import shipped_scenes
 
 __all__ = ["Corpus", "as_yaml", "make_corpus"]
 
@@ -45,7 +49,12 @@ class Corpus:
     robot: Files
     """The arm, the files beside it, and ``scene.yaml`` with it."""
     scenes: tuple[tuple[str, Any], ...]
-    """Scenes for the folder of `robot`: name and content; and the shipped ones, their content as text."""
+    """Scenes for the folder of `robot`: name and content; and the shipped ones, their content as text and,
+    those of several strokes, faces and curves, as data."""
+    measured: Files
+    """Of that arm: measurements with a record, their scene, and a scene with the stiffness they tell."""
+    campaign: Files
+    """A campaign of variants of `robot`'s scene, with a table."""
     plans: tuple[Files, ...]
     """Plan directories, one with tracking errors and one with approach and return."""
 
@@ -53,10 +62,15 @@ class Corpus:
 def make_corpus(folder: Path) -> Corpus:
     """Write the arm into `folder`, and return all base files; this plans two scenes."""
     folder.mkdir(parents=True, exist_ok=True)
-    robot = _robot_files()
+    robot = _robot_files() | {"row.csv": (scene_folder() / "panda_sanding" / "row_1.csv").read_bytes()}
     for name, content in robot.items():
         (folder / name).write_bytes(content)
-    shipped = [(name, (scene_folder() / f"{name}.yaml").read_text("utf-8")) for name in ("triangle", "line")]
+    paths = {name: scene_folder() / f"{name}.yaml" for name in shipped_scenes()}
+    shipped: list[tuple[str, Any]] = [(name, path.read_text("utf-8")) for name, path in paths.items()]
+    # The Panda is not installed everywhere, and the rows of its scene lie beside it.
+    shipped += [
+        (name, read_yaml(paths[name], InputError)) for name in sorted(paths.keys() - {"panda_sanding"})
+    ]
     plans = []
     away = {"format": "cmbot-scene/2", "return": "start"}
     for name, changes in (
@@ -71,8 +85,19 @@ def make_corpus(folder: Path) -> Corpus:
             options = cmbot.SimulationOptions(settle_s=0.1, step_s=0.02)
             cmbot.save_tracking(cmbot.simulate(planned, options), target)
         plans.append({file.name: file.read_bytes() for file in sorted(target.iterdir())})
-    scenes = (("small", small_scene()), ("full", full_scene()))
-    return Corpus(robot=robot, scenes=(*scenes, *shipped), plans=tuple(plans))
+    rows = {"tool_path": {"waypoints": "row.csv", "speed_m_s": 0.1, "via_points": 12}}
+    scenes = (
+        ("small", small_scene()),
+        ("full", full_scene()),
+        ("rows", small_scene(format="cmbot-scene/2", **rows)),
+    )
+    return Corpus(
+        robot=robot,
+        scenes=(*scenes, *shipped),
+        plans=tuple(plans),
+        measured=_measured_files(folder),
+        campaign=_campaign_files(),
+    )
 
 
 def small_scene(**changes: Any) -> dict[str, Any]:
@@ -163,6 +188,67 @@ def full_scene() -> dict[str, Any]:
             "samples_per_segment": 20,
         },
     }
+
+
+def _measured_files(folder: Path) -> Files:
+    """Measurements of the arm in `folder`, and the scene with what they tell."""
+    robot = small_scene()["robot"] | {"elasticity": "arm.elasticity.yaml"}
+    scene = small_scene(format="cmbot-scene/2", robot=robot, guardrail={"bays": 1})
+    t = 0.005 * np.arange(400)
+    tap = np.exp(-0.6 * t) * np.sin(2 * np.pi * 6.0 * t) + 0.3 * np.exp(-1.1 * t) * np.sin(
+        2 * np.pi * 9.0 * t
+    )
+    table = np.column_stack([t, tap, 0.5 * tap, -0.2 * tap])
+    measurements = {
+        "format": "cmbot-measurements/1",
+        "scene": "measured.yaml",
+        "weight_kg": 5.0,
+        "weight_sd_kg": 0.01,
+        "gauge_sd_mm": 0.1,
+        "windup_sd_arcmin": 0.0,
+        "frequency_sd_share": 0.01,
+        "prior": {"links": 0.3, "joints": 0.5, "base": 0.3, "base_coupling": 0.15},
+        "measurements": [
+            {"posture_deg": [26, 70, -47, 49, 55, 1, 54], "deflection_mm": [0.16, 0.6, -1.8]},
+            {
+                "posture": [0.42, 1.23, -0.97, 0.81, 0.86, 0.0, 0.81],
+                "deflection_mm": [None, None, -1.86],
+                "frequencies_hz": [5.9, 7.4],
+            },
+            {"posture_deg": [29, 63, -48, 42, 52, -14, 45], "record": "tap.csv"},
+        ],
+        "job": [[0.17, 0.7, 0.35, 1.4, -0.26, 1.05, 0.0], [0.19, 0.88, 0.34, 0.86, -0.27, 1.39, -0.12]],
+    }
+    files = {
+        "measured.yaml": as_yaml(scene),
+        "measurements.yaml": as_yaml(measurements),
+        "tap.csv": ("t,ax,ay,az\n" + "\n".join(",".join(f"{x:.6g}" for x in row) for row in table)).encode(),
+    }
+    for name, content in files.items():
+        (folder / name).write_bytes(content)
+    found = cmbot.identify(folder / "measurements.yaml")
+    return files | {
+        "stiffness.yaml": stiffness_text(found.stiffness, "measurements.yaml").encode(),
+        "identified.yaml": as_yaml(scene | {"identified": "stiffness.yaml"}),
+    }
+
+
+def _campaign_files() -> Files:
+    campaign = {
+        "format": "cmbot-campaign/1",
+        "name": "along",
+        "scene": "scene.yaml",
+        "set": {"robot.payload_kg": 1.0},
+        "jobs": [
+            {"name": "one", "at_m": 0.5, "set": {"tool_path.legs[0].by": [0.0, 0.1, 0.0]}},
+            {"name": "two", "scene": "triangle"},
+        ],
+        "table": "jobs.csv",
+        "time_limit_s": 60.0,
+        "memory_limit_mb": 2000,
+    }
+    table = "name,at_m,robot.payload_kg,tool_path.legs[0].seconds\nthree,1.0,2,4\nfour,2.5,,6\n"
+    return {"campaign.yaml": as_yaml(campaign), "jobs.csv": table.encode()}
 
 
 def as_yaml(data: Any) -> bytes:

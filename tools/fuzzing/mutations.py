@@ -1,9 +1,8 @@
-"""Mutations of text, of nested data, of XML, of NumPy archives, of plan directories and of command lines."""
+"""Mutations of text, of nested data, of XML, of meshes, of NumPy archives."""
 
 from __future__ import annotations
 
 import copy
-import hashlib
 import io
 import json
 import math
@@ -16,14 +15,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from cmbot.common.validation import plain
-from cmbot.scene import PlannerOptions
-from fuzzing.corpus import Corpus, Files, as_yaml
-
-__all__ = ["KINDS", "Case", "make_case"]
-
-KINDS = {"scene": 0.40, "robot": 0.26, "plan directory": 0.20, "command line": 0.138, "planning": 0.002}
-"""Share of the mutants of each kind."""
+__all__ = [
+    "ODD_NUMBERS",
+    "ODD_TEXTS",
+    "by_structure",
+    "mutate_data",
+    "mutate_json",
+    "mutate_npz",
+    "mutate_text",
+    "mutated_file",
+    "several",
+]
 
 _LARGEST_SCALED = 1e300
 ODD_NUMBERS: tuple[float, ...] = (
@@ -85,81 +87,9 @@ _NUMBER = re.compile(rb"-?\d+(\.\d+)?([eE][-+]?\d+)?")
 Change = Callable[[Random, bytes], bytes]
 
 
-class Case:
-    """One mutant: files for an empty folder, and what is done with them.
-
-    Attributes
-    ----------
-    kind : str
-        One of `KINDS`.
-    index : int
-        Which of a campaign's mutants.
-    files : dict
-        From names, with folders, to content.
-    words : tuple of str
-        Of a command line.
-    verify : bool
-        Whether a plan is certified again.
-    """
-
-    def __init__(
-        self, kind: str, index: int, files: Files, words: tuple[str, ...] = (), *, verify: bool = False
-    ) -> None:
-        self.kind, self.index, self.files, self.words, self.verify = kind, index, files, words, verify
-
-    def with_files(self, files: Files) -> Case:
-        """Return the case with other files."""
-        return Case(self.kind, self.index, files, self.words, verify=self.verify)
-
-
-def make_case(corpus: Corpus, seed: int, index: int) -> Case:
-    """Return a campaign's mutant; the same for the same seed, index and corpus."""
-    rng = Random(f"{seed}/{index}")
-    (kind,) = rng.choices(list(KINDS), list(KINDS.values()))
-    match kind:
-        case "scene":
-            return Case(kind, index, {**corpus.robot, "scene.yaml": _mutated_scene(rng, corpus)})
-        case "robot":
-            files, names = dict(corpus.robot), sorted(corpus.robot.keys() - {"scene.yaml", "block.obj"})
-            for _ in range(_several(rng)):
-                name = "arm.urdf" if rng.random() < 0.5 else rng.choice(names)
-                files[name] = _mutated_file(rng, name, files[name])
-            if rng.random() < 0.1:
-                files[rng.choice(names)] = rng.choice((b"", rng.randbytes(200), corpus.robot["block.obj"]))
-            return Case(kind, index, files)
-        case "plan directory":
-            return Case(kind, index, _mutated_plan(rng, corpus), verify=rng.random() < 0.03)
-        case "command line":
-            return _command_line(rng, corpus, index)
-        case _:
-            scene = as_yaml(_plannable_scene(rng, dict(corpus.scenes)["full"]))
-            words = ("plan", "scene.yaml", "-o", "out", *rng.choice(((), ("--json",), ("--quiet",))))
-            return Case(kind, index, {**corpus.robot, "scene.yaml": scene}, words, verify=True)
-
-
-def _several(rng: Random) -> int:
+def several(rng: Random) -> int:
     """How many mutations: mostly one."""
     return 1 + (rng.random() < 0.3) + (rng.random() < 0.1) + 3 * (rng.random() < 0.03)
-
-
-def _mutated_scene(rng: Random, corpus: Corpus) -> bytes:
-    # The shipped scenes take longer, and have nothing that the others lack but comments.
-    (chosen,) = rng.choices(corpus.scenes, (3, 8, 1, 0.5))
-    content = chosen[1]
-    if isinstance(content, str):
-        text = content.encode()
-    else:
-        data = copy.deepcopy(content)
-        for _ in range(_several(rng) if rng.random() < 0.85 else 0):
-            data = mutate_data(rng, data)
-        text = as_yaml(data)
-        if rng.random() < 0.2:
-            text = json.dumps(data, indent=rng.choice((None, 1))).encode("utf-8", "surrogatepass")
-        if rng.random() < 0.8:
-            return text
-    for _ in range(_several(rng)):
-        text = mutate_text(rng, text)
-    return text
 
 
 def mutate_text(rng: Random, text: bytes) -> bytes:
@@ -260,16 +190,16 @@ def _odd_value(rng: Random, value: Any) -> Any:
     )
 
 
-def _mutated_file(rng: Random, name: str, content: bytes) -> bytes:
+def mutated_file(rng: Random, name: str, content: bytes) -> bytes:
     """Return one of a robot's files, mutated by its structure or as text."""
     if name.endswith((".urdf", ".srdf")) and rng.random() < 0.7:
-        return _by_structure(_mutate_xml, rng, content)
+        return by_structure(_mutate_xml, rng, content)
     if name.endswith(".stl") and rng.random() < 0.6:
-        return _by_structure(_mutate_stl, rng, content)
+        return by_structure(_mutate_stl, rng, content)
     return mutate_text(rng, content)
 
 
-def _by_structure(change: Change, rng: Random, content: bytes) -> bytes:
+def by_structure(change: Change, rng: Random, content: bytes) -> bytes:
     """Return a file changed by its structure, or as text where that has been broken before."""
     try:
         return change(rng, content)
@@ -286,7 +216,8 @@ def _mutate_stl(rng: Random, content: bytes) -> bytes:
     return content[:80] + count.to_bytes(4, "little") + numbers.tobytes()
 
 
-def _mutate_json(rng: Random, content: bytes) -> bytes:
+def mutate_json(rng: Random, content: bytes) -> bytes:
+    """Return a JSON file with one change in its data."""
     return json.dumps(mutate_data(rng, json.loads(content))).encode("utf-8", "surrogatepass")
 
 
@@ -324,38 +255,8 @@ def _mutate_xml(rng: Random, content: bytes) -> bytes:
     return ElementTree.tostring(root)
 
 
-def _mutated_plan(rng: Random, corpus: Corpus) -> Files:
-    files = dict(rng.choice(corpus.plans))
-    rehash = rng.random() < 0.6
-    for _ in range(_several(rng)):
-        name = "plan.json" if rng.random() < 0.4 else rng.choice(sorted(files))
-        content = files[name]
-        if name.endswith(".npz") and rng.random() < 0.7:
-            files[name] = _by_structure(_mutate_npz, rng, content)
-        elif name.endswith(".json") and rng.random() < 0.8:
-            files[name] = _by_structure(_mutate_json, rng, content)
-        elif rng.random() < 0.05:
-            del files[name]
-            return files
-        else:
-            files[name] = mutate_text(rng, content)
-    return _rehashed(files) if rehash else files
-
-
-def _rehashed(files: Files) -> Files:
-    """Return a plan's files with the right hashes in its JSON files, where those can be read."""
-    hashes = {name: hashlib.sha256(content).hexdigest() for name, content in files.items()}
-    for name in ("plan.json", "tracking.json"):
-        try:
-            data = json.loads(files[name])
-            data["files"] = {each: hashes[each] for each in data["files"] if each in hashes}
-            files[name] = json.dumps(data).encode("utf-8", "surrogatepass")
-        except (KeyError, ValueError, TypeError, RecursionError):
-            continue
-    return files
-
-
-def _mutate_npz(rng: Random, content: bytes) -> bytes:
+def mutate_npz(rng: Random, content: bytes) -> bytes:
+    """Return a NumPy archive with one change in an array or in the archive."""
     arrays = dict(np.load(io.BytesIO(content)))
     name = rng.choice(sorted(arrays) or ["t"])
     array = arrays.get(name, np.zeros(3))
@@ -386,116 +287,3 @@ def _mutate_npz(rng: Random, content: bytes) -> bytes:
             arrays[name] = array.reshape(rng.choice(((-1,), (1, -1), (-1, 1), (1, 1, -1))))
     np.savez(file, **arrays)
     return file.getvalue()
-
-
-_VERBS = ("plan", "replay", "report", "simulate", "check", "doctor", "reproduce")
-_OPTIONS = {
-    "plan": ("-o", "--output", "--force", "--set", "--json", "--quiet", "-q"),
-    "replay": ("--html",),
-    "report": ("--html", "--force"),
-    "simulate": ("--damping", "--initial", "--stiffness", "--segments", "--force", "--json", "--details"),
-    "check": ("--json", "--quiet"),
-    "doctor": (),
-    # Never runs: it takes minutes.
-    "reproduce": ("--nonsense",),
-}
-_WITH_VALUE = ("-o", "--output", "--set", "--html", "--damping", "--initial", "--stiffness", "--segments")
-_PLACES = ("scene.yaml", "arm.urdf", "plan", "out", "nosuch", "triangle", "plan/plan.json", ".", "block.obj")
-
-
-def _command_line(rng: Random, corpus: Corpus, index: int) -> Case:
-    files = dict(corpus.robot)
-    verb = rng.choice(_VERBS) if rng.random() < 0.97 else rng.choice(("plna", "", "--version", "--help"))
-    words = [verb]
-    # The shipped scenes take seconds, those that planning would take.
-    places = [place for place in _PLACES if not (verb == "plan" and place == "triangle")]
-    if rng.random() < 0.95 and verb not in ("doctor", "reproduce"):
-        words.append(rng.choice(places) if rng.random() < 0.8 else rng.choice(ODD_TEXTS))
-    for _ in range(rng.randrange(4)):
-        option = rng.choice(_OPTIONS.get(verb, ("--x",)) or ("--x",))
-        words.append(option)
-        if option in _WITH_VALUE and rng.random() < 0.97:
-            words.append(_option_value(rng, option))
-    if verb == "reproduce":
-        words.append("--nonsense")
-    if rng.random() < 0.1:
-        words.insert(rng.randrange(len(words) + 1), rng.choice(ODD_TEXTS))
-    # Planning by chance would take seconds; the kind "planning" plans.
-    if verb == "plan" and not any(word == "--set" for word in words):
-        words += ["--set", _option_value(rng, "--set")]
-    if rng.random() < 0.3:
-        files["scene.yaml"] = _mutated_scene(rng, corpus)
-    if any(word.startswith("plan") for word in words[1:]):
-        plan = corpus.plans[0] if rng.random() < 0.5 else _mutated_plan(rng, corpus)
-        files |= {f"plan/{name}": content for name, content in plan.items()}
-    # No word of a command line can hold a null byte.
-    return Case("command line", index, files, tuple(word.replace("\0", "") for word in words))
-
-
-def _option_value(rng: Random, option: str) -> str:
-    number = str(rng.choice(ODD_NUMBERS))
-    match option:
-        case "--set":
-            defaults = plain(PlannerOptions(), "fuzz")
-            name = rng.choice(sorted(defaults))
-            value = rng.choice((number, number, rng.choice(ODD_TEXTS), json.dumps(defaults[name]), "[1, 2]"))
-            name = name if rng.random() < 0.9 else rng.choice((name[:-1], "seconds", *ODD_TEXTS))
-            return f"{name}={value}" if rng.random() < 0.97 else rng.choice((name, value))
-        case "-o" | "--output" | "--html":
-            return rng.choice((*_PLACES, "out/a/b", "page.html", "/proc/x", "/nosuch/x", *ODD_TEXTS))
-        case "--initial":
-            return rng.choice(("equilibrium", "undeformed", *ODD_TEXTS))
-        case _:
-            return rng.choice((number, number, "1", "0.5", rng.choice(ODD_TEXTS)))
-
-
-def _plannable_scene(rng: Random, scene: dict[str, Any]) -> dict[str, Any]:
-    """A scene that can be planned, or nearly, with random options and a random short path."""
-    scene = copy.deepcopy(scene)
-    by = [round(rng.uniform(-0.1, 0.1), 3) for _ in range(3)]
-    scene["posture_deg"] = [round(angle + rng.gauss(0, 20), 1) for angle in scene["posture_deg"]]
-    scene["robot"] |= {
-        "tool_length_m": round(rng.uniform(0.01, 0.3), 3),
-        "payload_kg": rng.choice((0, 0.5, 2, 30)),
-    }
-    scene["tool_path"] = {
-        "keep": rng.choice(("pose", "axis", "position", {"axis_within_deg": rng.choice((0.1, 10, 90))})),
-        "legs": [{"by": by, "seconds": rng.choice((0.3, 2, 4, 4, 30))}],
-        "via_points": rng.choice((5, 6, 8, 12)),
-    }
-    if isinstance(scene["tool_path"]["keep"], dict):
-        scene["format"] = "cmbot-scene/2"
-    for obstacle in scene["obstacles"]:
-        obstacle["xyz"] = [round(rng.uniform(-1, 1), 2) for _ in range(3)]
-    if rng.random() < 0.5:
-        del scene["obstacles"]
-    scene["guardrail"]["bays"] = rng.choice((0, 0, 1, 2))
-    if scene["guardrail"]["bays"] < 2:
-        scene["guardrail"] = {"bays": scene["guardrail"]["bays"]}
-    scene["planner"] = {
-        "knots": rng.choice(("fixed", "sliding")),
-        "start": rng.choice(("free", "pinned")),
-        "objective": rng.choice(("torque", "torque", "sag")),
-        "moment_about": rng.choice(("foot", "base")),
-        "axis_weights": rng.choice(([1, 1, 1], [1, 0, 0], [0, 0, 1], [1e6, 1e-6, 0])),
-        "compensate": rng.random() < 0.2,
-        "quiet_modes": rng.choice((0, 2, 10)),
-        "avoidance": rng.choice(("smooth", "switch")),
-        "avoidance_distance_m": rng.choice((0.05, 0.15, 1.0)),
-        "damping_max": rng.choice((0, 0.5, 5)),
-        "path_step_s": rng.choice((0.02, 0.1)),
-        "other_starts": rng.choice((0, 3)),
-        "chart_spacing": rng.choice((0.3, 0.5)),
-        "chart_seeds": rng.choice((1, 20)),
-        "step_share": rng.choice((0.1, 0.6, 1)),
-        "safety_margin_m": rng.choice((0, 0.02, 0.3)),
-        "max_tool_deviation_m": rng.choice((1e-5, 1e-3, 0.1)),
-        "solver": rng.choice(("auto", "sqp", "slsqp")),
-        "samples_per_segment": rng.choice((4, 20)),
-        "smoothing_weight": rng.choice((1e-6, 0.1, 100)),
-        "peak_tolerance": rng.choice((1e-6, 1e-4, 0.1)),
-        "gap_target": rng.choice((0, 2e-3, 1)),
-        "max_passes": rng.choice((1, 5, 20)),
-        "max_iterations": rng.choice((1, 20, 100)),
-    }
-    return scene

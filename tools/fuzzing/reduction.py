@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from fuzzing.mutations import Case
+from fuzzing.cases import Case
 from fuzzing.trials import Verdict
 from fuzzing.workers import run_all
 

@@ -18,18 +18,20 @@ from typing import Any
 import numpy as np
 
 import cmbot
+from cmbot.campaigns import read_campaign
 from cmbot.cli import main
 from cmbot.common.errors import CmbotError, InputError
+from cmbot.identification import identified_rows, remarks
 from cmbot.planning import bending_arm, precheck_scene, robot_of
 from cmbot.robot import inspect_urdf, overview, parse_urdf, robot_files
-from fuzzing.mutations import Case
+from fuzzing.cases import Case
 
 __all__ = ["LIMIT", "LONGEST_MESSAGE", "Verdict", "fresh_folder", "time_limit", "try_case"]
 
 LIMIT = 5.0
 """Processor time in seconds that a mutant may take, unless it is planned or simulated."""
 _LONG_LIMIT = 90.0
-_LONG_VERBS = ("plan", "simulate")
+_LONG_VERBS = ("plan", "simulate", "identify", "new")
 LONGEST_MESSAGE = 400
 
 _NO_NUMBER = re.compile(r"(?<![\w.\-/'])[-+]?(nan|inf)(?![\w.\-/'])")
@@ -103,7 +105,14 @@ def _judged(case: Case) -> Verdict:
     try:
         if case.words:
             return _judged_command(case)
-        found = {"scene": _read_scene, "robot": _read_robot, "plan directory": _read_plan}[case.kind](case)
+        readers = {
+            "scene": _read_scene,
+            "robot": _read_robot,
+            "plan directory": _read_plan,
+            "measurements": _read_measurements,
+            "campaign": _read_campaign,
+        }
+        found = readers[case.kind](case)
     except CmbotError as error:
         return _judged_message(str(error), _place(error))
     except _BadMessageError as error:
@@ -132,6 +141,19 @@ def _place(error: BaseException) -> str:
     frames = [frame for frame in frames if Path(frame.filename).name != "validation.py"] or frames
     at = f"{Path(frames[-1].filename).name}:{frames[-1].lineno}" if frames else "?"
     return f"{type(error).__name__} at {at}"
+
+
+def _read_measurements(_: Case) -> Any:
+    found = cmbot.identify("measurements.yaml")
+    known = found.stiffness, list(identified_rows(found)), list(remarks(found)), found.after
+    scene = cmbot.load_scene("identified.yaml")
+    arm = bending_arm(scene, robot_of(scene))
+    return known, None if arm is None else arm.stiffness
+
+
+def _read_campaign(_: Case) -> Any:
+    _, entries = read_campaign("campaign.yaml")
+    return [(entry.at_m, entry.scene.posture) for entry in entries]
 
 
 def _read_scene(_: Case) -> Any:

@@ -13,7 +13,7 @@ from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any
 
-from fuzzing.mutations import Case
+from fuzzing.cases import Case
 from fuzzing.trials import Verdict, fresh_folder, time_limit, try_case
 
 __all__ = ["Worker", "run_all"]
