@@ -1,8 +1,9 @@
 """Whether a path exists, by another way than the planner's: layers of postures at dense points of the path.
 
 From a layer, Newton steps lead to the next point; beside them, random steps in the self-motion and random
-postures spread out. An edge is a move that keeps the velocity bounds, is in range and clear. A path that is
-found is one, apart from accelerations; that none is found is no proof.
+postures spread out. An edge is a move that keeps the velocity bounds, is in range and clear, and near whose
+middle a posture holds the tool on its path. A path that is found is one, apart from accelerations; that none
+is found is no proof.
 """
 
 from __future__ import annotations
@@ -23,6 +24,7 @@ _RANDOM = 40  # random postures at each point, and ...
 _AT_START = 200  # ... at the first
 _FLOOD = 400  # steps by which the self-motion at the start is explored
 _STEP = 0.3  # rad
+_LONG, _OFF_THE_MIDDLE = 0.3, 0.3  # rad, and of it: longer moves are looked at in their middle
 _CELL = 0.1  # rad: postures in one cell count as one
 _SHARE = 0.95  # of the velocity bounds
 
@@ -67,7 +69,11 @@ class Oracle:
             if q is None or not (np.abs(q - population[parent]) <= bound).all():
                 return
             cell = tuple(np.round(q / _CELL).astype(int).tolist())
-            if cell not in found and self._moves(population[parent], q):
+            if (
+                cell not in found
+                and self._moves(population[parent], q)
+                and self._holds(population[parent], q, k)
+            ):
                 found[cell] = (q, parent)
 
         order = self.rng.permutation(len(population))
@@ -90,6 +96,15 @@ class Oracle:
     def _moves(self, q: FloatArray, other: FloatArray) -> bool:
         """Whether the straight move from an admissible posture to another is admissible."""
         return self.world.admissible(other) and self.world.clear(0.5 * (q + other))
+
+    def _holds(self, q: FloatArray, other: FloatArray, k: int) -> bool:
+        """Whether a move to point k from the one before keeps the tool on its path, or leaps to a branch."""
+        length = float(np.abs(other - q).max())
+        if length <= _LONG:
+            return True
+        middle, p = 0.5 * (q + other), self.path.point(0.5 * (self.times[k - 1] + self.times[k]))
+        near = self.world.solve(middle, p, self.R, self.keep)
+        return near is not None and float(np.abs(near - middle).max()) <= _OFF_THE_MIDDLE * length
 
     def anywhere(self, p: FloatArray, tries: int) -> list[FloatArray]:
         """Admissible postures with the tool at a point, from random ones."""

@@ -296,6 +296,7 @@ class OptimisationFailed(PlanningError):
         self.constraint = constraint
         self.violation = violation
         self.undecided = undecided
+        self.remedy = remedy
         if violation <= 0:
             super().__init__(f"{reason}; every constraint is met, {constraint} with the least room")
             return

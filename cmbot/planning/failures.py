@@ -46,7 +46,7 @@ def constraints_named(context: PlanningContext) -> Iterator[None]:
             violation=failure.violation,
             undecided=failure.undecided,
             trajectory=failure.trajectory,
-            remedy=context.stroke.remedy_for(name),
+            remedy=failure.remedy or context.stroke.remedy_for(name),
         ) from failure
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import BoolArray, FloatArray
-from cmbot.common.errors import PathNotFound
+from cmbot.common.errors import OptimisationFailed, PathNotFound
 from cmbot.planning.context import PlanningContext
 from cmbot.planning.path.gradient_projection import find_path
 from cmbot.planning.path.projection import project_onto_task
@@ -24,6 +25,7 @@ __all__ = [
     "fixed_guess",
     "initial_guess",
     "leap",
+    "leaps_told",
     "roughness",
     "shifted_problem",
     "sliding_guess",
@@ -132,6 +134,24 @@ def leap(context: PlanningContext, via_points: FloatArray) -> float:
     share = np.abs(np.diff(via_points, axis=0)) / context.robot.limits.velocity
     share = share.max(axis=1) / np.diff(context.times)
     return float(share[long[~reached | (moved > _OFF_THE_MIDDLE * steps[long])]].max(initial=0.0))
+
+
+@contextmanager
+def leaps_told(context: PlanningContext, via_points: FloatArray) -> Iterator[None]:
+    """Say in an `OptimisationFailed` that the via-points (n, d), rad, leap, where they do."""
+    try:
+        yield
+    except OptimisationFailed as failure:
+        if leap(context, via_points) == 0.0:
+            raise
+        raise OptimisationFailed(
+            "only by leaps to other branches of postures, off the tool path, were via-points joined in time",
+            constraint=failure.constraint,
+            violation=failure.violation,
+            undecided=failure.undecided,
+            trajectory=failure.trajectory,
+            remedy="another start posture, or less that is kept of the tool's pose",
+        ) from failure
 
 
 def roughness(problem: TorqueProblem) -> float:

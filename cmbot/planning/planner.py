@@ -24,7 +24,7 @@ from cmbot.planning.flexibility.vibration_suppression import VibrationSuppressio
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
-from cmbot.planning.initial_guess import initial_guess, sliding_guess
+from cmbot.planning.initial_guess import initial_guess, leaps_told, sliding_guess
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.first_posture import starting_at_path
@@ -440,7 +440,9 @@ def _certified_motion(attempt: Attempt) -> _Motion:
 
     compensation = quieting = None
     with constraints_named(context):
-        problem, optimised = guess.problem, optimise(guess.problem, each_pass)
+        problem = guess.problem
+        with leaps_told(context, problem.parametrization.via_points):
+            optimised = optimise(problem, each_pass)
         if context.sag is not None:
             optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
     if context.arm is not None and _quiets(options):
