@@ -83,10 +83,14 @@ def motion_files(
 
     `labels` (N,) are the names of the segments that the samples belong to.
     """
+    names, table = _table(samples, job=labels is not None)
+    _require_numbers(table, names, f"{name}.csv")
+    # Both files have the same numbers, and writing these takes longest.
+    rows = number_rows(table)
     return {
-        f"{name}.csv": samples_csv(samples, f"{name}.csv", labels),
+        f"{name}.csv": _csv(names, rows, labels),
         f"{name}.npz": knots_npz(trajectory),
-        f"{name}.ros.json": _ros_json(robot, samples),
+        f"{name}.ros.json": _ros_json(robot, samples.t, rows),
     }
 
 
@@ -116,33 +120,35 @@ def _adhesion_columns(feet: int) -> tuple[str, ...]:
     return (_ADHESION,) if feet == 1 else tuple(f"{_ADHESION}_{foot}" for foot in range(1, feet + 1))
 
 
-def samples_csv(samples: Samples, source: str, labels: Sequence[str] | None = None) -> bytes:
+def samples_csv(samples: Samples, source: str) -> bytes:
     """Return samples as CSV: one row a sample, SI units, radians, world frame; `source` is for messages.
 
-    Numbers have to be finite, but for a clearance that is infinite without obstacles. With `labels` (N,), the
-    names of segments, they are the last column, after the adhesion that the feet need.
+    Numbers have to be finite, but for a clearance that is infinite without obstacles.
     """
+    return table_csv(*_table(samples, job=False), source)
+
+
+def _table(samples: Samples, *, job: bool) -> tuple[tuple[str, ...], FloatArray]:
+    """Names of columns (k,) and a table (N, k) of samples; that of the whole `job` has the adhesion."""
     vectors = (samples.guardrail_torque, samples.guardrail_force, samples.tool_point)
     joints = (samples.q, samples.v, samples.a, samples.j, samples.joint_torque)
     expected = samples.expected_tool_point
     more = [] if expected is None else [expected]
     names = columns(samples.q.shape[1], compensated=expected is not None)
-    if labels is not None and samples.adhesion_needed is not None:
+    if job and samples.adhesion_needed is not None:
         names += _adhesion_columns(samples.adhesion_needed.shape[1])
         more.append(samples.adhesion_needed)
-    table = np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
-    return table_csv(names, table, source, labels)
+    return names, np.column_stack([samples.t, *joints, *vectors, samples.clearance, *more])
 
 
-def table_csv(
-    names: tuple[str, ...], table: FloatArray, source: str, labels: Sequence[str] | None = None
-) -> bytes:
-    """Return a table (N, k) of finite numbers with its columns' names as CSV, written by `number_rows`.
-
-    `labels` (N,) are a last column.
-    """
+def table_csv(names: tuple[str, ...], table: FloatArray, source: str) -> bytes:
+    """Return a table (N, k) of finite numbers with its columns' names as CSV, written by `number_rows`."""
     _require_numbers(table, names, source)
-    rows = number_rows(table)
+    return _csv(names, number_rows(table))
+
+
+def _csv(names: tuple[str, ...], rows: list[list[str]], labels: Sequence[str] | None = None) -> bytes:
+    """Columns' names and rows of text as CSV; `labels` (N,), the names of segments, are a last column."""
     if labels is not None:
         names, rows = (*names, _SEGMENT), [[*row, label] for row, label in zip(rows, labels, strict=True)]
     lines = [",".join(names), *map(",".join, rows), ""]
@@ -227,18 +233,23 @@ def _require_numbers(table: FloatArray, names: tuple[str, ...], source: str) -> 
 # ROS 2
 
 
-def _ros_json(robot: Robot, samples: Samples) -> bytes:
-    """Samples, all finite, as a ``trajectory_msgs/JointTrajectory``."""
+def _ros_json(robot: Robot, t: FloatArray, rows: list[list[str]]) -> bytes:
+    """Samples at times `t` (N,), s, all finite, as a ``trajectory_msgs/JointTrajectory``.
+
+    `rows` are those of the samples' table.
+    """
     message = {
         "header": {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": ""},
         "joint_names": list(robot.joints),
         "points": [],
     }
-    vectors = (number_rows(x) for x in (samples.q, samples.v, samples.a, samples.joint_torque))
-    nanoseconds = np.rint(1e9 * (samples.t - samples.t[0])).astype(np.int64).tolist()
+    n = robot.dof
+    # Of the kinds of joint columns all but the jerk.
+    parts = [slice(1 + k * n, 1 + (k + 1) * n) for k in (0, 1, 2, 4)]
+    nanoseconds = np.rint(1e9 * (t - t[0])).astype(np.int64).tolist()
     points = [
-        _ROS_POINT.format(*map(", ".join, parts), *divmod(time, 10**9))
-        for *parts, time in zip(*vectors, nanoseconds, strict=True)
+        _ROS_POINT.format(*(", ".join(row[part]) for part in parts), *divmod(time, 10**9))
+        for row, time in zip(rows, nanoseconds, strict=True)
     ]
     # Nearly all of the file are numbers, and json writes them slowly.
     head, end = json_bytes(message).decode().rsplit("]", 1)
