@@ -393,17 +393,16 @@ class Window:
         s, d = len(self.coefficients), len(self._jerk)
         if s == 0:
             return None
-        if self._wanted is None:
-            self._wanted = _Wanted(self)
+        wanted = self._wanted = self._wanted or _Wanted(self)
         own = rows[:, (self.coefficients[:, None] * d + np.arange(d)).ravel()].toarray()
         C, best = self.whitened(own.reshape(-1, s, d)), None
-        weight = self._wanted.weight
+        weight = wanted.weight
         for _ in range(_BOUND_REWEIGHTINGS):
-            y, factor = self._wanted.least_squares(weight)
+            y, factor = wanted.unbounded if weight is wanted.weight else wanted.least_squares(weight)
             found = self._without_more_jerk(y, factor, C, room)
             if found is None:
                 break
-            largest = self._wanted.relative(found)
+            largest = wanted.relative(found)
             if best is None or largest.max() < best[0]:
                 best = largest.max(), found
             if found is y:
@@ -482,6 +481,7 @@ class _Wanted:
             if largest.max() < best:
                 best, self.weight = largest.max(), weight
             weight = _reweighted(weight, largest)
+        self.unbounded = self.least_squares(self.weight)
 
     def relative(self, y: FloatArray) -> FloatArray:
         """Amplitudes with a change `y` (s d,), as shares of the largest of before."""
