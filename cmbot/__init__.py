@@ -9,7 +9,7 @@ The reading order::
     save, load_plan   a plan directory                    cmbot.archive
     simulate       what bends on the way                  cmbot.simulation
     identify       how stiff it is, from measurements     cmbot.identification
-    walk           the steps from one stance to another   cmbot.walking
+    walk, tour     the steps from one stance to another, and the work in each   cmbot.walking
     replay, report, show   the motion in a browser or a notebook, and what it gains   cmbot.views
     campaign       many scenes on many processes          cmbot.campaigns
 
@@ -37,7 +37,7 @@ from cmbot.common.errors import (
 from cmbot.version import __version__
 
 if TYPE_CHECKING:
-    from cmbot.archive import load_plan, load_tracking, save, save_tracking
+    from cmbot.archive import load_plan, load_tracking, load_walk, save, save_tracking
     from cmbot.campaigns import Campaign, campaign
     from cmbot.identification import Identification, identify
     from cmbot.planning import Plan, QuinticTrajectory, plan
@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     from cmbot.scene import PlannerOptions, Scene, load_scene
     from cmbot.simulation import SimulationOptions, Tracking, simulate
     from cmbot.views import plot, replay, report, show
-    from cmbot.walking import Walk, walk
+    from cmbot.walking import Tour, Walk, tour, walk
 
 __all__ = [
     "ArchiveError",
@@ -67,6 +67,7 @@ __all__ = [
     "SceneError",
     "SimulationDiverged",
     "SimulationOptions",
+    "Tour",
     "Tracking",
     "Walk",
     "__version__",
@@ -76,6 +77,7 @@ __all__ = [
     "load_robot",
     "load_scene",
     "load_tracking",
+    "load_walk",
     "plan",
     "plot",
     "replay",
@@ -84,11 +86,12 @@ __all__ = [
     "save_tracking",
     "show",
     "simulate",
+    "tour",
     "walk",
 ]
 
 _ROOMS = {
-    "cmbot.archive": ("load_plan", "load_tracking", "save", "save_tracking"),
+    "cmbot.archive": ("load_plan", "load_tracking", "load_walk", "save", "save_tracking"),
     "cmbot.campaigns": ("Campaign", "campaign"),
     "cmbot.identification": ("Identification", "identify"),
     "cmbot.planning": ("Plan", "QuinticTrajectory", "plan"),
@@ -96,7 +99,7 @@ _ROOMS = {
     "cmbot.scene": ("PlannerOptions", "Scene", "load_scene"),
     "cmbot.simulation": ("SimulationOptions", "Tracking", "simulate"),
     "cmbot.views": ("plot", "replay", "report", "show"),
-    "cmbot.walking": ("Walk", "walk"),
+    "cmbot.walking": ("Tour", "Walk", "tour", "walk"),
 }
 _ROOM_OF = {name: room for room, names in _ROOMS.items() for name in names}
 

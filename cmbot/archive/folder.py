@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import re
+import shutil
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from difflib import get_close_matches
 from pathlib import Path
+from tempfile import mkdtemp
 
 from cmbot.archive.atomic import exclusive, put_file, recover, refusals, replace_folder
 from cmbot.archive.names import (
@@ -28,10 +30,12 @@ __all__ = [
     "add_file",
     "add_files",
     "claim",
+    "new_folder",
     "plans_nearby",
     "read_file",
     "require_absent",
     "require_free",
+    "require_new_folder",
     "require_plan_directory",
     "shown_files",
     "write_file",
@@ -226,6 +230,47 @@ def write_files(directory: str | Path, contents: Mapping[str, bytes], *, force: 
             there = target.iterdir() if target.exists() else ()
             keep = {path.name for path in there if is_own(path)} - contents.keys()
         replace_folder(contents, target, sorted(keep))
+
+
+@contextmanager
+def new_folder(directory: str | Path) -> Iterator[Path]:
+    """Give a draft of a folder that appears whole under its name, or, after an error, not at all.
+
+    Raises
+    ------
+    ArchiveError
+        As by `require_new_folder`, and when the system refuses.
+    """
+    directory = Path(directory)
+    require_new_folder(directory)
+    target = _resolved(directory)
+    with refusals(directory):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        draft = Path(mkdtemp(prefix=f".{target.name}.", dir=target.parent))
+    try:
+        yield draft
+        with refusals(directory):
+            draft.chmod(0o755)
+            # An empty folder of that name is replaced, any other one is not.
+            draft.rename(target)
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def require_new_folder(directory: str | Path) -> None:
+    """Refuse a folder that is there and not empty, before a long computation.
+
+    Raises
+    ------
+    ArchiveError
+        When one is there, or no folder can be made there.
+    """
+    directory = Path(directory)
+    with refusals(directory):
+        target = _resolved(directory)
+        _require_writable(directory, target)
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise ArchiveError(str(directory), "", "something that is already there", "a new or empty folder")
 
 
 def read_file(path: Path, largest: int = LARGEST_TEXT) -> bytes:

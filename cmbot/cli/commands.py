@@ -23,7 +23,7 @@ from cmbot.cli.identify import identify
 from cmbot.cli.inspection import check, doctor, scenes, schema
 from cmbot.cli.planning import plan
 from cmbot.cli.simulation import reproduce, simulate
-from cmbot.cli.siting import stand, walk
+from cmbot.cli.siting import stand, tour, walk
 from cmbot.cli.views import compare, export, replay, report
 from cmbot.common.errors import LONGEST_MESSAGE, CmbotError, InputError, PlanningError
 
@@ -155,7 +155,7 @@ def _options(
 
 
 for _verb in (
-    *(plan, stand, walk, campaign, new, replay, report, compare, export, simulate, identify, reproduce),
+    *(plan, stand, walk, tour, campaign, new, replay, report, compare, export, simulate, identify, reproduce),
     *(check, scenes, schema, doctor),
 ):
     app.command()(_verb)

@@ -27,24 +27,28 @@ from cmbot.common.errors import InputError
 
 if TYPE_CHECKING:
     from cmbot.siting import Standing
+    from cmbot.walking import Walk
 
-__all__ = ["stand", "walk"]
+__all__ = ["stand", "tour", "walk"]
 
 _SHOWN = 10
 _FILES = ("stances.csv", "index.html")
 _MARK = "# Written by cmbot stand: the scene in its best stance.\n"
-_WALK_FILES = ("walk.csv", "walk.json", "index.html")
+_WALK_FILES = ("walk.csv", "walk.json", "index.html", "replay.html")
+
+
+ScenesArgument = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="SCENE",
+        help="Scene files, or names of shipped scenes, of jobs on one bridge.",
+        autocompletion=complete_scene,
+    ),
+]
 
 
 def stand(
-    scenes: Annotated[
-        list[str],
-        typer.Argument(
-            metavar="SCENE...",
-            help="Scene files, or names of shipped scenes, of jobs on one bridge.",
-            autocompletion=complete_scene,
-        ),
-    ],
+    scenes: ScenesArgument,
     output: Annotated[
         Path | None, typer.Option("--output", "-o", help="Folder to write; out/NAME_stances if left out.")
     ] = None,
@@ -149,8 +153,8 @@ def walk(
     started = time.perf_counter()
     loaded = cmbot.load_scene(scene)
     directory = output if output is not None else Path("out") / f"{loaded.name}_walk"
-    from cmbot.archive import json_bytes, require_absent, write_files
-    from cmbot.walking import WalkOptions, load_goal, walk_csv, walk_data
+    from cmbot.archive import require_absent, write_files
+    from cmbot.walking import WalkOptions, load_goal
     from cmbot.walking import walk as find
 
     goal = load_goal(to)
@@ -158,10 +162,7 @@ def walk(
     with ConsoleProgress(quiet=quiet) as progress:
         progress.stage("listing stances", 0.0)
         walked = find(loaded, goal, WalkOptions(spacing=spacing, speed=speed), progress.stage)
-    from cmbot.views import walk_page
-
-    files = (walk_csv(walked).encode(), json_bytes(walk_data(walked)), walk_page(walked).encode())
-    write_files(directory, dict(zip(_WALK_FILES, files, strict=True)), force=force)
+    write_files(directory, _walk_contents(walked), force=force)
     if as_json:
         print_result("walk", directory, {"steps": len(walked.steps), "words": list(walked.in_words())})
     elif not quiet:
@@ -173,6 +174,82 @@ def walk(
         for line in walked.in_words():
             out.print(flat(line))
         out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+
+
+def tour(
+    scenes: ScenesArgument,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="New folder to write; out/NAME_tour if left out.")
+    ] = None,
+    plans: Annotated[
+        int, typer.Option("--plans", help="How many of the best stances to plan for each group.", min=1)
+    ] = 3,
+    spacing: Annotated[
+        float, typer.Option("--spacing", help="Metres between places of two feet.", min=0.05)
+    ] = 0.15,
+    speed: Annotated[
+        float, typer.Option("--speed", help="Metres a second of a foot at most.", min=1e-3, max=1.0)
+    ] = 0.03,
+    as_json: JsonOption = False,
+    quiet: QuietOption = False,
+) -> None:
+    """Plan work and walks: the fewest stances for all strokes, the job in each, the steps between them.
+
+    Writes a folder with a plan directory for the work in each stance, a folder for each walk, and one page
+    about all of it.
+
+    Example: [bold]cmbot tour two_brackets[/bold], then open out/two_brackets_tour/index.html
+    """
+    started = time.perf_counter()
+    loaded = [cmbot.load_scene(scene) for scene in scenes]
+    name = "_".join(each.name for each in loaded)
+    directory = output if output is not None else Path("out") / f"{name}_tour"
+    from cmbot.archive import json_bytes, new_folder, require_new_folder, write_files
+    from cmbot.planning import Plan
+    from cmbot.siting import StandOptions
+    from cmbot.views import pages, tour_page
+    from cmbot.walking import WalkOptions, tour_data
+    from cmbot.walking import tour as find
+
+    require_new_folder(directory)
+    standing, walking = (
+        StandOptions(plans=plans, pair_spacing=spacing),
+        WalkOptions(spacing=spacing, speed=speed),
+    )
+    with ConsoleProgress(quiet=quiet) as progress:
+        progress.stage("listing stances", 0.0)
+        found = find(loaded, standing, walking, progress.stage)
+    with new_folder(directory) as draft:
+        for part_name, _, part in found.parts:
+            if isinstance(part, Plan):
+                cmbot.save(part, draft / part_name, added=pages(part))
+            else:
+                write_files(draft / part_name, _walk_contents(part))
+        write_files(
+            draft, {"tour.json": json_bytes(tour_data(found)), "index.html": tour_page(found).encode()}
+        )
+    if as_json:
+        print_result("tour", directory, tour_data(found))
+    elif not quiet:
+        rows = [
+            (part["name"], part["kind"], f"{part['begin']:.1f}", f"{part['seconds']:.1f}")
+            for part in tour_data(found)["parts"]
+        ]
+        print_table("Tour", ("", "what", "begins, s", "seconds"), rows, text_columns=2)
+        for line in found.in_words():
+            out.print(flat(line))
+        out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+        out.print(f"Look at it: open {flat(directory / 'index.html')} in a browser.")
+
+
+def _walk_contents(walked: Walk) -> dict[str, bytes]:
+    from cmbot.archive import json_bytes
+    from cmbot.views import walk_page, walk_replay_page
+    from cmbot.walking import walk_csv, walk_data
+
+    pages = (walk_page(walked).encode(), walk_replay_page(walked).encode())
+    files = (walk_csv(walked).encode(), json_bytes(walk_data(walked)), *pages)
+    return dict(zip(_WALK_FILES, files, strict=True))
 
 
 def _known(objective: str) -> Literal["torque", "hold"]:

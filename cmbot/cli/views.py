@@ -39,7 +39,7 @@ PlanArgument = Annotated[Path, typer.Argument(metavar="DIR", help="A plan direct
 
 
 def replay(
-    directory: PlanArgument,
+    directory: Annotated[Path, typer.Argument(metavar="DIR", help="A plan directory, or a walk's folder.")],
     html: Annotated[
         Path | None, typer.Option("--html", help="Page to write; DIR/replay.html if left out.")
     ] = None,
@@ -63,7 +63,9 @@ def replay(
         str | None, typer.Option("--colours", help="Of the arm in a film: own, load or strain.")
     ] = None,
 ) -> None:
-    """Write a page that replays a plan in any browser, without a network.
+    """Write a page that replays a plan, or a walk, in any browser, without a network.
+
+    A walk is certified again first.
 
     Example: [bold]cmbot replay out/triangle --html triangle.html[/bold]
     """
@@ -77,8 +79,13 @@ def replay(
     for name, value in (("--fps", fps), ("--size", size), ("--bending", bending), ("--colours", colours)):
         if value is not None and filmed is None:
             raise InputError("cmbot replay", name, str(value), "it with --video or --gif")
-    from cmbot.views import REPLAY, ReplayServer, film, replay_page
+    from cmbot.archive import PLAN_FILE, WALK_FILE
+    from cmbot.views import REPLAY, film, replay_page
 
+    is_walk = (directory / WALK_FILE).is_file() and not (directory / PLAN_FILE).exists()
+    if is_walk and filmed is None:
+        _replay_walk(directory, html, serve=serve)
+        return
     if not given:
         with claimed_plan(directory) as loaded:
             tracking = cmbot.load_tracking(loaded, directory)
@@ -93,12 +100,7 @@ def replay(
         return
     page = replay_page(loaded, tracking)
     if serve:
-        with ReplayServer(page) as server:
-            try:
-                out.print(f"Replay of {loaded.scene.name} at {server.url}; stop with Ctrl-C.")
-                server.wait()
-            except KeyboardInterrupt:
-                return
+        _serve(page, loaded.scene.name)
     elif filmed is not None:
         if gif is not None and gif.suffix.lower() != ".gif":
             raise InputError("cmbot replay", "--gif", str(gif), "a file whose name ends with .gif")
@@ -117,6 +119,34 @@ def replay(
             )
         seconds = time.perf_counter() - started
         out.print(f"Written to {flat(filmed)}: {frames} frames in {seconds:.1f} s.")
+
+
+def _serve(page: str, name: str) -> None:
+    from cmbot.views import ReplayServer
+
+    with ReplayServer(page) as server:
+        try:
+            out.print(f"Replay of {name} at {server.url}; stop with Ctrl-C.")
+            server.wait()
+        except KeyboardInterrupt:
+            return
+
+
+def _replay_walk(directory: Path, html: Path | None, *, serve: bool) -> None:
+    from cmbot.archive import load_walk, write_file
+    from cmbot.views import REPLAY, walk_replay_page, write_page
+
+    walked = load_walk(directory)
+    page = walk_replay_page(walked)
+    if serve:
+        _serve(page, walked.scene.name)
+        return
+    written = html if html is not None else directory / REPLAY
+    if html is not None:
+        write_page(html, page)
+    else:
+        write_file(written, page.encode("utf-8", "replace"))
+    out.print(f"Written to {flat(written)}.")
 
 
 def _size(text: str) -> tuple[int, int]:

@@ -1,7 +1,7 @@
 """Where to stand: candidates along the guardrail, screened and ranked, the best planned."""
 
 from cmbot.siting.candidates import APART, REACH, Candidate, candidate_at, candidates_of, places_of
-from cmbot.siting.footholds import in_the_way, lift_height
+from cmbot.siting.footholds import bare_climber, in_the_way, lift_height, without_links
 from cmbot.siting.placed_scene import in_world, joined, scene_at
 from cmbot.siting.screening import Screening, screen
 from cmbot.siting.search import StandOptions, Stood
@@ -16,6 +16,7 @@ __all__ = [
     "StandOptions",
     "Standing",
     "Stood",
+    "bare_climber",
     "best_scene",
     "candidate_at",
     "candidates_of",
@@ -30,4 +31,5 @@ __all__ = [
     "shared_out",
     "stances_csv",
     "stand",
+    "without_links",
 ]

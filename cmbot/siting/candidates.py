@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -45,6 +46,13 @@ class Candidate:
     root: FloatArray
     base: FloatArray
     climber: FloatArray
+
+    @property
+    def as_data(self) -> dict[str, Any]:
+        """What `guardrail.stance` of a scene file has."""
+        places = {"foot_1": self.stance.foot_1, "foot_2": self.stance.foot_2}
+        each = {name: "free" if place is None else place.model_dump() for name, place in places.items()}
+        return {**each, "climber_deg": list(self.stance.climber_deg or ())}
 
 
 def candidates_of(scene: Scene, spacing: float, pair_spacing: float) -> Iterator[Candidate]:

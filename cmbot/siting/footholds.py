@@ -1,13 +1,23 @@
-"""Footholds: where nothing is in the way of a foot on a member of the guardrail."""
+"""Footholds: where nothing is in the way of a foot on a member of the guardrail, or of the climber."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
+import pinocchio as pin
 
-from cmbot.collision import touched_by
-from cmbot.scene import Box, FootholdFile, Scene, foothold_pose
+from cmbot.collision import Clearances, touched_by
+from cmbot.common.arrays import FloatArray
+from cmbot.robot import ARM_JOINTS, Robot, load_climbing_robot
+from cmbot.scene import Box, FootholdFile, Obstacle, Scene, foothold_pose
 
-__all__ = ["in_the_way", "lift_height"]
+if TYPE_CHECKING:
+    from cmbot.siting.candidates import Candidate
+
+__all__ = ["bare_climber", "climber_in_the_way", "in_the_way", "lift_height", "without_links"]
 
 # The foot in its frame, as the URDF has it, m: sides, and its centre above the member's axis.
 _FOOT, _CENTRE = (0.13, 0.05, 0.15), 0.065
@@ -34,3 +44,46 @@ def in_the_way(scene: Scene, place: FootholdFile) -> str | None:
     box = Box(size=(_FOOT[0], _FOOT[1] + _LIFT, _FOOT[2]))
     others = [obstacle for obstacle in scene.obstacles if obstacle.name != place.member]
     return touched_by(box, np.asarray(X), others)
+
+
+def bare_climber(root: FloatArray, obstacles: Sequence[Obstacle] = (), *, foot_2: bool = True) -> Clearances:
+    """Return clearances of the climber without the arm, by the climbing joints (N, 5), foot 1 at `root`.
+
+    Where foot 2 holds something its own shapes do not count.
+    """
+    robot = load_climbing_robot(1, root, np.zeros(len(ARM_JOINTS)))
+    left_out = {"tool"} if foot_2 else {"tool", "foot_2"}
+    moving = without_links(robot, lambda link: link in left_out or link.startswith("link_"))
+    return Clearances(moving, obstacles)
+
+
+def climber_in_the_way(scene: Scene, candidate: Candidate) -> str | None:
+    """Return what of the climber comes too near to what in a stance; None where nothing does.
+
+    Links of the climber may be nearer to each other than the safety margin, but must not touch: it is locked.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `in_world` returns it.
+    candidate : Candidate
+    """
+    climber = bare_climber(candidate.root, scene.obstacles, foot_2=candidate.stance.foot_2 is None)
+    numbers = np.arange(len(climber.pairs))
+    distance = climber.distances(candidate.climber[None], np.zeros_like(numbers), numbers)
+    own = np.array([pair.self_collision for pair in climber.pairs], dtype=np.bool_)
+    spare = distance - np.where(own, 0.0, scene.planner.safety_margin_m)
+    if len(spare) == 0 or spare.min() >= 0:
+        return None
+    pair = climber.pairs[int(spare.argmin())]
+    return f"{pair.link} and {pair.other} come too near to each other"
+
+
+def without_links(robot: Robot, left_out: Callable[[str], bool]) -> Robot:
+    """Return the robot without the collision shapes of some links."""
+    shapes, frames = pin.GeometryModel(robot.collision_model), robot.model.frames
+    # Each removal moves the shapes behind it.
+    names = [str(s.name) for s in shapes.geometryObjects if left_out(str(frames[s.parentFrame].name))]
+    for name in names:
+        shapes.removeGeometryObject(name)
+    return replace(robot, collision_model=shapes)

@@ -40,12 +40,7 @@ def scene_at(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> 
     if posture is not None:
         data = {key: value for key, value in data.items() if key not in ("posture_deg", "start")}
         data["start"] = {"posture_deg": np.degrees(posture).tolist()}
-    guardrail, stance = dict(data["guardrail"]), candidate.stance
-    places = {"foot_1": stance.foot_1, "foot_2": stance.foot_2}
-    guardrail["stance"] = {
-        **{name: "free" if place is None else place.model_dump() for name, place in places.items()},
-        "climber_deg": list(stance.climber_deg or ()),
-    }
+    guardrail = {**data["guardrail"], "stance": candidate.as_data}
     return _read(scene, data | {"guardrail": guardrail, "name": f"{scene.name}_stance"})
 
 

@@ -15,6 +15,7 @@ from cmbot.planning import Plan, plan, robot_of
 from cmbot.scene import Scene
 from cmbot.siting.candidates import Candidate
 from cmbot.siting.charting import chart
+from cmbot.siting.footholds import climber_in_the_way
 from cmbot.siting.placed_scene import scene_at
 from cmbot.siting.screening import Screening
 
@@ -108,6 +109,7 @@ def judged(
     strokes: Sequence[int],
     options: StandOptions,
     progress: Callable[[str, float], None],
+    suits: Callable[[Candidate], str | None] = lambda _: None,
 ) -> tuple[Stood, ...]:
     """Return what became of candidates for some strokes, the best first.
 
@@ -123,6 +125,8 @@ def judged(
     options : StandOptions
     progress : callable
         Takes what is done and the share of it.
+    suits : callable
+        Takes a candidate; why it is left out, or None.
     """
     within = np.asarray(found.within_reach[strokes].all(axis=0))
     each = [
@@ -136,7 +140,7 @@ def judged(
         )
         for k, candidate in enumerate(candidates)
     ]
-    _Search(scene, each, found, strokes, options).run(progress)
+    _Search(scene, each, found, strokes, options, suits).run(progress)
     return tuple(sorted(each, key=_order))
 
 
@@ -163,7 +167,9 @@ class _Search:
         found: Screening,
         strokes: Sequence[int],
         options: StandOptions,
+        suits: Callable[[Candidate], str | None],
     ) -> None:
+        self._suits = suits
         # A stance that fails takes long, and most often for want of time.
         limit = min(scene.planner.time_limit_s, _PLAN_SECONDS)
         self._scene = replace(scene, planner=replace(scene.planner, time_limit_s=limit))
@@ -200,9 +206,14 @@ class _Search:
         return any(np.linalg.norm(base - other) < near for other, near in self._in_vain)
 
     def _check(self, k: int) -> None:
-        """Leave out postures that are too near to something."""
-        self._checks += 1
+        """Leave out stances and postures that are too near to something."""
         candidate, scene = self.each[k].candidate, self._scene
+        why = climber_in_the_way(scene, candidate) or self._suits(candidate)
+        if why is not None:
+            self._give_up(k, "blocked", "obstacles", why)
+            return
+        # What comes next takes longer.
+        self._checks += 1
         clearances = Clearances(robot_of(scene_at(scene, candidate, None)), scene.obstacles)
         margin = scene.planner.safety_margin_m
         bound = self._found.clearing(candidate, clearances, margin, self._strokes)

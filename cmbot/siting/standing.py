@@ -13,7 +13,7 @@ from cmbot.common.errors import PlanningError, SceneError
 from cmbot.common.validation import counted
 from cmbot.planning import robot_of, strokes_of, task_of
 from cmbot.scene import Scene, update_file
-from cmbot.siting.candidates import candidates_of
+from cmbot.siting.candidates import Candidate, candidates_of
 from cmbot.siting.cover import fewest_groups
 from cmbot.siting.placed_scene import joined, scene_at, with_strokes
 from cmbot.siting.screening import screen
@@ -69,6 +69,7 @@ def stand(
     scenes: Scene | Sequence[Scene],
     options: StandOptions | None = None,
     progress: _Progress = lambda _step, _share: None,
+    suits: Callable[[Candidate], str | None] = lambda _: None,
 ) -> tuple[Standing, ...]:
     """Find where the robot should stand for jobs on one bridge, by the objective of the planner.
 
@@ -83,6 +84,8 @@ def stand(
     options : StandOptions, optional
     progress : callable
         Takes what is done and the share of it.
+    suits : callable
+        Takes a candidate that is promising; why it is left out, or None.
 
     Returns
     -------
@@ -135,7 +138,7 @@ def stand(
             part = with_strokes(scene, group, name[:_LONGEST_NAME]) if several else scene
             here = partial(_told, progress, f"stance {number} of {len(groups)}: " if several else "")
             numbers = [k for each in members for k in of[each]]
-            ranked = judged(part, candidates, found, numbers, options, here)
+            ranked = judged(part, candidates, found, numbers, options, here, suits)
             done[group] = Standing(scene=part, unit=unit, ranked=ranked)
             if done[group].best is None and options.plans and len(group) > 1:
                 excluded.add(group)

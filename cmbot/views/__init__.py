@@ -9,6 +9,8 @@ from cmbot.views.replay import ReplayServer, replay, replay_page
 from cmbot.views.report import REPLAY, REPORT, pages, report, report_page
 from cmbot.views.show import Shown, show
 from cmbot.views.stances import stances_page
+from cmbot.views.toured import tour_page
+from cmbot.views.walk_replay import walk_replay_page
 from cmbot.views.walked import walk_page
 
 __all__ = [
@@ -30,6 +32,8 @@ __all__ = [
     "require_matplotlib",
     "show",
     "stances_page",
+    "tour_page",
     "walk_page",
+    "walk_replay_page",
     "write_page",
 ]

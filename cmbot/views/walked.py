@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from html import escape
 
 import numpy as np
 
-from cmbot.scene import Box, guardrail_obstacles
+from cmbot.common.arrays import FloatArray
+from cmbot.robot import Climber
+from cmbot.scene import Box, Scene, guardrail_obstacles
+from cmbot.siting import Candidate
 from cmbot.views.page import still_page, table
 from cmbot.walking import Walk, WalkSamples, walk_samples
 
-__all__ = ["walk_page"]
+__all__ = ["guardrail_map", "steps_table", "walk_page"]
 
-_WIDTH, _HEIGHT, _EDGE = 900, 300, 40
+_WIDTH, _EDGE = 900, 40
 # Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.
 _LEAST, _MOST, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#8a8f98"
+_WORK = "#b26a00"
 
 
 def walk_page(walk: Walk) -> str:
@@ -25,11 +30,13 @@ def walk_page(walk: Walk) -> str:
     walk : Walk
     """
     samples = list(walk_samples(walk))
-    content = f"<section>{_map(walk, samples)}</section><section>{_steps(walk, samples)}</section>"
+    content = f"<section>{guardrail_map(walk.scene, samples)}</section>"
+    content += f"<section>{steps_table(walk, samples)}</section>"
     return still_page(f"Walk: {walk.scene.name}", walk.in_words(), content)
 
 
-def _steps(walk: Walk, samples: list[WalkSamples]) -> str:
+def steps_table(walk: Walk, samples: Sequence[WalkSamples]) -> str:
+    """Return a table of the steps of a walk, with its samples."""
     largest = {id(part.move): part.share for part in samples}
     rows, begins = [], iter(walk.begins)
     for number, step in enumerate(walk.steps, start=1):
@@ -43,17 +50,30 @@ def _steps(walk: Walk, samples: list[WalkSamples]) -> str:
     return table(rows, heads, text_columns=4)
 
 
-def _map(walk: Walk, samples: list[WalkSamples]) -> str:
-    """The guardrail from outside with the ways of both feet, circles where they hold."""
-    feet = np.vstack([part.feet.reshape(-1, 3) for part in samples])
+def guardrail_map(
+    scene: Scene, samples: Sequence[WalkSamples], stances: Sequence[tuple[Candidate, str]] = ()
+) -> str:
+    """Return a drawing of the guardrail from outside.
+
+    Parameters
+    ----------
+    scene : Scene
+    samples : sequence of WalkSamples
+        Of walks: the ways of both feet, circles where they hold.
+    stances : sequence of (Candidate, str)
+        Where work is done, and what: squares.
+    """
+    places = [_feet(candidate) for candidate, _ in stances]
+    feet = np.vstack([*(part.feet.reshape(-1, 3) for part in samples), *places])
     low, high = feet[:, 0].min() - 0.4, feet[:, 0].max() + 0.4
     bottom, top = feet[:, 2].min() - 0.4, feet[:, 2].max() + 0.4
-    scale = min((_WIDTH - 2 * _EDGE) / (high - low), (_HEIGHT - 2 * _EDGE) / (top - bottom))
+    scale = (_WIDTH - 2 * _EDGE) / (high - low)
+    height = round(2 * _EDGE + scale * (top - bottom))
 
     def at(x: float, z: float) -> tuple[float, float]:
         return _EDGE + (x - low) * scale, _EDGE + (top - z) * scale
 
-    parts = [*_members(walk, at, (low, high, bottom, top))]
+    parts = [*_members(scene, at, (low, high, bottom, top))]
     for part in samples:
         for foot, dash in ((0, ""), (1, ' stroke-dasharray="5 4"')):
             points = " ".join("{:.1f},{:.1f}".format(*at(p[0], p[2])) for p in part.feet[:, foot])
@@ -67,14 +87,29 @@ def _map(walk: Walk, samples: list[WalkSamples]) -> str:
             parts.append(
                 f'<text x="{x:.1f}" y="{y + 4:.1f}" font-size="11" text-anchor="middle">{foot}</text>'
             )
-    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{"".join(parts)}</svg>'
+    for number, ((_, name), each) in enumerate(zip(stances, places, strict=True), start=1):
+        for x, y in (at(*place[[0, 2]]) for place in each):
+            square = f'x="{x - 11:.1f}" y="{y - 11:.1f}" width="22" height="22"'
+            parts.append(f'<rect {square} fill="none" stroke="{_WORK}" stroke-width="3"/>')
+        x, y = at(*each[0, [0, 2]])
+        label = escape(f"{number}: {name}")
+        parts.append(f'<text x="{x:.1f}" y="{y - 18:.1f}" font-size="13" text-anchor="middle">{label}</text>')
+    return f'<svg viewBox="0 0 {_WIDTH} {height}" role="img">{"".join(parts)}</svg>'
+
+
+def _feet(candidate: Candidate) -> FloatArray:
+    """Where the feet hold, (k, 3), m."""
+    places = [candidate.root[:3, 3]]
+    if candidate.stance.foot_2 is not None:
+        places.append((candidate.root @ Climber().poses(candidate.climber)[0])[:3, 3])
+    return np.array(places)
 
 
 def _members(
-    walk: Walk, at: Callable[[float, float], tuple[float, float]], window: tuple[float, float, float, float]
+    scene: Scene, at: Callable[[float, float], tuple[float, float]], window: tuple[float, float, float, float]
 ) -> Iterator[str]:
     low, high, bottom, top = window
-    for member in guardrail_obstacles(walk.scene.guardrail):
+    for member in guardrail_obstacles(scene.guardrail):
         if not isinstance(member.shape, Box):
             continue
         (x, _, z), (width, _, height) = np.array(member.X_WO)[:3, 3], member.shape.size

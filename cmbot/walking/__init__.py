@@ -1,17 +1,23 @@
 """How the robot walks from one stance to another: steps, each certified, the arm as a counterweight."""
 
 from cmbot.walking.files import WalkSamples, walk_csv, walk_data, walk_samples
-from cmbot.walking.steps import Move, Step
+from cmbot.walking.steps import Kind, Move, Step, certified_move
+from cmbot.walking.tour import Tour, tour, tour_data
 from cmbot.walking.walk import Walk, WalkOptions, load_goal, stance_of, walk
 
 __all__ = [
+    "Kind",
     "Move",
     "Step",
+    "Tour",
     "Walk",
     "WalkOptions",
     "WalkSamples",
+    "certified_move",
     "load_goal",
     "stance_of",
+    "tour",
+    "tour_data",
     "walk",
     "walk_csv",
     "walk_data",

@@ -17,13 +17,15 @@ from cmbot.hold import Foot, Holding
 from cmbot.planning import robot_of
 from cmbot.robot import Climber, ClimberBodies, Postures, Side
 from cmbot.scene import FootholdFile, Scene, StanceFile, feet_at
-from cmbot.siting import Candidate
+from cmbot.siting import Candidate, bare_climber, scene_at
 
-__all__ = ["Asked", "Balance", "foot_at"]
+__all__ = ["SPARE", "Asked", "Balance", "foot_at"]
 
 # Counterweights grow from the nearest to the arm's posture of so many random ones: rounds, random postures in
 # each, their distance in a joint, rad, and how many are kept: those of the furthest centres of mass.
 _SEEDS, _ROUNDS, _DRAWN, _STEP, _KEPT = 20_000, 20, 1500, 0.35, 800
+SPARE = 0.9
+"""Share of what joints and feet bear that is left for the way between two stances."""
 # Share of their torques that the arm's joints use at rest at most, the base turned by up to this, rad.
 _HELD, _TILT = 0.95, np.radians(35.0)
 
@@ -135,6 +137,29 @@ class Balance:
             joint=effort.argmax(axis=1) + 1.0,
             adhesion=adhesion,
         )
+
+    def impossible(self, scene: Scene, node: Candidate) -> BoolArray:
+        """Which postures of the arm come too near to something in a stance, or its joints cannot hold.
+
+        Parameters
+        ----------
+        scene : Scene
+            As `in_world` returns it.
+        node : Candidate
+        """
+        robot, margin = robot_of(scene_at(scene, node, None)), scene.planner.safety_margin_m
+        climber = bare_climber(node.root, scene.obstacles, foot_2=node.stance.foot_2 is None)
+        if climber.check_collision(node.climber[None], margin)[0]:
+            return np.ones(len(self.arms), dtype=np.bool_)
+        # A step needs some room beside the margin.
+        near = Clearances(robot, scene.obstacles).check_collision(self.arms, 1.5 * margin)
+        torque = np.abs(Postures(robot).at(self.arms).joint_torque)
+        return near | (torque > SPARE * robot.limits.torque).any(axis=1)
+
+    def leads_away(self, scene: Scene, node: Candidate) -> bool:
+        """Whether one of the feet can be lifted in a stance, as far as that is known at rest."""
+        use = np.minimum(*(self.asked(node, foot).use for foot in (1, 2)))
+        return bool((use <= SPARE).any()) and bool(((use <= SPARE) & ~self.impossible(scene, node)).any())
 
     def _holding(self, place: FootholdFile, foot: Side) -> Holding:
         key = (foot, place.member, place.along_m, place.face)

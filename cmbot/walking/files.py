@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from cmbot.common.arrays import FloatArray
 from cmbot.hold import Holding
@@ -30,8 +31,12 @@ class WalkSamples:
     t : (N,), s
         On the walk's clock.
     climber, arm : (N, 5) and (N, 7), rad
+    root : (N, 7), m
+        Pose of foot 1 in W, as position and quaternion x, y, z, w.
     feet : (N, 2, 3), m
         Where the feet are, in W.
+    effort : (N, 12)
+        Of what each climbing joint, then each joint of the arm can bear, where it moves; else NaN.
     share : (N, 2)
         Of what each foot can bear, safety included; NaN of one that goes, is free or has no bounds.
     """
@@ -40,7 +45,9 @@ class WalkSamples:
     t: FloatArray
     climber: FloatArray
     arm: FloatArray
+    root: FloatArray
     feet: FloatArray
+    effort: FloatArray
     share: FloatArray
 
 
@@ -55,29 +62,44 @@ def walk_samples(walk: Walk) -> Iterator[WalkSamples]:
         angles = np.repeat(move.node.climber[None], len(t), axis=0)
         if not moves_arm:
             angles = q if move.holds == (1,) else q[:, ::-1]
+        efforts = Dynamics(move.robot).efforts(q, v, a)
+        root, feet = _feet(move, angles, climber)
         yield WalkSamples(
             move=move,
             t=begin + t,
             climber=angles,
             arm=q if moves_arm else np.repeat(move.arm[None], len(t), axis=0),
-            feet=_feet(move, angles, climber),
-            share=_shares(move, q, v, a),
+            root=root,
+            feet=feet,
+            effort=_efforts(move, efforts.joint_torque),
+            share=_shares(move, efforts.guardrail_wrench),
         )
 
 
-def _feet(move: Move, angles: FloatArray, climber: Climber) -> FloatArray:
+def _feet(move: Move, angles: FloatArray, climber: Climber) -> tuple[FloatArray, FloatArray]:
+    """Poses (N, 7) of foot 1, and where both feet are (N, 2, 3)."""
     stays = move.node.root @ climber.poses(move.node.climber)[0]
-    each = np.empty((len(angles), 2, 3))
+    roots, each = np.empty((len(angles), 7)), np.empty((len(angles), 2, 3))
     for k, posture in enumerate(angles):
         X_12 = climber.poses(posture)[0]
         root = stays @ np.linalg.inv(X_12) if move.holds == (2,) else move.node.root
+        roots[k] = *root[:3, 3], *Rotation.from_matrix(root[:3, :3]).as_quat()
         each[k] = root[:3, 3], (root @ X_12)[:3, 3]
-    return each
+    # A quaternion and its negative are the same turn; beside each other they have the same sign.
+    same = (roots[1:, 3:] * roots[:-1, 3:]).sum(axis=1) >= 0
+    roots[1:, 3:] *= np.cumprod(np.where(same, 1.0, -1.0))[:, None]
+    return roots, each
 
 
-def _shares(move: Move, q: FloatArray, v: FloatArray, a: FloatArray) -> FloatArray:
-    robot, share = move.robot, np.full((len(q), 2), np.nan)
-    wrench = Dynamics(robot).efforts(q, v, a).guardrail_wrench
+def _efforts(move: Move, torque: FloatArray) -> FloatArray:
+    share = np.full((len(torque), len(CLIMBING_JOINTS) + len(ARM_JOINTS)), np.nan)
+    names = [*CLIMBING_JOINTS, *ARM_JOINTS]
+    share[:, [names.index(name) for name in move.robot.joints]] = np.abs(torque) / move.robot.limits.torque
+    return share
+
+
+def _shares(move: Move, wrench: FloatArray) -> FloatArray:
+    robot, share = move.robot, np.full((len(wrench), 2), np.nan)
     constant = np.hstack([robot.carrier_mass * robot.model.gravity.linear, robot.carrier_torque])
     for number, foot in zip(move.holds, robot.feet, strict=True):
         if foot.bounded:
@@ -102,13 +124,15 @@ def walk_csv(walk: Walk) -> str:
 
 
 def walk_data(walk: Walk) -> dict[str, Any]:
-    """Return the steps of a walk, ready for JSON: places, times, and what was certified of every move."""
+    """Return a walk, ready for JSON: stances, the knots of every move, and what was certified of it."""
     begins, needed = iter(walk.begins), walk.adhesion_needed
     steps = [
         {
             "foot": step.foot,
             "from": step.places[0],
             "to": step.places[1],
+            "before": step.before.as_data,
+            "after": step.after.as_data,
             "moves": [_move(move, next(begins)) for move in step.moves],
         }
         for step in walk.steps
@@ -121,7 +145,7 @@ def walk_data(walk: Walk) -> dict[str, Any]:
         "format": "cmbot-walk/1",
         "cmbot": __version__,
         "scene": walk.scene.file.as_data(),
-        "goal": walk.goal.stance.model_dump(mode="json"),
+        "goal": walk.goal.as_data,
         "seconds": walk.seconds,
         "max_foot_speed": walk.speed,
         "adhesion_needed": peak,
@@ -144,6 +168,7 @@ def _move(move: Move, begin: float) -> dict[str, Any]:
         "seconds": segment.duration,
         "holds": list(move.holds),
         "joints": list(move.robot.joints),
+        "arm": move.arm.tolist(),
         "knots": {name: getattr(trajectory, name).tolist() for name in ("t", "q", "v", "a")},
         "checks": checks,
     }

@@ -11,9 +11,8 @@ from scipy.sparse.csgraph import dijkstra
 from cmbot.common.arrays import BoolArray, IntArray
 from cmbot.robot import Climber, Side
 from cmbot.scene import FootholdFile, Scene, foothold_face, foothold_pose
-from cmbot.siting import APART, REACH, Candidate, candidate_at, places_of
-from cmbot.walking.balance import Balance
-from cmbot.walking.steps import bare_climber
+from cmbot.siting import APART, REACH, Candidate, bare_climber, candidate_at, places_of
+from cmbot.walking.balance import SPARE, Balance
 
 __all__ = ["Edge", "Route", "nodes_between"]
 
@@ -21,8 +20,6 @@ __all__ = ["Edge", "Route", "nodes_between"]
 _BEYOND = 0.8
 # A metre that a foot goes costs as much as so many steps.
 _METRE = 0.5
-# Share of what joints and feet bear that is left for the way between two stances.
-_SPARE = 0.9
 
 Key = tuple[str, float, str, float]
 
@@ -114,7 +111,7 @@ class Route:
 
     def _edges(self, foot: Side) -> IntArray:
         """Pairs (E, 2) of nodes between which a foot goes while the other one holds."""
-        goes, stays, asked = self._place[foot], self._place[_other(foot)], self.asked[_other(foot)] <= _SPARE
+        goes, stays, asked = self._place[foot], self._place[_other(foot)], self.asked[_other(foot)] <= SPARE
         found = [np.zeros((0, 2), dtype=np.intp)]
         for place in np.unique(stays[stays != self._free]):
             group = np.flatnonzero(stays == place)
@@ -135,7 +132,7 @@ class Route:
             here = (self._ends == node).any(axis=1) & (self._goes == _other(foot))
             ends = self._ends[here]
             use = np.maximum(self.asked[foot][ends[:, 0]], self.asked[foot][ends[:, 1]])
-            self._closed[here] |= ~(use <= _SPARE).any(axis=1)
+            self._closed[here] |= ~(use <= SPARE).any(axis=1)
 
     def counterweights(self, edge: Edge, before: int) -> IntArray:
         """Numbers of the arm's postures with which both ends of a step hold, the best first.
@@ -145,7 +142,7 @@ class Route:
         asked = self.asked[_other(edge.foot)]
         use = np.maximum(asked[edge.before], asked[edge.after])
         order = np.argsort(use, kind="stable")
-        order = order[use[order] <= _SPARE]
+        order = order[use[order] <= SPARE]
         return np.concatenate([order[order == before], order[order != before]])
 
     def shortest(self, start: int, goal: int = 1) -> list[Edge] | None:

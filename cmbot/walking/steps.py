@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 from typing import Literal
 
 import numpy as np
-import pinocchio as pin
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
@@ -26,13 +24,21 @@ from cmbot.planning import (
     objective_of,
     plan_move,
 )
-from cmbot.robot import ARM_JOINTS, Climber, Kinematics, Robot, Side, load_climbing_robot
+from cmbot.robot import Climber, Kinematics, Robot, Side, load_climbing_robot
 from cmbot.scene import Obstacle, PlannerOptions, Scene, SpeedProfile, ToolPath
-from cmbot.siting import Candidate, lift_height, scene_at
+from cmbot.siting import Candidate, lift_height, scene_at, without_links
 from cmbot.trajectory import QuinticTrajectory
 from cmbot.walking.balance import foot_at
 
-__all__ = ["Move", "Step", "arm_move", "bare_climber", "plan_step", "swinging_robot"]
+__all__ = [
+    "Kind",
+    "Move",
+    "Step",
+    "arm_move",
+    "certified_move",
+    "plan_step",
+    "swinging_robot",
+]
 
 # Postures of the straight way on which a foot is lifted.
 _ON_THE_WAY = 9
@@ -41,6 +47,8 @@ _SAMPLES, _ROUNDING = 400, 1 + 1e-6
 # Seconds that the search for a swing, and for a way of the arm, may take.
 _SWING_SECONDS, _ARM_SECONDS = 6.0, 20.0
 _EVERYTHING = 1e12
+Kind = Literal["arm", "lift", "swing", "set"]
+"""Of a move."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,7 +71,7 @@ class Move:
         The certified motion.
     """
 
-    kind: Literal["arm", "lift", "swing", "set"]
+    kind: Kind
     robot: Robot
     holds: tuple[Side, ...]
     node: Candidate
@@ -161,10 +169,7 @@ def plan_step(
         When nothing leads there, or the joints or the foot that holds cannot bear it.
     """
     robot = swinging_robot(scene, before, foot, arm)
-    options = replace(scene.planner, objective="torque", moment_about="foot", axis_weights=(1.0, 1.0, 1.0))
-    # Near the member that it holds the foot's shapes count no more; the foothold is known to be free.
-    near = _context(_without(robot, lambda link: link == f"foot_{foot}"), scene.obstacles, options)
-    far = _context(robot, scene.obstacles, options)
+    near, far = (_swing_context(scene, robot, foot, near=close) for close in (True, False))
     ways = [_lifted(node, foot) for node in (before, after)]
     up, down = ways[0], ways[1][::-1]
     # On foot 2 the joints are in the other order.
@@ -174,7 +179,7 @@ def plan_step(
         space = free_space(far).around(np.stack([up[-1], down[0]])[:, ::turn])
         if space is None or not space.straight(up[-1][::turn], down[0][::turn]):
             return ()
-    parts: list[tuple[Literal["lift", "swing", "set"], PlanningContext, FloatArray]] = []
+    parts: list[tuple[Kind, PlanningContext, FloatArray]] = []
     if len(up) > 1:
         parts.append(("lift", near, up[:, ::turn]))
     parts.append(("swing", far, np.stack([up[-1], down[0]])[:, ::turn]))
@@ -191,6 +196,56 @@ def plan_step(
     return tuple(moves)
 
 
+def certified_move(
+    scene: Scene,
+    node: Candidate,
+    kind: Kind,
+    holds: tuple[Side, ...],
+    arm: FloatArray,
+    trajectory: QuinticTrajectory,
+    speed: float,
+) -> Move:
+    """Return a known motion as a move, certified anew.
+
+    Parameters
+    ----------
+    scene : Scene
+        As `in_world` returns it.
+    node, kind, holds, arm
+        As of `Move`.
+    trajectory : QuinticTrajectory
+    speed : float, m/s
+        Largest of a foot that goes.
+
+    Raises
+    ------
+    LimitViolation
+        When the certificate does not hold.
+    """
+    if kind == "arm":
+        context = build_context(scene_at(scene, node, arm), scene.planner).tool_off
+        task = context.task.held_at_start()
+    else:
+        goes: Side = 2 if holds == (1,) else 1
+        context = _swing_context(scene, swinging_robot(scene, node, goes, arm), goes, near=kind != "swing")
+        task = replace(context.task.held_at_start(), max_speed=speed)
+    q, robot = trajectory.q, context.robot
+    certificate = certify_move(robot, task, trajectory, context.clearances, context.options, q[0], q[-1])
+    certificate.require()
+    segment = Segment(
+        name=kind, kind="free", begin=0.0, trajectory=trajectory, certificate=certificate, task=task
+    )
+    return Move(kind=kind, robot=robot, holds=holds, node=node, arm=arm, segment=segment)
+
+
+def _swing_context(scene: Scene, robot: Robot, foot: Side, *, near: bool) -> PlanningContext:
+    """What a move of a foot needs, near the member that it held or is to hold, or away from it."""
+    options = replace(scene.planner, objective="torque", moment_about="foot", axis_weights=(1.0, 1.0, 1.0))
+    # Near the member that it holds the foot's shapes count no more; the foothold is known to be free.
+    shapes = without_links(robot, lambda link: link == f"foot_{foot}") if near else robot
+    return _context(shapes, scene.obstacles, options)
+
+
 _ENDS = {"lift": "the lifted foot", "swing": "above the next place", "set": "the next place"}
 
 
@@ -205,17 +260,6 @@ def swinging_robot(scene: Scene, node: Candidate, foot: Side, arm: FloatArray) -
         holds, _rigid(X), arm, tool_length=scene.robot.tool_length, payload=scene.robot.payload
     )
     return replace(robot, feet=(foot_at(scene, place, holds),))
-
-
-def bare_climber(root: FloatArray, obstacles: Sequence[Obstacle] = (), *, foot_2: bool = True) -> Clearances:
-    """Return clearances of the climber without the arm, by the climbing joints (N, 5), foot 1 at `root`.
-
-    Where foot 2 holds something its own shapes do not count.
-    """
-    robot = load_climbing_robot(1, root, np.zeros(len(ARM_JOINTS)))
-    left_out = {"tool"} if foot_2 else {"tool", "foot_2"}
-    moving = _without(robot, lambda link: link in left_out or link.startswith("link_"))
-    return Clearances(moving, obstacles)
 
 
 def _rigid(X: FloatArray) -> FloatArray:
@@ -259,16 +303,6 @@ def _lifted(node: Candidate, foot: Side) -> FloatArray:
             break
         way.append(min(found, key=lambda angles: float(np.abs(angles - way[-1]).max())))
     return np.array(way)
-
-
-def _without(robot: Robot, left_out: Callable[[str], bool]) -> Robot:
-    """The robot without the collision shapes of some links."""
-    shapes, frames = pin.GeometryModel(robot.collision_model), robot.model.frames
-    # Each removal moves the shapes behind it.
-    names = [str(s.name) for s in shapes.geometryObjects if left_out(str(frames[s.parentFrame].name))]
-    for name in names:
-        shapes.removeGeometryObject(name)
-    return replace(robot, collision_model=shapes)
 
 
 def _context(robot: Robot, obstacles: tuple[Obstacle, ...], options: PlannerOptions) -> PlanningContext:

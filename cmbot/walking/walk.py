@@ -8,19 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError, PlanningError, SceneError
 from cmbot.common.validation import counted, validated
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.hold import AdhesionPeak
-from cmbot.planning import robot_of
-from cmbot.robot import Climber, Postures
+from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene
-from cmbot.siting import Candidate, candidate_at, in_world, scene_at
+from cmbot.siting import Candidate, candidate_at, in_world
 from cmbot.walking.balance import Balance
 from cmbot.walking.route import Edge, Route, nodes_between
-from cmbot.walking.steps import Move, Step, arm_move, bare_climber, plan_step
+from cmbot.walking.steps import Move, Step, arm_move, plan_step
 
 __all__ = ["Walk", "WalkOptions", "load_goal", "stance_of", "walk"]
 
@@ -28,8 +26,6 @@ __all__ = ["Walk", "WalkOptions", "load_goal", "stance_of", "walk"]
 _TRIED = 15
 # Steps that may turn out impossible before a walk is given up.
 _MOST_FAILURES = 20
-# Share of their torques that the arm's joints may use at rest.
-_HELD = 0.9
 _SAME_PLACE = 1e-6
 
 
@@ -249,21 +245,14 @@ class _Search:
     def _way(self, weight: int) -> FloatArray:
         """Postures (k, 7) from where the arm is to a counterweight."""
         if self._weight < 0:
-            return np.stack([self.arm, self._balance.arms[weight]])
+            # The first counterweight is the nearest to where the arm is; the others were grown from it.
+            return np.vstack([self.arm, self._balance.between(0, weight)])
         return self._balance.between(self._weight, weight)
 
     def _check(self, k: int) -> None:
         """Leave out the postures of the arm that come too near to something in a stance."""
         self._checked.add(k)
-        node, arms = self._route.nodes[k], self._balance.arms
-        robot = robot_of(scene_at(self._scene, node, None))
-        # A step needs some room beside the margin.
-        margin = 1.5 * self._scene.planner.safety_margin_m
-        near = Clearances(robot, self._scene.obstacles).check_collision(arms, margin)
-        near |= (np.abs(Postures(robot).at(arms).joint_torque) > _HELD * robot.limits.torque).any(axis=1)
-        climber = bare_climber(node.root, self._scene.obstacles, foot_2=False)
-        near |= climber.check_collision(node.climber[None], self._scene.planner.safety_margin_m)
-        self._route.leave_out(k, near)
+        self._route.leave_out(k, self._balance.impossible(self._scene, self._route.nodes[k]))
 
     def _no_way(self, here: int) -> str:
         """Why there is no route, with the figures of the step that asks least."""

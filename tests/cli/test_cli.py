@@ -88,7 +88,7 @@ def test_help_shows_an_example_and_every_verb() -> None:
         ("plan", "Examples: cmbot plan triangle -o out/triangle, cmbot plan triangle --set compensate=true"),
         ("replay", "Example: cmbot replay out/triangle --html triangle.html"),
         ("report", "Example: cmbot report out/triangle"),
-        ("stand", "Example: cmbot stand line --objective hold, then cmbot plan out/line_stances/best.yaml"),
+        ("stand", "Examples: cmbot stand line --objective hold, then cmbot plan out/line_stances/best.yaml"),
         ("walk", "Example: cmbot walk here.yaml --to out/line_stances/best.yaml"),
         ("simulate", "Example: cmbot simulate out/triangle"),
         ("reproduce", "Example: cmbot reproduce -o out/reproduce"),

@@ -8,6 +8,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from small_scenes import short_scene
+from walks import ARM_DEG, CLAMP, feet, one_step
+from walks import scene_on_two_feet as scene_at
 
 import cmbot
 from cmbot.common.errors import PlanningError, SceneError
@@ -15,30 +17,10 @@ from cmbot.robot import Climber, Kinematics, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
 from cmbot.siting import Candidate, in_the_way, places_of
 from cmbot.views import walk_page
-from cmbot.walking import Step, Walk, WalkOptions, load_goal, stance_of, walk, walk_csv, walk_data
+from cmbot.walking import Walk, WalkOptions, load_goal, stance_of, walk, walk_csv, walk_data
 from cmbot.walking.balance import Balance
 from cmbot.walking.route import Route, nodes_between
-from cmbot.walking.steps import plan_step, swinging_robot
-
-ARM_DEG = (-83.0, -166.0, 120.0, 30.0, 73.0, 62.0, -10.0)
-COUNTERWEIGHT_DEG = (3.1, -93.2, 148.1, 133.6, 54.8, 78.7, 5.7)
-CLAMP = {"kind": "clamp", "force_n": [2e4] * 3, "moment_nm": [2e3] * 3}
-
-
-def feet(first: float, second: float) -> dict[str, Any]:
-    ends = {"foot_1": first, "foot_2": second}
-    return {foot: {"member": "top_rail", "along_m": x, "turn_deg": 180} for foot, x in ends.items()}
-
-
-def scene_at(first: float, second: float, hold: dict[str, Any], **changes: Any) -> Scene:
-    begin = {"frame": "world", "xyz": [1.8, 0.78, -2.06], "rpy_deg": [0, 180, 0]}
-    return short_scene(
-        format="cmbot-scene/2",
-        posture_deg=list(ARM_DEG),
-        tool_path={"from": begin},
-        guardrail={"hold": hold, "stance": feet(first, second)},
-        **changes,
-    )
+from cmbot.walking.steps import swinging_robot
 
 
 @pytest.fixture(scope="module")
@@ -57,12 +39,8 @@ def node(scene: Scene) -> Candidate:
 
 
 @pytest.fixture(scope="module")
-def walked(scene: Scene, node: Candidate) -> Walk:
-    """A walk of one step of foot 1."""
-    after = stance_of(scene_at(4.09, 4.44, CLAMP))
-    moves = plan_step(scene, node, after, 1, np.radians(COUNTERWEIGHT_DEG), 0.03, straight=True)
-    step = Step(foot=1, before=node, after=after, moves=moves)
-    return Walk(scene=scene, goal=after, steps=(step,), last=None, failures=(), speed=0.03)
+def walked() -> Walk:
+    return one_step()
 
 
 def test_on_foot_2_it_is_the_same_robot() -> None:

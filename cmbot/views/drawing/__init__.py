@@ -1,6 +1,6 @@
 """What is drawn in 3-D: robot and bridge as meshes for the viewer, and how they bend."""
 
 from cmbot.views.drawing.bending import Bending, Intervals
-from cmbot.views.drawing.meshcat_scene import reach, scene_commands
+from cmbot.views.drawing.meshcat_scene import moving_robot_commands, reach, scene_commands
 
-__all__ = ["Bending", "Intervals", "reach", "scene_commands"]
+__all__ = ["Bending", "Intervals", "moving_robot_commands", "reach", "scene_commands"]

@@ -6,13 +6,14 @@ geometries have neither normals nor 16-bit arrays, and its identifiers contain t
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
 import umsgpack
 from numpy.typing import NDArray
 
+from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan
 from cmbot.robot import Robot
 from cmbot.scene import Scene, guardrail_obstacles
@@ -26,7 +27,7 @@ from cmbot.views.drawing.surfaces import (
     visual_surface,
 )
 
-__all__ = ["reach", "scene_commands"]
+__all__ = ["moving_robot_commands", "reach", "scene_commands"]
 
 MOST_ROBOT_FACES = 24_000
 MOST_OBSTACLE_FACES = 12_000
@@ -50,6 +51,11 @@ _TYPED_ARRAYS = {
 
 Command = dict[str, Any]
 
+_PLAIN: list[Command] = [
+    {"type": "set_property", "path": f"/{hidden}", "property": "visible", "value": False}
+    for hidden in ("Grid", "Axes", "Lights")
+]
+
 
 def scene_commands(plan: Plan) -> list[bytes]:
     """Return packed meshcat commands, for `MeshCat.Viewer.handle_command_bytearray`.
@@ -57,16 +63,40 @@ def scene_commands(plan: Plan) -> list[bytes]:
     The shapes of joint i (pinocchio's index; 0: the fixed base) are below ``/robot/i``, in the joint's frame;
     ``/rails``, ``/bridge``, ``/path`` and ``/left_out`` are in W. No name from a file is used.
     """
-    commands: list[Command] = [
-        {"type": "set_property", "path": f"/{hidden}", "property": "visible", "value": False}
-        for hidden in ("Grid", "Axes", "Lights")
-    ]
-    thick = 0.002 * reach(plan.robot)
+    robot = plan.robot
+    # A robot without visual shapes is drawn with its collision shapes.
+    shapes = list(robot.visual_model.geometryObjects) or list(robot.collision_model.geometryObjects)
+    thick = 0.002 * reach(robot)
     paths = [tube(stroke.task.path.outline(), thick) for stroke in plan.strokes]
-    commands += [*_robot(plan.robot), *_bridge(plan.scene), _set_mesh("/path", paths, PATH)]
+    commands = [*_PLAIN, *_robot(shapes, str(robot.urdf)), *_bridge(plan.scene)]
+    commands.append(_set_mesh("/path", paths, PATH))
     if plan.rows_left_out:
         left_out = [tube(points, thick) for points in plan.rows_left_out]
         commands.append(_set_mesh("/left_out", left_out, LEFT_OUT))
+    return [umsgpack.packb(command) for command in commands]
+
+
+def moving_robot_commands(
+    visual: Any, urdf: str, scene: Scene, ways: Sequence[FloatArray], length: float
+) -> list[bytes]:
+    """Return packed commands as `scene_commands` does, of a robot none of whose links is fixed.
+
+    Parameters
+    ----------
+    visual
+        Pinocchio's model of its shapes.
+    urdf : str
+        Its file.
+    scene : Scene
+        Its surroundings.
+    ways : sequence of (N, 3) arrays, m
+        Drawn as tubes, in W.
+    length : float, m
+        To which the tubes' thickness is scaled.
+    """
+    tubes = [tube(way, 0.002 * length) for way in ways]
+    shapes = list(visual.geometryObjects)
+    commands = [*_PLAIN, *_robot(shapes, urdf), *_bridge(scene), _set_mesh("/path", tubes, PATH)]
     return [umsgpack.packb(command) for command in commands]
 
 
@@ -75,10 +105,8 @@ def reach(robot: Robot) -> float:
     return max(robot.reach, SHORTEST_REACH)
 
 
-def _robot(robot: Robot) -> Iterator[Command]:
-    # A robot without visual shapes is drawn with its collision shapes.
-    shapes = list(robot.visual_model.geometryObjects) or list(robot.collision_model.geometryObjects)
-    surfaces = simplified([visual_surface(shape, str(robot.urdf)) for shape in shapes], MOST_ROBOT_FACES)
+def _robot(shapes: Sequence[Any], urdf: str) -> Iterator[Command]:
+    surfaces = simplified([visual_surface(shape, urdf) for shape in shapes], MOST_ROBOT_FACES)
     groups: dict[tuple[int, tuple[float, ...]], list[Surface]] = {}
     for shape, surface in zip(shapes, surfaces, strict=True):
         groups.setdefault((int(shape.parentJoint), tuple(shape.meshColor)), []).append(surface)

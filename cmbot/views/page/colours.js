@@ -80,7 +80,7 @@ class Colours {
         if (!ends.has(strains)) ends.set(strains, strains.at(u));
         material.color.setHex(0xffffff);
         this.paintVertices(part, ends.get(strains));
-      } else material.color.copy(kind === "load" && (loads[link] ?? null) !== null ? this.shade(loads[link]) : own);
+      } else material.color.copy(kind === "load" && Number.isFinite(loads[link] ?? NaN) ? this.shade(loads[link]) : own);
     }
     this.largest = Math.max(0, ...[...ends.values()].map((values) => values.reduce((most, each) => Math.max(most, each), 0)));
   }

@@ -1,0 +1,249 @@
+"""A walk from its file: read strictly, and every motion certified again."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Literal
+
+import numpy as np
+from pydantic import Field
+
+from cmbot.archive.folder import read_file
+from cmbot.archive.strict_json import read_json
+from cmbot.common.arrays import FloatArray
+from cmbot.common.errors import ArchiveError, CmbotError
+from cmbot.common.validation import FileModel, given_path, shown, validated
+from cmbot.robot import ARM_JOINTS, Climber, Side
+from cmbot.scene import Scene, SceneFile, StanceFile, foothold_pose, scene_from_file
+from cmbot.siting import Candidate, candidate_at, in_world
+from cmbot.trajectory import QuinticTrajectory
+from cmbot.walking import Kind, Move, Step, Walk, certified_move, stance_of
+
+__all__ = ["WALK_FILE", "load_walk"]
+
+WALK_FILE = "walk.json"
+# Moves join where they are nearer, rad; feet are where they should be, m; figures that are computed again.
+_SAME_POSTURE, _SAME_PLACE, _SAME, _SAME_ZERO = 1e-9, 1e-6, 1e-6, 1e-9
+_LARGEST = 200 * 1024 * 1024
+
+_Row = tuple[float, ...]
+_Seconds = Annotated[float, Field(ge=0)]
+
+
+class _KnotsFile(FileModel):
+    t: _Row
+    q: tuple[_Row, ...]
+    v: tuple[_Row, ...]
+    a: tuple[_Row, ...]
+
+
+class _CheckFile(FileModel):
+    quantity: str
+    time: float
+    value: float
+    bound: float
+    unit: str
+    at_least: bool
+
+
+class _MoveFile(FileModel):
+    kind: Kind
+    begin: _Seconds
+    seconds: _Seconds
+    holds: tuple[Side, ...]
+    joints: tuple[str, ...]
+    arm: Annotated[_Row, Field(min_length=len(ARM_JOINTS), max_length=len(ARM_JOINTS))]
+    knots: _KnotsFile
+    checks: tuple[_CheckFile, ...]
+
+
+class _StepFile(FileModel):
+    foot: Side
+    start: Annotated[str, Field(alias="from")]
+    to: str
+    before: StanceFile
+    after: StanceFile
+    moves: Annotated[tuple[_MoveFile, ...], Field(min_length=1)]
+
+
+class _PeakFile(FileModel):
+    peak: float
+    mode: str
+    time: float
+    foot: int
+
+
+class _WalkFile(FileModel):
+    format: Literal["cmbot-walk/1"]
+    cmbot: str
+    scene: SceneFile
+    goal: StanceFile
+    seconds: _Seconds
+    max_foot_speed: Annotated[float, Field(gt=0)]
+    adhesion_needed: _PeakFile | None
+    effort_used: float
+    steps: tuple[_StepFile, ...]
+    last: _MoveFile | None
+    words: tuple[str, ...]
+
+
+def load_walk(directory: str | Path) -> Walk:
+    """Read the walk of a folder that ``cmbot walk`` wrote, or part of a tour.
+
+    The steps have to lead from stance to stance without a jump, and every motion is certified again: what the
+    file says of it has to be what is found.
+
+    Parameters
+    ----------
+    directory : str or Path
+
+    Raises
+    ------
+    InputError
+        When `directory` is no path.
+    ArchiveError
+        When the file is missing, damaged, of another version, or contradicts itself or what is computed
+        again.
+    SceneError
+        When its scene is none.
+    LimitViolation
+        When a motion breaks a promise.
+    """
+    path = given_path(directory, "cmbot.load_walk", "directory", "the path of a folder") / WALK_FILE
+    data = read_json(read_file(path, _LARGEST), str(path))
+    file = validated(_WalkFile, data, str(path), ArchiveError)
+    scene = scene_from_file(file.scene, path.parent.resolve(), str(path))
+    reader = _Reader(str(path), scene, file.max_foot_speed)
+    steps = tuple(reader.step(step, f"steps[{k}]") for k, step in enumerate(file.steps))
+    goal = reader.node(file.goal, "goal")
+    reader.require_stance(goal, "goal")
+    last = None if file.last is None else reader.move(file.last, "last", "arm")
+    walk = Walk(scene=scene, goal=goal, steps=steps, last=last, failures=(), speed=file.max_foot_speed)
+    _require_figures(walk, file, str(path))
+    return walk
+
+
+@dataclass
+class _Reader:
+    """Follows a walk from move to move."""
+
+    source: str
+    scene: Scene
+    speed: float
+
+    def __post_init__(self) -> None:
+        self._world, self._climber = in_world(self.scene), Climber()
+        self._here = stance_of(self.scene)
+        self._arm, self._angles = np.array(self.scene.posture), self._here.climber
+        self._clock = 0.0
+
+    def node(self, file: StanceFile, key: str) -> Candidate:
+        """The stance of an entry; the climber has to reach both feet."""
+        guardrail = self.scene.guardrail
+        if file.climber_deg is None:
+            raise self._error(f"{key}.climber_deg", "nothing", "five angles")
+        places = [place for place in (file.foot_1, file.foot_2) if place is not None]
+        try:
+            poses = [foothold_pose(guardrail, place) for place in places]
+        except (KeyError, ValueError, IndexError) as error:
+            raise self._error(key, shown(str(error)), "places on the guardrail") from error
+        node = candidate_at(file.foot_1, file.foot_2, poses[0], np.radians(file.climber_deg), self._climber)
+        reached = node.root @ self._climber.poses(node.climber)[0]
+        if len(poses) > 1 and np.abs(reached - poses[1]).max() > _SAME_PLACE:
+            raise self._error(f"{key}.climber_deg", "other angles", "those that put foot 2 in its place")
+        return node
+
+    def require_stance(self, node: Candidate, key: str) -> None:
+        """The walk has to be in a stance."""
+        away = max(np.abs(node.root - self._here.root).max(), np.abs(node.climber - self._angles).max())
+        if away > _SAME_PLACE:
+            raise self._error(key, "another stance", "that in which the walk is then")
+
+    def step(self, file: _StepFile, key: str) -> Step:
+        before, after = self.node(file.before, f"{key}.before"), self.node(file.after, f"{key}.after")
+        self.require_stance(before, f"{key}.before")
+        self._here = before
+        holds: Side = 1 if file.foot == 2 else 2
+        moves = list[Move]()
+        for k, entry in enumerate(file.moves):
+            kind: Kind | None = "arm" if entry.kind == "arm" else None
+            if kind is None and entry.holds != (holds,):
+                raise self._error(f"{key}.moves[{k}].holds", shown(list(entry.holds)), f"[{holds}]")
+            moves.append(self.move(entry, f"{key}.moves[{k}]", kind))
+        stays = [node.root if holds == 1 else node.root @ self._foot_2(node) for node in (before, after)]
+        if np.abs(stays[0] - stays[1]).max() > _SAME_PLACE:
+            raise self._error(f"{key}.after", "another place", f"foot {holds} where it holds")
+        self._here = after
+        self.require_stance(after, f"{key}.after")
+        return Step(foot=file.foot, before=before, after=after, moves=tuple(moves))
+
+    def _foot_2(self, node: Candidate) -> FloatArray:
+        return self._climber.poses(node.climber)[0]
+
+    def move(self, file: _MoveFile, key: str, kind: Kind | None) -> Move:
+        """A move from where the walk is, which goes on where it ends."""
+        if kind is not None and file.kind != kind:
+            raise self._error(f"{key}.kind", file.kind, kind)
+        if abs(file.begin - self._clock) > _SAME * max(self._clock, 1.0):
+            raise self._error(
+                f"{key}.begin", f"{file.begin:g}", f"{self._clock:g}, where the one before ends"
+            )
+        arm, own = np.array(file.arm), {name: getattr(file.knots, name) for name in ("t", "q", "v", "a")}
+        self._require_posture(arm, self._arm, f"{key}.arm")
+        try:
+            trajectory = QuinticTrajectory(**{name: np.array(rows) for name, rows in own.items()})
+        except (CmbotError, ValueError) as error:
+            raise self._error(f"{key}.knots", shown(str(error)), "knots of a motion") from error
+        both: tuple[Side, ...] = (1,) if self._here.stance.foot_2 is None else (1, 2)
+        if file.kind == "arm" and file.holds != both:
+            raise self._error(f"{key}.holds", shown(list(file.holds)), shown(list(both)))
+        number = len(ARM_JOINTS) if file.kind == "arm" else len(self._angles)
+        if trajectory.q.shape[1] != number:
+            raise self._error(f"{key}.knots.q", f"{trajectory.q.shape[1]} columns", f"{number}")
+        move = certified_move(self._world, self._here, file.kind, file.holds, arm, trajectory, self.speed)
+        if move.robot.joints != file.joints:
+            raise self._error(f"{key}.joints", shown(list(file.joints)), shown(list(move.robot.joints)))
+        # On foot 2 the joints are in the other order.
+        turn = -1 if file.holds == (2,) else 1
+        first, end = trajectory.q[0][::turn], trajectory.q[-1][::turn]
+        self._require_posture(first, self._arm if file.kind == "arm" else self._angles, f"{key}.knots.q")
+        if file.kind == "arm":
+            self._arm = end
+        else:
+            self._angles = end
+        self._clock += trajectory.duration
+        self._require_checks(move, file, key)
+        return move
+
+    def _require_posture(self, found: FloatArray, expected: FloatArray, key: str) -> None:
+        if np.abs(found - expected).max() > _SAME_POSTURE:
+            raise self._error(key, "another posture", "that in which the move before ends")
+
+    def _require_checks(self, move: Move, file: _MoveFile, key: str) -> None:
+        names = tuple(check.quantity for check in file.checks)
+        again = move.segment.certificate.checks
+        if names != tuple(check.quantity for check in again):
+            raise self._error(f"{key}.checks", shown(list(names)), "the checks that are computed again")
+        for k, (read, check) in enumerate(zip(file.checks, again, strict=True)):
+            _require_same(self.source, f"{key}.checks[{k}].value", read.value, check.value)
+            _require_same(self.source, f"{key}.checks[{k}].bound", read.bound, check.bound)
+        _require_same(self.source, f"{key}.seconds", file.seconds, move.segment.duration)
+
+    def _error(self, key: str, got: str, expected: str) -> ArchiveError:
+        return ArchiveError(self.source, key, got, expected)
+
+
+def _require_figures(walk: Walk, file: _WalkFile, source: str) -> None:
+    _require_same(source, "seconds", file.seconds, walk.seconds)
+    _require_same(source, "effort_used", file.effort_used, walk.effort)
+    needed = walk.adhesion_needed
+    if (needed is None) != (file.adhesion_needed is None):
+        raise ArchiveError(source, "adhesion_needed", "another entry", "null only without a flat contact")
+    if needed is not None and file.adhesion_needed is not None:
+        _require_same(source, "adhesion_needed.peak", file.adhesion_needed.peak, needed.peak)
+
+
+def _require_same(source: str, key: str, read: float, again: float) -> None:
+    if not np.isclose(read, again, rtol=_SAME, atol=_SAME_ZERO):
+        raise ArchiveError(source, key, f"{read:g}", f"{again:g}, as computed again")

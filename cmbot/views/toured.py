@@ -1,0 +1,64 @@
+"""The page of `cmbot tour`: work and walks in their order, with a map, and the way to each one's own page."""
+
+from __future__ import annotations
+
+from html import escape
+from itertools import chain
+
+import numpy as np
+
+from cmbot.planning import Plan
+from cmbot.views.page import still_page, table
+from cmbot.views.report import REPORT
+from cmbot.views.walked import guardrail_map, steps_table
+from cmbot.walking import Tour, Walk, walk_samples
+
+__all__ = ["tour_page"]
+
+
+def tour_page(tour: Tour) -> str:
+    """Return an HTML page that opens no connection and runs no script.
+
+    Its links lead to the pages of the parts, in folders of their names beside it.
+
+    Parameters
+    ----------
+    tour : Tour
+    """
+    parts = list(tour.parts)
+    heads = ("", "what", "begins, s", "seconds", "peak torque, Nm", "adhesion needed, kN", "effort of joints")
+    rows = ((name, *_row(part, begin)) for name, begin, part in parts)
+    content = f"<section>{table(rows, heads, text_columns=2)}</section>"
+    samples = [list(walk_samples(each)) for each in tour.walks]
+    names = [", ".join(each.strokes) for each in tour.standings]
+    stances = [(each.candidate, name) for each, name in zip(tour.works, names, strict=True)]
+    content += f"<section>{guardrail_map(tour.plans[0].scene, [*chain(*samples)], stances)}</section>"
+    for name, _, part in parts:
+        page, what = (REPORT, "report") if isinstance(part, Plan) else ("replay.html", "replay")
+        content += f'<h2>{escape(name)}: {escape(_what(part))}</h2><p><a href="{name}/{page}">{what}</a></p>'
+        if isinstance(part, Plan):
+            each = table(part.rows(), ("", "baseline", "planned"))
+        else:
+            said = "".join(f"<p>{escape(sentence)}</p>" for sentence in part.in_words())
+            each = said + steps_table(part, samples[tour.walks.index(part)])
+        content += f"<section>{each}</section>"
+    return still_page(f"Tour: {tour.name}", tour.in_words(), content)
+
+
+def _what(part: Plan | Walk) -> str:
+    if isinstance(part, Plan):
+        return ", ".join(str(stroke.name) for stroke in part.scene.each_stroke)
+    return f"{len(part.steps)} steps"
+
+
+def _row(part: Plan | Walk, begin: float) -> tuple[str, ...]:
+    if isinstance(part, Plan):
+        figures, seconds = part.job.figures, part.job.duration
+        torque, needed = f"{figures.peak_guardrail_torque:.1f}", figures.adhesion_needed
+        effort = figures.limit_use.torque
+    else:
+        seconds, needed, effort = part.seconds, part.adhesion_needed, part.effort
+        peaks = [move.segment.figures.peak_guardrail_torque for move in part.moves]
+        torque = f"{np.max(peaks, initial=0.0):.1f}"
+    adhesion = "" if needed is None else f"{needed.peak / 1e3:.2f}"
+    return (_what(part), f"{begin:.1f}", f"{seconds:.1f}", torque, adhesion, f"{100 * effort:.0f} %")

@@ -1,0 +1,183 @@
+"""A walk in 3-D: the whole robot on its feet, which are coloured by the share of what they can bear."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from cmbot.common.arrays import FloatArray
+from cmbot.common.installation import model_folder
+from cmbot.planning import robot_of
+from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
+from cmbot.views.drawing import moving_robot_commands, reach
+from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
+from cmbot.views.replay_data import MOST_POSES
+from cmbot.walking import Walk, WalkSamples, walk_samples
+
+__all__ = ["walk_replay_page"]
+
+_ONLY = "planned"  # the name of the one motion
+_JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)
+
+
+def walk_replay_page(walk: Walk) -> str:
+    """Return an HTML page that shows a walk moving, in 3-D.
+
+    It contains meshcat's viewer and all data; its content security policy forbids every connection and every
+    script but its own two. The same walk gives the same page.
+
+    Parameters
+    ----------
+    walk : Walk
+    """
+    return assemble(
+        "walk.html",
+        styles=("common.css", "replay.css"),
+        scripts=(*STAGE_SCRIPTS, "walk.js"),
+        data=_data(walk),
+        texts={"title": escape(f"Walk: {walk.scene.name}")},
+    )
+
+
+def _data(walk: Walk) -> dict[str, Any]:
+    """The page's data, ready for JSON: one motion, of all links with a foot as their root, at equal times."""
+    body, samples = _Body(), list(walk_samples(walk))
+    seconds = walk.seconds
+    times = np.linspace(0.0, seconds, max(min(int(seconds / 0.1), MOST_POSES // len(body.links)), 1) + 1)
+    poses = body.poses(
+        _at(times, samples, "root"), _at(times, samples, "climber"), _at(times, samples, "arm")
+    )
+    frames = len(times)
+    feet = np.concatenate([part.feet for part in samples])
+    robot = robot_of(walk.scene)
+    motion = {
+        "poses": pack(poses),
+        "torque": pack(np.zeros((frames, 3))),
+        "clearance": pack(np.full(frames, np.nan)),
+        "near": pack(np.zeros((frames, 6))),
+        "pair": pack(np.full(frames, -1.0)),
+        "q": pack(np.hstack([_at(times, samples, "climber"), _at(times, samples, "arm")])),
+        "u": None,
+        "load": pack(_loads(times, samples, body.links)),
+        "hold": None,
+        "tool": pack(poses[:, -1, :3]),
+        "error": None,
+        "peakTorque": 1.0,
+        "minClearance": None,
+    }
+    return {
+        "title": walk.scene.name,
+        "robot": robot.name,
+        "motions": [_ONLY],
+        "names": {_ONLY: "walk"},
+        "start": 0.0,
+        "workStart": 0.0,
+        "workEnd": seconds,
+        "end": seconds,
+        "foot": feet[0, 0].tolist(),
+        "label": "walk",
+        "links": list(body.links),
+        "parts": _parts(walk),
+        "approach": None,
+        "return": None,
+        "rest": None,
+        "floor": None,
+        "margin": walk.scene.planner.safety_margin_m,
+        _ONLY: motion,
+        "bending": None,
+        "pairs": [],
+        "pairJoints": [],
+        "focus": _focus(poses[..., :3].reshape(-1, 3)),
+        "reach": reach(robot),
+        "commands": [
+            base64.b64encode(command).decode("ascii")
+            for command in moving_robot_commands(
+                body.visual, body.urdf, walk.scene, [feet[:, foot] for foot in (0, 1)], robot.reach
+            )
+        ],
+    }
+
+
+class _Body:
+    """The whole robot with foot 1 as a free root."""
+
+    def __init__(self) -> None:
+        self.urdf = str(model_folder() / "urdf" / "cmbot.urdf")
+        self.model = pin.buildModelFromUrdf(self.urdf, pin.JointModelFreeFlyer())
+        folder = str(model_folder() / "urdf")
+        self.visual = pin.buildGeomFromUrdf(self.model, self.urdf, pin.GeometryType.VISUAL, None, folder)
+        bodies = [frame for frame in self.model.frames if frame.type == pin.FrameType.BODY]
+        joints = range(1, self.model.njoints)
+        self.links = [next(str(body.name) for body in bodies if body.parentJoint == k) for k in joints]
+        self._at = [self.model.joints[self.model.getJointId(name)].idx_q for name in _JOINTS]
+
+    def poses(self, root: FloatArray, climber: FloatArray, arm: FloatArray) -> FloatArray:
+        """Poses (N, n, 7) of the links in W; `root` (N, 7) are those of foot 1."""
+        data, q = self.model.createData(), pin.neutral(self.model)
+        found = np.empty((len(root), self.model.njoints - 1, 7))
+        for k, angles in enumerate(np.hstack([climber, arm])):
+            q[:7], q[self._at] = root[k], angles
+            pin.forwardKinematics(self.model, data, q)
+            found[k] = [pin.SE3ToXYZQUAT(X) for X in list(data.oMi)[1:]]
+        return found
+
+
+def _at(times: FloatArray, samples: list[WalkSamples], name: str) -> FloatArray:
+    """Values of the samples at times (F,): those of the move that is on then."""
+    values, begins = [], np.array([part.t[0] for part in samples])
+    which = np.searchsorted(begins, times, side="right") - 1
+    for k, part in enumerate(samples):
+        some, own = times[which == k], getattr(part, name)
+        own = own.reshape(len(part.t), -1)
+        values.append(np.stack([np.interp(some, part.t, column) for column in own.T], axis=1))
+    return np.concatenate(values)
+
+
+def _loads(times: FloatArray, samples: list[WalkSamples], links: list[str]) -> FloatArray:
+    """Shares (F, n) of what feet and moving joints can bear; NaN where it is not known."""
+    found = np.full((len(times), len(links)), np.nan)
+    joints = {name: k for k, name in enumerate(_JOINTS)}
+    moved = [link_of(name) for name in _JOINTS]
+    effort, share = _at(times, samples, "effort"), _at(times, samples, "share")
+    for name, link in zip(_JOINTS, moved, strict=True):
+        if link in links:
+            found[:, links.index(link)] = effort[:, joints[name]]
+    for foot in (1, 2):
+        found[:, links.index(f"foot_{foot}")] = share[:, foot - 1]
+    return found
+
+
+def link_of(joint: str) -> str:
+    """Return the link that a joint of the shipped robot moves."""
+    number = int(joint.rpartition("_")[2])
+    climber = ("ankle_1", "leg_1", "leg_2", "ankle_2", "foot_2")
+    return climber[number - 1] if joint.startswith("climb") else f"link_{number}"
+
+
+def _parts(walk: Walk) -> list[list[Any]]:
+    """Begin, words and what the feet do of each move."""
+    number = {id(move): k for k, step in enumerate(walk.steps, start=1) for move in step.moves}
+    words = {"arm": "the arm moves", "lift": "lifts", "swing": "swings", "set": "is set down"}
+    parts = list[list[Any]]()
+    for move, begin in zip(walk.moves, walk.begins, strict=True):
+        step = f"step {number[id(move)]} of {len(walk.steps)}" if id(move) in number else "at the end"
+        goes = "" if move.kind == "arm" else f"foot {2 if move.holds == (1,) else 1} "
+        # What is said of a foot of which no share is known.
+        held = ["holds" if foot in move.holds else "free" for foot in (1, 2)]
+        parts.append([begin, f"{step}: {goes}{words[move.kind]}", held])
+    return parts
+
+
+def _focus(points: FloatArray) -> dict[str, Any]:
+    low, high = points.min(axis=0), points.max(axis=0)
+    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
+    return {
+        "centre": ((low + high) / 2).tolist(),
+        "radius": float(np.linalg.norm(high - low)) / 2,
+        "points": corners.tolist(),
+        "azimuth": np.pi / 3,
+    }

@@ -1,0 +1,78 @@
+"""Walks read back: as they were, and refused where the file contradicts itself or what is computed again."""
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from walks import one_step
+
+from cmbot.archive import json_bytes, load_walk
+from cmbot.common.errors import ArchiveError, LimitViolation
+from cmbot.walking import walk_data
+
+
+@pytest.fixture(scope="module")
+def data() -> dict[str, Any]:
+    return json.loads(json_bytes(walk_data(one_step())))
+
+
+def written(data: dict[str, Any], folder: Path) -> Path:
+    (folder / "walk.json").write_bytes(json_bytes(data))
+    return folder
+
+
+def test_a_walk_is_read_as_it_was_written(data: dict[str, Any], tmp_path: Path) -> None:
+    again = json.loads(json_bytes(walk_data(load_walk(written(data, tmp_path)))))
+    assert again["words"] == data["words"]
+    (step,), (other,) = data["steps"], again["steps"]
+    assert (other["from"], other["to"], other["foot"]) == (step["from"], step["to"], step["foot"])
+    for one, two in zip(step["moves"], other["moves"], strict=True):
+        assert all(one[name] == two[name] for name in ("kind", "holds", "joints", "arm", "knots", "begin"))
+
+
+CHANGES: list[tuple[Callable[[dict[str, Any]], object], str]] = [
+    (lambda d: d.update(format="cmbot-walk/2"), "format: got"),
+    (lambda d: d.update(colour="red"), "colour"),
+    (lambda d: d.pop("goal"), "goal"),
+    (lambda d: d["steps"][0]["before"]["foot_1"].update(along_m=4.0), "steps[0].before.climber_deg"),
+    (lambda d: d["steps"][0].update(before=d["steps"][0]["after"]), "steps[0].before: got another stance"),
+    (lambda d: d["steps"][0].update(after=d["steps"][0]["before"]), "steps[0].after: got another stance"),
+    (lambda d: d.update(goal=d["steps"][0]["before"]), "goal: got another stance"),
+    (lambda d: d["steps"][0]["moves"].pop(1), "steps[0].moves[1].begin"),
+    (lambda d: d["steps"][0]["moves"][0].update(holds=[1]), "steps[0].moves[0].holds: got [1]"),
+    (lambda d: d["steps"][0]["moves"][0]["arm"].__setitem__(0, 0.0), "steps[0].moves[0].arm"),
+    (lambda d: d["steps"][0]["moves"][0].update(arm=[0.0]), "steps[0].moves[0].arm"),
+    (lambda d: d["steps"][0]["moves"][0]["joints"].reverse(), "steps[0].moves[0].joints"),
+    (lambda d: d["steps"][0]["moves"][0]["knots"]["t"].reverse(), "steps[0].moves[0].knots"),
+    (lambda d: d["steps"][0]["moves"][0]["checks"].pop(), "steps[0].moves[0].checks"),
+    (lambda d: d["steps"][0]["moves"][0]["checks"][0].update(value=0.5), "moves[0].checks[0].value: got 0.5"),
+    (lambda d: d.update(effort_used=0.1), "effort_used: got 0.1"),
+    (lambda d: d["adhesion_needed"].update(peak=1.0), "adhesion_needed.peak: got 1"),
+]
+
+
+@pytest.mark.parametrize(("change", "says"), CHANGES)
+def test_what_contradicts_is_refused(
+    data: dict[str, Any], tmp_path: Path, change: Callable[[dict[str, Any]], object], says: str
+) -> None:
+    forged = json.loads(json.dumps(data))
+    change(forged)
+    with pytest.raises(ArchiveError, match=re.escape(says)):
+        load_walk(written(forged, tmp_path))
+
+
+def test_a_motion_that_breaks_a_promise_is_refused(data: dict[str, Any], tmp_path: Path) -> None:
+    forged = json.loads(json.dumps(data))
+    knots = forged["steps"][0]["moves"][1]["knots"]
+    knots["q"] = (np.array(knots["q"]) + 0.3 * (np.arange(len(knots["t"])) == 1)[:, None]).tolist()
+    with pytest.raises((LimitViolation, ArchiveError)):
+        load_walk(written(forged, tmp_path))
+
+
+def test_no_walk(tmp_path: Path) -> None:
+    with pytest.raises(ArchiveError, match=r"walk\.json"):
+        load_walk(tmp_path)

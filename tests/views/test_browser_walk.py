@@ -1,0 +1,35 @@
+"""The walk's replay in a browser: the robot where the walk has it, what its feet bear."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from browser import ask, next_frame, open_page, severe_messages
+from command_line import run
+from selenium.webdriver import Chrome
+from walks import one_step
+
+from cmbot.archive import json_bytes
+from cmbot.walking import walk_data, walk_samples
+
+pytestmark = pytest.mark.browser
+
+
+def test_the_walk_is_shown(chrome: Chrome, tmp_path: Path) -> None:
+    (tmp_path / "walk.json").write_bytes(json_bytes(walk_data(one_step())))
+    done = run("replay", tmp_path)
+    assert done.status == 0, done.err
+    open_page(chrome, tmp_path / "replay.html")
+    parts = list(walk_samples(one_step()))
+    part, at = parts[1], 7
+    chrome.execute_script("cmbotReplay.seek(arguments[0])", float(part.t[at]))
+    next_frame(chrome)
+    for k in (1, 2):
+        pose = chrome.execute_script("return cmbotReplay.pose(arguments[0], 'planned')", f"foot_{k}")
+        np.testing.assert_allclose(np.reshape(pose, (4, 4))[:3, 3], part.feet[at, k - 1], atol=2e-3)
+    texts = ask(
+        chrome, "['subtitle', 'foot-1', 'foot-2'].map((id) => document.getElementById(id).textContent)"
+    )
+    assert texts[:2] == ["step 1 of 1: foot 1 swings", "free"]
+    assert texts[2] == f"{100 * part.share[at, 1]:.0f} %"
+    assert severe_messages(chrome) == []
