@@ -81,7 +81,9 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     allowed, off = plan.options.max_tool_deviation_m, tracking.planned.largest_off_path
     bound = f"{1e3 * allowed:g} mm (max_tool_deviation_m)"
     if off <= allowed:
-        return f"Within the margin: bent as it is, the tool stays within {bound} of its path."
+        return (
+            f"Within the margin: bent as it is, the tool stays within {bound} of its path.{_certified(plan)}"
+        )
     text = f"Not within the margin: bent as it is, the tool leaves its path by more than {bound}"
     if _largest_execution(tracking.planned) > allowed:
         driven = 1e3 * _largest_execution(tracking.planned)
@@ -89,10 +91,23 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     if plan.options.compensate:
         sags = tracking.planned.largest(tracking.planned.static) > allowed
         why = "what bends here is not what was planned with" if sags else "beside it, it sways"
-        return f"{text}, though the foreseen sag is compensated: {why}."
+        return f"{text}, though the foreseen sag is compensated: {why}.{_certified(plan)}"
     if tracking.planned.largest(tracking.planned.dynamic) <= allowed:
         return f"{text}. That is sag, which can be foreseen: with compensate: true the plan makes up for it."
     return f"{text}. With compensate: true the plan makes up for the sag, not for the swaying."
+
+
+def _certified(plan: Plan) -> str:
+    """What the plan's own figure includes, where it compensates the sag."""
+    if not plan.options.compensate:
+        return ""
+    value = max(check.value for _, check in plan.job.checks() if "tool deviation" in check.quantity)
+    sigmas = plan.options.deviation_sigmas
+    spread = f" and {sigmas:g} of the standard deviations of its stiffness" if sigmas else ""
+    return (
+        f" What the plan certifies, {1e3 * value:.2f} mm, is the arm at rest in every posture{spread}; the "
+        "simulation has this one stiffness, and the swaying in it."
+    )
 
 
 def interval_rows(plan: Plan, tracking: Tracking) -> Iterator[tuple[str, ...]]:
