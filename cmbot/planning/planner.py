@@ -3,24 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import partial
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import InputError, LimitViolation, PathNotFound, PlanningError
+from cmbot.common.errors import InputError, LimitViolation, PlanningError
 from cmbot.common.validation import checked_options, require_type
 from cmbot.common.watching import watched
 from cmbot.optimization import ExchangeReport
 from cmbot.planning.certification.certificate import certify
-from cmbot.planning.certification.metrics import figures, measure
 from cmbot.planning.context import PlanningContext, build_context
 from cmbot.planning.failures import constraints_named, in_keys, slower, slower_legs
-from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, Compensation, compensate
-from cmbot.planning.flexibility.vibration_suppression import VibrationSuppression, suppress_vibration
+from cmbot.planning.flexibility.sag_compensation import MOST_ROUNDS, compensate
+from cmbot.planning.flexibility.vibration_suppression import suppress_vibration
 from cmbot.planning.free_motion.approach import plan_approach
 from cmbot.planning.free_motion.free_move import largest_objective
 from cmbot.planning.free_motion.return_move import SAME_POSTURE, plan_return
@@ -28,7 +25,6 @@ from cmbot.planning.initial_guess import initial_guess, leaps_told, sliding_gues
 from cmbot.planning.job import Job, Segment
 from cmbot.planning.objectives import WrenchFunction
 from cmbot.planning.path.first_posture import starting_at_path
-from cmbot.planning.path.gradient_projection import follow_path
 from cmbot.planning.path.raster_reach import reached_scene
 from cmbot.planning.precheck import (
     failures_explained,
@@ -38,11 +34,12 @@ from cmbot.planning.precheck import (
     solver_of,
 )
 from cmbot.planning.progress import Progress, ProgressReporter
-from cmbot.planning.result.plan import Plan, Seconds
-from cmbot.planning.result.stroke_plan import Start, StrokePlan, objective_metrics
+from cmbot.planning.result.composition import StrokeMotion, composed, suppresses_vibration
+from cmbot.planning.result.plan import Plan
+from cmbot.planning.result.stroke_plan import Start
 from cmbot.planning.retries import Attempt, with_retries
 from cmbot.planning.stroke_order import in_least_travel
-from cmbot.planning.torque import Optimised, optimise, segments
+from cmbot.planning.torque import optimise, segments
 from cmbot.scene import PlannerOptions, Scene
 
 __all__ = ["plan"]
@@ -122,10 +119,10 @@ def plan(
             require_reasonable_size(scene, stroke, context.robot.dof, options)
             require_tool_speed(scene, stroke)
             require_within_reach(context.at_stroke(number, scene, context.posture, 0.0, 0.0))
-        made: list[tuple[Attempt, _Motion]] = []
+        made: list[tuple[Attempt, StrokeMotion]] = []
         for number in range(len(context.strokes)):
             made.append(_stroke(_at_stroke(context, scene, number, made), automatic=automatic))
-        return _plan(scene, made, custom=objective is not None)
+        return composed(scene, made, custom=objective is not None)
 
 
 def _in_best_order(
@@ -162,7 +159,7 @@ def _in_best_order(
 
 
 def _at_stroke(
-    context: PlanningContext, scene: Scene, number: int, made: Sequence[tuple[Attempt, _Motion]]
+    context: PlanningContext, scene: Scene, number: int, made: Sequence[tuple[Attempt, StrokeMotion]]
 ) -> PlanningContext:
     """The context of a stroke after those that are planned."""
     left = len(context.strokes) - number
@@ -178,7 +175,7 @@ def _at_stroke(
     return context.at_stroke(number, scene, before.trajectory.q[-1], before.end, reached)
 
 
-def _stroke(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
+def _stroke(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, StrokeMotion]:
     """Plan a stroke and the free moves that go with it."""
     try:
         if context.stroke.begins_elsewhere:
@@ -192,7 +189,7 @@ def _stroke(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Mot
         raise
 
 
-def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Motion]:
+def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, StrokeMotion]:
     if context.task.path.open_legs:
         # Imported where needed: SciPy's splines and linear programs take a while to load.
         from cmbot.planning.timing.shortest_time import in_shortest_time
@@ -205,7 +202,7 @@ def _search(context: PlanningContext, *, automatic: bool) -> tuple[Attempt, _Mot
     return _lighter(*with_retries(first, _certified_motion))
 
 
-def _lighter(attempt: Attempt, motion: _Motion) -> tuple[Attempt, _Motion]:
+def _lighter(attempt: Attempt, motion: StrokeMotion) -> tuple[Attempt, StrokeMotion]:
     """The motion from the scene's posture in place of one whose approach asks more than all of that does.
 
     The peak over the whole job counts: a better start is none where the way there is worse.
@@ -284,140 +281,6 @@ def _hints(context: PlanningContext, failure: PlanningError, *, automatic: bool)
             return
 
 
-def _plan(scene: Scene, made: Sequence[tuple[Attempt, _Motion]], *, custom: bool) -> Plan:
-    """Return the plan of a job's motions, beside the baseline."""
-    context = made[0][0].context
-    strokes, at = list[StrokePlan](), None
-    for attempt, motion in made:
-        strokes.append(_stroke_plan(attempt, motion, at, custom=custom))
-        at = strokes[-1].baseline.q[-1]
-    shares = [attempt.guess.search.step_share for attempt, _ in made if attempt.guess.search is not None]
-    return Plan.of(
-        strokes,
-        context.clearances,
-        scene=_as_planned(scene, [attempt.context for attempt, _ in made]),
-        options=replace(context.options, step_share=min(shares)) if shares else context.options,
-        robot=context.robot,
-        job=Job(segments=tuple(segment for _, motion in made for segment in motion.job.segments)),
-        sag=context.sag,
-        fallbacks=tuple(_all_fallbacks(made)),
-        seconds=Seconds(**context.reporter.seconds()),
-    )
-
-
-def _as_planned(scene: Scene, contexts: Sequence[PlanningContext]) -> Scene:
-    """The scene with the number of via-points and the time laws that each stroke was planned with."""
-    changes: list[dict[str, Any]] = [{} for _ in contexts]
-    for stroke, context, changed in zip(scene.each_stroke, contexts, changes, strict=True):
-        if len(context.times) != stroke.via_points:
-            changed["via_points"] = len(context.times)
-        if context.stroke.file.time_laws != stroke.time_laws:
-            changed["time_laws"] = context.stroke.file.time_laws
-    if not any(changes):
-        return scene
-    if scene.strokes is None:
-        return replace(scene, **changes[0])
-    strokes = (each.model_copy(update=new) for each, new in zip(scene.strokes, changes, strict=True))
-    return replace(scene, strokes=tuple(strokes))
-
-
-def _stroke_plan(attempt: Attempt, motion: _Motion, at: FloatArray | None, *, custom: bool) -> StrokePlan:
-    """What is planned of a stroke, beside the baseline from the posture `at` (n,), by default the scene's."""
-    context, guess, options = attempt.context, attempt.guess, attempt.context.options
-    # The comparison is with the paper's motion from the scene's own posture, obstacles or not.
-    path = follow_path(
-        context if at is None else _starting_near(context, at),
-        stop_at_obstacles=False,
-        report=partial(context.reporter.part, "following the tool path as the baseline does"),
-    )
-    baseline = measure(
-        context.robot, context.task, context.clearances, path.t, path.motion(), clearance=path.clearance
-    )
-    baseline_figures = figures(context.robot, baseline)
-    bound = guess.lower_bound if guess.search is not None else None
-    if bound is not None and context.sag is None:
-        at_rest = context.objective.at_rest(context.postures.at(motion.optimised.via_points))
-        bound = bound.met(at_rest)
-    objective = objective_metrics(
-        context.objective,
-        options,
-        own=custom,
-        baseline=(baseline_figures, baseline),
-        planned=(motion.work.figures, motion.work.trajectory),
-        floor=None if bound is None else bound.value,
-    )
-    return StrokePlan(
-        name=context.stroke.name,
-        task=context.task,
-        start=motion.start,
-        baseline=baseline,
-        baseline_figures=baseline_figures,
-        drift=float(path.drift.max()),
-        smallest_singular_value=float(path.singular_value.min()),
-        passes=motion.optimised.passes,
-        objective=objective,
-        lower_bound=bound,
-        choice=guess.choice,
-        compensation=motion.compensation,
-        quieting=motion.quieting,
-    )
-
-
-def _starting_near(context: PlanningContext, q: FloatArray) -> PlanningContext:
-    """The context of a stroke that starts in the admissible posture nearest to `q` (n,)."""
-    try:
-        return starting_at_path(replace(context, posture=q))
-    except PathNotFound:
-        # What was planned starts in one.
-        return context
-
-
-def _quiets(options: PlannerOptions) -> bool:
-    return options.knots == "sliding" and options.quiet_modes > 0
-
-
-def _all_fallbacks(made: Sequence[tuple[Attempt, _Motion]]) -> Iterator[str]:
-    for attempt, motion in made:
-        of = f"Stroke {attempt.context.stroke.name}: " if len(made) > 1 else ""
-        for fallback in _fallbacks(attempt, motion):
-            yield of + fallback
-
-
-def _fallbacks(attempt: Attempt, motion: _Motion) -> Iterator[str]:
-    """What failed, or was left out, on the way to a motion."""
-    yield from attempt.fallbacks
-    context, optimised = attempt.context, motion.optimised
-    limit = f"{context.options.time_limit_s:g} s (planner.time_limit_s)"
-    if not optimised.complete:
-        expired = context.reporter.expired()
-        why = f"Stopped after {limit}" if expired else "The last stage of the optimisation failed"
-        yield f"{why}: the best motion so far."
-    if context.arm is not None and _quiets(context.options) and motion.quieting is None:
-        yield f"The vibration at the ends of the legs is not suppressed: the time, {limit}, was over."
-    if why := optimised.whole_because:
-        yield f"The path was optimised as a whole, as a segment failed ({why}): that took longer."
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Motion:
-    """The optimised and certified motion of a job."""
-
-    optimised: Optimised
-    compensation: Compensation | None
-    quieting: VibrationSuppression | None
-    start: Start
-    job: Job
-
-    @property
-    def work(self) -> Segment:
-        return self.job.strokes[0]
-
-    @property
-    def approach(self) -> Segment | None:
-        first = self.job.segments[0]
-        return first if first.kind == "free" else None
-
-
 def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | None:
     """The return of a job after what is planned of it."""
     if context.end_posture is None:
@@ -427,7 +290,7 @@ def _return(context: PlanningContext, before: tuple[Segment, ...]) -> Segment | 
     return plan_return(context, work.trajectory.q[-1], begin=work.end, allowed=allowed)
 
 
-def _certified_motion(attempt: Attempt) -> _Motion:
+def _certified_motion(attempt: Attempt) -> StrokeMotion:
     context, guess = attempt.context, attempt.guess
     reporter, options = context.reporter, context.options
     reporter.stage("optimise")
@@ -445,7 +308,7 @@ def _certified_motion(attempt: Attempt) -> _Motion:
             optimised = optimise(problem, each_pass)
         if context.sag is not None:
             optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
-    if context.arm is not None and _quiets(options):
+    if context.arm is not None and suppresses_vibration(options):
         optimised, quieting = suppress_vibration(context.arm, problem, optimised)
 
     reporter.stage("certify")
@@ -483,7 +346,7 @@ def _certified_motion(attempt: Attempt) -> _Motion:
     before = () if approach is None else (approach,)
     back = _return(context, (*before, work))
     after = () if back is None else (back,)
-    return _Motion(
+    return StrokeMotion(
         optimised=optimised,
         compensation=compensation,
         quieting=quieting,
