@@ -17,6 +17,7 @@ from cmbot.views.charts import MOST_SMALL_POINTS, ROOM, Chart, Curve, joint_axes
 from cmbot.views.drawing import Bending, reach, scene_commands
 from cmbot.views.page import STAGE_SCRIPTS, assemble, table
 from cmbot.views.replay_data import (
+    ARROW,
     FRAME_STEP,
     MOST_POSES,
     Frames,
@@ -119,6 +120,7 @@ def _data(first: Plan, plans: Mapping[str, Plan], names: Mapping[str, str]) -> d
         "pairJoints": pair_joints(first.robot, pairs),
         "focus": focus_of(first, list(plans.values())),
         "reach": reach(first.robot),
+        "arrow": ARROW * reach(first.robot),
         "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(first)],
         "charts": [chart.data() for chart in _charts(first, plans)],
         "jointCharts": small,

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from scipy.spatial.transform import Rotation
 
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
@@ -31,8 +32,9 @@ from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.drawing import Bending, Intervals, reach, scene_commands
 from cmbot.views.page import pack, pack_exactly
 
-__all__ = ["Frames", "focus_of", "frame_times", "link_names", "pair_joints", "replay_data"]
+__all__ = ["ARROW", "Frames", "focus_of", "frame_times", "link_names", "pair_joints", "replay_data"]
 
+ARROW = 0.32  # of the largest torque, as a share of the reach
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
 _BETWEEN = " – "  # two names of a pair
@@ -105,6 +107,7 @@ def replay_data(plan: Plan, tracking: Tracking | None = None) -> dict[str, Any]:
         "pairJoints": pair_joints(plan.robot, frames.pairs),
         "focus": focus_of(plan, [plan]),
         "reach": reach(plan.robot),
+        "arrow": ARROW * reach(plan.robot),
         "commands": [base64.b64encode(command).decode("ascii") for command in scene_commands(plan)],
     }
 
@@ -218,6 +221,24 @@ def _poses(robot: Robot, q: FloatArray) -> FloatArray:
     return poses
 
 
+def _corners(robot: Robot, q: FloatArray) -> FloatArray:
+    """Origins of the joint frames, and corners of boxes about the links' shapes, in W (K, 3)."""
+    poses = _poses(robot, q)
+    found = [poses[..., :3].reshape(-1, 3)]
+    for shape in robot.collision_model.geometryObjects:
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        corners = corners * (box.max_ - box.min_) + box.min_
+        corners = corners @ shape.placement.rotation.T + shape.placement.translation
+        if shape.parentJoint:
+            pose = poses[:, shape.parentJoint - 1]
+            turned = Rotation.from_quat(pose[:, 3:]).as_matrix() @ corners.T
+            corners = (turned.transpose(0, 2, 1) + pose[:, None, :3]).reshape(-1, 3)
+        found.append(corners)
+    return np.concatenate(found)
+
+
 def pair_joints(robot: Robot, pairs: Iterable[str]) -> list[list[int]]:
     """Return the joints that carry the two shapes of pairs of `Frames`: 0 for the base, -1 for none."""
     bodies = {frame.name: int(frame.parentJoint) for frame in robot.model.frames}
@@ -322,16 +343,20 @@ def _on(segments: Sequence[Segment | BaselineSegment]) -> list[tuple[float, floa
 
 
 def focus_of(plan: Plan, plans: Sequence[Plan]) -> dict[str, Any]:
-    """Return points that the view shows (foot, path, the arm's joints), a ball about them, an azimuth.
+    """Return points that the view shows (arm, path, the torque's arrow), a ball about them, an azimuth.
 
     All in W, m; of the points those that enclose the others along many directions.
     """
     motions = [plan.baseline.q]
     motions += [segment.trajectory.q for each in plans for segment in each.job.segments]
-    points = [np.array([plan.robot.foot_point]), plan.baseline.tool_point]
+    torques = [plan.baseline.guardrail_torque, *(each.job_samples[0].guardrail_torque for each in plans)]
+    torque = np.concatenate(torques)
+    largest = max(float(np.linalg.norm(torque, axis=1).max()), 1e-9)
+    foot = np.array([plan.robot.foot_point])
+    points = [foot, foot + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
     points += [each.samples.tool_point for each in plans]
     points += [stroke.task.path.outline() for each in plans for stroke in each.strokes]
-    points += [_poses(plan.robot, q[:: max(1, len(q) // 50)])[..., :3].reshape(-1, 3) for q in motions]
+    points += [_corners(plan.robot, q[:: max(1, len(q) // 50)]) for q in motions]
     cloud = np.concatenate(points)
     low, high = cloud.min(axis=0), cloud.max(axis=0)
     radius = max(float(np.linalg.norm(high - low)) / 2, 1e-3)

@@ -253,18 +253,23 @@ def _tracking_card(plan: Plan, tracking: Tracking) -> Headline:
     before, after = (1e3 * (m.path if compensated else m.total).rms[3] for m in motions)
     residuals = [m.residual for m in motions if m.residual is not None]
     off = tracking.planned.largest_off_path
-    detail = f"elastic arm, at most {1e3 * off:.1f} mm off its path; bound {1e3 * bound:g} mm"
+    detail = f"elastic arm, at most {_millimetres(1e3 * off)} mm off its path; bound {1e3 * bound:g} mm"
     if len(residuals) == 2:
         swings = " → ".join(f"{1e3 * residual.diameter:.2f}" for residual in residuals)
         detail += f"; residual vibration {swings} mm"
     return Headline(
         title="Elastic tool off its path, RMS" if compensated else "Tracking error, RMS",
-        before=f"{before:.1f}",
-        value=f"{after:.1f} mm",
+        before=_millimetres(before),
+        value=f"{_millimetres(after)} mm",
         detail=detail,
         # No gain where the bent tool leaves its path by more than it may.
         state="plain" if off > bound and after < before else _compared(before, after, kept=True),
     )
+
+
+def _millimetres(value: float) -> str:
+    """A deflection; those of stiff bases are small."""
+    return f"{value:.1f}" if value >= 1 else f"{value:.2f}"
 
 
 def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:

@@ -18,6 +18,7 @@ from cmbot.views.drawing.surfaces import (
     cylinder,
     hull,
     merged,
+    simplified,
     tube,
     visual_surface,
 )
@@ -122,3 +123,22 @@ def test_the_robot_is_shaded_as_trimesh_would(cmbot_robot: Robot) -> None:
         )
         order = [np.lexsort(np.round(rows[:, :9], 9).T) for rows in (ours, theirs)]
         np.testing.assert_allclose(ours[order[0]], theirs[order[1]], atol=1e-6)
+
+
+def test_only_surfaces_of_many_triangles_are_simplified() -> None:
+    small, middle, large = (ball(0.1, sections=n, rings=n) for n in (8, 40, 160))
+    counts = [len(surface.faces) for surface in (small, middle, large)]
+    assert simplified([small, middle, large], sum(counts)) == [small, middle, large]
+    most = counts[0] + counts[1] + 5000
+    found = simplified([large, small, middle], most)
+    assert found[1:] == [small, middle]
+    assert 0.95 * 5000 < len(found[0].faces) <= 5000
+    found = simplified([large, small, middle], 2000)
+    assert found[1] is small
+    assert 1900 < sum(len(surface.faces) for surface in found) <= 2000
+    for surface in (found[0], found[2]):
+        assert solid(surface).volume == pytest.approx(4 / 3 * np.pi * 0.1**3, rel=0.02)
+    # Triangles that share no vertices, as in STL files, do not come apart.
+    apart = Surface(large.vertices[large.faces].reshape(-1, 3), np.arange(3 * counts[2]).reshape(-1, 3))
+    (joined,) = simplified([apart], 5000)
+    assert trimesh.Trimesh(joined.vertices, joined.faces).is_watertight

@@ -26,7 +26,6 @@ __all__ = ["Surface", "creased", "merged", "obstacle_surface", "simplified", "tu
 SECTIONS, RINGS = 32, 16  # of a round solid: about its axis, and of a ball from pole to pole
 TUBE_SECTIONS = 12  # about the axis of a tube
 _MOST_PIECES = 400  # of a box that is cut
-SMALLEST_CELL = 1e-4  # share of the largest extent, in `simplified`
 
 # A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
 _FLAT, _ROUNDING = 1e-8, 1e-12
@@ -193,19 +192,14 @@ def merged(surfaces: Sequence[Surface]) -> Surface:
 def simplified(surfaces: Sequence[Surface], most_faces: int) -> list[Surface]:
     """Return the surfaces with at most `most_faces` triangles in all; unchanged when they have no more.
 
-    Vertices in one cell of a grid become one (Rossignac and Borrel 1993); the cell grows until it suffices.
+    Edges are collapsed where that moves the surface least (Garland and Heckbert 1997), in surfaces of more
+    triangles than all can have.
     """
-    coarse = list(surfaces)
-    if sum(len(surface.faces) for surface in surfaces) <= most_faces:
-        return coarse
-    # A cell of this size keeps about two triangles.
-    cell = np.sqrt(sum(surface.area for surface in surfaces) / most_faces)
-    extents = [np.ptp(surface.vertices, axis=0).max() for surface in surfaces if len(surface.faces)]
-    cell = max(cell, SMALLEST_CELL * max(extents))
-    while sum(len(surface.faces) for surface in coarse) > most_faces:
-        coarse = [_clustered(surface, cell) for surface in surfaces]
-        cell *= 1.2
-    return coarse
+    counts = [len(surface.faces) for surface in surfaces]
+    if sum(counts) <= most_faces:
+        return list(surfaces)
+    most = _most_of_each(counts, most_faces)
+    return [each if len(each.faces) <= most else _collapsed(each, most) for each in surfaces]
 
 
 def creased(surface: Surface, angle: float) -> tuple[Surface, FloatArray]:
@@ -259,16 +253,28 @@ def _revolved(radii: ArrayLike, heights: ArrayLike, sections: int) -> Surface:
     return Surface(vertices, np.concatenate([np.stack(three, axis=-1).reshape(-1, 3) for three in corners]))
 
 
-def _clustered(surface: Surface, cell: float) -> Surface:
-    """Join the vertices in each cell, and drop triangles that collapse or become the same."""
-    _, cluster = np.unique(np.floor(surface.vertices / cell).astype(np.int64), axis=0, return_inverse=True)
-    cluster = cluster.ravel()
-    members = np.bincount(cluster)
-    centres = np.stack([np.bincount(cluster, axis) / members for axis in surface.vertices.T], axis=1)
-    faces = cluster[surface.faces]
-    collapsed = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    _, first = np.unique(np.sort(faces[~collapsed], axis=1), axis=0, return_index=True)
-    return Surface(centres, faces[~collapsed][np.sort(first)])
+def _most_of_each(counts: Sequence[int], most: int) -> int:
+    """The number to which larger `counts` have to be lowered to be `most` in all."""
+    left = most
+    for number, count in enumerate(sorted(counts)):
+        share = left // (len(counts) - number)
+        if count > share:
+            return share
+        left -= count
+    return max(counts)
+
+
+def _collapsed(surface: Surface, most: int) -> Surface:
+    # Only for robots and obstacles of very many triangles.
+    from fast_simplification import simplify
+
+    # Files without shared vertices would come apart.
+    vertices, index = np.unique(surface.vertices, axis=0, return_inverse=True)
+    faces = index.ravel()[surface.faces]
+    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
+    found, triangles = simplify(vertices, faces.astype(np.int32), target_count=most)
+    # What cannot be collapsed further is left out: pages stay as small as they are said to be.
+    return Surface(np.asarray(found, dtype=float), np.asarray(triangles[:most], dtype=np.intp))
 
 
 def _shared_edges(faces: IntArray) -> tuple[IntArray, IntArray]:

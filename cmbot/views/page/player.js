@@ -203,7 +203,9 @@ class Player {
     const near = stage.marks.near[motion];
     this.put("torque-label", newtonMetres(stage.torque[motion].length()));
     this.placeLabel(ui["torque-label"], stage.arrow.tip, part, stage.withArrow);
-    this.placeLabel(ui["near-label"], near.from.clone().lerp(near.to, 0.5), part, near.on, 34);
+    const between = near.from.clone().lerp(near.to, 0.5);
+    this.placeLabel(ui["near-label"], between, part, near.on, 34);
+    if (near.on && overlap(ui["torque-label"], ui["near-label"])) this.placeLabel(ui["near-label"], between, part, true, 62);
   }
 
   placeLabel(label, point, part, visible, below = 8) {
@@ -213,6 +215,11 @@ class Player {
     const down = Math.min(y + below, part.top + part.high - label.offsetHeight - 4);
     label.style.transform = `translate(${across.toFixed(1)}px, ${down.toFixed(1)}px) translateX(-50%)`;
   }
+}
+
+function overlap(...labels) {
+  const [one, other] = labels.map((label) => label.getBoundingClientRect());
+  return one.left < other.right && other.left < one.right && one.top < other.bottom && other.top < one.bottom;
 }
 
 // Adding zero turns -0 into 0.

@@ -158,9 +158,9 @@ class Stage {
   }
 
   // A ghost shares the first arm's shapes. It is drawn twice, first into the depth buffer only, so that no shape
-  // shows through another; with an offset in depth, so that it vanishes where both arms coincide.
+  // shows through another; with an offset in depth, some thousandths of the distance, so that it vanishes where both arms nearly coincide.
   addGhost(name) {
-    const behind = { polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 4 };
+    const behind = { polygonOffset: true, polygonOffsetFactor: 2, polygonOffsetUnits: 600 };
     const depth = new THREE.MeshBasicMaterial({ colorWrite: false, ...behind });
     const tint = new THREE.MeshLambertMaterial({
       color: COLOURS[name], transparent: true, opacity: 0.4, depthWrite: false, ...behind });
@@ -205,7 +205,7 @@ class Stage {
   drawTorque(vector) {
     const { group, shaft, heads, thick, material, tip } = this.arrow;
     const share = vector.length() / this.peak;
-    const length = Math.max(0.32 * share * this.data.reach, 10 * thick);
+    const length = Math.max(share * this.data.arrow, 10 * thick);
     const direction = vector.clone().normalize();
     group.quaternion.setFromUnitVectors(new THREE.Vector3(0, 0, 1), direction);
     shaft.scale.set(1, 1, length - 5 * thick);
@@ -248,7 +248,7 @@ class Stage {
     const top = (0.5 * high - above) * pixel, bottom = (0.5 * high - below) * pixel;
     const places = points.map((point) => toCamera(point)).map((p) => [p.dot(right), p.dot(up), p.dot(outward)]);
     const most = (value) => Math.max(...places.map(value));
-    const room = 0.09 * this.data.reach;  // links have a thickness
+    const room = 0.03 * this.data.reach;
     const [east, west] = [most(([x, , z]) => x + side * z), most(([x, , z]) => side * z - x)].map((value) => value + room);
     const [north, south] = [most(([, y, z]) => y + top * z), most(([, y, z]) => bottom * z - y)].map((value) => value + room);
     const distance = Math.max((east + west) / (2 * side), (north + south) / (top + bottom));
