@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import importlib
+import math
+import multiprocessing
 import os
 import platform
+import resource
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from importlib import metadata
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from cmbot.common.errors import MissingExtra
 
-__all__ = ["command", "machine", "process_time", "required", "wall_time"]
+__all__ = ["command", "in_a_child", "machine", "process_time", "required", "wall_time"]
 
 Result = TypeVar("Result")
-_PACKAGES = ("pin", "numpy", "scipy", "piqp", "casadi")
+_PACKAGES = ("pin", "numpy", "scipy", "piqp", "casadi", "drake")
 
 
 def process_time(action: Callable[[], Result], repeats: int = 3) -> tuple[float, Result]:
@@ -37,6 +40,31 @@ def _shortest(action: Callable[[], Result], repeats: int, clock: Callable[[], fl
         result = action()
         shortest = min(shortest, clock() - begin)
     return shortest, result
+
+
+def in_a_child(action: Callable[[], Result], seconds: float) -> Result | None:
+    """Return what `action` returns in a child process; None when that took more than `seconds`.
+
+    Seconds of processor time, for solvers that read no clock. The child is a copy of this process, so that
+    nothing is loaded again.
+    """
+    context = multiprocessing.get_context("fork")
+    receiver, sender = context.Pipe(duplex=False)
+
+    def limited() -> None:
+        most = math.ceil(seconds)
+        resource.setrlimit(resource.RLIMIT_CPU, (most, most))
+        sender.send(action())
+
+    child = context.Process(target=limited)
+    child.start()
+    sender.close()
+    try:
+        return cast(Result, receiver.recv())
+    except EOFError:
+        return None
+    finally:
+        child.join()
 
 
 def command(*words: str) -> Callable[[], object]:

@@ -20,26 +20,39 @@ from growth import in_a_process
 from kernels import kernels
 from measure import machine
 from planning import planned, start_up
-from report.document import LATEST, RESULTS, make_reference
+from report.document import LATEST, REFERENCE, RESULTS, make_reference
 from report.goals import goals
 from report.plot import draw
 from report.tables import goal_sheet, print_sheets, sheets
 from rich.console import Console
 from solvers.comparison import compared
+from solvers.formulations import formulated
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import CmbotError
 
 SCENES = ("triangle", "line")
 _SIZES, _QUICK_SIZES = (50, 200, 1000, 5000), (50, 200)
-_LITERAL_SECONDS, _IPOPT_SECONDS = 300.0, 45.0
+_LITERAL_SECONDS, _IPOPT_SECONDS, _DRAKE_SECONDS = 300.0, 45.0, 45.0
 FORMAT = "cmbot-benchmarks/1"
 # The widest table; what is narrower would cut its cells.
 _WIDTH = 170
 
 
+def formulations(arguments: argparse.Namespace, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Solve the same problems in other formulations, by Drake's solvers too."""
+    return [asdict(each) for each in formulated(seconds=_DRAKE_SECONDS, tell=tell)]
+
+
+# What can be measured alone.
+APART = {"formulations": formulations}
+
+
 def measured(arguments: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:
     """Measure everything that the arguments ask for."""
+    if arguments.only:
+        results = json.loads(REFERENCE.read_text(encoding="utf-8"))
+        return results | {theme: APART[theme](arguments, tell) for theme in arguments.only}
     quick = arguments.quick
     results: dict[str, Any] = {"format": FORMAT, "quick": quick, "machine": machine()}
     # First: a fresh process inherits the peak of the memory of the one that starts it.
@@ -64,6 +77,8 @@ def measured(arguments: argparse.Namespace, tell: Callable[[str], None]) -> dict
             tell=tell,
         )
     ]
+    if not quick:
+        results |= {theme: measure(arguments, tell) for theme, measure in APART.items()}
     results["goals"] = [asdict(goal) for goal in goals(results)]
     return results
 
@@ -77,6 +92,13 @@ def main() -> None:
         type=float,
         default=_LITERAL_SECONDS,
         help="when the literal problem is cut (default: %(default)g); 0 leaves it out",
+    )
+    parser.add_argument(
+        "--only",
+        nargs="+",
+        choices=list(APART),
+        default=[],
+        help="measure these themes alone, and take the others from the last results that were documented",
     )
     parser.add_argument("--no-ipopt", action="store_true", help="leave out Ipopt, which needs casadi")
     parser.add_argument("--document", action="store_true", help="put the results into the documentation, too")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-__all__ = ["Goal", "beside", "goals", "ratio", "total"]
+__all__ = ["SAME_OPTIMUM", "Goal", "beside", "goals", "ratio", "total"]
 
 # Objectives nearer than this share are the same optimum; violations up to it are none.
 SAME_OPTIMUM = 1e-4
@@ -44,6 +44,7 @@ def goals(results: Mapping[str, Any]) -> list[Goal]:
     return [
         _times_quicker("quicker than Ipopt, fixed via-points", 50, solvers, "ipopt, "),
         _times_quicker("quicker than the literal problem", 1000, solvers, "literal slsqp"),
+        _quicker_than_snopt(results.get("formulations", [])),
         _slowest("core problem, fixed via-points", 0.15, "core", results),
         _slowest("sliding polish, as planned", 0.5, "polish", results),
         _command(results),
@@ -91,6 +92,24 @@ def _times_quicker(what: str, bound: float, solvers: Sequence[Mapping[str, Any]]
     return Goal(
         what=what, bound=text, measured=measured, unit="x", met=measured >= bound and same, remark=remark
     )
+
+
+def _quicker_than_snopt(rows: Sequence[Mapping[str, Any]]) -> Goal:
+    """The least ratio of SNOPT's time to sqp's, both in the exchange."""
+    what, text = "quicker than SNOPT in the exchange", "more than 1 x on every problem"
+    ratios = []
+    for row in rows:
+        if (row["rows"], row["solver"]) == ("exchange", "snopt"):
+            same = (other for other in rows if all(other[k] == row[k] for k in ("problem", "knots")))
+            fast = next(other for other in same if other["solver"] == "sqp")
+            remark = f"on {row['problem']}, {row['knots']}"
+            if row["objective"] is None:
+                remark += f"; {row['status']}"
+            ratios.append((row["seconds"] / fast["seconds"], remark))
+    if not ratios:
+        return Goal(what=what, bound=text, measured=None, unit="x", met=None, remark="not measured")
+    least, remark = min(ratios)
+    return Goal(what=what, bound=text, measured=least, unit="x", met=least > 1, remark=remark)
 
 
 def as_good(fast: Mapping[str, Any], other: Mapping[str, Any]) -> bool:

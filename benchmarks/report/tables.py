@@ -10,11 +10,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from report.goals import Goal, beside, ratio, total
+from report.goals import SAME_OPTIMUM, Goal, beside, ratio, total
 
 __all__ = ["KEYS", "Sheet", "console_table", "goal_sheet", "markdown", "print_sheets", "sheets"]
 
-KEYS = ("goals", "solvers", "planning", "simulating", "start-up", "kernels", "growth")
+KEYS = ("goals", "solvers", "planning", "simulating", "start-up", "kernels", "growth", "formulations")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,6 +45,7 @@ def sheets(results: Mapping[str, Any]) -> list[Sheet]:
         _start_up(results["start_up"]),
         _kernels(results["kernels"]),
         _growth(results["growth"]),
+        _formulations(results.get("formulations", [])),
     ]
     return [sheet for sheet in made if sheet.rows]
 
@@ -180,6 +181,35 @@ def _growth(rows: Sequence[Mapping[str, Any]]) -> Sheet:
         "memory, MB",
     )
     return Sheet(key="growth", title="Growth", headings=headings, rows=tuple(cells))
+
+
+def _formulations(rows: Sequence[Mapping[str, Any]]) -> Sheet:
+    """A row for each formulation and solver, a column for each problem: times in units of sqp's."""
+    problems = list(dict.fromkeys((row["problem"], row["knots"]) for row in rows))
+    ways = list(dict.fromkeys((row["rows"], row["samples"], row["solver"]) for row in rows))
+    found = {(row["problem"], row["knots"], row["rows"], row["samples"], row["solver"]): row for row in rows}
+    cells = []
+    for way in sorted(ways, key=lambda way: way[2] == "ipopt"):
+        line = [way[2], "exchange" if way[0] == "exchange" else f"{way[0]}, {way[1]}"]
+        for problem in problems:
+            row, fast = found[*problem, *way], next(r for r in rows if (r["problem"], r["knots"]) == problem)
+            line.append(_formulated(row, fast))
+        cells.append(tuple(line))
+    headings = ("solver", "rows, samples", *(f"{name}, {knots}" for name, knots in problems))
+    return Sheet(key="formulations", title="Times sqp, iterations", headings=headings, rows=tuple(cells))
+
+
+def _formulated(row: Mapping[str, Any], fast: Mapping[str, Any]) -> str:
+    """Times sqp and iterations; what is not within 1e-4 of its optimum or of the bounds."""
+    times = _digits(row["seconds"] / fast["seconds"])
+    if row["objective"] is None:
+        return {"cut after": f"> {times}", "cut with ": "–"}.get(row["status"][:9], "failed")
+    cell, worse = f"{times} ({row['iterations']})", row["objective"] / fast["objective"] - 1
+    if abs(worse) > SAME_OPTIMUM:
+        cell += f", {worse:+.0e}"
+    if row["violation"] > SAME_OPTIMUM:
+        cell += f", violated by {row['violation']:.0e}"
+    return cell
 
 
 def _digits(value: float) -> str:

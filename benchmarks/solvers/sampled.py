@@ -127,37 +127,50 @@ class SampledProblem:
         """Return all rows (K,)."""
         u, problem = self.u(x), self.problem
         states = [W @ u for W in self.weights]
-        at = StateSamples(problem.grid, *states[:3])
-        peak = problem.objective.sample(at)[0] - x[-1]
+        of_state = self.state_values(StateSamples(problem.grid, *states[:3]))
+        linear = [states[bound.order] / bound.scale for bound in problem.bounds]
+        parts = [of_state[:, 0] - x[-1], of_state[:, 1:-1], of_state[:, -1], *linear, self.task(u)[0]]
+        return np.concatenate([part.ravel() for part in parts])
+
+    def state_values(self, at: StateSamples, *, peak_alone: bool = False) -> FloatArray:
+        """Rows of N states (N, d + 2), but for b: peak, joint torques, distance of the tool; or (N, 1)."""
+        peak = self.problem.objective.sample(at)[0]
+        if peak_alone:
+            return peak
         joint = self._dynamics.efforts(at.q, at.v, at.a).joint_torque / self.torque_bound
         point = self._kinematics.tool_poses(at.q)[0]
         away = self.case.context.task.path.leg_offset(at.t, point) / self.deviation_bound
-        linear = [states[bound.order] / bound.scale for bound in problem.bounds]
         distance = np.sqrt((away**2).sum(axis=1) + ROUND**2)
-        parts = [peak, joint, distance, *linear, self._task(u)[0]]
-        return np.concatenate([part.ravel() for part in parts])
+        return np.hstack([peak, joint, distance[:, None]])
 
     def jacobian(self, x: FloatArray) -> FloatArray:
         """Nonzeros of the Jacobian, in the order of `pattern`."""
         u, problem = self.u(x), self.problem
-        at = StateSamples(problem.grid, *(W @ u for W in self.weights[:3]))
+        D = self.state_derivatives(StateSamples(problem.grid, *(W @ u for W in self.weights[:3])))
+        entries, d = self._entries, self.robot.dof
+        data = sum(entries.weight[o][:, None, None] * D[o][entries.row] for o in range(3))
+        data = (data * self.unit.reshape(self.columns, d)[entries.column][:, None, :]).ravel()
+        task = _UNIT * self.task(u)[1]
+        return np.concatenate([data, self._constant, task.ravel()])[self._order]
+
+    def state_derivatives(self, at: StateSamples, *, peak_alone: bool = False) -> FloatArray:
+        """Derivatives (3, N, d + 2, d) of `state_values` by position, velocity and acceleration."""
         N, d = at.q.shape
-        D = np.zeros((3, N, d + 2, d))
+        D = np.zeros((3, N, 1 if peak_alone else d + 2, d))
         rows = self._dynamics.derivatives(at.q, at.v, at.a)
         value = np.linalg.norm(rows.value[:, :3], axis=1)
-        direction = rows.value[:, :3] / (value * problem.scale)[:, None]
+        direction = rows.value[:, :3] / (value * self.problem.scale)[:, None]
         for order, by in enumerate((rows.d_q, rows.d_v, rows.d_a)):
             D[order, :, 0] = np.einsum("ki,kij->kj", direction, by[:, :3])
-            D[order, :, 1:-1] = by[:, 3:] / self.torque_bound[:, None]
+            if not peak_alone:
+                D[order, :, 1:-1] = by[:, 3:] / self.torque_bound[:, None]
+        if peak_alone:
+            return D
         p, J = self._kinematics.tool_point_jacobians(at.q)
         away = self.case.context.task.path.leg_offset(at.t, p) / self.deviation_bound
         distance = np.sqrt((away**2).sum(axis=1) + ROUND**2)[:, None]
         D[0, :, -1] = np.einsum("ki,kij->kj", away / distance, J) / self.deviation_bound
-        entries = self._entries
-        data = sum(entries.weight[o][:, None, None] * D[o][entries.row] for o in range(3))
-        data = (data * self.unit.reshape(self.columns, d)[entries.column][:, None, :]).ravel()
-        task = _UNIT * self._task(u)[1]
-        return np.concatenate([data, self._constant, task.ravel()])[self._order]
+        return D
 
     @cached_property
     def pattern(self) -> sparse.csc_array:
@@ -233,15 +246,19 @@ class SampledProblem:
         sample, place = np.nonzero(column >= 0)
         return _Entries(rows.weight[sample, :, place].T, sample, column[sample, place])
 
-    def _task(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def task(self, u: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Task residuals (n, 6) at sliding via-points, and their derivatives (n, 6, d)."""
         n, d = self.case.via_points.shape
         if not self.case.sliding:
             return np.empty((0, _TASK)), np.empty((0, _TASK, d))
+        return self.task_at(np.arange(n), u[-n:])
+
+    def task_at(self, number: IntArray, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Task residuals (m, 6) of some via-points at `q` (m, d), and their derivatives (m, 6, d)."""
         context = self.case.context
-        at = self._postures.at(np.ascontiguousarray(u[-n:]))
+        at = self._postures.at(np.ascontiguousarray(q))
         E = at.tool_rotation @ context.task.path.orientation.T
-        off = at.tool_point - context.task.path.position(context.times)
+        off = at.tool_point - context.task.path.position(context.times[number])
         turn = 0.5 * np.stack([E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]], 1)
         by_turn = 0.5 * (np.trace(E, axis1=1, axis2=2)[:, None, None] * np.eye(3) - E)
         J = np.concatenate([at.jacobian[:, :3], by_turn @ at.jacobian[:, 3:]], axis=1)

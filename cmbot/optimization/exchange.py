@@ -25,6 +25,9 @@ from cmbot.trajectory import Parametrization
 
 __all__ = ["ExchangeOptions", "ExchangeReport", "Result", "minimize_peak", "minimize_smoothed_peak"]
 
+# From a start, with an accuracy and a number of iterations at most, to the end and the iterations it took.
+DenseSolver = Callable[[NlpEvaluation, float, int], tuple[NlpEvaluation, int]]
+
 # A smoothing of less than so many tolerances of the peak is not worth a lighter one.
 _LITTLE = 2.0
 
@@ -35,8 +38,8 @@ class ExchangeOptions:
 
     Attributes
     ----------
-    solver : str
-        ``sqp`` or ``slsqp``.
+    solver : str or callable
+        ``sqp`` or ``slsqp``; or what takes the place of `solve_slsqp`, as benchmarks do.
     smoothing : float
         Weight of half the mean squared jerk, in units of its bounds, beside the objective.
     peak_tolerance : float
@@ -74,7 +77,7 @@ class ExchangeOptions:
         constraints is the result, if there was one.
     """
 
-    solver: str = "sqp"
+    solver: str | DenseSolver = "sqp"
     smoothing: float = 0.1
     peak_tolerance: float = 1e-4
     feasibility_tolerance: float = 1e-5
@@ -339,10 +342,11 @@ class _Exchange:
     def _solved(self, start: NlpEvaluation, *, attempt: bool) -> tuple[NlpEvaluation, int, bool]:
         """Solve with the constraints of `start`; return the end, the iterations, and whether it converged."""
         o = self._options
-        if o.solver == "slsqp":
+        if o.solver != "sqp":
+            solve = o.solver if callable(o.solver) else solve_slsqp
             most = min(o.slsqp_iterations, o.max_iterations)
             accuracy = o.slsqp_peak_accuracy if start.stage.bound is None else o.slsqp_accuracy
-            end, iterations = solve_slsqp(start, accuracy, most)
+            end, iterations = solve(start, accuracy, most)
             before, after = start.values, end.values
             gained = before.objective + before.peak - after.objective - after.peak
             # Where nothing more is to be gained SLSQP may go on without an end.

@@ -12,7 +12,7 @@ from cmbot.common.errors import OptimisationFailed
 from cmbot.optimization.constraint_set import OBJECTIVE
 from cmbot.optimization.evaluation import NlpEvaluation
 
-__all__ = ["solve_slsqp"]
+__all__ = ["DenseProgram", "DenseValues", "solve_slsqp"]
 
 # Unknowns without any effect keep the Hessian regular by this.
 _LEAST_CURVATURE = 1e-6
@@ -35,14 +35,13 @@ def solve_slsqp(start: NlpEvaluation, accuracy: float, max_iterations: int) -> t
     OptimisationFailed
         When it ends where the program cannot be evaluated.
     """
-    dense = _Dense(start)
-    epigraph = start.stage.bound is None
+    dense = DenseProgram(start)
     result = optimize.minimize(
         lambda y: dense.at(y).objective,
-        np.append(np.zeros(dense.n), [max(start.peak, start.stage.target)] if epigraph else []),
+        dense.y,
         jac=lambda y: dense.at(y).gradient,
         method="SLSQP",
-        bounds=[(None, None)] * dense.n + [(start.stage.target, None)] * epigraph,
+        bounds=optimize.Bounds(dense.lowest, np.inf),
         constraints={
             "type": "ineq",
             "fun": lambda y: -dense.at(y).constraints,
@@ -50,13 +49,11 @@ def solve_slsqp(start: NlpEvaluation, accuracy: float, max_iterations: int) -> t
         },
         options={"maxiter": max_iterations, "ftol": accuracy},
     )
-    if not np.isfinite(result.x).all():
-        raise OptimisationFailed("SLSQP diverged", constraint="any", violation=float("inf"), undecided=True)
-    return start.displaced(dense.whitening @ result.x[: dense.n]), int(result.nit)
+    return dense.end(result.x), int(result.nit)
 
 
 @dataclass(frozen=True)
-class _Values:
+class DenseValues:
     """Objective, its gradient (n,), constraints ``c <= 0`` (K,) and their Jacobian (K, n) at y."""
 
     y: FloatArray
@@ -66,32 +63,67 @@ class _Values:
     jacobian: FloatArray
 
 
-class _Dense:
-    """A program by whitened unknowns y, with the peak behind them where that is minimised."""
+class DenseProgram:
+    """A program by unknowns y, with the peak behind them where that is minimised.
 
-    def __init__(self, start: NlpEvaluation) -> None:
-        self._start, form = start, start.parametrization
-        self.n = form.dimension
+    Parameters
+    ----------
+    start : NlpEvaluation
+    whitened : bool
+        Or the unknowns are those of a step, by which few of the derivatives are other than zero.
+
+    Attributes
+    ----------
+    n : int
+        Unknowns but for the peak.
+    y, lowest : (n,) or (n + 1,)
+        The start, and what unknowns may not fall below.
+    """
+
+    def __init__(self, start: NlpEvaluation, *, whitened: bool = True) -> None:
+        self._start, self.n = start, start.parametrization.dimension
+        self.whitening = self._whitening() if whitened else np.eye(self.n)
+        self._last: DenseValues | None = None
+        peak = [max(start.peak, start.stage.target)] if start.stage.bound is None else []
+        self.y = np.append(np.zeros(self.n), peak)
+        self.lowest = np.append(np.full(self.n, -np.inf), [start.stage.target] * len(peak))
+
+    def _whitening(self) -> FloatArray:
+        """Steps (n, n) in which the Hessian of smoothing and mean square is the identity."""
+        start, form = self._start, self._start.parametrization
         residuals = start.dense(form.map.toarray())[2]
         H = start.stage.smoothing * form.jerk_hessian.toarray() + residuals.T @ residuals
         L = np.linalg.cholesky(H + _LEAST_CURVATURE * np.eye(self.n))
-        self.whitening = linalg.solve_triangular(L, np.eye(self.n), lower=True).T
-        self._last: _Values | None = None
+        return np.asarray(linalg.solve_triangular(L, np.eye(self.n), lower=True).T)
 
-    def at(self, y: FloatArray) -> _Values:
+    def end(self, y: FloatArray) -> NlpEvaluation:
+        """Return the program at y.
+
+        Raises
+        ------
+        OptimisationFailed
+            When y is not finite, or the program cannot be evaluated there.
+        """
+        if not np.isfinite(y).all():
+            raise OptimisationFailed(
+                "the solver diverged", constraint="any", violation=float("inf"), undecided=True
+            )
+        return self._start.displaced(self.whitening @ y[: self.n])
+
+    def at(self, y: FloatArray) -> DenseValues:
         """Evaluate, unless `y` is what it was the last time: SLSQP asks for each value apart."""
         if self._last is None or not np.array_equal(y, self._last.y):
             self._last = self._evaluated(y.copy())
         return self._last
 
-    def _evaluated(self, y: FloatArray) -> _Values:
+    def _evaluated(self, y: FloatArray) -> DenseValues:
         x, bound = self.whitening @ y[: self.n], self._start.stage.bound
         try:
             here = self._start.displaced(x)
             by = self._start.parametrization.step_jacobian(x) @ self.whitening
         except OptimisationFailed:
             before = self.at(np.append(np.zeros(self.n), y[self.n :]))
-            return _Values(y, _NOWHERE, before.gradient, before.constraints, before.jacobian)
+            return DenseValues(y, _NOWHERE, before.gradient, before.constraints, before.jacobian)
         objective, value = here.values.objective, here.values.value
         gradient, jacobian, _ = here.dense(by)
         if bound is None:
@@ -99,4 +131,4 @@ class _Dense:
             objective, gradient = objective + float(y[self.n]), np.append(gradient, 1.0)
             value = value - y[self.n] * in_epigraph
             jacobian = np.hstack([jacobian, -in_epigraph[:, None].astype(float)])
-        return _Values(y, objective, gradient, value, jacobian)
+        return DenseValues(y, objective, gradient, value, jacobian)

@@ -17,7 +17,17 @@ from finite_differences import check_derivative
 from report import document, goals, plot, tables
 from scipy import sparse
 from small_scenes import short_scene
-from solvers import cases, comparison, ipopt, lagrangian, literal, sampled, symbolic_arm
+from solvers import (
+    cases,
+    comparison,
+    drake_sampled,
+    formulations,
+    ipopt,
+    lagrangian,
+    literal,
+    sampled,
+    symbolic_arm,
+)
 from threadpoolctl import threadpool_limits
 
 from cmbot.common.errors import MissingExtra
@@ -159,6 +169,74 @@ def test_judging_finds_violations(case: cases.Case) -> None:
     assert cases.judged(case, problem, replace(good, q=q)).violation >= 1e-3
 
 
+def test_drakes_blocks_are_the_sampled_rows(
+    all_rows: sampled.SampledProblem, rng: np.random.Generator
+) -> None:
+    x = all_rows.start + 0.02 * rng.normal(size=len(all_rows.start))
+    program = drake_sampled.drake_program(all_rows, peak_alone=False)
+    d, N = all_rows.robot.dof, len(all_rows.problem.grid)
+    values = [block.rows(x[block.of]) for block in program.blocks]
+    tasks = len(all_rows.case.via_points) if all_rows.case.sliding else 0
+    of_state = np.concatenate(values[: len(values) - tasks]).reshape(N, d + 2)
+    expected = all_rows.values(x)
+    np.testing.assert_allclose(of_state[:, 0], expected[:N], atol=1e-12)
+    np.testing.assert_allclose(of_state[:, 1:-1].ravel(), expected[N : N * (d + 1)], atol=1e-12)
+    np.testing.assert_allclose(of_state[:, -1], expected[N * (d + 1) : N * (d + 2)], atol=1e-12)
+    linear = np.concatenate([np.minimum(A @ x - low, high - A @ x) for A, low, high in program.linear])
+    rest = slice(N * (d + 2), len(expected) - 6 * tasks)
+    room = np.minimum(expected - all_rows.low, all_rows.high - expected)[rest]
+    np.testing.assert_allclose(linear, room, rtol=1e-9, atol=1e-9)
+    for block in (program.blocks[0], program.blocks[3], program.blocks[-1]):
+        at = x[block.of]
+        check_derivative(block.rows, at, block.jacobian(at)[1], step=_STEP, rtol=1e-6)
+    Q, c = program.objective
+    np.testing.assert_allclose(
+        0.5 * x @ Q @ x + c @ x - c @ all_rows.start,
+        all_rows.objective(x)[0] - all_rows.objective(all_rows.start)[0],
+        atol=1e-12,
+    )
+
+
+def test_drakes_solvers_end_at_cmbots_optimum(case: cases.Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("pydrake")
+    monkeypatch.setattr(formulations, "_REPEATS", 1)
+    ways = {
+        (solver, rows, samples): (case, solver, rows, samples, way, 60.0)
+        for solver, rows, samples, way in formulations._ways(case)
+    }
+    best = formulations.solved_in_time(*ways["sqp", "exchange", 20])
+    assert best.objective is not None
+    for key in (("snopt", "exchange", 20), ("snopt", "all", 10), ("ipopt", "all", 10)):
+        found = formulations.solved_in_time(*ways[key])
+        assert found.objective == pytest.approx(best.objective, rel=2e-4), found
+        assert found.violation is not None
+        assert found.violation < (1e-4 if key[1] == "exchange" else 1e-2)
+    table = tables._formulations([asdict(best), asdict(found)])
+    assert table.rows[0][:3] == ("sqp", "exchange", f"1 ({best.iterations})")
+
+
+def test_what_was_cut_is_not_tried_with_more_rows(case: cases.Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    def cut(*given: Any) -> formulations.Formulated:
+        found = formulations._unsolved(*given[:4])
+        too_long = given[1] == "snopt" and given[2:4] == ("peak", 40)
+        return replace(found, status="cut after 1 s" if too_long else "done")
+
+    monkeypatch.setattr(formulations, "solved_in_time", cut)
+    found = list(formulations.formulated_case(case, 1.0, lambda _: None))
+    left = [(each.solver, each.rows, each.samples) for each in found if each.status == "cut with fewer rows"]
+    assert left == [("snopt", "all", 40)]
+    assert len(found) == 11
+
+
+def test_what_takes_too_long_is_cut() -> None:
+    def forever() -> None:
+        while True:
+            pass
+
+    assert measure.in_a_child(lambda: 7, 5.0) == 7
+    assert measure.in_a_child(forever, 0.5) is None
+
+
 PLANNED = {
     "scene": "triangle",
     "solver": "sqp",
@@ -226,7 +304,7 @@ def test_goals_follow_from_the_results() -> None:
     assert found["5,000 via-points, memory"].met
     results = made_up(sqp=0.1) | {"growth": []}
     unmeasured = [goal for goal in goals.goals(results) if goal.measured is None]
-    assert len(unmeasured) == 4
+    assert len(unmeasured) == 5
     assert {goal.met for goal in unmeasured} == {None}
     assert ("5,000 via-points", "below 60 s", "–", "–", "not measured") in tables.goal_sheet(unmeasured).rows
 

@@ -253,7 +253,7 @@ def test_slsqp_that_diverges_is_given_up(monkeypatch: pytest.MonkeyPatch, answer
         x, nit = np.full(problem.parametrization.dimension, answer), 1
 
     monkeypatch.setattr(exchange.solve_slsqp.__globals__["optimize"], "minimize", lambda *_, **__: Diverged)
-    with pytest.raises(OptimisationFailed, match="SLSQP diverged") as caught:
+    with pytest.raises(OptimisationFailed, match="solver diverged") as caught:
         optimise(problem)
     assert caught.value.undecided
 
@@ -264,7 +264,7 @@ def test_slsqp_turns_back_where_the_task_cannot_be_held() -> None:
     run = exchange._Exchange(problem, ExchangeOptions(), None)
     stage = exchange.Stage(smoothing=0.1, bound=1.0, tolerance=1e-5)
     start = NlpEvaluation.around(problem, stage, problem.parametrization, run._constraints)
-    dense = exchange.solve_slsqp.__globals__["_Dense"](start)
+    dense = exchange.solve_slsqp.__globals__["DenseProgram"](start)
     here, far = dense.at(np.zeros(dense.n)), dense.at(np.full(dense.n, 1e4))
     assert far.objective > 100 * here.objective
     assert np.isfinite(far.gradient).all() and np.isfinite(far.jacobian).all()
