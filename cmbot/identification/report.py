@@ -91,8 +91,8 @@ def remarks(found: Identification) -> Iterator[str]:
     """Yield what an identification means: exactness along the job, what was not seen, doubts, assumptions."""
     yield from _misfits(found)
     for (_, sheet, row), frequency in found.strange:
-        key = f"{found.measurements[sheet].source}: measurements[{row}].frequencies_hz"
-        yield f"{key}: {frequency:g} Hz is left out, as no mode of the arm is within 30 % of it."
+        key = f"{found.measurements[sheet].source}: measurements[{row}]"
+        yield f"{key}: {frequency:.4g} Hz is left out, as no mode of the arm is within 30 % of it."
     if found.before is not None and found.after is not None:
         yield (
             f"Sag along the job: {1e3 * found.after.rms:.2f} mm RMS, modelled {1e3 * found.before.rms:.2f}; "

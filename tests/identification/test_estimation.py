@@ -30,7 +30,7 @@ from cmbot.identification import (
     stiffness_text,
     unseen,
 )
-from cmbot.identification.problem import Problem
+from cmbot.identification.problem import Label, Problem
 from cmbot.planning import covariance_of, robot_of
 from cmbot.scene import Scene, load_scene
 
@@ -214,12 +214,16 @@ def test_frequencies_tell_more_and_components_left_out_less(
     only_z = given.deflection.copy()
     only_z[:, :2] = np.nan
     tapped = tuple(arm_modes(arm, q).frequencies[: 2 if k < 2 else 0] for k, q in enumerate(given.q))
+    tapped = (np.append(tapped[0], 9e3), *tapped[1:])
     less = estimate(replace(given, deflection=only_z), modelled)
     more = estimate(replace(given, deflection=only_z, frequencies=tapped), modelled)
     shares = [each.after.share for each in (with_all, less) if each.after is not None]
     assert shares[0] < shares[1]
     assert np.all(np.diag(more.covariance) <= np.diag(less.covariance) * 1.2)
     assert np.linalg.slogdet(more.covariance)[1] < np.linalg.slogdet(less.covariance)[1]
+    # No mode is near: it tells nothing, and that is said.
+    assert more.strange == ((Label("frequencies_hz", 0, 0), 9e3),)
+    assert any("measurements[0]: 9000 Hz is left out" in line for line in remarks(more))
 
 
 def test_nothing_measured_of_a_joint_keeps_its_prior(

@@ -21,7 +21,7 @@ def content(**changes: Any) -> dict[str, Any]:
 def test_a_file_is_read_in_si(tmp_path: Path) -> None:
     second = {
         "posture": np.radians(POSTURE).tolist(),
-        "deflection_mm": [None, None, -5],
+        "deflection_mm": {"z": -5},
         "frequencies_hz": [6, 7],
     }
     path = tmp_path / "measured.yaml"
@@ -63,6 +63,14 @@ def test_a_file_is_read_in_si(tmp_path: Path) -> None:
         (
             {"measurements": [{"posture_deg": [1, 2], "deflection_mm": [1, 2, 3]}]},
             "measurements[0].posture: got 2 numbers, expected 7, one for each joint of the robot",
+        ),
+        (
+            {"measurements": [{"posture_deg": POSTURE, "deflection_mm": {"z": -5, "w": 1}}]},
+            "measurements[0].deflection_mm: got w, expected x, y or z",
+        ),
+        (
+            {"measurements": [{"posture_deg": POSTURE, "deflection_mm": [1, 2]}]},
+            "measurements[0].deflection_mm: got",
         ),
         ({"job": [[0.0]]}, "job[0]: got 1 numbers, expected 7"),
         ({"weight_kg": 0}, "weight_kg: got 0, expected more than 0"),
