@@ -46,6 +46,13 @@ ScenesArgument = Annotated[
     ),
 ]
 
+MembersOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--on", metavar="MEMBER", help="A post or rail that feet hold at work; may be repeated; else all."
+    ),
+]
+
 
 def stand(
     scenes: ScenesArgument,
@@ -63,6 +70,7 @@ def stand(
         float, typer.Option("--pair-spacing", help="Metres between places of two feet.", min=0.05)
     ] = 0.15,
     one_foot: Annotated[bool, typer.Option("--one-foot", help="Leave foot 2 free.")] = False,
+    members: MembersOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the files of an earlier search.")] = False,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
@@ -89,7 +97,10 @@ def stand(
 
     require_absent(directory, (*_FILES, "best.yaml", "best_1.yaml"), force=force)
     options = StandOptions(
-        spacing=spacing, pair_spacing=float("inf") if one_foot else pair_spacing, plans=plans
+        spacing=spacing,
+        pair_spacing=float("inf") if one_foot else pair_spacing,
+        plans=plans,
+        members=tuple(members or ()),
     )
     with ConsoleProgress(quiet=quiet) as progress:
         progress.stage("listing stances", 0.0)
@@ -190,6 +201,7 @@ def tour(
     speed: Annotated[
         float, typer.Option("--speed", help="Metres a second of a foot at most.", min=1e-3, max=1.0)
     ] = 0.03,
+    members: MembersOption = None,
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> None:
@@ -213,7 +225,7 @@ def tour(
 
     require_new_folder(directory)
     standing, walking = (
-        StandOptions(plans=plans, pair_spacing=spacing),
+        StandOptions(plans=plans, pair_spacing=spacing, members=tuple(members or ())),
         WalkOptions(spacing=spacing, speed=speed),
     )
     with ConsoleProgress(quiet=quiet) as progress:

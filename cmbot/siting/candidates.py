@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -55,7 +55,9 @@ class Candidate:
         return {**each, "climber_deg": list(self.stance.climber_deg or ())}
 
 
-def candidates_of(scene: Scene, spacing: float, pair_spacing: float) -> Iterator[Candidate]:
+def candidates_of(
+    scene: Scene, spacing: float, pair_spacing: float, members: Collection[str] = ()
+) -> Iterator[Candidate]:
     """Yield the stances of the shipped robot on a scene's guardrail.
 
     Round bars are left out where the feet are magnets or welded, and so are stances in which the base is
@@ -68,10 +70,12 @@ def candidates_of(scene: Scene, spacing: float, pair_spacing: float) -> Iterator
         Between places of foot 1 alone, along members.
     pair_spacing : float, m
         Between places of both feet; infinite: foot 2 stays free.
+    members : collection of str
+        Those that feet hold; empty: all.
     """
     climber = Climber()
     known = set[tuple[float, ...]]()
-    for place in places_of(scene, spacing):
+    for place in (place for place in places_of(scene, spacing) if not members or place.member in members):
         X = foothold_pose(scene.guardrail, place)
         angles = climber.hanging(X[:3, :3])
         if angles is None:
@@ -84,7 +88,7 @@ def candidates_of(scene: Scene, spacing: float, pair_spacing: float) -> Iterator
             yield candidate
     if not np.isfinite(pair_spacing):
         return
-    places = list(places_of(scene, pair_spacing))
+    places = [place for place in places_of(scene, pair_spacing) if not members or place.member in members]
     poses = [foothold_pose(scene.guardrail, place) for place in places]
     for place, X in zip(places, poses, strict=True):
         for other, X_2 in zip(places, poses, strict=True):

@@ -48,6 +48,8 @@ class StandOptions:
         So many at most are charted.
     checks : int
         So many at most are checked for obstacles.
+    members : tuple of str
+        Posts and rails that feet hold; empty: all.
     """
 
     spacing: float = 0.05
@@ -55,6 +57,7 @@ class StandOptions:
     plans: int = 3
     charts: int = 20
     checks: int = 400
+    members: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from cmbot.common.errors import PlanningError, SceneError
-from cmbot.common.validation import counted
+from cmbot.common.validation import counted, shown
 from cmbot.planning import robot_of, strokes_of, task_of
 from cmbot.scene import Scene, update_file
 from cmbot.siting.candidates import Candidate, candidates_of
@@ -106,7 +106,11 @@ def stand(
         _require_standing(one)
     scene = joined(scenes)
     progress("listing stances", 0.0)
-    candidates = list(candidates_of(scene, options.spacing, options.pair_spacing))
+    known = scene.file.guardrail.member_names
+    for member in options.members:
+        if member not in known:
+            raise SceneError(scene.source, "guardrail", shown(member), "a member of the guardrail", known)
+    candidates = list(candidates_of(scene, options.spacing, options.pair_spacing, options.members))
     robot = robot_of(scene)
     strokes = strokes_of(scene, robot)
     # Each cell of a raster is a stroke of its own: together they are one of the scene's.

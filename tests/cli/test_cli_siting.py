@@ -88,6 +88,24 @@ def test_scenes_of_an_earlier_search_do_not_stay(both: tuple[Path, Outcome]) -> 
     assert names == {"stances.csv", "index.html", "best.yaml", "notes.txt"}
 
 
+@pytest.mark.parametrize("verb", ["stand", "tour"])
+def test_a_member_that_there_is_not(both: tuple[Path, Outcome], verb: str) -> None:
+    folder, _ = both
+    refused = run(verb, folder / "left.yaml", "--on", "top-rail", "-o", folder / "new")
+    assert refused.status == 2
+    assert "got 'top-rail', expected a member of the guardrail" in refused.err
+    assert not (folder / "new").exists()
+
+
+def test_only_on_some_members(both: tuple[Path, Outcome]) -> None:
+    folder, _ = both
+    words = ("--one-foot", "--spacing", "1.5", "--plans", "0", "--on", "top_rail", "--on", "post_2")
+    done = run("stand", folder / "left.yaml", *words, "-o", folder / "some", "--quiet")
+    assert done.status == 0, done.err
+    rows = csv.DictReader((folder / "some" / "stances.csv").read_text().splitlines())
+    assert {row["foot_1_member"] for row in rows} == {"top_rail", "post_2"}
+
+
 def test_jobs_of_other_bridges_are_refused(both: tuple[Path, Outcome]) -> None:
     folder, _ = both
     other = short_scene(name="other", guardrail={"bays": 6})
