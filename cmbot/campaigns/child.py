@@ -7,6 +7,7 @@ a task does not pay for imports.
 
 from __future__ import annotations
 
+import gc
 import importlib
 import json
 import math
@@ -99,6 +100,8 @@ def _end_of(status: int | None) -> str:
 def _answer(task: Task, answer: str, log: str) -> None:
     """Run a task in this process, and write the file `answer`, and to `log` what it says of errors."""
     os.setsid()
+    # What the server has imported is not looked through again and again: that would copy its pages, too.
+    gc.freeze()
     errors = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.__stdout__.fileno() if sys.__stdout__ else 1)
     os.dup2(errors, 2)
