@@ -136,7 +136,8 @@ class MeasurementsFile(MeasuringSetup):
             one.frequencies_hz or one.record or any(x is not None for x in one.deflection_mm or ())
             for one in each
         ):
-            raise refusal("a measured number", got="none", key=("measurements",))
+            expected = "a measured number in a deflection_mm, a frequencies_hz or a record"
+            raise refusal(expected, got="none", key=("measurements",))
         return self
 
 

@@ -39,7 +39,8 @@ def measured_arm(scene: Scene, load: float = 0.0) -> ElasticArm:
         When nothing bends, or the scene's stiffness was identified already.
     """
     if scene.file.identified is not None:
-        expected = "a scene without, as measurements are of the model's stiffness"
+        more = "more postures: cmbot identify SHEET... --propose N"
+        expected = f"a scene without, as measurements are of the model's stiffness ({more})"
         raise SceneError(scene.source, "identified", "an identified stiffness", expected)
     source = replace(scene.robot, joints="elastic", payload=scene.robot.payload + load)
     robot: Robot = robot_of(replace(scene, robot=source)).tool_off
