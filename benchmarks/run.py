@@ -20,6 +20,7 @@ from growth import in_a_process
 from kernels import kernels
 from measure import machine
 from planning import planned, start_up
+from programs.comparison import compared_programs
 from report.document import LATEST, REFERENCE, RESULTS, make_reference
 from report.goals import goals
 from report.plot import draw
@@ -44,8 +45,13 @@ def formulations(arguments: argparse.Namespace, tell: Callable[[str], None]) -> 
     return [asdict(each) for each in formulated(seconds=_DRAKE_SECONDS, tell=tell)]
 
 
+def programs(_: argparse.Namespace, tell: Callable[[str], None]) -> list[dict[str, Any]]:
+    """Solve programs of others by the SQP itself and by other solvers."""
+    return list(compared_programs(tell))
+
+
 # What can be measured alone.
-APART = {"formulations": formulations}
+APART = {"formulations": formulations, "programs": programs}
 
 
 def measured(arguments: argparse.Namespace, tell: Callable[[str], None]) -> dict[str, Any]:

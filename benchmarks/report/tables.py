@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import log
+from statistics import median
 from typing import Any
 
 from rich.console import Console
@@ -12,9 +14,23 @@ from rich.table import Table
 
 from report.goals import SAME_OPTIMUM, Goal, beside, ratio, total
 
+# Of an optimum, as a share of it, and of a violation. How solvers end that found an optimum.
+_MET, _ENDED = 1e-5, ("solved", "converged", "stalled")
+
 __all__ = ["KEYS", "Sheet", "console_table", "goal_sheet", "markdown", "print_sheets", "sheets"]
 
-KEYS = ("goals", "solvers", "planning", "simulating", "start-up", "kernels", "growth", "formulations")
+KEYS = (
+    "goals",
+    "solvers",
+    "planning",
+    "simulating",
+    "start-up",
+    "kernels",
+    "growth",
+    "formulations",
+    "programs",
+    "programs-each",
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +62,8 @@ def sheets(results: Mapping[str, Any]) -> list[Sheet]:
         _kernels(results["kernels"]),
         _growth(results["growth"]),
         _formulations(results.get("formulations", [])),
+        _programs(results.get("programs", [])),
+        _each_program(results.get("programs", [])),
     ]
     return [sheet for sheet in made if sheet.rows]
 
@@ -210,6 +228,71 @@ def _formulated(row: Mapping[str, Any], fast: Mapping[str, Any]) -> str:
     if row["violation"] > SAME_OPTIMUM:
         cell += f", violated by {row['violation']:.0e}"
     return cell
+
+
+def _programs(rows: Sequence[Mapping[str, Any]]) -> Sheet:
+    """A row for each solver: of problems with a published optimum how many end there, and what they take."""
+    published, random = ([row for row in rows if (row["optimum"] is None) == new] for new in (False, True))
+    cells = []
+    for k, solver in enumerate(each["solver"] for each in rows[0]["outcomes"]) if rows else ():
+        ends = Counter(_end(row, row["outcomes"][k]) for row in published)
+        there = [row["outcomes"][k] for row in published if not _end(row, row["outcomes"][k])]
+        medians = [median(o[key] for o in there) for key in ("iterations", "evaluations", "seconds")]
+        sums = [sum(row["outcomes"][k][key] for row in random) for key in ("iterations", "seconds")]
+        missed = sum(bool(_end(row, row["outcomes"][k])) for row in random)
+        cells.append(
+            (
+                solver,
+                *(f"{ends[end]}" for end in ("", "elsewhere", "not solved")),
+                f"{medians[0]:g}",
+                f"{medians[1]:g}",
+                f"{1e3 * medians[2]:.3g}",
+                f"{len(random) - missed} of {len(random)}",
+                f"{sums[0] / len(random):.3g}",
+                f"{sums[1] / len(random):.3g}",
+            )
+        )
+    headings = (
+        "solver",
+        "at the published optimum",
+        "elsewhere",
+        "not solved",
+        "iterations, median",
+        "evaluations, median",
+        "ms, median",
+        "random: at the best",
+        "iterations, mean",
+        "s, mean",
+    )
+    title = f"{len(published)} problems of Hock and Schittkowski, {len(random)} random ones"
+    return Sheet(key="programs", title=title, headings=headings, rows=tuple(cells))
+
+
+def _each_program(rows: Sequence[Mapping[str, Any]]) -> Sheet:
+    cells = []
+    for row in rows:
+        line = [row["problem"], f"{row['unknowns']}", f"{row['rows']}"]
+        for outcome in row["outcomes"]:
+            end = _end(row, outcome)
+            took = f"{outcome['iterations']} / {outcome['evaluations']} / {1e3 * outcome['seconds']:.3g}"
+            line.append(took + (f", {end}: {outcome['objective']:.5g}" if end else ""))
+        cells.append((*line, row["remark"] or "–"))
+    solvers = tuple(each["solver"] for each in rows[0]["outcomes"]) if rows else ()
+    headings = ("problem", "unknowns", "rows", *solvers, "remark")
+    title = "Iterations / evaluations of derivatives / ms"
+    return Sheet(key="programs-each", title=title, headings=headings, rows=tuple(cells))
+
+
+def _end(row: Mapping[str, Any], outcome: Mapping[str, Any]) -> str:
+    """Nothing where a solver ended at the published optimum, or the best of all; otherwise how it ended."""
+    met = [other["objective"] for other in row["outcomes"] if other["violation"] <= _MET]
+    optimum = row["optimum"] if row["optimum"] is not None else min(met)
+    far = abs(outcome["objective"] - optimum) > _MET * max(1.0, abs(optimum))
+    if outcome["violation"] > _MET:
+        return "not solved"
+    if not far:
+        return ""
+    return "elsewhere" if outcome["status"] in _ENDED else "not solved"
 
 
 def _digits(value: float) -> str:

@@ -110,10 +110,13 @@ class QpStep:
     solved: bool  # as PIQP says; without that p is still a step, only not the best
 
 
-def solve_qp(model: NlpModel, penalty: FloatArray, radius: float, damping: float = 0.0) -> QpStep:
+def solve_qp(
+    model: NlpModel, penalty: FloatArray, radius: float, damping: float = 0.0, *, close_gap: bool = False
+) -> QpStep:
     """Minimise the model with violations weighed by `penalty`, no entry of p larger than `radius`.
 
-    Half of `damping` times the square of p is added.
+    Half of `damping` times the square of p is added. The duality gap is asked to be as small as the residuals
+    where `close_gap` says so.
     """
     piqp = piqp_module()
     n, families = len(model.gradient), len(penalty)
@@ -126,7 +129,9 @@ def solve_qp(model: NlpModel, penalty: FloatArray, radius: float, damping: float
     solver = piqp.SparseSolver()
     solver.settings.eps_abs = _ACCURACY
     solver.settings.eps_rel = _ACCURACY
-    solver.settings.check_duality_gap = False
+    solver.settings.check_duality_gap = close_gap
+    solver.settings.eps_duality_gap_abs = _ACCURACY
+    solver.settings.eps_duality_gap_rel = _ACCURACY
     solver.settings.kkt_solver = piqp.KKTSolver.sparse_multistage
     P, G = _damped(model.hessian, damping, 1 + families), _relaxed(model, families)
     solver.setup(P, c, None, None, G, np.full(len(value), -np.inf), -value, low, high)

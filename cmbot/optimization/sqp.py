@@ -89,6 +89,9 @@ class SqpOptions:
         So many steps that leave this share of what is violated by more than that end it.
     met_within : float
         So many iterations at none of which the constraints were met end it.
+    close_gap : bool
+        Quadratic programs are solved until their duality gap is closed, too. It takes a little longer, and
+        is needed where the optimum is wanted to more than four digits.
     """
 
     optimality_tolerance: float = 1e-7
@@ -128,6 +131,7 @@ class SqpOptions:
     stuck_share: float = 0.8
     stuck_violation: float = 2e-2
     met_within: float = np.inf
+    close_gap: bool = False
 
 
 class SqpStatus(enum.Enum):
@@ -275,7 +279,7 @@ class _SqpState(Generic[AnyIterate]):
         What need not stay is what a step takes away for which nothing else counts (there, Algorithm 18.5).
         """
         o, families = self._options, len(self.penalty)
-        step = solve_qp(model, self.penalty, self._radius, self.damping)
+        step = self._step(model, self.penalty, self._radius, self.damping)
         here, left = model.violations(families=families), model.violations(step.p, families=families)
         enough = np.maximum(o.feasibility_tolerance, o.stays * here)
         firmest = float(self.penalty.max())
@@ -283,7 +287,7 @@ class _SqpState(Generic[AnyIterate]):
             return step
         # Damping grows with the penalties, or it would count for less than before.
         most = o.max_penalty / firmest
-        alone = solve_qp(model, most * self.penalty, self._radius, most * self.damping)
+        alone = self._step(model, most * self.penalty, self._radius, most * self.damping)
         least = model.violations(alone.p, families=families)
         enough = np.maximum(enough, least + (1 - o.steering) * np.maximum(here - least, 0.0))
         while True:
@@ -292,7 +296,7 @@ class _SqpState(Generic[AnyIterate]):
                 return step
             grown = np.where(lacking, o.penalty_growth * self.penalty, self.penalty)
             self.penalty = np.minimum(grown, o.max_penalty)
-            step = solve_qp(model, self.penalty, self._radius, self.damping)
+            step = self._step(model, self.penalty, self._radius, self.damping)
             left = model.violations(step.p, families=families)
 
     def predicted(self, model: NlpModel, p: FloatArray) -> float:
@@ -308,7 +312,7 @@ class _SqpState(Generic[AnyIterate]):
             self.damping *= o.damping_growth
             return True
         if model.violation <= o.feasibility_tolerance:
-            far = solve_qp(model, self.penalty, o.optimality_radius, 0.0).p
+            far = self._step(model, self.penalty, o.optimality_radius, 0.0).p
             converged = self.predicted(model, far) <= self.optimality_tolerance
             if converged:
                 self._status = SqpStatus.CONVERGED
@@ -353,6 +357,9 @@ class _SqpState(Generic[AnyIterate]):
         if self._stuck(model):
             self._status = SqpStatus.INFEASIBLE
 
+    def _step(self, model: NlpModel, penalty: FloatArray, radius: float, damping: float = 0.0) -> QpStep:
+        return solve_qp(model, penalty, radius, damping, close_gap=self._options.close_gap)
+
     def _stuck(self, model: NlpModel) -> bool:
         """Whether many steps have left violations, or some have most of them and no step can lower them."""
         o, tolerance = self._options, self._options.feasibility_tolerance
@@ -367,7 +374,7 @@ class _SqpState(Generic[AnyIterate]):
     def _hopeless(self, model: NlpModel) -> bool:
         """Whether not even a step for which only the violations count lowers them."""
         o, families = self._options, len(self.penalty)
-        firmest = solve_qp(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
+        firmest = self._step(model, np.full(families, o.max_penalty), o.optimality_radius, 0.0).p
         return bool(model.violations(firmest, families=families).max() > o.hopeless * model.violation)
 
     def _tried(self, model: NlpModel, p: FloatArray, predicted: float) -> tuple[AnyIterate | None, float]:
@@ -395,7 +402,7 @@ class _SqpState(Generic[AnyIterate]):
                 if last or gained >= o.correct_below * predicted:
                     break
             bent = replace(trial.model, gradient=model.gradient + model.hessian @ p, hessian=model.hessian)
-            change = solve_qp(bent, o.correction_penalty * self.penalty, length, stiffness).p
+            change = self._step(bent, o.correction_penalty * self.penalty, length, stiffness).p
             p, trial = p + change, _displaced(trial, change)
         return (None if best is None else best.refresh(self.iterate)), most
 

@@ -1,0 +1,1 @@
+"""Nonlinear programs of others: formulas, solvers, and what each of them takes."""
