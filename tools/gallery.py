@@ -21,9 +21,12 @@ from screenshot import shoot, time_shown
 import cmbot
 from cmbot.common.installation import scene_folder
 from cmbot.scene import shipped_scenes
-from cmbot.views import replay_page
+from cmbot.siting import StandOptions
+from cmbot.views import replay_page, walk_replay_page
 
 PAGE, PICTURES = ROOT / "docs" / "gallery.md", ROOT / "docs" / "gallery"
+TOURS = {"two_brackets": StandOptions(members=("top_rail",), pair_spacing=0.15)}
+"""Scenes that no stance does alone, and where feet hold at work."""
 LARGEST = 150_000
 """Of a picture, bytes."""
 # Pixels of a picture, and numbers of colours that are tried until it is small.
@@ -55,13 +58,25 @@ def section(name: str, plan: cmbot.Plan, planning: float) -> str:
     return "\n".join([picture, "", verdict, "", "| | baseline | planned |", "|---|---|---|", *rows])
 
 
-def picture(plan: cmbot.Plan, path: Path, browser: str) -> None:
-    """Write a picture of a plan's replay with no more than `LARGEST` bytes."""
+def tour_section(name: str, tour: cmbot.Tour) -> str:
+    """Return the section of a tour."""
+    peak = max(plan.job.figures.peak_guardrail_torque for plan in tour.plans)
+    said = list(tour.in_words())
+    rows = [
+        f"| peak torque, whole job, Nm | {peak:.1f} |",
+        f"| time of the whole job, s | {tour.seconds:.0f} |",
+    ]
+    shown = f"![{name}: on the way from one bracket to the other](gallery/{name}.png)"
+    return "\n".join([shown, "", " ".join([said[0], *said[2:]]), "", "| | planned |", "|---|---|", *rows])
+
+
+def picture(page_text: str, time_of_it: float, path: Path, browser: str) -> None:
+    """Write a picture of a replay with no more than `LARGEST` bytes."""
     with tempfile.TemporaryDirectory() as folder:
         page, full = Path(folder) / "replay.html", Path(folder) / "full.png"
         # As in a film: without controls.
-        page.write_text(replay_page(plan).replace("<body>", '<body class="film">'), encoding="utf-8")
-        shoot(page, full, _SIZE, browser, time_shown(plan))
+        page.write_text(page_text.replace("<body>", '<body class="film">'), encoding="utf-8")
+        shoot(page, full, _SIZE, browser, time_of_it)
         with Image.open(full) as image:
             small = image.convert("RGB")
     small.save(path, optimize=True)
@@ -81,10 +96,17 @@ def main() -> None:
         sys.exit("no Chromium on the PATH")
     PICTURES.mkdir(exist_ok=True)
     for name in names:
+        scene = cmbot.load_scene(scene_folder() / f"{name}.yaml")
+        if name in TOURS:
+            tour = cmbot.tour(scene, TOURS[name])
+            (walk,) = tour.walks
+            picture(walk_replay_page(walk), 0.4 * walk.seconds, PICTURES / f"{name}.png", browser)
+            write_between(PAGE, name, tour_section(name, tour))
+            continue
         begin = time.process_time()
-        plan = cmbot.plan(cmbot.load_scene(scene_folder() / f"{name}.yaml"))
+        plan = cmbot.plan(scene)
         planning = time.process_time() - begin
-        picture(plan, PICTURES / f"{name}.png", browser)
+        picture(replay_page(plan), time_shown(plan), PICTURES / f"{name}.png", browser)
         write_between(PAGE, name, section(name, plan, planning))
         print(f"{name}: {(PICTURES / f'{name}.png').stat().st_size / 1000:.0f} kB")
 

@@ -210,7 +210,8 @@ def tour(
     Writes a folder with a plan directory for the work in each stance, a folder for each walk, and one page
     about all of it.
 
-    Example: [bold]cmbot tour two_brackets[/bold], then open out/two_brackets_tour/index.html
+    Example: [bold]cmbot tour two_brackets --on top_rail[/bold], then open
+    out/two_brackets_tour/index.html in a browser.
     """
     started = time.perf_counter()
     loaded = [cmbot.load_scene(scene) for scene in scenes]

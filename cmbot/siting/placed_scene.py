@@ -19,7 +19,7 @@ from cmbot.siting.candidates import Candidate
 
 __all__ = ["in_world", "joined", "scene_at", "with_strokes"]
 
-_LONGEST_NAME = 90
+_LONGEST_NAME, _STANCE = 90, "_stance"
 _PLAIN: dict[str, Any] = dict.fromkeys(("lead_in_m", "lead_out_m", "speed_tolerance", "passes"))
 # What scenes of one bridge have in common.
 _COMMON = ("robot", "base", "tool", "return", "identified", "planner")
@@ -41,7 +41,8 @@ def scene_at(scene: Scene, candidate: Candidate, posture: FloatArray | None) -> 
         data = {key: value for key, value in data.items() if key not in ("posture_deg", "start")}
         data["start"] = {"posture_deg": np.degrees(posture).tolist()}
     guardrail = {**data["guardrail"], "stance": candidate.as_data}
-    return _read(scene, data | {"guardrail": guardrail, "name": f"{scene.name}_stance"})
+    name = scene.name if scene.name.endswith(_STANCE) else f"{scene.name}{_STANCE}"
+    return _read(scene, data | {"guardrail": guardrail, "name": name})
 
 
 def in_world(scene: Scene) -> Scene:

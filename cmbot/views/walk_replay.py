@@ -21,6 +21,8 @@ from cmbot.walking import Walk, WalkSamples, walk_samples
 __all__ = ["walk_replay_page"]
 
 _ONLY = "planned"  # the name of the one motion
+# Places of a foot that are drawn, and how little it moves from one sample to the next where it stays, m.
+_MOST_PLACES, _STAYS = 80, 1e-5
 _JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)
 
 
@@ -96,7 +98,7 @@ def _data(walk: Walk) -> dict[str, Any]:
         "commands": [
             base64.b64encode(command).decode("ascii")
             for command in moving_robot_commands(
-                body.visual, body.urdf, walk.scene, [feet[:, foot] for foot in (0, 1)], robot.reach
+                body.visual, body.urdf, walk.scene, [_thinned(feet[:, foot]) for foot in (0, 1)], robot.reach
             )
         ],
     }
@@ -170,6 +172,13 @@ def _parts(walk: Walk) -> list[list[Any]]:
         held = ["holds" if foot in move.holds else "free" for foot in (1, 2)]
         parts.append([begin, f"{step}: {goes}{words[move.kind]}", held])
     return parts
+
+
+def _thinned(way: FloatArray) -> FloatArray:
+    """Places of a foot along its way without those where it stays, at most `_MOST_PLACES`."""
+    moved = np.linalg.norm(np.diff(way, axis=0), axis=1) > _STAYS
+    way = way[np.concatenate([[True], moved])]
+    return np.asarray(way[np.unique(np.linspace(0, len(way) - 1, _MOST_PLACES).astype(int))])
 
 
 def _focus(points: FloatArray) -> dict[str, Any]:

@@ -28,7 +28,16 @@ def box_of(scene, name):
 
 
 def test_the_shipped_scenes():
-    names = ("angle_steel", "bracket_faces", "gusset_plate", "line", "panda_sanding", "pipe", "triangle")
+    names = (
+        "angle_steel",
+        "bracket_faces",
+        "gusset_plate",
+        "line",
+        "panda_sanding",
+        "pipe",
+        "triangle",
+        "two_brackets",
+    )
     assert shipped_scenes() == names
     with pytest.raises(SceneError, match=rf"no such file.*\(one of: {', '.join(names)}\)"):
         load_scene("traingle")

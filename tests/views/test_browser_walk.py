@@ -10,9 +10,19 @@ from selenium.webdriver import Chrome
 from walks import one_step
 
 from cmbot.archive import json_bytes
+from cmbot.views.walk_replay import _thinned
 from cmbot.walking import walk_data, walk_samples
 
 pytestmark = pytest.mark.browser
+
+
+def test_few_places_are_drawn_of_a_long_way() -> None:
+    still = np.zeros((500, 3))
+    way = np.vstack([still, np.linspace([0, 0, 0], [1, 0, 0], 5000), still + np.array([1.0, 0.0, 0.0])])
+    drawn = _thinned(way)
+    assert len(drawn) <= 100
+    np.testing.assert_allclose(drawn[[0, -1]], [[0, 0, 0], [1, 0, 0]])
+    assert np.linalg.norm(np.diff(drawn, axis=0), axis=1).max() < 0.02
 
 
 def test_the_walk_is_shown(chrome: Chrome, tmp_path: Path) -> None:
