@@ -68,8 +68,13 @@ def case(seed: int, robot: Robot, posture: FloatArray) -> Case:
     return Case(trajectory=trajectory, task=ToolTask(path, rng.choice(["pose", "axis"])))
 
 
-def outside(robot: Robot, clearances: Clearances, case: Case) -> tuple[int, int, FloatArray]:
-    """Samples outside their enclosures, samples, and how far each bound lies above the largest sample."""
+def outside(
+    robot: Robot, clearances: Clearances, case: Case, *, even: int = _EVEN, window: int = _WINDOW
+) -> tuple[int, int, FloatArray]:
+    """Samples outside their enclosures, samples, and how far each bound lies above the largest sample.
+
+    Samples are `even` ones, and `window` on each side of the times of largest values.
+    """
     x, task = case.trajectory, case.task
     found = certify(robot, task, x, clearances, PlannerOptions(), via_points=len(x.t))
     checks = {check.quantity.split(" of ")[0]: check for check in found.checks}
@@ -78,13 +83,13 @@ def outside(robot: Robot, clearances: Clearances, case: Case) -> tuple[int, int,
     at = {
         name: checks[name] for name in ("torque", "tool deviation", "tool rotation", "tool lag", "clearance")
     }
-    even = np.linspace(0, x.t[-1], _EVEN)
-    torques = Dynamics(robot).efforts(*x.states(even)).guardrail_torque
-    times = [even]
-    for time_ in (even[np.linalg.norm(torques, axis=1).argmax()], *(check.time for check in at.values())):
+    t_even = np.linspace(0, x.t[-1], even)
+    torques = Dynamics(robot).efforts(*x.states(t_even)).guardrail_torque
+    times = [t_even]
+    for time_ in (t_even[np.linalg.norm(torques, axis=1).argmax()], *(check.time for check in at.values())):
         step = float(np.diff(x.t)[np.clip(np.searchsorted(x.t, time_) - 1, 0, len(x.t) - 2)]) / _DENSE
-        spread = np.arange(-_WINDOW, _WINDOW + 1)
-        times += [np.clip(time_ + s * spread, 0, x.t[-1]) for s in (step, even[1] / _WINDOW)]
+        spread = np.arange(-window, window + 1)
+        times += [np.clip(time_ + s * spread, 0, x.t[-1]) for s in (step, t_even[1] / window)]
     t = np.concatenate(times)
     samples = measure(robot, task, clearances, t, [x.evaluate(t, order) for order in range(4)])
     limit = robot.limits.torque
