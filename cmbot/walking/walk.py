@@ -327,4 +327,5 @@ def load_goal(path: str | Path) -> Scene | StanceFile:
     """
     if Path(path).is_file() and "foot_1" in (data := read_yaml(path, SceneError)):
         return validated(StanceFile, data, str(path), SceneError)
-    return load_scene(path)
+    # As text: a path is never the name of a shipped scene.
+    return load_scene(str(path))

@@ -2,6 +2,7 @@
 
 import csv
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -159,6 +160,6 @@ def test_where_to(tmp_path: Any, scene: Scene) -> None:
     goal = load_goal(tmp_path / "there.json")
     assert isinstance(goal, StanceFile)
     assert goal.foot_2.along_m == 4.74
-    assert isinstance(load_goal("triangle"), Scene)
+    assert isinstance(load_goal(Path("triangle")), Scene)
     with pytest.raises(SceneError, match="the shipped robot, which holds a guardrail"):
         walk(short_scene(guardrail={"bays": 0}), goal)
