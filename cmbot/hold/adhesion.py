@@ -198,7 +198,9 @@ class Holding:
 
     def use_remainder(self, number: int, force: FloatArray, torque: FloatArray) -> FloatArray:
         """Bound by how much that share may change, (K,): as `remainder`."""
-        return np.asarray((self._load_bounds(number, force, torque) / self._clamp(number)).max(axis=1))
+        clamp, loads = self._clamp(number), self._load_bounds(number, force, torque)
+        bounded = np.isfinite(clamp)
+        return np.asarray((loads[:, bounded] / clamp[bounded]).max(axis=1, initial=0.0))
 
     def _clamp(self, number: int) -> FloatArray:
         foot = self.feet[number]
@@ -207,7 +209,10 @@ class Holding:
     def _load_bounds(self, number: int, force: FloatArray, torque: FloatArray) -> FloatArray:
         rows = self.feet[number].from_wrench
         by_force, by_torque = (np.linalg.norm(part, axis=1) for part in (rows[:, :3], rows[:, 3:]))
-        return np.asarray(np.outer(force, by_force) + np.outer(torque, by_torque))
+        # Of a motion beyond all bounds force and torque are infinite, and so is what they load.
+        with np.errstate(invalid="ignore"):
+            loads = np.outer(force, by_force) + np.outer(torque, by_torque)
+        return np.where(np.isnan(loads), np.inf, loads)
 
 
 def needed_by_load(contact: FlatContact, load: FloatArray) -> tuple[FloatArray, FloatArray]:

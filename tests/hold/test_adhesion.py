@@ -94,6 +94,16 @@ def test_a_remainder_bounds_the_change(rng) -> None:
     assert (moved <= holding.use_remainder(1, force, torque)).all()
 
 
+@pytest.mark.parametrize("moment", [None, (1e3, 1e3, 1e3)])
+def test_what_is_beyond_all_bounds_loads_without_bound(moment: tuple[float, float, float] | None) -> None:
+    """Never a number that compares with nothing: a promise would seem kept."""
+    clamp = replace(PLAIN, kind="clamp", adhesion=None, force=(1e3, 1e3, 1e3), moment=moment)
+    beyond = np.array([np.inf, 1.0])
+    found = Holding([clamp], np.zeros(6)).use_remainder(0, beyond, beyond)
+    assert found[0] == np.inf
+    assert np.isfinite(found[1])
+
+
 def test_it_is_convex(rng) -> None:
     holding = Holding([FOOT], np.zeros(6))
     first, second = rng.normal(size=(2, 500, 6)) * [500, 500, 500, 50, 50, 50]

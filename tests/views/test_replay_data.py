@@ -114,7 +114,7 @@ def test_nearest_points_are_as_far_apart_as_the_clearance(
         np.testing.assert_allclose(far[shown], clearance[shown], atol=2e-4)
         assert (clearance[~shown] >= triangle_plan.options.avoidance_distance_m - 2e-4).all()
         seen |= {data["pairs"][int(k)] for k in pair[shown]}
-    assert "tool – bracket_ab" in seen
+    assert "link_5 – slab" in seen  # of the arm with an obstacle; most of the time one of itself
     assert seen == set(data["pairs"])
 
 

@@ -28,11 +28,12 @@ from fuzzing.mutations import (
 __all__ = ["KINDS", "Case", "make_case"]
 
 KINDS = {
-    "scene": 0.36,
+    "scene": 0.33,
     "robot": 0.20,
     "plan directory": 0.18,
     "measurements": 0.08,
     "campaign": 0.04,
+    "walk": 0.03,
     "command line": 0.138,
     "planning": 0.002,
 }
@@ -86,6 +87,12 @@ def make_case(corpus: Corpus, seed: int, only: str | None, index: int) -> Case:
             return Case(kind, index, _mutated_plan(rng, corpus), verify=rng.random() < 0.03)
         case "measurements":
             return Case(kind, index, corpus.robot | _one_mutated(rng, corpus.measured))
+        case "walk":
+            change = mutate_json if rng.random() < 0.9 else mutate_text
+            content = corpus.walk
+            for _ in range(several(rng)):
+                content = by_structure(change, rng, content)
+            return Case(kind, index, {"walk.json": content})
         case "campaign":
             return Case(kind, index, corpus.robot | _one_mutated(rng, corpus.campaign))
         case "command line":

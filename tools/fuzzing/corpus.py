@@ -12,11 +12,14 @@ import numpy as np
 import trimesh
 
 import cmbot
+from cmbot.archive import json_bytes
 from cmbot.common.errors import InputError
 from cmbot.common.installation import scene_folder
 from cmbot.common.yaml_reader import read_yaml
 from cmbot.identification import stiffness_text
-from cmbot.scene import shipped_scenes
+from cmbot.scene import Scene, shipped_scenes
+from cmbot.walking import Step, Walk, stance_of, walk_data
+from cmbot.walking.steps import plan_step
 
 __all__ = ["Corpus", "as_yaml", "make_corpus"]
 
@@ -55,6 +58,8 @@ class Corpus:
     """Of that arm: measurements with a record, their scene, and a scene with the stiffness they tell."""
     campaign: Files
     """A campaign of variants of `robot`'s scene, with a table."""
+    walk: bytes
+    """A walk of one step of the shipped robot."""
     plans: tuple[Files, ...]
     """Plan directories, one with tracking errors and one with approach and return."""
 
@@ -97,6 +102,7 @@ def make_corpus(folder: Path) -> Corpus:
         plans=tuple(plans),
         measured=_measured_files(folder),
         campaign=_campaign_files(),
+        walk=_walk_file(),
     )
 
 
@@ -231,6 +237,33 @@ def _measured_files(folder: Path) -> Files:
         "stiffness.yaml": stiffness_text(found.stiffness, "measurements.yaml").encode(),
         "identified.yaml": as_yaml(scene | {"identified": "stiffness.yaml"}),
     }
+
+
+def _walk_file() -> bytes:
+    """A step of 50 mm of foot 1 along the top rail."""
+    arm = [3.1, -93.2, 148.1, 133.6, 54.8, 78.7, 5.7]
+
+    def standing(first: float) -> Scene:
+        ends = {"foot_1": first, "foot_2": 4.44}
+        feet = {foot: {"member": "top_rail", "along_m": x, "turn_deg": 180} for foot, x in ends.items()}
+        hold = {"kind": "clamp", "force_n": [2e4] * 3, "moment_nm": [2e3] * 3}
+        scene = {
+            "format": "cmbot-scene/2",
+            "name": "walk",
+            "robot": {"model": "cmbot"},
+            "posture_deg": arm,
+            "tool_path": {"legs": [{"by": [0.0, 0.1, 0.0], "seconds": 4}], "via_points": 8},
+            "guardrail": {"hold": hold, "stance": feet},
+        }
+        return cmbot.load_scene(scene)
+
+    scene = standing(4.04)
+    before, after = stance_of(scene), stance_of(standing(4.09))
+    moves = plan_step(scene, before, after, 1, np.radians(arm), 0.03, straight=True)
+    step = Step(foot=1, before=before, after=after, moves=moves)
+    return json_bytes(
+        walk_data(Walk(scene=scene, goal=after, steps=(step,), last=None, failures=(), speed=0.03))
+    )
 
 
 def _campaign_files() -> Files:

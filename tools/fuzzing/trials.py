@@ -111,6 +111,7 @@ def _judged(case: Case) -> Verdict:
             "plan directory": _read_plan,
             "measurements": _read_measurements,
             "campaign": _read_campaign,
+            "walk": _read_walk,
         }
         found = readers[case.kind](case)
     except CmbotError as error:
@@ -149,6 +150,12 @@ def _read_measurements(_: Case) -> Any:
     scene = cmbot.load_scene("identified.yaml")
     arm = bending_arm(scene, robot_of(scene))
     return known, None if arm is None else arm.stiffness
+
+
+def _read_walk(_: Case) -> Any:
+    walk = cmbot.load_walk(".")
+    checks = [check for move in walk.moves for check in move.segment.certificate.checks]
+    return walk.seconds, walk.effort, walk.adhesion_needed, checks, list(walk.in_words())
 
 
 def _read_campaign(_: Case) -> Any:
