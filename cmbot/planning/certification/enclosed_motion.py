@@ -35,13 +35,23 @@ class EnclosedMotion:
     trajectory : QuinticTrajectory
     sag : Sag, optional
         Where it is compensated.
+    coarse : bool
+        Bounds may lie far beyond what was found.
     """
 
-    def __init__(self, robot: Robot, task: ToolTask, trajectory: QuinticTrajectory, sag: Sag | None) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        task: ToolTask,
+        trajectory: QuinticTrajectory,
+        sag: Sag | None,
+        *,
+        coarse: bool = False,
+    ) -> None:
         self._robot, self._task, self._trajectory, self._sag = robot, task, trajectory, sag
         self._dynamics = Dynamics(robot)
         pieces = Pieces.between(trajectory, task.path.breaks)
-        self._pieces = pieces.refined(self._share, _MOST_PIECES * len(pieces.start))
+        self._pieces = pieces if coarse else pieces.refined(self._share, _MOST_PIECES * len(pieces.start))
         self._bounds = norm_bounds(robot, self._pieces.ellipses)
         q, v, a = self._pieces.states
         self._efforts: Efforts = self._dynamics.efforts(q, v, a)

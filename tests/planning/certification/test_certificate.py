@@ -21,7 +21,7 @@ from cmbot.planning import Plan, QuinticTrajectory, plan
 from cmbot.planning.certification.certificate import Certificate, Check, certify
 from cmbot.planning.certification.joint_checks import continuity_check
 from cmbot.planning.certification.metrics import measure
-from cmbot.robot import Kinematics, Robot, load_robot
+from cmbot.robot import Dynamics, Efforts, Kinematics, Robot, load_robot
 from cmbot.scene import Box, Obstacle, pose
 from cmbot.trajectory import Parametrization, SparseSplines, SplineSpace
 
@@ -275,6 +275,25 @@ def test_figures_by_hand(triangle_plan: Plan) -> None:
     assert check.value >= share.max() * check.bound
     at = np.abs(grid - check.time).argmin()
     assert np.abs(tau[at]).max() == pytest.approx(check.value, rel=1e-4)
+
+
+def test_a_motion_that_is_absurdly_fast_is_not_looked_at_closely(
+    short_plan: Plan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its rates are broken a thousand times: what else is found are bounds all the same, but coarse ones."""
+    x, asked = short_plan.job.strokes[0].trajectory, list[int]()
+
+    def counting(dynamics: Dynamics, q: FloatArray, *rates: FloatArray) -> Efforts:
+        asked.append(len(q))
+        return efforts(dynamics, q, *rates)
+
+    efforts = Dynamics.efforts
+    monkeypatch.setattr(Dynamics, "efforts", counting)
+    certificate = again(short_plan, trajectory=replace(x, v=1e3 * x.v, a=1e3 * x.a))
+    assert not certificate.holds
+    assert max(asked) <= 20 * len(x.t)
+    assert certificate.clearance_bound <= certificate.figures.min_clearance
+    assert certificate.guardrail_torque_bound >= certificate.figures.peak_guardrail_torque
 
 
 @pytest.mark.parametrize("samples", [4, 400])
