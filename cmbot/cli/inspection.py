@@ -48,6 +48,7 @@ _REQUIRED = {
     "u-msgpack-python": "umsgpack",
     "yourdfpy": "yourdfpy",
     "trimesh": "trimesh",
+    "fast-simplification": "fast_simplification",
     "threadpoolctl": "threadpoolctl",
     "typer": "typer",
     "rich": "rich",

@@ -82,7 +82,7 @@ def replay(
     from cmbot.archive import PLAN_FILE, WALK_FILE
     from cmbot.views import REPLAY, film, replay_page
 
-    is_walk = (directory / WALK_FILE).is_file() and not (directory / PLAN_FILE).exists()
+    is_walk = _is_file(directory / WALK_FILE) and not _is_file(directory / PLAN_FILE)
     if is_walk and filmed is None:
         _replay_walk(directory, html, serve=serve)
         return
@@ -130,6 +130,14 @@ def _serve(page: str, name: str) -> None:
             server.wait()
         except KeyboardInterrupt:
             return
+
+
+def _is_file(path: Path) -> bool:
+    """Whether there is a file; not where its name cannot be one: who reads it says so."""
+    try:
+        return path.is_file()
+    except OSError:
+        return False
 
 
 def _replay_walk(directory: Path, html: Path | None, *, serve: bool) -> None:

@@ -244,5 +244,5 @@ def test_a_shell_completes_scenes_verbs_and_options(tmp_path: Path) -> None:
         )
         return done.stdout.split()
 
-    assert completed("cmbot", "plan", "t") == ["tower.yaml", "triangle"]
+    assert completed("cmbot", "plan", "t") == ["tower.yaml", "triangle", "two_brackets"]
     assert completed("cmbot", "sc") == ["scenes", "schema"]
