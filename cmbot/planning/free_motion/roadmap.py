@@ -87,6 +87,8 @@ class _Roadmap:
         self._space = space
         self._q, self._at_nodes = ends, space.cost(ends)
         self._pairs = np.empty((0, 2), dtype=np.intp)
+        # Edges in the order of their keys, one number for both ends.
+        self._order, self._keys = np.empty((2, 0), dtype=np.intp)
         # Of an edge: the largest cost at its ends and, once it is computed, along it.
         self._cost = np.empty(0)
         self._length = np.empty(0)
@@ -105,6 +107,9 @@ class _Roadmap:
         pairs = np.stack([np.repeat(new, number), nearest.ravel()], axis=1)
         pairs = np.unique(np.sort(pairs[pairs[:, 0] != pairs[:, 1]], axis=1), axis=0)
         self._pairs = np.vstack([self._pairs, pairs])
+        keys = self._key(self._pairs)
+        self._order = np.argsort(keys, kind="stable")
+        self._keys = keys[self._order]
         self._cost = np.concatenate([self._cost, self._at_nodes[pairs].max(axis=1)])
         length = self._space.robot.metric.lengths(np.diff(self._q[pairs], axis=1)[:, 0])
         self._length = np.concatenate([self._length, length])
@@ -150,6 +155,7 @@ class _Roadmap:
     def _edges(self, nodes: IntArray) -> IntArray:
         """Indices of the edges between the postures of a path."""
         ends = np.sort(np.stack([nodes[:-1], nodes[1:]], axis=1), axis=1)
-        order = np.lexsort(self._pairs.T[::-1])
-        keys, sought = (pairs @ [len(self._q), 1] for pairs in (self._pairs[order], ends))
-        return np.asarray(order[np.searchsorted(keys, sought)])
+        return np.asarray(self._order[np.searchsorted(self._keys, self._key(ends))])
+
+    def _key(self, pairs: IntArray) -> IntArray:
+        return np.asarray(pairs[:, 0] * len(self._q) + pairs[:, 1])
