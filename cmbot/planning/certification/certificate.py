@@ -38,7 +38,7 @@ __all__ = ["Certificate", "Check", "certify"]
 _AT_VIA_POINT, _SAME_DURATION = 1e-6, 1e-9
 # Motions that break the bound of a rate so many times, as damaged files do, are enclosed coarsely: no closer
 # look makes them hold, and it would take long.
-_ABSURD = 100.0
+_ABSURD = 1e5
 
 
 @dataclass(frozen=True, kw_only=True)
