@@ -161,9 +161,10 @@ class Holding:
             return np.zeros_like(force)
         along, across = foot.half
         pull = size[:, 2]
-        slide = np.hypot(size[:, 0], size[:, 1]) / foot.friction
-        tip = size[:, 3] / across + size[:, 4] / along
-        return np.asarray(pull + slide + tip + size[:, 5] / (foot.friction * foot.radius))
+        with np.errstate(over="ignore"):  # damaged files ask forces without end; an infinite bound is refused
+            slide = np.hypot(size[:, 0], size[:, 1]) / foot.friction
+            tip = size[:, 3] / across + size[:, 4] / along
+            return np.asarray(pull + slide + tip + size[:, 5] / (foot.friction * foot.radius))
 
     @property
     def bounded(self) -> bool:
