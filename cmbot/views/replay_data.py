@@ -11,7 +11,7 @@ import pinocchio as pin
 from scipy.spatial.transform import Rotation
 
 from cmbot.collision import Clearances
-from cmbot.common.arrays import FloatArray
+from cmbot.common.arrays import FloatArray, IntArray
 from cmbot.common.errors import InputError
 from cmbot.common.validation import require_type
 from cmbot.planning import (
@@ -38,6 +38,8 @@ ARROW = 0.32  # of the largest torque, as a share of the reach
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
 _BETWEEN = " – "  # two names of a pair
+# Links whose distance varies by less than this, m, in so many of a motion's postures are always as near.
+_AS_NEAR, _LOOKED_AT = 1e-3, 12
 _ALWAYS: Intervals = ((0.0, np.inf),)
 # Directions all around, (200, 3), on a spiral over the sphere.
 _ANGLES = np.pi * (1 + 5**0.5) * np.arange(200)
@@ -190,14 +192,33 @@ class Frames:
         return holding.share(np.hstack([samples.guardrail_force, samples.guardrail_torque]))[0]
 
     def _nearest(self, q: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Nearest points (F, 6) and pairs (F,) in postures `q` (F, n).
+
+        Links that are always as near to each other tell nothing: then what can be avoided is shown, if near.
+        """
         points, pairs = np.zeros((len(q), 6)), np.full(len(q), -1.0)
         smallest = self.clearances.smallest(q)
-        for k in np.flatnonzero(smallest.distance < self._near):
-            number = int(smallest.pair[k])
+        nearest, distance = smallest.pair.copy(), smallest.distance.copy()
+        if (fixed := np.isin(nearest, self._fixed(q, nearest))).any():
+            other = self.clearances.smallest(q, avoidable_only=True)
+            instead = fixed & (other.distance < self._near)
+            nearest[instead], distance[instead] = other.pair[instead], other.distance[instead]
+        for k in np.flatnonzero(distance < self._near):
+            number = int(nearest[k])
             found, shapes = self.clearances.nearest(q[k], number), self.clearances.pairs[number]
             points[k] = np.concatenate([found.point, found.other_point])
             pairs[k] = self.pairs.setdefault(f"{shapes.link}{_BETWEEN}{shapes.other}", len(self.pairs))
         return points, pairs
+
+    def _fixed(self, q: FloatArray, pairs: IntArray) -> list[int]:
+        """Which of `pairs` are as near in all of the postures `q` (F, n), as some of them tell."""
+        some = np.unique(np.linspace(0, len(q) - 1, _LOOKED_AT).astype(int))
+        found = []
+        for pair in np.unique(pairs[pairs >= 0]).tolist():
+            distance = self.clearances.distances(q, some, np.full(len(some), pair))
+            if np.ptp(distance) < _AS_NEAR:
+                found.append(pair)
+        return found
 
 
 def frame_times(start: float, end: float, step: float) -> FloatArray:
