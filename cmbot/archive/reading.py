@@ -211,7 +211,7 @@ def _stroke_plan(
         lower_bound=None if entry.floor is None else entry.floor.made(),
         choice=entry.choice,
         compensation=entry.compensation,
-        quieting=None if entry.quieting is None else entry.quieting.made(),
+        suppression=None if entry.suppression is None else entry.suppression.made(),
     )
 
 

@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 import numpy as np
 from pydantic import (
     AfterValidator,
+    AliasChoices,
     BeforeValidator,
     Field,
     PlainSerializer,
@@ -265,8 +266,10 @@ class StrokeEntries(FileModel):
     """What is planned of a stroke, or of all of them."""
 
     baseline: MetricsFile
-    quieting: SuppressionFile | None = None
-    """null: the vibration was not suppressed."""
+    suppression: Annotated[
+        SuppressionFile | None, Field(validation_alias=AliasChoices("suppression", "quieting"))
+    ] = None
+    """null: the vibration was not suppressed. Plan directories of earlier versions call it quieting."""
     compensation: Annotated[Compensation, _at_least_zero()] | None = None
     """null: the sag was not compensated."""
     objective: ObjectiveFile

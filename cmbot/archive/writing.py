@@ -119,7 +119,7 @@ def stroke_entries(stroke: StrokePlan, robot: Robot) -> dict[str, object]:
     start, bound = stroke.start, stroke.lower_bound
     return {
         "baseline": stroke.baseline_figures,
-        "quieting": stroke.quieting,
+        "suppression": stroke.suppression,
         "compensation": stroke.compensation,
         "objective": stroke.objective,
         "floor": None if bound is None else {**vars(bound), "each": tuple(bound.each.tolist())},

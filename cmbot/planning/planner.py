@@ -301,7 +301,7 @@ def _certified_motion(attempt: Attempt) -> StrokeMotion:
     def each_pass(report: ExchangeReport, rounds: int = 0) -> None:
         reporter.passed(report, context.objective.unit, most, rounds=rounds, most_rounds=MOST_ROUNDS)
 
-    compensation = quieting = None
+    compensation = suppression = None
     with constraints_named(context):
         problem = guess.problem
         with leaps_told(context, problem.parametrization.via_points):
@@ -309,7 +309,7 @@ def _certified_motion(attempt: Attempt) -> StrokeMotion:
         if context.sag is not None:
             optimised, compensation, problem = compensate(context, guess, optimised, context.sag, each_pass)
     if context.arm is not None and suppresses_vibration(options):
-        optimised, quieting = suppress_vibration(context.arm, problem, optimised)
+        optimised, suppression = suppress_vibration(context.arm, problem, optimised)
 
     reporter.stage("certify")
     posture = optimised.trajectory.q[0]
@@ -349,7 +349,7 @@ def _certified_motion(attempt: Attempt) -> StrokeMotion:
     return StrokeMotion(
         optimised=optimised,
         compensation=compensation,
-        quieting=quieting,
+        suppression=suppression,
         start=Start(posture=posture, moved=moved, failures=guess.failures),
         job=Job(segments=(*before, work, *after)),
     )

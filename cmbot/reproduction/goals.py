@@ -280,7 +280,7 @@ def rest_goal(experiment: Experiment) -> GoalTable | None:
 
 
 def _why_it_swings(plan: Plan) -> Iterator[str]:
-    suppression = plan.quieting
+    suppression = plan.suppression
     if suppression is None:
         yield "No mode was suppressed."
     elif not any(suppression.shares):

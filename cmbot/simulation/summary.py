@@ -116,7 +116,7 @@ def interval_rows(plan: Plan, tracking: Tracking) -> Iterator[tuple[str, ...]]:
     Without suppression is told where the plan has simulated that, else left blank. Nothing where the stated
     stiffness alone was simulated.
     """
-    done, options = plan.quieting, tracking.options
+    done, options = plan.suppression, tracking.options
     without = {}
     if done is not None and all(
         getattr(options, name) == getattr(SimulationOptions, name) for name in _MODEL

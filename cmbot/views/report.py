@@ -334,7 +334,7 @@ def _list(sentences: Iterable[str]) -> str:
 
 def _elastic(plan: Plan) -> Iterator[Row]:
     """Yield sag compensation and vibration suppression, where they were asked for."""
-    compensation, suppression = plan.compensation, plan.quieting
+    compensation, suppression = plan.compensation, plan.suppression
     if compensation is not None:
         yield "sag compensation, rounds", str(compensation.rounds)
         yield "largest shift of the tool from its path, mm", f"{1e3 * compensation.largest_shift:.3f}"

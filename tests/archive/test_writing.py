@@ -128,16 +128,19 @@ def test_what_was_done_about_sag_and_vibration_has_the_promised_keys(thin_plan, 
         "swing_with": (0.0, 1e-4),
     }
     suppression = VibrationSuppression(modes=2, shares=(1.0, 0.5), before=1e-3, after=1e-4, **tables)
-    plan = replace(thin_plan, compensation=compensation, quieting=suppression)
+    plan = replace(thin_plan, compensation=compensation, suppression=suppression)
     data = json.loads((save(plan, tmp_path / "plan") / "plan.json").read_text())
     expected = {"rounds": 2, "largest_shift": 0.01, "last_change": 1e-6, "deviation": 0.0}
     assert data["compensation"] == expected
     shares = {"shares": [1.0, 0.5], "share": 0.75}
-    assert data["quieting"] == {"modes": 2, "before": 1e-3, "after": 1e-4, **shares} | {
+    assert data["suppression"] == {"modes": 2, "before": 1e-3, "after": 1e-4, **shares} | {
         name: list(values) for name, values in tables.items()
     }
     read = load_plan(tmp_path / "plan")
-    assert (read.compensation, read.quieting) == (compensation, suppression)
+    assert (read.compensation, read.suppression) == (compensation, suppression)
+    file = tmp_path / "plan" / "plan.json"
+    file.write_text(file.read_text().replace('"suppression"', '"quieting"'))
+    assert load_plan(tmp_path / "plan").suppression == suppression
 
 
 def test_the_promised_files_are_strict_json_and_the_same_each_time(saved_triangle, triangle_plan, tmp_path):

@@ -67,7 +67,7 @@ def run_of(found: Tracking, plan_: Any = None) -> Run:
 
 def suppressed(share: float = 1.0) -> Any:
     return SimpleNamespace(
-        quieting=SimpleNamespace(modes=2, share=share, shares=(share,), before=1e-4, after=2e-6)
+        suppression=SimpleNamespace(modes=2, share=share, shares=(share,), before=1e-4, after=2e-6)
     )
 
 
@@ -76,7 +76,7 @@ def sagging(sag: Any) -> Any:
     t = np.linspace(0.0, 1.0, 201)
     expected = 2 * MM * np.outer(t, sag)
     samples = SimpleNamespace(t=t, tool_point=np.zeros((201, 3)), expected_tool_point=expected)
-    return SimpleNamespace(samples=samples, quieting=None)
+    return SimpleNamespace(samples=samples, suppression=None)
 
 
 def deviation_of(sag: Any) -> np.ndarray:
@@ -219,7 +219,7 @@ def swinging(size: float, factor: float, baseline: float) -> Any:
 def resting(planned: dict[float, float], unsuppressed: dict[float, float], plan_: Any = None) -> Any:
     """The goal of rest, from the largest distances after the stop, mm, by the stiffness."""
     first, *others = (swinging(size, factor, 120) for factor, size in planned.items())
-    silent: Any = SimpleNamespace(quieting=None)
+    silent: Any = SimpleNamespace(suppression=None)
     trackings = tuple(swinging(size, factor, 120) for factor, size in unsuppressed.items())
     run = replace(run_of(first, plan_ or suppressed()), others=tuple(others))
     return rest_goal(experiment_of(run, unsuppressed=Variant(plan=silent, trackings=trackings, why_not="")))
@@ -246,8 +246,8 @@ def test_a_plan_that_swings_says_why() -> None:
     table = resting(*worse)
     assert (table.rows[-1].holds, table.verdicts[0].holds) == (False, False)
     assert len(table.remarks) == 1
-    assert resting(*worse, SimpleNamespace(quieting=None)).remarks[1] == "No mode was suppressed."
-    unchanged = SimpleNamespace(quieting=SimpleNamespace(shares=(0.0, 0.0)))
+    assert resting(*worse, SimpleNamespace(suppression=None)).remarks[1] == "No mode was suppressed."
+    unchanged = SimpleNamespace(suppression=SimpleNamespace(shares=(0.0, 0.0)))
     assert resting(*worse, unchanged).remarks[1].startswith("No change is made")
 
 

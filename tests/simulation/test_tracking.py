@@ -222,7 +222,7 @@ def test_the_ends_of_the_interval_are_simulated_too(short_plan: Plan) -> None:
         swing_without=(4e-3, 3e-3, 2e-3),
         swing_with=(2e-3, 1e-3, 1e-3),
     )
-    suppressed = replace(short_plan, quieting=done)
+    suppressed = replace(short_plan, suppression=done)
     assert [row[3] for row in interval_rows(suppressed, found)] == ["", "", "", ""]
     found = replace(found, options=replace(options, joint_factor=1.0))
     assert [row[3] for row in interval_rows(suppressed, found)] == ["", "4.000", "", "2.000"]

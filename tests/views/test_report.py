@@ -103,7 +103,7 @@ def test_sag_compensation_and_vibration_suppression_are_in_tables(
     def rows(values: dict[str, str]) -> list[str]:
         return [f'{name}</th><td class="number">{value}</td>' for name, value in values.items()]
 
-    done, quiet = compensated_short[0].compensation, triangle_plan.quieting
+    done, quiet = compensated_short[0].compensation, triangle_plan.suppression
     assert done.largest_shift > 1e-3
     sag = {
         "sag compensation, rounds": f"{done.rounds}",

@@ -31,7 +31,7 @@ class StrokeMotion:
 
     optimised: Optimised
     compensation: Compensation | None
-    quieting: VibrationSuppression | None
+    suppression: VibrationSuppression | None
     start: Start
     job: Job
 
@@ -124,7 +124,7 @@ def _stroke_plan(
         lower_bound=bound,
         choice=guess.choice,
         compensation=motion.compensation,
-        quieting=motion.quieting,
+        suppression=motion.suppression,
     )
 
 
@@ -158,7 +158,7 @@ def _fallbacks(attempt: Attempt, motion: StrokeMotion) -> Iterator[str]:
         expired = context.reporter.expired()
         why = f"Stopped after {limit}" if expired else "The last stage of the optimisation failed"
         yield f"{why}: the best motion so far."
-    if context.arm is not None and suppresses_vibration(context.options) and motion.quieting is None:
+    if context.arm is not None and suppresses_vibration(context.options) and motion.suppression is None:
         yield f"The vibration at the ends of the legs is not suppressed: the time, {limit}, was over."
     if why := optimised.whole_because:
         yield f"The path was optimised as a whole, as a segment failed ({why}): that took longer."

@@ -88,8 +88,8 @@ def _bending(plan: Plan) -> Iterator[str]:
                 "By the errors of the identified stiffness the tool's place across its path has a standard "
                 f"deviation of {1e3 * done.deviation:.2f} mm at most; {part} part of what is certified."
             )
-    if plan.quieting is not None:
-        yield _suppression(plan.quieting, plan.scene.base_name)
+    if plan.suppression is not None:
+        yield _suppression(plan.suppression, plan.scene.base_name)
 
 
 def _suppression(done: VibrationSuppression, base: str) -> str:

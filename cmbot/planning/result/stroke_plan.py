@@ -123,7 +123,7 @@ class StrokePlan:
         Peaks of the global search for both choices of the start; None with fixed knots.
     compensation : Compensation or None
         Of the predicted sag.
-    quieting : VibrationSuppression or None
+    suppression : VibrationSuppression or None
         None with fixed knots, where nothing bends, or unasked.
     """
 
@@ -139,7 +139,7 @@ class StrokePlan:
     lower_bound: LowerBound | None
     choice: Choice | None
     compensation: Compensation | None
-    quieting: VibrationSuppression | None
+    suppression: VibrationSuppression | None
 
 
 def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
@@ -151,8 +151,8 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
     bounds = [stroke.lower_bound for stroke in strokes if stroke.lower_bound is not None]
     choices = [stroke.choice for stroke in strokes if stroke.choice is not None]
     compensations = [stroke.compensation for stroke in strokes if stroke.compensation is not None]
-    quieted = [stroke.quieting for stroke in strokes if stroke.quieting is not None]
-    loudest = max(quieted, key=lambda each: max(each.swing_without, default=0.0), default=None)
+    suppressed = [stroke.suppression for stroke in strokes if stroke.suppression is not None]
+    loudest = max(suppressed, key=lambda each: max(each.swing_without, default=0.0), default=None)
     return {
         "task": strokes[0].task,
         "start": strokes[0].start,
@@ -175,12 +175,12 @@ def combined(strokes: Sequence[StrokePlan]) -> dict[str, Any]:
         )
         if compensations
         else None,
-        "quieting": replace(
+        "suppression": replace(
             loudest,
-            modes=max(each.modes for each in quieted),
-            shares=tuple(share for each in quieted for share in each.shares),
-            before=max(each.before for each in quieted),
-            after=max(each.after for each in quieted),
+            modes=max(each.modes for each in suppressed),
+            shares=tuple(share for each in suppressed for share in each.shares),
+            before=max(each.before for each in suppressed),
+            after=max(each.after for each in suppressed),
         )
         if loudest is not None
         else None,

@@ -72,17 +72,17 @@ def test_the_tool_comes_to_rest_as_predicted(loud: Plan, quiet: Plan) -> None:
     before, after = (float(np.linalg.norm(swing(each, FINE))) for each in (loud, quiet))
     # What is left are the faster modes.
     assert after < 0.15 * before
-    assert quiet.quieting.share > 0.9
-    assert quiet.quieting.modes == 2
+    assert quiet.suppression.share > 0.9
+    assert quiet.suppression.modes == 2
     # Both modes' amplitudes coincide at some time: twice that is the most the tool swings through.
-    assert 0.4 * before < 2 * quiet.quieting.before < 1.5 * before
-    assert quiet.quieting.after < 0.1 * quiet.quieting.before
+    assert 0.4 * before < 2 * quiet.suppression.before < 1.5 * before
+    assert quiet.suppression.after < 0.1 * quiet.suppression.before
 
 
 def test_nothing_else_changes(loud: Plan, quiet: Plan, tmp_path: Path) -> None:
     """And the plan is read back as it was."""
-    assert loud.quieting is None
-    assert load_plan(save(quiet, tmp_path / "plan"), verify=True).quieting == quiet.quieting
+    assert loud.suppression is None
+    assert load_plan(save(quiet, tmp_path / "plan"), verify=True).suppression == quiet.suppression
     assert quiet.certificate.holds
     np.testing.assert_allclose(quiet.trajectory.q, loud.trajectory.q, rtol=0, atol=1e-12)
     assert np.abs(quiet.trajectory.jumps(3)).max() < 1e-9
@@ -98,23 +98,23 @@ def test_bounds_that_are_met_already_stay_met() -> None:
     """With hardly any room for the tool, the change is worked out around what is at its bound."""
     tight = planned(2, max_tool_deviation_m=2e-4)
     assert tight.certificate.holds
-    assert tight.quieting.share > 0
-    assert tight.quieting.after <= tight.quieting.before
+    assert tight.suppression.share > 0
+    assert tight.suppression.after <= tight.suppression.before
 
 
 def test_fixed_knots_are_left_to_the_letter(short_plan: Plan) -> None:
     assert (short_plan.options.knots, short_plan.options.quiet_modes) == ("fixed", 2)
-    assert short_plan.quieting is None
+    assert short_plan.suppression is None
 
 
-def test_links_alone_are_quieted_too() -> None:
+def test_vibration_of_links_alone_is_suppressed_too() -> None:
     """On a rigid hold the links still bend."""
     scene = short_scene(guardrail={"bays": 0}, planner={"knots": "sliding", "start": "pinned"})
     rigid_hold = plan(scene)
-    assert rigid_hold.quieting.share > 0
+    assert rigid_hold.suppression.share > 0
 
 
-def test_a_window_that_cannot_be_quieted_leaves_the_others_theirs(
+def test_a_window_without_suppression_leaves_the_others_theirs(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     change = Window.change
@@ -124,12 +124,12 @@ def test_a_window_that_cannot_be_quieted_leaves_the_others_theirs(
 
     monkeypatch.setattr(Window, "change", first_in_vain)
     made = planned(2, via_points=81)
-    assert made.quieting.shares[0] == 0.0
-    assert made.quieting.shares[1] > 0.3
-    assert made.quieting.after < 0.7 * made.quieting.before
+    assert made.suppression.shares[0] == 0.0
+    assert made.suppression.shares[1] > 0.3
+    assert made.suppression.after < 0.7 * made.suppression.before
     assert made.certificate.holds
     save(made, tmp_path / "plan")
-    assert load_plan(tmp_path / "plan").quieting == made.quieting
+    assert load_plan(tmp_path / "plan").suppression == made.suppression
     # Files of before do not tell the legs apart.
     file = SuppressionFile(modes=2, share=0.5, before=1e-3, after=5e-4)
     assert file.made().shares == (0.5,)
@@ -146,7 +146,7 @@ def test_where_the_time_is_over_the_plan_is_left_as_it_is(monkeypatch: pytest.Mo
     monkeypatch.setattr(planner, "optimise", takes_long)
     late = planned(2, 10)
     assert late.certificate.holds
-    assert late.quieting is None
+    assert late.suppression is None
     (sentence,) = late.fallbacks
     assert "vibration at the ends of the legs is not suppressed: the time, 60 s" in sentence
 
@@ -159,7 +159,7 @@ def test_what_stiffness_may_be_is_suppressed(loud: Plan, robust: Plan) -> None:
         swings.append([diameter(each, options) for each in (loud, robust)])
     before, after = np.max(swings, axis=0)
     assert after < 0.6 * before
-    done = robust.quieting
+    done = robust.suppression
     # The plan's simulation is linear, that of the tracking is not.
     ends = [done.stiffness.index(0.7), done.stiffness.index(1.3)]
     told = np.stack([done.swing_without, done.swing_with], axis=1)[ends]
@@ -182,8 +182,8 @@ def test_a_change_that_does_not_help_is_not_made(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(LegVibration, "swings", one_case_hardly_better)
     left = planned(2)
-    assert left.quieting.shares == (0.0, 0.0)
-    assert left.quieting.after == left.quieting.before
+    assert left.suppression.shares == (0.0, 0.0)
+    assert left.suppression.after == left.suppression.before
     np.testing.assert_array_equal(left.trajectory.a, loud.trajectory.a)
     assert "makes the largest swing hardly smaller" in " ".join(remarks(left))
 
@@ -200,7 +200,7 @@ def test_many_modes_are_judged_at_more_stiffnesses_than_they_are_predicted(
         return found
 
     monkeypatch.setattr(LegVibration, "swings", judged)
-    done = planned(6, 10).quieting
+    done = planned(6, 10).suppression
     ((_, number),) = cases
     assert number >= 25
     assert {1.0, 0.7, 1.3} < set(done.stiffness)

@@ -65,7 +65,7 @@ def suppressed(of: Plan, **changes: object) -> str:
         "swing_with": (5e-4, 1e-4),
     }
     return " ".join(
-        remarks(replace(of, quieting=VibrationSuppression(before=1e-3, after=3e-4, **done | changes)))
+        remarks(replace(of, suppression=VibrationSuppression(before=1e-3, after=3e-4, **done | changes)))
     )
 
 
@@ -94,13 +94,13 @@ def test_what_is_done_about_vibration_is_told(triangle_plan: Plan) -> None:
         ((1.0, 0.5, 0.0), "at the ends of 2 of the 3 legs, and not at those of 1, where no change"),
     ],
 )
-def test_one_leg_that_cannot_be_quieted_does_not_hide_the_others(
+def test_one_leg_without_suppression_does_not_hide_the_others(
     triangle_plan: Plan, shares: tuple[float, ...], words: str
 ) -> None:
     tables = {"swing_with": (1e-4,), "swing_without": (1e-3,), "stiffness": (1.0,), "load_kg": (0.0,)}
-    quieting = replace(triangle_plan.quieting, shares=shares, **tables)
-    assert words in line(replace(triangle_plan, quieting=quieting), "Vibration suppression: ")
-    assert quieting.share == pytest.approx(sum(shares) / len(shares))
+    suppression = replace(triangle_plan.suppression, shares=shares, **tables)
+    assert words in line(replace(triangle_plan, suppression=suppression), "Vibration suppression: ")
+    assert suppression.share == pytest.approx(sum(shares) / len(shares))
 
 
 def test_words_of_the_trade_are_explained_where_they_are_used(triangle_plan: Plan) -> None:
