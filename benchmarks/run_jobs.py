@@ -2,6 +2,7 @@
 
     python benchmarks/run_jobs.py                          # 100 jobs
     python benchmarks/run_jobs.py --jobs 20 --fresh 7      # also jobs that nothing was tuned on
+    python benchmarks/run_jobs.py --fresh 7 --document     # what was found goes to docs/performance.md
 
 Jobs go to OUTPUT/jobs, results to OUTPUT/results.json. What has not changed since the last run is not run
 again. A job that fails is planned alone by ``cmbot plan OUTPUT/jobs/NAME/job.yaml``.
@@ -13,18 +14,19 @@ import argparse
 import json
 import secrets
 import statistics
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from report.document import ROOT
-from report.tables import Sheet, print_sheets
+from report.document import PAGE, RESULTS, ROOT, page
+from report.tables import Sheet, markdown, print_sheets
 from rich.console import Console
 from run_suite import TUNING_SEED, hash_of, planner_files
 from suite.jobs import job_name
 
 from cmbot.campaigns import Task, TaskResult, run_tasks
 
+REFERENCE = RESULTS / "jobs.json"
 _SUITE = ROOT / "benchmarks" / "suite"
 _SECONDS = {"make_job": 120.0, "find_way": 600.0, "plan_job": 900.0}
 
@@ -95,9 +97,29 @@ def success(rows: Sequence[dict[str, Any]]) -> Sheet:
                 f"{statistics.median(seconds):.1f}" if seconds else "-",
             )
         )
-    headings = ("seed, arm", "jobs", "way", "of them planned", "planned", "wrong", "processor time, s")
+    headings = ("seed, arm", "jobs", "with a way", "of them planned", "planned", "wrong", "s, median")
     title = "Random jobs of several strokes"
     return Sheet(key="jobs", title=title, headings=headings, rows=tuple(lines))
+
+
+def failures(rows: Sequence[dict[str, Any]]) -> Sheet:
+    """Return why jobs with a way were not planned, or what is wrong with their plans."""
+    lines = []
+    for row in rows:
+        plan = row["plan"]
+        if plan.get("violations"):
+            lines.append((row["name"], f"wrong: {'; '.join(map(str, plan['violations']))}"))
+        elif row["oracle"]["way"] and plan["status"] != "planned":
+            lines.append((row["name"], plan.get("reason", plan["status"]).replace("|", "/")))
+    title = "Jobs with a way that were not planned"
+    return Sheet(
+        key="jobs-failures", title=title, headings=("job", "reason"), rows=tuple(lines) or (("none", "-"),)
+    )
+
+
+def blocks(results: Mapping[str, Any]) -> dict[str, str]:
+    """Return what goes between the markers of docs/performance.md, by marker."""
+    return {sheet.key: markdown(sheet) for sheet in (success(results["jobs"]), failures(results["jobs"]))}
 
 
 def main() -> None:
@@ -108,19 +130,24 @@ def main() -> None:
     parser.add_argument("--fresh", nargs="?", type=int, const=-1, metavar="SEED", help="also a fresh set")
     parser.add_argument("--workers", type=int, default=1, help="processes (default: %(default)s)")
     parser.add_argument("--output", type=Path, default=ROOT / "out" / "jobs", help="default: out/jobs")
+    parser.add_argument("--document", action="store_true", help="put the tables into docs/performance.md")
     arguments = parser.parse_args()
     console, seeds = Console(width=max(150, Console().width)), [arguments.seed]
     if arguments.fresh is not None:
         seeds.append(arguments.fresh if arguments.fresh >= 0 else secrets.randbelow(10**6))
         console.print(f"fresh set: seed {seeds[1]}")
     rows = jobs_run(seeds, arguments.jobs, arguments.workers, arguments.output, console)
-    text = json.dumps({"format": "cmbot-jobs/1", "jobs": rows}, indent=1)
-    (arguments.output / "results.json").write_text(text + "\n", encoding="utf-8")
-    print_sheets([success(rows)], console)
+    results = {"format": "cmbot-jobs/1", "jobs": rows}
+    text = json.dumps(results, indent=1) + "\n"
+    (arguments.output / "results.json").write_text(text, encoding="utf-8")
+    print_sheets([success(rows), failures(rows)], console)
     for row in rows:
-        if row["plan"]["status"] != "planned" or row["plan"]["violations"]:
-            why = row["plan"].get("violations") or row["plan"].get("reason", row["plan"]["status"])
-            console.print(f"{row['name']} (oracle: {row['oracle']}): {why}", soft_wrap=True)
+        if row["plan"]["status"] != "planned" and not row["oracle"]["way"]:
+            why = row["plan"].get("reason", row["plan"]["status"])
+            console.print(f"{row['name']} (oracle: {row['oracle']}): {why}", style="dim", soft_wrap=True)
+    if arguments.document:
+        REFERENCE.write_text(text, encoding="utf-8")
+        PAGE.write_text(page(PAGE.read_text(encoding="utf-8"), blocks(results)), encoding="utf-8")
 
 
 if __name__ == "__main__":
