@@ -2,11 +2,14 @@
 
 1. `finer_samples`: where the certificate misses a bound by a hair, twice the samples per segment.
 2. `shorter_steps`: a guess with shorter steps between via-points, and 1.
-3. `more_via_points`: where the tool strays between via-points, 2 to 4 times as many, and 1, 2.
-4. `another_start`: a guess that leaves the scene's posture where no trajectory leads on from it, and 1 to 3.
-5. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 to 4.
-6. `scene_start`: a guess that starts in the scene's posture, from which a trajectory may lead on, and 1 to 4.
-7. `dense_solver`: SLSQP, and 1 to 6.
+3. `clearer_guess`: where a clearance cannot be kept, a guess that keeps a little more of it, and 1, 2.
+4. `more_via_points`: where the tool strays between via-points, 2 to 4 times as many, and 1 to 3.
+5. `fewer_via_points`: where accelerations or jerks cannot be kept, fewer of them, and 1 to 4.
+6. `another_start`: a guess that leaves the scene's posture where no trajectory leads on from it, and 1 to 5.
+7. `reachable_start`: a guess that starts where self-motion leads to from the scene's posture, and 1 to 6.
+8. `joined_start`: a guess that starts where a free move leads to, and 1 to 7.
+9. `scene_start`: a guess that starts in the scene's posture, from which a trajectory may lead on, and 1 to 8.
+10. `dense_solver`: SLSQP, and 1 to 9.
 
 Each remedy runs while there is time (`PlannerOptions.time_limit_s`).
 
@@ -44,8 +47,10 @@ __all__ = [
     "another_start",
     "clearer_guess",
     "dense_solver",
+    "fewer_via_points",
     "finer_samples",
     "guesses_in_shorter_steps",
+    "joined_start",
     "more_via_points",
     "reachable_start",
     "scene_start",
@@ -62,9 +67,13 @@ _FEW_VIA_POINTS = 100
 # Least and largest factor by which there are more via-points, and how many at most: all takes longer in
 # proportion.
 _FINER, _MOST_VIA_POINTS = (2, 4), 300
+# Shares of the via-points that are left where fewer are tried, and how few there may be in a leg.
+_COARSER, _FEWEST_IN_A_LEG = (0.7, 0.5), 4
 # Factors on the safety margin that guesses keep where trajectories cannot keep it.
 _CLEARER = (1.02, 1.1)
-# Constraints that splines break between via-points, by words in their names.
+# Constraints on joints that move too suddenly, and such that splines break between via-points, by words in
+# their names.
+_RATES = ("acceleration", "jerk")
 _BETWEEN_VIA_POINTS = (
     "tool deviation",
     "tool rotation",
@@ -189,6 +198,33 @@ def more_via_points(failed: Attempt, failure: PlanningError, run: Run[Work]) -> 
     raise failure
 
 
+def fewer_via_points(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
+    """Where accelerations or jerks cannot be kept: fewer via-points, between which the tool has some room.
+
+    The tool is on its path at every via-point, in time; between them only the bounds on its deviation and lag
+    count. The denser they are, the more exactly splines follow the speed profile, whose acceleration jumps.
+    """
+    context = failed.context
+    count, legs = len(context.times), len(context.task.path.seconds)
+    for share in _COARSER if _is_sudden(failure) else ():
+        number = max(round(share * (count - 1)), _FEWEST_IN_A_LEG * legs) + 1
+        if number >= count or context.reporter.expired():
+            break
+        context.reporter.stage("path")
+        context.reporter.step(f"no trajectory keeps the rates; trying {number} via-points")
+        coarser = replace(context, times=context.task.path.via_times(number))
+        fallback = (
+            f"With {count} via-points no trajectory was found ({_told(failure)}): planned with "
+            f"{context.stroke.key}.via_points {number} instead."
+        )
+        try:
+            guess = initial_guess(coarser)
+            return run(replace(failed, context=coarser, guess=guess, fallbacks=(*failed.fallbacks, fallback)))
+        except PlanningError:
+            continue
+    raise failure
+
+
 def another_start(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tuple[Attempt, Work]:
     """Where no trajectory leads on from the scene's posture: a part of the self-motion where one may.
 
@@ -290,6 +326,13 @@ def dense_solver(failed: Attempt, failure: PlanningError, run: Run[Work]) -> tup
     return run(Attempt(context=context, guess=guess, fallbacks=(fallback,)))
 
 
+def _is_sudden(failure: PlanningError) -> bool:
+    """Whether joints would have to move too suddenly."""
+    if not isinstance(failure, OptimisationFailed):
+        return False
+    return any(word in failure.constraint for word in _RATES)
+
+
 def _excess(violation: LimitViolation) -> float:
     """By how much a bound is missed, as a share of it."""
     return abs(violation.value - violation.bound) / max(abs(violation.bound), 1e-12)
@@ -317,6 +360,7 @@ RETRIES: tuple[Retry, ...] = (
     shorter_steps,
     clearer_guess,
     more_via_points,
+    fewer_via_points,
     another_start,
     reachable_start,
     joined_start,

@@ -1,4 +1,4 @@
-"""Retries: more samples, shorter steps, more via-points, other starts, the other solver, in that order.
+"""Retries: more samples, shorter steps, more or fewer via-points, other starts, the other solver, in order.
 
 And which solver makes a plan at first.
 """
@@ -25,6 +25,7 @@ from cmbot.planning.progress import ProgressReporter
 from cmbot.planning.retries import (
     Attempt,
     clearer_guess,
+    fewer_via_points,
     finer_samples,
     guesses_in_shorter_steps,
     more_via_points,
@@ -157,7 +158,7 @@ def test_other_guesses_are_few_and_each_is_smoother(rough: Attempt) -> None:
 def test_with_fixed_knots_there_is_no_other_guess() -> None:
     attempt, work = attempt_at(short_scene()), Failing(FAILURE)
     assert not list(guesses_in_shorter_steps(attempt, FAILURE))
-    assert raised_by(attempt, work) is FAILURE
+    assert raised_by(attempt, work, [shorter_steps]) is FAILURE
     assert work.attempts == [attempt]
 
 
@@ -307,6 +308,41 @@ def test_where_the_tool_strays_there_are_more_via_points(
         (sentence,) = each.fallbacks
         assert f"With 8 via-points the tool strays from its path between them (no; {constraint})" in sentence
         assert sentence.endswith(f"planned with tool_path.via_points {len(each.context.times)} instead.")
+
+
+@pytest.mark.parametrize(
+    ("constraint", "numbers"),
+    [
+        ("jerk of joint_3", [11, 9]),
+        ("velocity, acceleration or jerk of joint_3", [11, 9]),
+        ("velocity of joint_3", []),
+        ("tool deviation", []),
+    ],
+)
+def test_where_joints_move_too_suddenly_there_are_fewer_via_points(
+    constraint: str, numbers: list[int]
+) -> None:
+    attempt, failure = attempt_at(short_scene(tool_path={"via_points": 16})), strays(constraint, 1.0)
+    work = Failing(*9 * [failure])
+    assert raised_by(attempt, work, [fewer_via_points]) is failure
+    assert [len(each.context.times) for each in work.attempts] == [16, *numbers]
+    for each in work.attempts[1:]:
+        assert len(each.guess.problem.space.t) == len(each.context.times)
+        (sentence,) = each.fallbacks
+        assert sentence.startswith(f"With 16 via-points no trajectory was found (no; {constraint})")
+    few = attempt_at(short_scene(tool_path={"via_points": 5}))
+    assert raised_by(few, Failing(*9 * [failure]), [fewer_via_points]) is failure
+
+
+@pytest.mark.parametrize("knots", ["fixed", "sliding"])
+def test_a_speed_profile_whose_jerk_splines_cannot_follow_closely(knots: str) -> None:
+    """They leave it between fewer via-points, as far as the bounds on deviation and lag allow."""
+    hurried = {"legs": [{"by": [0, -0.2, 0], "seconds": 2.8}], "via_points": 16}
+    made = plan(short_scene(tool_path=hurried, planner={"knots": knots}))
+    assert made.certificate.holds
+    if knots == "fixed":
+        assert made.scene.via_points == 11
+        assert "With 16 via-points no trajectory was found" in made.fallbacks[0]
 
 
 def test_where_no_trajectory_keeps_clear_the_guess_keeps_more(rough: Attempt) -> None:
