@@ -70,6 +70,10 @@ def stand(
         float, typer.Option("--pair-spacing", help="Metres between places of two feet.", min=0.05)
     ] = 0.15,
     one_foot: Annotated[bool, typer.Option("--one-foot", help="Leave foot 2 free.")] = False,
+    max_torque: Annotated[
+        float | None,
+        typer.Option("--max-torque", help="Newton metres on the guardrail at work at most.", min=0.0),
+    ] = None,
     members: MembersOption = None,
     force: Annotated[bool, typer.Option("--force", help="Replace the files of an earlier search.")] = False,
     as_json: JsonOption = False,
@@ -101,6 +105,7 @@ def stand(
         pair_spacing=float("inf") if one_foot else pair_spacing,
         plans=plans,
         members=tuple(members or ()),
+        max_torque=float("inf") if max_torque is None else max_torque,
     )
     with ConsoleProgress(quiet=quiet) as progress:
         progress.stage("listing stances", 0.0)

@@ -44,6 +44,7 @@ from cmbot.planning.result.plan import Plan, Seconds, require_plan
 from cmbot.planning.result.remarks import remarks
 from cmbot.planning.result.stroke_plan import ObjectiveMetrics, Start, StrokePlan, objective_metrics
 from cmbot.planning.result.verdict import bound_use, during, promises, tightest_check, verdict
+from cmbot.planning.selfmotion.followed_bound import quick_bound
 from cmbot.planning.selfmotion.global_search import GlobalSearch, GlobalSolution
 from cmbot.planning.selfmotion.lower_bound import LowerBound
 from cmbot.planning.stiffness import covariance_of, modelled_stiffness
@@ -115,6 +116,7 @@ __all__ = [
     "precheck_scene",
     "project_onto_task",
     "promises",
+    "quick_bound",
     "remarks",
     "require_plan",
     "robot_of",

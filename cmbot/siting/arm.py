@@ -16,9 +16,7 @@ from cmbot.siting.loads import StanceLoads
 __all__ = ["BaseArm"]
 
 # Postures of the table, those that are tried for a via-point, and those of them that are improved.
-_TABLE, _TRIED, _IMPROVED = 60_000, 12, 3
-# Postures that are tried at a via-point of a single stance.
-_MANY = 400
+_TABLE, _TRIED, _IMPROVED = 60_000, 30, 5
 # Steps along the self-motion, and how long they are at first, rad.
 _STEPS, _LENGTH = 5, 0.25
 # A metre of the tool counts as so many rad when neighbours are sought.
@@ -101,17 +99,6 @@ class BaseArm:
         least[of[order]], torque[of[order]] = value[order], moments[order]
         adhesion[of[order]] = pulls[order]
         return least, torque, adhesion
-
-    def several(
-        self, task: ToolTask, time: float, base: FloatArray, loads: StanceLoads
-    ) -> tuple[FloatArray, FloatArray]:
-        """Admissible postures (N, n) of one stance at a time, and the objective in each (N,)."""
-        goals = _Goals.of(task, time, base[None])
-        q, of = self._near(goals, _MANY, steps=10)
-        q = self.limits.turned_to_middle(q)
-        value, *_ = self._judged(q, of, goals, loads, np.zeros(1, dtype=np.intp))
-        admissible = np.isfinite(value)
-        return q[admissible], value[admissible]
 
     def _near(self, goals: _Goals, count: int, steps: int) -> tuple[FloatArray, IntArray]:
         """Postures (N, n) that hold the tool at the goals, from the nearest of the table, and whose (N,)."""

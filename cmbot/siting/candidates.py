@@ -61,7 +61,8 @@ def candidates_of(
     """Yield the stances of the shipped robot on a scene's guardrail.
 
     Round bars are left out where the feet are magnets or welded, and so are stances in which the base is
-    on the track's side of foot 1's member.
+    on the track's side of foot 1's member. Of stances in which plates and base are where they are in another
+    one, as a foot may be turned by half a turn, the first one counts.
 
     Parameters
     ----------
@@ -81,10 +82,7 @@ def candidates_of(
         if angles is None:
             continue
         candidate = candidate_at(place, None, X, angles, climber)
-        # Turned by half a turn, plate and base are where they were.
-        key = (*X[:3, 3].round(6).tolist(), *X[:3, 1].round(6).tolist())
-        if key not in known:
-            known.add(key)
+        if _is_new(candidate, None, known):
             yield candidate
     if not np.isfinite(pair_spacing):
         return
@@ -98,8 +96,18 @@ def candidates_of(
             for angles in climber.reaching(np.linalg.inv(X) @ X_2):
                 candidate = candidate_at(place, other, X, angles, climber)
                 out = candidate.base[:3, 3] - X[:3, 3]
-                if out @ X[:3, 1] > 0:
+                if out @ X[:3, 1] > 0 and _is_new(candidate, X_2, known):
                     yield candidate
+
+
+def _is_new(candidate: Candidate, X_2: FloatArray | None, known: set[tuple[float, ...]]) -> bool:
+    """Whether plates and base are elsewhere than in those known; with a foot turned by half they are not."""
+    feet = [candidate.root] if X_2 is None else [candidate.root, X_2]
+    parts = (candidate.base.ravel(), *(X[:3, column] for X in feet for column in (1, 3)))
+    key = tuple(np.concatenate(parts).round(6).tolist())
+    new = key not in known
+    known.add(key)
+    return new
 
 
 def candidate_at(

@@ -1,15 +1,26 @@
-"""Charting: what a stance asks by the planner's own charts, obstacles and joint velocities included."""
+"""Charting: what a stance asks by the planner's charts, obstacles and joint velocities included."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import PathNotFound
-from cmbot.planning import ProgressReporter, build_context, searched
+from cmbot.planning import (
+    PlanningContext,
+    ProgressReporter,
+    build_context,
+    quick_bound,
+    searched,
+    starting_at_path,
+)
 from cmbot.scene import Scene
 
-__all__ = ["Charted", "chart"]
+__all__ = ["Charted", "bounded_quickly", "chart"]
+
+# Via-points of a stroke that is charted quickly.
+_VIA_POINTS = 13
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -19,9 +30,10 @@ class Charted:
     Attributes
     ----------
     bound : float
-        Largest of the strokes' lower bounds at rest, in the objective's unit.
+        Largest of what sequences of postures that the joints can follow along the strokes ask at rest, at
+        least, in the objective's unit: an estimate (`GlobalSearch.followed_bound`).
     expected : float
-        Largest value, at rest, of the best sequences of postures that the joints can follow.
+        Largest value, at rest, of the best sequences that were found.
     begins : (n,), rad
         The first posture of the first stroke's sequence.
     """
@@ -29,6 +41,17 @@ class Charted:
     bound: float
     expected: float
     begins: FloatArray
+
+
+def bounded_quickly(scene: Scene) -> float:
+    """Return a bound as `Charted` has it, from charts at few via-points.
+
+    Raises
+    ------
+    PathNotFound
+        When no sequence of admissible postures leads along a stroke.
+    """
+    return max(quick_bound(context, _VIA_POINTS) for context in _strokes(scene))
 
 
 def chart(scene: Scene, limit: float) -> Charted:
@@ -39,15 +62,37 @@ def chart(scene: Scene, limit: float) -> Charted:
     PathNotFound
         When no sequence of admissible postures leads along a stroke.
     """
-    context, found = build_context(scene, scene.planner), list[Charted]()
-    for number in range(len(context.strokes)):
-        at = context.at_stroke(number, scene, context.posture, 0.0, 0.0)
-        search, solution = searched(replace(at, reporter=ProgressReporter(limit=limit)))
+    found = list[Charted]()
+    for context in _strokes(scene):
+        search, solution = searched(replace(context, reporter=ProgressReporter(limit=limit)))
         if isinstance(solution, PathNotFound):
             raise solution
-        found.append(Charted(bound=search.lower_bound.value, expected=solution.peak, begins=solution.q[0]))
+        bound = min(search.followed_bound(), solution.peak)
+        found.append(Charted(bound=bound, expected=solution.peak, begins=solution.q[0]))
     return Charted(
         bound=max(each.bound for each in found),
         expected=max(each.expected for each in found),
         begins=found[0].begins,
     )
+
+
+def _strokes(scene: Scene) -> Iterator[PlanningContext]:
+    """The strokes' contexts, each from a posture that holds the tool where it begins."""
+    context = build_context(scene, scene.planner)
+    if scene.return_to == "stow":
+        _require_stow(context.tool_off)
+    for number in range(len(context.strokes)):
+        yield starting_at_path(context.at_stroke(number, scene, context.posture, 0.0, 0.0))
+
+
+def _require_stow(context: PlanningContext) -> None:
+    """Refuse a stance in which the arm cannot be put away: its base may be tilted."""
+    posture = context.posture if context.end_posture is None else context.end_posture
+    q = posture[None]
+    why = ""
+    if context.use_at_rest(context.postures.at(q))[0] > 1:
+        why = f"{context.weakest_joint(q)} cannot hold the arm in its stow posture"
+    elif context.clearances.check_collision(q, context.options.safety_margin_m)[0]:
+        why = "the arm in its stow posture comes too near to something"
+    if why:
+        raise context.path_not_found(why, posture)

@@ -15,7 +15,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.collision import Clearances
 from cmbot.common.arrays import BoolArray, FloatArray
 from cmbot.planning import ToolTask
 from cmbot.robot import Robot
@@ -26,8 +25,8 @@ from cmbot.siting.loads import StanceLoads
 
 __all__ = ["Screening", "screen"]
 
-# Via-points of a stroke at which all stances are screened, and of one that is checked for obstacles.
-_VIA_POINTS, _CHECKED = 6, 12
+# Via-points of a stroke at which all stances are screened.
+_VIA_POINTS = 6
 # Stances that are screened at once.
 _AT_ONCE = 400
 
@@ -44,17 +43,12 @@ class Screening:
         What each asks at least, in the objective's unit; infinite where no posture was found.
     torque, adhesion : (S, C), Nm and N
         Largest torque and adhesion at rest in the postures of that bound.
-    clearing : callable
-        From a candidate, clearances of its robot, a margin, m, and numbers of strokes, to its bound over
-        these by more postures, those too near to something left out; infinite where there is none at some
-        via-point.
     """
 
     within_reach: BoolArray
     bound: FloatArray
     torque: FloatArray
     adhesion: FloatArray
-    clearing: Callable[[Candidate, Clearances, float, Sequence[int]], float]
 
 
 def screen(
@@ -98,20 +92,7 @@ def screen(
                 report((s + (k + first / len(left)) / _VIA_POINTS) / len(tasks))
             left = left[np.isfinite(bound[s, left])]
 
-    def clearing(
-        candidate: Candidate, clearances: Clearances, margin: float, strokes: Sequence[int]
-    ) -> float:
-        load, largest = StanceLoads(scene, [candidate], options, robot), 0.0
-        for task in (tasks[s] for s in strokes):
-            for time in _times(task, _CHECKED).tolist():
-                q, value = arm.several(task, time, candidate.base, load)
-                free = value[~clearances.check_collision(q, margin)]
-                largest = max(largest, float(free.min(initial=np.inf)))
-                if np.isinf(largest):
-                    return largest
-        return largest
-
-    return Screening(within_reach=within, bound=bound, torque=torque, adhesion=adhesion, clearing=clearing)
+    return Screening(within_reach=within, bound=bound, torque=torque, adhesion=adhesion)
 
 
 def _within_reach(task: ToolTask, bases: FloatArray, robot: Robot) -> BoolArray:

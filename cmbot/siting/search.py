@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import CmbotError
-from cmbot.planning import Plan, plan, robot_of
+from cmbot.planning import Plan, plan
 from cmbot.scene import Scene
 from cmbot.siting.candidates import Candidate
-from cmbot.siting.charting import chart
+from cmbot.siting.charting import bounded_quickly, chart
 from cmbot.siting.footholds import climber_in_the_way
 from cmbot.siting.placed_scene import scene_at
 from cmbot.siting.screening import Screening
@@ -29,7 +28,9 @@ _PLAN_SECONDS, _CHART_SECONDS = 20.0, 10.0
 # How near, m, the arm's base is to one that was planned or charted in vain where it is not tried, too.
 _ALIKE = {"plan": 0.3, "charts": 0.12}
 # So many times as many stances as are to be planned are tried, and once more that many.
-_TRIES = 4
+_TRIES = 2
+# Once enough are planned, stances are looked at whose bound is smaller than the best one's by more than this.
+_GAP = 0.02
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,14 +51,17 @@ class StandOptions:
         So many at most are checked for obstacles.
     members : tuple of str
         Posts and rails that feet hold; empty: all.
+    max_torque : float, Nm
+        Stances whose plan loads the guardrail with more at work count as failed.
     """
 
     spacing: float = 0.05
     pair_spacing: float = 0.15
     plans: int = 3
-    charts: int = 20
+    charts: int = 40
     checks: int = 400
     members: tuple[str, ...] = ()
+    max_torque: float = np.inf
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -68,15 +72,15 @@ class Stood:
     ----------
     candidate : Candidate
     status : str
-        ``planned``, ``failed`` where that was tried, ``screened`` where it was not, ``blocked`` where all
-        postures that were found at some via-point come too near to something or no sequence of them leads
-        along a stroke, ``no posture`` where none within the bounds of joints and feet was found at one,
-        ``out of reach``.
+        ``planned``, ``failed`` where that was tried, ``screened`` where it was not, ``blocked`` where the
+        climber or all postures that were found at some via-point come too near to something, or no sequence
+        of postures leads along a stroke, ``no posture`` where none within the bounds of joints and feet was
+        found at one, ``out of reach``.
     judged : str
-        By what, the furthest it came: ``reach`` of the links, sampled ``postures``, those clear of
-        ``obstacles``, the planner's ``charts``, a ``plan``.
+        By what, the furthest it came: ``reach`` of the links, sampled ``postures``, ``obstacles`` with charts
+        at some via-points, ``charts`` at all of them, a ``plan``.
     bound, torque, adhesion : float
-        As `Screening` has them, the bound raised by later judgements.
+        As `Screening` has them; the bound that of the last judgement.
     plan : Plan or None
     reason : str
         Why there is no plan.
@@ -143,7 +147,7 @@ def judged(
         )
         for k, candidate in enumerate(candidates)
     ]
-    _Search(scene, each, found, strokes, options, suits).run(progress)
+    _Search(scene, each, options, suits).run(progress)
     return tuple(sorted(each, key=_order))
 
 
@@ -167,8 +171,6 @@ class _Search:
         self,
         scene: Scene,
         each: list[Stood],
-        found: Screening,
-        strokes: Sequence[int],
         options: StandOptions,
         suits: Callable[[Candidate], str | None],
     ) -> None:
@@ -176,21 +178,28 @@ class _Search:
         # A stance that fails takes long, and most often for want of time.
         limit = min(scene.planner.time_limit_s, _PLAN_SECONDS)
         self._scene = replace(scene, planner=replace(scene.planner, time_limit_s=limit))
-        self.each, self._found, self._strokes, self._options = each, found, strokes, options
+        self.each, self._options = each, options
         self._begins, self._in_vain = dict[int, FloatArray](), list[tuple[FloatArray, float]]()
         self._waiting = [(one.bound, k) for k, one in enumerate(each) if one.status == "screened"]
         heapq.heapify(self._waiting)
+        # Those beside one in vain, until no others wait.
+        self._later = list[tuple[float, int]]()
+        self._best: int | None = None
         self._checks = self._charts = self._tries = self._planned = 0
 
     def run(self, progress: Callable[[str, float], None]) -> None:
         """Judge until enough are planned and none can be better, or the numbers of attempts are over."""
-        best, options = np.inf, self._options
-        while self._waiting and self._planned < options.plans:
-            _, k = heapq.heappop(self._waiting)
-            if self.each[k].bound >= best:
+        options = self._options
+        while options.plans and (self._waiting or self._later):
+            if not self._waiting:
+                self._waiting, self._later, self._in_vain = self._later, [], []
+                heapq.heapify(self._waiting)
+            key, k = heapq.heappop(self._waiting)
+            if self.each[k].bound >= self._enough:
                 continue
             if self.each[k].judged != "postures" and self._is_beside_one_in_vain(k):
-                # What failed there most likely fails here: others come first, and this one stays.
+                # What failed there most likely fails here: others come first.
+                self._later.append((key, k))
                 continue
             match self.each[k].judged:
                 case "postures" if self._checks < options.checks:
@@ -200,16 +209,25 @@ class _Search:
                     progress("charting the most promising", self._charts / options.charts)
                     self._chart(k)
                 case "charts" if self._tries < _TRIES * (options.plans + 1):
+                    enough = self._planned >= options.plans
                     step = f"planning stance {self._planned + 1} of {options.plans}"
-                    progress(step, self._planned / options.plans)
-                    best = min(best, self._plan(k))
+                    step = "planning one that may be better" if enough else step
+                    progress(step, min(self._planned / options.plans, 1.0))
+                    self._plan(k)
+
+    @property
+    def _enough(self) -> float:
+        """Once enough are planned, only stances whose bound is below this are looked at."""
+        if self._best is None or self._planned < self._options.plans:
+            return np.inf
+        return (1 - _GAP) * self.each[self._best].bound
 
     def _is_beside_one_in_vain(self, k: int) -> bool:
         base = self.each[k].candidate.base[:3, 3]
         return any(np.linalg.norm(base - other) < near for other, near in self._in_vain)
 
     def _check(self, k: int) -> None:
-        """Leave out stances and postures that are too near to something."""
+        """Leave out stances that are too near to something, or from which no postures lead along a stroke."""
         candidate, scene = self.each[k].candidate, self._scene
         why = climber_in_the_way(scene, candidate) or self._suits(candidate)
         if why is not None:
@@ -217,14 +235,12 @@ class _Search:
             return
         # What comes next takes longer.
         self._checks += 1
-        clearances = Clearances(robot_of(scene_at(scene, candidate, None)), scene.obstacles)
-        margin = scene.planner.safety_margin_m
-        bound = self._found.clearing(candidate, clearances, margin, self._strokes)
-        if np.isinf(bound):
-            why = "every posture found at some via-point comes too near to something"
-            self._give_up(k, "blocked", "obstacles", why)
-        else:
-            self._raise_bound(k, "obstacles", bound, bound)
+        try:
+            bound = bounded_quickly(scene_at(scene, candidate, None))
+        except CmbotError as error:
+            self._give_up(k, "blocked", "obstacles", str(error))
+            return
+        self._bounded(k, "obstacles", max(bound, self.each[k].bound), bound)
 
     def _chart(self, k: int) -> None:
         self._charts += 1
@@ -234,27 +250,34 @@ class _Search:
             self._give_up(k, "blocked", "charts", str(error))
             return
         self._begins[k] = charted.begins
-        self._raise_bound(k, "charts", charted.bound, charted.expected)
+        self._bounded(k, "charts", charted.bound, charted.expected)
 
-    def _plan(self, k: int) -> float:
-        """Peak of the plan in a stance; infinite where there is none."""
+    def _plan(self, k: int) -> None:
         self._tries += 1
         try:
             made = plan(scene_at(self._scene, self.each[k].candidate, self._begins[k]))
         except CmbotError as error:
             self._give_up(k, "failed", "plan", str(error))
-            return np.inf
+            return
         if left_out := sum(one.unreached for one in made.coverage.values()):
             self._give_up(k, "failed", "plan", f"{left_out:.3g} m2 of the rasters are not reached")
-            return np.inf
-        self.each[k] = replace(self.each[k], status="planned", judged="plan", plan=made)
+            return
+        torque = made.figures.peak_guardrail_torque
+        if torque > self._options.max_torque:
+            allowed = f"{self._options.max_torque:g} Nm are allowed"
+            self._give_up(k, "failed", "plan", f"{torque:.1f} Nm on the guardrail, {allowed}")
+            return
+        # No estimate is above what was found.
+        bound = min(self.each[k].bound, made.objective.planned_peak)
+        self.each[k] = replace(self.each[k], status="planned", judged="plan", plan=made, bound=bound)
         self._planned += 1
-        return made.objective.planned_peak
+        if self._best is None or _order(self.each[k]) < _order(self.each[self._best]):
+            self._best = k
 
-    def _raise_bound(self, k: int, judged: str, bound: float, expected: float) -> None:
+    def _bounded(self, k: int, judged: str, bound: float, expected: float) -> None:
         """Note a bound; the stance takes its place among the others again, by what is expected of it."""
-        self.each[k] = replace(self.each[k], judged=judged, bound=max(bound, self.each[k].bound))
-        heapq.heappush(self._waiting, (max(expected, self.each[k].bound), k))
+        self.each[k] = replace(self.each[k], judged=judged, bound=bound)
+        heapq.heappush(self._waiting, (max(expected, bound), k))
 
     def _give_up(self, k: int, status: str, judged: str, why: str) -> None:
         self.each[k] = replace(self.each[k], status=status, judged=judged, reason=why)

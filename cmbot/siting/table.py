@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
+from cmbot.common.validation import counted
 from cmbot.siting.search import MEANS, Stood
 from cmbot.siting.standing import Standing
 
@@ -35,9 +36,9 @@ _COLUMNS = (
     *("climb_1_deg", "climb_2_deg", "climb_3_deg", "climb_4_deg", "climb_5_deg", "reason"),
 )
 _LEFT_OUT_BY = {
-    "postures": "obstacles left out",
-    "obstacles": "at some via-points, obstacles included",
-    "charts": "by its charts, obstacles included",
+    "postures": "by sampled postures, obstacles left out",
+    "obstacles": "by charts at some via-points, obstacles included",
+    "charts": "by charts at all via-points, obstacles included",
 }
 
 
@@ -56,8 +57,9 @@ def in_words(standing: Standing) -> Iterator[str]:
     judged = {name: sum(each.judged == name for each in ranked) for name in MEANS}
     yield (
         f"Judged by the reach of the links: {judged['reach']}, by sampled postures within the bounds of "
-        f"joints, feet and joint velocities: {judged['postures']}, by those clear of obstacles: "
-        f"{judged['obstacles']}, by the planner's charts: {judged['charts']}, by plans: {judged['plan']}."
+        f"joints, feet and joint velocities: {judged['postures']}, by obstacles and charts at some "
+        f"via-points: {judged['obstacles']}, by charts at all: {judged['charts']}, "
+        f"by plans: {judged['plan']}."
     )
     best = standing.best
     if best is None or best.plan is None:
@@ -67,15 +69,22 @@ def in_words(standing: Standing) -> Iterator[str]:
     needed = figures.adhesion_needed
     also = "" if needed is None else f", adhesion needed {needed.peak / 1e3:.2f} kN ({needed.mode})"
     yield (
-        f"Best of those planned: {best.place}, {peak:.1f} {unit} at work; "
+        f"Best of those planned: {best.place}, {peak:.1f} {unit} at work, its bound {best.bound:.1f} {unit}; "
         f"torque {figures.peak_guardrail_torque:.1f} Nm{also}."
     )
     least = standing.best_unplanned
     if np.isfinite(least):
         more = max(1 - least / peak, 0.0)
         yield (
-            f"No stance that was not planned was found to rest below {least:.1f} {unit} (estimate, "
+            f"No stance that was not planned was found to ask less than {least:.1f} {unit} (estimate, "
             f"{_LEFT_OUT_BY[_judged_least(ranked)]}): none may be better by more than {100 * more:.1f} %."
+        )
+    failed = [each for each in ranked if each.status == "failed" and each.bound < peak]
+    if failed:
+        bound = min(each.bound for each in failed)
+        yield (
+            f"{counted(len(failed), 'stance')} of which planning failed might be better by their bounds, "
+            f"from {bound:.1f} {unit}; stances.csv says why."
         )
 
 

@@ -25,6 +25,7 @@ from cmbot.siting import (
     in_world,
     scene_at,
     screen,
+    search,
     stances_csv,
     stand,
 )
@@ -32,7 +33,7 @@ from cmbot.siting.arm import BaseArm, _Goals
 from cmbot.siting.footholds import climber_in_the_way
 from cmbot.views import stances_page
 
-COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1, checks=8)
+COARSE = StandOptions(spacing=0.7, pair_spacing=np.inf, plans=1)
 
 
 def scene_of(objective: str = "hold", **changes: Any) -> Scene:
@@ -65,6 +66,16 @@ def test_a_candidate_is_where_the_robot_of_its_scene_is(scene: Scene, candidates
         placement = robot.model.frames[robot.model.getFrameId("arm_base")].placement
         np.testing.assert_allclose(placement.homogeneous, candidate.base, atol=1e-9)
         np.testing.assert_allclose(robot.foot_point, candidate.root[:3, 3], atol=1e-9)
+
+
+def test_no_candidate_is_another_one_with_a_foot_turned(scene: Scene, candidates: list[Candidate]) -> None:
+    def place(candidate: Candidate) -> tuple[float, ...]:
+        foot_2 = candidate.stance.foot_2
+        far = np.zeros(3) if foot_2 is None else foothold_pose(scene.guardrail, foot_2)[:3, 3]
+        parts = (candidate.root[:3, [1, 3]].ravel(), far, candidate.base.ravel())
+        return tuple(np.concatenate(parts).round(4) + 0.0)
+
+    assert len({place(candidate) for candidate in candidates}) == len(candidates)
 
 
 def test_the_climber_weighs_what_does_not_move(scene: Scene, candidates: list[Candidate]) -> None:
@@ -155,6 +166,21 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Stan
     loaded = cmbot.load_scene(best_scene(standing))
     assert loaded.robot.stance == best.scene.robot.stance
     assert sum("may be better" in line for line in in_words(standing)) == 1
+
+
+def test_none_that_was_not_planned_is_much_better_than_the_best_ones_bound(standing: Standing) -> None:
+    best = standing.best
+    assert best.bound <= best.plan.objective.planned_peak
+    assert best.bound <= 1.02 * standing.best_unplanned
+
+
+def test_stances_that_load_the_guardrail_too_much_fail(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(search, "_TRIES", 0.5)
+    (standing,) = stand(scene, replace(COARSE, max_torque=1.0))
+    failed = [each for each in standing.ranked if each.status == "failed"]
+    assert len(failed) == 1
+    assert "Nm on the guardrail, 1 Nm are allowed" in failed[0].reason
+    assert standing.best is None
 
 
 def test_the_page_opens_no_connection(standing: Standing) -> None:

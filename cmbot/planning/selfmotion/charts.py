@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -78,6 +79,21 @@ class GraphLayer:
         self.too_near = np.zeros(len(chart.q), dtype=np.bool_)
         self._checked = ~self.admissible
         self.context = context
+
+    def between(self, distance: float) -> GraphLayer:
+        """Return the layer with each value half way to the lowest one within a distance, rad.
+
+        What is known of clearances is shared with it.
+        """
+        chart, metric = self.chart, self.context.robot.metric
+        tree = cKDTree(metric.on_one_turn(chart.q), boxsize=metric.period)
+        i, j = tree.query_pairs(distance, output_type="ndarray").T
+        lowest = chart.value.copy()
+        np.minimum.at(lowest, i, chart.value[j])
+        np.minimum.at(lowest, j, chart.value[i])
+        lower = copy.copy(self)
+        lower.chart = replace(chart, value=0.5 * (chart.value + lowest))
+        return lower
 
     def unchecked(self, which: BoolArray | IntArray | int) -> IntArray:
         """Return the nodes of `which` whose clearances are not known."""

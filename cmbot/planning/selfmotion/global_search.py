@@ -29,6 +29,7 @@ from cmbot.planning.selfmotion.dynamic_programming import (
     nearest_turn,
     refine,
 )
+from cmbot.planning.selfmotion.followed_bound import followed_bound
 from cmbot.planning.selfmotion.lower_bound import LowerBound, find_lower_bound, with_proof
 from cmbot.planning.selfmotion.sampler import SelfMotionSampler
 from cmbot.scene import ToolPoses, shortest_turns
@@ -238,6 +239,21 @@ class GlobalSearch:
             except PathNotFound as failure:
                 failures.append(failure)
         raise no_start_left(failures) from failed
+
+    def followed_bound(self) -> float:
+        """Return the bound of sequences that the joints can follow: `followed_bound`; never below the other.
+
+        Where the tool's axis may lean it is the lower bound, as leaning postures may ask less than charts.
+
+        Raises
+        ------
+        PathNotFound
+            When no sequence can be followed.
+        """
+        if self._leaning is not self._context:
+            return self.lower_bound.value
+        followed = followed_bound(self._context, self._layers, self._spacing)
+        return max(followed, self.lower_bound.value)
 
     def parts_of_first_chart(self) -> list[BoolArray]:
         """Return which postures (M,) of the first chart each connected part of it has, nearest first."""
