@@ -40,7 +40,7 @@ class TaskStatus(StrEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """A call of a function in a process of its own.
+    """A call of a function in a process apart.
 
     Attributes
     ----------

@@ -48,7 +48,7 @@ def campaign(
     as_json: JsonOption = False,
     quiet: QuietOption = False,
 ) -> ExitStatus:
-    """Plan many scenes, each in a process of its own; go on where an earlier call stopped.
+    """Plan many scenes on several processes; go on where an earlier call stopped.
 
     Exit status 3 where a job was not planned.
 

@@ -90,9 +90,12 @@ def test_a_campaign_plans_and_goes_on(file: Path, ran: list[str]) -> None:
     assert (seen[-1].done, seen[-1].resumed) == (3, 3)
     # But what has changed, what is gone, and on demand what failed.
     del ran[:]
+    motion = (folder / rows["first"]["plan"] / "job.csv").read_bytes()
     shutil.rmtree(folder / rows["first"]["plan"])
     cmbot.campaign(file, folder)
     assert ran == ["first"]
+    # It does not matter what a process has planned before.
+    assert (folder / rows["first"]["plan"] / "job.csv").read_bytes() == motion
     file.write_text(TEXT.replace("2.0}}", "3.0}}"), encoding="utf-8")
     cmbot.campaign(file, folder)
     assert ran == ["first", "heavy"]

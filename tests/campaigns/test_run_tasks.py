@@ -50,6 +50,31 @@ def test_a_task_that_fails_costs_itself_alone(each: Task) -> None:
     assert result.seconds > 0
 
 
+def test_a_process_goes_on_until_a_task_fails_or_it_has_run_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cmbot.campaigns.child._TASKS", 3)
+    monkeypatch.setattr("cmbot.campaigns.child._IDLE", [])
+    each = task("own_process")
+    first = run_in_child(each)
+    assert [run_in_child(each).value for _ in range(3)].count(first.value) == 2
+    before, _ = run_in_child(each).value
+    for failing in TASKS[1:]:
+        result = run_in_child(failing)
+        assert (result.status, result.error) == ENDS[failing.name]
+        # What a task says is told of that alone.
+        assert "said" not in result.details
+        after, _ = run_in_child(each).value
+        assert after != before
+        before = after
+
+
+def test_memory_is_bounded_for_each_task_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cmbot.campaigns.child._IDLE", [])
+    each, most = task("own_process"), 4_000_000_000
+    process, limit = run_in_child(each).value
+    assert run_in_child(replace(each, memory_limit=most)).value == [process, most]
+    assert run_in_child(each).value == [process, limit]
+
+
 def listening() -> set[str]:
     """Addresses on which this process and those that it started listen."""
     psutil = importlib.import_module("psutil")
