@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -127,13 +128,16 @@ class Frame:
         for end in (member.start, member.end):
             if end not in range(len(self.nodes)):
                 raise _refusal(key, end, f"one of the {len(self.nodes)} nodes")
-        along = self.nodes[member.end] - self.nodes[member.start]
-        length = float(np.linalg.norm(along))
+        x, y, z = (
+            end - start for start, end in zip(*self.nodes[[member.start, member.end]].tolist(), strict=True)
+        )
+        length = math.hypot(x, y, z)
         if length == 0:
             raise _refusal(key, "length 0", "two nodes at different places")
-        first = np.array(member.first_axis, dtype=float)
+        a, b, c = member.first_axis
+        across = math.hypot(y * c - z * b, z * a - x * c, x * b - y * a)
         # Negated so that NaN is refused.
-        if not np.linalg.norm(np.cross(along, first)) > _PARALLEL * length * float(np.linalg.norm(first)):
+        if not across > _PARALLEL * length * math.hypot(a, b, c):
             expected = "a direction that is not along the member"
             raise _refusal(f"{key}.first_axis", member.first_axis, expected)
         section, steel = member.section, member.material
