@@ -69,7 +69,8 @@ _PHRASES = {
 class FileModel(BaseModel):
     """Base of every model of a file: strict, closed, frozen, finite."""
 
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False)
+    # A validator is built when it is first asked for: most commands need a few of all models.
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 def validated(model: type[T], data: object, source: str, error_type: type[InputError]) -> T:
