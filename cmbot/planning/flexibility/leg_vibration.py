@@ -100,8 +100,10 @@ class LegVibration:
     """How the joints' snap along a leg moves the first modes at its end, the arm at rest where it starts.
 
     The matrices are those along the path's trajectory; a small change of that hardly changes them. There are
-    C cases of the `uncertainty`. `times` (m,), s, are the middles of the steps between the knots `start` and
-    `end`, `weights` (m, C 2r, n) those of the snaps at these times in what the modes' displacements, then
+    C cases of the `uncertainty`. Between the knots `start` and `end` there are b blocks of equal steps with
+    the same matrices. No knot is inside a block: along it the snap of a quintic spline is linear in time, so
+    its values at the blocks' ends say all. `times` (2 b,), s, are the middles of each block's first and last
+    step, `weights` (2 b, C 2r, n) those of the snaps at these times in what the modes' displacements, then
     their velocities over omega, move the tool by at the end, m.
     """
 
@@ -118,24 +120,17 @@ class LegVibration:
         self._carried = carried = _Carried(*(np.concatenate(each) for each in zip(*reduced, strict=True)))
         lengths = np.diff(edges)
         counts = np.ceil(lengths * carried.omega.max() / (2 * np.pi) * _STEPS_A_PERIOD).astype(int)
-        each = [
-            start + length * (np.arange(n) + 0.5) / n
-            for start, length, n in zip(edges[:-1], lengths, counts, strict=True)
-        ]
-        self.times = np.concatenate(each)
-        self._steps, self._counts = lengths / counts, counts
+        self._steps = lengths / counts
+        half = 0.5 * self._steps
+        self.times = np.stack([edges[:-1] + half, edges[1:] - half], axis=1).ravel()
+        self._blocks = _blocks(*_midpoint_steps(carried, self._steps), counts)
         self.cases = len(carried.omega)
-
-    @cached_property
-    def _midpoint(self) -> tuple[FloatArray, FloatArray]:
-        return _midpoint_steps(self._carried, self._steps)
 
     @cached_property
     def weights(self) -> FloatArray:
         """Of the snaps (m, C 2r, n)."""
-        weights = _weights(self._carried, *self._midpoint, self._counts)
-        m, n = weights.shape[0], weights.shape[-1]
-        return weights.reshape(m, -1, n)
+        weights = _weights(self._carried, self._blocks)
+        return weights.reshape(len(self.times), -1, weights.shape[-1])
 
     def vibration(self, trajectory: QuinticTrajectory) -> FloatArray:
         """What each mode moves the tool by at the end, for every case (C 2r,), m."""
@@ -147,13 +142,12 @@ class LegVibration:
         Simulated with all carriers by the implicit midpoint rule.
         """
         carried = self._carried
-        snaps = np.stack([each.evaluate(self.times, 4).T for each in trajectories], axis=-1)
+        snaps = np.stack([each.evaluate(self.times, 4) for each in trajectories], axis=-1)
+        snaps = snaps.reshape(len(self._blocks), -1, len(trajectories))
         cases, k = carried.tool.shape[0], carried.tool.shape[2]
-        y, begin = np.zeros((cases, 2 * k, len(trajectories))), 0
-        for state, push, count in zip(*self._midpoint, self._counts, strict=True):
-            pushed = np.tensordot(push, snaps[:, begin : begin + count], axes=(2, 0))
-            y = _carried_on(state, np.concatenate([y[:, :, None], pushed], axis=2))
-            begin += count
+        y = np.zeros((cases, 2 * k, len(trajectories)))
+        for (state, push), snap in zip(self._blocks, snaps, strict=True):
+            y = state @ y + push @ snap
         substeps = max(1, round(_WATCHED / float(self._steps[-1])))
         after = _midpoint_steps(carried.at_end, np.array([_WATCHED / substeps]))[0][0]
         state = np.linalg.matrix_power(after, substeps)
@@ -234,58 +228,52 @@ def _slowest(mass: FloatArray, stiffness: FloatArray, most: int) -> tuple[FloatA
     return 1 / np.sqrt(squares), X / np.sqrt(squares)
 
 
-def _weights(carried: _Carried, states: FloatArray, pushes: FloatArray, counts: IntArray) -> FloatArray:
-    """Weights (m, C, 2r, n) of the snaps in every step in how far displacements and velocities move the tool.
+def _weights(carried: _Carried, blocks: list[_Block]) -> FloatArray:
+    """Weights (2 b, C, 2r, n) of the snaps at the ends of b blocks in how far the modes move the tool.
 
     The adjoint of the implicit midpoint rule, run backwards from the end: one run serves all trajectories.
-    There are g blocks of `counts` (g,) equal steps, whose matrices are by `_midpoint_steps`.
     """
     cases, k, r = carried.momenta.shape
-    end = int(counts.sum())
-    weights = np.empty((end, cases, 2 * r, carried.response.shape[3]))
-    # Derivatives of displacements and velocities at the end by (y, y') after the step.
+    n = carried.response.shape[3]
+    weights = np.empty((len(blocks), 2, cases, 2 * r, n))
+    # Derivatives of displacements and velocities at the end by (y, y') after the block.
     costate = np.zeros((cases, 2 * k, 2 * r))
     costate[:, :k, :r] = carried.momenta * carried.to_tool[:, None]
     costate[:, k:, r:] = costate[:, :k, :r] / carried.omega[:, None]
-    for state, push, count in zip(states[::-1], pushes[::-1], counts[::-1], strict=True):
-        after = _powers(state.swapaxes(1, 2), costate, int(count))
-        by_step = push.swapaxes(1, 2) @ after[:, :, :-1].reshape(cases, 2 * k, -1)
-        by_step = by_step.reshape(cases, -1, count, 2 * r)[:, :, ::-1]
-        weights[end - count : end] = by_step.transpose(2, 0, 3, 1)
-        costate = after[:, :, -1]
-        end -= count
-    return weights
+    for of_block, (state, push) in zip(weights[::-1], reversed(blocks), strict=True):
+        of_block[:] = (push.swapaxes(1, 2) @ costate).reshape(cases, 2, n, 2 * r).transpose(1, 0, 3, 2)
+        costate = state.swapaxes(1, 2) @ costate
+    return weights.reshape(-1, cases, 2 * r, n)
 
 
-def _powers(A: FloatArray, x: FloatArray, count: int) -> FloatArray:
-    """The columns x, A x, ..., A^count x, (C, k, count + 1, c), of matrices (C, k, k) and columns (C, k, c).
+_Block = tuple[FloatArray, FloatArray]
+"""What a block makes of the state before it (C, 2k, 2k), and of its first and last snap (C, 2k, 2n)."""
 
-    By repeated squaring: few products of large matrices take a fraction of the time of many small ones.
+
+def _blocks(states: FloatArray, pushes: FloatArray, counts: IntArray) -> list[_Block]:
+    """Return the blocks of `counts` (g,) equal steps, whose matrices are by `_midpoint_steps`."""
+    return [_block(A, P, int(m)) for A, P, m in zip(states, pushes, counts, strict=True)]
+
+
+def _block(A: FloatArray, P: FloatArray, count: int) -> _Block:
+    """Return what m equal steps with matrices `A` (C, 2k, 2k) and `P` (C, 2k, n) make of states and snaps.
+
+    With the last snap s and its change d a step, the state after them is ``A^m y + S s - T d`` with the sums
+    ``S = P + A P + ... + A^(m-1) P`` and ``T = A P + 2 A^2 P + ... + (m-1) A^(m-1) P``. They are built up as
+    a power is by repeated squaring: few products, where one step after the other would take many.
     """
-    cases, k, columns = x.shape
-    found = np.empty((cases, k, count + 1, columns))
-    found[:, :, 0] = x
-    known = 1
-    while known <= count:
-        more = min(known, count + 1 - known)
-        known_columns = found[:, :, :more].reshape(cases, k, more * columns)
-        found[:, :, known : known + more] = (A @ known_columns).reshape(cases, k, more, columns)
-        known += more
-        if known <= count:
-            A = A @ A
-    return found
-
-
-def _carried_on(A: FloatArray, terms: FloatArray) -> FloatArray:
-    """Sum ``A^(m - i) x_i`` (C, k, c) of matrices (C, k, k) over `terms` (C, k, m + 1, c): as `_powers`."""
-    cases, k, _, columns = terms.shape
-    while (count := terms.shape[2]) > 1:
-        if count % 2:
-            terms = np.concatenate([np.zeros((cases, k, 1, columns)), terms], axis=2)
-        earlier = terms[:, :, ::2].reshape(cases, k, -1)
-        terms = (A @ earlier).reshape(cases, k, -1, columns) + terms[:, :, 1::2]
-        A = A @ A
-    return terms[:, :, 0]
+    n, done = P.shape[2], 1
+    power, S, T = A, P, np.zeros_like(P)
+    for bit in f"{count:b}"[1:]:
+        more = power @ np.concatenate([S, T + done * S], axis=2)
+        S, T = S + more[..., :n], T + more[..., n:]
+        power, done = power @ power, 2 * done
+        if bit == "1":
+            more = A @ np.concatenate([S, T + S], axis=2)
+            S, T = P + more[..., :n], more[..., n:]
+            power, done = A @ power, done + 1
+    by_change = T / max(count - 1, 1)
+    return power, np.concatenate([by_change, S - by_change], axis=2)
 
 
 def _midpoint_steps(carried: _Carried, steps: FloatArray) -> tuple[FloatArray, FloatArray]:

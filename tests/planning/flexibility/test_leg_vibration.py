@@ -37,10 +37,14 @@ def test_backwards_is_the_transpose_of_forwards(rng: np.random.Generator) -> Non
     counts = np.array([40, 1, 25, 300])
     steps = rng.uniform(1e-3, 5e-3, 4)
     system = carried(rng, 4)
-    weights = leg_vibration._weights(system, *leg_vibration._midpoint_steps(system, steps), counts)
-    assert weights.shape == (counts.sum(), 2, 2 * MODES, JOINTS)
+    blocks = leg_vibration._blocks(*leg_vibration._midpoint_steps(system, steps), counts)
+    weights = leg_vibration._weights(system, blocks)
+    assert weights.shape == (2 * len(counts), 2, 2 * MODES, JOINTS)
 
-    snap = rng.normal(size=(counts.sum(), JOINTS))
+    # Linear in each block; of a single step both ends are one.
+    ends = rng.normal(size=(len(counts), 2, JOINTS))
+    ends[counts == 1, 1] = ends[counts == 1, 0]
+    snap = np.concatenate([np.linspace(*both, count) for both, count in zip(ends, counts, strict=True)])
     for case in range(2):
         z, one = np.zeros(2 * CARRIERS), np.eye(2 * CARRIERS)
         for s, block in zip(snap, np.repeat(np.arange(4), counts), strict=True):
@@ -53,7 +57,7 @@ def test_backwards_is_the_transpose_of_forwards(rng: np.random.Generator) -> Non
         momenta = system.momenta[case]
         both = np.stack([momenta.T @ y, momenta.T @ rate / system.omega[case]])
         expected = (both * system.to_tool[case]).ravel()
-        found = np.einsum("kcj,kj->c", weights[:, case], snap)
+        found = np.einsum("kcj,kj->c", weights[:, case], ends.reshape(-1, JOINTS))
         np.testing.assert_allclose(found, expected, atol=1e-10 * np.abs(expected).max())
 
 
