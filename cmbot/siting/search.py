@@ -29,7 +29,7 @@ _PLAN_SECONDS, _CHART_SECONDS = 20.0, 10.0
 _ALIKE = {"plan": 0.3, "charts": 0.12}
 # So many times as many stances as are to be planned are tried, and once more that many.
 _TRIES = 2
-# Once enough are planned, stances are looked at whose bound is smaller than the best one's by more than this.
+# Once enough are planned, stances are looked at that may be better by more than this.
 _GAP = 0.02
 
 
@@ -218,9 +218,10 @@ class _Search:
     @property
     def _enough(self) -> float:
         """Once enough are planned, only stances whose bound is below this are looked at."""
-        if self._best is None or self._planned < self._options.plans:
+        best = None if self._best is None else self.each[self._best].plan
+        if best is None or self._planned < self._options.plans:
             return np.inf
-        return (1 - _GAP) * self.each[self._best].bound
+        return (1 - _GAP) * best.objective.planned_peak
 
     def _is_beside_one_in_vain(self, k: int) -> bool:
         base = self.each[k].candidate.base[:3, 3]
@@ -240,7 +241,9 @@ class _Search:
         except CmbotError as error:
             self._give_up(k, "blocked", "obstacles", str(error))
             return
-        self._bounded(k, "obstacles", max(bound, self.each[k].bound), bound)
+        # Nothing is charted where the tool's axis may lean.
+        bound = bound or self.each[k].bound
+        self._bounded(k, "obstacles", bound, bound)
 
     def _chart(self, k: int) -> None:
         self._charts += 1
@@ -250,7 +253,9 @@ class _Search:
             self._give_up(k, "blocked", "charts", str(error))
             return
         self._begins[k] = charted.begins
-        self._bounded(k, "charts", charted.bound, charted.expected)
+        # With few via-points there is less room for what lies between postures, with many more is seen.
+        bound = min(max(charted.bound, self.each[k].bound), charted.expected)
+        self._bounded(k, "charts", bound, charted.expected)
 
     def _plan(self, k: int) -> None:
         self._tries += 1

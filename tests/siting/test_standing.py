@@ -168,10 +168,9 @@ def test_the_best_stance_needs_less_than_the_scenes(scene: Scene, standing: Stan
     assert sum("may be better" in line for line in in_words(standing)) == 1
 
 
-def test_none_that_was_not_planned_is_much_better_than_the_best_ones_bound(standing: Standing) -> None:
+def test_none_that_was_not_planned_may_be_much_better(standing: Standing) -> None:
     best = standing.best
-    assert best.bound <= best.plan.objective.planned_peak
-    assert best.bound <= 1.02 * standing.best_unplanned
+    assert best.bound <= best.plan.objective.planned_peak <= standing.best_unplanned / 0.98
 
 
 def test_stances_that_load_the_guardrail_too_much_fail(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
