@@ -2,7 +2,7 @@
 
 from cmbot.collision.clearance import RESOLUTION, Clearances, Nearest, Smallest
 from cmbot.collision.motion_bounds import raise_bounds, travel
-from cmbot.collision.shapes import PairedShapes, ShapePair, touched_by
+from cmbot.collision.shapes import PairedShapes, ShapePair, extent_of, touched_by
 
 __all__ = [
     "RESOLUTION",
@@ -11,6 +11,7 @@ __all__ = [
     "PairedShapes",
     "ShapePair",
     "Smallest",
+    "extent_of",
     "raise_bounds",
     "touched_by",
     "travel",

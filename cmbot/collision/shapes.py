@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +20,7 @@ from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, l
 if TYPE_CHECKING:
     import trimesh
 
-__all__ = ["PairedShapes", "ShapePair", "coal_shapes", "touched_by"]
+__all__ = ["PairedShapes", "ShapePair", "coal_shapes", "extent_of", "touched_by"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -151,6 +152,22 @@ def touched_by(box: Box, X_WB: FloatArray, obstacles: Sequence[Obstacle]) -> str
             if coal.collide(own, place, shape, there, coal.CollisionRequest(), coal.CollisionResult()):
                 return obstacle.name
     return None
+
+
+def extent_of(obstacle: Obstacle) -> FloatArray:
+    """Return the smallest and the largest coordinates of an obstacle in W, at most, (2, 3), m.
+
+    Parameters
+    ----------
+    obstacle : Obstacle
+    """
+    corners = list[FloatArray]()
+    for shape, X_OS in coal_shapes(obstacle.shape, obstacle.name):
+        shape.computeLocalAABB()
+        ends = np.array([shape.aabb_local.min_, shape.aabb_local.max_])
+        X_WS = pin.SE3(np.array(obstacle.X_WO)) * X_OS
+        corners += [X_WS.act(np.array(corner)) for corner in product(*ends.T)]
+    return np.array([np.min(corners, axis=0), np.max(corners, axis=0)])
 
 
 def _hull(part: trimesh.Trimesh, path: Path, name: str) -> Any:

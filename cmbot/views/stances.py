@@ -82,7 +82,8 @@ def _map(standing: Standing) -> str:
         f'<text x="4" y="{_y(top, top):.0f}" font-size="13">{top:.3g} {escape(standing.unit)}</text>'
         f'<text x="4" y="{_y(0, top):.0f}" font-size="13">0</text>'
     )
-    return f'<svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{legend}{scale}{labels}{marks}</svg>'
+    drawn = f"{legend}{scale}{labels}{marks}"
+    return f'<div class="wide"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
 
 
 def _marks(standing: Standing, low: float, high: float, top: float) -> Iterator[str]:

@@ -15,6 +15,8 @@ from cmbot.walking import Tour, Walk, walk_samples
 
 __all__ = ["tour_page"]
 
+_REPLAY = {"replay": "replay.html"}
+
 
 def tour_page(tour: Tour) -> str:
     """Return an HTML page that opens no connection and runs no script.
@@ -34,8 +36,9 @@ def tour_page(tour: Tour) -> str:
     stances = [(each.candidate, name) for each, name in zip(tour.works, names, strict=True)]
     content += f"<section>{guardrail_map(tour.plans[0].scene, [*chain(*samples)], stances)}</section>"
     for name, _, part in parts:
-        page, what = (REPORT, "report") if isinstance(part, Plan) else ("replay.html", "replay")
-        content += f'<h2>{escape(name)}: {escape(_what(part))}</h2><p><a href="{name}/{page}">{what}</a></p>'
+        pages = {"report": REPORT} if isinstance(part, Plan) else {"walk": "index.html"}
+        links = (f'<a href="{name}/{page}">{what}</a>' for what, page in (pages | _REPLAY).items())
+        content += f"<h2>{escape(name)}: {escape(_what(part))}</h2><p>{', '.join(links)}</p>"
         if isinstance(part, Plan):
             each = table(part.rows(), ("", "baseline", "planned"))
         else:

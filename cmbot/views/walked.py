@@ -7,6 +7,7 @@ from html import escape
 
 import numpy as np
 
+from cmbot.collision import extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.robot import Climber
 from cmbot.scene import Box, Scene, guardrail_obstacles
@@ -19,7 +20,9 @@ __all__ = ["guardrail_map", "steps_table", "walk_page"]
 _WIDTH, _EDGE = 900, 40
 # Colours of feet from bearing nothing to bearing all that they can, and of one without bounds.
 _LEAST, _MOST, _UNKNOWN = (26, 127, 55), (192, 57, 43), "#8a8f98"
-_WORK = "#b26a00"
+_WORK, _IN_THE_WAY = "#b26a00", "#8a7a5c"
+# Obstacles nearer than this to the plane of posts and rails are drawn, m.
+_BESIDE = 0.1
 
 
 def walk_page(walk: Walk) -> str:
@@ -73,7 +76,8 @@ def guardrail_map(
     def at(x: float, z: float) -> tuple[float, float]:
         return _EDGE + (x - low) * scale, _EDGE + (top - z) * scale
 
-    parts = [*_members(scene, at, (low, high, bottom, top))]
+    window = low, high, bottom, top
+    parts = [*_members(scene, at, window), *_obstacles(scene, at, window)]
     for part in samples:
         for foot, dash in ((0, ""), (1, ' stroke-dasharray="5 4"')):
             points = " ".join("{:.1f},{:.1f}".format(*at(p[0], p[2])) for p in part.feet[:, foot])
@@ -94,7 +98,7 @@ def guardrail_map(
         x, y = at(*each[0, [0, 2]])
         label = escape(f"{number}: {name}")
         parts.append(f'<text x="{x:.1f}" y="{y - 18:.1f}" font-size="13" text-anchor="middle">{label}</text>')
-    return f'<svg viewBox="0 0 {_WIDTH} {height}" role="img">{"".join(parts)}</svg>'
+    return f'<div class="wide"><svg viewBox="0 0 {_WIDTH} {height}" role="img">{"".join(parts)}</svg></div>'
 
 
 def _feet(candidate: Candidate) -> FloatArray:
@@ -118,6 +122,29 @@ def _members(
         if left < right and lower < upper:
             (a, b), (c, d) = at(left, upper), at(right, lower)
             yield f'<rect x="{a:.1f}" y="{b:.1f}" width="{c - a:.1f}" height="{d - b:.1f}" fill="#c9ced6"/>'
+
+
+def _obstacles(
+    scene: Scene, at: Callable[[float, float], tuple[float, float]], window: tuple[float, float, float, float]
+) -> Iterator[str]:
+    """What is on posts and rails, such as lamps: no foot holds there."""
+    low, high, bottom, top = window
+    members = {member.name for member in guardrail_obstacles(scene.guardrail)}
+    for obstacle in scene.obstacles:
+        least, most = extent_of(obstacle)
+        # Posts and rails are in the plane y = 0.
+        apart = least[1] > _BESIDE or most[1] < -_BESIDE
+        out = most[0] < low or least[0] > high or most[2] < bottom or least[2] > top
+        if obstacle.name in members or apart or out:
+            continue
+        (left, upper), (right, lower) = at(least[0], most[2]), at(most[0], least[2])
+        place = f'x="{left:.1f}" y="{upper:.1f}" width="{right - left:.1f}" height="{lower - upper:.1f}"'
+        name = escape(obstacle.name)
+        yield f'<rect {place} fill="{_IN_THE_WAY}"><title>{name}</title></rect>'
+        yield (
+            f'<text x="{(left + right) / 2:.1f}" y="{upper - 5:.1f}" font-size="11" '
+            f'text-anchor="middle">{name}</text>'
+        )
 
 
 def _colour(share: float) -> str:

@@ -15,10 +15,10 @@ from oracles.distances import between_hulls, capsule_of
 from robot_files import FLAT, write_flat_obj
 from robot_files import pose as pose_of
 
-from cmbot.collision import Clearances
+from cmbot.collision import Clearances, extent_of
 from cmbot.common.errors import SceneError
 from cmbot.robot import Robot, convex_hull, encloses_volume
-from cmbot.scene import Box, Mesh, Obstacle, Shape, load_mesh, pose
+from cmbot.scene import Box, Capsule, Cylinder, Mesh, Obstacle, Shape, Sphere, load_mesh, pose
 
 FloatArray = NDArray[np.float64]
 X_WO = pose([0.6, 0.7, -1.2], [0.4, -0.8, 1.1])
@@ -183,3 +183,27 @@ def test_thin_is_not_flat(thickness: float) -> None:
     assert hull.num_points == 8
     assert not encloses_volume(points * [1, 1, np.nan])
     assert not encloses_volume(points[:3])
+
+
+@pytest.mark.parametrize(
+    ("shape", "half"),
+    [
+        # Turned by a quarter about z: the first two sides change places.
+        (Box(size=(0.2, 0.4, 0.6)), (0.2, 0.1, 0.3)),
+        (Sphere(radius=0.3), (0.3, 0.3, 0.3)),
+        (Cylinder(radius=0.1, length=0.6), (0.1, 0.1, 0.3)),
+        (Capsule(radius=0.1, length=0.6), (0.1, 0.1, 0.4)),
+    ],
+)
+def test_extent_of_obstacles(shape: Shape, half: tuple[float, float, float]) -> None:
+    placed = Obstacle(name="lamp", shape=shape, X_WO=pose([1.0, -2.0, 0.5], [0, 0, np.pi / 2]))
+    expected = np.array([1.0, -2.0, 0.5]) + np.outer([-1, 1], half)
+    np.testing.assert_allclose(extent_of(placed), expected, atol=1e-9)
+
+
+def test_extent_of_a_turned_mesh_has_all_its_corners(tmp_path: Path) -> None:
+    mesh = saved(box_mesh((0.3, 0.5, 0.9)), tmp_path / "box.stl")
+    corners = trimesh.creation.box((0.3, 0.5, 0.9)).apply_transform(X_WO).bounds
+    np.testing.assert_allclose(
+        extent_of(Obstacle(name="o", shape=mesh, X_WO=X_WO)), corners, rtol=0, atol=1e-6
+    )

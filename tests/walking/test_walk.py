@@ -2,6 +2,7 @@
 
 import csv
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,17 @@ from cmbot.robot import Climber, Kinematics, load_climbing_robot
 from cmbot.scene import FootholdFile, Scene, StanceFile
 from cmbot.siting import Candidate, in_the_way, places_of
 from cmbot.views import walk_page
-from cmbot.walking import Walk, WalkOptions, load_goal, stance_of, walk, walk_csv, walk_data
+from cmbot.views.walked import guardrail_map
+from cmbot.walking import (
+    Walk,
+    WalkOptions,
+    load_goal,
+    stance_of,
+    walk,
+    walk_csv,
+    walk_data,
+    walk_samples,
+)
 from cmbot.walking.balance import Balance
 from cmbot.walking.route import Route, nodes_between
 from cmbot.walking.steps import swinging_robot
@@ -120,6 +131,20 @@ def test_a_walk_as_files(walked: Walk) -> None:
     assert "http://" not in page
     assert page.count("<circle") == 3
     assert "1 step and 0 moves of the arm" in page
+
+
+def test_the_map_shows_what_is_on_the_rail() -> None:
+    on_rail = {"name": "lamp", "cylinder": [0.05, 0.2], "xyz": [0.6, 0.0, 0.15]}
+    beside = {"name": "tank", "sphere": 0.2, "xyz": [0.6, 0.9, 0.0]}
+    samples = list(walk_samples(one_step()))
+    drawn = guardrail_map(scene_at(4.04, 4.44, CLAMP, obstacles=[on_rail, beside]), samples)
+    assert "lamp" in drawn
+    assert "tank" not in drawn
+    # 0.1 m wide and 0.2 m high.
+    width, height = (
+        float(x) for x in re.search(r'width="([\d.]+)" height="([\d.]+)"[^>]*><title>lamp', drawn).groups()
+    )
+    assert height == pytest.approx(2 * width, rel=0.01)
 
 
 def test_a_foot_keeps_clear_of_joints_and_lamps(scene: Scene) -> None:
