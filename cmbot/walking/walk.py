@@ -197,6 +197,8 @@ class _Search:
     def steps(self) -> list[Step]:
         """Plan until the goal is reached."""
         here, made = 0, list[Step]()
+        # Nodes from which the steps lead, and the arm's posture before each.
+        came = list[tuple[int, FloatArray, int]]()
         while here != 1:
             edges = self._route.shortest(here)
             if edges is None:
@@ -207,8 +209,16 @@ class _Search:
                 for k in unknown:
                     self._check(k)
                 continue
+            after = {edge.after for edge in edges}
+            back = next((k for k, (node, *_) in enumerate(came) if node in after), None)
+            if back is not None:
+                # It leads on from where the walk was before: the steps since then are not needed.
+                here, self.arm, self._weight = came[back]
+                del made[back:], came[back:]
+                continue
             number = len(made) + len(edges)
             self._progress(f"planning step {len(made) + 1} of {number}", len(made) / number)
+            state = here, self.arm, self._weight
             step = self._step(edges[0])
             if step is None:
                 self._route.close(edges[0])
@@ -217,6 +227,7 @@ class _Search:
                     raise PlanningError(why)
                 continue
             made.append(step)
+            came.append(state)
             here = edges[0].after
         return made
 

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,9 @@ from cmbot.walking import (
     walk_samples,
 )
 from cmbot.walking.balance import Balance
-from cmbot.walking.route import Route, nodes_between
+from cmbot.walking.route import Edge, Route, nodes_between
 from cmbot.walking.steps import swinging_robot
+from cmbot.walking.walk import _Search
 
 
 @pytest.fixture(scope="module")
@@ -172,6 +174,54 @@ def test_the_route_has_only_steps_that_hold(scene: Scene, node: Candidate, balan
     for edge in edges:
         route.close(edge)
     assert route.shortest(0) != edges
+
+
+class Graph:
+    """A route over a graph given by its edges, each as dear as the others."""
+
+    def __init__(self, *edges: tuple[int, int]) -> None:
+        self.edges = {*edges, *((b, a) for a, b in edges)}
+
+    def shortest(self, start: int) -> list[Edge] | None:
+        ways, seen = [[start]], {start}
+        for way in ways:
+            if way[-1] == 1:
+                return [Edge(before=a, after=b, foot=1) for a, b in pairwise(way)]
+            ahead = sorted(b for a, b in self.edges if a == way[-1] and b not in seen)
+            seen |= set(ahead)
+            ways += [[*way, b] for b in ahead]
+        return None
+
+    def close(self, edge: Edge) -> None:
+        self.edges -= {(edge.before, edge.after), (edge.after, edge.before)}
+
+
+class Steps(_Search):
+    """The search with steps that are made at once, but some that are impossible."""
+
+    def __init__(self, graph: Graph, impossible: set[tuple[int, int]]) -> None:
+        super().__init__(None, None, graph, np.zeros(7), WalkOptions(), lambda _step, _share: None)
+        self.impossible, self.tried = impossible, 0
+
+    def _step(self, edge: Edge) -> Any:
+        self.tried += 1
+        if (edge.before, edge.after) in self.impossible:
+            self.failures.append("impossible")
+            return None
+        self.arm, self._weight = self.arm + 1.0, edge.after
+        return edge.before, edge.after
+
+    def _check(self, k: int) -> None:
+        self._checked.add(k)
+
+
+def test_steps_that_lead_nowhere_are_not_walked() -> None:
+    """What leads on from where the walk was before is taken from there, with the arm as it was."""
+    search = Steps(Graph((0, 2), (2, 3), (3, 4), (4, 1), (2, 5), (5, 6), (6, 7), (7, 1)), {(4, 1)})
+    assert search.steps() == [(0, 2), (2, 5), (5, 6), (6, 7), (7, 1)]
+    assert search.tried == 8
+    assert search.arm[0] == 5.0
+    assert search._weight == 1
 
 
 def test_a_step_that_does_not_hold_is_refused_with_its_figures() -> None:
