@@ -66,6 +66,13 @@ def test_the_documents_are_there_their_links_lead_somewhere_and_the_readme_is_sh
                 assert (document.parent / target.split("#")[0]).exists(), f"{target} in {name_of(document)}"
 
 
+def test_readme_and_the_sites_first_page_lead_to_every_page() -> None:
+    others = {path.name for path in DOCS.glob("*.md")} - {"index.md"}
+    for document, folder in ((README, "docs/"), (DOCS / "index.md", "")):
+        linked = {target.split("#")[0] for target in re.findall(r"\]\(([^)\s]+)\)", prose(document))}
+        assert {folder + name for name in others} <= linked, name_of(document)
+
+
 def test_readme_python_runs(
     triangle_plan: Plan,
     tmp_path: Path,
