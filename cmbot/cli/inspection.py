@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import os
 import platform
+import re
 import shutil
 from collections.abc import Sequence
 from dataclasses import asdict
 from importlib import metadata, util
+from itertools import takewhile
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
@@ -222,26 +224,31 @@ def scenes(
     """
     from cmbot.scene import shipped_scenes
 
-    about = {name: _about(scene_folder() / f"{name}.yaml") for name in shipped_scenes()}
+    shown = {name: _about(name) for name in shipped_scenes()}
     if html is not None:
         require_new(html, force)
         from cmbot.views import gallery_page, write_page
 
-        write_page(html, gallery_page(about))
+        write_page(html, gallery_page(shown))
         if not as_json:
             out.print(f"Written to {flat(html)}.")
             return
+    about = {name: sentence for name, (sentence, _) in shown.items()}
     if as_json:
         print_json({"verb": "scenes", "folder": str(scene_folder()), "scenes": about})
         return
     print_pairs(about)
-    out.print(f"Their files are in {flat(scene_folder())}; cmbot plan NAME plans one.")
+    others = [command for name, (_, command) in shown.items() if command != f"cmbot plan {name}"]
+    out.print(f"Their files are in {flat(scene_folder())}; {', '.join(['cmbot plan NAME', *others])}.")
 
 
-def _about(path: Path) -> str:
-    """Return the first sentence of a scene file's comments."""
-    comments = (line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("# "))
-    return next((line[2:] for line in comments if "yaml-language-server" not in line), "")
+def _about(name: str) -> tuple[str, str]:
+    """Return the first sentence of a scene file's comments, and the command for it, if they name one."""
+    lines = (scene_folder() / f"{name}.yaml").read_text(encoding="utf-8").splitlines()
+    comments = takewhile(lambda line: line.startswith("# "), lines)
+    words = " ".join(line[2:] for line in comments if "yaml-language-server" not in line)
+    command = re.search(r"`(cmbot [^`]+)`", words)
+    return words.partition(". ")[0].rstrip(".") + ".", command[1] if command else f"cmbot plan {name}"
 
 
 def schema() -> None:

@@ -1,4 +1,4 @@
-"""The shipped scenes as one page: a picture of each, what it is about, and the command that plans it."""
+"""The shipped scenes as one page: a picture of each, what it is about, and its command."""
 
 from __future__ import annotations
 
@@ -12,15 +12,16 @@ from cmbot.views.page import still_page
 __all__ = ["gallery_page"]
 
 
-def gallery_page(about: Mapping[str, str]) -> str:
+def gallery_page(scenes: Mapping[str, tuple[str, str]]) -> str:
     """Return an HTML page that opens no connection and runs no script.
 
     Parameters
     ----------
-    about : mapping of str to str
-        What each shipped scene is about, by its name. A scene without a picture is shown without one.
+    scenes : mapping of str to (str, str)
+        By the name of each shipped scene what it is about, and the command for it. A scene without a picture
+        is shown without one.
     """
-    cards = "".join(_card(name, words) for name, words in about.items())
+    cards = "".join(_card(name, *words) for name, words in scenes.items())
     return still_page(
         "Scenes that come with cmbot",
         [f"Their files are in {scene_folder()}."],
@@ -28,11 +29,11 @@ def gallery_page(about: Mapping[str, str]) -> str:
     )
 
 
-def _card(name: str, about: str) -> str:
+def _card(name: str, about: str, command: str) -> str:
     shown, path = escape(name), picture_folder() / f"{name}.png"
     picture = ""
     if path.is_file():
         data = base64.b64encode(path.read_bytes()).decode("ascii")
         picture = f'<img src="data:image/png;base64,{data}" alt="The arm at work">'
-    words = f"<p>{escape(about)}</p><code>cmbot plan {shown}</code>"
+    words = f"<p>{escape(about)}</p><code>{escape(command)}</code>"
     return f"<section><h2>{shown}</h2>{picture}{words}</section>\n"

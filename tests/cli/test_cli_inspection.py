@@ -211,6 +211,8 @@ def test_shipped_scenes_are_listed_with_what_they_are_about() -> None:
     lines = output("scenes").splitlines()
     assert [line.split()[0] for line in lines[:-1]] == list(shipped_scenes())
     assert all(len(line.split(maxsplit=1)[1]) > 20 for line in lines)
+    assert all(line.endswith(".") for line in lines)
+    assert "cmbot plan NAME, cmbot tour two_brackets --on top_rail." in lines[-1]
     data = json.loads(output("scenes", "--json"))
     assert data["scenes"]["triangle"].startswith("The paper's first experiment")
 
@@ -221,7 +223,8 @@ def test_shipped_scenes_are_shown_on_a_page(tmp_path: Path) -> None:
     text = page.read_text(encoding="utf-8")
     for name in shipped_scenes():
         assert f"<h2>{name}</h2><img " in text
-        assert f"cmbot plan {name}</code>" in text
+        command = "cmbot tour two_brackets --on top_rail" if name == "two_brackets" else f"cmbot plan {name}"
+        assert f"{command}</code>" in text
     assert "already there" in refusal("scenes", "--html", page)
 
 
