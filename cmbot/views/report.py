@@ -49,6 +49,7 @@ _LITTLE = 0.02
 _JOINT_HEADINGS = ("joint", "range, deg", "deg/s", "deg/s²", "deg/s³", "Nm")
 # Where joints slide each row has its own units.
 _MIXED_HEADINGS = ("joint", "range", "velocity", "acceleration", "jerk", "torque or force")
+_SWING_HEADINGS = ("swing after the stop, mm", "without suppression", "planned")
 
 SHARES = (
     " The percentages are the largest shares of the bounds that each motion uses, a plan with its free moves."
@@ -279,7 +280,9 @@ def _sections(plan: Plan, tracking: Tracking | None) -> Iterator[str]:
     yield section("Metrics", table(plan.rows(), ("", "baseline", "planned")))
     elastic = list(_elastic(plan))
     if elastic:
-        yield section("Predicted sag and vibration", table(elastic))
+        swings = list(_swings(plan))
+        others = table(swings, _SWING_HEADINGS) if swings else ""
+        yield section("Predicted sag and vibration", table(elastic) + others)
     several = {stroke.name for stroke in plan.several}
     begins = {segment.name: segment.begin for segment in plan.job.segments}
     for name, certificate in certificates(plan).items():
@@ -351,11 +354,17 @@ def _elastic(plan: Plan) -> Iterator[Row]:
             yield "leg ends without a change", f"{suppression.shares.count(0.0)}"
         yield "largest amplitude at the tool without it, mm", f"{1e3 * suppression.before:.4f}"
         yield "largest amplitude with it, mm", f"{1e3 * suppression.after:.4f}"
-        each = (suppression.stiffness, suppression.load_kg, suppression.swing_without, suppression.swing_with)
-        for factor, load, without, with_it in zip(*each, strict=True):
-            at = f"stiffness times {factor:g}" + (f", {load:g} kg more" if load else "")
-            swings = f"{1e3 * without:.3f}, {1e3 * with_it:.3f}"
-            yield f"swing after the stop without it, and as planned, mm: {at}", swings
+
+
+def _swings(plan: Plan) -> Iterator[Row]:
+    """Yield how far the tool swings after the stop, mm, without suppression and with it."""
+    found = plan.suppression
+    if found is None:
+        return
+    each = (found.stiffness, found.load_kg, found.swing_without, found.swing_with)
+    for factor, load, *swings in zip(*each, strict=True):
+        at = f"stiffness times {factor:.3g}" + (f", {load:g} kg more" if load else "")
+        yield at, *(f"{1e3 * swing:.3f}" for swing in swings)
 
 
 def _check_table(certificate: Certificate, base: str, begin: float) -> str:
