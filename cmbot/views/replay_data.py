@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -29,7 +30,7 @@ from cmbot.robot import Kinematics, Robot
 from cmbot.simulation import MotionTracking, Tracking
 from cmbot.trajectory import QuinticTrajectory
 from cmbot.views.charts import floor_name, work_begins, work_ends
-from cmbot.views.drawing import Bending, Intervals, reach, scene_commands
+from cmbot.views.drawing import Bending, Intervals, obstacle_surface, reach, scene_commands
 from cmbot.views.page import pack, pack_exactly
 
 __all__ = ["ARROW", "Frames", "focus_of", "frame_times", "link_names", "pair_joints", "replay_data"]
@@ -38,6 +39,8 @@ ARROW = 0.32  # of the largest torque, as a share of the reach
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
 MOST_POSES = 12_000  # frames times links, of the whole job
 _BETWEEN = " – "  # two names of a pair
+# How far beside the tool path workpieces are shown, as a share of the reach.
+_BESIDE = 0.1
 # Links whose distance varies by less than this, m, in so many of a motion's postures are always as near.
 _AS_NEAR, _LOOKED_AT = 1e-3, 12
 _ALWAYS: Intervals = ((0.0, np.inf),)
@@ -249,8 +252,7 @@ def _corners(robot: Robot, q: FloatArray) -> FloatArray:
     for shape in robot.collision_model.geometryObjects:
         shape.geometry.computeLocalAABB()
         box = shape.geometry.aabb_local
-        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
-        corners = corners * (box.max_ - box.min_) + box.min_
+        corners = np.array(list(product(*zip(box.min_, box.max_, strict=True))))
         corners = corners @ shape.placement.rotation.T + shape.placement.translation
         if shape.parentJoint:
             pose = poses[:, shape.parentJoint - 1]
@@ -258,6 +260,19 @@ def _corners(robot: Robot, q: FloatArray) -> FloatArray:
             corners = (turned.transpose(0, 2, 1) + pose[:, None, :3]).reshape(-1, 3)
         found.append(corners)
     return np.concatenate(found)
+
+
+def _workpieces(plan: Plan, path: FloatArray) -> Iterator[FloatArray]:
+    """Yield corners (8, 3) in W of boxes about the workpieces, as far as they are beside a `path` (K, 3)."""
+    room = _BESIDE * reach(plan.robot)
+    for obstacle in plan.scene.obstacles:
+        if not obstacle.workpiece:
+            continue
+        vertices = obstacle_surface(obstacle).vertices
+        low = np.maximum(vertices.min(axis=0), path.min(axis=0) - room)
+        high = np.minimum(vertices.max(axis=0), path.max(axis=0) + room)
+        if (low <= high).all():
+            yield np.array(list(product(*zip(low, high, strict=True))))
 
 
 def pair_joints(robot: Robot, pairs: Iterable[str]) -> list[list[int]]:
@@ -364,9 +379,10 @@ def _on(segments: Sequence[Segment | BaselineSegment]) -> list[tuple[float, floa
 
 
 def focus_of(plan: Plan, plans: Sequence[Plan]) -> dict[str, Any]:
-    """Return points that the view shows (arm, path, the torque's arrow), a ball about them, an azimuth.
+    """Return points that the view shows, a ball about them, an azimuth.
 
-    All in W, m; of the points those that enclose the others along many directions.
+    The points are those of the arm, the path, the workpieces beside it and the torque's arrow, in W, m; of
+    them those that enclose the others along many directions.
     """
     motions = [plan.baseline.q]
     motions += [segment.trajectory.q for each in plans for segment in each.job.segments]
@@ -376,7 +392,8 @@ def focus_of(plan: Plan, plans: Sequence[Plan]) -> dict[str, Any]:
     foot = np.array([plan.robot.foot_point])
     points = [foot, foot + ARROW * reach(plan.robot) * torque / largest, plan.baseline.tool_point]
     points += [each.samples.tool_point for each in plans]
-    points += [stroke.task.path.outline() for each in plans for stroke in each.strokes]
+    outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
+    points += [*outlines, *_workpieces(plan, np.concatenate(outlines))]
     points += [_corners(plan.robot, q[:: max(1, len(q) // 50)]) for q in motions]
     cloud = np.concatenate(points)
     low, high = cloud.min(axis=0), cloud.max(axis=0)

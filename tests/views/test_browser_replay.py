@@ -210,3 +210,34 @@ def test_keys_slider_and_seeking(shown: Chrome) -> None:
     for asked, reached in (("-1e9", start), ("1e9", end), ("NaN", 0.0), ("'x'", 0.0)):
         shown.execute_script(f"cmbotReplay.pause(); cmbotReplay.seek(0); cmbotReplay.seek({asked})")
         assert time() == reached
+
+
+@pytest.mark.parametrize("how", ["ghost", "beside"])
+@pytest.mark.parametrize("size", [(1280, 800), (390, 844)])
+def test_card_and_bar_cover_nothing_of_what_is_shown(shown: Chrome, size: tuple[int, int], how: str) -> None:
+    metrics = {"width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": False}
+    shown.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    try:
+        next_frame(shown)
+        shown.execute_script("cmbotReplay.compare(arguments[0]); cmbotReplay.resetView()", how)
+        parts, covers = shown.execute_script(
+            """const { stage } = cmbotReplay, { onDrawn } = stage, parts = [];
+            stage.onDrawn = (part) => parts.push(stage.data.focus.points.map((point) =>
+                stage.onScreen(new MeshCat.THREE.Vector3(...point), part)));
+            cmbotReplay.draw();
+            stage.onDrawn = onDrawn;
+            const box = (id) => document.getElementById(id).getBoundingClientRect();
+            const edges = ({ left, right, top, bottom }) => [left, right, top, bottom];
+            return [parts, ["card", "bar"].map(box).map(edges)];"""
+        )
+    finally:
+        shown.execute_script("cmbotReplay.compare('ghost')")
+        shown.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert len(parts) == (2 if how == "beside" else 1)
+    points = np.concatenate(parts)
+    assert (points > 0).all() and (points < size).all()
+    for left, right, top, bottom in covers:
+        x, y = points.T
+        assert not ((x > left) & (x < right) & (y > top) & (y < bottom)).any()
+    # As large as that allows.
+    assert max(np.ptp(parts[0], axis=0) / size) > 0.25

@@ -15,6 +15,7 @@ from cmbot.planning import Plan
 from cmbot.robot import Dynamics, Robot
 from cmbot.simulation import Tracking
 from cmbot.views.charts import charts
+from cmbot.views.drawing import obstacle_surface
 from cmbot.views.replay_data import MOST_POSES, Frames, replay_data
 
 
@@ -100,6 +101,19 @@ def test_the_floor_is_the_plans(data: dict[str, Any], triangle_plan: Plan, short
     without = replay_data(short_plan)
     assert (without["start"], without["approach"], without["floor"]) == (0.0, None, None)
     assert not np.signbit(without["start"])
+
+
+def test_the_view_shows_workpieces_beside_the_path(
+    data: dict[str, Any], triangle_plan: Plan, rng: np.random.Generator
+) -> None:
+    points = np.array(data["focus"]["points"])
+    vertices = [obstacle_surface(each).vertices for each in triangle_plan.scene.obstacles if each.workpiece]
+    directions = rng.normal(size=(50, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    # The points are those that are outermost along 200 directions: nearly all of what they enclose.
+    shown, wanted = (points @ directions.T).max(axis=0), (np.vstack(vertices) @ directions.T).max(axis=0)
+    assert len(vertices) == 3
+    assert (shown > wanted - 0.03).all()
 
 
 def test_nearest_points_are_those_of_what_can_come_nearer(

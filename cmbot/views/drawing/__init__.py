@@ -2,5 +2,6 @@
 
 from cmbot.views.drawing.bending import Bending, Intervals
 from cmbot.views.drawing.meshcat_scene import moving_robot_commands, reach, scene_commands
+from cmbot.views.drawing.surfaces import obstacle_surface
 
-__all__ = ["Bending", "Intervals", "moving_robot_commands", "reach", "scene_commands"]
+__all__ = ["Bending", "Intervals", "moving_robot_commands", "obstacle_surface", "reach", "scene_commands"]

@@ -32,13 +32,20 @@ class Player {
     ui.play.addEventListener("click", () => (this.playing ? this.pause() : this.play()));
     ui.scrub.addEventListener("input", () => this.seek(Number(ui.scrub.value)));
     ui.reset.addEventListener("click", () => stage.resetView());
-    ui.more.addEventListener("click", () => ui.more.setAttribute("aria-expanded", ui.bar.classList.toggle("open")));
+    ui.more.addEventListener("click", () => this.showMore(ui.bar.classList.toggle("open")));
     ui.compare.addEventListener("change", () => this.compare(ui.compare.value));
     ui.arrow.addEventListener("change", () => { stage.withArrow = ui.arrow.checked; stage.redraw(); });
     ui.colours.addEventListener("change", () => this.colour(ui.colours.value));
     ui.deflection.addEventListener("input", () => this.magnify(Number(ui.deflection.value)));
     window.addEventListener("keydown", (event) => this.onKey(event));
     stage.onDrawn = (part) => this.placeLabels(part);
+  }
+
+  // On a narrow page: all controls.
+  showMore(open) {
+    this.ui.more.setAttribute("aria-expanded", open);
+    this.ui.more.textContent = open ? "Less" : "More";
+    this.stage.refit();
   }
 
   // The name of a motion in its part of the view.
@@ -123,13 +130,19 @@ class Player {
     this.time = Math.min(Math.max(time, data.start), data.end);
     const [phase, moment] = this.at(this.time);
     for (const [name, motion] of Object.entries(phase.motions)) this.showMotion(name, motion, moment);
-    const words = [data.robot, phase.label, `${(phase.end - phase.start).toFixed(1)} s`];
-    this.put("subtitle", words.filter(Boolean).join(", "));
+    const [label, begin, end] = this.part(phase);
+    this.put("subtitle", [data.robot, label, `${(end - begin).toFixed(1)} s`].filter(Boolean).join(", "));
     this.ui.scrub.value = this.time;
     this.put("time", `${seconds(this.time)} / ${seconds(data.end)} s`);
     this.ui.scrub.setAttribute("aria-valuetext", `${seconds(this.time)} s`);
     this.onTime(this.time);
     stage.redraw();
+  }
+
+  // What the job does now, with begin and end: a phase with a label, or a part of the work.
+  part({ label, start, end }) {
+    const segment = label ? null : this.data.segments?.findLast(([, from]) => this.time >= from);
+    return segment ?? [label, start, end];
   }
 
   showMotion(name, motion, moment) {
@@ -196,9 +209,9 @@ class Player {
 
   // Labels on a part of the view: the motion's name, and the planned motion's torque and smallest clearance.
   placeLabels(part) {
-    const { ui, stage } = this, { left, top, wide, motion } = part;
+    const { ui, stage } = this, { left, top, wide, motion, above } = part;
     if (!ui.legend.hidden) ui.legend.style.bottom = `${10 + stage.covered(stage.view.clientHeight)[1]}px`;
-    ui[`half-${motion}`].style.transform = `translate(${left + wide - 10}px, ${top + 10}px) translateX(-100%)`;
+    ui[`half-${motion}`].style.transform = `translate(${left + wide - 10}px, ${top + above + 10}px) translateX(-100%)`;
     if (motion !== MOTIONS[0]) return;
     const near = stage.marks.near[motion];
     this.put("torque-label", newtonMetres(stage.torque[motion].length()));
@@ -212,7 +225,7 @@ class Player {
     label.hidden = !visible;
     const [x, y] = this.stage.onScreen(point, part), half = label.offsetWidth / 2 + 4;
     const across = Math.max(Math.min(x, part.left + part.wide - half), part.left + half);
-    const down = Math.min(y + below, part.top + part.high - label.offsetHeight - 4);
+    const down = Math.min(y + below, part.top + part.high - part.below - label.offsetHeight - 4);
     label.style.transform = `translate(${across.toFixed(1)}px, ${down.toFixed(1)}px) translateX(-50%)`;
   }
 }

@@ -11,6 +11,9 @@ const COLOURS = { planned: 0xe0560f, baseline: 0x2f6fb7, near: 0xb8860b, tooNear
   plan_2: 0x2f6fb7, plan_3: 0x18794e, plan_4: 0x7b2cbf, plan_5: 0xb28600, plan_6: 0x00838f };
 const HALF_ANGLE = Math.tan(Math.PI / 10);  // tangent of half the fitted field of view
 
+// The size of a part of the view without what is covered.
+const clearOf = ({ wide, high, above, below, edge }) => ({ wide: wide - edge, high: high - above - below });
+
 class Stage {
   constructor(data) {
     this.data = data;
@@ -41,7 +44,7 @@ class Stage {
     viewer.render = () => this.render();
     new ResizeObserver(() => {
       viewer.set_3d_pane_size();
-      if (!this.turned) this.resetView();
+      this.refit();
     }).observe(view);
     // A view that nobody has turned yet is fitted to its size again.
     viewer.controls.addEventListener("start", () => { this.turned = true; });
@@ -98,17 +101,19 @@ class Stage {
     this.redraw();
   }
 
-  // The parts of the view and the motion in each: they divide its longer side.
+  // The parts of the view and the motion in each: they divide its longer side. Card and bar cover some of a part:
+  // `above` and `below` it or to its left (`edge`), px; rows are equally high without that.
   get parts() {
-    const [wide, high] = [this.view.clientWidth || 1, this.view.clientHeight || 1];
-    const whole = { motion: MOTIONS[0], left: 0, top: 0, wide, high };
+    const [wide, high] = [this.view.clientWidth || 1, this.view.clientHeight || 1], [above, below, edge] = this.covered(high);
+    const whole = { motion: MOTIONS[0], left: 0, top: 0, wide, high, above, below, edge };
     if (!this.beside) return [whole];
-    const count = MOTIONS.length, edge = (side, k) => Math.floor((side * k) / count);
-    const along = (side, k) => [edge(side, k), edge(side, k + 1) - edge(side, k)];
-    return MOTIONS.map((motion, k) => {
-      const [from, size] = along(wide > high ? wide : high, k);
-      return wide > high ? { ...whole, motion, left: from, wide: size } : { ...whole, motion, top: from, high: size };
-    });
+    const count = MOTIONS.length, last = count - 1, share = (side, k) => Math.floor((side * k) / count);
+    if (wide > high) {
+      return MOTIONS.map((motion, k) => ({ ...whole, motion, left: share(wide, k), wide: share(wide, k + 1) - share(wide, k) }));
+    }
+    const begin = (k) => (k === 0 ? 0 : k === count ? high : above + share(high - above - below, k));
+    return MOTIONS.map((motion, k) => ({ ...whole, motion, top: begin(k), high: begin(k + 1) - begin(k),
+      above: k === 0 ? above : 0, below: k === last ? below : 0 }));
   }
 
   render() {
@@ -119,10 +124,10 @@ class Stage {
       const box = [part.left, view.clientHeight - part.top - part.high, part.wide, part.high];
       renderer.setViewport(...box);
       renderer.setScissor(...box);
-      camera.aspect = part.wide / part.high;
-      // A view that has grown since shows more, not larger.
-      camera.fov = degrees(2 * Math.atan(HALF_ANGLE * (part.high / this.fitted)));
-      camera.updateProjectionMatrix();
+      // A view that has grown since shows more, not larger. Its middle is that of what nothing covers.
+      const clear = clearOf(part);
+      camera.fov = degrees(2 * Math.atan(HALF_ANGLE * (clear.high / this.fitted)));
+      camera.setViewOffset(clear.wide, clear.high, -part.edge, -part.above, part.wide, part.high);
       this.posed(part.motion, () => renderer.render(viewer.scene, camera));
       this.onDrawn?.(part);
     }
@@ -236,42 +241,57 @@ class Stage {
     sun.shadow.radius = 3;
   }
 
-  // Show the arm and its path as large as fits into what nothing covers of the first part of the view.
+  // Show arm and path as large as fits into what nothing covers of the first part of the view: below or beside the card.
   resetView() {
-    const { points, radius, azimuth } = this.data.focus, { camera, controls } = this.viewer;
-    const [{ wide, high }] = this.parts, [above, below] = this.covered(high);
+    const { radius, azimuth } = this.data.focus, { camera, controls } = this.viewer;
     const toCamera = ([x, y, z]) => new THREE.Vector3(x, z, -y);  // the camera's up is y
     const outward = toCamera([Math.cos(azimuth), Math.sin(azimuth), 0.24]).normalize();
     const right = new THREE.Vector3(0, 1, 0).cross(outward).normalize(), up = outward.clone().cross(right);
-    // A point is seen where |x - X| <= (D - z) s: of all points the outermost give the least distance D.
-    const pixel = (2 * HALF_ANGLE) / high, side = 0.5 * wide * pixel;
-    const top = (0.5 * high - above) * pixel, bottom = (0.5 * high - below) * pixel;
-    const places = points.map((point) => toCamera(point)).map((p) => [p.dot(right), p.dot(up), p.dot(outward)]);
-    const most = (value) => Math.max(...places.map(value));
-    const room = 0.03 * this.data.reach;
-    const [east, west] = [most(([x, , z]) => x + side * z), most(([x, , z]) => side * z - x)].map((value) => value + room);
-    const [north, south] = [most(([, y, z]) => y + top * z), most(([, y, z]) => bottom * z - y)].map((value) => value + room);
-    const distance = Math.max((east + west) / (2 * side), (north + south) / (top + bottom));
-    const across = (east - west) / 2, height = (north - top * distance + bottom * distance - south) / 2;
-    const near = most(([, , z]) => z) - radius;  // the middle of the depth is what the view turns about
-    controls.target.copy(right.clone().multiplyScalar(across)).addScaledVector(up, height).addScaledVector(outward, near);
-    this.fitted = high;
-    camera.near = 0.01 * distance;
-    camera.far = 100 * distance;
-    camera.position.copy(controls.target).addScaledVector(outward, distance - near);
+    const places = this.data.focus.points.map(toCamera).map((p) => [p.dot(right), p.dot(up), p.dot(outward)]);
+    const views = [true, false].map((below) => {
+      this.belowCard = below;
+      return { below, ...this.viewOf(places, clearOf(this.parts[0])) };
+    });
+    const best = views[0].scale >= views[1].scale ? views[0] : views[1];
+    this.belowCard = best.below;
+    this.fitted = clearOf(this.parts[0]).high;
+    const near = Math.max(...places.map(([, , z]) => z)) - radius;  // the middle of the depth is what the view turns about
+    controls.target.copy(right).multiplyScalar(best.across).addScaledVector(up, best.height).addScaledVector(outward, near);
+    camera.near = 0.01 * best.distance;
+    camera.far = 100 * best.distance;
+    camera.position.copy(controls.target).addScaledVector(outward, best.distance - near);
     controls.update();
     this.redraw();
   }
 
-  // How much of a view that fills the window the card covers, where it is about as wide, and the bar from below, px.
+  // Where a camera shows `places` (right, up, towards it) as large as fits into an area, px.
+  viewOf(places, { wide, high }) {
+    // A point is seen where |x - X| <= (D - z) s: of all points the outermost give the least distance D.
+    const most = (value) => Math.max(...places.map(value)) + 0.03 * this.data.reach;
+    const side = (HALF_ANGLE * wide) / high, half = HALF_ANGLE;
+    const [east, west] = [most(([x, , z]) => x + side * z), most(([x, , z]) => side * z - x)];
+    const [north, south] = [most(([, y, z]) => y + half * z), most(([, y, z]) => half * z - y)];
+    const distance = Math.max((east + west) / (2 * side), (north + south) / (2 * half));
+    return { distance, across: (east - west) / 2, height: (north - south) / 2, scale: high / distance };
+  }
+
+  // Fit a view that nobody has turned to what covers it now.
+  refit() {
+    if (!this.turned) this.resetView();
+    this.redraw();
+  }
+
+  // How much of a view that fills the window card and bar cover, px: from above, from below and, where the view is not
+  // below the card but beside it, from the left. Columns have one camera, and are below it.
   covered(high) {
-    if (getComputedStyle(this.view).position !== "fixed") return [0, 0];
+    if (getComputedStyle(this.view).position !== "fixed") return [0, 0, 0];
     const box = this.view.getBoundingClientRect(), bar = document.getElementById("bar").getBoundingClientRect();
     const card = document.getElementById("card")?.getBoundingClientRect();
-    const above = card && card.width > 0.55 * box.width ? Math.max(card.bottom - box.top, 0) : 0;
     const below = bar.height > 0 ? Math.max(box.bottom - bar.top, 0) : 0;
+    if (card && !this.belowCard && !this.beside) return [0, below, Math.min(card.right - box.left, 0.9 * box.width)];
+    const above = card ? Math.max(card.bottom - box.top, 0) : 0;
     const share = Math.min(1, (0.7 * high) / Math.max(above + below, 1));
-    return [share * above, share * below];
+    return [share * above, share * below, 0];
   }
 
   // Turn the camera about its target, rad, or move it there by a factor of the distance, or both aside, in shares of it.
