@@ -33,7 +33,16 @@ from cmbot.views.charts import floor_name, work_begins, work_ends
 from cmbot.views.drawing import Bending, Intervals, obstacle_surface, reach, scene_commands
 from cmbot.views.page import pack, pack_exactly
 
-__all__ = ["ARROW", "Frames", "focus_of", "frame_times", "link_names", "pair_joints", "replay_data"]
+__all__ = [
+    "ARROW",
+    "Frames",
+    "focus_of",
+    "focus_on",
+    "frame_times",
+    "link_names",
+    "pair_joints",
+    "replay_data",
+]
 
 ARROW = 0.32  # of the largest torque, as a share of the reach
 FRAME_STEP = 0.02  # between two frames, s, where `MOST_POSES` allows it; the page interpolates
@@ -395,16 +404,19 @@ def focus_of(plan: Plan, plans: Sequence[Plan]) -> dict[str, Any]:
     outlines = [stroke.task.path.outline() for each in plans for stroke in each.strokes]
     points += [*outlines, *_workpieces(plan, np.concatenate(outlines))]
     points += [_corners(plan.robot, q[:: max(1, len(q) // 50)]) for q in motions]
-    cloud = np.concatenate(points)
-    low, high = cloud.min(axis=0), cloud.max(axis=0)
-    radius = max(float(np.linalg.norm(high - low)) / 2, 1e-3)
+    return focus_on(np.concatenate(points), _azimuth(plan))
+
+
+def focus_on(cloud: FloatArray, azimuth: float, room: float = 0.0) -> dict[str, Any]:
+    """Return what `focus_of` does for points (K, 3) in W, with `room` about them, m."""
+    low, high = cloud.min(axis=0) - room, cloud.max(axis=0) + room
     # Those that are outermost along some direction decide what is seen.
-    outermost = np.unique((cloud @ _DIRECTIONS.T).argmax(axis=0))
+    outermost = cloud[(cloud @ _DIRECTIONS.T).argmax(axis=0)] + room * _DIRECTIONS
     return {
         "centre": ((low + high) / 2).tolist(),
-        "radius": radius,
-        "points": cloud[outermost].tolist(),
-        "azimuth": _azimuth(plan),
+        "radius": max(float(np.linalg.norm(high - low)) / 2, 1e-3),
+        "points": np.unique(outermost, axis=0).tolist(),
+        "azimuth": azimuth,
     }
 
 

@@ -15,7 +15,7 @@ from cmbot.planning import robot_of
 from cmbot.robot import ARM_JOINTS, CLIMBING_JOINTS
 from cmbot.views.drawing import moving_robot_commands, reach
 from cmbot.views.page import STAGE_SCRIPTS, assemble, pack
-from cmbot.views.replay_data import MOST_POSES
+from cmbot.views.replay_data import MOST_POSES, focus_on
 from cmbot.walking import Walk, WalkSamples, walk_samples
 
 __all__ = ["walk_replay_page"]
@@ -23,6 +23,8 @@ __all__ = ["walk_replay_page"]
 _ONLY = "planned"  # the name of the one motion
 # Places of a foot that are drawn, and how little it moves from one sample to the next where it stays, m.
 _MOST_PLACES, _STAYS = 80, 1e-5
+# Of the camera, rad; and how far links and tool reach beyond the joints, m.
+_AZIMUTH, _ROOM = np.pi / 3, 0.2
 _JOINTS = (*CLIMBING_JOINTS, *ARM_JOINTS)
 
 
@@ -93,7 +95,7 @@ def _data(walk: Walk) -> dict[str, Any]:
         "bending": None,
         "pairs": [],
         "pairJoints": [],
-        "focus": _focus(poses[..., :3].reshape(-1, 3)),
+        "focus": focus_on(poses[..., :3].reshape(-1, 3), _AZIMUTH, _ROOM),
         "reach": reach(robot),
         "commands": [
             base64.b64encode(command).decode("ascii")
@@ -179,14 +181,3 @@ def _thinned(way: FloatArray) -> FloatArray:
     moved = np.linalg.norm(np.diff(way, axis=0), axis=1) > _STAYS
     way = way[np.concatenate([[True], moved])]
     return np.asarray(way[np.unique(np.linspace(0, len(way) - 1, _MOST_PLACES).astype(int))])
-
-
-def _focus(points: FloatArray) -> dict[str, Any]:
-    low, high = points.min(axis=0), points.max(axis=0)
-    corners = np.stack(np.meshgrid(*np.stack([low, high], axis=1)), axis=-1).reshape(-1, 3)
-    return {
-        "centre": ((low + high) / 2).tolist(),
-        "radius": float(np.linalg.norm(high - low)) / 2,
-        "points": corners.tolist(),
-        "azimuth": np.pi / 3,
-    }
