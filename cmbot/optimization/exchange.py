@@ -44,6 +44,9 @@ class ExchangeOptions:
         Weight of half the mean squared jerk, in units of its bounds, beside the objective.
     peak_tolerance : float
         The peak is low enough within this share of its lower bound, or of the lowest that was attained.
+    missed_tolerance : float
+        The same where the lower bound is missed, which a moving arm often does by a hair: the last
+        thousandths of a peak would cost all the jerk that the limits allow.
     feasibility_tolerance : float
         Violations up to this count as met.
     max_passes, max_iterations : int
@@ -80,6 +83,7 @@ class ExchangeOptions:
     solver: str | DenseSolver = "sqp"
     smoothing: float = 0.1
     peak_tolerance: float = 1e-4
+    missed_tolerance: float = 2e-3
     feasibility_tolerance: float = 1e-5
     max_passes: int = 80
     max_iterations: int = 1000
@@ -159,7 +163,8 @@ def minimize_peak(
     """Minimise the peak as far as its lower bound allows, and among those motions the mean square.
 
     With p the lower bound where that can be attained, otherwise the smallest peak that can, it solves
-    ``min mean f^2 / 2 + smoothing, f(t) <= p (1 + peak_tolerance)`` subject to the program's constraints.
+    ``min mean f^2 / 2 + smoothing, f(t) <= p (1 + peak_tolerance)`` subject to the program's constraints; in
+    the second case with `missed_tolerance`.
 
     Parameters
     ----------
@@ -184,8 +189,8 @@ def minimize_peak(
                 if options.stop():
                     raise
                 exchange.end_attempt()
-        peak = exchange.lowest_peak(bound)
-        bound = max(bound, peak * (1 + options.peak_tolerance))
+        enough = 1 + max(options.peak_tolerance, options.missed_tolerance)
+        bound = max(program.lower_bound, exchange.lowest_peak(bound)) * enough
         exchange.run(options.smoothing, bound=bound)
     except OptimisationFailed as failure:
         best = exchange.feasible or exchange.nearest

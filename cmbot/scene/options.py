@@ -111,8 +111,8 @@ class PlannerOptions:
         where that is less) beside half the mean square of the objective (in units of its peak at the initial
         guess): decides between motions of nearly equal torque.
     peak_tolerance : float
-        The peak may exceed the least that was found attainable, its lower bound where that is, by this share;
-        the mean square is minimised below that.
+        The peak may exceed its lower bound by this share, and where that is missed the least that was found
+        by 0.002, if that is more; the mean square is minimised below that.
     gap_target : float
         The arm leaves the scene's posture only where that lowers the peak by more than this share.
     constraint_tolerance : float

@@ -123,8 +123,23 @@ def test_a_lower_bound_that_cannot_be_attained_is_left_for_the_lowest_peak(solve
     assert found.peak_bound * (1 - 1e-3) < peak <= found.peak_bound * (1 + 2e-6)
     # Nothing lower was overlooked: below it there is no motion.
     lower = exchange._Exchange(problem, replace(exchange_options(problem), solver=solver), None)
+    lowest = found.peak_bound / (1 + ExchangeOptions.missed_tolerance)
     with pytest.raises(OptimisationFailed):
-        lower.run(problem.context.options.smoothing_weight, bound=0.999 * found.peak_bound, attempt=True)
+        lower.run(problem.context.options.smoothing_weight, bound=0.999 * lowest, attempt=True)
+
+
+def test_the_last_thousandths_of_a_peak_are_left_for_less_jerk() -> None:
+    """Where the lower bound is missed: there the peak falls on as long as any limit is left."""
+    problem = unattainable(solver="sqp")
+    options = exchange_options(problem)
+    lowest, found = (
+        minimize_peak(problem, replace(options, missed_tolerance=missed))
+        for missed in (0.0, options.missed_tolerance)
+    )
+    rise = found.peak_bound / lowest.peak_bound - 1
+    assert 1e-4 < rise < options.missed_tolerance + options.peak_tolerance
+    jerks = [each.parametrization.mean_squared_jerk()[0] for each in (found, lowest)]
+    assert jerks[0] < 0.97 * jerks[1]
 
 
 def test_when_the_time_is_over_the_best_feasible_trajectory_is_the_result() -> None:
