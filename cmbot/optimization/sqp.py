@@ -114,7 +114,7 @@ class SqpOptions:
     shrink: float = 0.25
     expand: float = 0.75
     correct_below: float = 0.5
-    max_corrections: int = 2
+    max_corrections: int = 3
     correction_penalty: float = 30.0
     correction_damping: float = 100.0
     initial_radius: float = 4.0
