@@ -25,6 +25,8 @@ _NEIGHBOURS = 12
 # Edges that are checked in a round before the rest is left: where nearly all are blocked, more postures help
 # more than more checks.
 _MOST_CHECKS = 400
+# Once a path is found, so many rounds in a row that lower the peak by no more than this share end it.
+_FRUITLESS, _LITTLE = 2, 1e-3
 # Bounds are compared with this tolerance, relative.
 _ROUNDING = 1e-9
 
@@ -37,7 +39,8 @@ def lower_peak(
     A probabilistic roadmap (Kavraki et al., 1996) grows by postures whose cost is below the best path's peak,
     anywhere and about that path. On it the path whose largest cost is least is the one in the minimum
     spanning tree; the cost along edges is computed, and they are checked for collisions, when a path leads
-    over them (lazy PRM; Bohlin and Kavraki, 2000). The random numbers are the same in every run.
+    over them (lazy PRM; Bohlin and Kavraki, 2000). It grows as long as that lowers the peak. The random
+    numbers are the same in every run.
 
     Parameters
     ----------
@@ -54,15 +57,17 @@ def lower_peak(
     (m, n) array, rad
         Free; `path` itself where nothing better was found.
     """
-    roadmap, rng, rounds = _Roadmap(space, path[[0, -1]]), np.random.default_rng(0), 0
-    peak = space.peak(path)
-    while peak > enough and rounds < _MOST_ROUNDS and not stop():
-        rounds += 1
+    roadmap, rng, given = _Roadmap(space, path[[0, -1]]), np.random.default_rng(0), path
+    peak, rounds, fruitless = space.peak(path), 0, 0
+    while peak > enough and rounds < _MOST_ROUNDS and fruitless < _FRUITLESS and not stop():
+        rounds, before = rounds + 1, peak
         drawn = np.vstack([_anywhere(space, rng), _about(path, rng, space.robot.metric)])
         roadmap.add(drawn, peak)
         found = roadmap.bottleneck_path(peak, stop)
         if found is not None:
             path, peak = found, space.peak(found)
+        little = peak > (1 - _LITTLE) * before
+        fruitless = fruitless + 1 if little and path is not given else 0
     return path
 
 
@@ -119,16 +124,18 @@ class _Roadmap:
 
     def bottleneck_path(self, bound: float, stop: Callable[[], bool]) -> FloatArray | None:
         """Return the shortest of the free paths (k, n) whose largest cost is least, if below a bound."""
-        checks = 0
+        checks, least = 0, -np.inf
         while checks < _MOST_CHECKS and not stop():
-            usable = self._cost < bound * (1 - _ROUNDING)
-            tree = minimum_spanning_tree(self._graph(self._cost, usable))
-            nodes = path_between_ends(tree)
+            # Costs only rise, so what is least stays so as long as a path is left below it.
+            nodes = self._shortest(least)
             if nodes is None:
-                return None
-            least = self._cost[self._edges(nodes)].max()
-            shortest = path_between_ends(self._graph(self._length, self._cost <= least))
-            nodes = nodes if shortest is None else shortest
+                usable = self._cost < bound * (1 - _ROUNDING)
+                nodes = path_between_ends(minimum_spanning_tree(self._graph(self._cost, usable)))
+                if nodes is None:
+                    return None
+                least = float(self._cost[self._edges(nodes)].max())
+                shortest = self._shortest(least)
+                nodes = nodes if shortest is None else shortest
             edges = self._edges(nodes)
             self._compute(edges[~self._computed[edges]])
             if self._cost[edges].max() > least:
@@ -142,6 +149,10 @@ class _Roadmap:
             # No path leads over them any more.
             self._cost[unknown[~np.array(free)]] = np.inf
         return None
+
+    def _shortest(self, most: float) -> IntArray | None:
+        """Indices of the shortest path on edges that cost no more than `most`; None without one."""
+        return path_between_ends(self._graph(self._length, self._cost <= most))
 
     def _compute(self, edges: IntArray) -> None:
         """Compute the largest costs along edges."""

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from small_scenes import short_scene
 from cmbot.collision import Clearances
 from cmbot.common.arrays import FloatArray
 from cmbot.planning.context import robot_of
+from cmbot.planning.free_motion import roadmap
 from cmbot.planning.free_motion.free_space import FreeSpace
 from cmbot.planning.free_motion.roadmap import lower_peak
 from cmbot.planning.free_motion.rrt_connect import rrt_connect
@@ -42,6 +44,23 @@ def test_the_path_leads_over_the_pass(space: FreeSpace) -> None:
     np.testing.assert_array_equal(lowered[[0, -1]], straight)
     assert all(space.straight(a, b) for a, b in pairwise(lowered))
     np.testing.assert_array_equal(lower_peak(space, straight, 0.2), lowered)
+
+
+def test_it_ends_where_more_postures_hardly_help(space: FreeSpace, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No path is below the hill's foot, which is asked for."""
+    rounds, anywhere = [0], roadmap._anywhere
+
+    def counted(*arguments: Any) -> FloatArray:
+        rounds[0] += 1
+        return anywhere(*arguments)
+
+    monkeypatch.setattr(roadmap, "_anywhere", counted)
+    straight = np.stack([START, END])
+    lowered = lower_peak(space, straight, 0.0)
+    assert 2 <= rounds[0] < roadmap._MOST_ROUNDS
+    monkeypatch.setattr(roadmap, "_FRUITLESS", np.inf)
+    monkeypatch.setattr(roadmap, "_MOST_ROUNDS", rounds[0] + 2)
+    assert space.peak(lowered) <= (1 + roadmap._LITTLE) * space.peak(lower_peak(space, straight, 0.0))
 
 
 def test_what_is_low_enough_or_out_of_time_stays(space: FreeSpace) -> None:
