@@ -73,8 +73,9 @@ def replay_page(plan: Plan, tracking: Tracking | None = None) -> str:
     """Return an HTML page that shows a plan, its approach and its baseline moving, in 3-D.
 
     It contains meshcat's viewer and all data; its content security policy forbids every connection and every
-    script but its own two. The same plan gives the same page. Surfaces are simplified to at most 24 000
-    triangles of the robot and 12 000 of the obstacles, so a page stays below 5 MB.
+    script but its own two. The same plan gives the same page. Surfaces are simplified to 24 000
+    triangles of the robot and 12 000 of the obstacles, so a page stays below 5 MB; only meshes of very many
+    loose parts keep more.
 
     Parameters
     ----------

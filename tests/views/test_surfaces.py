@@ -3,9 +3,15 @@
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
 import pytest
 import trimesh
+from hypothesis import example, given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from urdf_arms import ROBOTS
 
+from cmbot.common.robot_library import library_robots
 from cmbot.robot import Robot
 from cmbot.views.drawing.surfaces import (
     Surface,
@@ -142,3 +148,55 @@ def test_only_surfaces_of_many_triangles_are_simplified() -> None:
     apart = Surface(large.vertices[large.faces].reshape(-1, 3), np.arange(3 * counts[2]).reshape(-1, 3))
     (joined,) = simplified([apart], 5000)
     assert trimesh.Trimesh(joined.vertices, joined.faces).is_watertight
+
+
+def reached(surface: Surface) -> np.ndarray:
+    """The box about its triangles, without those that are lines."""
+    points = surface.vertices[surface.faces[np.linalg.norm(surface.crosses, axis=1) > 1e-12]].reshape(-1, 3)
+    return np.array([points.min(axis=0), points.max(axis=0)])
+
+
+def require_whole(drawn: Surface, original: Surface, away: float) -> None:
+    """The same box to 0.2 % of its diagonal, and nothing of the original farther than `away` of it."""
+    box = reached(original)
+    size = np.linalg.norm(box[1] - box[0])
+    np.testing.assert_allclose(reached(drawn), box, atol=0.002 * size)
+    samples = solid(original).sample(50, seed=1)
+    _, distances, _ = trimesh.proximity.closest_point_naive(solid(drawn), samples)
+    assert distances.max() < away * size
+
+
+@pytest.mark.parametrize("name", ["ur5", "panda"])
+def test_a_robot_is_drawn_whole(name: str) -> None:
+    """Meshes with loose parts and edges of three triangles, where edge collapse alone gets stuck."""
+    urdf = (library_robots() or {})[name]
+    model, kind = pin.buildModelFromUrdf(str(urdf)), pin.GeometryType.VISUAL
+    folders = [str(ROBOTS.parent.parent)]
+    shapes = pin.buildGeomFromUrdf(model, str(urdf), kind, package_dirs=folders).geometryObjects
+    originals = [visual_surface(shape, name) for shape in shapes]
+    assert sum(len(surface.faces) for surface in originals) > 3 * 24_000
+    drawn = simplified(originals, 24_000)
+    assert sum(len(surface.faces) for surface in drawn) <= 24_000
+    for surface, original in zip(drawn, originals, strict=True):
+        require_whole(surface, original, 0.05)
+
+
+@given(
+    corners=arrays(np.float64, (120, 3, 3), elements=st.floats(-1, 1, width=32)),
+    spread=st.sampled_from([1e-4, 0.01, 1.0]),
+    most=st.integers(1, 360),
+    welded=st.booleans(),
+)
+@example(corners=np.zeros((120, 3, 3)), spread=1.0, most=10, welded=False)
+def test_loose_triangles_are_drawn_whole(corners: np.ndarray, spread: float, most: int, welded: bool) -> None:
+    """Triangles without neighbours, each there three times: small ones, large ones, lines and points."""
+    centres = corners[:, :1]
+    loose = (centres + spread * (corners - centres)).reshape(-1, 3)
+    if welded:
+        loose = np.round(loose, 1)
+    soup = Surface(np.tile(loose, (3, 1)), np.arange(3 * len(loose)).reshape(-1, 3))
+    (drawn,) = simplified([soup], most)
+    assert len(drawn.faces) <= len(soup.faces)
+    lying = np.linalg.norm(soup.crosses, axis=1) > 1e-8
+    if lying.any():
+        require_whole(drawn, Surface(soup.vertices, soup.faces[lying]), 0.05)

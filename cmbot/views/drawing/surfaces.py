@@ -26,6 +26,10 @@ __all__ = ["Surface", "creased", "merged", "obstacle_surface", "simplified", "tu
 SECTIONS, RINGS = 32, 16  # of a round solid: about its axis, and of a ball from pole to pole
 TUBE_SECTIONS = 12  # about the axis of a tube
 _MOST_PIECES = 400  # of a box that is cut
+# Edges of cells whose vertices are joined, as shares of a surface's size; and how readily edges are
+# collapsed: with more, small parts vanish.
+_CELLS, _CAREFUL = (0.0, 0.002, 0.008), 3.0
+_SHORT = 0.001  # may be missing at a side, as a share of its size
 
 # A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
 _FLAT, _ROUNDING = 1e-8, 1e-12
@@ -193,7 +197,9 @@ def simplified(surfaces: Sequence[Surface], most_faces: int) -> list[Surface]:
     """Return the surfaces with at most `most_faces` triangles in all; unchanged when they have no more.
 
     Edges are collapsed where that moves the surface least (Garland and Heckbert 1997), in surfaces of more
-    triangles than all can have.
+    triangles than all can have. Loose parts and edges of three triangles stop that: then vertices are joined
+    first, of cells up to 0.8 % of the surface's size (Rossignac and Borrel 1993). A surface that has too many
+    triangles even so keeps them: no part of it is left out.
     """
     counts = [len(surface.faces) for surface in surfaces]
     if sum(counts) <= most_faces:
@@ -268,13 +274,62 @@ def _collapsed(surface: Surface, most: int) -> Surface:
     # Only for robots and obstacles of very many triangles.
     from fast_simplification import simplify
 
-    # Files without shared vertices would come apart.
-    vertices, index = np.unique(surface.vertices, axis=0, return_inverse=True)
+    best = surface = _with_height(surface)
+    corners = surface.vertices[surface.faces].reshape(-1, 3)
+    low, high = corners.min(axis=0, initial=np.inf), corners.max(axis=0, initial=-np.inf)
+    for cell in _CELLS:
+        if len(best.faces) <= most:
+            break
+        joined = _joined(surface, cell * _size(surface))
+        count = max(most - 6, 1)  # `_as_far` adds as many
+        if len(joined.faces) > count:
+            faces = joined.faces.astype(np.int32)
+            points, triangles = simplify(joined.vertices, faces, target_count=count, agg=_CAREFUL)
+            # Where a surface is nearly flat, an edge's best point may be far away.
+            joined = Surface(np.clip(points, low, high), np.asarray(triangles, dtype=np.intp))
+        joined = _as_far(joined, surface)
+        if len(joined.faces) < len(best.faces):
+            best = joined
+    return best
+
+
+def _joined(surface: Surface, cell: float) -> Surface:
+    """Join vertices within cubes with the edge `cell`, m; 0: of those that a file repeats.
+
+    What becomes a line or a point is left out, unless nothing else would be left there.
+    """
+    low = surface.vertices.min(axis=0)
+    places = np.round((surface.vertices - low) / cell) if cell > 0 else surface.vertices
+    _, first, index = np.unique(places, axis=0, return_index=True, return_inverse=True)
     faces = index.ravel()[surface.faces]
-    faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
-    found, triangles = simplify(vertices, faces.astype(np.int32), target_count=most)
-    # What cannot be collapsed further is left out: pages stay as small as they are said to be.
-    return Surface(np.asarray(found, dtype=float), np.asarray(triangles[:most], dtype=np.intp))
+    there = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
+    _, different = np.unique(np.sort(faces[there], axis=1), axis=0, return_index=True)
+    kept = faces[there][np.sort(different)]
+    # Of the triangles within a cell that nothing else touches, one keeps its own vertices.
+    lost = np.flatnonzero(~there)
+    lost = lost[~np.isin(faces[lost], kept).any(axis=1)]
+    alone = surface.faces[lost[np.unique(faces[lost].min(axis=1), return_index=True)[1]]]
+    own = np.arange(alone.size).reshape(-1, 3) + len(first)
+    vertices = np.concatenate([surface.vertices[first], surface.vertices[alone.ravel()]])
+    return Surface(vertices, np.concatenate([kept, own]).astype(np.intp))
+
+
+def _as_far(surface: Surface, original: Surface) -> Surface:
+    """Add the triangles of the original that reach farthest along x, y and z, where the surface does not."""
+    corners, reached = original.vertices[original.faces], surface.vertices[surface.faces].reshape(-1, 3)
+    added = []
+    for axis in range(3):
+        for sign in (-1, 1):
+            farthest = (sign * corners[..., axis]).max(axis=1)
+            short = farthest.max() - (sign * reached[:, axis]).max(initial=-np.inf)
+            if short > _SHORT * _size(original):
+                added.append(Surface(corners[farthest.argmax()], np.arange(3).reshape(1, 3)))
+    return merged([surface, *added]) if added else surface
+
+
+def _size(surface: Surface) -> float:
+    """Return the diagonal of the box about it, m."""
+    return float(np.linalg.norm(np.ptp(surface.vertices[surface.faces].reshape(-1, 3), axis=0)))
 
 
 def _shared_edges(faces: IntArray) -> tuple[IntArray, IntArray]:
