@@ -166,12 +166,15 @@ def _write_srdf(file: str, path: Path) -> str:
 def _check_urdf(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
     """Findings, what is in the file, and the conclusion."""
     from cmbot.common.validation import counted
-    from cmbot.robot import inspect_robot, overview, robot_files
+    from cmbot.robot import inspect_loaded, inspect_robot, overview, robot_files
 
     files = robot_files(file)
     root, findings = inspect_robot(files)
+    found = {}
+    if not _errors(findings):
+        found = dict(overview(files, root))
+        findings += inspect_loaded(file)
     errors = _errors(findings)
-    found = {} if errors else dict(overview(files, root))
     conclusion = f"Not usable: {counted(errors, 'error')}" if errors else "OK: no error"
     return findings, found, f"{conclusion}, {counted(len(findings) - errors, 'warning')}."
 

@@ -21,7 +21,7 @@ from cmbot.robot.joint_kinds import (
 )
 from cmbot.robot.kinematics import Chain, Kinematics, PostureBatch, Postures, ToolBatch, link_poses
 from cmbot.robot.limits import JointLimits
-from cmbot.robot.loading import load_robot, srdf_text
+from cmbot.robot.loading import inspect_loaded, load_robot, srdf_text
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import MOST_FAR, NEAR, sampled_postures
 
@@ -52,6 +52,7 @@ __all__ = [
     "convex_hull",
     "encloses_volume",
     "external_forces",
+    "inspect_loaded",
     "inspect_robot",
     "inspect_urdf",
     "joint_units",

@@ -24,7 +24,7 @@ from cmbot.robot.description.frames import arm_frames, moving_links
 from cmbot.robot.description.xml_file import parse_urdf
 from cmbot.robot.limits import read_joint_limits
 
-__all__ = ["Finding", "inspect_inertias", "inspect_robot", "inspect_urdf", "overview"]
+__all__ = ["Finding", "default_arm", "inspect_inertias", "inspect_robot", "inspect_urdf", "overview"]
 
 _JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
 # Of joints of several coordinates: they are locked, and no arm may have one.
@@ -139,7 +139,7 @@ def inspect_robot(files: RobotFiles) -> tuple[ElementTree.Element, list[Finding]
     findings = inspect_urdf(root, moving=())
     if any(finding.severity == "error" for finding in findings):
         return root, inspect_urdf(root)
-    arm = _default_arm(files, root)
+    arm = default_arm(files, root)
     return root, findings if arm is None else inspect_urdf(root, moving_links(root, arm[0]))
 
 
@@ -412,7 +412,7 @@ def overview(files: RobotFiles, root: ElementTree.Element) -> Iterator[tuple[str
     yield "base frame", f"any link; the root is {next(link for link in links if link not in children)}"
     ends = [link for link in links if link not in parents]
     yield "tool frame", f"any link that joints move below it; at the ends: {', '.join(ends)}"
-    arm = _default_arm(files, root)
+    arm = default_arm(files, root)
     chosen = "none: there are several choices" if arm is None else f"from {arm[0]} to {arm[1]}"
     yield "arm where no frames are given", chosen
 
@@ -440,7 +440,7 @@ def _limits(joints: Sequence[ElementTree.Element]) -> str:
     return f"of {counted(len(joints), 'movable joint')}: {listed}"
 
 
-def _default_arm(files: RobotFiles, root: ElementTree.Element) -> tuple[str, str] | None:
+def default_arm(files: RobotFiles, root: ElementTree.Element) -> tuple[str, str] | None:
     """Base and tool frame that `load_robot` chooses; None where it cannot."""
     semantics = None if files.srdf is None else parse_urdf(files.srdf, "an SRDF")
     try:

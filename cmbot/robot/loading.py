@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -21,15 +21,18 @@ from cmbot.robot.description.files import RobotFiles, robot_files
 from cmbot.robot.description.frames import arm_frames, moving_links
 from cmbot.robot.description.xml_file import parse_urdf, read_urdf
 from cmbot.robot.elasticity import read_elasticity
-from cmbot.robot.inspection import Finding, inspect_inertias, inspect_urdf
+from cmbot.robot.inspection import Finding, default_arm, inspect_inertias, inspect_urdf
 from cmbot.robot.limits import joint_limits
 from cmbot.robot.robot import Robot
 from cmbot.robot.self_collision import PAIR, srdf_of
 
-__all__ = ["load_robot", "srdf_text"]
+__all__ = ["inspect_loaded", "load_robot", "srdf_text"]
 
 # An arm that weighs less is one without masses, kg.
 _LIGHTEST = 1e-3
+# One that weighs more than water in a cube as long as its reach has wrong masses, kg/m3: the heaviest
+# industrial arms have a sixth of that.
+_DENSEST = 1000.0
 
 
 def load_robot(
@@ -165,6 +168,49 @@ def load_robot(
         foot_point=tuple(foot_point.tolist()),
         remarks=(*assumed, *made.remarks),
     )
+
+
+def inspect_loaded(model: str | Path) -> list[Finding]:
+    """Load a robot's default arm, or where frames have to be chosen its meshes alone; list what that finds.
+
+    Parameters
+    ----------
+    model : str or pathlib.Path
+        As for `load_robot`; without errors in `inspect_robot`.
+    """
+    files = robot_files(model)
+    try:
+        root = parse_urdf(files.urdf, package_dirs=files.package_dirs)
+        if default_arm(files, root) is None:
+            build_model(files.urdf, root, files.package_dirs)
+            return []
+        return [*_questionable_masses(load_robot(model))]
+    except ModelError as error:
+        key = error.key if error.source == str(files.urdf) else f"{error.source}: {error.key}"
+        return [Finding(severity="error", key=key, got=str(error.got), expected=error.expected)]
+
+
+def _questionable_masses(robot: Robot) -> Iterator[Finding]:
+    """Warn of links that joints move without mass, and of an arm too heavy for its size."""
+    for number, inertia in enumerate(list(robot.model.inertias)[1:], start=1):
+        if inertia.mass < _LIGHTEST:
+            body = next(
+                frame.name
+                for frame in robot.model.frames
+                if frame.parentJoint == number and frame.type == pin.FrameType.BODY
+            )
+            got, expected = (
+                f"{inertia.mass:g} kg, with what is fixed to it",
+                "<inertial>, as a joint moves it",
+            )
+            yield Finding(severity="warning", key=f"link[{body}].inertial.mass", got=got, expected=expected)
+    if robot.arm_mass > (most := _DENSEST * robot.reach**3):
+        yield Finding(
+            severity="warning",
+            key="link.inertial.mass",
+            got=f"{robot.arm_mass:.4g} kg that move, with a reach of {robot.reach:.3f} m",
+            expected=f"less than {most:.0f} kg, as water in a cube of that length; masses are in kg",
+        )
 
 
 def srdf_text(files: RobotFiles) -> str:

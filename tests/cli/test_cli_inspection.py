@@ -146,12 +146,14 @@ BARE = """<robot name="bare">
 </robot>"""
 
 
-def test_a_urdf_that_lacks_limits_and_is_doubtful_is_usable(tmp_path: Path) -> None:
+def test_a_urdf_that_lacks_limits_is_described_and_one_that_is_doubtful_is_usable(tmp_path: Path) -> None:
     path = tmp_path / "bare.urdf"
     path.write_text(BARE, encoding="utf-8")
     outcome = run("check", path)
-    assert outcome.status == 0
-    assert values(outcome.out) == {
+    assert outcome.status == 2
+    first, described = outcome.out.split("\n", 1)
+    assert first.startswith(f"error: {path}: joint[a].limit.velocity: got 0.0, expected a positive bound")
+    assert values(described) == {
         "robot": "bare",
         "links": "4, 2.50 kg in all",
         "movable joints": "2 (1 prismatic, 1 continuous)",
@@ -165,12 +167,15 @@ def test_a_urdf_that_lacks_limits_and_is_doubtful_is_usable(tmp_path: Path) -> N
         "tool frame": "any link that joints move below it; at the ends: wheel, plate",
         "arm where no frames are given": "from floor to wheel",
     }
-    path.write_text(BARE.replace('izz="1"', 'izz="5"'), encoding="utf-8")
+    limited = BARE.replace('velocity="0"', 'velocity="1" upper="1"')
+    limited = limited.replace('"wheel"/></joint>', '"wheel"/><limit velocity="1" effort="3"/></joint>')
+    path.write_text(limited.replace('izz="1"', 'izz="5"'), encoding="utf-8")
     outcome = run("check", path)
-    first, *_, last = outcome.out.splitlines()
+    first, second, *_, last = outcome.out.splitlines()
     assert outcome.status == 0
     assert first.startswith(f"warning: {path}: link[slide].inertial.inertia: got principal moments")
-    assert last == "OK: no error, 1 warning."
+    assert second.startswith(f"warning: {path}: link[wheel].inertial.mass: got 0 kg")
+    assert last == "OK: no error, 2 warnings."
 
 
 def test_a_damaged_urdf(tmp_path: Path, bare_urdf: str) -> None:
@@ -249,3 +254,44 @@ def test_a_shell_completes_scenes_verbs_and_options(tmp_path: Path) -> None:
 
     assert completed("cmbot", "plan", "t") == ["tower.yaml", "triangle", "two_brackets"]
     assert completed("cmbot", "sc") == ["scenes", "schema"]
+
+
+def test_a_urdf_is_loaded_as_planning_does(tmp_path: Path) -> None:
+    """Masses that are missing or absurd are warned of; what stops the loading is an error."""
+    given = (
+        '<robot name="two"><link name="base"/>'
+        '<link name="l1"><inertial><mass value="{mass}"/>'
+        '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
+        '<collision><geometry>{shape}</geometry></collision></link><link name="l2"/><link name="l3"/>'
+        "{joints}</robot>"
+    )
+    joints = "".join(
+        f'<joint name="j{k}" type="revolute"><parent link="{parent}"/><child link="l{k}"/>'
+        f'<origin xyz="{0.5 * (k > 1)} 0 0"/><axis xyz="0 1 0"/>'
+        '<limit lower="-3" upper="3" velocity="1" effort="50"/></joint>'
+        for k, parent in enumerate(("base", "l1", "l2"), start=1)
+    )
+    box, path = '<box size="0.1 0.1 0.4"/>', tmp_path / "two.urdf"
+
+    def checked(mass: float, shape: str) -> list[dict[str, str]]:
+        path.write_text(given.format(mass=mass, shape=shape, joints=joints))
+        answer = json.loads(run("check", path, "--json").out)
+        assert answer["usable"] == all(each["severity"] == "warning" for each in answer["findings"])
+        return answer["findings"]
+
+    keys = ["link[l2].inertial.mass", "link[l3].inertial.mass"]
+    assert [each["key"] for each in checked(999, box)] == keys
+    heavy = checked(3000, box)
+    assert [each["key"] for each in heavy] == [*keys, "link.inertial.mass"]
+    assert heavy[-1]["got"] == "3000 kg that move, with a reach of 1.000 m"
+    assert "1000 kg" in heavy[-1]["expected"]
+    (light,) = checked(0, box)
+    assert (light["severity"], light["expected"]) == ("error", "an arm of at least 0.001 kg")
+    for name, sought in (
+        ("m/arm.stl", f"({tmp_path / 'm/arm.stl'})"),
+        ("package://m/arm.stl", "package_dirs)"),
+    ):
+        (missing,) = checked(2, f'<mesh filename="{name}"/>')
+        assert (missing["severity"], missing["key"]) == ("error", "link[l1].mesh.filename")
+        assert name in missing["got"] and missing["got"].endswith(sought)
+    assert run("check", path).status == 2

@@ -49,7 +49,11 @@ def locate_meshes(urdf: Path, root: ElementTree.Element, package_dirs: Sequence[
                     _require_mesh(path)
                 except ModelError as error:
                     key = f"link[{link.get('name')}].mesh.filename"
-                    raise ModelError(str(urdf), key, f"{shown(name)}, {error.got}", error.expected) from error
+                    sought = (
+                        path if path.is_absolute() else "any package beside or above it or in package_dirs"
+                    )
+                    got = f"{shown(name)}, {error.got} ({sought})"
+                    raise ModelError(str(urdf), key, got, error.expected) from error
                 checked[name] = str(path)
             mesh.set("filename", checked[name])
 
