@@ -37,11 +37,21 @@ _PARTS = (
 )
 
 
+# A tool sways more than another's beyond this factor, and is still below the second number, m.
+_MORE, _STILL = 1.05, 1e-5
 # Options that change what is simulated, not how.
-_MODEL = ("guardrail_factor", "link_factor", "joint_factor", "payload_kg", "servo_bandwidth_hz", "delay_s")
+_MODEL = (
+    "guardrail_factor",
+    "link_factor",
+    "joint_factor",
+    "payload_kg",
+    "servo_bandwidth_hz",
+    "delay_s",
+    "settle_s",
+)
 
-INTERVAL_HEADINGS = ("stiffness times", "mm", "baseline", "without suppression", "planned")
-"""Headings of `interval_rows`."""
+INTERVAL_HEADINGS = ("stiffness times", "mm", "baseline", "without suppression (linear)", "planned")
+"""Headings of `interval_rows`; linear: as the plan simulates it, for small deflections beside the sag."""
 
 
 def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple[str, str, str]]:
@@ -70,7 +80,7 @@ def tracking_summary(tracking: Tracking, *, compensated: bool) -> Iterator[tuple
 
 
 def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
-    """Return whether the bent tool stays within the plan's margin, and what to do if not.
+    """Return whether the bent tool stays within the plan's margin, whether it sways more than the baseline's.
 
     Parameters
     ----------
@@ -78,6 +88,20 @@ def tracking_verdict(plan: Plan, tracking: Tracking) -> str:
     tracking : Tracking
         Of that plan.
     """
+    return f"{_margin(plan, tracking)}{_swaying(tracking)}"
+
+
+def _swaying(tracking: Tracking) -> str:
+    before, after = (motion.largest(motion.dynamic) for _, motion in tracking.motions)
+    if after <= max(_MORE * before, _STILL):
+        return ""
+    return (
+        " The planned motion SWAYS MORE than the baseline: beside its sag the tool moves by up to "
+        f"{1e3 * after:.3f} mm, the baseline's by {1e3 * before:.3f} mm; more seconds for the legs help."
+    )
+
+
+def _margin(plan: Plan, tracking: Tracking) -> str:
     allowed, off = plan.options.max_tool_deviation_m, tracking.planned.largest_off_path
     bound = f"{1e3 * allowed:g} mm (max_tool_deviation_m)"
     if off <= allowed:

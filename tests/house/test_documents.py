@@ -126,6 +126,7 @@ def test_named_targets_paths_columns_and_code_exist() -> None:
     dotted = re.compile(r"`(cmbot(?:\.\w+)+)(?:\(.*?\))?`")
     named = {name for path in DOCUMENTS for name in dotted.findall(prose(path))}
     assert len(named) > 20
+    called = {name for path in DOCUMENTS for name in re.findall(r"`(cmbot(?:\.\w+)+)\(", prose(path))}
     for name in sorted(named):
         module, *attributes = split(name)
         thing: object = importlib.import_module(module)
@@ -133,6 +134,10 @@ def test_named_targets_paths_columns_and_code_exist() -> None:
             fields = getattr(thing, "__dataclass_fields__", {})
             assert hasattr(thing, attribute) or attribute in fields, name
             thing = getattr(thing, attribute, None)
+        assert callable(thing) or name not in called, f"{name}, which is no function"
+    # What the reference lists is a function or a class, but for the room of errors.
+    listed = set(re.findall(r"^::: (\S+)$", (DOCS / "api.md").read_text("utf-8"), flags=re.MULTILINE))
+    assert all(split(name)[1:] for name in listed - {"cmbot.common.errors"})
 
 
 def split(name: str) -> list[str]:

@@ -134,3 +134,9 @@ def test_the_sag_that_is_compensated_is_that_of_each_segment(strokes_plan: Plan)
     largest = max(check.value for _, check in strokes_plan.job.checks() if "tool deviation" in check.quantity)
     assert "though the foreseen sag is compensated: beside it, it sways." in verdict
     assert f"What the plan certifies, {1e3 * largest:.2f} mm, is the arm at rest" in verdict
+    assert "SWAYS MORE" not in verdict
+    calm = replace(motion, error=motion.static + 0.9 * motion.dynamic)
+    ends = [f"{1e3 * each.largest(each.dynamic):.3f} mm" for each in (motion, calm)]
+    said = tracking_verdict(strokes_plan, replace(tracking, baseline=calm))
+    assert f"SWAYS MORE than the baseline: beside its sag the tool moves by up to {ends[0]}, " in said
+    assert f"the baseline's by {ends[1]}; " in said

@@ -25,8 +25,8 @@ _CARRIERS = 3
 _STEPS_A_PERIOD, _MATRICES_EVERY = 40, 0.2
 # Damping ratio of the modes that are suppressed, as simulated by default: it hardly matters within a leg.
 _DAMPING = 0.01
-# How long the tool is watched after the stop, and how often, s.
-_SETTLE, _WATCHED = 1.0, 0.01
+# How long the tool is watched after the stop, as simulated by default, and how often, s.
+_SETTLE, _WATCHED = 2.0, 0.01
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -137,7 +137,7 @@ class LegVibration:
         return np.asarray(np.einsum("kcj,kj->c", self.weights, trajectory.evaluate(self.times, 4)))
 
     def swings(self, trajectories: Sequence[QuinticTrajectory]) -> FloatArray:
-        """Largest distance between two positions of the tool in the second after the end (T, C), m.
+        """Largest distance between two positions of the tool in the 2 s after the end (T, C), m.
 
         Simulated with all carriers by the implicit midpoint rule.
         """

@@ -20,7 +20,7 @@ __all__ = ["remarks"]
 
 # A peak lower by less than this share is no gain; a baseline this near to the lower bound leaves none, and
 # what sequences of postures ask is told where it is further away.
-_GAIN, _NEAR_BOUND = 5e-3, 1e-2
+_GAIN, _NEAR_BOUND = 1e-2, 1e-2
 # Areas that differ by less are the same, relative.
 _SAME_AREA = 1e-6
 # Largest error of a lower bound that the search closed, as a share of it.
@@ -125,7 +125,10 @@ def _swings(done: VibrationSuppression) -> str:
     for factor, load, without, with_it in zip(*each, strict=True):
         at = f"at {factor:.2g} times the stiffness" if not load else f"with {load:g} kg more at the tool"
         cases.append(f"{1e3 * with_it:.3f} mm instead of {1e3 * without:.3f} {at}")
-    return f"After the stop the tool swings through, as simulated, {'; '.join(cases)}."
+    return (
+        "In the 2 s after the stop the tool swings through, simulated for small deflections beside the sag, "
+        f"{'; '.join(cases)}."
+    )
 
 
 def _suppressed_legs(shares: tuple[float, ...]) -> str:

@@ -17,6 +17,8 @@ __all__ = ["bound_use", "during", "promises", "strays", "tightest_check", "verdi
 
 # Peaks that differ by less, as a share of them, are the same.
 _SAME = 1e-3
+# A peak lower by less than this share is hardly a gain.
+_LITTLE = 1e-2
 # Times the tool deviation of a plan: a baseline that strays further follows another path.
 _STRAYS = 10.0
 
@@ -34,6 +36,8 @@ def verdict(plan: Plan) -> str:
     text += _compared(peak, before)
     if strays(plan):
         text += f", which leaves its path by {1e3 * plan.drift:.0f} mm"
+    if _SAME < 1 - peak / before < _LITTLE:
+        text += ": hardly anything is gained"
     if len(job.segments) > 1:
         work, other = (figures.peak_guardrail_torque for figures in (plan.figures, plan.baseline_figures))
         text += f"; the work alone {work:.1f} Nm (baseline {other:.1f} Nm)"

@@ -32,6 +32,20 @@ def test_a_job_of_work_alone_gains(triangle_plan: Plan) -> None:
     assert "% less than the baseline's 486.4 Nm. Tightest" in said
 
 
+def test_hardly_a_gain_is_called_so(triangle_plan: Plan) -> None:
+    """Below 1 % of the peak over the whole job."""
+    before = triangle_plan.baseline_job_figures.peak_guardrail_torque
+    for share, hardly in ((0.995, True), (0.98, False)):
+        figures = replace(triangle_plan.job.segments[-1].figures, peak_guardrail_torque=share * before)
+        certificate = replace(triangle_plan.job.segments[-1].certificate, figures=figures)
+        work = changed(without_approach(triangle_plan), "work", certificate=certificate)
+        scene = replace(work.scene, posture=work.start.posture)
+        assert (
+            "less than the baseline's 486.4 Nm: hardly anything is gained"
+            in verdict(replace(work, scene=scene))
+        ) == hardly
+
+
 def test_a_heavy_approach_is_a_loss_and_has_its_time(returning_plan: Plan) -> None:
     approach = returning_plan.approach
     assert approach is not None
