@@ -29,6 +29,7 @@ _MOST_PIECES = 400  # of a box that is cut
 # Edges of cells whose vertices are joined, as shares of a surface's size; and how readily edges are
 # collapsed: with more, small parts vanish.
 _CELLS, _CAREFUL = (0.0, 0.002, 0.008), 3.0
+_FEWEST = 64  # triangles, of a surface that is simplified
 _SHORT = 0.001  # may be missing at a side, as a share of its size
 
 # A triangle of less height, m, has no meaningful normal; a shorter sum of normals is rounding.
@@ -204,7 +205,7 @@ def simplified(surfaces: Sequence[Surface], most_faces: int) -> list[Surface]:
     counts = [len(surface.faces) for surface in surfaces]
     if sum(counts) <= most_faces:
         return list(surfaces)
-    most = _most_of_each(counts, most_faces)
+    most = max(_most_of_each(counts, most_faces), _FEWEST)
     return [each if len(each.faces) <= most else _collapsed(each, most) for each in surfaces]
 
 
@@ -281,7 +282,7 @@ def _collapsed(surface: Surface, most: int) -> Surface:
         if len(best.faces) <= most:
             break
         joined = _joined(surface, cell * _size(surface))
-        count = max(most - 6, 1)  # `_as_far` adds as many
+        count = most - 6  # `_as_far` adds as many
         if len(joined.faces) > count:
             faces = joined.faces.astype(np.int32)
             points, triangles = simplify(joined.vertices, faces, target_count=count, agg=_CAREFUL)
