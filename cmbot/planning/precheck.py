@@ -11,7 +11,7 @@ from typing import Literal
 
 import numpy as np
 
-from cmbot.collision import Clearances
+from cmbot.collision import Clearances, extent_of
 from cmbot.common.arrays import FloatArray
 from cmbot.common.errors import MissingExtra, PathNotFound, PlanningError, SceneError
 from cmbot.common.installation import install_command
@@ -29,7 +29,7 @@ __all__ = [
     "Precheck",
     "beyond_reach",
     "failures_explained",
-    "looks_like_radians",
+    "mistaken_units",
     "oversized",
     "precheck_options",
     "precheck_scene",
@@ -49,6 +49,8 @@ _ROUNDING = 1e-9
 _SPEED_SAMPLES = 201
 # An angle is whole to this, deg.
 _WHOLE = 1e-6
+# An obstacle whose every side is at least that long, m, may be in millimetres.
+_HUGE = 5.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,7 +129,7 @@ def precheck_scene(scene: Scene) -> Precheck:
         effort = "force" if robot.limits.prismatic[use.argmax()] else "torque"
         got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
         warnings.append(_warning(scene.file.posture_key, got, "at most 1: another posture or less payload"))
-    within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out"
+    within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out (lengths are in metres)"
     for stroke in strokes:
         for key, away in beyond_reach(stroke, robot):
             warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
@@ -135,10 +137,11 @@ def precheck_scene(scene: Scene) -> Precheck:
         if too_large := oversized(stroke, robot.dof, scene.planner):
             warnings.append(too_large)
     warnings += precheck_options(scene.planner, scene.tool)
-    if warnings and looks_like_radians(scene):
-        got = "values that all lie within 2 pi, which look like radians"
-        warnings.append(_warning(scene.file.posture_key, got, "degrees"))
-    return Precheck(found=tuple(found), warnings=tuple(warnings))
+    # They may explain the others.
+    mistaken = [
+        _warning(key, f"numbers that look like {looks}", units) for key, looks, units in mistaken_units(scene)
+    ]
+    return Precheck(found=tuple(found), warnings=(*mistaken, *warnings))
 
 
 def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:
@@ -199,13 +202,19 @@ def precheck_options(options: PlannerOptions, tool: Tool | None = None) -> Itera
         )
 
 
-def looks_like_radians(scene: Scene) -> bool:
-    """Whether a scene's posture may have been given in radians: a hint where something else is wrong, too."""
-    if not scene.file.posture_key.endswith("posture_deg"):
-        return False
-    angles = np.abs(np.degrees(scene.posture))
-    fractions = np.abs(angles - np.round(angles)) > _WHOLE
-    return bool(0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2)
+def mistaken_units(scene: Scene) -> Iterator[tuple[str, str, str]]:
+    """Yield what of a scene looks as if it were in other units: key, the units it looks like, and its own."""
+    key = scene.file.posture_key
+    if key.endswith("posture_deg"):
+        angles = np.abs(np.degrees(scene.posture))
+        fractions = np.abs(angles - np.round(angles)) > _WHOLE
+        if 0.5 < angles.max() <= 2 * np.pi and fractions.sum() >= 2:
+            yield key, "radians", "degrees"
+    elif key == "start.posture" and np.abs(scene.posture).max() > 2 * np.pi:
+        yield key, "degrees", "rad (start.posture_deg is in degrees)"
+    for obstacle in scene.obstacles:
+        if np.diff(extent_of(obstacle), axis=0).min() >= _HUGE:
+            yield f"obstacle {obstacle.name}", "millimetres", "metres"
 
 
 @contextmanager
@@ -215,9 +224,9 @@ def failures_explained(scene: Scene) -> Iterator[None]:
         with lines_named(scene.source):
             yield
     except (PlanningError, SceneError) as error:
-        about_posture = isinstance(error, PlanningError) or error.key == scene.file.posture_key
-        if about_posture and looks_like_radians(scene):
-            error.add_hint("posture_deg looks like radians, it is in degrees")
+        if isinstance(error, PlanningError) or error.key.startswith(scene.file.posture_key):
+            for key, looks, units in mistaken_units(scene):
+                error.add_hint(f"{key} looks like {looks}, it is in {units}")
         raise
 
 

@@ -180,6 +180,8 @@ class JointLimitsFile(FileModel):
     """A joint-limits file."""
 
     format: Literal["cmbot-joint-limits/1"]
+    assumed: bool = False
+    """Whether the numbers are assumed, as `cmbot new` writes them; a plan says so."""
     all: JointEntry = JointEntry()
     """Of the joints that `joints` does not have."""
     joints: dict[str, JointEntry] = Field(default_factory=dict)
@@ -231,7 +233,10 @@ def joint_limits(model: Any, urdf: Path, path: Path | None) -> tuple[JointLimits
         torque=torque,
         prismatic=prismatic,
     )
-    return limits, tuple(_assumed(given, given_jerk))
+    told = tuple(_assumed(given, given_jerk))
+    if listed.assumed:
+        told += (f"Acceleration and jerk limits in {path} are assumed: it says assumed: true.",)
+    return limits, told
 
 
 def _require_units(listed: JointLimitsFile, names: Sequence[str], prismatic: BoolArray, path: Path) -> None:

@@ -40,9 +40,10 @@ planner: {planner}
 """
 _LIMITS = """\
 # Joint limits that a URDF does not have, {units}.
-# These are assumed: an acceleration of 2 /s times
-# the velocity limit, a jerk of 10 /s times the acceleration. Put those of your robot's data sheet here.
+# An acceleration of 2 /s times the velocity limit,
+# a jerk of 10 /s times the acceleration. Put those of your robot's data sheet here.
 format: cmbot-joint-limits/1
+assumed: true  # plans say so; take this line away when the numbers are your robot's
 joints:
 {joints}"""
 

@@ -47,7 +47,11 @@ def test_a_scene_of_the_panda(here: Path, monkeypatch: pytest.MonkeyPatch) -> No
     # The limits that it was given are those that were assumed, as the robot's own file now.
     np.testing.assert_allclose(robot.limits.acceleration, 2 * robot.limits.velocity, rtol=1e-5)
     np.testing.assert_allclose(robot.limits.jerk, 20 * robot.limits.velocity, rtol=1e-5)
-    assert not any("assumed" in remark for remark in robot.remarks)
+    limits = here / "panda.limits.yaml"
+    told = f"Acceleration and jerk limits in {limits} are assumed: it says assumed: true."
+    assert [remark for remark in robot.remarks if "assumed" in remark] == [told]
+    limits.write_text(limits.read_text("utf-8").replace("assumed: true", "assumed: false"), "utf-8")
+    assert not any("assumed" in remark for remark in robot_of(scene).remarks)
 
 
 def test_a_scene_of_a_urdf_with_limits_and_an_orientation(here: Path, urdf_folder: Path) -> None:
@@ -163,7 +167,8 @@ ARM = "".join(
     (
         '<robot name="arm">',
         *(
-            f'<link name="{name}">{SHAPE.format(x=x)}</link>'
+            f'<link name="{name}"><inertial><mass value="1"/>'
+            f'<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>{SHAPE.format(x=x)}</link>'
             for name, x in (("base", 0), ("a", 0.1), ("b", 0.1))
         ),
         JOINT.format(name="j", parent="base", child="a", x=0),

@@ -75,7 +75,7 @@ def test_legs_beyond_reach_and_a_load_too_heavy_are_warned_of(tmp_path: Path) ->
     distance = np.hypot(np.hypot(START[0], START[1] + 0.1 + 3.0 - 0.5), START[2])
     assert warnings[0].endswith(
         f": tool_path.legs[1]: got an end {distance:.3f} m from the arm's first joint, "
-        "expected at most 3.780 m, the arm with its tool stretched out"
+        "expected at most 3.780 m, the arm with its tool stretched out (lengths are in metres)"
     )
     assert [line.split(": ")[2] for line in warnings] == ["tool_path.legs[1]", "tool_path.legs[3]"]
     assert last == f"2 warnings; cmbot plan {path} would have to deal with them."

@@ -79,13 +79,11 @@ def in_radians(**changes: Any) -> dict[str, Any]:
     }
 
 
-def test_radians_for_degrees_are_suspected_where_something_else_is_wrong(tmp_path: Path) -> None:
+def test_radians_for_degrees_are_suspected(tmp_path: Path) -> None:
     path = write_scene(tmp_path / "radians.yaml", in_radians())
-    out = run("check", path).out
-    assert out.count("warning: ") >= 2
-    assert (
-        "posture_deg: got values that all lie within 2 pi, which look like radians, expected degrees" in out
-    )
+    first, *others = run("check", path).out.splitlines()
+    assert first == f"warning: {path}: posture_deg: got numbers that look like radians, expected degrees"
+    assert others[0].startswith("warning: ")
     with pytest.raises(cmbot.PlanningError, match=r"; posture_deg looks like radians, it is in degrees$"):
         cmbot.plan(cmbot.load_scene(path))
 
@@ -101,6 +99,31 @@ def test_degrees_are_not_taken_for_radians(posture: list[float], tmp_path: Path)
     with pytest.raises(cmbot.PlanningError) as caught:
         cmbot.plan(cmbot.load_scene(path))
     assert "radians" not in str(caught.value)
+
+
+def test_degrees_for_radians_are_suspected(tmp_path: Path) -> None:
+    scene = {key: value for key, value in SHORT.items() if key != "posture_deg"}
+    scene |= {"format": "cmbot-scene/2", "start": {"posture": SHORT["posture_deg"]}}
+    line = refusal("check", write_scene(tmp_path / "degrees.yaml", scene))
+    assert ": start.posture[0]: got " in line
+    assert line.endswith("; start.posture looks like degrees, it is in rad (start.posture_deg is in degrees)")
+
+
+def test_obstacles_in_millimetres_are_suspected(tmp_path: Path) -> None:
+    box = {"name": "table", "box": [1000, 800, 50], "xyz": [1800, 700, -2100]}
+    path = write_scene(tmp_path / "mm.yaml", {**SHORT, "obstacles": [box]})
+    first = run("check", path).out.splitlines()[0]
+    assert (
+        first == f"warning: {path}: obstacle table: got numbers that look like millimetres, expected metres"
+    )
+    near = write_scene(tmp_path / "near.yaml", {**SHORT, "obstacles": [{**box, "xyz": [0, 0, 0]}]})
+    with pytest.raises(
+        cmbot.PlanningError, match=r"; obstacle table looks like millimetres, it is in metres$"
+    ):
+        cmbot.plan(cmbot.load_scene(near))
+    floor = {"name": "floor", "box": [100, 100, 1], "xyz": [0, 0, -9]}
+    out = run("check", write_scene(tmp_path / "floor.yaml", {**SHORT, "obstacles": [floor]})).out
+    assert "warning" not in out
 
 
 def test_a_urdf_given_as_scene() -> None:

@@ -178,7 +178,8 @@ class _Search:
             return (
                 f"no start posture: none of {_RESTARTS} random ones leads to one that holds {held} within "
                 f"the joints' ranges; the point is {away:.3f} m from the arm's first joint, whose reach is "
-                f"{self._robot.reach:.3f} m. Another --tool-at, --rpy-deg or --tool may help"
+                f"{self._robot.reach:.3f} m (lengths are in metres). Another --tool-at, --rpy-deg or --tool "
+                "may help"
             )
         strong = q[self._strong(q)]
         clear = self._clearances.smallest(strong)
