@@ -90,7 +90,7 @@ class ExchangeOptions:
     continuation: tuple[float, ...] = (1.0, 0.1, 1e-2, 1e-3)
     most_violations: int = 400
     nearly_met: float = 1e-3
-    nearly_ended: float = 0.1
+    nearly_ended: float = 0.03
     attempt_steps: int = 6
     attempt_iterations: int = 25
     stalls: int = 3
