@@ -53,8 +53,9 @@ class ExchangeOptions:
         Exchange iterations of all stages, and iterations of the solver in each.
     continuation : tuple of float
         Factors of the smoothing while the peak is minimised, one after the other as long as each lowers the
-        peak by more than its tolerance, and promises to: what smoothing adds to the peak is in proportion to
-        it, and hardly more than its own value. A light smoothing alone lets splines swing between the few
+        peak by more than a share, and promises to: what smoothing adds to the peak is in proportion to it,
+        and hardly more than its own value. The share is a quarter of `missed_tolerance`, or `peak_tolerance`
+        where that is more. A light smoothing alone lets splines swing between the few
         times that are known.
     most_violations : int
         Constraints of a family that are added in an exchange iteration, at most.
@@ -75,6 +76,8 @@ class ExchangeOptions:
     slsqp_iterations : int
         Of SLSQP in an exchange iteration: it need not end before the next one knows more constraints.
     sqp : SqpOptions
+    held_gain, held_promise : float
+        Its `stall_tolerance` and `stall_promise` where the peak is held: the mean square matters less.
     stop : callable
         Asked between iterations whether the time is over: then the trajectory of least peak that met all
         constraints is the result, if there was one.
@@ -98,6 +101,8 @@ class ExchangeOptions:
     slsqp_peak_accuracy: float = 1e-6
     slsqp_iterations: int = 10
     sqp: SqpOptions = field(default_factory=SqpOptions)
+    held_gain: float = 2e-3
+    held_promise: float = 5e-3
     stop: Callable[[], bool] = lambda: False
 
 
@@ -266,7 +271,8 @@ class _Exchange:
 
         A lighter smoothing that fails, or gains next to nothing, is given up for what the heavier one found.
         """
-        worthwhile, factors = 1 - self._options.peak_tolerance, self._options.continuation
+        o, factors = self._options, self._options.continuation
+        worthwhile = 1 - max(o.peak_tolerance, 0.25 * o.missed_tolerance)
         lowest = promise = np.inf
         for before, factor in pairwise([factors[0], *factors]):
             if promise * before < (1 - worthwhile) * lowest:
@@ -275,7 +281,7 @@ class _Exchange:
                 break
             kept = self.form, self._constraints, self._warm
             try:
-                peak = self.run(factor * self._options.smoothing, target=target)
+                peak = self.run(factor * o.smoothing, target=target)
             except OptimisationFailed:
                 if not np.isfinite(lowest):
                     raise
@@ -358,6 +364,8 @@ class _Exchange:
             met = max(before.violation, after.violation) <= o.feasibility_tolerance
             return end, iterations, iterations < most or (met and gained <= accuracy)
         sqp = o.sqp
+        if start.stage.bound is not None:
+            sqp = replace(sqp, stall_tolerance=o.held_gain, stall_promise=o.held_promise)
         if attempt:
             sqp = replace(
                 sqp,

@@ -112,7 +112,14 @@ class SameStart:
 
     def solve(self, solver: Literal["sqp", "slsqp"]) -> Answer:
         # To the end, so that it does not matter which of them attains a lower bound by a hair.
-        options = replace(exchange_options(self.problem), solver=solver, missed_tolerance=0.0)
+        options = exchange_options(self.problem)
+        options = replace(
+            options,
+            solver=solver,
+            missed_tolerance=0.0,
+            held_gain=options.sqp.stall_tolerance,
+            held_promise=options.sqp.stall_promise,
+        )
         found = minimize_peak(self.problem, options)
         return self.judged(found.parametrization.trajectory, found.peak_bound)
 
