@@ -19,7 +19,7 @@ from cmbot.archive.schema import SuppressionFile
 from cmbot.common.arrays import FloatArray
 from cmbot.planning import Plan, plan, planner, remarks
 from cmbot.planning.flexibility.leg_vibration import LegVibration
-from cmbot.planning.flexibility.vibration_suppression import Change, Window, legs_by_window
+from cmbot.planning.flexibility.leg_window import Change, Window, legs_by_window
 from cmbot.planning.progress import ProgressReporter
 from cmbot.simulation import PrescribedMotion, SimulationOptions, track
 from cmbot.simulation.tracking import elastic_arm_of
