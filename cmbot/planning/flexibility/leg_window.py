@@ -35,7 +35,7 @@ _JERK_WEIGHT = 100.0
 # exceed that, and how often at most it is compared.
 _JERKS, _MORE_JERK, _JERK_ROUNDS = 5, 1e-3, 8
 # Iterations of Lawson's algorithm, without bounds and within them, and the least weight of a case.
-_REWEIGHTINGS, _BOUND_REWEIGHTINGS, _LEAST_WEIGHT = 40, 6, 1e-6
+_REWEIGHTINGS, _BOUND_REWEIGHTINGS, _LEAST_WEIGHT = 40, 5, 1e-6
 
 Leg = tuple[int, int]
 """First and last knot of a leg."""
@@ -89,6 +89,10 @@ class Window:
         self._vibration: list[FloatArray] = []
         self._cases = 1
         self._wanted: _Wanted | None = None
+        # What calls of `change` learn from those before: weights of the cases, and where the jerk is largest.
+        self._weight: FloatArray | None = None
+        width = len(self.coefficients) * len(self._jerk)
+        self._most_jerk = np.empty((0, width)), np.empty(0)
 
     def bring_to_rest(self, leg: LegVibration, trajectory: QuinticTrajectory) -> None:
         """Take the vibration away that `trajectory` leaves at the end of one of the legs."""
@@ -121,7 +125,7 @@ class Window:
         wanted = self._wanted = self._wanted or _Wanted(self)
         own = rows[:, (self.coefficients[:, None] * d + np.arange(d)).ravel()].toarray()
         C, best = self.whitened(own.reshape(-1, s, d)), None
-        weight = wanted.weight
+        weight = wanted.weight if self._weight is None else self._weight
         for _ in range(_BOUND_REWEIGHTINGS):
             y, factor = wanted.unbounded if weight is wanted.weight else wanted.least_squares(weight)
             found = self._without_more_jerk(y, factor, C, room)
@@ -129,7 +133,7 @@ class Window:
                 break
             largest = wanted.relative(found)
             if best is None or largest.max() < best[0]:
-                best = largest.max(), found
+                best, self._weight = (largest.max(), found), weight
             if found is y:
                 break
             weight = _reweighted(weight, largest)
@@ -150,7 +154,8 @@ class Window:
         rows, jerk = self._jerks
         most = np.abs(jerk).max() + _MORE_JERK
         for _ in range(_JERK_ROUNDS):
-            found = nearest(y, factor, C, room)
+            known, left = self._most_jerk
+            found = nearest(y, factor, np.concatenate([C, known]), np.append(room, left))
             if found is None:
                 return None
             changed = jerk + rows @ found.reshape(s, d)
@@ -160,8 +165,10 @@ class Window:
             sign = np.sign(changed[at, joint])
             more = np.zeros((len(at), s, d))
             more[np.arange(len(at)), :, joint] = sign[:, None] * rows[at]
-            C = np.concatenate([C, more.reshape(len(at), s * d)])
-            room = np.append(room, most - sign * jerk[at, joint])
+            self._most_jerk = (
+                np.concatenate([known, more.reshape(len(at), s * d)]),
+                np.append(left, most - sign * jerk[at, joint]),
+            )
         return found
 
     @cached_property

@@ -40,12 +40,12 @@ __all__ = ["VibrationSuppression", "suppress_vibration"]
 
 # Rounds at most, and constraints at most that are added in each round for each window.
 _ROUNDS, _MOST_SITES = 12, 400
-# Constraints are kept this many tolerances inside their bounds.
-_INSIDE = 1.0
+# Earlier linearizations are kept of what was nearer to its bound than this.
+_NEAR = 0.3
 # Shares of the last change that are tried then, the largest first; the peak may rise by this share at most.
 _SHARES, _PEAK_RISE = (0.75, 0.5, 0.25), 1e-6
 # The largest swing is to fall to this share; an amplitude of the tool below the second number, m, is rest.
-_WORTH, _AT_REST = 0.6, 2e-6
+_WORTH, _AT_REST = 0.9, 2e-6
 # What the prediction misses, as a share of the stiffness.
 _MARGIN = 0.01
 # Factors on the stiffness; longer paths, s, and more modes are predicted in fewer cases.
@@ -75,7 +75,7 @@ class VibrationSuppression:
     swing_without, swing_with : tuple of float, m
         Largest distance between two positions of the tool after the stop in each of these, simulated as a
         linear system whose matrices change with the posture. Where the largest of all cases does not fall by
-        two fifths, the change is not made, and all shares are 0.
+        a tenth, the change is not made, and all shares are 0.
     """
 
     modes: int
@@ -196,10 +196,34 @@ class _Held:
     rows: sparse.csr_array
 
 
+@dataclass(frozen=True)
+class _HalfSpaces:
+    """Where ``rows X <= most``: of each a time (K,), a derivative (K, (n - 4) d) and a bound (K,)."""
+
+    times: FloatArray
+    rows: sparse.csr_array
+    most: FloatArray
+
+    def where(self, which: BoolArray) -> _HalfSpaces:
+        """Those that `which` (K,) names."""
+        return _HalfSpaces(self.times[which], self.rows[which], self.most[which])
+
+    def with_others(self, others: list[_HalfSpaces]) -> _HalfSpaces:
+        """These and others."""
+        each = [self, *others]
+        return _HalfSpaces(
+            np.concatenate([one.times for one in each]),
+            sparse.vstack([one.rows for one in each], format="csr"),
+            np.concatenate([one.most for one in each]),
+        )
+
+
 class _Search:
     """A change of all windows that keeps the bounds.
 
-    Newton's method: what a step violates becomes a bound of the next one, which brings it back.
+    Newton's method: what a step violates becomes a bound of the next one, which brings it back. What was
+    linearized in steps before stays, as in the cutting-plane method (Kelley, 1960): about the path the tool's
+    deviation is nearly convex, and from its last linearization alone steps go to and fro.
     """
 
     def __init__(self, problem: TorqueProblem, trajectory: QuinticTrajectory, windows: list[Window]) -> None:
@@ -214,7 +238,7 @@ class _Search:
         self._X = np.zeros((problem.space.dimension, trajectory.q.shape[1]))
         self._shares, self._hopeless = np.zeros(len(windows)), np.zeros(len(windows), dtype=np.bool_)
         self._here, self._broken = trajectory, 0.0
-        self._held = self._held_here()
+        self._held, self._earlier = self._held_here(), list[_HalfSpaces]()
 
     def last_change(self) -> tuple[FloatArray, FloatArray]:
         """No change of the last window's coefficients (s, d), and the one that was found."""
@@ -257,19 +281,22 @@ class _Search:
     def _step(self, unfit: BoolArray) -> None:
         """Work out the change of the windows that are unfit, to first order around the trajectory here."""
         value, rows = self._held.value, self._held.rows
-        room = -value - _INSIDE * self._tolerance
         # What is at its bound, not beyond it, may stay there: some of it no coefficient can change.
-        room = np.where(value <= self._tolerance, np.maximum(room, 0.0), room)
+        room = np.where(value <= self._tolerance, np.maximum(-value, 0.0), -value)
         # For the change as a whole.
-        room += rows @ self._X.ravel()
-        at = self._window_at(self._held.times)
+        new = _HalfSpaces(self._held.times, rows, room + rows @ self._X.ravel())
+        known = new.with_others(self._earlier)
+        self._earlier.append(new.where(value > -_NEAR))
+        at = self._window_at(known.times)
         for k in np.flatnonzero(unfit):
             window, here = self._windows[k], at == k
-            found = window.change(rows[here], room[here])
+            found = window.change(known.rows[here], known.most[here])
             # Without a change that keeps to the room here, one is sought from the start, once.
             self._hopeless[k] = found is None and self._shares[k] == 0
             self._X[window.coefficients] = 0.0 if found is None else found.x
             self._shares[k] = 0.0 if found is None else found.share
+        if (self._shares[unfit] == 0).any():
+            self._earlier.clear()
 
     def _window_at(self, times: FloatArray) -> IntArray:
         return np.asarray(np.searchsorted(self._starts[1:], times, side="right"))
