@@ -123,7 +123,7 @@ def _swings(done: VibrationSuppression) -> str:
     cases = []
     each = (done.stiffness, done.load_kg, done.swing_without, done.swing_with)
     for factor, load, without, with_it in zip(*each, strict=True):
-        at = f"at {factor:.2g} times the stiffness" if not load else f"with {load:g} kg more at the tool"
+        at = f"at {factor:.3g} times the stiffness" if not load else f"with {load:g} kg more at the tool"
         cases.append(f"{1e3 * with_it:.3f} mm instead of {1e3 * without:.3f} {at}")
     return (
         "In the 2 s after the stop the tool swings through, simulated for small deflections beside the sag, "
