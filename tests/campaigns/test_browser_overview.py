@@ -45,9 +45,11 @@ def test_it_sorts_finds_and_tells(chrome: Chrome, tmp_path: Path) -> None:
     page.write_text(overview_page("span", rows, tmp_path), encoding="utf-8")
     open_page(chrome, page)
     assert severe_messages(chrome) == []
+    box = "document.getElementById('{}').getBoundingClientRect()"
+    assert ask(chrome, box.format("legend") + ".bottom") <= ask(chrome, box.format("map") + ".top")
     assert names(chrome)[:2] == ["bay_0", "bay_1"]
     assert len(names(chrome)) == 200
-    chrome.execute_script("document.getElementById('more').click()")
+    chrome.find_element("id", "more").click()
     assert len(names(chrome)) == 300
     # By the planned peak, the greatest first; those without one are last.
     for _ in range(2):
