@@ -88,9 +88,8 @@ def guardrail_map(
             share = part.share[:, foot - 1]
             colour = _UNKNOWN if np.isnan(share).all() else _colour(float(np.nanmax(share)))
             parts.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="9" fill="{colour}"/>')
-            parts.append(
-                f'<text x="{x:.1f}" y="{y + 4:.1f}" font-size="11" text-anchor="middle">{foot}</text>'
-            )
+            place = f'x="{x:.1f}" y="{y + 4:.1f}"'
+            parts.append(f'<text class="on" {place} font-size="11" text-anchor="middle">{foot}</text>')
     for number, ((_, name), each) in enumerate(zip(stances, places, strict=True), start=1):
         for x, y in (at(*place[[0, 2]]) for place in each):
             square = f'x="{x - 11:.1f}" y="{y - 11:.1f}" width="22" height="22"'
@@ -98,7 +97,13 @@ def guardrail_map(
         x, y = at(*each[0, [0, 2]])
         label = escape(f"{number}: {name}")
         parts.append(f'<text x="{x:.1f}" y="{y - 18:.1f}" font-size="13" text-anchor="middle">{label}</text>')
-    return f'<div class="wide"><svg viewBox="0 0 {_WIDTH} {height}" role="img">{"".join(parts)}</svg></div>'
+    said = (
+        "Circles: where the feet hold, green to red by the share of their bounds that they use. "
+        "Lines: the ways of foot 1 (full) and of foot 2 (broken)."
+    )
+    squares = " Squares: where work is done." if stances else ""
+    drawn = f'<svg viewBox="0 0 {_WIDTH} {height}" role="img">{"".join(parts)}</svg>'
+    return f'<div class="wide">{drawn}</div><p class="caption">{said}{squares}</p>'
 
 
 def _feet(candidate: Candidate) -> FloatArray:
