@@ -81,8 +81,9 @@ def stand(
 ) -> None:
     """Find where the robot should stand for jobs: stances screened by bounds, the best planned.
 
-    Strokes that no stance does together are done from several, as few as possible. Writes a ranked table, a
-    page with a map, and the scene with the best stance: best.yaml, or best_1.yaml and so on.
+    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Strokes that no
+    stance does together are done from several, as few as possible. Writes a ranked table, a page with a
+    map, and the scene with the best stance: best.yaml, or best_1.yaml and so on.
 
     Examples: [bold]cmbot stand line --objective hold[/bold], then
     [bold]cmbot plan out/line_stances/best.yaml[/bold];
@@ -162,7 +163,8 @@ def walk(
 ) -> None:
     """Plan the steps from a scene's stance to another one: a foot lets go, swings, and holds again.
 
-    Writes all joints over time, the steps with what was certified of them, and a page.
+    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes all joints
+    over time, the steps with what was certified of them, and a page.
 
     Example: [bold]cmbot walk here.yaml --to out/line_stances/best.yaml[/bold]
     """
@@ -212,8 +214,9 @@ def tour(
 ) -> None:
     """Plan work and walks: the fewest stances for all strokes, the job in each, the steps between them.
 
-    Writes a folder with a plan directory for the work in each stance, a folder for each walk, and one page
-    about all of it.
+    For scenes of the shipped robot alone, an arm on a climber that holds a guardrail. Writes a folder
+    with a plan directory for the work in each stance, a folder for each walk, and one page about all of
+    it.
 
     Example: [bold]cmbot tour two_brackets --on top_rail[/bold], then open
     out/two_brackets_tour/index.html in a browser.

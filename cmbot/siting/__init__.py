@@ -5,12 +5,13 @@ from cmbot.siting.footholds import bare_climber, in_the_way, lift_height, withou
 from cmbot.siting.placed_scene import in_world, joined, scene_at
 from cmbot.siting.screening import Screening, screen
 from cmbot.siting.search import StandOptions, Stood
-from cmbot.siting.standing import Standing, best_scene, stand
+from cmbot.siting.standing import SHIPPED_ROBOT, Standing, best_scene, stand
 from cmbot.siting.table import in_words, shared_out, stances_csv
 
 __all__ = [
     "APART",
     "REACH",
+    "SHIPPED_ROBOT",
     "Candidate",
     "Screening",
     "StandOptions",

@@ -19,7 +19,10 @@ from cmbot.siting.placed_scene import joined, scene_at, with_strokes
 from cmbot.siting.screening import screen
 from cmbot.siting.search import StandOptions, Stood, judged
 
-__all__ = ["Standing", "best_scene", "stand"]
+__all__ = ["SHIPPED_ROBOT", "Standing", "best_scene", "stand"]
+
+SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
+"""For whose scenes alone stances and steps are sought."""
 
 _LEFT_OUT = ("failed", "blocked", "no posture", "out of reach")
 _LONGEST_NAME = 90
@@ -180,7 +183,7 @@ def best_scene(standing: Standing) -> dict[str, Any]:
 def _require_standing(scene: Scene) -> None:
     if not scene.on_guardrail or not scene.guardrail.post_positions:
         got = "no guardrail" if scene.on_guardrail else "another robot"
-        raise SceneError(scene.source, "guardrail", got, "the shipped robot, which holds a guardrail")
+        raise SceneError(scene.source, "guardrail", got, SHIPPED_ROBOT)
     if scene.planner.objective == "sag":
         expected = "torque or hold, by which stances are screened"
         raise SceneError(scene.source, "planner.objective", "sag", expected)

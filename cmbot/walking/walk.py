@@ -15,7 +15,7 @@ from cmbot.common.yaml_reader import read_yaml
 from cmbot.hold import AdhesionPeak
 from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, StanceFile, load_scene
-from cmbot.siting import Candidate, candidate_at, in_world
+from cmbot.siting import SHIPPED_ROBOT, Candidate, candidate_at, in_world
 from cmbot.walking.balance import Balance
 from cmbot.walking.route import Edge, Route, nodes_between
 from cmbot.walking.steps import Move, Step, arm_move, plan_step
@@ -303,7 +303,7 @@ def stance_of(scene: Scene) -> Candidate:
     """
     if not scene.on_guardrail or not scene.guardrail.post_positions:
         got = "no guardrail" if scene.on_guardrail else "another robot"
-        raise SceneError(scene.source, "guardrail", got, "the shipped robot, which holds a guardrail")
+        raise SceneError(scene.source, "guardrail", got, SHIPPED_ROBOT)
     stance = scene.robot.stance
     if scene.file.guardrail.stance is not None and stance is not None:
         file = scene.file.guardrail.stance

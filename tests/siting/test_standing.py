@@ -206,5 +206,5 @@ def test_the_climber_keeps_clear_of_members() -> None:
 def test_what_cannot_be_screened(scene: Scene) -> None:
     with pytest.raises(SceneError, match="torque or hold, by which stances are screened"):
         stand(replace(scene, planner=replace(scene.planner, objective="sag")))
-    with pytest.raises(SceneError, match="the shipped robot, which holds a guardrail"):
+    with pytest.raises(SceneError, match="the shipped robot, an arm on a climber that holds a guardrail"):
         stand(scene_of("torque", guardrail={"bays": 0}))
