@@ -125,15 +125,14 @@ def stand(
 
 
 def _print_standing(standing: Standing, title: str) -> None:
-    from cmbot.siting import in_words
+    from cmbot.siting import bounds_table, in_words, planned_table
 
-    rows = [
-        (str(rank), each.place, each.status, each.judged, *each.figures)
-        for rank, each in enumerate(standing.ranked[:_SHOWN], start=1)
-    ]
-    unit = standing.unit
-    headings = ("", "stance", "status", "judged by", f"bound, {unit}", f"planned, {unit}")
-    print_table(title, headings, rows, text_columns=4)
+    headings, rows = planned_table(standing)
+    if rows:
+        print_table(f"{title}, planned", headings, rows, text_columns=2)
+    headings, rows = bounds_table(standing, _SHOWN)
+    if rows:
+        print_table(f"{title}, not planned: bounds (estimates)", headings, rows, text_columns=4)
     for line in in_words(standing):
         out.print(flat(line))
 
@@ -308,4 +307,4 @@ def _summary(standings: Sequence[Standing]) -> dict[str, Any]:
     return each[0] if len(each) == 1 else {"stances": each, "words": list(shared_out(standings))}
 
 
-_STATUSES = ("planned", "screened", "failed", "blocked", "no_posture", "out_of_reach")
+_STATUSES = ("planned", "screened", "failed", "too_much_torque", "blocked", "no_posture", "out_of_reach")

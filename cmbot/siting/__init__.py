@@ -6,7 +6,7 @@ from cmbot.siting.placed_scene import in_world, joined, scene_at
 from cmbot.siting.screening import Screening, screen
 from cmbot.siting.search import StandOptions, Stood
 from cmbot.siting.standing import SHIPPED_ROBOT, Standing, best_scene, stand
-from cmbot.siting.table import in_words, shared_out, stances_csv
+from cmbot.siting.table import bounds_table, in_words, planned_table, shared_out, stances_csv
 
 __all__ = [
     "APART",
@@ -19,6 +19,7 @@ __all__ = [
     "Stood",
     "bare_climber",
     "best_scene",
+    "bounds_table",
     "candidate_at",
     "candidates_of",
     "in_the_way",
@@ -27,6 +28,7 @@ __all__ = [
     "joined",
     "lift_height",
     "places_of",
+    "planned_table",
     "scene_at",
     "screen",
     "shared_out",

@@ -52,7 +52,7 @@ class StandOptions:
     members : tuple of str
         Posts and rails that feet hold; empty: all.
     max_torque : float, Nm
-        Stances whose plan loads the guardrail with more at work count as failed.
+        Stances whose plan loads the guardrail with more at work are left out.
     """
 
     spacing: float = 0.05
@@ -72,7 +72,8 @@ class Stood:
     ----------
     candidate : Candidate
     status : str
-        ``planned``, ``failed`` where that was tried, ``screened`` where it was not, ``blocked`` where the
+        ``planned``, ``failed`` where that was tried in vain, ``too much torque`` where the plan loads the
+        guardrail with more than is allowed, ``screened`` where none was tried, ``blocked`` where the
         climber or all postures that were found at some via-point come too near to something, or no sequence
         of postures leads along a stroke, ``no posture`` where none within the bounds of joints and feet was
         found at one, ``out of reach``.
@@ -101,12 +102,6 @@ class Stood:
         stance = self.candidate.stance
         feet = [stance.foot_1] if stance.foot_2 is None else [stance.foot_1, stance.foot_2]
         return " and ".join(f"{foot.member} at {foot.along_m:.2f} m ({foot.face})" for foot in feet)
-
-    @property
-    def figures(self) -> tuple[str, str]:
-        """Its bound and the planned peak, as they are shown."""
-        bound = f"{self.bound:.1f}" if np.isfinite(self.bound) else "-"
-        return bound, "-" if self.plan is None else f"{self.plan.objective.planned_peak:.1f}"
 
 
 def judged(
@@ -160,7 +155,7 @@ def _status(within: bool, bound: float) -> str:
 def _order(each: Stood) -> tuple[int, float]:
     if each.plan is not None:
         return 0, each.plan.objective.planned_peak
-    order = ("screened", "failed", "blocked", "no posture", "out of reach")
+    order = ("screened", "failed", "too much torque", "blocked", "no posture", "out of reach")
     return 1 + order.index(each.status), each.bound
 
 
@@ -270,7 +265,7 @@ class _Search:
         torque = made.figures.peak_guardrail_torque
         if torque > self._options.max_torque:
             allowed = f"{self._options.max_torque:g} Nm are allowed"
-            self._give_up(k, "failed", "plan", f"{torque:.1f} Nm on the guardrail, {allowed}")
+            self._give_up(k, "too much torque", "plan", f"{torque:.1f} Nm on the guardrail, {allowed}")
             return
         # No estimate is above what was found.
         bound = min(self.each[k].bound, made.objective.planned_peak)

@@ -24,7 +24,7 @@ __all__ = ["SHIPPED_ROBOT", "Standing", "best_scene", "stand"]
 SHIPPED_ROBOT = "the shipped robot, an arm on a climber that holds a guardrail"
 """For whose scenes alone stances and steps are sought."""
 
-_LEFT_OUT = ("failed", "blocked", "no posture", "out of reach")
+_LEFT_OUT = ("failed", "too much torque", "blocked", "no posture", "out of reach")
 _LONGEST_NAME = 90
 _Progress = Callable[[str, float], None]
 

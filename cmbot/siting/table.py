@@ -10,7 +10,9 @@ from cmbot.common.validation import counted
 from cmbot.siting.search import MEANS, Stood
 from cmbot.siting.standing import Standing
 
-__all__ = ["in_words", "shared_out", "stances_csv"]
+__all__ = ["bounds_table", "in_words", "planned_table", "shared_out", "stances_csv"]
+
+_Table = tuple[tuple[str, ...], list[tuple[str, ...]]]
 
 _COLUMNS = (
     *(
@@ -45,14 +47,12 @@ _LEFT_OUT_BY = {
 def in_words(standing: Standing) -> Iterator[str]:
     """Yield what was found, a sentence or two each."""
     ranked, unit = standing.ranked, standing.unit
-    counts = {
-        name: standing.count(name) for name in ("out of reach", "no posture", "blocked", "failed", "planned")
-    }
+    count, heavy = standing.count, standing.count("too much torque")
     yield (
-        f"{len(ranked)} stances: {counts['out of reach']} out of reach, {counts['no posture']} in which no "
-        f"posture within the bounds of joints and feet was found, {counts['blocked']} found blocked, "
-        f"{counts['planned']} planned, "
-        f"{counts['failed']} of which planning failed."
+        f"{len(ranked)} stances: {count('out of reach')} out of reach, {count('no posture')} in which no "
+        f"posture within the bounds of joints and feet was found, {count('blocked')} found blocked, "
+        f"{count('planned')} planned, {count('failed')} of which planning failed"
+        f"{f', {heavy} that load the guardrail with more than is allowed' if heavy else ''}."
     )
     judged = {name: sum(each.judged == name for each in ranked) for name in MEANS}
     yield (
@@ -74,10 +74,11 @@ def in_words(standing: Standing) -> Iterator[str]:
     )
     least = standing.best_unplanned
     if np.isfinite(least):
-        more = max(1 - least / peak, 0.0)
+        more = 1 - least / peak
+        by = f"by more than {100 * more:.1f} %" if more > 0 else "than the best one"
         yield (
             f"No stance that was not planned was found to ask less than {least:.1f} {unit} (estimate, "
-            f"{_LEFT_OUT_BY[_judged_least(ranked)]}): none may be better by more than {100 * more:.1f} %."
+            f"{_LEFT_OUT_BY[_judged_least(ranked)]}): none may be better {by}."
         )
     failed = [each for each in ranked if each.status == "failed" and each.bound < peak]
     if failed:
@@ -92,6 +93,28 @@ def _judged_least(ranked: Sequence[Stood]) -> str:
     """By what the stance of the smallest bound that was not planned was judged."""
     waiting = (each for each in ranked if each.status == "screened")
     return min(waiting, key=lambda each: each.bound).judged
+
+
+def planned_table(standing: Standing) -> _Table:
+    """Return headings and rows of the stances that were planned: what is certified of their work."""
+    rows = list[tuple[str, ...]]()
+    for rank, each in enumerate(standing.ranked, start=1):
+        if each.plan is not None:
+            figures = each.plan.figures
+            needed = figures.adhesion_needed
+            adhesion = "-" if needed is None else f"{needed.peak / 1e3:.2f}"
+            rows.append((str(rank), each.place, f"{figures.peak_guardrail_torque:.1f}", adhesion))
+    return ("", "stance", "torque, Nm", "adhesion needed, kN"), rows
+
+
+def bounds_table(standing: Standing, most: int) -> _Table:
+    """Return headings and rows of others, the most promising first: what they ask at least, estimates."""
+    rows = list[tuple[str, ...]]()
+    for rank, each in enumerate(standing.ranked[:most], start=1):
+        if each.plan is None:
+            bound = f"{each.bound:.1f}" if np.isfinite(each.bound) else "-"
+            rows.append((str(rank), each.place, each.status, each.judged, bound))
+    return ("", "stance", "status", "judged by", f"asks at least, {standing.unit}"), rows
 
 
 def shared_out(standings: Sequence[Standing]) -> Iterator[str]:

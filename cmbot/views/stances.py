@@ -7,16 +7,19 @@ from html import escape
 
 import numpy as np
 
-from cmbot.siting import Standing, Stood, in_words, shared_out
+from cmbot.siting import Standing, bounds_table, in_words, planned_table, shared_out
 from cmbot.views.page import still_page, table
 
 __all__ = ["stances_page"]
 
-_WIDTH, _HEIGHT, _EDGE = 900, 360, 50
+_WIDTH, _HEIGHT, _EDGE = 900, 380, 60
+# Where stances without a bound are drawn.
+_WITHOUT = 42.0
 _COLOURS = {
     "planned": "#1a7f37",
     "screened": "#2f6fb7",
     "failed": "#c0392b",
+    "too much torque": "#8e44ad",
     "blocked": "#b26a00",
     "no posture": "#8a8f98",
     "out of reach": "#c9ced6",
@@ -39,28 +42,26 @@ def stances_page(standings: Sequence[Standing]) -> str:
         if several:
             content += f"<h2>Stance {number}: {escape(', '.join(standing.strokes))}</h2>"
             content += "".join(f"<p>{escape(sentence)}</p>" for sentence in in_words(standing))
-        content += f"<section>{_map(standing)}</section><section>{_table(standing)}</section>"
+        content += f"<section>{_map(standing)}</section>{_tables(standing)}"
     said = shared_out(standings) if several else in_words(standings[0])
     return still_page(f"Where to stand: {name}", said, content)
 
 
-def _table(standing: Standing) -> str:
-    unit = standing.unit
-    figures = (f"bound, {unit}", f"planned, {unit}", "torque at rest, Nm", "adhesion, kN")
-    rows = (_row(rank, each) for rank, each in enumerate(standing.ranked[:_ROWS], start=1))
-    return table(rows, ("", "stance", "status", "judged by", *figures), text_columns=4)
-
-
-def _row(rank: int, each: Stood) -> tuple[str, ...]:
-    planned = "" if each.plan is None else f"{each.plan.objective.planned_peak:.1f}"
-    bound, torque, adhesion = ("", "", "")
-    if np.isfinite(each.bound):
-        bound, torque, adhesion = f"{each.bound:.1f}", f"{each.torque:.1f}", f"{each.adhesion / 1e3:.2f}"
-    return (str(rank), each.place, each.status, each.judged, bound, planned, torque, adhesion)
+def _tables(standing: Standing) -> str:
+    """What was planned, and apart from it the others, of which only bounds are known."""
+    content = ""
+    headings, rows = planned_table(standing)
+    if rows:
+        content += f"<h2>Planned</h2><section>{table(rows, headings, text_columns=2)}</section>"
+    headings, rows = bounds_table(standing, _ROWS)
+    if rows:
+        said = "Not planned: what they ask at least, estimates that the search goes by"
+        content += f"<h2>{said}</h2><section>{table(rows, headings, text_columns=4)}</section>"
+    return content
 
 
 def _map(standing: Standing) -> str:
-    """Position of foot 1 along the guardrail against the bound; those without one along the upper edge."""
+    """Position of foot 1 against what is planned or the bound; those without one along the upper edge."""
     finite = [each.bound for each in standing.ranked if np.isfinite(each.bound)]
     xs = [float(each.candidate.root[0, 3]) for each in standing.ranked]
     if not finite or not xs:
@@ -68,32 +69,53 @@ def _map(standing: Standing) -> str:
     low, high = min(xs), max(max(xs), min(xs) + 1e-3)
     top = float(np.quantile(finite, 0.98)) * 1.1
     marks = "".join(_marks(standing, low, high, top))
-    labels = "".join(
-        f'<text x="{_EDGE + share * (_WIDTH - 2 * _EDGE):.0f}" y="{_HEIGHT - 15}" font-size="13" '
-        f'text-anchor="middle">x = {low + share * (high - low):.1f} m</text>'
-        for share in (0.0, 0.5, 1.0)
-    )
-    legend = "".join(
-        f'<circle cx="{_EDGE + 120 * k}" cy="12" r="4" fill="{colour}"/>'
-        f'<text x="{_EDGE + 120 * k + 8}" y="16" font-size="13">{name}</text>'
-        for k, (name, colour) in enumerate(_COLOURS.items())
-    )
-    scale = (
-        f'<text x="4" y="{_y(top, top):.0f}" font-size="13">{top:.3g} {escape(standing.unit)}</text>'
-        f'<text x="4" y="{_y(0, top):.0f}" font-size="13">0</text>'
-    )
-    drawn = f"{legend}{scale}{labels}{marks}"
+    legend, x = "", _EDGE
+    for name, colour in _COLOURS.items():
+        if standing.count(name):
+            legend += (
+                f'<circle cx="{x}" cy="12" r="4" fill="{colour}"/><text x="{x + 8}" y="16">{name}</text>'
+            )
+            x += 40 + 8 * len(name)
+    drawn = f'<g font-size="13">{legend}{"".join(_axes(low, high, top, standing.unit))}</g>{marks}'
     return f'<div class="wide"><svg viewBox="0 0 {_WIDTH} {_HEIGHT}" role="img">{drawn}</svg></div>'
+
+
+def _axes(low: float, high: float, top: float, unit: str) -> Iterator[str]:
+    """Lines and numbers."""
+    for value in _ticks(0.0, top, 5):
+        y = _y(value, top)
+        yield f'<path d="M{_EDGE} {y:.0f}H{_WIDTH - _EDGE}" stroke="#8a8f98" stroke-opacity="0.25"/>'
+        yield f'<text x="{_EDGE - 8}" y="{y + 4:.0f}" text-anchor="end">{value:g}</text>'
+    yield f'<text x="4" y="38">{escape(unit)}</text>'
+    for value in _ticks(low, high, 8):
+        x = _x(value, low, high)
+        yield f'<text x="{x:.0f}" y="{_HEIGHT - 28}" text-anchor="middle">{value:g}</text>'
+    said = "foot 1 along the guardrail, x in m"
+    yield f'<text x="{_WIDTH // 2}" y="{_HEIGHT - 8}" text-anchor="middle">{said}</text>'
+
+
+def _ticks(low: float, high: float, count: int) -> list[float]:
+    """Round numbers from `low` to `high`, about so many."""
+    raw = (high - low) / count
+    power = 10.0 ** np.floor(np.log10(raw))
+    step = next(part * power for part in (1, 2, 5, 10) if part * power >= raw * (1 - 1e-9))
+    each = np.arange(np.ceil(low / step - 1e-9), np.floor(high / step + 1e-9) + 1)
+    return [float(f"{value:.6g}") for value in each * step]
 
 
 def _marks(standing: Standing, low: float, high: float, top: float) -> Iterator[str]:
     # The best last, above the others.
     for each in reversed(standing.ranked):
-        x = _EDGE + (float(each.candidate.root[0, 3]) - low) / (high - low) * (_WIDTH - 2 * _EDGE)
-        y = _y(min(each.bound, top), top) if np.isfinite(each.bound) else 34.0
+        x = _x(float(each.candidate.root[0, 3]), low, high)
+        value = each.bound if each.plan is None else each.plan.objective.planned_peak
+        y = _y(min(value, top), top) if np.isfinite(value) else _WITHOUT
         radius = 5 if each.status == "planned" else 2.5
         yield f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius}" fill="{_COLOURS[each.status]}"/>'
 
 
+def _x(value: float, low: float, high: float) -> float:
+    return _EDGE + (value - low) / (high - low) * (_WIDTH - 2 * _EDGE)
+
+
 def _y(value: float, top: float) -> float:
-    return 50 + (1 - value / top) * (_HEIGHT - 100)
+    return 60 + (1 - value / top) * (_HEIGHT - 110)
