@@ -23,6 +23,7 @@ from collections.abc import Sequence
 from cmbot.common.installation import install_command
 
 __all__ = [
+    "FAR_BEYOND",
     "LONGEST_MESSAGE",
     "ArchiveError",
     "CmbotError",
@@ -35,6 +36,7 @@ __all__ = [
     "PlanningError",
     "SceneError",
     "SimulationDiverged",
+    "beyond",
     "one_line",
     "remedy_for",
 ]
@@ -42,6 +44,11 @@ __all__ = [
 LONGEST_MESSAGE = 390
 """Characters of an error's message; with ``error: `` before it, a line has at most 400."""
 
+FAR_BEYOND = 10.0
+"""A violation, as a share of the bound, beyond which its size says nothing."""
+
+# A posture whose smallest singular value is larger is not near a singular one.
+_SINGULAR = 0.05
 # Characters of a value, and of a file's path, that are kept at least where a message has to be shortened.
 _SHORT_VALUE, _SHORT_SOURCE = 60, 80
 
@@ -195,8 +202,18 @@ _REMEDIES = (
 )
 
 
+def beyond(violation: float) -> str:
+    """Return in words by which share of its bound a constraint is violated."""
+    return f"{violation:.2%} beyond its bound" if violation <= FAR_BEYOND else "far beyond its bound"
+
+
 def remedy_for(
-    constraint: str, *, path: str = "tool_path", more_time: str = _TIME, smoother: str = ""
+    constraint: str,
+    violation: float = 0.0,
+    *,
+    path: str = "tool_path",
+    more_time: str = _TIME,
+    smoother: str = "",
 ) -> str:
     """Return what most often helps where a constraint cannot be kept; empty where nothing is known to.
 
@@ -204,6 +221,8 @@ def remedy_for(
     ----------
     constraint : str
         Its name.
+    violation : float
+        As a share of its bound: a tool that is far away is not for want of via-points.
     path : str
         Key of the tool path's description.
     more_time : str
@@ -214,6 +233,8 @@ def remedy_for(
     # A jump between segments is no limit of the joint whose derivatives it names.
     some = () if constraint.startswith("jump") else _REMEDIES
     what = next((what for name, what in some if name in constraint), "")
+    if violation > FAR_BEYOND and constraint.startswith("tool "):
+        what = "{time}"
     return what.format(path=path, time=more_time, smoother=smoother)
 
 
@@ -233,7 +254,7 @@ class PathNotFound(PlanningError):
     progress : float
         Share of the tool path's length that was covered, 0 to 1.
     smallest_singular_value : float
-        Of the task Jacobian there, Chang 2021, Eqs. (18)-(19).
+        Of the task Jacobian there, Chang 2021, Eqs. (18)-(19); told where it is small.
     pair : tuple of str, optional
         The link and the obstacle (or second link) that came too close.
     pace : float
@@ -256,10 +277,10 @@ class PathNotFound(PlanningError):
         self.progress = progress
         self.smallest_singular_value = smallest_singular_value
         self.pair = pair
-        super().__init__(
-            f"no path beyond t = {time:.2f} s ({progress:.0%} of the tool path): {reason}; "
-            f"smallest singular value there {smallest_singular_value:.3g}"
-        )
+        text = f"no path beyond t = {time:.2f} s ({progress:.0%} of the tool path): {reason}"
+        if 0 < smallest_singular_value < _SINGULAR:
+            text += f"; near a singular posture (smallest singular value {smallest_singular_value:.3g})"
+        super().__init__(text)
 
 
 class OptimisationFailed(PlanningError):
@@ -300,9 +321,9 @@ class OptimisationFailed(PlanningError):
         if violation <= 0:
             super().__init__(f"{reason}; every constraint is met, {constraint} with the least room")
             return
-        text = f"{reason}; worst constraint: {constraint}, {violation:.2%} beyond its bound"
+        text = f"{reason}; worst constraint: {constraint}, {beyond(violation)}"
         if remedy is None:
-            remedy = remedy_for(constraint)
+            remedy = remedy_for(constraint, violation)
         if "time was over" in reason:
             remedy = "a larger planner.time_limit_s"
         super().__init__(f"{text}: {remedy} may help" if remedy else text)

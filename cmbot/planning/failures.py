@@ -10,7 +10,13 @@ from itertools import pairwise
 import numpy as np
 
 from cmbot.common.arrays import FloatArray
-from cmbot.common.errors import LimitViolation, OptimisationFailed, PathNotFound, PlanningError
+from cmbot.common.errors import (
+    FAR_BEYOND,
+    LimitViolation,
+    OptimisationFailed,
+    PathNotFound,
+    PlanningError,
+)
 from cmbot.planning.context import PlanningContext
 from cmbot.robot import Dynamics
 from cmbot.scene import Stroke
@@ -26,6 +32,8 @@ _ORDERS = {"velocity": 1, "acceleration": 2, "jerk": 3}
 _ROOM = 1.05
 # Where legs would have to take longer by a larger factor, something else is the matter.
 _SLOWEST = 30.0
+# A limit is reached from this share of it on; then a leg is to take so much longer.
+_AT_LIMIT, _DOUBLE = 0.99, 2.0
 # More legs than these are not listed one by one.
 _MOST_LISTED = 3
 
@@ -46,7 +54,7 @@ def constraints_named(context: PlanningContext) -> Iterator[None]:
             violation=failure.violation,
             undecided=failure.undecided,
             trajectory=failure.trajectory,
-            remedy=failure.remedy or context.stroke.remedy_for(name),
+            remedy=failure.remedy or context.stroke.remedy_for(name, failure.violation),
         ) from failure
 
 
@@ -77,8 +85,12 @@ def slower_legs(context: PlanningContext, failure: PlanningError) -> FloatArray 
     elif isinstance(failure, LimitViolation):
         if order := _order(failure.quantity):
             factors[_leg(context, failure.time)] = (failure.value / failure.bound) ** (1 / order)
-    elif isinstance(failure, OptimisationFailed) and _order(failure.constraint):
+    elif isinstance(failure, OptimisationFailed):
         factors = _factors(context, failure.trajectory)
+        if not _order(failure.constraint):
+            # Joints at their limits leave the tool behind.
+            hasty = (factors >= _AT_LIMIT) & (failure.violation > FAR_BEYOND)
+            factors = np.where(hasty, _DOUBLE, 1.0)
     factors = np.where(factors > 1.0, _ROOM * factors, 1.0)
     return factors if 1.0 < factors.max() <= _SLOWEST else None
 
@@ -131,16 +143,16 @@ def _have_own_keys(stroke: Stroke) -> bool:
 
 
 def _factors(context: PlanningContext, trajectory: object) -> FloatArray:
-    """By which factors (L,) legs would have to take longer for a trajectory to keep its joints' limits."""
+    """By which factors (L,) legs would have to take longer, or may take less, for a trajectory's limits."""
     if not isinstance(trajectory, QuinticTrajectory):
         return np.ones(len(context.task.path.seconds))
     limits, edges = context.robot.limits, context.task.path.leg_times
     middles = 0.5 * (trajectory.t[1:] + trajectory.t[:-1])
-    needed = np.ones(len(middles))
+    needed = np.zeros(len(middles))
     for order, bound in enumerate((limits.velocity, limits.acceleration, limits.jerk), start=1):
         share = np.abs(trajectory.extrema(order).value).max(axis=2) / bound
         needed = np.maximum(needed, share.max(axis=1) ** (1 / order))
-    return np.array([needed[(middles >= a) & (middles < b)].max(initial=1.0) for a, b in pairwise(edges)])
+    return np.array([needed[(middles >= a) & (middles < b)].max(initial=0.0) for a, b in pairwise(edges)])
 
 
 def _order(constraint: str) -> int:

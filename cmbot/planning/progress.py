@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, TypeVar
 
+from cmbot.common.errors import beyond
 from cmbot.common.eta import Eta, Remaining
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ class Progress:
             return text
         # What would print as 0.00 % is within the optimiser's tolerance.
         met = report.worst.value < 5e-5
-        worst = f"{report.worst.name} {report.worst.value:.2%} beyond its bound"
+        worst = f"{report.worst.name} {beyond(report.worst.value)}"
         return (
             f"{text}, pass {report.number} ({report.stage}): peak {self._peak(report)}, "
             f"{'all constraints met' if met else worst}"

@@ -169,10 +169,10 @@ def test_a_hopeless_scene_says_how_far_it_came(folder: Path) -> None:
     *progress, error = outcome.err.splitlines()
     assert progress == ["following the tool path"]
     assert re.fullmatch(
-        r"error: no path beyond t = \d\.\d\d s \(\d+% of the tool path\): \w.*; "
-        r"smallest singular value there [\d.e-]+",
+        r"error: no path beyond t = \d\.\d\d s \(\d+% of the tool path\): \w.*",
         error,
     )
+    assert "singular" not in error  # it is not the reason
     assert not (folder / "out").exists()
 
 
@@ -286,7 +286,7 @@ def test_legs_too_fast_for_the_joints_name_bound_joint_and_remedy(folder: Path) 
         hasty["planner"] |= {"knots": knots, "start": "pinned"}
         write_scene(folder / "hasty.yaml", hasty)
         line = refusal("plan", "hasty.yaml", "--quiet", status=3)
-        assert re.search(r"(velocity|acceleration|jerk) of joint_\d, \d+\.\d\d% beyond its bound", line)
+        assert re.search(r"(velocity|acceleration|jerk) of joint_\d, (\d+\.\d\d%|far) beyond its bound", line)
         assert line.count("more seconds") == 1
         # So slow a leg was planned.
         assert re.search(r"; tool_path\.legs\[0\]\.seconds \d(\.\d)? instead of 0\.9 would do$", line)
@@ -317,6 +317,10 @@ def test_the_doctor_names_the_extra_of_what_is_optional() -> None:
 )
 def test_a_failed_optimisation_says_what_to_do(constraint: str, remedy: str) -> None:
     text = str(errors.OptimisationFailed("no way", constraint=constraint, violation=0.25))
+    far = str(errors.OptimisationFailed("no way", constraint=constraint, violation=99.0))
+    assert f"worst constraint: {constraint}, far beyond its bound" in far
+    hasty = constraint.startswith(("velocity", "acceleration", "jerk", "tool"))
+    assert ("more seconds for the legs" in far) == hasty
     worst = f"no way; worst constraint: {constraint}, 25.00% beyond its bound"
     if not remedy:
         assert text == worst

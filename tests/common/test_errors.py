@@ -43,3 +43,11 @@ def test_of_a_long_value_beginning_and_end_are_kept() -> None:
     assert text.endswith(" end, expected something")
     assert "key: got begin xx" in text
     assert len(text) <= LONGEST_MESSAGE
+
+
+def test_a_path_that_ends_near_a_singular_posture_says_so() -> None:
+    near, far = (
+        str(PathNotFound("stuck", time=1.0, progress=0.5, smallest_singular_value=value))
+        for value in (0.0025, 0.24)
+    )
+    assert near == f"{far}; near a singular posture (smallest singular value 0.0025)"

@@ -63,6 +63,10 @@ def test_a_trajectory_slowed_down_so_keeps_the_limits(
     fast = QuinticTrajectory(t=0.2 * trajectory.t, q=trajectory.q, v=5 * trajectory.v, a=25 * trajectory.a)
     path = replace(context.task.path, seconds=0.2 * context.task.path.seconds)
     hasty = replace(context, task=replace(context.task, path=path), times=path.via_times(16))
+    # A tool that such joints leave far behind needs the time, not more via-points.
+    astray = OptimisationFailed("no", constraint="tool deviation", violation=99.0, trajectory=fast)
+    np.testing.assert_allclose(slower_legs(hasty, astray), 2.1)
+    assert slower_legs(hasty, failed("tool deviation", fast)) is None
     factors = slower_legs(hasty, failed("jerk of joint_1", fast))
     # All legs by the largest factor: derivative k falls by its power k.
     slow, limits = factors.max() / 1.05, context.robot.limits
