@@ -13,8 +13,8 @@ from cmbot.views import REPORT, assemble_plain
 
 __all__ = ["overview_page"]
 
-# A reason is cut after so many characters; the table of results has it whole.
-_LONGEST_REASON = 200
+# A reason of more characters is cut; the table of results has it whole.
+_LONGEST_REASON = 600
 # Significant digits of a figure.
 _DIGITS = 6
 
@@ -36,7 +36,7 @@ def overview_page(name: str, rows: Sequence[Mapping[str, Any]], directory: Path)
     return assemble_plain(
         "overview.html",
         styles=("common.css", "overview.css"),
-        scripts=("overview.js",),
+        scripts=("overview.js", "sideways.js"),
         data=_columns(rows, directory),
         texts={
             "title": escape(name),
@@ -52,7 +52,7 @@ def _columns(rows: Sequence[Mapping[str, Any]], directory: Path) -> dict[str, li
         "name": [row["name"] for row in rows],
         "at": [_short(row["at_m"]) for row in rows],
         "ended": [row["ended"] for row in rows],
-        "reason": [str(row["reason"])[:_LONGEST_REASON] for row in rows],
+        "reason": [_cut(str(row["reason"])) for row in rows],
         "baseline": [_short(row.get("baseline_job.peak_guardrail_torque")) for row in rows],
         "planned": [_short(row.get("planned_job.peak_guardrail_torque")) for row in rows],
         "workBaseline": [_short(row.get("baseline_work.peak_guardrail_torque")) for row in rows],
@@ -69,6 +69,10 @@ def _link(place: str | None, directory: Path) -> str | None:
         return None
     report = f"{place}/{REPORT}"
     return report if (directory / report).is_file() else f"{place}/"
+
+
+def _cut(reason: str) -> str:
+    return reason if len(reason) <= _LONGEST_REASON else f"{reason[: _LONGEST_REASON - 1]}…"
 
 
 def _short(value: float | None) -> float | None:

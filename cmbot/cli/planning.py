@@ -121,7 +121,8 @@ def plan(
         print_result("plan", directory, _summary(planned, directory))
     elif not quiet:
         _print_plan(planned)
-        out.print(f"Written to {flat(directory)} in {time.perf_counter() - started:.1f} s.")
+        seconds = time.perf_counter() - started
+        out.print(f"Written to {flat(directory)}, in all {seconds:.1f} s with reading, checks and pages.")
         if drawn:
             out.print(f"Figures: {', '.join(drawn)}.")
         out.print(f"Look at it: open {flat(directory / REPORT)} in a browser.")

@@ -35,7 +35,7 @@ _SLOWEST = 30.0
 # A limit is reached from this share of it on; then a leg is to take so much longer.
 _AT_LIMIT, _DOUBLE = 0.99, 2.0
 # More legs than these are not listed one by one.
-_MOST_LISTED = 3
+_MOST_LISTED, _MOST_DIGITS = 3, 9
 
 
 @contextmanager
@@ -129,11 +129,18 @@ def in_keys(before: PlanningContext, after: PlanningContext) -> str:
         key = stroke.leg_key(int(k)) if stroke.file.legs else stroke.key
         speed = stroke.asked_speed(int(k))
         if speed is not None:
-            words.append(f"{key}.speed_m_s {speed * old[k] / new[k]:.3g} instead of {speed:g}")
+            words.append(_changed(f"{key}.speed_m_s", speed * old[k] / new[k], speed, 3))
         else:
             own = float(old[k] if stroke.file.legs else stroke.file.seconds or old[k])
-            words.append(f"{key}.seconds {own * new[k] / old[k]:.4g} instead of {own:g}")
+            words.append(_changed(f"{key}.seconds", own * new[k] / old[k], own, 4))
     return " and ".join(words)
+
+
+def _changed(key: str, new: float, old: float, digits: int) -> str:
+    """Say what a key is to be instead of what it is, with as many digits as tell the two apart."""
+    while f"{new:.{digits}g}" == f"{old:g}" and digits < _MOST_DIGITS:
+        digits += 1
+    return f"{key} {new:.{digits}g} instead of {old:g}"
 
 
 def _have_own_keys(stroke: Stroke) -> bool:

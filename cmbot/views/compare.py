@@ -65,7 +65,7 @@ def compare_page(plans: Mapping[str, Plan]) -> str:
     return assemble(
         "report.html",
         styles=("common.css", "report.css"),
-        scripts=(*STAGE_SCRIPTS, "downloads.js", "chart.js", "report.js"),
+        scripts=(*STAGE_SCRIPTS, "downloads.js", "chart.js", "report.js", "sideways.js"),
         data=_data(first, dict(zip(keys, plans.values(), strict=True)), keys),
         texts={
             "title": "Plans compared",

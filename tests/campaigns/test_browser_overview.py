@@ -23,7 +23,8 @@ def chrome(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Chrome]:
 
 def names(chrome: Chrome) -> list[str]:
     found: list[str] = ask(
-        chrome, "[...document.querySelectorAll('#rows td:first-child')].map((c) => c.textContent)"
+        chrome,
+        "[...document.querySelectorAll('#rows tr:not(.why) td:first-child')].map((c) => c.textContent)",
     )
     return found
 
@@ -46,7 +47,7 @@ def test_it_sorts_finds_and_tells(chrome: Chrome, tmp_path: Path) -> None:
     open_page(chrome, page)
     assert severe_messages(chrome) == []
     box = "document.getElementById('{}').getBoundingClientRect()"
-    assert ask(chrome, box.format("legend") + ".bottom") <= ask(chrome, box.format("map") + ".top")
+    assert ask(chrome, box.format("key") + ".bottom") <= ask(chrome, box.format("map") + ".top")
     assert names(chrome)[:2] == ["bay_0", "bay_1"]
     assert len(names(chrome)) == 200
     chrome.find_element("id", "more").click()
@@ -59,6 +60,14 @@ def test_it_sorts_finds_and_tells(chrome: Chrome, tmp_path: Path) -> None:
     slide(chrome, "find", "REACH")
     assert len(names(chrome)) == 1
     assert ask(chrome, "document.querySelectorAll('#rows .bad').length") == 1
+    assert chrome.find_element("css selector", "#rows .why p").is_displayed()
+    assert chrome.find_element("id", "place").text == "Along the rail"
+    metrics = {"width": 390, "height": 800, "deviceScaleFactor": 1, "mobile": False}
+    chrome.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", metrics)
+    sides = "['left', 'right'].map((side) => document.querySelector('.why p').getBoundingClientRect()[side])"
+    left, right = ask(chrome, sides)
+    chrome.execute_cdp_cmd("Emulation.clearDeviceMetricsOverride", {})
+    assert 0 < left < right < 390
     summary = ask(chrome, "document.getElementById('summary').textContent")
     assert summary.startswith("The base must bear at most 394.0 Nm (bay_2); the median job asks 2.5 % below")
     # The map has drawn its points, each in its place.
@@ -67,3 +76,13 @@ def test_it_sorts_finds_and_tells(chrome: Chrome, tmp_path: Path) -> None:
         "new Set(document.getElementById('map').getContext('2d').getImageData(0, 0, 600, 280).data).size"
     )
     assert ask(chrome, colours) > 5
+
+
+def test_jobs_without_a_rail_are_not_along_one(chrome: Chrome, tmp_path: Path) -> None:
+    rows = [_row(k) | {"at_m": None} for k in range(3)]
+    rows[1] |= {"ended": "no plan", "reason": 700 * "x"}
+    page = tmp_path / "index.html"
+    page.write_text(overview_page("folder", rows, tmp_path), encoding="utf-8")
+    open_page(chrome, page)
+    assert chrome.find_element("id", "place").text == "Peak torque of each job"
+    assert ask(chrome, "document.querySelector('.why p').textContent") == 599 * "x" + "…"

@@ -111,7 +111,9 @@ def test_plan_writes_a_directory_and_prints_plain_lines(folder: Path, planned: O
     assert lines[0].split() == ["baseline", "planned"]
     assert lines[1 : len(table)] == table[1:]
     assert any(line.startswith("Certified: ") for line in lines)
-    assert re.fullmatch(rf"Written to {re.escape(str(folder / 'plan'))} in \d+\.\d s\.", lines[-2])
+    assert re.fullmatch(
+        rf"Written to {re.escape(str(folder / 'plan'))}, in all \d+\.\d s .* pages\.", lines[-2]
+    )
     assert lines[-1] == f"Look at it: open {folder / 'plan' / 'report.html'} in a browser."
     assert "\x1b" not in planned.out + planned.err
     assert planned.err.splitlines()[0] == "following the tool path"
@@ -142,7 +144,7 @@ def test_plan_writes_to_out_by_default_and_shows_a_name_as_it_is(tmp_path: Path)
     assert "notes.txt" in names(tmp_path / "out" / "short")
     assert (tmp_path / "out" / "short" / "replay.html").stat().st_size > 100_000
     name = "a [red]b[/red]  :warning:"
-    assert f"Written to {name} in " in output("plan", "short.yaml", "-o", name)
+    assert f"Written to {name}, in " in output("plan", "short.yaml", "-o", name)
     assert names(tmp_path / name) >= SAVED
 
 

@@ -82,6 +82,9 @@ def test_a_trajectory_slowed_down_so_keeps_the_limits(
 def test_seconds_are_round_and_many_legs_are_one(context: PlanningContext) -> None:
     after = slower(context, np.array([1.0, 1.611, 1.0]))
     assert in_keys(context, after) == "tool_path.legs[1].seconds 3.3 instead of 2"
+    hardly = replace(context.task.path, seconds=context.task.path.seconds * [1.0, 1.00001, 1.0])
+    after = replace(context, task=replace(context.task, path=hardly))
+    assert in_keys(context, after) == "tool_path.legs[1].seconds 2.00002 instead of 2"
     many = context_of(short_scene(tool_path={"legs": 2 * LEGS, "via_points": 16}))
     after = slower(many, np.array([1.0, 1.1, 1.2, 1.3, 1.5, 1.0]))
     np.testing.assert_allclose(after.task.path.seconds, 1.5 * many.task.path.seconds)

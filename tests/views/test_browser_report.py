@@ -297,6 +297,9 @@ def test_deflection_is_magnified_and_small_plots_are_zoomed(shown: Chrome) -> No
         pictures.append(picture(shown)[200:720, 20:480])
     assert (np.abs(pictures[0] - pictures[1]).max(axis=2) > 60).sum() > 200
     assert shown.find_element("id", "factor").text == "× 100"
+    assert shown.find_element("id", "drawn").text == "bending drawn × 100"
+    slide(shown, "deflection", 0)
+    assert not shown.find_element("id", "drawn").is_displayed()
     before, zoomed, after = shown.execute_script(
         """const height = () => document.querySelectorAll(".small path.curve")[1].getBBox().height;
         const click = () => { document.getElementById("zoom").click(); return height(); };
@@ -433,6 +436,33 @@ def test_nothing_is_written_over_curves_cards_and_controls(shown: Chrome, width:
         )
     assert (overlaps, spilling, covered) == ([], [], [])
     assert beyond < -8
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_tables_keep_words_whole_and_say_that_they_scroll(shown: Chrome, width: int) -> None:
+    with screen(shown, width):
+        next_frame(shown)
+        broken, wider, marked = shown.execute_script(
+            """const tables = [...document.querySelectorAll(".part .table")];
+            // A word that is broken stands on several lines.
+            const lines = (node, from, to) => {
+                const range = document.createRange();
+                range.setStart(node, from);
+                range.setEnd(node, to);
+                return new Set([...range.getClientRects()].map(({ top }) => Math.round(top))).size;
+            };
+            const cells = tables.flatMap((table) => [...table.querySelectorAll("th, td")]);
+            const broken = cells.flatMap((cell) => {
+                const node = cell.firstChild, words = node ? [...node.data.matchAll(/[A-Za-z]{3,}/g)] : [];
+                return words.filter(({ 0: word, index }) => lines(node, index, index + word.length) > 1)
+                    .map(([word]) => word);
+            });
+            const wider = tables.filter((table) => table.scrollWidth > table.clientWidth + 1);
+            return [broken, wider.length, wider.filter((table) => table.matches(".sideways")).length];"""
+        )
+    assert broken == []
+    assert marked == wider
+    assert (wider > 0) == (width == 390)
 
 
 def test_a_narrow_window_prints_as_a_wide_one(shown: Chrome) -> None:

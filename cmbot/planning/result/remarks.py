@@ -124,7 +124,8 @@ def _swings(done: VibrationSuppression) -> str:
     each = (done.stiffness, done.load_kg, done.swing_without, done.swing_with)
     for factor, load, without, with_it in zip(*each, strict=True):
         at = f"at {factor:.3g} times the stiffness" if not load else f"with {load:g} kg more at the tool"
-        cases.append(f"{1e3 * with_it:.3f} mm instead of {1e3 * without:.3f} {at}")
+        swing, before = f"{1e3 * with_it:.3f}", f"{1e3 * without:.3f}"
+        cases.append(f"{swing} mm {'as before' if swing == before else f'instead of {before}'} {at}")
     return (
         "In the 2 s after the stop the tool swings through, simulated for small deflections beside the sag, "
         f"{'; '.join(cases)}."

@@ -60,8 +60,7 @@ class Motion {
     if (pair < 0) return null;
     const at = this.pair[frame] === this.pair[frame + 1] ? moment : nearest / (this.norms.length - 1);
     const [point, other] = [0, 3].map((first) => this.vectorAt(this.near, at, 6, first));
-    const clearance = this.clearanceAt(moment);
-    return { point, other, pair, distance: clearance < 0 ? clearance : point.distanceTo(other) };
+    return { point, other, pair, distance: this.clearanceAt(moment) };
   }
 
   toolAt(moment) {

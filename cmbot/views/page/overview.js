@@ -21,7 +21,6 @@ const COLUMNS = [
   { title: "clearance, mm", of: (k) => (data.clearance[k] === null ? null : 1e3 * data.clearance[k]), digits: 0 },
   { title: "motion, s", of: (k) => data.duration[k], digits: 1 },
   { title: "planned in, s", of: (k) => data.seconds[k], digits: 1 },
-  { title: "reason", of: (k) => data.reason[k] },
 ];
 const PAGE = 200;
 let order = { column: 1, sign: 1 };
@@ -78,7 +77,7 @@ let points = [];
 function drawMap() {
   const { draw, width, height } = canvas("map");
   const { of, legend } = colouring();
-  element("legend").replaceChildren(...legend.flatMap(([paint, text]) => {
+  element("key").replaceChildren(...legend.flatMap(([paint, text]) => {
     const swatch = document.createElement("i");
     swatch.style.background = paint;
     return [swatch, text];
@@ -97,7 +96,8 @@ function drawMap() {
     draw.fillText(`${tick}`, box.left - 6, y(tick) + 4);
   }
   draw.textAlign = "center";
-  for (const tick of ticks(left, right, Math.max(width / 110, 2))) draw.fillText(`${tick}`, x(tick), box.bottom + 16);
+  const across = ticks(left, right, Math.max(width / 110, 2)).filter((tick) => anyPlace || Number.isInteger(tick));
+  for (const tick of across) draw.fillText(`${tick}`, x(tick), box.bottom + 16);
   draw.fillText(anyPlace ? "along the rail, m" : "job", (box.left + box.right) / 2, height - 3);
   draw.textAlign = "left";
   draw.fillText("Nm", 4, 12);
@@ -157,7 +157,7 @@ function chosen() {
 function drawTable() {
   const found = chosen();
   element("shown").textContent = `${found.length.toLocaleString("en")} of ${count.toLocaleString("en")}`;
-  element("rows").replaceChildren(...found.slice(0, limit).map((k) => {
+  element("rows").replaceChildren(...found.slice(0, limit).flatMap((k) => {
     const row = document.createElement("tr");
     COLUMNS.forEach((column, number) => {
       const cell = document.createElement("td"), value = column.of(k);
@@ -168,13 +168,23 @@ function drawTable() {
         cell.append(link);
       } else cell.textContent = column.digits === undefined ? value : digits(value, column.digits);
       if (column.digits !== undefined) cell.className = "number";
-      if (column.title === "reason") cell.className = "reason";
       if (column.title === "ended" && value !== "planned") cell.className = "bad";
       row.append(cell);
     });
-    return row;
+    return data.reason[k] ? [row, reasonOf(k)] : [row];
   }));
   element("more").hidden = found.length <= limit;
+}
+
+/* Why a job was not planned, below its row, so that it is read whole on a narrow page. */
+function reasonOf(k) {
+  const row = document.createElement("tr"), cell = document.createElement("td"), words = document.createElement("p");
+  row.className = "why";
+  cell.colSpan = COLUMNS.length;
+  words.textContent = data.reason[k];
+  cell.append(words);
+  row.append(cell);
+  return row;
 }
 
 function drawHeads() {
@@ -242,6 +252,7 @@ element("colour").addEventListener("input", drawMap);
 element("more").addEventListener("click", () => { limit += PAGE; drawTable(); });
 window.addEventListener("resize", drawAll);
 window.matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAll);
+element("place").textContent = anyPlace ? "Along the rail" : "Peak torque of each job";
 drawHeads();
 drawTable();
 drawAll();

@@ -72,6 +72,8 @@ class Player {
   magnify(factor) {
     if (!this.stage.bending) return;
     this.ui.factor.textContent = factor ? `× ${factor}` : "off";
+    this.ui.drawn.hidden = factor <= 1;
+    this.put("drawn", `bending drawn × ${factor}`);
     this.stage.bending.factor = factor;
     this.stage.marks.setFactor(factor, this.work.motions);
     if (this.time !== undefined) this.seek(this.time);
@@ -210,7 +212,9 @@ class Player {
   // Labels on a part of the view: the motion's name, and the planned motion's torque and smallest clearance.
   placeLabels(part) {
     const { ui, stage } = this, { left, top, wide, motion, above } = part;
-    if (!ui.legend.hidden) ui.legend.style.bottom = `${10 + stage.covered(stage.view.clientHeight)[1]}px`;
+    const bottom = 10 + stage.covered(stage.view.clientHeight)[1];
+    ui.legend.style.bottom = `${bottom}px`;
+    ui.drawn.style.bottom = `${bottom + (ui.legend.hidden ? 0 : 28)}px`;
     ui[`half-${motion}`].style.transform = `translate(${left + wide - 10}px, ${top + above + 10}px) translateX(-100%)`;
     if (motion !== MOTIONS[0]) return;
     const near = stage.marks.near[motion];
