@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import sys
 
 __all__ = ["main"]
 
@@ -16,6 +17,8 @@ def main() -> None:
     from cmbot.cli import main as run
 
     signal.signal(signal.SIGINT, before)
+    # What is half-written is taken away, as by Ctrl-C.
+    signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))
     try:
         run()
     finally:

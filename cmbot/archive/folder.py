@@ -343,9 +343,9 @@ def _require_writable(directory: Path, target: Path) -> None:
     if not above.is_dir():
         raise ArchiveError(str(directory), "", f"a place below {above}, which is a file", expected)
     if not os.access(above, os.W_OK | os.X_OK):
-        raise ArchiveError(str(directory), "", f"a place in {above}, which must not be written to", expected)
+        raise ArchiveError(str(directory), "", f"a place in {above}, where this user may not write", expected)
     if target.is_dir() and not os.access(target, os.W_OK | os.X_OK):
-        raise ArchiveError(str(directory), "", "a folder that must not be written to", expected)
+        raise ArchiveError(str(directory), "", "a folder in which this user may not write", expected)
 
 
 def _is_plan_directory(folder: Path) -> bool:

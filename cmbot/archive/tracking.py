@@ -169,7 +169,7 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
     contents = {name: read_file(folder / name, size) for name, size in largest.items()}
     for name, got in _hashes(contents).items():
         if got != (expected := file.files.get(name)):
-            why = f"{shown(expected)[:16]}…: {name} has changed since the simulation; simulate again"
+            why = f"{str(expected)[:16]}…: {name} has changed since the simulation; simulate again"
             raise ArchiveError(source, f"files.{name}", f"{got[:16]}… now", why)
     motions = {}
     for name, work, sag in ((_BASELINE, baseline, None), (_PLANNED, planned, plan.sag)):

@@ -186,6 +186,12 @@ def _check_scene(file: str) -> tuple[Sequence[Finding], dict[str, str], str]:
     try:
         scene = cmbot.load_scene(file)
     except SceneError as error:
+        if not _is_file(Path(file)) and "did you mean" not in str(error):
+            from cmbot.common.robot_library import library_robots
+            from cmbot.common.validation import hint
+
+            if meant := hint(file, ("cmbot", *(library_robots() or ()))):
+                error.add_hint(meant.removeprefix("; "))
         if error.key or Path(file).suffix.lower() in _SCENE_SUFFIXES or not _is_file(Path(file)):
             raise
         # Nothing in it could be read as a scene's.

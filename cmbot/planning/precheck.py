@@ -130,9 +130,13 @@ def precheck_scene(scene: Scene) -> Precheck:
         got = f"{use.max():.2f} of the {effort} that {joint} can bear, at rest"
         warnings.append(_warning(scene.file.posture_key, got, "at most 1: another posture or less payload"))
     within = f"at most {robot.reach:.3f} m, the arm with its tool stretched out (lengths are in metres)"
+    furthest: dict[str, float] = {}
     for stroke in strokes:
         for key, away in beyond_reach(stroke, robot):
-            warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
+            furthest[key] = max(away, furthest.get(key, 0.0))
+    for key, away in furthest.items():
+        warnings.append(_warning(key, f"an end {away:.3f} m from the arm's first joint", within))
+    for stroke in strokes:
         warnings += _too_fast(scene.tool, stroke)
         if too_large := oversized(stroke, robot.dof, scene.planner):
             warnings.append(too_large)
@@ -141,7 +145,8 @@ def precheck_scene(scene: Scene) -> Precheck:
     mistaken = [
         _warning(key, f"numbers that look like {looks}", units) for key, looks, units in mistaken_units(scene)
     ]
-    return Precheck(found=tuple(found), warnings=(*mistaken, *warnings))
+    # Rows of a raster share their key, and what is the matter with them.
+    return Precheck(found=tuple(found), warnings=tuple(dict.fromkeys([*mistaken, *warnings])))
 
 
 def _paths(strokes: Sequence[Stroke]) -> Iterator[tuple[str, str]]:

@@ -18,7 +18,7 @@ from cmbot.common.errors import MissingExtra, SceneError
 from cmbot.common.input_files import LARGEST_MESH, read_csv, read_input
 from cmbot.common.installation import scene_folder
 from cmbot.common.robot_library import LIBRARY, LIBRARY_EXTRA, is_robot_name, library_robots
-from cmbot.common.validation import given_path, hint, plain, shown, validated
+from cmbot.common.validation import counted, given_path, hint, plain, shown, validated
 from cmbot.common.yaml_reader import lines_named, read_yaml
 from cmbot.elastic import Guardrail
 from cmbot.scene.base.guardrail import guardrail_from_file, guardrail_obstacles
@@ -27,6 +27,7 @@ from cmbot.scene.fields import si_fields
 from cmbot.scene.mesh_file import is_mesh_file
 from cmbot.scene.obstacles import Mesh, Obstacle, obstacle_data, obstacle_from_file
 from cmbot.scene.path.kept import AxisCone
+from cmbot.scene.path.path_file import FEWEST_WAYPOINTS
 from cmbot.scene.scene import FORMAT, RobotFile, RobotSource, Scene, SceneFile
 from cmbot.scene.stow import start_posture
 from cmbot.scene.tool import Tool
@@ -148,6 +149,9 @@ def _waypoints(source: Path) -> list[list[float]]:
             got = shown(",".join(row))
             raise SceneError(str(source), f"line {line}", got, f"{len(_WAYPOINT_COLUMNS)} finite numbers")
         waypoints.append(numbers)
+    if len(waypoints) < FEWEST_WAYPOINTS:
+        got = counted(len(waypoints), "waypoint")
+        raise SceneError(str(source), "", got, f"{FEWEST_WAYPOINTS} or more below the names of the columns")
     return waypoints
 
 

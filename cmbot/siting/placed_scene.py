@@ -81,9 +81,11 @@ def joined(scenes: Sequence[Scene]) -> Scene:
     Raises
     ------
     SceneError
-        When they do not have robot, guardrail, tool, return and planner in common, or different obstacles or
-        frames of the same name.
+        When there are none, or they do not have robot, guardrail, tool, return and planner in common, or
+        different obstacles or frames of the same name.
     """
+    if not scenes:
+        raise SceneError("scenes", "", "none", "one scene or more")
     first, *others = (in_world(scene) for scene in scenes)
     if not others:
         return first

@@ -109,7 +109,7 @@ def test_what_is_free_and_where_nothing_can_be_made_is_said_before_the_work(fold
     access = Mock(return_value=False)
     monkeypatch.setattr(os, "access", access)
     for directory, force in ((folder.parent / "new" / "below", False), (folder, True)):
-        with pytest.raises(ArchiveError, match="which must not be written to, expected a place that can be"):
+        with pytest.raises(ArchiveError, match="where this user may not write, expected a place that can be"):
             require_free(directory, force=force)
     assert [Path(place) for (place, _), _ in access.call_args_list] == [folder.parent, folder.parent]
 

@@ -1,5 +1,6 @@
 """Tracking errors read back: the same as were saved, or the file and key for which they are not."""
 
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import asdict, fields
@@ -85,7 +86,8 @@ def test_a_missing_file_is_an_error(folder: Path, short_plan: Plan, name: str) -
 def test_a_changed_file_is_an_error(folder: Path, short_plan: Plan, name: str) -> None:
     with (folder / name).open("a", encoding="utf-8") as file:
         file.write("\n")
-    assert "simulate again" in str(refused(short_plan, folder, "tracking.json", f"files.{name}"))
+    said = str(refused(short_plan, folder, "tracking.json", f"files.{name}"))
+    assert re.search(r", expected [0-9a-f]{16}…: \S+ has changed since the simulation; simulate again$", said)
 
 
 @pytest.mark.parametrize(

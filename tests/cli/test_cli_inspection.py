@@ -295,3 +295,21 @@ def test_a_urdf_is_loaded_as_planning_does(tmp_path: Path) -> None:
         assert (missing["severity"], missing["key"]) == ("error", "link[l1].mesh.filename")
         assert name in missing["got"] and missing["got"].endswith(sought)
     assert run("check", path).status == 2
+
+
+def test_the_rows_of_a_raster_out_of_reach_are_one_warning(tmp_path: Path) -> None:
+    raster = {
+        "origin": [1.0, 3.0, -3.5],
+        "u": [0.6, 0, 0],
+        "v": [0, 0.3, 0],
+        "spacing_m": 0.1,
+        "stand_off_m": 0.1,
+    }
+    scene = {**SHORT, "format": "cmbot-scene/2", "tool_path": {"raster": raster, "speed_m_s": 0.1}}
+    out = run("check", write_scene(tmp_path / "far.yaml", scene)).out
+    assert out.count("tool_path.raster: got an end ") == 1
+    assert out.splitlines()[-1].startswith("1 warning; ")
+
+
+def test_a_robots_name_that_is_nearly_right_is_suggested() -> None:
+    assert refusal("check", "ur5e").endswith("; did you mean ur5?")

@@ -88,6 +88,21 @@ def test_ctrl_c_is_quiet_at_any_time(delay: float, tmp_path: Path) -> None:
     assert not (tmp_path / "plan").exists()
 
 
+def test_a_call_that_is_terminated_leaves_nothing(tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [sys.executable, "-c", INSTALLED, "plan", "triangle", "--quiet", "-o", tmp_path / "plan"],
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    ) as process:
+        while not any(tmp_path.iterdir()) and process.poll() is None:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate()
+    assert (process.returncode, out, err) == (143, b"begun\n", b"")
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_terminal_breaks_a_message_between_words() -> None:
     name = "no_such_scene_of_this_name.yaml"
     shown = on_a_terminal("plan", name, columns=50, status=2)

@@ -533,6 +533,7 @@ def test_waypoints_of_a_csv_file_are_part_of_the_scene(tmp_path: Path, rng: np.r
         ([HEADING, ROW, "1,2,3"], "line 3", "7 finite numbers"),
         ([HEADING, ROW, "1,2,3,one,0,0,0"], "line 3", "7 finite numbers"),
         ([HEADING, ROW, "1,2,nan,1,0,0,0"], "line 3", "7 finite numbers"),
+        ([HEADING], "", "3 or more below the names of the columns"),
         (b"\xff\xfe\x00", "", "a CSV file"),
     ],
 )

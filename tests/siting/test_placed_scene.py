@@ -11,7 +11,7 @@ from cmbot.common.errors import SceneError
 from cmbot.planning import robot_of, strokes_of
 from cmbot.robot import Climber
 from cmbot.scene import FootholdFile, Scene, foothold_pose
-from cmbot.siting import candidate_at, in_world, joined, scene_at
+from cmbot.siting import candidate_at, in_world, joined, scene_at, stand
 
 LEG = {"by": [0, -0.1, 0], "seconds": 3}
 BEGIN = {"xyz": [1.8, 0.68, -1.96], "frame": "world"}
@@ -83,3 +83,9 @@ def test_what_scenes_of_a_bridge_have_in_common(changes: dict[str, Any], key: st
     first = scene_of(path, obstacles=[lamp])
     with pytest.raises(SceneError, match=f"{key}: got another one"):
         joined([first, scene_of(path, **{"obstacles": [lamp], **changes})])
+
+
+def test_no_scene_is_none_to_join() -> None:
+    for call in (joined, stand, cmbot.tour):
+        with pytest.raises(SceneError, match="scenes: got none, expected one scene or more"):
+            call([])

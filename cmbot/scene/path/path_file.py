@@ -18,6 +18,7 @@ from cmbot.scene.path.time_law import LegLaw, SpeedProfile
 from cmbot.scene.raster.raster import Raster
 
 __all__ = [
+    "FEWEST_WAYPOINTS",
     "FREE_MOVE",
     "LONGEST",
     "MOST_ORDERED",
@@ -30,6 +31,8 @@ __all__ = [
 
 LONGEST = 36_000
 """Duration of all strokes, s: motions are sampled every 0.01 s."""
+FEWEST_WAYPOINTS = 3
+"""Through which a spline leads."""
 SMOOTH = SpeedProfile(kind="jerk_limited", ramp=0.25)
 """Speed profile of new scenes that have none of their own."""
 MOST_ORDERED = 12
@@ -55,7 +58,9 @@ class PathFile(FileModel):
     """Where the path begins, in place of the tool's pose in the start posture; of ``cmbot-scene/2``."""
     legs: Annotated[tuple[Leg, ...], Field(max_length=2000)] = ()
     """From where the path begins, each from rest to rest."""
-    waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=3, max_length=2000)] = None
+    waypoints: Annotated[tuple[Waypoint, ...] | None, Field(min_length=FEWEST_WAYPOINTS, max_length=2000)] = (
+        None
+    )
     """In place of `legs`, points in m and unit quaternions of the tool in W (x, y, z, qw, qx, qy, qz), which
     it passes without a stop, from the first to the last; in a file also the path of a CSV file with these
     columns, relative to it; of ``cmbot-scene/2``."""
