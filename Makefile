@@ -35,7 +35,7 @@ bench: .venv/benched
 suite: .venv/tested
 	$(BIN)/python benchmarks/run_suite.py
 
-docs: .venv/tested
+docs: .venv/documented
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 
 models: .venv/installed
@@ -56,6 +56,10 @@ clean:
 	$(BIN)/python -m pip install --quiet --editable '.[bench]'
 	touch $@
 
+.venv/documented: pyproject.toml | .venv/bin/python
+	$(BIN)/python -m pip install --quiet --editable '.[docs]'
+	touch $@
+
 .venv/tested: pyproject.toml | .venv/bin/python
 	$(BIN)/python -m pip install --quiet --editable '.[test]'
-	touch .venv/installed $@
+	touch .venv/installed .venv/documented $@

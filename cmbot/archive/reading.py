@@ -110,6 +110,12 @@ def load_plan(directory: str | Path, *, verify: bool = False) -> Plan:
         meshes have changed since; with `verify`, when the metrics in the file are not those of the motion.
     LimitViolation
         With `verify`, when trajectory or approach breaks a promise.
+
+    Examples
+    --------
+    >>> again = cmbot.load_plan("out/triangle")
+    >>> bool((again.trajectory.q == plan.trajectory.q).all())
+    True
     """
     folder = given_path(directory, "cmbot.load_plan", "directory", "the path of a plan directory")
     source = folder / PLAN_FILE

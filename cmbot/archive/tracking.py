@@ -98,6 +98,11 @@ def save_tracking(
     ArchiveError
         When `directory` is no plan directory, holds tracking errors already, a number is not finite, another
         process is writing there, or the system refuses.
+
+    Examples
+    --------
+    >>> [path.name for path in cmbot.save_tracking(tracking, "out/triangle")]
+    ['tracking.csv', 'tracking_baseline.csv', 'tracking.json']
     """
     expected = "a Tracking, as cmbot.simulate returns it"
     require_type(tracking, Tracking, "cmbot.save_tracking", "tracking", expected)
@@ -151,6 +156,12 @@ def load_tracking(plan: Plan, directory: str | Path) -> Tracking | None:
         When `plan` is no plan, or `directory` no path.
     ArchiveError
         When a file is missing, damaged, of another version, or does not belong to the others.
+
+    Examples
+    --------
+    >>> read = cmbot.load_tracking(plan, "out/triangle")
+    >>> f"{1e3 * read.planned.largest_off_path:.1f} mm off its path, bent"
+    '11.7 mm off its path, bent'
     """
     require_plan(plan, "cmbot.load_tracking")
     folder = given_path(directory, "cmbot.load_tracking", "directory", "the path of a plan directory")

@@ -109,6 +109,10 @@ def load_walk(directory: str | Path) -> Walk:
         When its scene is none.
     LimitViolation
         When a motion breaks a promise.
+
+    Examples
+    --------
+    >>> steps = cmbot.load_walk("out/walk")  # doctest: +SKIP
     """
     path = given_path(directory, "cmbot.load_walk", "directory", "the path of a folder") / WALK_FILE
     data = read_json(read_file(path, _LARGEST), str(path))

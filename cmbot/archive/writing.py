@@ -59,6 +59,12 @@ def save(
         a number that is not finite.
     SceneError
         When a file that the scene names is missing, or Python made a scene that no scene file describes.
+
+    Examples
+    --------
+    >>> folder = cmbot.save(plan, "out/triangle")
+    >>> (folder / "job.csv").is_file()
+    True
     """
     require_plan(plan, "cmbot.save")
     directory = given_path(directory, "cmbot.save", "directory", "the path of a new folder")

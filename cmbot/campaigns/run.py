@@ -116,6 +116,12 @@ def campaign(
         When the folder holds something else, another process is writing there, or the system refuses.
     MissingExtra
         When dask or pyarrow is not installed.
+
+    Examples
+    --------
+    >>> done = cmbot.campaign("bridge.yaml", "out/bridge", workers=2)  # doctest: +SKIP
+    >>> done.ends  # doctest: +SKIP
+    {'planned': 58, 'no plan': 2}
     """
     begin = time.perf_counter()
     given, entries = read_campaign(file)

@@ -81,6 +81,11 @@ def identify(*sources: str | Path | Mapping[str, Any], accept_misfit: bool = Fal
     InputError
         When a key or value is wrong, nothing was measured or nothing bends; when measurements plainly do not
         fit; or as `cmbot.load_scene`.
+
+    Examples
+    --------
+    >>> found = cmbot.identify("measurements.yaml")  # doctest: +SKIP
+    >>> found.stiffness  # what a scene takes as ``identified``  # doctest: +SKIP
     """
     found = estimate([read_measurements(source) for source in sources])
     if not accept_misfit:

@@ -94,6 +94,16 @@ def plan(
         When no trajectory through the path's via-points keeps the limits.
     LimitViolation
         When the certificate does not hold.
+
+    Examples
+    --------
+    >>> plan = cmbot.plan(cmbot.load_scene("triangle"), progress=False)
+    >>> plan
+    <Plan triangle: peak torque on the guardrail 486.4 Nm in 29.9 s, at work 383.8 Nm ...>
+    >>> f"{plan.figures.peak_guardrail_torque:.1f} Nm at work"
+    '383.8 Nm at work'
+    >>> plan.trajectory.q.shape[1]
+    7
     """
     require_type(scene, Scene, "cmbot.plan", "scene", "a Scene, as cmbot.load_scene returns it")
     for key, value in (("objective", objective), ("progress", progress)):

@@ -101,6 +101,14 @@ def load_robot(
         any robot's.
     MissingExtra
         When `model` is xacro or could be a robot's name, and the extra for it is not installed.
+
+    Examples
+    --------
+    >>> robot = cmbot.load_robot()
+    >>> robot.dof, f"{robot.mass:.1f} kg"
+    (7, '68.0 kg')
+    >>> robot.joints[:2]
+    ('joint_1', 'joint_2')
     """
     files = robot_files(model, srdf=srdf, limits=limits, elasticity=elasticity, package_dirs=package_dirs)
     urdf, packages = files.urdf, files.package_dirs

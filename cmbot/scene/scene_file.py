@@ -63,6 +63,14 @@ def load_scene(source: str | Path | Mapping[str, object]) -> Scene:
         The file is missing or unreadable, a key or value in it is wrong, or a file that it names is missing.
     MissingExtra
         Its robot is no file but could be one of example-robot-data, and that is not installed.
+
+    Examples
+    --------
+    >>> scene = cmbot.load_scene("triangle")
+    >>> scene
+    <Scene triangle: ...>
+    >>> scene.planner.safety_margin_m
+    0.02
     """
     if isinstance(source, Mapping):
         name = "scene"

@@ -66,6 +66,11 @@ def plot(result: Plan | Tracking) -> tuple[Figure, ...]:
         When matplotlib is not installed.
     InputError
         When `result` is neither.
+
+    Examples
+    --------
+    >>> figures = cmbot.plot(plan)
+    >>> figures[0].savefig(f"{figures[0].get_label()}.pdf")
     """
     if not isinstance(result, Plan | Tracking):
         raise InputError("cmbot.plot", "result", type(result).__name__, "a Plan or a Tracking")

@@ -58,6 +58,13 @@ def replay(
         taken, or `tracking` is that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
+
+    Examples
+    --------
+    >>> cmbot.replay(plan, "replay.html", tracking=tracking)
+    >>> with cmbot.replay(plan, serve=True) as server:
+    ...     server.url
+    'http://127.0.0.1:...'
     """
     require_plan(plan, "cmbot.replay")
     if html is None and not serve:

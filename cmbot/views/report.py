@@ -76,6 +76,10 @@ def report(plan: Plan, html: str | Path, *, tracking: Tracking | None = None) ->
         When `plan` is none, the file cannot be written, or `tracking` is that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
+
+    Examples
+    --------
+    >>> cmbot.report(plan, "report.html", tracking=tracking)
     """
     require_plan(plan, "cmbot.report")
     path = given_path(html, "cmbot.report", "html", "the path of a file to write")

@@ -39,6 +39,11 @@ def show(plan: Plan, *, tracking: Tracking | None = None, height: int = 560) -> 
         When `plan` is none, `height` is out of its bounds, or `tracking` is that of another plan.
     ModelError, SceneError
         When a shape cannot be drawn.
+
+    Examples
+    --------
+    >>> cmbot.show(plan, tracking=tracking)
+    <...>
     """
     require_plan(plan, "cmbot.show")
     if isinstance(height, bool) or not isinstance(height, int) or not _LEAST <= height <= _MOST:

@@ -118,6 +118,12 @@ def tour(
         As by `stand`.
     PlanningError
         When no stance was planned for a stroke, or no walk leads from one to the next.
+
+    Examples
+    --------
+    A search of minutes:
+
+    >>> found = cmbot.tour(cmbot.load_scene("two_brackets"))  # doctest: +SKIP
     """
     scenes = (scenes,) if isinstance(scenes, Scene) else tuple(scenes)
     world = joined(scenes)

@@ -153,6 +153,12 @@ def walk(
         When there is no guardrail to walk on, or a stance is none.
     PlanningError
         When no steps lead there that joints and feet can bear, with the figures of the easiest one.
+
+    Examples
+    --------
+    A search of minutes:
+
+    >>> steps = cmbot.walk(cmbot.load_scene("here.yaml"), cmbot.load_scene("there.yaml"))  # doctest: +SKIP
     """
     options = options or WalkOptions()
     first = stance_of(scene)
