@@ -50,5 +50,6 @@ print(f"in the baseline      stress {own.objective.baseline_peak:6.2f} MPa")
 if own.lower_bound is not None:
     # Of functions other than a moment it is an estimate.
     print(
-        f"no admissible plan was found to rest below {own.lower_bound.value:.2f} MPa ({own.lower_bound.kind})"
+        f"no plan within the limits was found with a static stress below {own.lower_bound.value:.2f} MPa "
+        f"({own.lower_bound.kind})"
     )

@@ -178,7 +178,7 @@ def floor_meaning(plan: Plan) -> str:
     if bound is None:
         return ""
     has = "has" if bound.kind == "proven" else "was found to have"
-    return f"at one via-point no admissible posture at rest {has} a smaller torque ({bound.basis})"
+    return f"at one via-point no posture within the limits {has} a smaller static torque ({bound.basis})"
 
 
 def _torque(plan: Plan) -> Chart:

@@ -133,10 +133,12 @@ def test_headlines_say_what_was_gained(triangle_plan: Plan, triangle_tracking: T
     assert peak.detail.endswith("486.4 Nm on the approach")
     assert floor.value == f"{100 * triangle_plan.gap_to_floor:+.3f} %"
     assert f"lower bound {triangle_plan.torque_floor:.1f} Nm: " in floor.detail
-    assert floor.detail.endswith("no admissible posture at rest has a smaller torque (proven)")
+    assert floor.detail.endswith("no posture within the limits has a smaller static torque (proven)")
     bound = replace(triangle_plan.lower_bound, kind="estimated", missed=0.5)
     _, floor, *_ = headlines(replace(triangle_plan, lower_bound=bound), None)
-    assert "was found to have a smaller torque (estimate; at most 50.00 % of the postures" in floor.detail
+    assert (
+        "was found to have a smaller static torque (estimate; at most 50.00 % of the postures" in floor.detail
+    )
     work, approach = (len(of.certificate.checks) for of in (triangle_plan, triangle_plan.approach))
     assert certified.value == f"{work + approach} of {work + approach} hold"
     assert certified.detail.endswith(f"; work {work} of {work}, approach {approach} of {approach}")

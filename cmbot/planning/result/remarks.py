@@ -302,7 +302,7 @@ def _gain(plan: Plan) -> str:
     fixed = plan.options.knots == "fixed" and plan.start.moved == 0
     why = " (fixed via-points cannot lower it)" if fixed else ""
     whose = "the paper's" if plan.scene.on_guardrail else "the"
-    peak = "the peak at rest" if plan.robot.pushed else "gravity's peak"
+    peak = "the static peak" if plan.robot.pushed else "the peak of the gravity torque"
     return (
         f"Against the baseline, {whose} motion without optimisation: {peak} "
         f"{change:+z.2f} %{why}, the mean {100 * mean:+.2f} %; at most {difference:.1f} Nm less, "
@@ -346,11 +346,14 @@ def _lower_bound(plan: Plan) -> Iterator[str]:
     where = f"at via-point {at} of the {all_} that the motion passes through, no posture"
     basis = f"({bound.basis}; error {error})"
     if bound.kind == "proven":
-        yield f"{name}: no admissible plan rests below {value} {basis}: {where} asks less{gap}."
+        yield (
+            f"{name}: no plan within the limits has a static peak below {value} {basis}: {where} asks "
+            f"less{gap}."
+        )
     elif bound.error <= _CLOSED * bound.value:
         yield (
-            f"{name}: no admissible plan was found to rest below {value} {basis}: {where} was found that "
-            f"asks less{gap}."
+            f"{name}: no plan within the limits was found with a static peak below {value} {basis}: {where} "
+            f"was found that asks less{gap}."
         )
     else:
         yield (
@@ -383,7 +386,7 @@ def _sequences(plan: Plan) -> Iterator[str]:
         return
     gap = 100 * (objective.planned_peak / least - 1)
     yield (
-        f"Sequences: no way{start} through the charts of all via-points rests below "
+        f"Sequences: no way{start} through the charts of all via-points has a static peak below "
         f"{_value(objective, least)} (estimate); the peak is {gap:+.3f} % from that."
     )
 

@@ -125,12 +125,12 @@ def test_what_sequences_of_postures_ask_is_told_where_it_is_more_than_the_bound(
     far = replace(triangle_plan, choice=Choice(free=400.0, pinned=500.0))
     gap = 100 * (triangle_plan.objective.planned_peak / 400 - 1)
     assert line(far, "Sequences: ") == (
-        "Sequences: no way through the charts of all via-points rests below 400.00 Nm (estimate); "
-        f"the peak is {gap:+.3f} % from that."
+        "Sequences: no way through the charts of all via-points has a static peak below 400.00 Nm "
+        f"(estimate); the peak is {gap:+.3f} % from that."
     )
     pinned = replace(far, options=replace(far.options, start="pinned"))
     said = line(pinned, "Sequences: no way from the scene's posture through the charts")
-    assert "rests below 500.00 Nm" in said
+    assert "has a static peak below 500.00 Nm" in said
 
 
 def test_a_plan_that_asks_more_than_the_baseline_says_so(triangle_plan: Plan) -> None:
@@ -154,16 +154,19 @@ def test_a_floor_that_is_not_settled_promises_nothing(triangle_plan: Plan) -> No
     floor = replace(triangle_plan.lower_bound, error=0.3 * value, kind="estimated", missed=0.01)
     said = line(replace(triangle_plan, lower_bound=floor), "Lower bound, not closed: ")
     assert f"the search ended with {floor.error:.3f} Nm open" in said
-    assert "no admissible plan" not in said
+    assert "no plan within the limits" not in said
 
 
 def test_a_floor_is_called_what_it_is(triangle_plan: Plan) -> None:
     proven, error = triangle_plan.lower_bound, f"{triangle_plan.lower_bound.error:.3f} Nm"
-    said = line(triangle_plan, "Lower bound: no admissible plan rests below ")
+    said = line(triangle_plan, "Lower bound: no plan within the limits has a static peak below ")
     assert f" Nm (proven; error {error}): at via-point" in said
     estimate = replace(proven, kind="estimated", missed=0.0123)
     said = line(replace(triangle_plan, lower_bound=estimate), "Lower bound: ")
-    assert "no admissible plan was found to rest below 383.79 Nm (estimate; at most 1.23 % of the" in said
+    assert (
+        "no plan within the limits was found with a static peak below 383.79 Nm (estimate; at most 1.23 % of"
+        in said
+    )
     assert f"postures are missed, with 95 % confidence; error {error}): at via-point" in said
     assert "no posture was found that asks less" in said
     unknown = line(replace(triangle_plan, lower_bound=replace(estimate, missed=None)), "Lower bound: ")
