@@ -13,12 +13,12 @@ from cmbot.robot import Postures, Robot, load_robot
 from cmbot.scene import Scene, ToolPoses
 from cmbot.siting.loads import StanceLoads
 
-__all__ = ["BaseArm"]
+__all__ = ["CLOSELY", "ROUGHLY", "BaseArm", "Effort"]
 
-# Postures of the table, those that are tried for a via-point, and those of them that are improved.
-_TABLE, _TRIED, _IMPROVED = 60_000, 30, 5
-# Steps along the self-motion, and how long they are at first, rad.
-_STEPS, _LENGTH = 5, 0.25
+# Postures of the table.
+_TABLE = 60_000
+# How long steps along the self-motion are, rad: of walks, and to where the objective is less, at first.
+_STRIDE, _LENGTH = 0.2, 0.25
 # A metre of the tool counts as so many rad when neighbours are sought.
 _METRE = 2.0
 # The tool's velocity is that between poses this long before and after, s.
@@ -27,6 +27,32 @@ _MOMENT = 1e-3
 _WEIGHINGS, _LIGHTEST = 20, 1e-3
 # Added to the diagonal of Gram matrices, for singular Jacobians.
 _REGULAR = 1e-9
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effort:
+    """How closely postures are sought.
+
+    Attributes
+    ----------
+    tried : int
+        Postures of the table that are put on the task.
+    walked : int
+        Steps along the self-motion from each of them, both ways.
+    improved : int
+        The best of them, which are moved along the self-motion.
+    steps : int
+        Steps of these.
+    """
+
+    tried: int
+    walked: int
+    improved: int
+    steps: int
+
+
+ROUGHLY = Effort(tried=30, walked=0, improved=5, steps=5)
+CLOSELY = Effort(tried=120, walked=3, improved=15, steps=6)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -70,18 +96,25 @@ class BaseArm:
         self._trees: dict[str, cKDTree] = {}
 
     def least(
-        self, task: ToolTask, time: float, bases: FloatArray, loads: StanceLoads, number: IntArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Smallest objective of admissible postures of C stances at a time, its torque and its adhesion.
+        self,
+        task: ToolTask,
+        time: float,
+        bases: FloatArray,
+        loads: StanceLoads,
+        number: IntArray,
+        effort: Effort,
+    ) -> FloatArray:
+        """Smallest objective of admissible postures of C stances at a time, its torque and adhesion, (3, C).
 
         `number` (C,) are those of the stances in `loads`.
         """
         C, goals = len(bases), _Goals.of(task, time, bases)
-        q, of = self._near(goals, _TRIED, steps=8)
+        q, of = self._near(goals, effort.tried, steps=8)
+        q, of = self._walked(goals, q, of, effort.walked)
         value, *_ = self._judged(q, of, goals, loads, number)
-        q, of, value = self._best(q, of, value, _IMPROVED)
+        q, of, value = self._best(q, of, value, effort.improved)
         length = np.full(len(q), _LENGTH)
-        for _ in range(_STEPS):
+        for _ in range(effort.steps):
             slope = self._slope(q, number[of], loads)
             slope = self._along_self_motion(task, q, slope)
             size = np.linalg.norm(slope, axis=1)
@@ -98,7 +131,7 @@ class BaseArm:
         order = np.argsort(-value, kind="stable")
         least[of[order]], torque[of[order]] = value[order], moments[order]
         adhesion[of[order]] = pulls[order]
-        return least, torque, adhesion
+        return np.array([least, torque, adhesion])
 
     def _near(self, goals: _Goals, count: int, steps: int) -> tuple[FloatArray, IntArray]:
         """Postures (N, n) that hold the tool at the goals, from the nearest of the table, and whose (N,)."""
@@ -109,6 +142,21 @@ class BaseArm:
         of = np.repeat(np.arange(len(near)), count)
         q, good = self._placed(goals, self._table[near.ravel()], of, steps)
         return q[good], of[good]
+
+    def _walked(self, goals: _Goals, q: FloatArray, of: IntArray, steps: int) -> tuple[FloatArray, IntArray]:
+        """Postures (N, n) with those along the self-motion from them, and whose (N,)."""
+        ahead = np.random.default_rng(0).normal(size=q.shape)
+        found = [(q, of)]
+        for way in (ahead, -ahead):
+            here, whose = q, of
+            for _ in range(steps):
+                way = self._along_self_motion(goals.task, here, way)
+                way = way / np.maximum(np.linalg.norm(way, axis=1), 1e-12)[:, None]
+                here, good = self._placed(goals, here + _STRIDE * way, whose, steps=3)
+                here, whose, way = here[good], whose[good], way[good]
+                found.append((here, whose))
+        postures, of_stances = zip(*found, strict=True)
+        return np.concatenate(postures), np.concatenate(of_stances)
 
     def _placed(self, goals: _Goals, q: FloatArray, of: IntArray, steps: int) -> tuple[FloatArray, BoolArray]:
         return project_onto_task(self.postures, goals.task, q, goals.at[of], steps=steps, tolerance=1e-6)

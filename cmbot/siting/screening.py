@@ -2,7 +2,8 @@
 
 The arm is the same in every stance; only its base is elsewhere. So all postures are found in the base's
 frame, in a few large batches: near neighbours of the tool's pose in a table of random postures, put on the
-task and moved along the self-motion to where the objective is less. Obstacles are left out, so a stance may
+task and moved along the self-motion to where the objective is less; more of them at the via-point that asks
+most, until that has been searched closely. Obstacles are left out, so a stance may
 be blocked; joint ranges, joint torques and the feet's bounds count, and the velocities by which the joints
 lead the tool through a posture at the path's own speed. The largest, over the via-points, of the smallest
 value that was found is an estimate of the stance's lower bound from above.
@@ -15,11 +16,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cmbot.common.arrays import BoolArray, FloatArray
+from cmbot.common.arrays import BoolArray, FloatArray, IntArray
 from cmbot.planning import ToolTask
 from cmbot.robot import Robot
 from cmbot.scene import PlannerOptions, Scene
-from cmbot.siting.arm import BaseArm
+from cmbot.siting.arm import CLOSELY, ROUGHLY, BaseArm, Effort
 from cmbot.siting.candidates import Candidate
 from cmbot.siting.loads import StanceLoads
 
@@ -27,8 +28,10 @@ __all__ = ["Screening", "screen"]
 
 # Via-points of a stroke at which all stances are screened.
 _VIA_POINTS = 6
-# Stances that are screened at once.
-_AT_ONCE = 400
+# Postures that are tried at once.
+_AT_ONCE = 12_000
+# The share of the time that the rough search takes.
+_ROUGH = 0.3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,22 +80,65 @@ def screen(
     arm, shape = BaseArm(scene, robot), (len(tasks), len(candidates))
     bases = np.array([candidate.base for candidate in candidates]).reshape(-1, 4, 4)
     within = np.array([_within_reach(task, bases, robot) for task in tasks]).reshape(shape)
-    bound, torque, adhesion = np.where(within, -np.inf, np.inf), np.zeros(shape), np.zeros(shape)
+    figures = np.stack([np.full(shape, np.inf), np.zeros(shape), np.zeros(shape)])
     near = np.flatnonzero(within.any(axis=0))
     loads = StanceLoads(scene, [candidates[k] for k in near.tolist()], options, robot)
     number = np.cumsum(within.any(axis=0)) - 1  # among those within reach
     for s, task in enumerate(tasks):
-        left = np.flatnonzero(within[s])
-        for k, time in enumerate(_times(task, _VIA_POINTS).tolist()):
-            for first in range(0, len(left), _AT_ONCE):
-                some = left[first : first + _AT_ONCE]
-                found = arm.least(task, time, bases[some], loads, number[some])
-                for values, new in zip((bound, torque, adhesion), found, strict=True):
-                    values[s, some] = np.maximum(values[s, some], new)
-                report((s + (k + first / len(left)) / _VIA_POINTS) / len(tasks))
-            left = left[np.isfinite(bound[s, left])]
 
+        def told(share: float, done: int = s) -> None:
+            report((done + share) / len(tasks))
+
+        left = np.flatnonzero(within[s])
+        stroke = _Stroke(arm=arm, task=task, bases=bases[left], loads=loads, number=number[left])
+        figures[:, s, left] = stroke.bounded(told)
+    bound, torque, adhesion = figures
     return Screening(within_reach=within, bound=bound, torque=torque, adhesion=adhesion)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Stroke:
+    """A stroke, and the bases (C, 4, 4) of the stances that have it within reach, with their numbers."""
+
+    arm: BaseArm
+    task: ToolTask
+    bases: FloatArray
+    loads: StanceLoads
+    number: IntArray
+
+    def bounded(self, report: Callable[[float], None]) -> FloatArray:
+        """Largest over the via-points of the smallest objective, its torque and its adhesion, (3, C)."""
+        K, C = _VIA_POINTS, len(self.bases)
+        every = np.arange(C)
+        found = np.empty((3, K, C))
+        for k in range(K):
+            found[:, k] = self._least(k, every, ROUGHLY)
+            report(_ROUGH * (k + 1) / K)
+        # What is not the largest may be as large as it is: only where most is asked it pays to look closely.
+        closely = np.zeros((K, C), dtype=np.bool_)
+        while True:
+            worst = found[0].argmax(axis=0)
+            open_ = ~closely[worst, every]
+            if not open_.any():
+                return found[:, worst, every]
+            for k in range(K):
+                some = np.flatnonzero(open_ & (worst == k))
+                again = self._least(k, some, CLOSELY)
+                better = again[0] < found[0, k, some]
+                found[:, k, some[better]] = again[:, better]
+                closely[k, some] = True
+            report(_ROUGH + (1 - _ROUGH) * float(1 - open_.mean()))
+
+    def _least(self, via_point: int, some: IntArray, effort: Effort) -> FloatArray:
+        """What some of the stances ask at a via-point, (3, k)."""
+        time = float(_times(self.task, _VIA_POINTS)[via_point])
+        at_once = max(_AT_ONCE // (effort.tried * (1 + 2 * effort.walked)), 1)
+        parts = [np.empty((3, 0))]
+        for first in range(0, len(some), at_once):
+            part = some[first : first + at_once]
+            bases, number = self.bases[part], self.number[part]
+            parts.append(self.arm.least(self.task, time, bases, self.loads, number, effort))
+        return np.concatenate(parts, axis=1)
 
 
 def _within_reach(task: ToolTask, bases: FloatArray, robot: Robot) -> BoolArray:
